@@ -17,11 +17,11 @@ from heard import round_a_block, walk_with_wifi
 from saved_mutations import changed, later, mutated_files, outcome
 
 import pdr_filter as pdr
-from pdr_filter.filter.person import Session
-from pdr_filter.io.mapping import read_mapping
+from pdr_filter.filter.step_length.person import Session
+from pdr_filter.io.tables.column_mapping import read_mapping
 from pdr_filter.live import assembly, messages
+from pdr_filter.maps.radio.radio_map import RadioMap
 from pdr_filter.maps.storey import LIFT
-from pdr_filter.radio.radio_map import RadioMap
 
 sys.path.insert(0, str(Path(__file__).parent / "io"))
 sys.path.insert(0, str(Path(__file__).parent / "maps"))

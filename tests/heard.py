@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from pdr_filter.io.recording import Recording
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import FloatArray, Wifi
+from pdr_filter.values.recording import Recording
 
 SPACING_M = 8.0
 SCAN_S = 2.2

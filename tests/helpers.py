@@ -11,19 +11,19 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from pdr_filter.filter.imm_tracker import ImmTracker
-from pdr_filter.filter.model import PedestrianModel
-from pdr_filter.filter.pedestrian import StepUpdate
-from pdr_filter.filter.weighted_tracker import WeightedTracker
-from pdr_filter.filter.weighting import HC
-from pdr_filter.io.recording import Recording
+from pdr_filter.filter.imm.imm_tracker import ImmTracker
+from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
+from pdr_filter.filter.imm.pedestrian_state import StepUpdate
+from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
+from pdr_filter.filter.imm.weighting import HC
 from pdr_filter.maps.floor_plan import FloorPlan
-from pdr_filter.papers.martinelli2018.steps import WaveletStepDetector
+from pdr_filter.recipes.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import Conditioner, ConditionerState, UniformBlock, merge_streams
 from pdr_filter.sensing.front_end import Event, Sensing
 from pdr_filter.simulate import Gait, Leg, simulate
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, STANDARD_GRAVITY_MPS2, FloatArray, ImuBlock, Step, Windows
+from pdr_filter.values.recording import Recording
 
 T = TypeVar("T")
 
@@ -62,7 +62,7 @@ def cut_randomly(block: ImuBlock, seed: int, mean_length: int = 40) -> list[ImuB
 def condition(conditioner: Conditioner, blocks: Sequence[ImuBlock]) -> tuple[ConditionerState, list[UniformBlock]]:
     state, outputs = conditioner.init(), []
     for block in blocks:
-        state, uniform = conditioner.step(state, block)
+        state, uniform = conditioner.update(state, block)
         outputs += uniform
     return state, outputs
 
@@ -132,7 +132,7 @@ def sensed(sensing: Sensing, blocks: Sequence[ImuBlock]) -> list[tuple[float, Ev
     """All events of the front end, the end of the recording included."""
     state, events = sensing.init(), []
     for block in blocks:
-        state, found = sensing.step(state, block)
+        state, found = sensing.update(state, block)
         events += found
     return [*events, *sensing.finish(state)[1]]
 

@@ -24,11 +24,11 @@ import numpy as np
 
 import pdr_filter as pdr
 from pdr_filter import recipes
-from pdr_filter.calibration import Calibration, load_calibration
-from pdr_filter.classifiers.artefact import file_pair
-from pdr_filter.classifiers.model import available_models, load_model
-from pdr_filter.io.recording import Subject
+from pdr_filter.classifiers.context_model import available_models, load_model
+from pdr_filter.classifiers.model_files import file_pair
+from pdr_filter.recipes.step_length_calibration import Calibration, load_calibration
 from pdr_filter.values import ImuBlock
+from pdr_filter.values.recording import Subject
 
 sys.path.insert(0, str(Path(__file__).parent / "io"))
 

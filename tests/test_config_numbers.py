@@ -16,7 +16,7 @@ import pytest
 
 import pdr_filter as pdr
 from pdr_filter import recipes
-from pdr_filter.config import Config
+from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.attitude import AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner
 from pdr_filter.values import check_numbers

@@ -23,10 +23,10 @@ from helpers import cut_randomly
 
 import pdr_filter as pdr
 from pdr_filter.cli.app import app
-from pdr_filter.io.recording import Truth
 from pdr_filter.simulate import Gait, Leg, simulate
 from pdr_filter.simulate.sensors import BAROMETER, SensorErrors
 from pdr_filter.values import Samples
+from pdr_filter.values.recording import Truth
 from tests.benchmarks.common import FOLDER, Tables, readme_with_tables
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -184,10 +184,11 @@ def resolved(name: str) -> Any:
             if part in getattr(value, "__dataclass_fields__", {}):  # one without default is no attribute of the class
                 return None
             try:
-                importlib.import_module(".".join(["pdr_filter", *parts[1 : k + 1]]))
+                value = importlib.import_module(".".join(["pdr_filter", *parts[1 : k + 1]]))
             except ImportError:
                 raise AttributeError(name) from None
-        value = getattr(value, part)
+        else:
+            value = getattr(value, part)
     return value
 
 
@@ -201,7 +202,7 @@ def test_names_of_the_package_that_a_page_gives_exist(page: str) -> None:
 
 def test_a_name_that_does_not_exist_is_noticed() -> None:
     assert resolved("pdr.recipes.default") is pdr.recipes.default
-    for name in ("pdr.recipes.best", "pdr_filter.sensing.steps.detector.StepDetectors", "pdr_filter.stepz"):
+    for name in ("pdr.recipes.best", "pdr_filter.sensing.steps.step_detector.StepDetectors", "pdr_filter.stepz"):
         with pytest.raises(AttributeError):
             resolved(name)
 

@@ -14,11 +14,11 @@ import pytest
 from given_mutations import GIVEN, PHYPHOX_ANSWER, PHYPHOX_CONFIG, a_plan, a_radio_map, try_given, use_phyphox
 
 import pdr_filter as pdr
-from pdr_filter.classifiers.artefact import file_pair
-from pdr_filter.filter.person import Session
-from pdr_filter.io import limits
+from pdr_filter.classifiers.model_files import file_pair
+from pdr_filter.filter.step_length.person import Session
 from pdr_filter.live.messages import MessageError
-from pdr_filter.radio.radio_map import RadioMap
+from pdr_filter.maps.radio.radio_map import RadioMap
+from pdr_filter.values import limits
 
 SLOW_S = 2.0  # a second on a machine that is not busy
 

@@ -1,4 +1,4 @@
-"""Importing costs nothing that is not needed, and no module imports from a room above its own."""
+"""Importing costs nothing that is not needed, and no module imports from a package above its own."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def loaded_by(statement: str) -> set[str]:
 
 
 def test_the_list_of_loaded_modules_is_not_empty() -> None:
-    assert {"pdr_filter", "pdr_filter.tracks", "numpy"} <= loaded_by("import pdr_filter; pdr_filter.Track")
+    assert {"pdr_filter", "pdr_filter.tracking.track", "numpy"} <= loaded_by("import pdr_filter; pdr_filter.Track")
 
 
 @pytest.mark.parametrize("module", ["gtsam", "matplotlib", "sklearn", "scipy.signal", "filterpy", "typer", "rich"])
@@ -32,7 +32,7 @@ def test_importing_the_package_does_not_load(module: str) -> None:
 
 @pytest.mark.parametrize("module", ["gtsam", "matplotlib", "sklearn.ensemble", "filterpy", "typer", "rich"])
 def test_importing_the_online_filter_does_not_load(module: str) -> None:
-    assert module not in loaded_by("import pdr_filter.online")
+    assert module not in loaded_by("import pdr_filter.tracking.online")
 
 
 def test_the_first_online_filter_loads_neither_scipy_nor_what_only_other_recipes_need() -> None:
@@ -70,103 +70,128 @@ def test_an_app_that_only_filters_runs_where_gtsam_is_not_installed() -> None:
         "n = len(online.push(samples.time_s, samples.specific_force_mps2, samples.angular_rate_radps))\n"
         "assert n > 100, n"
     )
-    assert "pdr_filter.filter.imm_tracker" in loaded_by(statement)
+    assert "pdr_filter.filter.imm.imm_tracker" in loaded_by(statement)
 
 
-# --- the rooms, from the ground up ------------------------------------------------------------------------------------
+# --- the packages -----------------------------------------------------------------------------------------------------
 
-ROOMS = [
-    "version",
-    "values",
-    "io",
-    "classifiers",
-    "sensing",
-    "filter",
-    "maps",
-    "config",
-    "papers",
-    "recipes",
-    "gnss",
-    "counts",
-    "filtering",
-    "notes",
-    "now",
-    "serialise",
-    "online",
-    "report",
-    "plot",
-    "calibration",
-    "tracks",
-    "placing",
-    "aligned",
-    "recording_run",
-    "simulate",
-    "datasets",
-    "evaluate",
-    "offline",
-    "radio",
-    "training",
-    "batch",
-    "live",
-    "",  # the package itself: the public names
-    "cli",
-]
-LEVEL = {room: level for level, room in enumerate(ROOMS)}
+# Three groups, in the order in which they may import: each package those before it.
+FRAMEWORK = ["values", "classifiers", "sensing", "filter", "recipes", "tracking", "simulate", "offline", "evaluate"]
+DATA = ["io", "datasets"]
+APPLICATIONS = ["maps", "report", "batch", "live", "cli"]
+PACKAGES = [*FRAMEWORK, *DATA, *APPLICATIONS]
 PACKAGE = Path(__file__).resolve().parents[1] / "pdr_filter"
 
+# Convenience methods of the framework that import data or applications when they are called, never before.
+WHEN_CALLED = {
+    ("values.recording", "io.files.own_format_writer"),  # Recording.save
+    ("classifiers.model_files", "io.files.safe_files"),  # models and calibrations, saved and loaded
+    ("sensing.device", "io.files.safe_files"),  # Device.save, Device.load
+    ("filter.step_length.person", "io.files.safe_files"),  # Person.save, Person.load
+    ("recipes.config", "maps.particle_filter"),  # Config.with_plan
+    ("recipes.step_length_calibration", "report.plot"),  # Calibration.plot
+    ("tracking.track", "io.files.track_writers"),  # Track.to_csv, Track.to_geojson and others
+    ("tracking.track", "report.plot"),  # Track.plot
+    ("offline.smoothing.smooth", "maps.plan_smoothing"),  # pdr.smooth(plan=...)
+    ("offline.training.cross_validation", "io.formats"),  # recordings to train on
+}
 
-def imports_of_modules() -> dict[str, set[str]]:
-    """For each module of the package those that it imports, inside of functions too; not those for types alone."""
-    names = {path: ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts) for path in PACKAGE.rglob("*.py")}
-    names = {path: name.removesuffix(".__init__") for path, name in names.items()}
+
+def imports_of_modules(types: bool = False, only_at_import: bool = False) -> dict[str, set[str]]:
+    """Modules that each module of the package imports, both named without the package.
+
+    `types`: those for type checkers too. `only_at_import`: without those inside of functions.
+    """
+    names = {path: ".".join(path.relative_to(PACKAGE).with_suffix("").parts) for path in PACKAGE.rglob("*.py")}
+    names = {path: name.removesuffix("__init__").removesuffix(".") for path, name in names.items()}
     modules, found = set(names.values()), {}
     for path, name in names.items():
         tree = ast.parse(path.read_text(encoding="utf-8"))
-        for_types = {
+        skipped = {
             id(inner)
             for node in ast.walk(tree)
-            if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+            if (not types and isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test))
+            or (only_at_import and isinstance(node, ast.FunctionDef))
             for inner in ast.walk(node)
         }
         targets: set[str] = set()
-        for node in ast.walk(tree):
+        for node in (node for node in ast.walk(tree) if id(node) not in skipped):
             if isinstance(node, ast.Import):
                 targets |= {alias.name for alias in node.names}
-            elif isinstance(node, ast.ImportFrom) and id(node) not in for_types:
+            elif isinstance(node, ast.ImportFrom):
                 inner = {f"{node.module}.{alias.name}" for alias in node.names}
-                targets |= (inner & modules) or {str(node.module)}
-        found[name] = (targets & modules) - {name}
+                targets |= {t for t in inner if t.removeprefix("pdr_filter.") in modules} or {str(node.module)}
+        own = {t.removeprefix("pdr_filter").removeprefix(".") for t in targets if t.partition(".")[0] == "pdr_filter"}
+        found[name] = (own & modules) - {name, "version"}
     return found
 
 
-def room_of(module: str) -> str:
-    return module.split(".")[1] if "." in module else ""
+def package_of(module: str) -> str:
+    return module.partition(".")[0]
 
 
-def test_every_module_lives_in_a_known_room() -> None:
-    assert {room_of(m) for m in imports_of_modules()} == set(ROOMS)
+def test_there_are_sixteen_packages_and_no_module_beside_them() -> None:
+    assert {package_of(module) for module in imports_of_modules()} == {"", "version", *PACKAGES}
+    assert {path.name for path in PACKAGE.glob("*.py")} == {"__init__.py", "version.py"}
 
 
-def test_no_module_imports_from_a_room_above_its_own() -> None:
-    up = [
-        f"{module} -> {target}"
+def test_every_folder_of_modules_is_a_package() -> None:
+    assert [path for path in PACKAGE.rglob("*.py") if not (path.parent / "__init__.py").is_file()] == []
+
+
+def test_no_module_imports_from_a_package_above_its_own() -> None:
+    level = {package: number for number, package in enumerate(["version", *PACKAGES[:-1], "", "cli"])}
+    up = {
+        (module, target)
         for module, targets in imports_of_modules().items()
         for target in targets
-        if LEVEL[room_of(target)] > LEVEL[room_of(module)]
-    ]
-    assert up == []
+        if level[package_of(target)] > level[package_of(module)]
+    }
+    assert up - WHEN_CALLED == set()
+
+
+def test_the_framework_imports_data_and_applications_in_the_listed_methods_only() -> None:
+    outside = {
+        (module, target)
+        for module, targets in imports_of_modules(types=True).items()
+        for target in targets
+        if package_of(module) in FRAMEWORK and package_of(target) in {*DATA, *APPLICATIONS}
+    }
+    assert outside == WHEN_CALLED
+    at_import = imports_of_modules(only_at_import=True)
+    assert [(module, target) for module, target in WHEN_CALLED if target in at_import[module]] == []
 
 
 def test_no_modules_import_each_other_in_a_circle() -> None:
-    graph = {m: targets - {"pdr_filter"} for m, targets in imports_of_modules().items()}
-    while leaves := {m for m, targets in graph.items() if not targets & graph.keys()}:
-        graph = {m: targets for m, targets in graph.items() if m not in leaves}
+    graph = {module: targets - {""} for module, targets in imports_of_modules().items()}
+    graph = {module: {t for t in targets if (module, t) not in WHEN_CALLED} for module, targets in graph.items()}
+    while leaves := {module for module, targets in graph.items() if not targets & graph.keys()}:
+        graph = {module: targets for module, targets in graph.items() if module not in leaves}
     assert graph == {}
 
 
-def test_gtsam_is_imported_in_the_offline_room_only() -> None:
+def test_the_package_has_no_assert() -> None:
+    asserts = [
+        f"{path.relative_to(PACKAGE)}:{node.lineno}"
+        for path in PACKAGE.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Assert)
+    ]
+    assert asserts == []
+
+
+def test_no_public_class_has_the_name_of_another() -> None:
+    homes: dict[str, list[str]] = {}
+    for path in PACKAGE.rglob("*.py"):
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef):
+                homes.setdefault(node.name, []).append(str(path.relative_to(PACKAGE)))
+    assert {name: files for name, files in homes.items() if len(files) > 1} == {}
+
+
+def test_gtsam_is_imported_in_the_offline_package_only() -> None:
     users = {
-        room_of(".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts))
+        path.relative_to(PACKAGE).parts[0]
         for path in PACKAGE.rglob("*.py")
         if "import gtsam" in path.read_text(encoding="utf-8")
     }

@@ -16,11 +16,11 @@ from hypothesis import strategies as st
 
 import pdr_filter as pdr
 from pdr_filter import recipes
-from pdr_filter.filtering import MAX_CLIMBS
-from pdr_filter.io.recording import Recording
 from pdr_filter.simulate import Leg, simulate
-from pdr_filter.tracks import Track
+from pdr_filter.tracking.filtering import MAX_CLIMBS
+from pdr_filter.tracking.track import Track
 from pdr_filter.values import ImuBlock, PositionFix, Samples, step_table, wrap_angle
+from pdr_filter.values.recording import Recording
 
 WEIGHTINGS = ("imm", "wc", "hc")
 REAL = (
@@ -270,7 +270,7 @@ def test_a_fresh_filter_can_be_saved(short_walk: Recording) -> None:
 
 @pytest.mark.parametrize("blob", [b"", b"something else", pytest.param(None, id="another value")])
 def test_what_is_no_filter_is_refused(blob: bytes | None) -> None:
-    from pdr_filter.serialise import to_bytes
+    from pdr_filter.values.serialisation import to_bytes
 
     with pytest.raises(ValueError, match="filter"):
         pdr.OnlineFilter.load(to_bytes({"config": 1}) if blob is None else blob)

@@ -19,13 +19,14 @@ import pytest
 from saved_mutations import FILTERS, a_calibration, at, between, good_filter, nodes, try_one
 
 import pdr_filter as pdr
-from pdr_filter import recipes, serialise
-from pdr_filter.calibration import load_calibration
-from pdr_filter.classifiers import artefact
-from pdr_filter.classifiers.model import load_model
-from pdr_filter.filter.motion import MotionNoise
-from pdr_filter.io import limits
-from pdr_filter.serialise import from_bytes, like, to_bytes
+from pdr_filter import recipes
+from pdr_filter.classifiers import model_files as artefact
+from pdr_filter.classifiers.context_model import load_model
+from pdr_filter.filter.imm.motion_model import MotionNoise
+from pdr_filter.recipes.step_length_calibration import load_calibration
+from pdr_filter.values import limits
+from pdr_filter.values import serialisation as serialise
+from pdr_filter.values.serialisation import from_bytes, like, to_bytes
 
 SLOW_S = 2.0  # a second on a machine that is not busy
 
@@ -169,7 +170,7 @@ def test_an_array_may_be_longer_only_where_the_first_one_is_empty() -> None:
 
 @pytest.mark.parametrize("part", [b"[],", b"{},", b"1.5,", b'{"a":[]},'], ids=str)
 def test_a_small_file_of_many_values_does_not_fill_the_memory(part: bytes) -> None:
-    content = b'{"format":2,"value":[' + part * (12_000_000 // len(part)) + b"0]}"
+    content = b'{"format":3,"value":[' + part * (12_000_000 // len(part)) + b"0]}"
     blob = zlib.compress(content)
     assert len(blob) < 60_000
     tracemalloc.start()
@@ -193,7 +194,7 @@ def test_what_unpacks_to_more_than_a_filter_has_is_refused_before_it_is_unpacked
 
 def test_a_class_of_another_room_is_not_imported() -> None:
     with pytest.raises(ValueError, match="refused to load"):
-        from_bytes(zlib.compress(b'{"format":2,"value":{"dataclass":"pdr_filter.live_nothing.x:Server","fields":{}}}'))
+        from_bytes(zlib.compress(b'{"format":3,"value":{"dataclass":"pdr_filter.live_nothing.x:Server","fields":{}}}'))
 
 
 # --- models and calibrations -----------------------------------------------------------------------------------------

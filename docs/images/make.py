@@ -32,20 +32,20 @@ ONLINE: dict[str, object] = {"facecolor": "#DCEBF5", "edgecolor": BLUE, "linesty
 OFFLINE: dict[str, object] = {"facecolor": "#FBEBDD", "edgecolor": ORANGE, "linestyle": (0, (4, 2))}
 OUTSIDE: dict[str, object] = {"facecolor": "#FFFFFF", "edgecolor": FAINT, "linestyle": "-"}
 
-# name: centre, half width and half height (in the units of the figure below), title, its room, style
+# name: centre, half width and half height (in the units of the figure below), title, its package, style
 BOXES: dict[str, tuple[float, float, float, float, str, str, dict[str, object]]] = {
     "file": (3.4, 10.0, 1.35, 0.42, "file or folder", "io", OUTSIDE),
-    "app": (7.0, 10.0, 1.35, 0.42, "app", "online", OUTSIDE),
+    "app": (7.0, 10.0, 1.35, 0.42, "app", "tracking.online", OUTSIDE),
     "uniform": (5.2, 8.4, 1.35, 0.42, "uniform samples", "sensing.conditioning", ONLINE),
-    "attitude": (1.75, 6.8, 1.35, 0.42, "attitude", "sensing.attitude, bias", ONLINE),
-    "contexts": (5.2, 6.8, 1.25, 0.48, "contexts", "sensing.features, contexts\nclassifiers, papers", ONLINE),
-    "steps": (8.7, 6.8, 1.25, 0.42, "steps, gate", "sensing.steps, papers", ONLINE),
-    "heading": (5.2, 5.2, 1.45, 0.42, "walking heading", "sensing.heading, papers", ONLINE),
+    "attitude": (1.75, 6.8, 1.35, 0.42, "attitude", "sensing.attitude,\ngyroscope_bias", ONLINE),
+    "contexts": (5.2, 6.8, 1.25, 0.48, "contexts", "sensing.features, contexts\nclassifiers, recipes", ONLINE),
+    "steps": (8.7, 6.8, 1.25, 0.42, "steps, gate", "sensing.steps, recipes", ONLINE),
+    "heading": (5.2, 5.2, 1.45, 0.42, "walking heading", "sensing.heading, recipes", ONLINE),
     "climb": (1.55, 3.35, 1.3, 0.42, "climb rate", "sensing.features", ONLINE),
-    "filter": (5.2, 3.35, 1.35, 0.6, "filter", "filter: step_length, motion,\nimm, weighting, trackers", ONLINE),
+    "filter": (5.2, 3.35, 1.35, 0.6, "filter", "filter: step_length,\nimm, fixes, height", ONLINE),
     "fixes": (8.9, 3.35, 1.2, 0.42, "fixes", "values.fixes", OUTSIDE),
     "calibrate": (1.55, 1.6, 1.3, 0.42, "calibrate", "offline.calibration", OFFLINE),
-    "track": (5.2, 1.6, 1.4, 0.42, "Track", "recording_run, tracks", OUTSIDE),
+    "track": (5.2, 1.6, 1.4, 0.42, "Track", "tracking", OUTSIDE),
     "smooth": (8.9, 1.6, 1.3, 0.42, "smooth", "offline.smoothing", OFFLINE),
     "results": (5.2, 0.25, 1.4, 0.42, "results", "evaluate, report, io", OFFLINE),
 }

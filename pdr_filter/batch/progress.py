@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from pdr_filter.batch.table import Row, Task
+from pdr_filter.batch.result_table import Row, Task
 
 
 @dataclass(frozen=True, slots=True)

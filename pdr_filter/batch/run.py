@@ -10,17 +10,17 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import cast, get_args
 
-from pdr_filter import recording_run
 from pdr_filter.batch.progress import Clock, Progress
-from pdr_filter.batch.table import Row, Task, failed_row, opened, row_of, tables, write_parquet
+from pdr_filter.batch.result_table import Row, Task, failed_row, opened, row_of, tables, write_parquet
 from pdr_filter.batch.workers import check_format, each, reason_of
-from pdr_filter.calibration import load_calibration
-from pdr_filter.filter.weighting import WEIGHTINGS
+from pdr_filter.filter.imm.weighting import WEIGHTINGS
 from pdr_filter.io.folders import recordings_of
 from pdr_filter.io.formats import read
-from pdr_filter.io.recording import check_height
-from pdr_filter.placing import GnssUse
 from pdr_filter.recipes import check_name, for_recording
+from pdr_filter.recipes.step_length_calibration import load_calibration
+from pdr_filter.tracking import whole_recording as recording_run
+from pdr_filter.tracking.georeferencing import GnssUse
+from pdr_filter.values.recording import check_height
 
 
 def track(

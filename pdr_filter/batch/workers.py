@@ -88,9 +88,9 @@ def _on_processes(work: Callable[[T], R], items: Sequence[T], jobs: int) -> Iter
     if getattr(work, "__module__", "") == "__main__":
         raise ValueError(f"{work!r} runs in other processes: put it into a module that they can import")
     begin = pickle.dumps(work)
-    workers = [_Worker(begin, max(n_cores // n, 1)) for _ in range(n)]
+    workers = [_BatchWorker(begin, max(n_cores // n, 1)) for _ in range(n)]
 
-    def run(worker: _Worker) -> None:
+    def run(worker: _BatchWorker) -> None:
         with suppress(Empty):
             while True:
                 i = todo.get_nowait()
@@ -125,7 +125,7 @@ class _DeathError(Exception):
     """A process has ended in the middle of an item."""
 
 
-class _Worker:
+class _BatchWorker:
     """A process for one item after the other, started when it is needed, and again after its death.
 
     Each end sees the death of the other as the end of a pipe that nobody else holds. There is no lock to be left

@@ -11,9 +11,9 @@ from typing import Self
 
 import numpy as np
 
-from pdr_filter.classifiers.artefact import Arrays, of_prefix, prefixed
+from pdr_filter.classifiers.base_classifier import Machine
 from pdr_filter.classifiers.boosting import BoostedTrees
-from pdr_filter.classifiers.machine import Machine
+from pdr_filter.classifiers.model_files import Arrays, of_prefix, prefixed
 from pdr_filter.classifiers.softmax import SoftmaxRegression
 from pdr_filter.values import FloatArray
 

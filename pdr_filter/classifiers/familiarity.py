@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_filter.classifiers.machine import Stored
+from pdr_filter.classifiers.base_classifier import Stored
 from pdr_filter.values import FloatArray
 
 # A feature further out than this counts as this far: one broken feature alone cannot make the distance infinite.

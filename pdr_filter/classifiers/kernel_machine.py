@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_filter.classifiers.machine import Machine, row_by_row
+from pdr_filter.classifiers.base_classifier import Machine, row_by_row
 from pdr_filter.classifiers.softmax import softmax
 from pdr_filter.values import FloatArray, IntArray
 

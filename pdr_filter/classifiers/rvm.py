@@ -1,6 +1,6 @@
 """Relevance vector machine of many classes: sparse Bayesian classification with probabilities (Tipping 2001).
 
-The model is that of section V-C of Martinelli et al. 2018 (eq. 4-9), trained by `pdr_filter.classifiers.sparse_bayes`.
+The model is that of section V-C of Martinelli et al. 2018 (eq. 4-9), trained by `pdr_filter.classifiers.rvm_training`.
 The iteration that the paper prints (eq. 10, 11) is `tests.oracles.rvm_reference`.
 """
 
@@ -24,7 +24,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from threadpoolctl import threadpool_limits  # scikit-learn depends on it
 
 from pdr_filter.classifiers.kernel_machine import KERNELS, RelevanceVectors
-from pdr_filter.classifiers.sparse_bayes import Bernoulli, Posterior, Trained, train
+from pdr_filter.classifiers.rvm_training import Bernoulli, Posterior, Trained, train
 from pdr_filter.values import FloatArray, IntArray
 
 MULTI_CLASS = ("one_against_all", "multinomial")

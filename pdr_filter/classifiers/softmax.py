@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_filter.classifiers.machine import Machine
+from pdr_filter.classifiers.base_classifier import Machine
 from pdr_filter.values import FloatArray
 
 

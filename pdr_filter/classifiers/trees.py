@@ -13,8 +13,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from pdr_filter.classifiers.artefact import Arrays
-from pdr_filter.classifiers.machine import Machine, Stored
+from pdr_filter.classifiers.base_classifier import Machine, Stored
+from pdr_filter.classifiers.model_files import Arrays
 from pdr_filter.values import BoolArray, FloatArray, IntArray
 
 NO_CHILD = -1  # in `left` and `right` of a leaf, as scikit-learn has it

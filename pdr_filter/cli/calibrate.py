@@ -23,7 +23,7 @@ from pdr_filter.cli.options import (
     Start,
     on_plan,
 )
-from pdr_filter.io.texts import file_name, printable_lines
+from pdr_filter.values.sanitise import file_name, printable_lines
 
 
 @dataclass(frozen=True)
@@ -63,8 +63,8 @@ def calibrate(
     that cannot be used are left out and named in the report.
     """
     import pdr_filter as pdr
-    from pdr_filter.classifiers.artefact import file_pair
-    from pdr_filter.plot.figures import check_picture
+    from pdr_filter.classifiers.model_files import file_pair
+    from pdr_filter.report.plot.figures import check_picture
 
     with console.one_line_errors(), console.progress("calibrating") as show:
         if figure is not None:
@@ -120,9 +120,10 @@ def smooth(
     Times in the files are seconds of the recording.
     """
     import pdr_filter as pdr
-    from pdr_filter.calibration import load_calibration
-    from pdr_filter.offline.smoothing.observations import fixes_of_file, loop_closures_of_file, waypoint_fixes
+    from pdr_filter.io.fix_files import fixes_of_file, loop_closures_of_file
+    from pdr_filter.offline.smoothing.observations import waypoint_fixes
     from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
+    from pdr_filter.recipes.step_length_calibration import load_calibration
 
     before: dict[Path, int] = {}
     with console.one_line_errors(), console.progress("smoothing"):

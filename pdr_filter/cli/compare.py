@@ -12,12 +12,12 @@ import typer
 from pdr_filter.cli import console
 from pdr_filter.cli.console import escape
 from pdr_filter.cli.options import AsJson, Files
-from pdr_filter.io.texts import file_name
+from pdr_filter.values.sanitise import file_name
 
 if TYPE_CHECKING:
-    from pdr_filter.io.recording import Recording
-    from pdr_filter.tracks import Track
+    from pdr_filter.tracking.track import Track
     from pdr_filter.values import Table
+    from pdr_filter.values.recording import Recording
 
 
 @dataclass(frozen=True)

@@ -17,11 +17,11 @@ from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Column, Table
 
-from pdr_filter.io.texts import printable, printable_lines
+from pdr_filter.values.sanitise import printable, printable_lines
 
 if TYPE_CHECKING:
-    from pdr_filter.io.recording import Recording
-    from pdr_filter.tracks import Track
+    from pdr_filter.tracking.track import Track
+    from pdr_filter.values.recording import Recording
 
 _WIDEST_WORD = 40  # of a table; a longer name is broken
 _BETWEEN = 3  # cells between the columns of a table

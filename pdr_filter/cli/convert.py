@@ -9,10 +9,10 @@ from typing import Annotated
 import typer
 
 from pdr_filter.cli import console
-from pdr_filter.io.texts import file_name, printable, printable_lines
+from pdr_filter.values.sanitise import file_name, printable, printable_lines
 
 
-class Platform(StrEnum):
+class PlatformOption(StrEnum):
     """Whose sign an accelerometer has."""
 
     IOS = "ios"
@@ -25,7 +25,7 @@ def convert(
         Path | None, typer.Option("--map", help="TOML file that says which column is what; else it is guessed.")
     ] = None,
     platform: Annotated[
-        Platform | None, typer.Option(help="Where the file was recorded, if nothing in it shows the sign.")
+        PlatformOption | None, typer.Option(help="Where the file was recorded, if nothing in it shows the sign.")
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Where the recording goes: NAME_recording.zip beside FILE if not given.")
@@ -36,14 +36,14 @@ def convert(
     The mapping of a table is written beside the recording, as NAME_recording.toml: correct it and give it with --map.
     Nothing that is there is overwritten.
     """
-    from pdr_filter.io.any_table import read_guessed, read_mapped
-    from pdr_filter.io.archive import outside
     from pdr_filter.io.describe import reading_report
     from pdr_filter.io.detection import detect
-    from pdr_filter.io.files import write_text
+    from pdr_filter.io.files.archive import outside
+    from pdr_filter.io.files.safe_files import write_text
     from pdr_filter.io.folders import only_recording_in
     from pdr_filter.io.formats import read
-    from pdr_filter.io.mapping import read_mapping
+    from pdr_filter.io.tables.any_table import read_guessed, read_mapped
+    from pdr_filter.io.tables.column_mapping import read_mapping
 
     with console.one_line_errors():
         if mapping is not None and platform is not None:

@@ -10,18 +10,18 @@ import numpy as np
 from rich.console import Console
 from rich.table import Column, Table
 
-from pdr_filter import plot
 from pdr_filter.cli.console import escape, estimates, files_of, replaced_of, unused, write_map
 from pdr_filter.io.formats import read
-from pdr_filter.io.recording import Recording
-from pdr_filter.io.texts import file_name
-from pdr_filter.placing import GnssUse
+from pdr_filter.report import plot
 from pdr_filter.report.html import write_report
 from pdr_filter.report.page_data import track_data
 from pdr_filter.report.palette import context_colours
 from pdr_filter.simulate import demo_walk
-from pdr_filter.tracks import Track
+from pdr_filter.tracking.georeferencing import GnssUse
+from pdr_filter.tracking.track import Track
 from pdr_filter.values import FloatArray
+from pdr_filter.values.recording import Recording
+from pdr_filter.values.sanitise import file_name
 
 _BAR_CELLS = 30
 
@@ -115,7 +115,8 @@ def _placed(result: Track) -> str:
 
 def _true_way(recording: Recording) -> FloatArray:
     position = recording.truth.position
-    assert position is not None  # of every simulated recording
+    if position is None:
+        raise ValueError(f"{recording.name} has no true positions: give a simulated recording")
     return np.column_stack([position.east_m, position.north_m])
 
 
@@ -137,7 +138,8 @@ def _facts(demo: Demo) -> Table:
 def _true_facts(recording: Recording, result: Track) -> tuple[str, str, str]:
     """True steps and distance, and the end error of the report, after the true way was turned and shifted to fit."""
     truth = recording.truth
-    assert truth.steps is not None and truth.segments is not None  # of every simulated recording
+    if truth.steps is None or truth.segments is None:
+        raise ValueError(f"{recording.name} has no true steps and segments: give a simulated recording")
     apart_m = track_data(result, recording, None, 1)["from_truth"][-1]
     distance_m = float(truth.segments.distance_m.sum())
     return (

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from pdr_filter.cli import console
-from pdr_filter.io.files import write_text
-from pdr_filter.io.texts import printable
+from pdr_filter.io.files.safe_files import write_text
+from pdr_filter.values.sanitise import printable
 
 if TYPE_CHECKING:
-    from pdr_filter.tracks import Track
+    from pdr_filter.tracking.track import Track
 
 _PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>Tracks</title>

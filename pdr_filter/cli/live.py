@@ -20,8 +20,8 @@ import typer
 from pdr_filter.cli import console
 
 if TYPE_CHECKING:
-    from pdr_filter.io.recording import Recording
     from pdr_filter.live.hub import Live
+    from pdr_filter.values.recording import Recording
 
 
 # How often it is looked whether the server is to end.

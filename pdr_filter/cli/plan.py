@@ -9,7 +9,7 @@ import typer
 
 from pdr_filter.cli import console
 from pdr_filter.cli.options import AsJson, Folder
-from pdr_filter.io.texts import file_name, printable
+from pdr_filter.values.sanitise import file_name, printable
 
 if TYPE_CHECKING:
     from pdr_filter.maps.floor_plan import FloorPlan
@@ -22,7 +22,7 @@ def plan(
 ) -> None:
     """Say what a floor plan was understood to be, and draw it as NAME.png into the folder of --out."""
     import pdr_filter as pdr
-    from pdr_filter import plot
+    from pdr_filter.report import plot
 
     with console.one_line_errors():
         read = pdr.FloorPlan.read(file)

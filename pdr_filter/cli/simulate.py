@@ -16,7 +16,7 @@ from pdr_filter.cli import console
 from pdr_filter.cli.options import Gnss, Loop, Online
 
 if TYPE_CHECKING:
-    from pdr_filter.io.recording import Recording
+    from pdr_filter.values.recording import Recording
 
 
 class CarryingMode(StrEnum):
@@ -38,7 +38,7 @@ def simulate(
 ) -> None:
     """Write a simulated walk with exact truth as a recording."""
     import pdr_filter as pdr
-    from pdr_filter.io.own_format import write_recording
+    from pdr_filter.io.files.own_format import write_recording
 
     with console.one_line_errors():
         walk = pdr.simulate.demo_walk(seed) if carrying_mode is None else _block_walk(carrying_mode.value, seed)

@@ -32,12 +32,12 @@ from pdr_filter.cli.options import (
     on_plan,
     origin_deg,
 )
-from pdr_filter.io.texts import file_name
+from pdr_filter.values.sanitise import file_name
 
 if TYPE_CHECKING:
-    from pdr_filter.config import Config
-    from pdr_filter.io.recording import Recording
-    from pdr_filter.tracks import Track
+    from pdr_filter.recipes.config import Config
+    from pdr_filter.tracking.track import Track
+    from pdr_filter.values.recording import Recording
 
 
 class Weighting(StrEnum):
@@ -83,8 +83,8 @@ class Method:
     def changes(self) -> Callable[[Config], Config]:
         """What model and transitions change of a recipe; what cannot be used is refused before a file is read."""
         from pdr_filter import recipes
-        from pdr_filter.classifiers.model import load_model
-        from pdr_filter.classifiers.transitions import load_transitions
+        from pdr_filter.classifiers.context_model import load_model
+        from pdr_filter.classifiers.transition_probabilities import load_transitions
 
         recipes.check_name(self.recipe)
         origin_deg(self.origin)
@@ -118,7 +118,7 @@ class Source:
 
 
 @dataclass(frozen=True, slots=True)
-class Output:
+class OutputOptions:
     """Files that are written."""
 
     out: Folder = None
@@ -147,7 +147,7 @@ class Output:
 
     def check(self) -> None:
         """ValueError for options that cannot be used, before a file is read."""
-        from pdr_filter.io.writers import pandas_for_parquet
+        from pdr_filter.io.files.track_writers import pandas_for_parquet
 
         if "parquet" in self.kinds:
             pandas_for_parquet(self.out or Path())
@@ -191,7 +191,7 @@ _EXPORTS: Mapping[str, Callable[[Track, Path, Recording], Path]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Workers:
+class WorkerOptions:
     """Where many recordings are tracked."""
 
     jobs: Annotated[int | None, typer.Option(min=1, help="Many recordings at once: one table, which resumes.")] = None
@@ -203,7 +203,7 @@ class Workers:
 
 
 def track(
-    files: Files, method: Method, source: Source, output: Output, workers: Workers, as_json: AsJson = False
+    files: Files, method: Method, source: Source, output: OutputOptions, workers: WorkerOptions, as_json: AsJson = False
 ) -> None:
     """Track recordings: steps, distance, end point and contexts of each.
 
@@ -287,7 +287,7 @@ def track(
     console.exit_if_failed(failed, len(files))
 
 
-def _check_one_table(method: Method, output: Output, as_json: bool) -> None:
+def _check_one_table(method: Method, output: OutputOptions, as_json: bool) -> None:
     """ValueError for what is of one recording, where many make one table."""
     of_one = {
         "--model": method.model,
@@ -312,7 +312,7 @@ def _check_one_table(method: Method, output: Output, as_json: bool) -> None:
         )
 
 
-def _track_many(files: Sequence[Path], method: Method, source: Source, table: Path, workers: Workers) -> None:
+def _track_many(files: Sequence[Path], method: Method, source: Source, table: Path, workers: WorkerOptions) -> None:
     from pdr_filter import batch
 
     with console.progress("tracking") as show:

@@ -25,7 +25,7 @@ def train(
     Without DATA_DIR only transitions and tempering, for the shipped models.
     """
     from pdr_filter.io.folders import recordings_in
-    from pdr_filter.training.run import train as train_models
+    from pdr_filter.offline.training.train_all import train as train_models
 
     with console.one_line_errors(), console.progress("training") as show:
         found = None if sequences is None else recordings_in(sequences)

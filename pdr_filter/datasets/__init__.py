@@ -18,10 +18,10 @@ from typing import Any
 
 from pdr_filter.datasets import from_raw
 from pdr_filter.datasets.ms_indoor_walks import WALKS
-from pdr_filter.io.archive import open_members
-from pdr_filter.io.files import whole_file, write_text
+from pdr_filter.io.files.archive import open_members
+from pdr_filter.io.files.safe_files import whole_file, write_text
 from pdr_filter.io.folders import recordings_in
-from pdr_filter.io.recording import Recording
+from pdr_filter.values.recording import Recording
 
 _GITHUB = "https://raw.githubusercontent.com"
 _RAW = ".raw"  # in a folder of recordings what begins with a point is no recording

@@ -14,16 +14,15 @@ from typing import Any, cast
 
 import numpy as np
 
-from pdr_filter.io import limits
-from pdr_filter.io.any_table import read_table
-from pdr_filter.io.archive import json_object
-from pdr_filter.io.errors import RecordingError
-from pdr_filter.io.files import read_small
+from pdr_filter.io.apps.indoor_location import read_indoor_location
+from pdr_filter.io.files.archive import json_object
+from pdr_filter.io.files.errors import RecordingError
+from pdr_filter.io.files.safe_files import read_small
 from pdr_filter.io.folders import recordings_in
 from pdr_filter.io.formats import read
-from pdr_filter.io.indoor_location import read_indoor_location
-from pdr_filter.io.recording import Recording, Truth
-from pdr_filter.values import FloatArray, Table, table
+from pdr_filter.io.tables.any_table import read_table
+from pdr_filter.values import FloatArray, Table, limits, table
+from pdr_filter.values.recording import Recording, Truth
 
 _LEAST_LEG_M = 5.0
 # Corridors are parallel to the axes of the plan; the landmarks of a leg along one are less than this off, those round a

@@ -9,8 +9,8 @@ import numpy as np
 from pdr_filter.evaluate.distance import percent_error, walked_m
 from pdr_filter.evaluate.steps import count_error_percent
 from pdr_filter.evaluate.tracks import end_error_percent, moved_m, position_rmse_m, positions_at
-from pdr_filter.io.recording import Recording
 from pdr_filter.values import FloatArray, Table, TrackRows, rigid_fit, table
+from pdr_filter.values.recording import Recording
 
 
 def comparison_table(recording: Recording, tracks: Mapping[str, TrackRows]) -> Table:

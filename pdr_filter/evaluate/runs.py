@@ -7,16 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from pdr_filter.config import Config
 from pdr_filter.evaluate.distance import percent_error, walked_m
-from pdr_filter.filter.imm import smoothed_mode_prob
-from pdr_filter.filter.motion import Mode
-from pdr_filter.filter.weighted_tracker import WeightedTracker
-from pdr_filter.filter.weighting import WEIGHTINGS
-from pdr_filter.io.recording import Recording
-from pdr_filter.recording_run import default_config, track
-from pdr_filter.tracks import Track
+from pdr_filter.filter.imm.imm import smoothed_mode_prob
+from pdr_filter.filter.imm.motion_model import Mode
+from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
+from pdr_filter.filter.imm.weighting import WEIGHTINGS
+from pdr_filter.recipes.config import Config
+from pdr_filter.tracking.track import Track
+from pdr_filter.tracking.whole_recording import default_config, track
 from pdr_filter.values import CONTEXTS, FloatArray, Table, TrackRows, steps_of, table
+from pdr_filter.values.recording import Recording
 
 
 def weighting_tracks(
@@ -95,7 +95,7 @@ def threshold_sweep(recording: Recording, config: Config, thresholds: Sequence[f
 
 
 def epoch_distances(track: TrackRows, modes: Sequence[Mode]) -> tuple[FloatArray, FloatArray]:
-    """What `pdr_filter.filter.weighting.weighted_distances` takes: (K, C) and (K + 1, C), for a track of K + 1 windows.
+    """Arguments of `pdr_filter.filter.imm.weighting.weighted_distances`: (K, C) and (K + 1, C), of K + 1 windows.
 
     Distances in m between one window's end and the next if every step had been of a context (Martinelli et al. 2018,
     eq. 17 and 18), and the probabilities of all windows; the modes are `config.model.modes`, one for each context.

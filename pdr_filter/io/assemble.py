@@ -9,15 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.io import limits
 from pdr_filter.io.checks import checked_streams, up_cosine
 from pdr_filter.io.describe import READING_KEY
-from pdr_filter.io.errors import RecordingError
-from pdr_filter.io.own_writer import TIME_COLUMNS
-from pdr_filter.io.recording import Recording, Truth
+from pdr_filter.io.files.errors import RecordingError
+from pdr_filter.io.files.own_format_writer import TIME_COLUMNS
 from pdr_filter.io.row_times import in_order, spread
-from pdr_filter.io.wifi import wifi_of
-from pdr_filter.values import FloatArray, Samples, table
+from pdr_filter.io.wifi_rows import wifi_of
+from pdr_filter.values import FloatArray, Samples, limits, table
+from pdr_filter.values.recording import Recording, Truth
 
 
 @dataclass

@@ -7,12 +7,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from pdr_filter.io import limits
 from pdr_filter.io.describe import describe_stream, median_norm
-from pdr_filter.io.errors import RecordingError
-from pdr_filter.io.table import finite
-from pdr_filter.io.units import wrong_angular_rate, wrong_rate, wrong_specific_force
-from pdr_filter.values import BoolArray, FloatArray, Samples
+from pdr_filter.io.files.errors import RecordingError
+from pdr_filter.io.tables.text_table import finite
+from pdr_filter.values import BoolArray, FloatArray, Samples, limits
+from pdr_filter.values.plausibility import wrong_angular_rate, wrong_rate, wrong_specific_force
 from pdr_filter.values.quaternions import rotation_matrix
 
 

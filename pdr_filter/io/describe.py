@@ -8,14 +8,9 @@ from typing import Any, cast
 
 import numpy as np
 
-from pdr_filter.io import limits
-from pdr_filter.io.recording import Recording
-from pdr_filter.values import FloatArray, Samples, how_many
+from pdr_filter.values import FloatArray, Samples, how_many, limits
+from pdr_filter.values.recording import Recording
 
-# A pause longer than this in a sensor that samples faster is a gap: within it a step can be missed.
-GAP_S = 0.3
-# A slow sensor (1 Hz GNSS) has a gap only where samples are missing, so where an interval is this many usual ones.
-GAP_INTERVALS = 2.5
 # A stream whose mean rate is below this part of the one that was asked for is named: phones often deliver half.
 DELIVERED_ENOUGH = 0.9
 # In `Recording.meta`: what the reader of another app's format found. Plain values, so that it survives being written.
@@ -162,7 +157,7 @@ def describe_stream(name: str, samples: Samples, requested_hz: Any = None) -> St
     interval_s = np.diff(time_s)
     forward_s = interval_s[interval_s > 0]
     median_s = float(np.median(forward_s)) if len(forward_s) else np.inf
-    gaps_s = forward_s[forward_s > max(GAP_S, GAP_INTERVALS * median_s)]
+    gaps_s = forward_s[forward_s > max(limits.GAP_S, limits.GAP_INTERVALS * median_s)]
     span_s = float(time_s.max() - time_s.min()) if len(time_s) else 0.0
     is_rate = isinstance(requested_hz, int | float) and not isinstance(requested_hz, bool) and 0 < requested_hz < 1e6
     return StreamDescription(

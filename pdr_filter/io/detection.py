@@ -6,23 +6,18 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path, PurePosixPath
 
-from pdr_filter.io import (
-    get_sensor_data,
-    indoor_location,
-    json_tables,
-    limits,
-    ros_bag,
-    sensor_logger,
-)
-from pdr_filter.io.any_table import TEXTS, sensors_of
-from pdr_filter.io.archive import Members, open_members
-from pdr_filter.io.errors import RecordingError
-from pdr_filter.io.mapping import mapping_beside
-from pdr_filter.io.matlab import is_matlab
-from pdr_filter.io.own_format import OTHERS, REQUIRED
-from pdr_filter.io.ronin import SIGNATURE
-from pdr_filter.io.sheets import text_sheet
-from pdr_filter.io.spreadsheet import is_spreadsheet
+from pdr_filter.io.apps import get_sensor_data, indoor_location, ros_bag, sensor_logger
+from pdr_filter.io.apps.ronin import SIGNATURE
+from pdr_filter.io.files.archive import Members, open_members
+from pdr_filter.io.files.errors import RecordingError
+from pdr_filter.io.files.own_format import OTHERS, REQUIRED
+from pdr_filter.io.tables import json_tables
+from pdr_filter.io.tables.any_table import TEXTS, sensors_of
+from pdr_filter.io.tables.column_mapping import mapping_beside
+from pdr_filter.io.tables.matlab import is_matlab
+from pdr_filter.io.tables.spreadsheet import is_spreadsheet
+from pdr_filter.io.tables.text_sheets import text_sheet
+from pdr_filter.values import limits
 
 
 def detect(path: Path) -> str:

@@ -6,14 +6,15 @@ from collections.abc import Iterable
 from itertools import islice
 from pathlib import Path, PurePosixPath
 
-from pdr_filter.io import limits, sensor_logger
-from pdr_filter.io.any_table import TEXTS, sensors_of
-from pdr_filter.io.archive import IN_PLACE, Members, open_members, zips_among
-from pdr_filter.io.columns import ACCELERATION, GRAVITY, LINEAR, RATE, VECTORS, quantity_of_file, trial_of
+from pdr_filter.io.apps import sensor_logger
 from pdr_filter.io.detection import detect, detect_file
-from pdr_filter.io.errors import RecordingError
-from pdr_filter.io.json_tables import SUFFIXES
-from pdr_filter.io.mapping import mapping_beside
+from pdr_filter.io.files.archive import IN_PLACE, Members, open_members, zips_among
+from pdr_filter.io.files.errors import RecordingError
+from pdr_filter.io.tables.any_table import TEXTS, sensors_of
+from pdr_filter.io.tables.column_mapping import mapping_beside
+from pdr_filter.io.tables.column_names import ACCELERATION, GRAVITY, LINEAR, RATE, VECTORS, quantity_of_file, trial_of
+from pdr_filter.io.tables.json_tables import SUFFIXES
+from pdr_filter.values import limits
 
 _TEXTS = {".csv", ".txt", ".tsv", *SUFFIXES}
 _FILES = {".zip", ".gz", ".sqlite", ".db", *IN_PLACE}

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from pdr_filter.io.any_table import read_generic_csv, read_table
+from pdr_filter.io.apps.get_sensor_data import read_get_sensor_data
+from pdr_filter.io.apps.indoor_location import read_indoor_location
+from pdr_filter.io.apps.ronin import read_ronin
+from pdr_filter.io.apps.ros_bag import read_ros_bag
+from pdr_filter.io.apps.sensor_logger import read_sensor_logger
 from pdr_filter.io.detection import detect
-from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.files.errors import RecordingError
+from pdr_filter.io.files.own_format import read_recording
 from pdr_filter.io.folders import only_recording_in
-from pdr_filter.io.get_sensor_data import read_get_sensor_data
-from pdr_filter.io.indoor_location import read_indoor_location
-from pdr_filter.io.own_format import read_recording
-from pdr_filter.io.recording import Recording
-from pdr_filter.io.ronin import read_ronin
-from pdr_filter.io.ros_bag import read_ros_bag
-from pdr_filter.io.sensor_logger import read_sensor_logger
+from pdr_filter.io.tables.any_table import read_generic_csv, read_table
+from pdr_filter.values.recording import Recording
 
 FORMATS: dict[str, Callable[[Path], Recording]] = {
     "own": read_recording,
@@ -58,7 +58,7 @@ def read(path: str | Path, format: str | None = None, platform: str | None = Non
     >>> pdr.read("walk_2.zip")
     Traceback (most recent call last):
         ...
-    pdr_filter.io.errors.RecordingError: walk_2.zip: no such file or folder; check the path
+    pdr_filter.io.files.errors.RecordingError: walk_2.zip: no such file or folder; check the path
     """
     path = Path(path)
     if platform is not None and platform not in PLATFORMS:

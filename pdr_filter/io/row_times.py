@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from pdr_filter.io.describe import GAP_INTERVALS, GAP_S
 from pdr_filter.values import FloatArray, IntArray, how_many
+from pdr_filter.values.limits import GAP_INTERVALS, GAP_S
 
 Streams = Mapping[str, tuple[FloatArray, FloatArray]]
 

@@ -15,9 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.io import limits
-from pdr_filter.live.messages import FORCE, GRAVITY, LINEAR, RAW, Message, Rows
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Samples, replace
+from pdr_filter.live.messages import FORCE, GRAVITY, LINEAR, RAW, Message, SensorRows
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Samples, limits, replace
 
 PRELUDE_S = 2.0
 # A phone without acceleration is told so; sensors of one phone start within a second or two.
@@ -29,7 +28,7 @@ _MAX_HELD_BYTES = 25 * 1024**2
 # Smaller overlaps of two messages are sensors that are read late. A set-back within a message needs as many samples
 # after it, because a single old sample is one that the phone remembered.
 _SET_BACK_S, _SET_BACK_SAMPLES = 1.0, 10
-# Gravity is interpolated to the times of the accelerometer as in the files of the same app, `io.sensor_logger`.
+# Gravity is interpolated to the times of the accelerometer as in the files of the same app, `io.apps.sensor_logger`.
 _GRAVITY_GAP_S = 0.3
 _GRAVITY_WAIT_S = 1.0
 # A value from longer before the first specific force is one that the phone remembered.
@@ -205,8 +204,7 @@ def _number(message: Message) -> int:
 
 def _samples(state: Assembly, message: Message) -> tuple[Assembly, Streams]:
     """Samples of one message, each sensor in order of time."""
-    kind = state.kind
-    assert kind is not None
+    kind = _kind_of(state)
     state, times_s = _on_one_clock(state, message, kind)
     found: Streams = {}
     for name, time_s in times_s.items():
@@ -229,8 +227,14 @@ def _samples(state: Assembly, message: Message) -> tuple[Assembly, Streams]:
 
 def _whole(state: Assembly, force: Samples) -> Streams:
     """Specific force in m/s2 with the sign of Android; empty without samples."""
-    assert state.kind is not None
-    return {FORCE: Samples(force.time_s, state.kind.scale * force.values)} if len(force) else {}
+    return {FORCE: Samples(force.time_s, _kind_of(state).scale * force.values)} if len(force) else {}
+
+
+def _kind_of(state: Assembly) -> Kind:
+    """The kind of acceleration that was found in the first samples."""
+    if state.kind is None:
+        raise ValueError("no samples are assembled before the kind of the acceleration is known")
+    return state.kind
 
 
 def _latest_s(time_s: FloatArray) -> float:
@@ -310,7 +314,7 @@ def _at_times(known_s: FloatArray, known: FloatArray, at_s: FloatArray) -> Float
     return np.where(gap_s[:, None] <= _GRAVITY_GAP_S, values, np.nan)
 
 
-def seconds(rows: Rows, zero_ns: int) -> FloatArray:
+def seconds(rows: SensorRows, zero_ns: int) -> FloatArray:
     """Times in seconds: nanoseconds from time zero, as the files of the same apps are read; seconds as they are."""
     if rows.time.dtype.kind == "f":
         return rows.time.astype(np.float64)
@@ -324,7 +328,7 @@ def _span_s(state: Assembly, message: Message) -> tuple[float, float]:
     return min([np.inf, *(float(t.min()) for t in times_s)]), max([-np.inf, *(float(t.max()) for t in times_s)])
 
 
-def _moving(message: Message) -> Iterator[Rows]:
+def _moving(message: Message) -> Iterator[SensorRows]:
     """Rows of the sensors whose times are those of the walk; a location may be from long before."""
     for name in _MOVING:
         if name in message.rows:
@@ -349,7 +353,8 @@ def _kind(messages: Sequence[Message], platform: str, is_last: bool = False) -> 
         return f"{PRELUDE_S:g} s of samples are needed, {span_s:.1f} s are there"
     first = {name: _together(messages, name) for name in (FORCE, LINEAR, GRAVITY, RAW, "attitude")}
     force = next((name for name in (FORCE, LINEAR, RAW) if _is_usable(name, first)), None)
-    if force is None:
+    rows = None if force is None else first[force]
+    if force is None or rows is None:
         words = (
             f"no acceleration with gravity in it (sent: {sensors}); switch on Accelerometer and Gravity, or Total "
             "Acceleration, in the app"
@@ -357,8 +362,6 @@ def _kind(messages: Sequence[Message], platform: str, is_last: bool = False) -> 
         if span_s < _NO_FORCE_S and not is_last:
             return words
         raise SessionError(words)
-    rows = first[force]
-    assert rows is not None
     platform = next((m.platform for m in messages if m.platform), platform)
     scale, how = _scale(force, first, platform)
     zero_ns = 0 if rows.time.dtype.kind == "f" else int(rows.time[rows.time >= recent.min()].min())
@@ -377,24 +380,25 @@ def _check_rate(time: Any, unit_s: float) -> None:
     )
 
 
-def _is_usable(name: str, first: Mapping[str, Rows | None]) -> bool:
+def _is_usable(name: str, first: Mapping[str, SensorRows | None]) -> bool:
     return first[name] is not None and (name != LINEAR or first[GRAVITY] is not None)
 
 
-def _together(messages: Sequence[Message], name: str) -> Rows | None:
+def _together(messages: Sequence[Message], name: str) -> SensorRows | None:
     parts = [m.rows[name] for m in messages if name in m.rows and len(m.rows[name].time)]
     if not parts:
         return None
     time: Any = np.concatenate([rows.time for rows in parts])
-    return Rows(time, np.concatenate([rows.values for rows in parts]))
+    return SensorRows(time, np.concatenate([rows.values for rows in parts]))
 
 
-def _scale(force: str, first: Mapping[str, Rows | None], platform: str) -> tuple[float, str]:
+def _scale(force: str, first: Mapping[str, SensorRows | None], platform: str) -> tuple[float, str]:
     """By what the numbers of a sensor are multiplied, and how that is known; SessionError if it is not."""
     if force == FORCE:
         return (-1.0, "iOS: sign turned") if platform == "ios" else (1.0, "as it is")
     rows = first[GRAVITY] if force == LINEAR else first[RAW]
-    assert rows is not None
+    if rows is None:
+        raise SessionError(f"no samples of {GRAVITY if force == LINEAR else RAW}: switch the sensor on")
     unit, size = 1.0, float(np.nanmedian(np.linalg.norm(rows.values, axis=1)))
     if force == RAW and limits.G_RANGE[0] <= size <= limits.G_RANGE[1]:
         return -STANDARD_GRAVITY_MPS2, "g, so iOS: sign turned"
@@ -412,7 +416,7 @@ def _scale(force: str, first: Mapping[str, Rows | None], platform: str) -> tuple
     )
 
 
-def _up_cosine(force: Rows, attitude: Rows) -> float:
+def _up_cosine(force: SensorRows, attitude: SensorRows) -> float:
     """Mean cosine between specific force, turned into the world by the nearest attitude, and up."""
     at = np.clip(np.searchsorted(attitude.time, force.time), 0, len(attitude.time) - 1)
     w, x, y, z = attitude.values[at].T

@@ -24,7 +24,7 @@ _ANSWER_S = 60.0
 _LOOK_S = 0.5
 
 
-class Cluster:
+class DaskCluster:
     """Dask cluster, which the caller trusts: its workers run code that the server sends."""
 
     def __init__(self, scheduler: str, settings: Settings, folder: Path) -> None:

@@ -11,12 +11,12 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from pdr_filter.io.texts import printable
 from pdr_filter.live.assembly import SessionError
 from pdr_filter.live.messages import Message, MessageError, parse
 from pdr_filter.live.recorder import replaced
-from pdr_filter.live.session import Session, session_id
+from pdr_filter.live.session import DeviceSession, session_id
 from pdr_filter.live.settings import BusyError, Event, Settings, part_of
+from pdr_filter.values.sanitise import printable
 
 # A state costs 15 ms and is saved so often. A server that starts again filters the journal of this time.
 _SAVE_S = 30.0
@@ -38,7 +38,7 @@ class Devices:
     ) -> None:
         self.settings, self.folder, self.emit = settings, folder, emit
         self.part, self.n_parts = part, n_parts
-        self.sessions: dict[str, Session] = {}
+        self.sessions: dict[str, DeviceSession] = {}
         self._taken: set[str] = set()  # sessions with messages that are not filtered yet
         for path in sorted((folder / NAMES).glob("*.json")):
             try:
@@ -98,7 +98,7 @@ class Devices:
                 failed[key] = BusyError(f"the recording cannot be written ({error}); free some space and send it again")
         return failed
 
-    def _session(self, message: Message, received_s: float) -> Session:
+    def _session(self, message: Message, received_s: float) -> DeviceSession:
         key = session_id(message.device, message.session)
         if key in self.sessions:
             return self.sessions[key]
@@ -109,7 +109,7 @@ class Devices:
             _, _, begun_unix_s = json.loads(names.read_text())
             session = self._loaded(message.device, message.session)
         else:
-            session = Session(message.device, message.session, self.settings, self.folder)
+            session = DeviceSession(message.device, message.session, self.settings, self.folder)
             begun_unix_s = received_s
             names.parent.mkdir(exist_ok=True)
             replaced(names, json.dumps([message.device, message.session, begun_unix_s]).encode())
@@ -117,17 +117,17 @@ class Devices:
         self.sessions[key] = session
         return session
 
-    def _loaded(self, device: str, session: str) -> Session:
+    def _loaded(self, device: str, session: str) -> DeviceSession:
         """Load a session; if its files cannot be used, keep them in another folder and begin a new session."""
         try:
-            return Session.load(device, session, self.settings, self.folder)
+            return DeviceSession.load(device, session, self.settings, self.folder)
         except Exception as error:  # damaged files, or those of another version, fail in many ways
             reason = printable(error)[:200]
         kept = self.folder / session_id(device, session)
         n = sum(1 for _ in self.folder.glob(f"{kept.name}.damaged*")) + 1
         aside = kept.rename(kept.with_name(f"{kept.name}.damaged{n}"))
         _LOG.warning("%s cannot be loaded (%s): kept as %s", kept, reason, aside.name)
-        made = Session(device, session, self.settings, self.folder)
+        made = DeviceSession(device, session, self.settings, self.folder)
         made.notes = (
             f"the recording until now cannot be continued ({reason}): it is kept in the folder {aside.name}, and the "
             "track begins again",

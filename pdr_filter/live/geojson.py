@@ -9,7 +9,7 @@ import numpy as np
 from pdr_filter.live.settings import Event
 from pdr_filter.values import Origin
 
-# Origin of tracks with unknown place, in the Atlantic, like in the files of `io.writers`.
+# Origin of tracks with unknown place, in the Atlantic, like in the files of `io.files.track_writers`.
 _NOWHERE = (0.0, 0.0)
 
 

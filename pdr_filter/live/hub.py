@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 
 from pdr_filter.live.access import MAX_BODY_BYTES, Rates
-from pdr_filter.live.cluster import Cluster
+from pdr_filter.live.cluster import DaskCluster
 from pdr_filter.live.messages import MessageError, parse
 from pdr_filter.live.parts import Answer, Take
 from pdr_filter.live.settings import Event, Settings
@@ -33,7 +33,7 @@ class Live:
         self._readers: set[Reader] = set()
         self._is_ending = False
         self._workers: Workers | None = None
-        self._cluster: Cluster | None = None
+        self._cluster: DaskCluster | None = None
 
     @property
     def workers(self) -> Workers:
@@ -46,7 +46,7 @@ class Live:
         """Start the workers, which load recent sessions; ValueError if one cannot start."""
         start: Starter = partial(Process.start, self.settings, self.folder)
         if self.scheduler:
-            self._cluster = Cluster(self.scheduler, self.settings, self.folder)
+            self._cluster = DaskCluster(self.scheduler, self.settings, self.folder)
             await self._cluster.connect()
             start = self._cluster.start
         self._workers = Workers(start, self.n_workers, self._shown)

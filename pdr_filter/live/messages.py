@@ -14,9 +14,8 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from pdr_filter.io import limits
-from pdr_filter.io.texts import printable
-from pdr_filter.values import FloatArray, IntArray
+from pdr_filter.values import FloatArray, IntArray, limits
+from pdr_filter.values.sanitise import printable
 
 # Sensors by our names, with how many numbers one sample has. Specific force is in m/s2 with Android's sign, or with
 # that of iOS (the opposite one), which a message does not always know.
@@ -42,7 +41,7 @@ class MessageError(ValueError):
     """A message that cannot be understood, with the reason."""
 
 
-class Rows(NamedTuple):
+class SensorRows(NamedTuple):
     """Samples of one sensor in sent order: times (N,) in whole nanoseconds or float seconds, and values (N, d)."""
 
     time: IntArray | FloatArray
@@ -62,7 +61,7 @@ class Message:
     session: str
     number: int | None = None  # place in the session, from an app that counts its messages
     platform: str = ""  # "ios" or "android", which decides the sign of forces; empty if unknown
-    rows: Mapping[str, Rows] = field(default_factory=dict[str, Rows])
+    rows: Mapping[str, SensorRows] = field(default_factory=dict[str, SensorRows])
     fix: Mapping[str, Any] | None = None  # position that a user has marked
     is_end: bool = False  # whether it is the last one of its session
     source: bytes = b""  # one line of JSON from which `parse` makes the same message again
@@ -155,7 +154,7 @@ _SENSOR_LOGGER: Mapping[str, tuple[str, tuple[str, ...]]] = {
 }
 
 
-def _sensor_logger_rows(payload: Any) -> dict[str, Rows]:
+def _sensor_logger_rows(payload: Any) -> dict[str, SensorRows]:
     """Samples of a payload; sensors that nothing here uses are left out."""
     if not isinstance(payload, list):
         raise MessageError(f"payload is an array of samples, got {printable(payload)[:40]!r}")
@@ -185,7 +184,7 @@ ANDROID_SENSORS: Mapping[str, str] = {
 }
 
 
-def _sensor_server_rows(item: Mapping[str, Any]) -> dict[str, Rows]:
+def _sensor_server_rows(item: Mapping[str, Any]) -> dict[str, SensorRows]:
     """Sample of an Android sensor event, which SensorServer passes on unchanged."""
     sensor = ANDROID_SENSORS.get(str(item["type"]))
     if sensor is None:
@@ -203,11 +202,11 @@ def _sensor_server_rows(item: Mapping[str, Any]) -> dict[str, Rows]:
 # --- our own ----------------------------------------------------------------------------------------------------------
 
 
-def _own_rows(samples: Any) -> dict[str, Rows]:
+def _own_rows(samples: Any) -> dict[str, SensorRows]:
     """Samples by sensor, [[time_s, value, ...], ...] of each."""
     if not isinstance(samples, dict):
         raise MessageError(f"samples is an object of sensors, got {printable(samples)[:40]!r}")
-    found: dict[str, Rows] = {}
+    found: dict[str, SensorRows] = {}
     for name, rows in cast("dict[str, Any]", samples).items():
         if name not in N_VALUES:
             raise MessageError(f"unknown sensor {printable(name)[:40]!r}; known are {', '.join(N_VALUES)}")
@@ -256,14 +255,14 @@ def phyphox_buffers(config: bytes) -> dict[str, tuple[str, ...]]:
     return found
 
 
-def phyphox_rows(answer: bytes, buffers: Mapping[str, tuple[str, ...]]) -> dict[str, Rows]:
+def phyphox_rows(answer: bytes, buffers: Mapping[str, tuple[str, ...]]) -> dict[str, SensorRows]:
     """New samples of each sensor from what phyphox answers at /get."""
     try:
         content: dict[str, Any] = json.loads(answer)["buffer"]
         columns = {name: [_floats(content[buffer]["buffer"]) for buffer in buffers[name]] for name in buffers}
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise MessageError(f"/get is not that of phyphox ({printable(error)[:60]})") from None
-    found: dict[str, Rows] = {}
+    found: dict[str, SensorRows] = {}
     for name, lists in columns.items():
         if any(column.ndim != 1 for column in lists):
             raise MessageError(f"/get is not that of phyphox (a buffer of {name} is no list of numbers)")
@@ -328,12 +327,12 @@ def _floats(values: Any) -> FloatArray:
         raise MessageError(f"a value is not a number ({printable(error)[:60]})") from None
 
 
-def _plausible(time: Any, values: FloatArray) -> Rows:
+def _plausible(time: Any, values: FloatArray) -> SensorRows:
     """Rows with a usable time; values that no sensor gives become NaN."""
     with np.errstate(invalid="ignore"):
         good = (time > -limits.MAX_WHOLE_TIME) & (time < limits.MAX_WHOLE_TIME)
         values = np.where(np.abs(values) < _LARGEST, values, np.nan)
-    return Rows(time[good], values[good])
+    return SensorRows(time[good], values[good])
 
 
 def _text(item: Mapping[str, Any], key: str, otherwise: str) -> str:

@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter import serialise
-from pdr_filter.io.own_writer import FILES, STREAM_COLUMNS
+from pdr_filter.io.files.own_format_writer import FILES, STREAM_COLUMNS
 from pdr_filter.live.messages import Message
 from pdr_filter.values import Samples
+from pdr_filter.values import serialisation as serialise
 
 STATE, CONFIG, META, STEPS, FIXES = "state.bin", "config.txt", "meta.json", "steps.jsonl", "fixes.csv"
 CONFIGS = "configurations"

@@ -15,23 +15,23 @@ from typing import Any, cast
 
 import numpy as np
 
-from pdr_filter import recipes, serialise
-from pdr_filter.config import Config
-from pdr_filter.filter.alignment import Place
-from pdr_filter.filter.pedestrian import StepUpdate
-from pdr_filter.io import limits
-from pdr_filter.io.recording import Recording
-from pdr_filter.io.texts import file_name
+from pdr_filter import recipes
+from pdr_filter.filter.fixes.alignment import Place
+from pdr_filter.filter.imm.pedestrian_state import StepUpdate
 from pdr_filter.live import assembly
 from pdr_filter.live.assembly import Assembly, LateError, SessionError
 from pdr_filter.live.messages import FORCE, Message, parse
 from pdr_filter.live.recorder import Recorder
 from pdr_filter.live.settings import Event, FixError, Settings
-from pdr_filter.online import OnlineFilter
-from pdr_filter.placing import live_config
+from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.clock import moved
-from pdr_filter.sensing.merging import Sensor
-from pdr_filter.values import FixResult, PositionFix, Samples
+from pdr_filter.sensing.stream_merging import Sensor
+from pdr_filter.tracking.georeferencing import live_config
+from pdr_filter.tracking.online import OnlineFilter
+from pdr_filter.values import FixResult, PositionFix, Samples, limits
+from pdr_filter.values import serialisation as serialise
+from pdr_filter.values.recording import Recording
+from pdr_filter.values.sanitise import file_name
 
 # Newest positions that the page shows: three hours of walking.
 _MAX_PATH = 20_000
@@ -40,7 +40,7 @@ _MAX_PATH = 20_000
 _NOW_S, _TURN_S, _TURN_STEP_S = 0.2, 5.0, 0.005
 # Entries of the charts for a page that is opened late: five minutes.
 _HISTORY, _HISTORY_STEP_S = 300, 1.0
-# Samples that are pushed at once. `sensing.merging` keeps no more waiting rows of the fastest phones.
+# Samples that are pushed at once. `sensing.stream_merging` keeps no more waiting rows of the fastest phones.
 _PART_S = 10.0
 # Messages of a journal that are filtered at once, so that their samples need little memory.
 _LOAD_MESSAGES = 100
@@ -66,7 +66,7 @@ def session_id(device: str, session: str) -> str:
     return f"{letters}-{hashlib.sha256(json.dumps([device, session]).encode()).hexdigest()[:12]}"
 
 
-class Session:
+class DeviceSession:
     """One session of one device."""
 
     def __init__(self, device: str, session: str, settings: Settings, folder: Path) -> None:
@@ -185,7 +185,8 @@ class Session:
     def _begun(self, samples: assembly.Streams) -> Config:
         """Configuration for the sensors of the first seconds."""
         kind = self.assembly.kind
-        assert kind is not None
+        if kind is None:
+            raise ValueError("no filter begins before the kind of the acceleration is known")
         meta: dict[str, Any] = {"name": f"{self.device} {self.session}".strip()[: limits.MAX_NAME_CHARS] or self.id}
         meta["name"] = file_name(meta["name"])
         meta |= {"source": "pdr-filter live", "accelerometer": f"{kind.force}, {kind.how}"}
@@ -351,7 +352,7 @@ class Session:
         return events
 
     @classmethod
-    def load(cls, device: str, session: str, settings: Settings, folder: Path) -> Session:
+    def load(cls, device: str, session: str, settings: Settings, folder: Path) -> DeviceSession:
         """Return the session with all acknowledged messages, however the last process ended."""
         self = cls(device, session, settings, folder)
         silent_s = time.time() - max(file.stat().st_mtime for file in (folder / self.id).iterdir())

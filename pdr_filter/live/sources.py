@@ -12,21 +12,21 @@ from urllib.parse import quote, unquote, urlsplit
 
 import numpy as np
 
-from pdr_filter.io.recording import Recording
-from pdr_filter.io.texts import printable
 from pdr_filter.live.access import MAX_BODY_BYTES
 from pdr_filter.live.messages import (
     ANDROID_SENSORS,
     N_VALUES,
     Message,
     MessageError,
-    Rows,
+    SensorRows,
     parse,
     phyphox_buffers,
     phyphox_rows,
     to_json,
 )
 from pdr_filter.live.parts import Answer
+from pdr_filter.values.recording import Recording
+from pdr_filter.values.sanitise import printable
 
 # Takes a body, and the names of device and session and the platform for messages that do not say them.
 Taker = Callable[..., Coroutine[Any, Any, Answer]]
@@ -69,13 +69,13 @@ async def replay(recording: Recording, speed: float, take: Taker) -> None:
     session, loop = uuid.uuid4().hex[:8], asyncio.get_running_loop()
     begun, sent = loop.time(), dict.fromkeys(streams, 0)
     for number, end_s in enumerate(cuts):
-        rows: dict[str, Rows] = {}
+        rows: dict[str, SensorRows] = {}
         for name, samples in streams.items():
             ahead = samples.time_s[sent[name] :] >= end_s
             n = int(ahead.argmax()) if ahead.any() else len(ahead)
             if n:
                 part = slice(sent[name], sent[name] + n)
-                rows[name] = Rows(samples.time_s[part], samples.values[part])
+                rows[name] = SensorRows(samples.time_s[part], samples.values[part])
                 sent[name] += n
         is_end = number == len(cuts) - 1
         message = Message(f"replay {recording.name}", session, number, "android", rows, is_end=is_end)
@@ -128,7 +128,7 @@ class Phyphox:
             await self._give({name: _later(r, self._seen_s.get(name, -np.inf)) for name, r in rows.items()})
             await asyncio.sleep(_PART_S)
 
-    async def _give(self, rows: Mapping[str, Rows]) -> None:
+    async def _give(self, rows: Mapping[str, SensorRows]) -> None:
         """Send new samples as messages of bounded length; their times show which samples were sent before."""
         for part in _parts({name: r for name, r in rows.items() if len(r.time)}):
             message = Message(f"phyphox {urlsplit(self._address).netloc}", self._session, None, "android", part)
@@ -139,12 +139,12 @@ class Phyphox:
         return await asyncio.to_thread(_got, f"{self._address}/{path}")
 
 
-def _parts(rows: Mapping[str, Rows]) -> Iterator[dict[str, Rows]]:
+def _parts(rows: Mapping[str, SensorRows]) -> Iterator[dict[str, SensorRows]]:
     """Samples of all sensors, ten seconds after ten seconds."""
     numbers = {name: np.floor(r.time / _LONG_S) for name, r in rows.items()}
     for number in np.unique(np.concatenate([*numbers.values(), np.empty(0)])):
         inside = {name: numbers[name] == number for name in rows}
-        yield {n: Rows(r.time[inside[n]], r.values[inside[n]]) for n, r in rows.items() if inside[n].any()}
+        yield {n: SensorRows(r.time[inside[n]], r.values[inside[n]]) for n, r in rows.items() if inside[n].any()}
 
 
 def _phyphox_query(buffers: Mapping[str, tuple[str, ...]], seen_s: Mapping[str, float]) -> str:
@@ -156,9 +156,9 @@ def _phyphox_query(buffers: Mapping[str, tuple[str, ...]], seen_s: Mapping[str, 
     return "&".join(asked)
 
 
-def _later(rows: Rows, seen_s: float) -> Rows:
+def _later(rows: SensorRows, seen_s: float) -> SensorRows:
     later = rows.time > seen_s
-    return Rows(rows.time[later], rows.values[later])
+    return SensorRows(rows.time[later], rows.values[later])
 
 
 def _got(address: str) -> bytes:
@@ -192,14 +192,14 @@ async def sensor_server(address: str, session: str, take: Taker) -> None:
             await take(to_json(Message(device, session, None, "android", _joined(parts))))
 
 
-def _joined(bodies: list[bytes]) -> dict[str, Rows]:
+def _joined(bodies: list[bytes]) -> dict[str, SensorRows]:
     """Samples of many messages by sensor, in seconds since the phone was switched on."""
-    found: dict[str, list[Rows]] = {}
+    found: dict[str, list[SensorRows]] = {}
     for message in (message for body in bodies for message in parse(body)):
         for name, rows in message.rows.items():
             found.setdefault(name, []).append(rows)
     return {
-        name: Rows(
+        name: SensorRows(
             1e-9 * np.concatenate([r.time.astype(np.float64) for r in parts]),
             np.concatenate([r.values for r in parts]),
         )

@@ -8,7 +8,7 @@ from typing import Any
 
 from pdr_filter.maps.geojson import read_plan
 from pdr_filter.maps.storey import Storey
-from pdr_filter.values import Origin
+from pdr_filter.values import Origin, TrackRows
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,3 +52,8 @@ class FloorPlan:
     def summary(self) -> dict[str, Any]:
         """What the plan was understood to be."""
         return {"name": self.name, "storeys": [s.summary() for s in self.storeys], "notes": list(self.notes)}
+
+
+def plan_of(track: TrackRows) -> FloorPlan | None:
+    """The floor plan that a track was kept on, None if there was none."""
+    return track.plan if isinstance(track.plan, FloorPlan) else None

@@ -12,21 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdr_filter.io import limits
-from pdr_filter.io.files import read_json
-from pdr_filter.maps.storey import (
-    CELL_M,
-    FREE,
-    LIFT,
-    MARGIN_M,
-    OUTSIDE,
-    ROOM,
-    STAIRS,
-    WALL,
-    Feature,
-    Storey,
-)
-from pdr_filter.values import FloatArray, IntArray, Origin, read_only
+from pdr_filter.io.files.safe_files import read_json
+from pdr_filter.maps.storey import CELL_M, FREE, LIFT, MARGIN_M, OUTSIDE, ROOM, STAIRS, WALL, Feature, Storey
+from pdr_filter.values import FloatArray, IntArray, Origin, limits, read_only
 
 # Words for the kinds of features, in property "type".
 _KINDS = {

@@ -21,12 +21,13 @@ import numpy as np
 from markupsafe import Markup
 
 from pdr_filter.io.describe import ReadingReport, reading_report
-from pdr_filter.io.files import write_text
-from pdr_filter.io.recording import Recording
-from pdr_filter.maps.floor_plan import FloorPlan
-from pdr_filter.report import palette, trust
+from pdr_filter.io.files.safe_files import write_text
+from pdr_filter.maps.floor_plan import FloorPlan, plan_of
+from pdr_filter.report import palette
 from pdr_filter.report.page_data import track_data
+from pdr_filter.tracking import trust_report as trust
 from pdr_filter.values import TrackRows, how_many
+from pdr_filter.values.recording import Recording
 
 # Less of a context cannot be seen.
 _VISIBLE_PROB = 0.01
@@ -71,7 +72,7 @@ def html_report(
     names = _names(every)
     colours = [_TRACK_COLOURS[i % len(_TRACK_COLOURS)] for i in range(len(every))]
     data = [
-        track_data(track, recording, plan or track.plan, len(every)) | {"colour": colour}
+        track_data(track, recording, plan or plan_of(track), len(every)) | {"colour": colour}
         for track, colour in zip(every, colours, strict=True)
     ]
     scripts = [_script(name) for name in _SCRIPTS]

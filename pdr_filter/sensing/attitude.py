@@ -2,7 +2,8 @@
 
 VQF: D. Laidig, T. Seel, "VQF: Highly accurate IMU orientation estimation with bias estimation and magnetic disturbance
 rejection", Information Fusion 91 (2023), doi:10.1016/j.inffus.2022.10.014. Its state is carried as plain values, so
-that a filter can be saved in the middle of a walk. Its bias estimation is off: `pdr_filter.sensing.bias` does it.
+that a filter can be saved in the middle of a walk. Its bias estimation is off: `pdr_filter.sensing.gyroscope_bias` does
+it.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ from typing import Any
 import numpy as np
 from vqf import VQF
 
-from pdr_filter.sensing.bias import BiasWindow, GyroBias, GyroBiasState
 from pdr_filter.sensing.conditioning import UniformBlock
+from pdr_filter.sensing.gyroscope_bias import BiasWindow, GyroBias, GyroBiasState
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, check_numbers, replace
 
 # The device turns about up by what a rotation that leaves gravity's tilt alone would: against an attitude tilted by
@@ -114,7 +115,7 @@ class AttitudeEstimator:
             window=_NO_SAMPLES,
         )
 
-    def step(self, state: AttitudeState, block: UniformBlock) -> tuple[AttitudeState, AttitudeBlock]:
+    def update(self, state: AttitudeState, block: UniformBlock) -> tuple[AttitudeState, AttitudeBlock]:
         """New state and the attitude of each sample.
 
         A missing angular rate enters as zero: the inclination then follows the specific force alone, and the heading
@@ -131,7 +132,7 @@ class AttitudeEstimator:
             lengths.append(end - first)
             state = self._turn(state, estimator, rows[first:end])
             if end - begin == self._window_samples:
-                state = replace(state, bias=self.bias.step(state.bias, _bias_window(rows[begin:end])))
+                state = replace(state, bias=self.bias.update(state.bias, _bias_window(rows[begin:end])))
                 begin = end
             first = end
         new = rows[len(state.window) :]

@@ -16,8 +16,8 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from pdr_filter.io.recording import Recording
 from pdr_filter.values import Fix, FloatArray, IntArray, Samples, Standstill, replace
+from pdr_filter.values.recording import Recording
 
 # So many samples in a row that contradict the clock are right.
 CLOCK_RESET_SAMPLES = 50

@@ -13,11 +13,11 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from pdr_filter.io.recording import Recording
 from pdr_filter.sensing.clock import ClockState, follow, one_clock
-from pdr_filter.sensing.units import UnitsState, look, units
-from pdr_filter.sensing.watchdog import WatchdogState, watch, watchdog
+from pdr_filter.sensing.stuck_sensors import WatchdogState, watch, watchdog
+from pdr_filter.sensing.unit_check import UnitsState, look, units
 from pdr_filter.values import BoolArray, FloatArray, ImuBlock, Samples, check_numbers, how_many, how_often, replace
+from pdr_filter.values.recording import Recording
 
 # Columns of the rows that wait in the state: time, specific force, angular rate, magnetic field, and the age of the
 # last finite angular rate and magnetic field.
@@ -182,7 +182,7 @@ class Conditioner:
             np.empty((0, _N_COLUMNS)), np.nan, 0, np.inf, nothing, nothing, ClockState(), watchdog(), units(), report
         )
 
-    def step(self, state: ConditionerState, block: ImuBlock) -> tuple[ConditionerState, list[UniformBlock]]:
+    def update(self, state: ConditionerState, block: ImuBlock) -> tuple[ConditionerState, list[UniformBlock]]:
         """New state and the whole hops that became complete, split at gaps."""
         outputs: list[UniformBlock] = []
         for part in block.parts(_ROWS_AT_ONCE):

@@ -9,9 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pdr_filter.io import limits
-from pdr_filter.io.files import read_json, write_text
-from pdr_filter.values import FloatArray, pickled, read_only
+from pdr_filter.values import FloatArray, limits, pickled, read_only
 
 # How far the bias of a phone wanders from a day to the next, and with each kelvin. Data sheets of phone gyroscopes
 # give 0.01 to 0.05 degrees/s for a kelvin, 0.0002 to 0.0009 rad/s; phones subtract most of the slow part themselves.
@@ -57,12 +55,17 @@ class Device:
 
     def save(self, path: str | Path) -> Path:
         """Write it as JSON and return the path."""
+        # Only when called: sensing opens no files.
+        from pdr_filter.io.files.safe_files import write_text
+
         content = {"bias_radps": self.bias_radps.tolist(), "bias_cov_radps2": self.bias_cov_radps2.tolist()}
         return write_text(path, json.dumps({"pdr_filter_device": 1, **content}, indent=1) + "\n")
 
     @classmethod
     def load(cls, path: str | Path) -> Device:
         """Read what `save` wrote; ValueError that names the file if it is none."""
+        from pdr_filter.io.files.safe_files import read_json
+
         try:
             content = read_json(Path(path), limits.MAX_SMALL_BYTES)
             if content["pdr_filter_device"] != 1:

@@ -13,16 +13,16 @@ import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeEstimator, AttitudeState
 from pdr_filter.sensing.conditioning import Conditioner, ConditionerState, UniformBlock
-from pdr_filter.sensing.contexts.stage import ContextStage, WindowContext, with_cadence
+from pdr_filter.sensing.contexts.context_stage import ContextStage, WindowContext, with_cadence
 from pdr_filter.sensing.device import Device
-from pdr_filter.sensing.features.windows import FeatureWindow, FeatureWindows
-from pdr_filter.sensing.heading.north import MagneticNorth
-from pdr_filter.sensing.heading.stage import HeadingStage
+from pdr_filter.sensing.features.feature_windows import FeatureWindow, FeatureWindows
+from pdr_filter.sensing.heading.heading_stage import HeadingStage
+from pdr_filter.sensing.heading.magnetic_north import MagneticNorth
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading
-from pdr_filter.sensing.rattle import Rattle, RattleState
-from pdr_filter.sensing.steps.detector import ContextBlock, StepDetector
-from pdr_filter.sensing.steps.even import EvenSteps
-from pdr_filter.sensing.steps.gate import StepGate
+from pdr_filter.sensing.steps.contact_time_smoothing import EvenSteps
+from pdr_filter.sensing.steps.step_detector import ContextBlock, StepDetector
+from pdr_filter.sensing.steps.step_gate import StepGate
+from pdr_filter.sensing.vehicle_vibration import Rattle, RattleState
 from pdr_filter.values import FloatArray, ImuBlock, IntArray, Step, replace
 
 
@@ -134,9 +134,9 @@ class Sensing:
             processed_s=float("-inf"),
         )
 
-    def step(self, state: SensingState, block: ImuBlock) -> tuple[SensingState, list[tuple[float, Event]]]:
+    def update(self, state: SensingState, block: ImuBlock) -> tuple[SensingState, list[tuple[float, Event]]]:
         """New state, and the events with the time at which each became known."""
-        conditioner, uniform = self.conditioner.step(state.conditioner, block)
+        conditioner, uniform = self.conditioner.update(state.conditioner, block)
         return self._take(replace(state, conditioner=conditioner), uniform)
 
     def finish(self, state: SensingState) -> tuple[SensingState, list[tuple[float, Event]]]:
@@ -167,24 +167,24 @@ class Sensing:
 
     def _sense(self, state: SensingState, part: UniformBlock) -> tuple[SensingState, list[tuple[float, Event]]]:
         n_before = state.n_samples
-        attitude_state, attitude = self.attitude.step(state.attitude, part)
+        attitude_state, attitude = self.attitude.update(state.attitude, part)
         context_state, windows = None, list[tuple[int, WindowContext]]()
         if self.contexts:
-            context_state, windows = self.contexts.step(state.contexts, part, attitude)
+            context_state, windows = self.contexts.update(state.contexts, part, attitude)
         n = len(part.time_s)
         context = _held(state.context, [(i - n_before, _likely(w.prob)) for i, w in windows], n)
         carrying_mode = _held(state.carrying_mode, [(i - n_before, _likely(w.carrying_prob)) for i, w in windows], n)
         contexts = ContextBlock(context, carrying_mode)
-        step_state, steps = self.steps.step(state.steps, part, attitude, contexts)
+        step_state, steps = self.steps.update(state.steps, part, attitude, contexts)
         heading_state, gate_state, even_state, north_state = None, None, None, None
         if self.gate:
-            gate_state, steps = self.gate.step(state.gate, part, attitude, steps)
+            gate_state, steps = self.gate.update(state.gate, part, attitude, steps)
         if self.heading:
-            heading_state, steps = self.heading.step(state.heading, part, attitude, contexts, steps)
+            heading_state, steps = self.heading.update(state.heading, part, attitude, contexts, steps)
         if self.north:
-            north_state, steps = self.north.step(state.north, part, attitude, steps)
+            north_state, steps = self.north.update(state.north, part, attitude, steps)
         if self.even:
-            even_state, steps = self.even.step(state.even, steps)
+            even_state, steps = self.even.update(state.even, steps)
         # A window that ends with the sample that reveals a step is known first: its evidence is for that step too.
         in_order, cadence = _with_cadences(state.cadence, sorted([*windows, *steps], key=lambda e: e[0]))
         state = SensingState(
@@ -196,7 +196,7 @@ class Sensing:
             gate=gate_state,
             even=even_state,
             north=north_state,
-            rattle=self._rattle.step(state.rattle, part, steps),
+            rattle=self._rattle.update(state.rattle, part, steps),
             cadence=cadence,
             n_samples=n_before + n,
             context=int(context[-1]),
@@ -218,7 +218,7 @@ class Sensing:
             north, steps = self.north.finish(state.north, steps)
             state = replace(state, north=north)
         if self.even:
-            even, steps = self.even.step(state.even, steps)
+            even, steps = self.even.update(state.even, steps)
             state = replace(state, even=even)
         return state, [(state.processed_s, step) for _, step in steps]
 
@@ -241,12 +241,12 @@ def feature_windows(stage: FeatureWindows, blocks: Iterable[ImuBlock]) -> Iterat
     conditioner, attitude_estimator = Conditioner(stage.rate_hz), AttitudeEstimator(stage.rate_hz)
     intake, attitude_state, state = conditioner.init(), attitude_estimator.init(), stage.init()
     for block in chain(blocks, [None]):
-        intake, uniform = conditioner.finish(intake) if block is None else conditioner.step(intake, block)
+        intake, uniform = conditioner.finish(intake) if block is None else conditioner.update(intake, block)
         for part in uniform:
             if part.gap_before_s > 0:
                 attitude_state, state = attitude_estimator.after_gap(attitude_state), stage.init()
-            attitude_state, attitude = attitude_estimator.step(attitude_state, part)
-            state, found = stage.step(state, part, attitude)
+            attitude_state, attitude = attitude_estimator.update(attitude_state, part)
+            state, found = stage.update(state, part, attitude)
             yield from (window for _, window in found)
 
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.io.recording import Recording, Truth
 from pdr_filter.simulate.gait import STOREY_HEIGHT_M, Gait, Leg, plan_steps
 from pdr_filter.simulate.motion import CARRYING, Carrying, Motion, build_motion
 from pdr_filter.simulate.sensors import SensorErrors
 from pdr_filter.values import FloatArray, Samples, table
+from pdr_filter.values.recording import Recording, Truth
 
 MAGNETOMETER_RATE_HZ = 50.0
 BAROMETER_RATE_HZ = 10.0

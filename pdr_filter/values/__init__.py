@@ -19,8 +19,7 @@ from pdr_filter.values.arrays import (
 )
 from pdr_filter.values.checks import are_numbers, check_number, check_numbers
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
-from pdr_filter.values.declared import check_declared, check_whole
-from pdr_filter.values.fix_errors import (
+from pdr_filter.values.fix_error_correlation import (
     INDEPENDENT_SHARE,
     N_BEFORE,
     error_correlation,
@@ -43,19 +42,21 @@ from pdr_filter.values.fixes import (
 )
 from pdr_filter.values.floor_passage import FloorPassage, HowClimbed
 from pdr_filter.values.heading_drift import HeadingDrift
+from pdr_filter.values.json_values import as_plain
 from pdr_filter.values.notes import Note, NoteSubject
-from pdr_filter.values.on_plan import Cluster, OnPlan
 from pdr_filter.values.origin import DECLINATION_STD_RAD, Origin
-from pdr_filter.values.plain import as_plain
+from pdr_filter.values.plan import Plan
+from pdr_filter.values.plan_estimate import Cluster, OnPlan
+from pdr_filter.values.plurals import how_many, how_often
 from pdr_filter.values.replace import replace
-from pdr_filter.values.rigid import rigid_fit
+from pdr_filter.values.rigid_fit import rigid_fit
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, ImuBlock, Samples
+from pdr_filter.values.schema import check_declared, check_whole
 from pdr_filter.values.step import HARDLY_AGREE, TRUSTED, Step, step_table, steps_of
 from pdr_filter.values.track_rows import TrackRows
 from pdr_filter.values.uncertainty import RADIUS_68, RADIUS_95
 from pdr_filter.values.wifi import Wifi, WifiScan, address_text, loudness
 from pdr_filter.values.windows import Windows
-from pdr_filter.values.words import how_many, how_often
 
 __all__ = [
     "CARRYING_MODES",
@@ -86,6 +87,7 @@ __all__ = [
     "NoteSubject",
     "OnPlan",
     "Origin",
+    "Plan",
     "PositionFix",
     "Samples",
     "SpeedFix",

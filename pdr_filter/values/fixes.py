@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdr_filter.values.arrays import FloatArray, read_only
+from pdr_filter.values.json_values import as_plain
 from pdr_filter.values.origin import Origin, check_place
-from pdr_filter.values.plain import as_plain
 from pdr_filter.values.uncertainty import RADIUS_68
 
 # Two fixes of one moment.
@@ -88,7 +88,8 @@ class PositionFix:
         """The fix of a place on Earth, in metres east and north of an origin (an Origin, or latitude and longitude).
 
         Either `std_m`, the standard deviation along each axis, or `accuracy_m`, the radius that holds 68 %, as phones
-        report it. It is taken at its word: `pdr_filter.gnss.position_fixes` doubts a phone that claims too much.
+        report it. It is taken at its word: `pdr_filter.filter.fixes.gnss.position_fixes` doubts a phone that claims too
+        much.
         """
         check_place("a fix", latitude_deg, longitude_deg)
         if (std_m is None) == (accuracy_m is None):

@@ -9,7 +9,6 @@ from numbers import Real
 from typing import Any
 
 import numpy as np
-import pymap3d
 from numpy.typing import ArrayLike
 
 from pdr_filter.values.arrays import FloatArray
@@ -106,12 +105,17 @@ class Origin:
 
     def east_north_m(self, latitude_deg: ArrayLike, longitude_deg: ArrayLike) -> FloatArray:
         """Positions (..., 2) in the frame, in the plane that touches the ellipsoid at the origin."""
+        # Only when called: `pdr-filter --help` imports values.
+        import pymap3d
+
         latitude, longitude = np.asarray(latitude_deg), np.asarray(longitude_deg)
         east_m, north_m, _ = pymap3d.geodetic2enu(latitude, longitude, self._here[2], *self._here)
         return np.stack([np.asarray(east_m, dtype=float), np.asarray(north_m, dtype=float)], axis=-1)
 
     def latitude_longitude_deg(self, position_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Latitudes and longitudes (...) of positions (..., 2) in the frame."""
+        import pymap3d
+
         east_m, north_m = position_m[..., 0], position_m[..., 1]
         latitude_deg, longitude_deg, _ = pymap3d.enu2geodetic(east_m, north_m, np.zeros_like(east_m), *self._here)
         return np.asarray(latitude_deg, dtype=float), np.asarray(longitude_deg, dtype=float)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from math import cos, degrees, inf, isfinite, sin
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,14 +13,12 @@ from pdr_filter.values.angles import wrap_angle
 from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, Table, pickled, read_only
 from pdr_filter.values.fixes import FixResult
 from pdr_filter.values.floor_passage import FloorPassage
-from pdr_filter.values.on_plan import Cluster
 from pdr_filter.values.origin import Origin
+from pdr_filter.values.plan import Plan
+from pdr_filter.values.plan_estimate import Cluster
 from pdr_filter.values.step import steps_of
 from pdr_filter.values.uncertainty import worst_std_m
 from pdr_filter.values.windows import Windows
-
-if TYPE_CHECKING:
-    from pdr_filter.maps.floor_plan import FloorPlan
 
 _WINDOW_S = 2.0  # of the context windows
 _ABOUT_STEPS = 21  # ten seconds
@@ -72,7 +70,7 @@ class TrackRows:
     start_position_m: FloatArray = field(default_factory=lambda: read_only(np.zeros(2)))  # (2,) before the first step
     frame: str = "start"  # of positions and headings: "start", "north", "fixes" or "plan"
     origin: Origin | None = None  # where on Earth its zero is, if the recording's own locations or somebody said it
-    plan: FloorPlan | None = None  # that kept it where people can walk
+    plan: Plan | None = None  # that kept it where people can walk
     # (K,) with a plan: where the walk may be after each step, the most probable place first; none before its start
     clusters: tuple[tuple[Cluster, ...], ...] = ()
     is_smoothed: bool = False  # whether each row is estimated from the whole recording, not from what came before it

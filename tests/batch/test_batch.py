@@ -17,15 +17,16 @@ import pytest
 
 import pdr_filter as pdr
 from pdr_filter import batch
-from pdr_filter.batch import calibration, run, workers
-from pdr_filter.batch import table as rows_table
-from pdr_filter.filter.step_length import KimStepLength
+from pdr_filter.batch import batch_calibration as calibration
+from pdr_filter.batch import result_table as rows_table
+from pdr_filter.batch import run, workers
+from pdr_filter.filter.step_length.models import KimStepLength
+from pdr_filter.io.files.own_format import write_recording
 from pdr_filter.io.folders import recordings_in
-from pdr_filter.io.own_format import write_recording
-from pdr_filter.io.recording import Recording
 from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS
 from pdr_filter.offline.calibration.segments import integrate
 from pdr_filter.values import CONTEXTS, table
+from pdr_filter.values.recording import Recording
 
 N = 5
 

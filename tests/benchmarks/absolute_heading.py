@@ -26,12 +26,12 @@ import numpy as np
 
 import pdr_filter as pdr
 from pdr_filter import evaluate
-from pdr_filter.config import Config
-from pdr_filter.io.recording import Recording
-from pdr_filter.placing import with_north_of_attitude
+from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.conditioning import merge_streams
-from pdr_filter.sensing.heading.north import MagneticNorth
+from pdr_filter.sensing.heading.magnetic_north import MagneticNorth
+from pdr_filter.tracking.georeferencing import with_north_of_attitude
 from pdr_filter.values import FloatArray, HeadingFix, PositionFix, circular_mean, wrap_angle
+from pdr_filter.values.recording import Recording
 from tests.benchmarks.common import Tables, median_and, options, recordings
 
 HERE = {
@@ -128,12 +128,12 @@ def those(data: Path, site: str, parts: Sequence[str]) -> list[Walk]:
 def attitudes(walk: Walk) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Times, quaternions and magnetic fields in the sensor's frame, at 100 Hz."""
     sensing = walk.config.sensing
-    _, blocks = sensing.conditioner.step(sensing.conditioner.init(), merge_streams(walk.recording))
+    _, blocks = sensing.conditioner.update(sensing.conditioner.init(), merge_streams(walk.recording))
     state, rows = sensing.attitude.init(), list[tuple[FloatArray, ...]]()
     for block in blocks:
         if block.gap_before_s > 0:
             state = sensing.attitude.after_gap(state)
-        state, attitude = sensing.attitude.step(state, block)
+        state, attitude = sensing.attitude.update(state, block)
         field = np.where(block.magnetic_field_known[:, None], block.magnetic_field_ut, np.nan)
         rows.append((block.time_s, attitude.quat, field))
     time_s, quat, field = (np.concatenate(each) for each in zip(*rows, strict=True))

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pdr_filter as pdr
 from pdr_filter.io.describe import reading_report
-from pdr_filter.io.errors import RecordingError
-from pdr_filter.io.evidence import constant_part, turning
+from pdr_filter.io.files.errors import RecordingError
 from pdr_filter.io.folders import recordings_in
+from pdr_filter.io.tables.column_values import constant_part, turning
 from pdr_filter.values import STANDARD_GRAVITY_MPS2
 from tests.benchmarks.common import DATA, Tables, options
 

@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import pdr_filter as pdr
-from pdr_filter.io.recording import Recording, Samples
 from pdr_filter.values import Fix, FloatArray, PositionFix
+from pdr_filter.values.recording import Recording, Samples
 from tests.benchmarks.common import Tables, options
 
 DAY_S, YEARS_S = 86400.0, 3 * 365 * 86400.0

@@ -23,15 +23,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 import pdr_filter as pdr
-from pdr_filter.filter.step_length import KimStepLength, WeinbergStepLength
-from pdr_filter.io.recording import Recording
+from pdr_filter.filter.step_length.models import KimStepLength, WeinbergStepLength
 from pdr_filter.offline.calibration.estimation import Hierarchy, ParameterEstimate, estimate_parameters
-from pdr_filter.offline.calibration.forms import RECORDING_STD, hierarchy_of, solve_sums
+from pdr_filter.offline.calibration.model_forms import RECORDING_STD, hierarchy_of, solve_sums
 from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, eq12_priors, weak_prior
 from pdr_filter.offline.calibration.segments import Segment, SegmentSums, integrate, segments_of
-from pdr_filter.offline.robust import LOSSES
-from pdr_filter.tracks import Track
+from pdr_filter.offline.robust_loss import LOSSES
+from pdr_filter.tracking.track import Track
 from pdr_filter.values import CONTEXTS
+from pdr_filter.values.recording import Recording
 from tests.benchmarks.common import Tables, bias_spread_rms, options, recordings
 
 FloatArray = NDArray[np.float64]

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
 import pdr_filter as pdr
-from pdr_filter.calibration import Calibration
-from pdr_filter.io.recording import Recording, Truth
 from pdr_filter.offline.calibration.fit import calibrate_segments
-from pdr_filter.offline.calibration.forms import RECORDING_STD, best_form, forms_of, lengths, start_of
+from pdr_filter.offline.calibration.model_forms import RECORDING_STD, best_form, forms_of, lengths, start_of
 from pdr_filter.offline.calibration.segments import Segment, integrate, segments_of
-from pdr_filter.tracks import Track
+from pdr_filter.recipes.step_length_calibration import Calibration
+from pdr_filter.tracking.track import Track
 from pdr_filter.values import table
+from pdr_filter.values.recording import Recording, Truth
 from tests.benchmarks.calibration import cut, walks
 from tests.benchmarks.common import Tables, bias_spread_rms, options, recordings
 

@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 
 import pdr_filter as pdr
-from pdr_filter.classifiers.model import ContextModel, load_model
+from pdr_filter.classifiers.context_model import ContextModel, load_model
+from pdr_filter.offline.training.carrying_training import FEATURE_NAMES, MODES, PLANS, RawSignals, features_of
 from pdr_filter.sensing.features import invariant
-from pdr_filter.sensing.features.windows import FeatureWindows
+from pdr_filter.sensing.features.feature_windows import FeatureWindows
 from pdr_filter.sensing.front_end import feature_windows
-from pdr_filter.training.carrying import FEATURE_NAMES, MODES, PLANS, RawSignals, features_of
 from tests.benchmarks.common import ROOT, Tables, options, recordings
 
 

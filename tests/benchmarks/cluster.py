@@ -18,7 +18,7 @@ from distributed import LocalCluster
 
 import pdr_filter as pdr
 from pdr_filter import batch
-from pdr_filter.io.own_format import write_recording
+from pdr_filter.io.files.own_format import write_recording
 from pdr_filter.simulate import Leg, simulate
 from tests.benchmarks.common import Tables, options
 

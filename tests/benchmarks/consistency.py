@@ -33,14 +33,14 @@ from scipy.stats import chi2
 
 import pdr_filter as pdr
 from pdr_filter import evaluate
-from pdr_filter.filter import imm
-from pdr_filter.filter.imm_tracker import ImmState, ImmTracker
-from pdr_filter.filter.model import PedestrianModel
-from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE
-from pdr_filter.filter.pedestrian import PedestrianState, present_position
-from pdr_filter.filter.step_length import length_and_jacobian
-from pdr_filter.filter.weighted_tracker import WeightedState, WeightedTracker
-from pdr_filter.sensing.contexts.stage import WindowContext
+from pdr_filter.filter.imm import imm
+from pdr_filter.filter.imm.imm_tracker import ImmState, ImmTracker
+from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE
+from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
+from pdr_filter.filter.imm.pedestrian_state import PedestrianState, present_position
+from pdr_filter.filter.imm.weighted_tracker import WeightedState, WeightedTracker
+from pdr_filter.filter.step_length.models import length_and_jacobian
+from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray, PositionFix, Step
 from tests.benchmarks.common import Tables, options, recordings
 from tests.helpers import a_step as made_step

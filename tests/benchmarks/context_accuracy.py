@@ -21,10 +21,10 @@ import numpy as np
 from joblib import Parallel, delayed
 from matplotlib.figure import Figure
 
-from pdr_filter.classifiers.model import ContextModel
+from pdr_filter.classifiers.context_model import ContextModel
 from pdr_filter.classifiers.probability_calibration import reliability
-from pdr_filter.papers.martinelli2018 import features as martinelli
-from pdr_filter.training.contexts import (
+from pdr_filter.offline.training.classifier_choice import fit_blend, fit_forest, fit_relevance_vectors, fit_softmax
+from pdr_filter.offline.training.context_training import (
     FEATURE_SETS,
     PLANS,
     ContextPlan,
@@ -32,8 +32,8 @@ from pdr_filter.training.contexts import (
     cross_calibrated,
     labelled_windows,
 )
-from pdr_filter.training.machines import fit_blend, fit_forest, fit_relevance_vectors, fit_softmax
-from pdr_filter.training.protocol import LabelledWindows, recordings_of, score
+from pdr_filter.offline.training.cross_validation import LabelledWindows, recordings_of, score
+from pdr_filter.recipes.martinelli2018 import features as martinelli
 from pdr_filter.values import CONTEXTS, BoolArray, FloatArray
 from tests.benchmarks.common import Tables, options
 

@@ -17,14 +17,14 @@ from pathlib import Path
 import numpy as np
 
 import pdr_filter as pdr
-from pdr_filter.config import Config
-from pdr_filter.io.recording import Recording
+from pdr_filter.offline.training.cross_validation import label_of
 from pdr_filter.recipes import for_recording, with_context_model
-from pdr_filter.recording_run import run_sensing
-from pdr_filter.sensing.contexts.stage import WindowContext
+from pdr_filter.recipes.config import Config
+from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.sensing.front_end import Event
-from pdr_filter.training.protocol import label_of
+from pdr_filter.tracking.whole_recording import run_sensing
 from pdr_filter.values import CONTEXTS, FloatArray, IntArray
+from pdr_filter.values.recording import Recording
 from tests.benchmarks.common import Tables, options, paths, recordings
 from tests.benchmarks.mixed_contexts import (
     cached,

@@ -23,17 +23,17 @@ from pathlib import Path
 import numpy as np
 
 import pdr_filter as pdr
-from pdr_filter.classifiers.model import ContextModel
-from pdr_filter.config import Config
-from pdr_filter.filter.imm import smoothed_mode_prob
-from pdr_filter.io.recording import Recording
+from pdr_filter.classifiers.context_model import ContextModel
+from pdr_filter.filter.imm.imm import smoothed_mode_prob
+from pdr_filter.offline.training.context_training import PLANS, SCORED_DATASETS, labelled_windows, model_without
+from pdr_filter.offline.training.cross_validation import DOUBTFUL, LabelledWindows, recordings_of
+from pdr_filter.offline.training.transition_training import contexts_at
 from pdr_filter.recipes import context_transitions, default, martinelli2018, with_context_model
-from pdr_filter.sensing.contexts.learned import shipped_model
-from pdr_filter.sensing.features.barometric import ClimbRate
-from pdr_filter.training.contexts import PLANS, SCORED_DATASETS, labelled_windows, model_without
-from pdr_filter.training.evidence import contexts_at
-from pdr_filter.training.protocol import DOUBTFUL, LabelledWindows, recordings_of
+from pdr_filter.recipes.config import Config
+from pdr_filter.sensing.contexts.learned_contexts import shipped_model
+from pdr_filter.sensing.features.barometer import ClimbRate
 from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray, TrackRows
+from pdr_filter.values.recording import Recording
 from tests.benchmarks.common import Tables, options, recordings
 from tests.benchmarks.mixed_contexts import LAG_STEPS, cached, windows_of
 
@@ -156,7 +156,7 @@ def barometer(tables: Tables, data: Path, cache: Path | None, windows: LabelledW
             config = default(recording.subject)
             climb = ClimbRate()
             pressure = recording.barometer
-            _, climbs = climb.step(climb.init(), pressure.time_s, pressure.values[:, 0])
+            _, climbs = climb.update(climb.init(), pressure.time_s, pressure.values[:, 0])
             middle_s = np.array([c.time_s - climb.window_s / 2 for c in climbs])
             live, later = pdr.track(recording, config=config), pdr.smooth(recording, config=config).track
             rate_mps = np.interp(live.time_s, middle_s, [c.climb_rate_mps for c in climbs])

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pdr_filter.io import limits
-from pdr_filter.io.table import Layout, parse_lines
+from pdr_filter.io.tables.text_table import Layout, parse_lines
+from pdr_filter.values import limits
 from tests.benchmarks.common import Tables, options
 
 N = 300_000

@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 
 import pdr_filter as pdr
-from pdr_filter.papers.zhou2019 import contexts as behaviours
-from pdr_filter.papers.zhou2019 import steps as steps
-from pdr_filter.recording_run import run_sensing
+from pdr_filter.recipes.zhou2019 import contexts as behaviours
+from pdr_filter.recipes.zhou2019 import steps as steps
 from pdr_filter.sensing.front_end import Sensing
+from pdr_filter.tracking.whole_recording import run_sensing
 from pdr_filter.values import Step
 from tests.benchmarks.common import options, paths
 from tests.benchmarks.step_length_models import MODELS, Leg, displacement, fit, legs_between_landmarks, summed

@@ -3,11 +3,12 @@
 usage: python -m tests.benchmarks.floor_plans [walks] [wrong] [seeds] [start] [radio] [leg] [--data ../shared/data]
 
 The waypoints of the first fifth of a walk are fixes of 0.5 m, the errors are those at all others, in the frame of the
-plan, not aligned. What staying in a room costs (`maps.terrain`) was chosen on storey F1 of ms_indoor alone, how much a
-scan of Wi-Fi counts for particles, how uneven steps are and how often people choose a direction on F1 and B1. The other
-storeys and humolire are other walks, but not untouched: what being outside costs, and that people choose every 6 m
-rather than 3, are judgements made after a look at humolire, and a term of the filter was dropped because it did not
-help on the other storeys. Waypoints are good to a metre, which is added to the covariances that are compared with them.
+plan, not aligned. What staying in a room costs (`maps.crossing_costs`) was chosen on storey F1 of ms_indoor alone, how
+much a scan of Wi-Fi counts for particles, how uneven steps are and how often people choose a direction on F1 and B1.
+The other storeys and humolire are other walks, but not untouched: what being outside costs, and that people choose
+every 6 m rather than 3, are judgements made after a look at humolire, and a term of the filter was dropped because it
+did not help on the other storeys. Waypoints are good to a metre, which is added to the covariances that are compared
+with them.
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ from scipy.stats import chi2
 from shapely.affinity import rotate, translate
 
 import pdr_filter as pdr
-from pdr_filter.maps.terrain import Terrain
-from pdr_filter.tracks import Track
+from pdr_filter.maps.crossing_costs import Terrain
+from pdr_filter.tracking.track import Track
 from pdr_filter.values import FloatArray
 from tests.benchmarks.common import Tables, median_and, options, paths
 from tests.benchmarks.radio import known_walks, left_out, map_of

@@ -16,11 +16,11 @@ from dataclasses import replace
 import numpy as np
 
 import pdr_filter as pdr
-from pdr_filter.io.recording import Recording
 from pdr_filter.recipes import for_recording
 from pdr_filter.simulate import BAROMETER, Gait, Leg, SensorErrors, simulate
-from pdr_filter.tracks import Track
+from pdr_filter.tracking.track import Track
 from pdr_filter.values import CONTEXTS, FloatArray, Samples
+from pdr_filter.values.recording import Recording
 from tests.benchmarks.common import Tables, options, recordings
 
 AROUND = (Leg("walking", distance_m=15.0), Leg("walking", distance_m=15.0, turn_rad=np.pi / 2))

@@ -78,7 +78,7 @@ def cut(text: bytes) -> bytes:
 
 def fuzz(form: str, inputs: int, seed: int, apps: Path) -> Counter[str]:
     """Counts of what happened, and the memory by which the process grew."""
-    from pdr_filter.io.errors import RecordingError
+    from pdr_filter.io.files.errors import RecordingError
     from pdr_filter.io.formats import read
 
     warnings.simplefilter("error")

@@ -21,11 +21,11 @@ from scipy.stats import chi2
 
 import pdr_filter as pdr
 from pdr_filter import evaluate
-from pdr_filter.calibration import typical_step_m
-from pdr_filter.gnss import CORRELATION_S, RADIUS_68
-from pdr_filter.io.recording import Recording
+from pdr_filter.filter.fixes.gnss import CORRELATION_S, RADIUS_68
+from pdr_filter.recipes.step_length_calibration import typical_step_m
 from pdr_filter.simulate import Leg, SensorErrors, simulate
-from pdr_filter.simulate.people import random_person
+from pdr_filter.simulate.population import random_person
+from pdr_filter.values.recording import Recording
 from tests.benchmarks.common import Tables, median_and, options, recordings
 
 HERE, STD_M = pdr.Origin(48.137, 11.575), 5.0

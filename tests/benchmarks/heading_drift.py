@@ -33,8 +33,8 @@ from vqf import VQF
 
 import pdr_filter as pdr
 from pdr_filter.sensing.attitude import AttitudeEstimator
-from pdr_filter.sensing.bias import GyroBias
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
+from pdr_filter.sensing.gyroscope_bias import GyroBias
 from tests.benchmarks.common import Tables, options, paths
 
 FloatArray = NDArray[np.float64]
@@ -114,7 +114,7 @@ def walks(data: Path) -> list[Walk]:
         if recording.gyroscope is None or len(legs) < 3:
             continue
         conditioner = Conditioner()
-        _, blocks = conditioner.step(conditioner.init(), merge_streams(recording))
+        _, blocks = conditioner.update(conditioner.init(), merge_streams(recording))
         steps = None if recording.truth.position is not None else np.array(pdr.detect_steps(recording).time_s)
         duration_s = legs[-1].end_s - legs[0].start_s
         group = {"humolire": "humolire", "ms_indoor": "ms_indoor, 40 s or longer"}.get(path.parent.name, "")
@@ -143,7 +143,7 @@ def estimated(walk: Walk, bias: GyroBias, with_field: bool, added_radps: float) 
     for block in walk.blocks:
         if headings and block.gap_before_s > 0:
             state = estimator.after_gap(state)
-        state, attitude = estimator.step(state, biased(block, walk.up_sensor, added_radps, with_field))
+        state, attitude = estimator.update(state, biased(block, walk.up_sensor, added_radps, with_field))
         headings.append(attitude.device_heading_rad)
     up, cov = attitude.up_sensor[-1], state.bias.bias_cov_radps2
     return np.concatenate(headings), float(-up @ state.bias.bias_radps), float(np.sqrt(up @ cov @ up))

@@ -74,7 +74,7 @@ def hdf5(path: Path, n: int = 200) -> Path:
 
 def reading(path: Path, format: str | None = None) -> str:
     """What reading it comes to, and whether a byte of a file of the machine is in it."""
-    from pdr_filter.io.errors import RecordingError
+    from pdr_filter.io.files.errors import RecordingError
     from pdr_filter.io.formats import read
 
     begin = time.perf_counter()
@@ -139,7 +139,7 @@ def long_label(folder: Path) -> str:
 
 @case("zip: tables of empty rows")
 def empty_rows(folder: Path) -> str:
-    from pdr_filter.io.own_writer import TRUTH_COLUMNS
+    from pdr_filter.io.files.own_format_writer import TRUTH_COLUMNS
 
     def empty(columns: tuple[str, ...]) -> Iterator[bytes]:
         yield ",".join(columns).encode() + b"\n"
@@ -293,7 +293,7 @@ def many_lists(folder: Path) -> str:
 def big_model(folder: Path) -> str:
     import hashlib
 
-    from pdr_filter.classifiers.model import load_model
+    from pdr_filter.classifiers.context_model import load_model
 
     path = load_model("carrying").save(folder).with_suffix(".npz")
     with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive, archive.open("zeros.npy", "w") as file:
@@ -494,7 +494,7 @@ def pickled(folder: Path) -> str:
 @case("masked values in `Samples` and `push`")
 def masked(folder: Path) -> str:
     import pdr_filter as pdr
-    from pdr_filter.online import imu_block
+    from pdr_filter.tracking.online import imu_block
 
     time_s = np.arange(10) / 100
     force = np.ma.masked_greater(np.tile([0.0, 0.0, 9.8], (10, 1)), 9.0)
@@ -505,7 +505,7 @@ def masked(folder: Path) -> str:
 @case("datetime64 as times of `Samples` and `push`")
 def datetimes(folder: Path) -> str:
     import pdr_filter as pdr
-    from pdr_filter.online import imu_block
+    from pdr_filter.tracking.online import imu_block
 
     time: Any = np.datetime64("2026-01-01", "ns") + np.arange(10) * np.timedelta64(10, "ms")
     refused = 0
@@ -544,7 +544,7 @@ def measured(name: str, checkout: Path) -> tuple[str, str]:
 
 def one(name: str, folder: Path) -> None:
     """Try a case here: its outcome, its time after imports, and by how much it made the process grow."""
-    for module in ("pdr_filter.io.formats", "pdr_filter.recording_run", "h5py"):
+    for module in ("pdr_filter.io.formats", "pdr_filter.tracking.whole_recording", "h5py"):
         importlib.import_module(module)
     resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, MOST_BYTES))
     signal.alarm(int(MOST_S))

@@ -15,7 +15,7 @@ from collections.abc import Callable
 import numpy as np
 from filterpy.kalman import IMMEstimator, KalmanFilter
 
-from pdr_filter.filter import imm
+from pdr_filter.filter.imm import imm
 from tests.benchmarks.common import Tables, options
 
 N_MODES, N_STATES = 6, 4
@@ -104,12 +104,12 @@ def main() -> None:
     filterpy_s = fastest_s(filterpy_step, fixes)
     rows = [["filterpy, IMMEstimator", f"{1e6 * filterpy_s:.1f}", 1, "-"]]
     for name, filters, size in (
-        ("`pdr_filter.filter.imm`, one pedestrian", Numpy(None), 1),
-        (f"`pdr_filter.filter.imm`, {n} in groups of {GROUP}", Numpy(n), n),
+        ("`pdr_filter.filter.imm.imm`, one pedestrian", Numpy(None), 1),
+        (f"`pdr_filter.filter.imm.imm`, {n} in groups of {GROUP}", Numpy(n), n),
     ):
         found: list[np.ndarray] = []
         steps = fixes if size == 1 else fixes[:MANY_STEPS]
-        each_s = fastest_s(lambda z, f=filters, into=found: into.append(f.step(z)), steps) / size
+        each_s = fastest_s(lambda z, f=filters, into=found: into.append(f.update(z)), steps) / size
         apart = np.abs(np.array(found) - np.array(mean_of_oracle[: len(steps)])).max()
         rows.append([name, f"{1e6 * each_s:.1f}", f"{filterpy_s / each_s:.0f}", f"{apart:.0e}"])
     columns = ["filter", "µs a step and pedestrian", "times as fast", "largest difference"]

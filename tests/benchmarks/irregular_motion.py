@@ -1,4 +1,4 @@
-"""The gate for irregular motion (`pdr_filter.sensing.contexts.irregular`) on people and sites, with and without
+"""The gate for irregular motion (`pdr_filter.sensing.contexts.irregular_motion`) on people and sites, with and without
 gyroscope.
 
 usage: python -m tests.benchmarks.irregular_motion [--data ../shared/data]
@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from sklearn.metrics import log_loss, roc_auc_score
 
 import pdr_filter as pdr
-from pdr_filter.sensing.contexts.irregular import irregular_prob
-from pdr_filter.sensing.features.windows import ATTITUDE_FREE, FeatureWindows
+from pdr_filter.sensing.contexts.irregular_motion import irregular_prob
+from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindows
 from pdr_filter.sensing.front_end import feature_windows
 from tests.benchmarks.common import Tables, options, recordings
 

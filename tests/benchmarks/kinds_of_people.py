@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_filter.filter.model import PedestrianModel
-from pdr_filter.sensing.contexts.stage import WindowContext
+from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
+from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.values import CONTEXTS, FloatArray
 
 WALKING, UPSTAIRS, DOWNSTAIRS = (CONTEXTS.index(c) for c in ("walking", "upstairs", "downstairs"))

@@ -27,7 +27,7 @@ import numpy as np
 from websockets.asyncio.client import connect
 
 import pdr_filter as pdr
-from pdr_filter.sensing.merging import SENSORS
+from pdr_filter.sensing.stream_merging import SENSORS
 from pdr_filter.values import FloatArray, Samples
 from tests.benchmarks.common import Tables, options
 

@@ -22,22 +22,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import pdr_filter as pdr
-from pdr_filter.classifiers.model import ContextModel
-from pdr_filter.config import Config
-from pdr_filter.filter.imm import smoothed_mode_prob
-from pdr_filter.filter.pedestrian import StepUpdate
-from pdr_filter.filter.tracker import Tracker
-from pdr_filter.filtering import finish, init, step
-from pdr_filter.io.recording import Recording, Truth
-from pdr_filter.recipes import context_transitions, default, with_context_model
-from pdr_filter.recording_run import run_sensing
-from pdr_filter.sensing.contexts.learned import shipped_model
-from pdr_filter.sensing.contexts.stage import WindowContext
-from pdr_filter.sensing.front_end import Event, Gap
-from pdr_filter.training import contexts
-from pdr_filter.training.contexts import PLANS, labelled_windows
-from pdr_filter.training.protocol import DOUBTFUL, LabelledWindows, label_of, recordings_of
-from pdr_filter.training.sequences import (
+from pdr_filter.classifiers.context_model import ContextModel
+from pdr_filter.filter.imm.imm import smoothed_mode_prob
+from pdr_filter.filter.imm.pedestrian_state import StepUpdate
+from pdr_filter.filter.imm.tracker import Tracker
+from pdr_filter.offline.training import context_training as contexts
+from pdr_filter.offline.training.context_sequences import (
     UNKNOWN,
     LabelledProbabilities,
     count_transitions,
@@ -45,7 +35,17 @@ from pdr_filter.training.sequences import (
     filter_windows,
     fit_tempering,
 )
+from pdr_filter.offline.training.context_training import PLANS, labelled_windows
+from pdr_filter.offline.training.cross_validation import DOUBTFUL, LabelledWindows, label_of, recordings_of
+from pdr_filter.recipes import context_transitions, default, with_context_model
+from pdr_filter.recipes.config import Config
+from pdr_filter.sensing.contexts.context_stage import WindowContext
+from pdr_filter.sensing.contexts.learned_contexts import shipped_model
+from pdr_filter.sensing.front_end import Event, Gap
+from pdr_filter.tracking.filtering import finish, init, update
+from pdr_filter.tracking.whole_recording import run_sensing
 from pdr_filter.values import CONTEXTS, FloatArray, ImuBlock, IntArray, Samples, table
+from pdr_filter.values.recording import Recording, Truth
 from tests.benchmarks.common import Tables, options
 
 PLAN = PLANS[0]
@@ -212,7 +212,7 @@ def said_online(walk: Recording, person: str, config: Config) -> Said:
     windows: list[tuple[float, Any]] = []
     updates: list[tuple[float, Any]] = []
     for block in blocks(samples):
-        state, output = step(config, state, block)
+        state, output = update(config, state, block)
         known_s = float(block.time_s[-1])
         windows += [(known_s, w) for w in output.windows]
         updates += [(known_s, u) for u in output.updates if u.is_final]

@@ -32,8 +32,8 @@ from scipy.stats import chi2
 
 import pdr_filter as pdr
 from pdr_filter import evaluate
-from pdr_filter.report.trust import is_loose
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading
+from pdr_filter.tracking.trust_report import is_loose
 from pdr_filter.values import HARDLY_AGREE, FloatArray
 from tests.benchmarks.common import Tables, options, recordings
 

@@ -20,9 +20,10 @@ import numpy as np
 from sklearn.neighbors import KNeighborsRegressor
 
 import pdr_filter as pdr
+from pdr_filter.maps.radio import radio_map
+from pdr_filter.maps.radio import signal_field as field
 from pdr_filter.offline.smoothing.observations import waypoint_fixes
 from pdr_filter.offline.smoothing.wifi_loops import ALIKE, wifi_loop_closures
-from pdr_filter.radio import field, radio_map
 from tests.benchmarks.common import Tables, median_and, options, paths
 
 CHOSEN_ON = "f1"

@@ -34,8 +34,8 @@ from numpy.typing import NDArray
 
 import pdr_filter as pdr
 from pdr_filter import evaluate
-from pdr_filter.filter.weighting import WEIGHTINGS
-from pdr_filter.recording_run import run_sensing
+from pdr_filter.filter.imm.weighting import WEIGHTINGS
+from pdr_filter.tracking.whole_recording import run_sensing
 from pdr_filter.values import Step
 from tests.benchmarks.common import Tables, absolute_bias_spread, median_and, options, paths
 from tests.benchmarks.fit_zhou import way_of_the_foot_m

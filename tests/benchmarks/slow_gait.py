@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 import pdr_filter as pdr
 from pdr_filter.sensing.attitude import AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, merge_streams
-from pdr_filter.sensing.steps.gate import StepGate
+from pdr_filter.sensing.steps.step_gate import StepGate
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, Samples
 from tests.benchmarks.common import Tables, options, recordings
 from tests.benchmarks.step_gate import MASS, Found, find, fit, through_gate, truth
@@ -50,11 +50,11 @@ def steps_of_walk(found: Found) -> FloatArray:
 
 def slowed(recording: pdr.Recording, factor: float, exponent: int) -> pdr.Recording:
     """The same motion `factor` times as slowly, from time 0; its accelerometer alone."""
-    _, blocks = Conditioner().step(Conditioner().init(), merge_streams(recording))
+    _, blocks = Conditioner().update(Conditioner().init(), merge_streams(recording))
     estimator = AttitudeEstimator()
     state, ups = estimator.init(), []
     for block in blocks:
-        state, attitude = estimator.step(state, block)
+        state, attitude = estimator.update(state, block)
         ups.append(attitude.up_sensor)
     old_s = np.concatenate([block.time_s for block in blocks])
     gravity = STANDARD_GRAVITY_MPS2 * np.concatenate(ups)

@@ -20,7 +20,7 @@ import numpy as np
 
 import pdr_filter as pdr
 from pdr_filter import evaluate
-from pdr_filter.filter.motion import MotionNoise
+from pdr_filter.filter.imm.motion_model import MotionNoise
 from pdr_filter.offline.smoothing.fixed_lag import FixedLagSmoother
 from pdr_filter.offline.smoothing.observations import Observations, waypoint_fixes
 from pdr_filter.offline.smoothing.preintegration import MIN_STATE_VAR, bridge, frame

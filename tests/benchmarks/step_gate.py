@@ -4,7 +4,7 @@
 
 Every step that the default detector finds is walking or not: inside the walks of ubicomp13 or more than 1 s outside,
 where the phone is handled; MotionSense's sitting and standing against its other contexts; walks of the other sets. The
-log odds are a logistic regression on the four features of `pdr_filter.sensing.steps.walk_evidence`, every
+log odds are a logistic regression on the four features of `pdr_filter.sensing.steps.walking_evidence`, every
 kind of recording with the mass in `MASS`. Figures are of people left out: people with odd numbers are judged by a fit
 without them, and those with even numbers likewise; the other sets have one person each or unknown ones, and are in
 both fits. Then the same with the weights that the package has, which have seen everybody.
@@ -24,10 +24,10 @@ import pdr_filter as pdr
 from pdr_filter import evaluate
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
-from pdr_filter.sensing.steps.adaptive import AdaptiveStepDetector
-from pdr_filter.sensing.steps.detector import unknown_contexts
-from pdr_filter.sensing.steps.gate import StepGate
-from pdr_filter.sensing.steps.walk_evidence import EVIDENCE, WalkEvidence
+from pdr_filter.sensing.steps.adaptive_detector import AdaptiveStepDetector
+from pdr_filter.sensing.steps.step_detector import unknown_contexts
+from pdr_filter.sensing.steps.step_gate import StepGate
+from pdr_filter.sensing.steps.walking_evidence import EVIDENCE, WalkEvidence
 from pdr_filter.values import Step
 from tests.benchmarks.common import Tables, options, recordings
 
@@ -86,7 +86,7 @@ def flat(block: UniformBlock) -> AttitudeBlock:
 
 def find(recording: pdr.Recording) -> Found:
     found = Found(recording)
-    _, blocks = Conditioner().step(Conditioner().init(), merge_streams(recording))
+    _, blocks = Conditioner().update(Conditioner().init(), merge_streams(recording))
     for block in blocks:
         if block.gap_before_s > 0:
             found.segments.append(([], []))
@@ -94,7 +94,7 @@ def find(recording: pdr.Recording) -> Found:
     for blocks, steps in found.segments:
         state = DETECTOR.init()
         for block in blocks:
-            state, known = DETECTOR.step(state, block, flat(block), unknown_contexts(len(block.time_s)))
+            state, known = DETECTOR.update(state, block, flat(block), unknown_contexts(len(block.time_s)))
             steps.append(known)
         steps.append(DETECTOR.finish(state))
     recorder = Recorder()
@@ -109,7 +109,7 @@ def through_gate(found: Found, gate: StepGate) -> list[Step]:
     state, passed = gate.init(), []
     for blocks, steps in found.segments:
         for block, known in zip(blocks, steps[:-1], strict=True):
-            state, out = gate.step(state, block, flat(block), known)
+            state, out = gate.update(state, block, flat(block), known)
             passed += out
         state, out = gate.close(state, steps[-1])
         passed += out

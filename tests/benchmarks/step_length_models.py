@@ -30,8 +30,8 @@ from scipy.optimize import least_squares
 from scipy.signal import butter, sosfiltfilt
 
 import pdr_filter as pdr
-from pdr_filter.filter import step_length as models
-from pdr_filter.filter.step_length import StepLengthModel, length_and_jacobian
+from pdr_filter.filter.step_length import models as models
+from pdr_filter.filter.step_length.models import StepLengthModel, length_and_jacobian
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, Step, steps_of
 from tests.benchmarks.common import Tables, options, paths
 

@@ -35,7 +35,7 @@ from scipy.optimize import least_squares
 from scipy.signal import butter, sosfiltfilt
 
 import pdr_filter as pdr
-from pdr_filter.filter.step_length import BounceStepLength, StepLengthModel, bounce_fit, length_and_jacobian
+from pdr_filter.filter.step_length.models import BounceStepLength, StepLengthModel, bounce_fit, length_and_jacobian
 from pdr_filter.values import Step, steps_of
 from tests.benchmarks.common import Tables, options, paths
 from tests.benchmarks.step_length_models import CHEN_PRIOR, MODELS, TERM_STD_M, TYPICAL, UNKNOWN_HEIGHT_M, route_of

@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 
 import pdr_filter as pdr
 from pdr_filter import evaluate
-from pdr_filter.papers.martinelli2018.steps import WaveletStepDetector
+from pdr_filter.recipes.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.front_end import Sensing
-from pdr_filter.sensing.steps.adaptive import AdaptiveStepDetector, low_pass_kernel
-from pdr_filter.sensing.steps.even import EvenSteps
-from pdr_filter.sensing.steps.gate import StepGate
+from pdr_filter.sensing.steps.adaptive_detector import AdaptiveStepDetector, low_pass_kernel
+from pdr_filter.sensing.steps.contact_time_smoothing import EvenSteps
+from pdr_filter.sensing.steps.step_gate import StepGate
 from pdr_filter.values import Samples, Step
 from tests.benchmarks.common import Tables, options, recordings
 
@@ -50,7 +50,7 @@ def thinned(recording: pdr.Recording, keep_every: int) -> pdr.Recording:
 
 
 def step_times(sensing: Sensing, recording: pdr.Recording) -> FloatArray:
-    state, events = sensing.step(sensing.init(), merge_streams(recording))
+    state, events = sensing.update(sensing.init(), merge_streams(recording))
     return np.array([e.time_s for _, e in [*events, *sensing.finish(state)[1]] if isinstance(e, Step)])
 
 

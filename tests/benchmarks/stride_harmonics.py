@@ -117,7 +117,7 @@ def _strides(
 ) -> tuple[ComplexArray, FloatArray] | None:
     """Harmonics and step frequencies of the strides; None where none can be told."""
     conditioner = Conditioner(RATE_HZ)
-    for block in conditioner.step(conditioner.init(), merge_streams(recording))[1]:
+    for block in conditioner.update(conditioner.init(), merge_streams(recording))[1]:
         use = (block.time_s >= between[0]) & (block.time_s <= between[1])
         if use.sum() < 6 * RATE_HZ:
             continue

@@ -27,10 +27,10 @@ from typing import Any
 import numpy as np
 
 import pdr_filter as pdr
-from pdr_filter.filter.modes import context_modes, context_transitions
-from pdr_filter.filter.step_length import bounce_fit
+from pdr_filter.filter.imm.modes import context_modes, context_transitions
+from pdr_filter.filter.step_length.models import bounce_fit
 from pdr_filter.recipes import default
-from pdr_filter.sensing.features.windows import ATTITUDE_FREE, FeatureWindows
+from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindows
 from pdr_filter.values import PositionFix, Samples
 from tests.benchmarks.common import ROOT, Tables, options, paths
 from tests.maps.made_up import box, feature, line, write
@@ -217,14 +217,14 @@ def long_walk(hours: float) -> pdr.Recording:
 def features_s(recording: pdr.Recording) -> tuple[float, int]:
     """Time of all features of a recording, the signals given, and the number of windows."""
     sensing, stage = default().sensing, FeatureWindows(features=ATTITUDE_FREE)
-    _, uniform = sensing.conditioner.step(sensing.conditioner.init(), pdr.merge_streams(recording))
+    _, uniform = sensing.conditioner.update(sensing.conditioner.init(), pdr.merge_streams(recording))
     state, parts = sensing.attitude.init(), []
     for part in uniform:
-        state, attitude = sensing.attitude.step(state, part)
+        state, attitude = sensing.attitude.update(state, part)
         parts.append((part, attitude))
     start, n, windows = time.process_time(), 0, stage.init()
     for part, attitude in parts:
-        windows, found = stage.step(windows, part, attitude)
+        windows, found = stage.update(windows, part, attitude)
         n += len(found)
     return time.process_time() - start, n
 

@@ -32,14 +32,14 @@ from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
 import pdr_filter as pdr
-from pdr_filter.filter.motion import MotionNoise
-from pdr_filter.io.recording import Recording
-from pdr_filter.papers.martinelli2018.steps import WaveletStepDetector
+from pdr_filter.filter.imm.motion_model import MotionNoise
+from pdr_filter.recipes.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading
-from pdr_filter.sensing.steps.detector import ContextBlock, unknown_contexts
+from pdr_filter.sensing.steps.step_detector import ContextBlock, unknown_contexts
 from pdr_filter.values import CARRYING_MODES, Step, circular_mean, wrap_angle
+from pdr_filter.values.recording import Recording
 from tests.benchmarks.common import Tables, median_and, options, paths, recordings
 
 FloatArray = NDArray[np.float64]
@@ -76,10 +76,10 @@ class Walk:
             AttitudeEstimator(RATE_HZ),
             WaveletStepDetector(RATE_HZ),
         )
-        _, blocks = conditioner.step(conditioner.init(), merge_streams(recording))
+        _, blocks = conditioner.update(conditioner.init(), merge_streams(recording))
         block = max(blocks, key=lambda b: len(b.time_s))
-        _, attitude = estimator.step(estimator.init(), block)
-        state, steps = detector.step(detector.init(), block, attitude, unknown_contexts(len(block.time_s)))
+        _, attitude = estimator.update(estimator.init(), block)
+        state, steps = detector.update(detector.init(), block, attitude, unknown_contexts(len(block.time_s)))
         return cls(recording, block, attitude, steps + detector.finish(state))
 
     def annotated(self, stage: WalkingHeading, carrying_mode: str) -> list[Step]:
@@ -87,7 +87,7 @@ class Walk:
         n = len(self.block.time_s)
         mode = CARRYING_MODES.index(carrying_mode) if carrying_mode else -1
         modes = ContextBlock(np.full(n, -1), np.full(n, mode))
-        _, steps = stage.step(stage.init(), self.block, self.attitude, modes, self.steps)
+        _, steps = stage.update(stage.init(), self.block, self.attitude, modes, self.steps)
         return [step for _, step in steps]
 
 
@@ -270,7 +270,7 @@ def agreement(tables: Tables, data: Path, stage: WalkingHeading) -> None:
                 walk = Walk.of(pdr.read(path))
                 n = len(walk.block.time_s)
                 modes = ContextBlock(np.full(n, -1), np.full(n, CARRYING_MODES.index("pocket")))
-                state, _ = stage.step(stage.init(), walk.block, walk.attitude, modes, walk.steps)
+                state, _ = stage.update(stage.init(), walk.block, walk.attitude, modes, walk.steps)
                 if state.place is not None and state.up is not None:
                     forward, right = state.place.vectors[1]
                     screen = np.arctan2(np.cross(state.axis, state.up)[2], state.axis[2])

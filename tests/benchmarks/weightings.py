@@ -32,18 +32,18 @@ from pathlib import Path
 import numpy as np
 
 import pdr_filter as pdr
-from pdr_filter.config import Config
 from pdr_filter.evaluate.comparison import second_over_first
-from pdr_filter.filter.imm import smoothed_mode_prob
-from pdr_filter.filter.weighted_tracker import WeightedTracker
-from pdr_filter.io.recording import Recording
+from pdr_filter.filter.imm.imm import smoothed_mode_prob
+from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
+from pdr_filter.offline.training.context_sequences import UNKNOWN
+from pdr_filter.offline.training.cross_validation import DOUBTFUL, LabelledWindows, recordings_of
 from pdr_filter.recipes import default, with_context_model
-from pdr_filter.recording_run import run_sensing
-from pdr_filter.sensing.contexts.stage import WindowContext
+from pdr_filter.recipes.config import Config
+from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.simulate import Gait, Leg, simulate
-from pdr_filter.training.protocol import DOUBTFUL, LabelledWindows, recordings_of
-from pdr_filter.training.sequences import UNKNOWN
+from pdr_filter.tracking.whole_recording import run_sensing
 from pdr_filter.values import CONTEXTS, FloatArray, IntArray, Step
+from pdr_filter.values.recording import Recording
 from tests.benchmarks.common import Tables, options, paths
 from tests.benchmarks.contexts_left_out import N_FOLDS as N_LEFT_OUT_FOLDS
 from tests.benchmarks.contexts_left_out import on_the_level, without

@@ -221,5 +221,6 @@ def test_arrays_of_different_lengths_are_refused(trained: tuple[RandomForestClas
 
 
 def test_prediction_needs_no_scikit_learn() -> None:
-    code = "import sys, pdr_filter.classifiers.forest, pdr_filter.classifiers.model; sys.exit('sklearn' in sys.modules)"
+    modules = "pdr_filter.classifiers.forest, pdr_filter.classifiers.context_model"
+    code = f"import sys, {modules}; sys.exit('sklearn' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -28,7 +28,7 @@ from pdr_filter.classifiers.rvm import (
     stratified_rows,
     train_multinomial,
 )
-from pdr_filter.classifiers.sparse_bayes import Bernoulli, train
+from pdr_filter.classifiers.rvm_training import Bernoulli, train
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*rows are candidates")
 

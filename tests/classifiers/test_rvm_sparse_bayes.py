@@ -15,7 +15,7 @@ from sklearn.linear_model import ARDRegression
 from threadpoolctl import threadpool_limits
 
 from pdr_filter.classifiers.rvm import basis_functions, median_distance
-from pdr_filter.classifiers.sparse_bayes import (
+from pdr_filter.classifiers.rvm_training import (
     Bernoulli,
     Posterior,
     additions,

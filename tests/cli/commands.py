@@ -8,7 +8,7 @@ from typer.testing import CliRunner, Result
 
 import pdr_filter as pdr
 from pdr_filter.cli.app import app
-from pdr_filter.io.own_format import write_recording
+from pdr_filter.io.files.own_format import write_recording
 
 
 def run(*arguments: object) -> Result:

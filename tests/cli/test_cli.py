@@ -15,9 +15,9 @@ from typer.testing import CliRunner
 
 import pdr_filter as pdr
 from pdr_filter.cli.app import app
-from pdr_filter.io.own_format import write_recording
-from pdr_filter.io.recording import Truth
-from pdr_filter.training import run as training
+from pdr_filter.io.files.own_format import write_recording
+from pdr_filter.offline.training import train_all as training
+from pdr_filter.values.recording import Truth
 
 MODELS = Path(__file__).resolve().parents[2] / "models"
 

@@ -11,9 +11,10 @@ import pytest
 from commands import demo_file, one_line, run
 
 import pdr_filter as pdr
-from pdr_filter.calibration import load_calibration
-from pdr_filter.io.own_format import write_recording
-from pdr_filter.offline.smoothing.observations import LoopClosure, fixes_of_file
+from pdr_filter.io.files.own_format import write_recording
+from pdr_filter.io.fix_files import fixes_of_file
+from pdr_filter.offline.smoothing.observations import LoopClosure
+from pdr_filter.recipes.step_length_calibration import load_calibration
 from pdr_filter.simulate import Leg, simulate
 
 

@@ -14,10 +14,10 @@ from commands import demo_file, one_line, run
 from heard import round_a_block, walk_with_wifi
 
 import pdr_filter as pdr
-from pdr_filter.classifiers.model import load_model
-from pdr_filter.io.own_format import write_recording
+from pdr_filter.classifiers.context_model import load_model
+from pdr_filter.io.files.own_format import write_recording
 from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
-from pdr_filter.sensing.contexts.learned import LearnedContexts
+from pdr_filter.sensing.contexts.learned_contexts import LearnedContexts
 
 MODELS = Path(__file__).resolve().parents[2] / "models"
 

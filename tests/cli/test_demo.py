@@ -13,7 +13,7 @@ from rich.console import Console
 
 import pdr_filter as pdr
 from pdr_filter.cli.demo import Demo, run_demo
-from pdr_filter.io.own_format import write_recording
+from pdr_filter.io.files.own_format import write_recording
 from pdr_filter.report.page_data import track_data
 
 
@@ -49,7 +49,7 @@ def test_a_map_file_without_a_place_says_so_in_its_name_and_content_and_on_scree
 
 def test_the_picture_of_the_simulated_walk_shows_the_true_way(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     drawn: list[np.ndarray | None] = []
-    monkeypatch.setattr("pdr_filter.plot.track", lambda track, path, reference_m: drawn.append(reference_m))
+    monkeypatch.setattr("pdr_filter.report.plot.track", lambda track, path, reference_m: drawn.append(reference_m))
     demo = run_demo(None, tmp_path)
     truth = demo.recording.truth.position
     run_demo(write_recording(demo.recording, tmp_path / "mine.zip"), tmp_path)

@@ -9,9 +9,9 @@ import pytest
 
 import pdr_filter as pdr
 from pdr_filter.evaluate import comparison, runs, tracks
-from pdr_filter.filter.weighting import HC, weighted_distances
-from pdr_filter.io.recording import Truth
+from pdr_filter.filter.imm.weighting import HC, weighted_distances
 from pdr_filter.values import CONTEXTS
+from pdr_filter.values.recording import Truth
 from tests.oracles import track_scores as oracle
 
 

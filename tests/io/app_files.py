@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 import pdr_filter as pdr
-from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.files.errors import RecordingError
 from pdr_filter.io.formats import read
-from pdr_filter.io.recording import Recording
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, Samples
+from pdr_filter.values.recording import Recording
 
 T0_NS = 1_787_923_304_123_456_789  # odd in the last digit: a float would round it to a multiple of 256
 T0_MS = 1_574_659_531_598

@@ -35,10 +35,10 @@ from app_files import (
 )
 
 from pdr_filter.io.describe import median_norm, reading_report
-from pdr_filter.io.limits import LARGEST_VALUE, SPECIFIC_FORCE_RANGE_MPS2
-from pdr_filter.io.own_format import write_recording
-from pdr_filter.io.recording import Recording
+from pdr_filter.io.files.own_format import write_recording
 from pdr_filter.values import Samples
+from pdr_filter.values.limits import LARGEST_VALUE, SPECIFIC_FORCE_RANGE_MPS2
+from pdr_filter.values.recording import Recording
 
 N = 24
 

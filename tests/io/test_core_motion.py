@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from pdr_filter.io.describe import reading_report
 from pdr_filter.io.formats import read
-from pdr_filter.io.sheet_data import quaternion_of
+from pdr_filter.io.tables.table_streams import quaternion_of
 from pdr_filter.values import STANDARD_GRAVITY_MPS2
 
 WALK = on_one_clock(a_walk(50.0))

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pdr_filter.io.dates import as_nanoseconds, column_nanoseconds, is_date, nanoseconds_of, without_midnights
+from pdr_filter.io.tables.dates import as_nanoseconds, column_nanoseconds, is_date, nanoseconds_of, without_midnights
 
 STYLES = (
     *("%Y-%m-%d %H:%M:%S.%f", "%d-%b-%Y %H:%M:%S.%f", "%d.%m.%Y %H:%M:%S", "%Y-%m-%dT%H:%M:%S_%f", "%H:%M:%S.%f"),

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from pdr_filter.io.describe import StreamDescription, describe, describe_stream, median_norm
-from pdr_filter.io.recording import Recording, Truth
 from pdr_filter.values import Samples, table
+from pdr_filter.values.recording import Recording, Truth
 
 
 def at_rest(time_s: np.ndarray, norm: float = 9.81) -> Samples:

@@ -14,11 +14,12 @@ import pytest
 from app_files import a_walk
 from test_writers import small_track
 
-from pdr_filter.io import limits, writers
-from pdr_filter.io.errors import RecordingError
-from pdr_filter.io.files import beside, inside, open_regular, read_small, whole_file, write_text
+from pdr_filter.io.files import track_writers as writers
+from pdr_filter.io.files.errors import RecordingError
+from pdr_filter.io.files.safe_files import beside, inside, open_regular, read_small, whole_file, write_text
 from pdr_filter.report.html import write_report
 from pdr_filter.sensing.device import Device
+from pdr_filter.values import limits
 
 WALK = a_walk()
 WRITERS: dict[str, Callable[[Path], object]] = {

@@ -13,10 +13,10 @@ from app_files import a_walk, assert_same_track, on_one_clock, with_level_attitu
 from mutations import FORMS, SOURCES, file_of
 
 from pdr_filter.io.describe import reading_report
-from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.files.errors import RecordingError
 from pdr_filter.io.formats import FORMATS, read
-from pdr_filter.io.recording import Recording
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, Samples
+from pdr_filter.values.recording import Recording
 
 ROOT = Path(__file__).parents[2]
 DOCS = "".join((ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8") for page in ("formats", "robustness"))

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from app_files import a_walk, assert_same_streams, axes, on_one_clock, refusal, table_text, write_text
 
-from pdr_filter.io.columns import column_of, quantity_of_file
 from pdr_filter.io.formats import read
+from pdr_filter.io.tables.column_names import column_of, quantity_of_file
 
 HORIZONTAL = """
 horizontal_accuracy_m; locationHorizontalAccuracy(m); gpsHorizontalAccuracy; coords.accuracy; location.coords.accuracy

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from mutations import FORMS, faults_of_recording, faults_of_refusal, good_file, mutated_file
 
 from pdr_filter.io.detection import detect
-from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.files.errors import RecordingError
 from pdr_filter.io.formats import FORMATS, read
 
 AS_TABLES = ("phyphox", "core_motion")  # formats that are read like the tables of any app

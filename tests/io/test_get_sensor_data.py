@@ -19,9 +19,9 @@ from app_files import (
     write_zip,
 )
 
+from pdr_filter.io.apps.get_sensor_data import rotation_vector_quaternion
 from pdr_filter.io.describe import reading_report
 from pdr_filter.io.formats import read
-from pdr_filter.io.get_sensor_data import rotation_vector_quaternion
 from pdr_filter.values import STANDARD_GRAVITY_MPS2
 
 WALK = with_level_attitude(a_walk())

@@ -19,13 +19,12 @@ from app_files import a_walk, phyphox_files, refusal, write_folder, write_zip
 from mutations import FORMS, faults_of_recording, faults_of_refusal, good_file, of_another_kind
 
 from pdr_filter import batch
-from pdr_filter.io import limits
 from pdr_filter.io.detection import detect
-from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.files.errors import RecordingError
+from pdr_filter.io.fix_files import fixes_of_file
 from pdr_filter.io.folders import recordings_in
 from pdr_filter.io.formats import read
-from pdr_filter.offline.smoothing.observations import fixes_of_file
-from pdr_filter.values import Samples
+from pdr_filter.values import Samples, limits
 
 ROWS = "time_s,x,y,z\n" + "".join(f"{i / 100},0.1,0.2,9.8\n" for i in range(50))
 SOON_S = 3.0  # of processor time, on a machine that may be busy; each takes some 0.1 s

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from app_files import a_walk, assert_same_streams, on_one_clock, refusal, write_zip
 
-from pdr_filter.io.any_table import read_guessed, read_mapped
 from pdr_filter.io.describe import reading_report
 from pdr_filter.io.folders import recordings_in
 from pdr_filter.io.formats import read
-from pdr_filter.io.mapping import read_mapping
+from pdr_filter.io.tables.any_table import read_guessed, read_mapped
+from pdr_filter.io.tables.column_mapping import read_mapping
 from pdr_filter.values import STANDARD_GRAVITY_MPS2
 
 WALK = on_one_clock(a_walk(50.0))

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from app_files import a_walk, assert_same_streams, axes, on_one_clock, refusal, table_text, write_folder, write_text
 
-from pdr_filter.io.any_table import read_guessed
 from pdr_filter.io.formats import read
+from pdr_filter.io.tables.any_table import read_guessed
 
 WALK = on_one_clock(a_walk(50.0))
 TIME_S, FORCE = WALK.accelerometer.time_s, WALK.accelerometer.values

@@ -9,8 +9,8 @@ import pytest
 from app_files import a_walk, assert_same_streams, phyphox_files, phyphox_table, refusal, write_folder, write_zip
 
 from pdr_filter.io.describe import reading_report
-from pdr_filter.io.dialects import dialect_of
 from pdr_filter.io.formats import read
+from pdr_filter.io.tables.app_dialects import dialect_of
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, Samples
 
 WALK = a_walk()

@@ -11,10 +11,10 @@ import pytest
 from app_files import a_walk, metadata, sensor_logger_files, write_folder
 
 from pdr_filter.io.describe import describe, reading_report
+from pdr_filter.io.files.own_format import write_recording
 from pdr_filter.io.formats import read
-from pdr_filter.io.own_format import write_recording
-from pdr_filter.io.recording import Recording
 from pdr_filter.values import Samples
+from pdr_filter.values.recording import Recording
 
 
 def test_a_report_counts_gaps_repeated_and_backward_times() -> None:

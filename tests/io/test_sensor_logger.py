@@ -25,13 +25,12 @@ from app_files import (
     write_zip,
 )
 
-from pdr_filter.io import limits
 from pdr_filter.io.describe import describe, reading_report
-from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.files.errors import RecordingError
 from pdr_filter.io.folders import recordings_in
 from pdr_filter.io.formats import read
-from pdr_filter.io.recording import Recording
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, Samples
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, Samples, limits
+from pdr_filter.values.recording import Recording
 
 WALK = with_level_attitude(a_walk())
 ALL = "accelerometer gyroscope magnetometer attitude"

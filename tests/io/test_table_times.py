@@ -21,7 +21,7 @@ from table_cases import (
     WALK,
 )
 
-from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.files.errors import RecordingError
 from pdr_filter.io.formats import read
 
 

@@ -37,13 +37,13 @@ from table_cases import (
     sensorlog,
 )
 
-from pdr_filter.io import table as tables
-from pdr_filter.io.any_table import read_guessed, read_mapped
 from pdr_filter.io.describe import reading_report
-from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.files.errors import RecordingError
 from pdr_filter.io.folders import recordings_in
 from pdr_filter.io.formats import read
-from pdr_filter.io.mapping import read_mapping
+from pdr_filter.io.tables import text_table as tables
+from pdr_filter.io.tables.any_table import read_guessed, read_mapped
+from pdr_filter.io.tables.column_mapping import read_mapping
 
 
 @pytest.mark.parametrize("case", CASES)

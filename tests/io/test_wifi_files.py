@@ -10,10 +10,10 @@ import pytest
 from app_files import T0_MS, a_walk, get_sensor_data_text, indoor_location_text, refusal, write_text
 
 from pdr_filter.io.describe import describe
+from pdr_filter.io.files.own_format import write_recording
 from pdr_filter.io.formats import read
-from pdr_filter.io.own_format import write_recording
-from pdr_filter.io.recording import Recording
 from pdr_filter.values import Wifi
+from pdr_filter.values.recording import Recording
 
 WALK = a_walk()
 HEARD = Wifi(

@@ -22,10 +22,10 @@ from app_files import (
     xlsx_files,
 )
 
-from pdr_filter.io import limits
 from pdr_filter.io.folders import recordings_in
 from pdr_filter.io.formats import read
-from pdr_filter.io.recording import Recording
+from pdr_filter.values import limits
+from pdr_filter.values.recording import Recording
 
 WALK = on_one_clock(a_walk(50.0))
 FILES = phyphox_files(WALK)

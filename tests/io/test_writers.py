@@ -19,9 +19,9 @@ from typer.testing import CliRunner
 
 import pdr_filter as pdr
 from pdr_filter.cli.app import app
-from pdr_filter.io import writers
+from pdr_filter.io.files import track_writers as writers
 from pdr_filter.simulate import Leg
-from pdr_filter.tracks import Track
+from pdr_filter.tracking.track import Track
 from pdr_filter.values import Step, step_table
 
 ORIGIN = (48.137, 11.575)

@@ -18,10 +18,10 @@ from typing import Any
 import httpx
 import numpy as np
 
-from pdr_filter.io.recording import Recording
-from pdr_filter.live.messages import N_VALUES, Message, Rows, to_json
+from pdr_filter.live.messages import N_VALUES, Message, SensorRows, to_json
 from pdr_filter.simulate import demo_walk
 from pdr_filter.values import Samples
+from pdr_filter.values.recording import Recording
 
 COMMAND = "from pdr_filter.cli import main; main()"
 EPOCH_NS = 1_716_760_513_715_797_500
@@ -138,7 +138,7 @@ def short_walk(seconds: float) -> Recording:
 class Part:
     """Samples of some time."""
 
-    streams: dict[str, Rows]
+    streams: dict[str, SensorRows]
 
 
 def parts(recording: Recording, part_s: float = 0.5) -> list[Part]:
@@ -149,7 +149,7 @@ def parts(recording: Recording, part_s: float = 0.5) -> list[Part]:
     found: list[Part] = []
     for at_s in np.arange(begin_s, end_s + part_s, part_s):
         inside = {n: (s.time_s >= at_s) & (s.time_s < at_s + part_s) for n, s in streams.items()}
-        found.append(Part({n: Rows(s.time_s[inside[n]], s.values[inside[n]]) for n, s in streams.items()}))
+        found.append(Part({n: SensorRows(s.time_s[inside[n]], s.values[inside[n]]) for n, s in streams.items()}))
     return found
 
 

@@ -15,9 +15,9 @@ import pytest
 from serving import EPOCH_NS, Server, sensor_logger_messages, short_walk, until
 
 import pdr_filter as pdr
-from pdr_filter.io.recording import Recording
 from pdr_filter.live.devices import Devices
 from pdr_filter.live.settings import Settings
+from pdr_filter.values.recording import Recording
 
 Messages = list[dict[str, Any]]
 N_STEPS = 70  # of the walk, but for the last ones, which wait for later samples

@@ -11,10 +11,10 @@ import pytest
 from serving import EPOCH_NS, sensor_logger_messages
 
 import pdr_filter as pdr
-from pdr_filter.io.recording import Recording
 from pdr_filter.live import assembly
 from pdr_filter.live.assembly import Assembly, LateError, SessionError
 from pdr_filter.live.messages import Message, parse
+from pdr_filter.values.recording import Recording
 
 
 @pytest.fixture(scope="module")

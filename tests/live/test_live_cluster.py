@@ -19,7 +19,7 @@ from serving import Server, own_messages, short_walk, until
 
 import pdr_filter as pdr
 from pdr_filter.live import cluster as live_cluster
-from pdr_filter.live.cluster import Cluster
+from pdr_filter.live.cluster import DaskCluster
 from pdr_filter.live.settings import Settings, part_of
 
 pytest.importorskip("distributed")
@@ -89,4 +89,4 @@ def test_with_one_of_two_machines_killed_every_phone_goes_on_and_no_step_is_ther
 def test_a_cluster_that_is_not_there_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(live_cluster, "_CONNECT_S", 0.5)
     with pytest.raises(ValueError, match="no Dask scheduler at tcp://"):
-        asyncio.run(Cluster("tcp://127.0.0.1:9", Settings(), tmp_path).connect())
+        asyncio.run(DaskCluster("tcp://127.0.0.1:9", Settings(), tmp_path).connect())

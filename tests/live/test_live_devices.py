@@ -16,16 +16,16 @@ import pytest
 from serving import EPOCH_NS, own_messages, sensor_logger_messages, short_walk
 
 import pdr_filter as pdr
-from pdr_filter.io.recording import Recording
 from pdr_filter.live import devices as live_devices
 from pdr_filter.live import session as live_session
 from pdr_filter.live.assembly import SessionError
 from pdr_filter.live.devices import Devices
 from pdr_filter.live.messages import parse
 from pdr_filter.live.recorder import exported
-from pdr_filter.live.session import Session, session_id
+from pdr_filter.live.session import DeviceSession, session_id
 from pdr_filter.live.settings import BusyError, Event, FixError, Settings, part_of
 from pdr_filter.values import Samples
+from pdr_filter.values.recording import Recording
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def walk() -> Recording:
     return short_walk(60.0)
 
 
-def taken(folder: Path, bodies: Sequence[bytes], **settings: Any) -> tuple[Session, list[Event]]:
+def taken(folder: Path, bodies: Sequence[bytes], **settings: Any) -> tuple[DeviceSession, list[Event]]:
     """The session after these messages, and what was shown."""
     events: list[Event] = []
     devices = Devices(Settings(**settings), folder, events.append)
@@ -49,7 +49,7 @@ def encoded(messages: Sequence[Any]) -> list[bytes]:
     return [json.dumps(message).encode() for message in messages]
 
 
-def positions(session: Session) -> np.ndarray:
+def positions(session: DeviceSession) -> np.ndarray:
     return np.array(session.path)[:, 1:3]
 
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pdr_filter.live.messages import Message, MessageError, Rows, parse, phyphox_buffers, phyphox_rows, to_json
+from pdr_filter.live.messages import Message, MessageError, SensorRows, parse, phyphox_buffers, phyphox_rows, to_json
 
 EXAMPLE = Path(__file__).resolve().parents[3] / "shared" / "app_files" / "sensor_logger" / "http_push.json"
 CONFIG = {
@@ -36,7 +36,7 @@ def test_a_push_of_sensor_logger_is_read_to_the_nanosecond() -> None:
 
 def test_a_message_of_our_own_comes_back_as_it_was() -> None:
     rng = np.random.default_rng(1)
-    rows = {"gyroscope": Rows(np.sort(rng.random(5)), rng.normal(size=(5, 3)))}
+    rows = {"gyroscope": SensorRows(np.sort(rng.random(5)), rng.normal(size=(5, 3)))}
     message = Message("p", "s", 3, "ios", rows, is_end=True)
     (again,) = parse(to_json(message))
     assert (again.device, again.session, again.number, again.platform, again.is_end) == ("p", "s", 3, "ios", True)

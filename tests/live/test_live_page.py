@@ -20,8 +20,8 @@ from browser import BROWSER, Browser
 from serving import Server, own_messages, sensor_logger_messages, short_walk
 
 import pdr_filter as pdr
-from pdr_filter.io.recording import Recording
 from pdr_filter.values import Samples
+from pdr_filter.values.recording import Recording
 
 pytestmark = pytest.mark.skipif(not BROWSER, reason="no Chromium on this machine")
 SESSION = "[...live.sessions.values()][0]"

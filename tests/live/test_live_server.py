@@ -27,13 +27,13 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 import pdr_filter as pdr
-from pdr_filter.io.recording import Recording
 from pdr_filter.live import session as live_session
 from pdr_filter.live import sources
 from pdr_filter.live.hub import Reader
 from pdr_filter.live.messages import parse
 from pdr_filter.live.parts import Answer
 from pdr_filter.live.settings import Settings
+from pdr_filter.values.recording import Recording
 
 
 @pytest.fixture(scope="module")
@@ -114,7 +114,7 @@ def test_a_page_that_comes_late_is_told_the_contexts_until_then(
     walk: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(live_session, "_NOW_S", 0.0)  # what is sent at once is told as if it came in its time
-    session = live_session.Session("late", "s", Settings(), tmp_path)
+    session = live_session.DeviceSession("late", "s", Settings(), tmp_path)
     for body in own_messages(walk, "late", part_s=0.5):
         for message in parse(body):
             session.take(message, 0.0)

@@ -22,10 +22,10 @@ from serving import Server, sensor_logger_messages, short_walk, until
 from websockets.sync.server import ServerConnection, serve
 
 import pdr_filter as pdr
-from pdr_filter.io.recording import Recording
 from pdr_filter.live.messages import MessageError
 from pdr_filter.live.parts import Answer
 from pdr_filter.live.sources import Mqtt
+from pdr_filter.values.recording import Recording
 
 BROKER = shutil.which("mosquitto") or next((p for p in ["/usr/sbin/mosquitto"] if Path(p).exists()), "")
 _LONGEST_S = 120.0  # a machine with other work takes long, and nothing but a failure takes as long as this

@@ -14,10 +14,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import truncnorm
 
 import pdr_filter as pdr
-from pdr_filter.maps.clusters import groups, n_needed, on_plan
-from pdr_filter.maps.particles import ParticleState
+from pdr_filter.maps.crossing_costs import Ground, Terrain
+from pdr_filter.maps.particle_clusters import groups, n_needed, on_plan
+from pdr_filter.maps.particle_filter import ParticleState
 from pdr_filter.maps.storey import FREE
-from pdr_filter.maps.terrain import Ground, Terrain
 from pdr_filter.values import FloorPassage
 
 WALK = round_the_block()

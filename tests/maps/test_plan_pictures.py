@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 import pdr_filter as pdr
 from pdr_filter.cli.app import app
-from pdr_filter.io.own_format import write_recording
+from pdr_filter.io.files.own_format import write_recording
 from pdr_filter.report.html import html_report
 
 

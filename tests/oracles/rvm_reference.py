@@ -7,7 +7,7 @@ still. Most alphas grow without bound; their basis functions are dropped, and wh
 Equation 10 is the usual Laplace step (Tipping 2001, eq. 24-26), with B at the mode:
 w* = argmax of eq. 9, Delta = (Phi^T B Phi + A)^-1, beta_i = sigma(t_i) (1 - sigma(t_i)).
 
-`pdr_filter.classifiers.sparse_bayes` reaches about the same evidence in a fraction of the time and is what
+`pdr_filter.classifiers.rvm_training` reaches about the same evidence in a fraction of the time and is what
 `RelevanceVectorClassifier` uses. Read this to understand it; the tests use it to check it. The two share no code.
 """
 

@@ -7,7 +7,7 @@ import pytest
 from filterpy.kalman import KalmanFilter
 from scipy.stats import multivariate_normal
 
-from pdr_filter.filter import imm
+from pdr_filter.filter.imm import imm
 from tests.oracles.imm_smoother import ModeEstimates, Transition, smooth_imm
 
 H = np.array([[1.0, 0.0]])

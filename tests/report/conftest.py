@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import pdr_filter as pdr
-from pdr_filter.io.recording import Recording
-from pdr_filter.tracks import Track
+from pdr_filter.tracking.track import Track
+from pdr_filter.values.recording import Recording
 
 
 @pytest.fixture(scope="session")

@@ -17,11 +17,11 @@ from helpers import a_plan
 
 import pdr_filter as pdr
 from pdr_filter.cli.index_page import write_index
-from pdr_filter.io.recording import Recording
 from pdr_filter.report import palette
 from pdr_filter.report.html import html_report, write_report
-from pdr_filter.tracks import Track
+from pdr_filter.tracking.track import Track
 from pdr_filter.values import Cluster, IntArray
+from pdr_filter.values.recording import Recording
 
 pytestmark = pytest.mark.skipif(not BROWSER, reason="no Chromium on this machine")
 

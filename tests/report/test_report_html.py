@@ -19,12 +19,13 @@ from helpers import a_plan
 
 import pdr_filter as pdr
 from pdr_filter.io.describe import reading_report
-from pdr_filter.io.recording import Recording
-from pdr_filter.report import html, palette, trust
+from pdr_filter.report import html, palette
 from pdr_filter.report.html import html_report, write_report
 from pdr_filter.report.page_data import track_data
-from pdr_filter.tracks import Track
+from pdr_filter.tracking import trust_report as trust
+from pdr_filter.tracking.track import Track
 from pdr_filter.values import CONTEXTS, RADIUS_95, Fix, FloorPassage, PositionFix
+from pdr_filter.values.recording import Recording
 
 HOSTILE = '<script>alert(\'x\')</script>"><img src=x onerror="alert(1)">&amp;\x00\x1b\u202e\udc80 ]]>'
 

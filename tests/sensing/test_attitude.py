@@ -8,10 +8,10 @@ from helpers import cut_uniform
 from scipy.spatial.transform import Rotation
 
 from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator, AttitudeState
-from pdr_filter.sensing.bias import GyroBias
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.serialise import from_bytes, to_bytes
+from pdr_filter.sensing.gyroscope_bias import GyroBias
 from pdr_filter.values import STANDARD_GRAVITY_MPS2
+from pdr_filter.values.serialisation import from_bytes, to_bytes
 
 # Sensor-to-world attitudes: up in the sensor frame is the third row of the rotation matrix.
 TILTS = {
@@ -44,7 +44,7 @@ def attitude_of(block: UniformBlock, edges: list[int] | None = None) -> tuple[At
     estimator = AttitudeEstimator()
     state, outputs = estimator.init(), []
     for piece in cut_uniform(block, edges or []):
-        state, attitude = estimator.step(state, piece)
+        state, attitude = estimator.update(state, piece)
         outputs.append(attitude)
     return state, outputs
 
@@ -146,7 +146,7 @@ def test_a_wobble_is_no_turn_however_often_it_goes_round(tilt: str, rate_hz: flo
     attitudes = Rotation.from_rotvec(np.deg2rad(12) * axis) * TILTS[tilt]
     block = moving(attitudes, rate_hz)
     estimator = AttitudeEstimator(rate_hz=rate_hz)
-    _, attitude = estimator.step(estimator.init(), block)
+    _, attitude = estimator.update(estimator.init(), block)
     integral = -np.cumsum((block.angular_rate_radps * attitude.up_sensor).sum(axis=1)) / rate_hz
     assert abs(integral[-1]) > 20 * 2 * np.pi * (1 - np.cos(np.deg2rad(12))) * 0.9
     # back at the first attitude after each second
@@ -199,18 +199,18 @@ def test_without_angular_rate_up_is_still_known_and_the_heading_stands_still(up_
 def test_when_the_angular_rate_goes_missing_the_heading_stays_where_it_was() -> None:
     estimator, up = AttitudeEstimator(), np.array([0.0, 0.0, 1.0])
     # a bias of 1 deg/s, learnt at rest, must not turn the heading while the rate is missing
-    state, rest = estimator.step(estimator.init(), samples(up, np.full(2000, np.deg2rad(1.0))))
+    state, rest = estimator.update(estimator.init(), samples(up, np.full(2000, np.deg2rad(1.0))))
     late_drift = rest.device_heading_rad[-1] - rest.device_heading_rad[-500]
     assert abs(late_drift) < 0.1 * np.deg2rad(5.0)
-    state, missing = estimator.step(state, samples(up, np.zeros(300), known=False))
+    state, missing = estimator.update(state, samples(up, np.zeros(300), known=False))
     np.testing.assert_array_equal(missing.device_heading_rad, rest.device_heading_rad[-1])
 
 
 def test_after_a_gap_up_is_found_afresh_and_the_heading_goes_on() -> None:
     estimator = AttitudeEstimator()
     flat, upright = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0])
-    state, before = estimator.step(estimator.init(), samples(flat, np.full(1000, -0.3)))
-    state, after = estimator.step(estimator.after_gap(state), samples(upright, np.zeros(100)))
+    state, before = estimator.update(estimator.init(), samples(flat, np.full(1000, -0.3)))
+    state, after = estimator.update(estimator.after_gap(state), samples(upright, np.zeros(100)))
     np.testing.assert_allclose(after.up_sensor[20:], np.tile(upright, (80, 1)), atol=1e-3)
     assert after.device_heading_rad[0] == pytest.approx(before.device_heading_rad[-1], abs=1e-3)
 
@@ -238,7 +238,7 @@ def test_the_error_of_the_heading_rate_shrinks_with_what_is_learnt_and_is_about_
     no_rest = GyroBias(still_gyr_radps=1e-9)
     estimator = AttitudeEstimator(bias=no_rest)
     # the last half second still has the error of the whole windows before
-    state, attitude = estimator.step(estimator.init(), cut_uniform(block, [5950])[0])
+    state, attitude = estimator.update(estimator.init(), cut_uniform(block, [5950])[0])
     prior = np.sqrt(np.dot(no_rest.prior_prob, np.square(no_rest.prior_std_radps)))
     np.testing.assert_allclose(attitude.yaw_bias_std_radps[:100], prior, rtol=1e-9)
     assert attitude.yaw_bias_std_radps[-1] < 0.3 * prior
@@ -253,9 +253,9 @@ def test_a_filter_saved_in_the_middle_goes_on_with_the_same_bits() -> None:
     block, _, _ = a_walk(70, 4, np.array([0.01, 0.02, -0.01]))
     first, second = cut_uniform(block, [3333])
     estimator = AttitudeEstimator()
-    state, _ = estimator.step(estimator.init(), first)
-    _, kept = estimator.step(state, second)
-    _, loaded = estimator.step(from_bytes(to_bytes(state)), second)
+    state, _ = estimator.update(estimator.init(), first)
+    _, kept = estimator.update(state, second)
+    _, loaded = estimator.update(from_bytes(to_bytes(state)), second)
     for name in AttitudeBlock.__slots__:
         np.testing.assert_array_equal(getattr(loaded, name), getattr(kept, name))
 
@@ -297,9 +297,9 @@ def test_a_step_changes_neither_the_samples_nor_the_old_state() -> None:
     estimator = AttitudeEstimator()
     block = samples(np.array([0.0, 0.6, 0.8]), np.full(200, 0.1))
     force, rate = block.specific_force_mps2.copy(), block.angular_rate_radps.copy()
-    state, _ = estimator.step(estimator.init(), block)
-    _, once = estimator.step(state, block)
-    _, again = estimator.step(state, block)
+    state, _ = estimator.update(estimator.init(), block)
+    _, once = estimator.update(state, block)
+    _, again = estimator.update(state, block)
     np.testing.assert_array_equal(once.device_heading_rad, again.device_heading_rad)
     np.testing.assert_array_equal(once.up_sensor, again.up_sensor)
     np.testing.assert_array_equal(block.specific_force_mps2, force)

@@ -8,9 +8,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from pdr_filter.sensing.bias import BiasWindow, GyroBias, GyroBiasState
 from pdr_filter.sensing.device import Device
-from pdr_filter.serialise import from_bytes, to_bytes
+from pdr_filter.sensing.gyroscope_bias import BiasWindow, GyroBias, GyroBiasState
+from pdr_filter.values.serialisation import from_bytes, to_bytes
 
 READING = np.array([0.0, np.sin(0.7), np.cos(0.7)])
 NO_FIELD = np.zeros(3)
@@ -57,7 +57,7 @@ class Phone:
         return replace(walking, **changes)
 
     def see(self, window: BiasWindow) -> None:
-        self.state = self.estimator.step(self.state, window)
+        self.state = self.estimator.update(self.state, window)
 
     def walk(self, turns_radps: np.ndarray, wander_rad: np.ndarray | None = None) -> None:
         wander = np.zeros(len(turns_radps)) if wander_rad is None else wander_rad

@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import pdr_filter as pdr
-from pdr_filter.io.recording import Recording
 from pdr_filter.sensing.clock import CLOCK_RESET_SAMPLES, ClockState, follow, one_clock
 from pdr_filter.sensing.conditioning import Conditioner
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import HeadingFix, ImuBlock, PositionFix, Samples, Standstill, Wifi
+from pdr_filter.values.recording import Recording
 
 YEAR_S = 3.2e7
 

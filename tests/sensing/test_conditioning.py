@@ -6,9 +6,9 @@ from helpers import assert_same_bits, condition, cut, imu, joined
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pdr_filter.io.recording import Recording
 from pdr_filter.sensing.conditioning import Conditioner, merge_streams
 from pdr_filter.values import ImuBlock, Samples
+from pdr_filter.values.recording import Recording
 
 OFFSET = np.array([1.0, -2.0, 9.8])
 SLOPE = np.array([0.3, 0.1, -0.7])
@@ -274,10 +274,10 @@ def test_the_conditioner_does_not_modify_its_input() -> None:
 def test_an_old_state_is_not_changed_by_a_step() -> None:
     conditioner = Conditioner()
     first, second = cut(messy_block(2, 100.0, jitter=True), [200])
-    state, _ = conditioner.step(conditioner.init(), first)
+    state, _ = conditioner.update(conditioner.init(), first)
     rows, report = state.rows.copy(), state.report
-    once = joined(conditioner.step(state, second)[1])
-    assert_same_bits(joined(conditioner.step(state, second)[1]), once)
+    once = joined(conditioner.update(state, second)[1])
+    assert_same_bits(joined(conditioner.update(state, second)[1]), once)
     np.testing.assert_array_equal(state.rows, rows)
     assert state.report == report
 

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 import pdr_filter as pdr
 from pdr_filter.cli.app import app
-from pdr_filter.io.recording import Recording
+from pdr_filter.values.recording import Recording
 
 BIAS = np.array([0.004, -0.006, 0.02])
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pdr_filter.sensing.filters import (
+from pdr_filter.sensing.signal_filters import (
     butterworth,
     filtered,
     low_pass_kernel,

@@ -8,12 +8,12 @@ from helpers import cut_randomly, sensed
 
 import pdr_filter as pdr
 from pdr_filter import recipes
-from pdr_filter.papers.martinelli2018.steps import WaveletStepDetector
+from pdr_filter.recipes.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.contexts.stage import WindowContext, known_context
+from pdr_filter.sensing.contexts.context_stage import WindowContext, known_context
 from pdr_filter.sensing.front_end import Gap, Sensing
-from pdr_filter.sensing.steps.detector import ContextBlock
+from pdr_filter.sensing.steps.step_detector import ContextBlock
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, Samples, Step
 
@@ -33,7 +33,7 @@ class Announcements:
     def after_gap(self, state: int) -> int:
         return 0
 
-    def step(
+    def update(
         self, state: int, block: UniformBlock, attitude: AttitudeBlock
     ) -> tuple[int, list[tuple[int, WindowContext]]]:
         end = state + len(block.time_s)
@@ -55,9 +55,9 @@ class Listener(WaveletStepDetector):
 
     heard: list[ContextBlock]
 
-    def step(self, state, block, attitude, modes):  # type: ignore[no-untyped-def]
+    def update(self, state, block, attitude, modes):  # type: ignore[no-untyped-def]
         self.heard.append(modes)
-        return super().step(state, block, attitude, modes)
+        return super().update(state, block, attitude, modes)
 
 
 def modes_heard(blocks: list) -> tuple[np.ndarray, np.ndarray]:

@@ -13,10 +13,10 @@ from hypothesis import Phase, example, given, settings
 from hypothesis import strategies as st
 
 import pdr_filter as pdr
-from pdr_filter.io.recording import Recording
-from pdr_filter.sensing.merging import _MAX_ROWS, SENSORS, Merged, Sensor, StreamMerger
+from pdr_filter.sensing.stream_merging import _MAX_ROWS, SENSORS, Merged, Sensor, StreamMerger
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import FloatArray, ImuBlock, Samples
+from pdr_filter.values.recording import Recording
 
 # One piece of a stream: when it arrives, whose, and the rows.
 Piece = tuple[float, Sensor, FloatArray, FloatArray]
@@ -70,7 +70,7 @@ def merged(pieces: Iterable[Piece], merger: StreamMerger | None = None) -> tuple
     merger = merger or StreamMerger()
     state, outputs = merger.init(), list[Merged]()
     for _, sensor, time_s, values in pieces:
-        state, output = merger.step(state, sensor, time_s, values)
+        state, output = merger.update(state, sensor, time_s, values)
         outputs.append(output)
     n_early = sum(len(o.block.time_s) for o in outputs)
     outputs.append(merger.finish(state)[1])
@@ -207,7 +207,7 @@ def test_single_samples_leave_some_at_once_and_hardly_later_than_they_could() ->
     n_releases = 0
     for time_s in 0.01 * np.arange(1000):
         for sensor in ("gyroscope", "magnetometer", "accelerometer"):
-            state, output = merger.step(state, sensor, np.array([time_s]), np.zeros((1, 3)))  # type: ignore[arg-type]
+            state, output = merger.update(state, sensor, np.array([time_s]), np.zeros((1, 3)))  # type: ignore[arg-type]
             n_releases += len(output.block.time_s) > 0
         if time_s > 6.0:  # the barometer is not waited for any more
             assert time_s - state.released_s <= merger.reorder_s + merger.bunch_s + 0.011
@@ -219,7 +219,7 @@ def test_a_block_leaves_when_the_last_sensor_has_passed_it() -> None:
     for second in range(10):
         time_s = second + 0.01 * np.arange(100)
         for sensor in ("gyroscope", "magnetometer", "accelerometer"):
-            state, _ = merger.step(state, sensor, time_s, np.zeros((100, 3)))  # type: ignore[arg-type]
+            state, _ = merger.update(state, sensor, time_s, np.zeros((100, 3)))  # type: ignore[arg-type]
     assert state.released_s == pytest.approx(time_s[-1] - merger.reorder_s, abs=0.011)
 
 
@@ -244,7 +244,7 @@ def test_without_a_gyroscope_the_first_samples_alone_wait() -> None:
     merger, force = StreamMerger(), np.zeros((100, 3))
     state, left = merger.init(), []
     for second in range(10):
-        state, output = merger.step(state, "accelerometer", second + 0.01 * np.arange(100), force)
+        state, output = merger.update(state, "accelerometer", second + 0.01 * np.arange(100), force)
         left.append(len(output.block.time_s))
     assert left[:5] == [0] * 5
     assert sum(left) == 1000 - 10  # those that may still be overtaken
@@ -264,14 +264,14 @@ def test_what_waits_is_bounded(sensor: Sensor) -> None:
     merger = StreamMerger()
     state = merger.init()
     for block in np.array_split(0.001 * np.arange(3 * _MAX_ROWS), 50):
-        state, _ = merger.step(state, sensor, block, np.zeros((len(block), 1 if sensor == "barometer" else 3)))
+        state, _ = merger.update(state, sensor, block, np.zeros((len(block), 1 if sensor == "barometer" else 3)))
     assert len(state.stream(sensor).rows) <= _MAX_ROWS
 
 
 def test_what_waits_while_the_clock_stands_still_is_bounded() -> None:
     merger, state = StreamMerger(), StreamMerger().init()
     for _ in range(30):
-        state, _ = merger.step(state, "accelerometer", np.full(1000, 7.0), np.zeros((1000, 3)))
+        state, _ = merger.update(state, "accelerometer", np.full(1000, 7.0), np.zeros((1000, 3)))
     assert len(state.stream("accelerometer").rows) <= _MAX_ROWS
 
 
@@ -293,7 +293,7 @@ def test_a_clock_that_is_set_back_is_followed_after_a_minute_of_late_samples_alo
     for begin_s in (*range(1000, 1010), *range(0, 90)):
         time_s = begin_s + 0.01 * np.arange(100)
         for sensor in ("gyroscope", "accelerometer"):
-            state, output = merger.step(state, sensor, time_s, force)  # type: ignore[arg-type]
+            state, output = merger.update(state, sensor, time_s, force)  # type: ignore[arg-type]
         left += len(output.block.time_s)
     assert 1000 + 2600 < left < 1000 + 3000
     assert state.released_s == pytest.approx(89.99 - merger.reorder_s, abs=0.011)

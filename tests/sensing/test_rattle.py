@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import pdr_filter as pdr
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.rattle import Rattle, RattleState
+from pdr_filter.sensing.vehicle_vibration import Rattle, RattleState
 from pdr_filter.values import Step
 
 RATTLE = Rattle()
@@ -24,7 +24,7 @@ def shaking(duration_s: int, jitter_mps2: float = 0.5, seed: int = 0) -> Uniform
 
 
 def after(block: UniformBlock, steps: list[tuple[int, Step]] | None = None) -> RattleState:
-    return RATTLE.step(RATTLE.init(), block, steps or [])
+    return RATTLE.update(RATTLE.init(), block, steps or [])
 
 
 def known_steps(times_s: Sequence[float], late_s: float = 1.0) -> list[tuple[int, Step]]:
@@ -53,8 +53,8 @@ def test_somebody_who_walks_is_not_moving_without_steps(late_s: float) -> None:
 
 def test_a_gap_ends_the_run_and_keeps_the_sum() -> None:
     state = RATTLE.after_gap(after(shaking(65)))
-    assert RATTLE.step(state, shaking(20), []).moving_s == 60
-    assert RATTLE.step(state, shaking(30), []).moving_s == 85
+    assert RATTLE.update(state, shaking(20), []).moving_s == 60
+    assert RATTLE.update(state, shaking(30), []).moving_s == 85
 
 
 @settings(deadline=None, max_examples=30)
@@ -65,7 +65,7 @@ def test_the_state_is_the_same_however_the_samples_are_cut(seed: int, edges: lis
     steps = known_steps(sorted(rng.uniform(5.0, 45.0, 3)), late_s=float(rng.uniform(0.9, 9.0)))
     whole, cut, n = after(block, steps), RATTLE.init(), 0
     for part in cut_uniform(block, sorted({*edges, *range(100, 7000, 100)})):
-        cut = RATTLE.step(cut, part, [s for s in steps if n <= s[0] < n + len(part.time_s)])
+        cut = RATTLE.update(cut, part, [s for s in steps if n <= s[0] < n + len(part.time_s)])
         n += len(part.time_s)
     assert (cut.moving_s, cut.seen_s, cut.run_s) == (whole.moving_s, whole.seen_s, whole.run_s)
     assert len(cut.steps) <= 30

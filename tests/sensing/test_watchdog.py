@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import pdr_filter as pdr
-from pdr_filter.io.recording import Recording
 from pdr_filter.sensing.conditioning import MAX_FIELD_UT, Conditioner
-from pdr_filter.sensing.watchdog import watch, watchdog
+from pdr_filter.sensing.stuck_sensors import watch, watchdog
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import Samples
+from pdr_filter.values.recording import Recording
 
 RATE_HZ = 100.0
 RNG = np.random.default_rng(2)

@@ -9,12 +9,12 @@ from scipy.integrate import cumulative_simpson
 from scipy.signal import find_peaks
 from scipy.spatial.transform import Rotation
 
-from pdr_filter.io.recording import Recording
 from pdr_filter.simulate import Gait, Leg, SensorErrors, demo_walk, phone_motion, simulate
 from pdr_filter.simulate.gait import nominal_step
 from pdr_filter.simulate.motion import CARRYING, leg_strides
 from pdr_filter.simulate.strides import of_person, strides_in
 from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2
+from pdr_filter.values.recording import Recording
 
 CARRYING_MODES = ("texting", "pocket", "swinging", "calling")
 RIGHT = np.pi / 2

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from pdr_filter.io.formats import read
-from pdr_filter.io.recording import Recording
 from pdr_filter.values import FloatArray
+from pdr_filter.values.recording import Recording
 
 # Height of somebody of whom it is not known: between the means of women and men, as in the recipes.
 HEIGHT_M = 1.70

@@ -407,8 +407,8 @@ def _real_speeds_table(real: Sequence[PoseWalk]) -> StudyTable:
 # --- what the printed numbers say -----------------------------------------------------------------------------------
 
 _NOT_REMADE = (
-    "Tables 1, 2 and 6 are definitions (`pdr_filter.papers.guo2018.features`, "
-    "`pdr_filter.papers.guo2018.steps`; the errors of Table 6 are "
+    "Tables 1, 2 and 6 are definitions (`pdr_filter.recipes.guo2018.features`, "
+    "`pdr_filter.recipes.guo2018.steps`; the errors of Table 6 are "
     "those of our Table 7).",
     "The six features of light and proximity of Table 1 are used nowhere: no public recording here has them.",
 )

@@ -23,11 +23,11 @@ from threadpoolctl import threadpool_limits
 from pdr_filter.evaluate.classification import accuracy, macro_recall, recall
 from pdr_filter.evaluate.comparison import second_over_first
 from pdr_filter.evaluate.distance import distance_scores, percent_error
-from pdr_filter.papers.martinelli2018.features import NAMES, SELECTED_18, TABLE_II, WITHOUT_MAGNETOMETER
+from pdr_filter.offline.training.cross_validation import DUPLICATES
 from pdr_filter.recipes import default, martinelli2018, with_context_model
+from pdr_filter.recipes.martinelli2018.features import NAMES, SELECTED_18, TABLE_II, WITHOUT_MAGNETOMETER
 from pdr_filter.report.palette import BLUE, GREEN, INK, ORANGE
-from pdr_filter.sensing.features.windows import ATTITUDE_FREE, FeatureWindows
-from pdr_filter.training.protocol import DUPLICATES
+from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindows
 from pdr_filter.values import CONTEXTS, IntArray
 from tests.studies.data import recordings
 from tests.studies.feature_selection import Selection
@@ -258,7 +258,7 @@ def _notes(real: Sequence[Walk], simulated: Sequence[Walk]) -> list[str]:
     return [
         *notes,
         "Not remade: Table I and Figures 1 to 5, 9 and 11 are definitions, the map and pictures; Table II is in "
-        "`pdr_filter.papers.martinelli2018.features`; Figures 6 to 8 show signals of their recordings. Fig. 13 "
+        "`pdr_filter.recipes.martinelli2018.features`; Figures 6 to 8 show signals of their recordings. Fig. 13 "
         "is Table V in "
         "metres. Figures 10, 12 and 14 are not printed as numbers: of the paper's curves only the points that the text "
         "gives are drawn.",

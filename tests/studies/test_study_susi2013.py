@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from pdr_filter.evaluate.steps import StepScores
-from pdr_filter.io.recording import Recording, Truth
-from pdr_filter.sensing.contexts.stage import known_context
+from pdr_filter.sensing.contexts.context_stage import known_context
 from pdr_filter.values import Samples, table
+from pdr_filter.values.recording import Recording, Truth
 from tests.studies import susi2013 as susi
 from tests.studies.measured import susi2013 as measured
 from tests.studies.printed import susi2013 as paper

@@ -4,11 +4,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pdr_filter.io.recording import Recording
 from pdr_filter.recipes import default
-from pdr_filter.recording_run import track
 from pdr_filter.simulate import Gait, Leg, simulate
+from pdr_filter.tracking.whole_recording import track
 from pdr_filter.values import table
+from pdr_filter.values.recording import Recording
 from tests.studies import tian2016
 from tests.studies.measured import tian2016 as measured
 from tests.studies.measured.tian2016 import TRANS, Size

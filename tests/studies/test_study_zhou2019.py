@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from pdr_filter.evaluate.steps import StepScores
-from pdr_filter.io.recording import Recording, Truth
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import Samples, table
+from pdr_filter.values.recording import Recording, Truth
 from tests.studies import zhou2019 as zhou
 from tests.studies.measured import zhou2019 as measured
 from tests.studies.printed import zhou2019 as paper

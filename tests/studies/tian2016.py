@@ -14,10 +14,10 @@ import numpy as np
 from pdr_filter.evaluate.comparison import straight_leg_error_percent
 from pdr_filter.evaluate.steps import count_error_percent
 from pdr_filter.evaluate.tracks import end_error_percent, path_m, position_errors_m, positions_at
-from pdr_filter.io.recording import Recording
 from pdr_filter.recipes import tian2016
-from pdr_filter.recording_run import classify, run_sensing, track
+from pdr_filter.tracking.whole_recording import classify, run_sensing, track
 from pdr_filter.values import Step
+from pdr_filter.values.recording import Recording
 from tests.studies.data import has, recordings
 from tests.studies.measured.tian2016 import (
     RECIPES,
@@ -221,9 +221,9 @@ def study(data: Path, size: Size | None = None) -> Study:
 
 
 _NOTES = (
-    "Not remade: Tables I to V are the algorithms, in `pdr_filter.papers.tian2016.contexts`, "
-    "`pdr_filter.papers.tian2016.steps` and "
-    "`pdr_filter.papers.tian2016.heading`; Tables X and XI compare with what other papers print. The largest "
+    "Not remade: Tables I to V are the algorithms, in `pdr_filter.recipes.tian2016.contexts`, "
+    "`pdr_filter.recipes.tian2016.steps` and "
+    "`pdr_filter.recipes.tian2016.heading`; Tables X and XI compare with what other papers print. The largest "
     "processing time of an iteration depends on the machine: `tests/benchmarks/throughput.py` has ours. Trained "
     "offsets of Table IX belong to their trousers. Figures 10, 11, 13 and 15 are tracks on maps that are not public.",
     "Simulated transitions take 1.2 s, which nobody has measured, and many stay below R_y and R_z: how many are missed "

@@ -270,7 +270,7 @@ def _average_errors_table(
 # --- what the printed numbers say -----------------------------------------------------------------------------------
 
 _NOT_REMADE = (
-    "Tables 1 and 2 are algorithms (`pdr_filter.papers.zhou2019`), Table 3 lists persons.",
+    "Tables 1 and 2 are algorithms (`pdr_filter.recipes.zhou2019`), Table 3 lists persons.",
     "Runners' steps on a foot are simulated nowhere: the simulator carries phones, in pockets and hands. pyshoe has "
     "one trial that runs.",
     "Step success by height (Fig. 6) needs persons of known height with counted steps; ubicomp13 states ranges only.",

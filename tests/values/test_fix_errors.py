@@ -5,13 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pdr_filter.values import (
-    PositionFix,
-    error_correlation,
-    error_given_before,
-    repeated_cov_m2,
-)
-from pdr_filter.values.fix_errors import INDEPENDENT_SHARE
+from pdr_filter.values import PositionFix, error_correlation, error_given_before, repeated_cov_m2
+from pdr_filter.values.fix_error_correlation import INDEPENDENT_SHARE
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from pdr_filter.sensing.steps.adaptive import AdaptiveStepDetector
+from pdr_filter.sensing.steps.adaptive_detector import AdaptiveStepDetector
 from pdr_filter.values import Step, replace
 
 STEP = Step(1.0, 1.1, 0.5, 2.0, *(0.0 for _ in range(8)), walking_heading_rad=0.25)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import pdr_filter as pdr
-from pdr_filter.online import imu_block
+from pdr_filter.tracking.online import imu_block
 from pdr_filter.values import Samples, as_floats
 
 TIME_S = np.arange(10) / 100

@@ -10,7 +10,7 @@ import numpy as np
 
 from pdr_filter.offline.calibration.hierarchy import PeoplePosterior, solve_people, without_each
 from pdr_filter.offline.calibration.segments import SegmentSums
-from pdr_filter.offline.robust import moments, next_stage, weights
+from pdr_filter.offline.robust_loss import moments, next_stage, weights
 from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray
 
 _MAX_ITERATIONS = 500
@@ -101,7 +101,8 @@ def estimate_parameters(
         if before is not None and iteration > settled_from + 1:
             moved = np.abs(theta - before.people) / np.sqrt(np.diagonal(posterior.people_cov, axis1=1, axis2=2))
             converged = float(moved.max(initial=0.0)) < 1e-4 and variances.is_near(old)
-    assert posterior is not None
+    if posterior is None:
+        raise ValueError(f"_MAX_ITERATIONS must be 1 or more, got {_MAX_ITERATIONS}")
     return task.result(about, posterior, variances, iteration, converged)
 
 

@@ -9,12 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.calibration import UNNAMED, Calibration
-from pdr_filter.config import Config
-from pdr_filter.filter.step_length import StepLengthModel
-from pdr_filter.io.recording import Recording
+from pdr_filter.filter.step_length.models import StepLengthModel
 from pdr_filter.offline.calibration.estimation import ParameterEstimate
-from pdr_filter.offline.calibration.forms import (
+from pdr_filter.offline.calibration.model_forms import (
     MIN_GROUPS,
     RECORDING_STD,
     best_form,
@@ -26,10 +23,13 @@ from pdr_filter.offline.calibration.forms import (
 )
 from pdr_filter.offline.calibration.priors import StepLengthPrior
 from pdr_filter.offline.calibration.segments import AnySegment, Segment, SegmentSums, integrate, segments_of
-from pdr_filter.offline.robust import DISTRUST
-from pdr_filter.recording_run import track as track_of
-from pdr_filter.tracks import Track
+from pdr_filter.offline.robust_loss import DISTRUST
+from pdr_filter.recipes.config import Config
+from pdr_filter.recipes.step_length_calibration import UNNAMED, Calibration
+from pdr_filter.tracking.track import Track
+from pdr_filter.tracking.whole_recording import track as track_of
 from pdr_filter.values import CONTEXTS, FloatArray, Table, check_number, table
+from pdr_filter.values.recording import Recording
 from pdr_filter.version import __version__
 
 _BIASED = 3.0  # standard errors; a larger bias of left-out segments is no chance

@@ -9,8 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pdr_filter.calibration import TYPICAL_STEP
-from pdr_filter.filter.step_length import (
+from pdr_filter.filter.step_length.models import (
     USUAL_HEIGHT_M,
     BounceStepLength,
     FrequencyVarianceStepLength,
@@ -22,6 +21,7 @@ from pdr_filter.filter.step_length import (
     length_and_jacobian,
     scale_std,
 )
+from pdr_filter.recipes.step_length_calibration import TYPICAL_STEP
 from pdr_filter.values import FloatArray, Step, read_only
 
 PEOPLE_RELATIVE_STD = scale_std(USUAL_HEIGHT_M)  # how people of known height differ in their step lengths, 7 %

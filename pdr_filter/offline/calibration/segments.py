@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.calibration import UNNAMED, of_height, slices_of
-from pdr_filter.filter.step_length import StepLengthModel, length_and_jacobian
-from pdr_filter.io.recording import Recording
+from pdr_filter.filter.step_length.models import StepLengthModel, length_and_jacobian
+from pdr_filter.recipes.step_length_calibration import UNNAMED, of_height, slices_of
 from pdr_filter.values import CONTEXTS, RADIUS_68, FloatArray, IntArray, Origin, Step, TrackRows, steps_of
+from pdr_filter.values.recording import Recording
 
 # How well the distance between two clicked landmarks is known: clicks are up to 0.8 s early or 0.1 s late, about 0.25 m
 # at each end (measured on 133 straight legs of one person; docs/methods/step_length.md).

@@ -6,16 +6,24 @@ window begins. Positions are therefore in the frame of the fixes, and a wild fix
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 
 import numpy as np
 
-from pdr_filter.filter.frozen import SeenPlace, seen_after
-from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, MAX_HEADING_VARIANCE, N_STATES, Mode, MotionNoise
-from pdr_filter.filter.pedestrian import StepUpdate
-from pdr_filter.gnss import independent
+from pdr_filter.filter.fixes.gnss import independent
+from pdr_filter.filter.fixes.repeated_fixes import SeenPlace, seen_after
+from pdr_filter.filter.imm.motion_model import (
+    HEADING_OFFSET,
+    LOG_SCALE,
+    MAX_HEADING_VARIANCE,
+    N_STATES,
+    Mode,
+    MotionNoise,
+)
+from pdr_filter.filter.imm.pedestrian_state import StepUpdate
 from pdr_filter.offline.smoothing.observations import LoopClosure, Observations, says_nothing
 from pdr_filter.offline.smoothing.preintegration import Increments, bridge, end_states, frame, increments, joined
 from pdr_filter.offline.smoothing.problem import Problem, Return, pose_problem, start_covariance
@@ -136,6 +144,18 @@ class FixedLagSmoother:
         )
 
     def step(
+        self,
+        state: FixedLagState,
+        updates: Iterable[StepUpdate],
+        fixes: Iterable[PositionFix] = (),
+        gap_before_s: float = 0.0,
+        loop_closures: Iterable[LoopClosure] = (),
+    ) -> tuple[FixedLagState, LateSteps]:
+        """Return the result of `update`, which is the new name: a step is a footstep here. Deprecated."""
+        warnings.warn("FixedLagSmoother.step is now FixedLagSmoother.update", DeprecationWarning, stacklevel=2)
+        return self.update(state, updates, fixes, gap_before_s, loop_closures)
+
+    def update(
         self,
         state: FixedLagState,
         updates: Iterable[StepUpdate],

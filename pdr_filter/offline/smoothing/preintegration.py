@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_filter.filter.motion import (
+from pdr_filter.filter.imm.motion_model import (
     EAST,
     HEADING_OFFSET,
     LOG_SCALE,
@@ -27,7 +27,7 @@ from pdr_filter.filter.motion import (
     MotionNoise,
     step_motion,
 )
-from pdr_filter.filter.step_length import StepLengths, uneven_var_m2
+from pdr_filter.filter.step_length.models import StepLengths, uneven_var_m2
 from pdr_filter.values import FloatArray, IntArray, Table, read_only, steps_of
 
 # d R(theta) / d theta = TURN @ R(theta): headings are clockwise, vectors (east, north).

@@ -8,17 +8,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from pdr_filter.filter.motion import LOG_SCALE, MAX_HEADING_VARIANCE, N_STATES, Mode
+from pdr_filter.filter.imm.motion_model import LOG_SCALE, MAX_HEADING_VARIANCE, N_STATES, Mode
 from pdr_filter.offline.smoothing.location_errors import NO_ERRORS, Errors, errors_of, own_share
 from pdr_filter.offline.smoothing.observations import Observations
 from pdr_filter.offline.smoothing.preintegration import MIN_STATE_VAR, Increments, Intervals, preintegrate
-from pdr_filter.values import (
-    FloatArray,
-    IntArray,
-    TrackRows,
-    read_only,
-    wrap_angle,
-)
+from pdr_filter.values import FloatArray, IntArray, TrackRows, read_only, wrap_angle
 
 # 99.9 % of good observations are below: chi-square with two degrees of freedom, and with one. That of the positions is
 # the gate of the filter.

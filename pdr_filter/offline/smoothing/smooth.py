@@ -14,15 +14,13 @@ from typing import Literal
 
 import numpy as np
 
-from pdr_filter.aligned import Way, align_way
-from pdr_filter.calibration import Calibration
-from pdr_filter.config import Config
-from pdr_filter.filter.alignment import Place
-from pdr_filter.filter.alignment import walked_var_m2 as walked_var
-from pdr_filter.filter.frame import START_FRAME
-from pdr_filter.filter.height import Altitude
-from pdr_filter.filter.imm import smoothed_mode_prob
-from pdr_filter.filter.motion import (
+from pdr_filter.filter.fixes.alignment import Place
+from pdr_filter.filter.fixes.alignment import walked_var_m2 as walked_var
+from pdr_filter.filter.fixes.frame import START_FRAME
+from pdr_filter.filter.fixes.gnss import LocationState, Rides, independent, locations_of, origin_of
+from pdr_filter.filter.height.height_filter import Altitude
+from pdr_filter.filter.imm.imm import smoothed_mode_prob
+from pdr_filter.filter.imm.motion_model import (
     HEADING_OFFSET,
     LOG_SCALE,
     MAX_HEADING_VARIANCE,
@@ -30,11 +28,7 @@ from pdr_filter.filter.motion import (
     MotionNoise,
     second_order_errors,
 )
-from pdr_filter.filter.person import Person, session_of_scale
-from pdr_filter.gnss import LocationState, Rides, independent, locations_of, origin_of
-from pdr_filter.io.recording import Recording
-from pdr_filter.maps.floor_plan import FloorPlan
-from pdr_filter.notes import notes_of_rides
+from pdr_filter.filter.step_length.person import Person, session_of_scale
 from pdr_filter.offline.smoothing.observations import (
     FloorChange,
     KnownHeading,
@@ -42,19 +36,22 @@ from pdr_filter.offline.smoothing.observations import (
     Observations,
     check_options,
 )
-from pdr_filter.offline.smoothing.on_plan import Hindsight as OnPlanHindsight
-from pdr_filter.offline.smoothing.on_plan import smooth_on_plan
+from pdr_filter.offline.smoothing.plan_result import Hindsight as OnPlanHindsight
 from pdr_filter.offline.smoothing.preintegration import Increments, bridge, increments, turned
 from pdr_filter.offline.smoothing.problem import Problem, heading_offsets, pose_problem, start_covariance
 from pdr_filter.offline.smoothing.solve import Solution, solve
 from pdr_filter.offline.smoothing.storeys import with_named_floors, without_hills
 from pdr_filter.offline.smoothing.usable import Used, listed, usable, whole_loop
 from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
-from pdr_filter.placing import GnssUse, NorthUse
-from pdr_filter.recording_run import Run, asked_run, collected, outputs, run_sensing
+from pdr_filter.recipes.config import Config
+from pdr_filter.recipes.step_length_calibration import Calibration
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading, known_places
-from pdr_filter.tracks import Track
+from pdr_filter.tracking.georeferencing import GnssUse, NorthUse
+from pdr_filter.tracking.gnss_alignment import Way, align_way
+from pdr_filter.tracking.track import Track
+from pdr_filter.tracking.warnings import notes_of_rides
+from pdr_filter.tracking.whole_recording import Run, asked_run, collected, outputs, run_sensing
 from pdr_filter.values import (
     Fix,
     FixResult,
@@ -63,6 +60,7 @@ from pdr_filter.values import (
     HeadingFix,
     IntArray,
     Origin,
+    Plan,
     PositionFix,
     Samples,
     SpeedFix,
@@ -76,6 +74,7 @@ from pdr_filter.values import (
     table,
     wrap_angle,
 )
+from pdr_filter.values.recording import Recording
 
 # Nothing is known of where the walk began in the frame of the fixes, apart from being in the same region.
 _ANYWHERE_STD_M = 1000.0
@@ -142,7 +141,7 @@ def smooth(
     origin: Origin | tuple[float, float] | None = None,
     heading_rad: float | None = None,
     north: NorthUse | None = None,
-    plan: FloorPlan | None = None,
+    plan: Plan | None = None,
     start: PositionFix | str | None = None,
     loop: bool = False,
     loop_closures: Iterable[LoopClosure] | Literal["wifi"] = (),
@@ -222,6 +221,9 @@ def smooth(
     if config.on_plan is not None:
         if plan is not None and any(not isinstance(fix, GridFix) for fix in run.fixes):
             config = config.in_world_frame()
+        # Only when called: a plan is an application.
+        from pdr_filter.maps.plan_smoothing import smooth_on_plan
+
         found = smooth_on_plan(recording, config, run.fixes, run.with_location, second_pass)
         places = tuple(fix for fix in run.fixes if isinstance(fix, PositionFix))
         return _placed(run, _on_plan(found, Observations(places)))

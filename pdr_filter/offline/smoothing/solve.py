@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
-from pdr_filter.filter.motion import EAST, HEADING_OFFSET, LOG_SCALE, MAX_HEADING_VARIANCE, N_STATES
-from pdr_filter.offline.robust import GNC_FACTOR, truncated_start, truncated_weights
-from pdr_filter.offline.smoothing.linear import Rows, cov_of, eliminated, graph_of, joint_covariances
+from pdr_filter.filter.imm.motion_model import EAST, HEADING_OFFSET, LOG_SCALE, MAX_HEADING_VARIANCE, N_STATES
+from pdr_filter.offline.robust_loss import GNC_FACTOR, truncated_start, truncated_weights
+from pdr_filter.offline.smoothing.linear_graph import Rows, cov_of, eliminated, graph_of, joint_covariances
 from pdr_filter.offline.smoothing.location_errors import N_ERRORS
 from pdr_filter.offline.smoothing.preintegration import TURN, end_states, frame, turned
 from pdr_filter.offline.smoothing.problem import (

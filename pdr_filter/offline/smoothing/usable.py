@@ -8,8 +8,8 @@ from itertools import compress
 
 import numpy as np
 
-from pdr_filter.filter.frozen import frozen_fixes
-from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, Mode
+from pdr_filter.filter.fixes.repeated_fixes import frozen_fixes
+from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, Mode
 from pdr_filter.offline.smoothing.location_errors import by_contact, evenly_sure
 from pdr_filter.offline.smoothing.observations import LoopClosure, Observations, says_nothing
 from pdr_filter.offline.smoothing.preintegration import Increments

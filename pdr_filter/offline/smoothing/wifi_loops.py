@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from pdr_filter.io.recording import MissingSensorError, Recording
 from pdr_filter.offline.smoothing.observations import LoopClosure
 from pdr_filter.values import FloatArray, WifiScan
+from pdr_filter.values.recording import MissingSensorError, Recording
 
 # Cosine of two fingerprints from which on they are of one place, and how far apart along each axis two such scans are:
 # pairs of different walks over F1 of `ms_indoor` (docs/tables/radio_loops.md; walks of other storeys are reported). Of

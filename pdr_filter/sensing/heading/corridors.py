@@ -4,7 +4,7 @@ Straight parts of a walk along corridors differ by right angles, however long ag
 the drift of the heading. The hypothesis of axes holds a bank of Kalman filters, each with another rate of the drift, so
 that none of them mistakes an axis for the next one while the drift is uncertain by 45 degrees. Each step of a straight
 part is a measurement of the direction modulo 90 degrees, and perhaps of none (Bar-Shalom et al. 2009, as in
-`pdr_filter.sensing.bias`). The other hypothesis is that legs point anywhere.
+`pdr_filter.sensing.gyroscope_bias`). The other hypothesis is that legs point anywhere.
 
 The odds of the two count the first step of a leg in a new direction only: who goes straight on says nothing of axes,
 and a slow curve looks like a drift. They begin low, and the drift of the axes counts with its probability: free walks,
@@ -126,7 +126,7 @@ class Corridors:
         cov[:, _RATE, _RATE] = state.cov[:, _RATE, _RATE]
         return replace(fresh, log_weight=state.log_weight)
 
-    def step(self, state: CorridorState, time_s: float, heading_rad: float) -> CorridorState:
+    def update(self, state: CorridorState, time_s: float, heading_rad: float) -> CorridorState:
         """State after a step in a direction; headings have any number of turns."""
         last_s, last_rad = state.recent[-1] if state.recent else (time_s, heading_rad)
         bank = self._predict(state, time_s - last_s, heading_rad - last_rad)

@@ -5,14 +5,15 @@ vertical velocity), points where the person walks, sign included. Running has an
 stride frequency, and its horizontal force in phase with its vertical one points forward (docs/methods/heading.md).
 
 What is learnt is the angle from the device to the walking heading, which stays while the phone stays in its place.
-Strides count by how well they agree with each other (`place`); the phone's own axis counts where somebody reads on it,
-and after the phone was moved to another place the last walking direction does, and what was learnt in a former place
-that this looks like. A track needs only how the angle differs from that of the first place (`offset`), less what the
-gyroscope's bias and the axes of a building say of the device's own heading (`corridors`).
+Strides count by how well they agree with each other (`phone_placement`); the phone's own axis counts where somebody
+reads on it, and after the phone was moved to another place the last walking direction does, and what was learnt in a
+former place that this looks like. A track needs only how the angle differs from that of the first place
+(`heading_offset`), less what the gyroscope's bias and the axes of a building say of the device's own heading
+(`corridors`).
 
 The angle is learnt in the attitude's own frame (`AttitudeBlock.horizontal_mps2`) and said against `device_heading_rad`,
 both averaged over a stride: how the two relate does not matter, and swings cancel. What is reported to the filter of
-each step is only what is new: `pdr_filter.sensing.heading.reported`.
+each step is only what is new: `pdr_filter.sensing.heading.reported_heading`.
 """
 
 from __future__ import annotations
@@ -31,18 +32,12 @@ import numpy as np
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.heading.corridors import Corridors, CorridorState
-from pdr_filter.sensing.heading.offset import OF_AXIS, OF_STRIDES, UNKNOWN_STD_RAD, UNKNOWN_VAR_RAD2, Offset
-from pdr_filter.sensing.heading.place import Place, StrideAgreement
-from pdr_filter.sensing.heading.reported import Reported, Shown
-from pdr_filter.sensing.heading.strides import (
-    Phases,
-    Stride,
-    StrideSamples,
-    carry_axis,
-    strides_of,
-)
+from pdr_filter.sensing.heading.heading_offset import OF_AXIS, OF_STRIDES, UNKNOWN_STD_RAD, UNKNOWN_VAR_RAD2, Offset
+from pdr_filter.sensing.heading.phone_placement import Placement, StrideAgreement
+from pdr_filter.sensing.heading.reported_heading import Reported, Shown
+from pdr_filter.sensing.heading.stride_harmonics import Phases, Stride, StrideSamples, carry_axis, strides_of
 from pdr_filter.sensing.heading.vectors import Vector, combined, cross, dot, unit
-from pdr_filter.sensing.steps.detector import ContextBlock
+from pdr_filter.sensing.steps.step_detector import ContextBlock
 from pdr_filter.values import (
     CARRYING_MODES,
     CONTEXTS,
@@ -127,7 +122,7 @@ class WalkingHeadingState:
     contacts_s: tuple[float, ...]  # the last two
     up: Vector | None  # mean up direction of the last stride; None before the first
     axis: Vector  # unit, across `up`: the reference axis, sensor frame
-    place: Place | None
+    place: Placement | None
     offset: Offset  # without what is believed for the moment only
     shown: Offset  # with that
     trust: float  # how well the strides of the place agree
@@ -246,7 +241,7 @@ class WalkingHeading:
             state, n_samples=0, signals=signals, contacts_s=(), walking_rad=math.nan, walking_s=math.nan, formers=()
         )
 
-    def step(
+    def update(
         self,
         state: WalkingHeadingState,
         block: UniformBlock,
@@ -368,7 +363,7 @@ class WalkingHeading:
             walking_s=step.time_s,
             direction=combined(math.cos(angle_rad), stride.axis, math.sin(angle_rad), cross(stride.axis, stride.up)),
             direction_up=stride.up,
-            corridors=self.corridors.step(state.corridors, step.time_s, walking_rad),
+            corridors=self.corridors.update(state.corridors, step.time_s, walking_rad),
         )
         error_rad, var_rad2 = self._error(state, shown.var_rad2 + of_bias_var_rad2)
         reported, heard = reported.with_report(step, self._reportable(state), error_rad, var_rad2, change_std_rad)
@@ -463,12 +458,12 @@ class WalkingHeading:
 
     def _settle(
         self, state: WalkingHeadingState, stride: Stride, time_s: float, carrying_mode: int
-    ) -> tuple[Offset, tuple[Former, ...], Place, float]:
+    ) -> tuple[Offset, tuple[Former, ...], Placement, float]:
         """The offset, former places, the place that a stride is in, and by how much the offset may have changed."""
         before, formers = state.place, state.formers
         if before is None:
             offset = state.offset.moved(0.0, 0.0, self._systematic_rad2(stride))
-            return offset, formers, Place(time_s, carrying_mode, -1, stride.up), 0.0
+            return offset, formers, Placement(time_s, carrying_mode, -1, stride.up), 0.0
         is_moved = math.acos(min(max(dot(before.up, stride.up), -1.0), 1.0)) > self.max_tilt_rad
         is_old = carrying_mode == before.old_mode and time_s - before.start_s < _LABEL_LAG_S
         label = before.carrying_mode if is_old or carrying_mode < 0 else carrying_mode
@@ -476,7 +471,7 @@ class WalkingHeading:
             up = unit(combined(1.0 - 1.0 / _UP_STRIDES, before.up, 1.0 / _UP_STRIDES, stride.up))
             return state.offset, formers, replace(before, up=up, carrying_mode=label), 0.0
         # What is said of the mode is of windows that ended before the phone was moved.
-        place = Place(time_s, -1, carrying_mode, stride.up)
+        place = Placement(time_s, -1, carrying_mode, stride.up)
         offset = state.shown
         moved_rad, turned_var = offset.offset_rad, UNKNOWN_VAR_RAD2
         if not math.isnan(state.walking_rad):
@@ -513,7 +508,7 @@ class WalkingHeading:
         is_vague = stride.runs or stride.up[2] > 0.5
         return (self.held_systematic_std_rad if is_vague else self.systematic_std_rad) ** 2
 
-    def _with_axis(self, place: Place, offset: Offset, stride: Stride, trust: float) -> Offset:
+    def _with_axis(self, place: Placement, offset: Offset, stride: Stride, trust: float) -> Offset:
         """What is believed for the moment: the phone's own axis counts as long as somebody reads on it."""
         if 2 * place.n_read < place.n_strides:
             return offset
@@ -522,7 +517,9 @@ class WalkingHeading:
             return offset
         return offset.seen(OF_AXIS, cmath.rect(1.0, pointing_rad), self.axis_std_rad**2)
 
-    def _believe(self, place: Place, offset: Offset, stride: Stride, elapsed_s: float) -> tuple[Offset, Offset, float]:
+    def _believe(
+        self, place: Placement, offset: Offset, stride: Stride, elapsed_s: float
+    ) -> tuple[Offset, Offset, float]:
         """The offset after a stride, what is believed for the moment, and how well strides agree: so much they count.
 
         The first strides of a place count as their sum, which later ones may show in another light: that it is a hand
@@ -544,7 +541,7 @@ class WalkingHeading:
         return (offset if place.n_strides < _YOUNG_STRIDES else shown), shown, share
 
 
-def _as_complex(place: Place) -> tuple[complex, complex, complex]:
+def _as_complex(place: Placement) -> tuple[complex, complex, complex]:
     a, b, c = place.vectors
     return complex(*a), complex(*b), complex(*c)
 

@@ -43,8 +43,8 @@ def filters() -> Table:
     reference, reference_s = _timed(theirs, fixes)
     rows = [["filterpy, IMMEstimator", f"{1e3 * reference_s:.3f}", "1", "-"]]
     for name, n in (
-        ("pdr_filter.filter.imm, one pedestrian", None),
-        (f"pdr_filter.filter.imm, {N_AT_ONCE} at once", N_AT_ONCE),
+        ("pdr_filter.filter.imm.imm, one pedestrian", None),
+        (f"pdr_filter.filter.imm.imm, {N_AT_ONCE} at once", N_AT_ONCE),
     ):
         mean, step_s = _timed(ours(n), fixes)
         apart = max(np.abs(m - r).max() for m, r in zip(mean, reference, strict=True))

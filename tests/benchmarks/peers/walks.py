@@ -92,7 +92,7 @@ class Walk:
     def _uniform(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Times (N,), specific force and angular rate (N, 3) in the axes of the sensor; gaps are bridged linearly."""
         conditioner = Conditioner(RATE_HZ)
-        _, blocks = conditioner.step(conditioner.init(), merge_streams(self.recording))
+        _, blocks = conditioner.update(conditioner.init(), merge_streams(self.recording))
         known_s = np.concatenate([b.time_s for b in blocks])
         time_s = np.arange(known_s[0], known_s[-1], 1 / RATE_HZ)
         columns = np.hstack(

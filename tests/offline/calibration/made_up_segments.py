@@ -6,14 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from pdr_filter.calibration import TYPICAL_STEP
-from pdr_filter.filter.step_length import (
-    FrequencyVarianceStepLength,
-    StepLengthModel,
-    length_and_jacobian,
-)
+from pdr_filter.filter.step_length.models import FrequencyVarianceStepLength, StepLengthModel, length_and_jacobian
 from pdr_filter.offline.calibration.priors import StepLengthPrior
 from pdr_filter.offline.calibration.segments import Segment, SegmentSums
+from pdr_filter.recipes.step_length_calibration import TYPICAL_STEP
 from pdr_filter.values import CONTEXTS, Step
 
 INF = np.inf

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from made_up_segments import INF, WALKING, design, flat, segment, step
 
-from pdr_filter.calibration import TYPICAL_STEP
-from pdr_filter.filter.step_length import (
+from pdr_filter.filter.step_length.models import (
     BounceStepLength,
     ChenStepLength,
     FrequencyVarianceStepLength,
@@ -19,11 +18,13 @@ from pdr_filter.filter.step_length import (
     StepLengthModel,
     length_and_jacobian,
 )
-from pdr_filter.offline.calibration import estimation, forms
+from pdr_filter.offline.calibration import estimation
+from pdr_filter.offline.calibration import model_forms as forms
 from pdr_filter.offline.calibration.estimation import Hierarchy, estimate_parameters
 from pdr_filter.offline.calibration.fit import calibrate, calibrate_segments
 from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, eq12_priors, prior, weak_prior
 from pdr_filter.offline.calibration.segments import Segment, SegmentSums, integrate
+from pdr_filter.recipes.step_length_calibration import TYPICAL_STEP
 from pdr_filter.values import CONTEXTS
 
 EQ16 = Hierarchy(

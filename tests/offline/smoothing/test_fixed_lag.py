@@ -7,9 +7,8 @@ import pytest
 from simulated_steps import Walk, simulated_walk
 
 import pdr_filter as pdr
-from pdr_filter import serialise
-from pdr_filter.filter.motion import MotionNoise
-from pdr_filter.gnss import independent
+from pdr_filter.filter.fixes.gnss import independent
+from pdr_filter.filter.imm.motion_model import MotionNoise
 from pdr_filter.offline.smoothing.fixed_lag import FixedLagSmoother, LateSteps
 from pdr_filter.offline.smoothing.observations import LoopClosure, Observations
 from pdr_filter.offline.smoothing.preintegration import bridge
@@ -18,6 +17,7 @@ from pdr_filter.offline.smoothing.solve import solve
 from pdr_filter.recipes import default
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import PositionFix
+from pdr_filter.values import serialisation as serialise
 
 NOISE = MotionNoise(log_scale_std=0.06)
 
@@ -161,7 +161,7 @@ def test_updates_of_the_online_filter_go_in_as_they_come() -> None:
     for update in updates:
         new = [f for f in fixes if f.time_s <= update.step.time_s]
         fixes = fixes[len(new) :]
-        state, out = smoother.step(state, [update], new)
+        state, out = smoother.update(state, [update], new)
         outputs.append(out)
     outputs.append(smoother.finish(state)[1])
     mean, time_s = np.concatenate([o.mean for o in outputs]), np.concatenate([o.time_s for o in outputs])
@@ -267,3 +267,10 @@ def test_loop_closures_within_the_window_are_those_of_the_smoother_of_the_whole_
     np.testing.assert_allclose(cov, expected[1], atol=1e-9)
     assert not rejected
     assert np.abs(mean - whole(walk, fixes, smoother)[0]).max() > 0.05
+
+
+def test_the_old_name_of_the_update_works_and_warns() -> None:
+    smoother = FixedLagSmoother((), NOISE)
+    with pytest.warns(DeprecationWarning, match=r"step is now FixedLagSmoother\.update"):
+        _, late = smoother.step(smoother.init(), ())
+    assert len(late) == 0

@@ -6,9 +6,9 @@ import numpy as np
 from helpers import a_step
 
 import pdr_filter as pdr
-from pdr_filter.config import Config
-from pdr_filter.filter import imm
-from pdr_filter.sensing.contexts.stage import WindowContext
+from pdr_filter.filter.imm import imm
+from pdr_filter.recipes.config import Config
+from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.simulate import Leg, demo_walk, simulate
 from pdr_filter.values import PositionFix
 

@@ -13,7 +13,7 @@ from scipy.optimize import approx_fprime
 from simulated_steps import simulated_walk
 
 import pdr_filter as pdr
-from pdr_filter.offline.smoothing.linear import Rows, graph_of, joint_covariances
+from pdr_filter.offline.smoothing.linear_graph import Rows, graph_of, joint_covariances
 from pdr_filter.offline.smoothing.location_errors import by_contact, errors_of, evenly_sure
 from pdr_filter.offline.smoothing.observations import Observations
 from pdr_filter.offline.smoothing.problem import ObservedStates, Problem, pose_problem

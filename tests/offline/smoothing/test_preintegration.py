@@ -7,9 +7,9 @@ import pytest
 from scipy.optimize import approx_fprime
 from simulated_steps import simulated_walk
 
-from pdr_filter.filter.model import PedestrianModel
-from pdr_filter.filter.motion import Directions, Mode, MotionNoise, advance, grow_over_gap, predict_heading
-from pdr_filter.filter.step_length import known_length
+from pdr_filter.filter.imm.motion_model import Directions, Mode, MotionNoise, advance, grow_over_gap, predict_heading
+from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
+from pdr_filter.filter.step_length.models import known_length
 from pdr_filter.offline.smoothing.preintegration import end_states, frame, increments, preintegrate
 from pdr_filter.values import Step, step_table
 

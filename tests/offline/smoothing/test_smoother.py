@@ -9,7 +9,6 @@ from scipy.optimize import approx_fprime
 from simulated_steps import Walk, simulated_walk
 
 import pdr_filter as pdr
-from pdr_filter.io.recording import Truth
 from pdr_filter.offline.calibration.fit import calibrate
 from pdr_filter.offline.smoothing.observations import (
     FloorChange,
@@ -24,6 +23,7 @@ from pdr_filter.offline.smoothing.smooth import smooth
 from pdr_filter.offline.smoothing.solve import linearised, solve
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import PositionFix, table, wrap_angle
+from pdr_filter.values.recording import Truth
 from tests.oracles.imm_smoother import ModeEstimates, Transition, smooth_imm
 
 AXES = ("east_m", "north_m")

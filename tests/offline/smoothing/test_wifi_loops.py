@@ -9,8 +9,8 @@ import pytest
 from heard import round_a_block, walk_with_wifi
 
 import pdr_filter as pdr
-from pdr_filter.io.recording import Recording
 from pdr_filter.offline.smoothing.wifi_loops import STD_M, alike, wifi_loop_closures
+from pdr_filter.values.recording import Recording
 
 
 @pytest.fixture(scope="module")

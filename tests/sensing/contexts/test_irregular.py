@@ -14,17 +14,17 @@ from scipy.spatial.transform import Rotation
 from sklearn.metrics import roc_auc_score
 
 from pdr_filter.io.formats import read
-from pdr_filter.papers.martinelli2018.features import NAMES as MARTINELLI_NAMES
+from pdr_filter.recipes.martinelli2018.features import NAMES as MARTINELLI_NAMES
 from pdr_filter.sensing.conditioning import merge_streams
-from pdr_filter.sensing.contexts.irregular import (
+from pdr_filter.sensing.contexts.irregular_motion import (
     GATE,
     GATE_ACCELEROMETER,
     TRAINING_PRIOR,
     IrregularGate,
     irregular_prob,
 )
+from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindow, FeatureWindows
 from pdr_filter.sensing.features.invariant import NAMES, WITHOUT_GYROSCOPE
-from pdr_filter.sensing.features.windows import ATTITUDE_FREE, FeatureWindow, FeatureWindows
 from pdr_filter.sensing.front_end import feature_windows
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, ImuBlock

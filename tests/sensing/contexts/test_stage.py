@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pdr_filter.classifiers.context_model import ContextModel
 from pdr_filter.classifiers.familiarity import Familiarity
-from pdr_filter.classifiers.model import ContextModel
 from pdr_filter.classifiers.softmax import SoftmaxRegression
-from pdr_filter.papers.martinelli2018.features import TABLE_II
-from pdr_filter.sensing.contexts.stage import ContextModels, WindowContext, with_cadence, with_climbs
-from pdr_filter.sensing.features.barometric import Climb
-from pdr_filter.sensing.features.windows import ATTITUDE_FREE, FeatureWindow
+from pdr_filter.recipes.martinelli2018.features import TABLE_II
+from pdr_filter.sensing.contexts.context_stage import ContextModels, WindowContext, with_cadence, with_climbs
+from pdr_filter.sensing.features.barometer import Climb
+from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindow
 from pdr_filter.values import CARRYING_MODES, CONTEXTS
 
 NAMES = ATTITUDE_FREE.names
@@ -44,13 +44,13 @@ def window(*values: float, time_s: float = 2.0, has_gyroscope: bool = True) -> F
 def after(models: ContextModels, windows: list[FeatureWindow]) -> np.ndarray:
     prob = models.init()
     for each in windows:
-        prob, _ = models.step(prob, each)
+        prob, _ = models.update(prob, each)
     return prob
 
 
 def test_without_angular_rate_the_model_trained_without_it_classifies_and_is_named() -> None:
-    assert MODELS.step(MODELS.init(), window(1.0))[1].model == "context"
-    assert MODELS.step(MODELS.init(), window(1.0, has_gyroscope=False))[1].model == "other"
+    assert MODELS.update(MODELS.init(), window(1.0))[1].model == "context"
+    assert MODELS.update(MODELS.init(), window(1.0, has_gyroscope=False))[1].model == "other"
 
 
 def test_modes_that_no_model_knows_keep_probability_zero() -> None:
@@ -78,7 +78,7 @@ def test_a_phone_that_lies_still_does_not_change_its_carrying_mode_but_it_is_for
     still = window(-20.0, 0.0, 20.0)  # says swinging, but nobody moves
     prob = walked
     for _ in range(10):
-        prob, _ = MODELS.step(prob, still)
+        prob, _ = MODELS.update(prob, still)
     assert prob[1] > 0.75
     assert CARRYING_MODES[prob.argmax()] == "calling"
 
@@ -87,7 +87,7 @@ def test_a_change_of_carrying_mode_is_followed_within_seconds() -> None:
     prob = after(MODELS, [window(3.0, 2.0, 0.0)] * 60)
     n = 0
     while prob.argmax() != 2:
-        prob, _ = MODELS.step(prob, window(3.0, 0.0, 2.0))
+        prob, _ = MODELS.update(prob, window(3.0, 0.0, 2.0))
         n += 1
     assert n <= 5
 
@@ -97,7 +97,7 @@ def test_what_is_unlike_the_training_windows_gets_the_prior_of_the_model() -> No
     models = ContextModels(guarded, guarded, CARRYING, CARRYING)
     known, strange = window(1.0, 1.0, 1.0), window(8.0, 8.0, 8.0)
     for each, unknown in ((known, 0.0), (strange, 1 - (2 / 8) ** 2)):
-        context = models.step(models.init(), each)[1]
+        context = models.update(models.init(), each)[1]
         assert context.unknown_share == pytest.approx(unknown)
         expected = (1 - unknown) * CONTEXT.predict(each.features[:3]) + unknown * CONTEXT.training_prior
         np.testing.assert_allclose(context.prob, expected)
@@ -133,7 +133,7 @@ def test_a_feature_set_without_the_features_of_the_gate_calls_nothing_irregular(
     model = replace(CONTEXT, feature_names=names[:3])
     models = ContextModels(model, model)
     event = FeatureWindow(0.0, 2.0, names, np.zeros(len(names)), True)
-    assert models.step(models.init(), event)[1].irregular_prob == 0.0
+    assert models.update(models.init(), event)[1].irregular_prob == 0.0
 
 
 def test_a_model_of_the_wrong_head_is_refused() -> None:
@@ -154,7 +154,7 @@ POCKET, HAND = 2.0, -2.0
 def in_place(model: ContextModel, place: float, first: float = 3.0) -> WindowContext:
     """What is said of the last of some windows that look like stairs."""
     models, each = ContextModels(model, model, PLACES, PLACES), window(first, place)
-    return models.step(after(models, [each] * 10), each)[1]
+    return models.update(after(models, [each] * 10), each)[1]
 
 
 def test_stairs_are_known_where_the_phone_is_in_a_pocket_and_not_where_it_is_elsewhere() -> None:

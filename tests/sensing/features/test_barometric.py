@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pdr_filter.sensing.features.barometric import (
+from pdr_filter.sensing.features.barometer import (
     LIFT_MAX_MPS,
     OUTLIER_SHARE,
     Climb,
@@ -25,7 +25,7 @@ OTHERS = [c for c in range(len(CONTEXTS)) if c not in (UP, DOWN)]
 def run(stage: ClimbRate, time_s: np.ndarray, hpa: np.ndarray, cuts: list[int] | None = None) -> list[Climb]:
     state, found = stage.init(), []
     for a, b in pairwise([0, *sorted(cuts or []), len(time_s)]):
-        state, climbs = stage.step(state, time_s[a:b], hpa[a:b])
+        state, climbs = stage.update(state, time_s[a:b], hpa[a:b])
         found += climbs
     return found
 
@@ -198,8 +198,8 @@ def test_windows_do_not_depend_on_how_samples_arrive(seed: int, rate_hz: float, 
 
 def test_an_empty_block_changes_nothing_and_arrays_are_left_as_they_are() -> None:
     time_s, hpa = climbing(0.2)
-    state, _ = STAGE.step(STAGE.init(), time_s, hpa)
-    again, found = STAGE.step(state, np.empty(0), np.empty(0))
+    state, _ = STAGE.update(STAGE.init(), time_s, hpa)
+    again, found = STAGE.update(state, np.empty(0), np.empty(0))
     assert found == []
     assert isinstance(again, ClimbState)
     np.testing.assert_array_equal(again.samples, state.samples)
@@ -214,13 +214,13 @@ def test_an_empty_block_changes_nothing_and_arrays_are_left_as_they_are() -> Non
 def test_another_unit_is_refused_with_a_remedy(factor: float, remedy: str) -> None:
     time_s, hpa = climbing(0.2)
     with pytest.raises(ValueError, match=remedy):
-        STAGE.step(STAGE.init(), time_s, factor * hpa)
+        STAGE.update(STAGE.init(), time_s, factor * hpa)
 
 
 def test_the_column_of_a_recording_is_asked_for() -> None:
     time_s, hpa = climbing(0.2)
     with pytest.raises(ValueError, match=r"values\[:, 0\]"):
-        STAGE.step(STAGE.init(), time_s, hpa[:, None])
+        STAGE.update(STAGE.init(), time_s, hpa[:, None])
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,8 @@ import pytest
 from helpers import cut_randomly, imu
 from scipy.spatial.transform import Rotation
 
+from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindows
 from pdr_filter.sensing.features.invariant import NAMES, STEP_LAGS_S, WITHOUT_GYROSCOPE, invariant_features
-from pdr_filter.sensing.features.windows import ATTITUDE_FREE, FeatureWindows
 from pdr_filter.sensing.front_end import feature_windows
 from pdr_filter.values import ImuBlock
 

@@ -7,16 +7,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, sosfilt, sosfilt_zi
 
-from pdr_filter.papers.martinelli2018.features import TABLE_II, features_28
+from pdr_filter.recipes.martinelli2018.features import TABLE_II, features_28
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.features.windows import FeatureWindow, FeatureWindows
+from pdr_filter.sensing.features.feature_windows import FeatureWindow, FeatureWindows
 from pdr_filter.sensing.front_end import feature_windows
 
 
 def windows_of(stage: FeatureWindows, blocks: list[UniformBlock]) -> list[tuple[int, FeatureWindow]]:
     state, found = stage.init(), []
     for block in blocks:
-        state, windows = stage.step(state, block, flat_attitude(block.specific_force_mps2[:, 2]))
+        state, windows = stage.update(state, block, flat_attitude(block.specific_force_mps2[:, 2]))
         found += windows
     return found
 

@@ -35,7 +35,7 @@ def legs(
 def run(axes: Corridors, time_s: FloatArray, headings_rad: FloatArray) -> list[CorridorState]:
     states, state = [], axes.init()
     for t, h in zip(time_s.tolist(), headings_rad.tolist(), strict=True):
-        state = axes.step(state, t, h)
+        state = axes.update(state, t, h)
         states.append(state)
     return states
 

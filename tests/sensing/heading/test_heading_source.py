@@ -10,8 +10,8 @@ import pytest
 from helpers import a_step
 
 import pdr_filter as pdr
-from pdr_filter.report.trust import doubts
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading
+from pdr_filter.tracking.trust_report import doubts
 
 
 def test_the_source_of_a_heading_is_axes_then_strides_then_the_device() -> None:

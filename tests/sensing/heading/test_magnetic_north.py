@@ -10,7 +10,7 @@ from helpers import a_step, cut_uniform
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.heading.north import MagneticNorth
+from pdr_filter.sensing.heading.magnetic_north import MagneticNorth
 from pdr_filter.values import FloatArray, Step, wrap_angle
 
 STAGE = MagneticNorth()
@@ -54,7 +54,7 @@ def rotations(quat: FloatArray) -> FloatArray:
 
 
 def found(block: UniformBlock, attitude: AttitudeBlock, steps: list[tuple[int, Step]], stage: MagneticNorth = STAGE):
-    return [s for _, s in stage.step(stage.init(), block, attitude, steps)[1]]
+    return [s for _, s in stage.update(stage.init(), block, attitude, steps)[1]]
 
 
 def error_rad(step: Step, north_rad: float) -> float:
@@ -141,7 +141,7 @@ def test_the_result_does_not_depend_on_the_blocks(edges: list[int]) -> None:
     state, streamed, n = STAGE.init(), list[Step](), 0
     for part in cut_uniform(block, edges):
         m = n + len(part.time_s)
-        state, now = STAGE.step(
+        state, now = STAGE.update(
             state,
             part,
             AttitudeBlock(

@@ -15,13 +15,12 @@ from scipy.signal import butter, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
 import pdr_filter as pdr
-from pdr_filter.filter.motion import MotionNoise
-from pdr_filter.io.recording import Recording
-from pdr_filter.papers.martinelli2018.steps import WaveletStepDetector
+from pdr_filter.filter.imm.motion_model import MotionNoise
 from pdr_filter.recipes import default
+from pdr_filter.recipes.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
-from pdr_filter.sensing.heading.strides import (
+from pdr_filter.sensing.heading.stride_harmonics import (
     Phases,
     Stride,
     StrideSamples,
@@ -33,8 +32,7 @@ from pdr_filter.sensing.heading.strides import (
     strides_of,
 )
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading, WalkingHeadingState, known_places
-from pdr_filter.sensing.steps.detector import ContextBlock
-from pdr_filter.serialise import from_bytes, to_bytes
+from pdr_filter.sensing.steps.step_detector import ContextBlock
 from pdr_filter.simulate import Gait, Leg, phone_motion, simulate
 from pdr_filter.values import (
     CARRYING_MODES,
@@ -47,6 +45,8 @@ from pdr_filter.values import (
     step_table,
     wrap_angle,
 )
+from pdr_filter.values.recording import Recording
+from pdr_filter.values.serialisation import from_bytes, to_bytes
 
 STAGE = WalkingHeading()
 NOISE = MotionNoise()
@@ -109,7 +109,7 @@ def modes(n: int, carrying_mode: str | None = None, context: str | None = None) 
 
 def annotated(parts: Any, carrying_mode: str | None = None, context: str | None = None) -> list[Step]:
     block, attitude, steps = parts
-    _, result = STAGE.step(STAGE.init(), block, attitude, modes(len(block.time_s), carrying_mode, context), steps)
+    _, result = STAGE.update(STAGE.init(), block, attitude, modes(len(block.time_s), carrying_mode, context), steps)
     return [step for _, step in result]
 
 
@@ -263,7 +263,7 @@ def test_a_phone_that_comes_back_after_a_look_is_as_it_was() -> None:
     offset, variance = believed(result)
     assert np.abs(np.degrees(offset[-3:])).max() < 15.0
     forgetful = replace(STAGE, away_s=0.0)
-    _, without = forgetful.step(forgetful.init(), block, attitude, modes(1400), steps)
+    _, without = forgetful.update(forgetful.init(), block, attitude, modes(1400), steps)
     assert variance[-1] < 0.5 * believed([s for _, s in without])[1][-1]
 
 
@@ -273,7 +273,7 @@ def test_a_runners_push_has_another_phase() -> None:
     )
     assert_allclose(error_deg(annotated(parts, "pocket"), 0.6)[-8:], 0.0, atol=5.0)
     slow = replace(STAGE, running_mps2=100.0)
-    _, result = slow.step(slow.init(), parts[0], parts[1], modes(len(parts[0].time_s), "pocket"), parts[2])
+    _, result = slow.update(slow.init(), parts[0], parts[1], modes(len(parts[0].time_s), "pocket"), parts[2])
     assert np.abs(error_deg([s for _, s in result], 0.6)[-1]) > 120.0
 
 
@@ -297,7 +297,7 @@ def test_a_phone_that_is_read_during_most_strides_keeps_its_axis_when_some_label
     parts = body(Rotation.from_euler("x", np.radians(35.0)), np.radians(30.0), seconds=40.0)
     labels = np.full(4000, CARRYING_MODES.index("texting"))
     labels[3000:3200] = CARRYING_MODES.index("calling")
-    _, result = STAGE.step(STAGE.init(), *parts[:2], ContextBlock(np.full(4000, -1), labels), parts[2])
+    _, result = STAGE.update(STAGE.init(), *parts[:2], ContextBlock(np.full(4000, -1), labels), parts[2])
     learnt_deg = np.degrees([s.shown_offset_rad for _, s in result if s.time_s > 25.0])
     assert np.ptp(learnt_deg) < 2.0
 
@@ -313,7 +313,7 @@ def test_a_second_pass_has_the_direction_of_all_strides_from_the_first_stride_of
     assert [place.start_s for place in places] == sorted({s.carried_since_s for s in first if s.carried_since_s > 0})
     assert len(places) == 2
     again = replace(STAGE, known_places=places)
-    _, result = again.step(again.init(), block, attitude, modes(6000, "pocket"), steps)
+    _, result = again.update(again.init(), block, attitude, modes(6000, "pocket"), steps)
     for found, is_right in ((first, False), ([s for _, s in result], True)):
         early = [s.shown_offset_rad for s in found if 21.0 < s.time_s < 23.0]
         assert (np.abs(np.array(early) - found[-1].shown_offset_rad).max() < 0.05) == is_right
@@ -353,7 +353,7 @@ def test_noise_gives_no_direction() -> None:
 
 def stage_state(parts: Any, carrying_mode: str | None = None) -> tuple[WalkingHeadingState, list[Step]]:
     block, attitude, steps = parts
-    state, result = STAGE.step(STAGE.init(), block, attitude, modes(len(block.time_s), carrying_mode), steps)
+    state, result = STAGE.update(STAGE.init(), block, attitude, modes(len(block.time_s), carrying_mode), steps)
     return state, [s for _, s in result]
 
 
@@ -383,7 +383,7 @@ def test_a_carrying_mode_that_is_reported_later_becomes_that_of_the_place(label:
     n = len(block.time_s)
     carrying_mode = np.where(np.arange(n) < n // 2, -1, CARRYING_MODES.index(label))
     reported = ContextBlock(np.full(n, -1), carrying_mode)
-    state, _ = STAGE.step(STAGE.init(), block, attitude, reported, steps)
+    state, _ = STAGE.update(STAGE.init(), block, attitude, reported, steps)
     assert state.place is not None
     assert state.place.carrying_mode == CARRYING_MODES.index(label)
 
@@ -421,7 +421,7 @@ def test_what_a_late_bias_left_is_taken_off_and_stays_as_unsure_as_it_is() -> No
         heading_error_var_rad2=np.where(np.arange(n) < n // 2, 0.04, 0.01),
         heading_lost_var_rad2=np.full(n, 0.04),
     )
-    _, result = STAGE.step(STAGE.init(), block, late, modes(n, "pocket"), steps)
+    _, result = STAGE.update(STAGE.init(), block, late, modes(n, "pocket"), steps)
     offset, variance = believed([s for _, s in result])
     half = len(result) // 2 - 3
     assert abs(offset[half]) < 0.02
@@ -448,14 +448,14 @@ def test_after_a_gap_a_phone_found_as_before_keeps_its_offset_and_the_heading_lo
 ) -> None:
     phone = Rotation.from_euler("x", 1.5)
     block, attitude, steps = body(phone, 0.6, seconds=20.0)
-    state, before = STAGE.step(STAGE.init(), block, attitude, modes(len(block.time_s), "pocket"), steps)
+    state, before = STAGE.update(STAGE.init(), block, attitude, modes(len(block.time_s), "pocket"), steps)
     state, none = STAGE.finish(state, [])
     assert none == []
     state = STAGE.after_gap(state)
     block, attitude, steps = body(phone * Rotation.from_euler("x", moved_deg, degrees=True), 0.6, seconds=20.0)
     block = replace(block, time_s=block.time_s + 20.5, gap_before_s=0.5)
     steps = [(k, replace(s, time_s=s.time_s + 20.5, detected_time_s=s.detected_time_s + 20.5)) for k, s in steps]
-    state, after = STAGE.step(state, block, attitude, modes(len(block.time_s), "pocket"), steps)
+    state, after = STAGE.update(state, block, attitude, modes(len(block.time_s), "pocket"), steps)
     told = [s for _, s in after if s.offset_change_std_rad > 1.0]
     assert len(told) == (moved_deg > 0)
     assert state.reported.lost_var_rad2 == NOISE.heading_drift.unknown_rad_per_sqrt_s**2 * 0.5
@@ -469,17 +469,17 @@ def sensed(
     recording: Recording, mode_at: Any = None, cuts: list[int] | None = None, save_every: int = 0
 ) -> tuple[list[Step], FloatArray, FloatArray]:
     """Steps of the front end, and time and horizontal specific force of the attitude; `mode_at` gives the label."""
-    _, [block] = Conditioner().step(Conditioner().init(), merge_streams(recording))
+    _, [block] = Conditioner().update(Conditioner().init(), merge_streams(recording))
     estimator, detector = AttitudeEstimator(), WaveletStepDetector()
     attitude_state, detector_state, state = estimator.init(), detector.init(), STAGE.init()
     result: list[Step] = []
     horizontal: list[FloatArray] = []
     for i, part in enumerate(cut_uniform(block, cuts or [])):
-        attitude_state, attitude = estimator.step(attitude_state, part)
+        attitude_state, attitude = estimator.update(attitude_state, part)
         labels = np.array([CARRYING_MODES.index(mode_at(t)) if mode_at else -1 for t in part.time_s])
         known = ContextBlock(np.full(len(labels), -1), labels)
-        detector_state, steps = detector.step(detector_state, part, attitude, known)
-        state, steps = STAGE.step(state, part, attitude, known, steps)
+        detector_state, steps = detector.update(detector_state, part, attitude, known)
+        state, steps = STAGE.update(state, part, attitude, known, steps)
         result += [s for _, s in steps]
         horizontal.append(attitude.horizontal_mps2)
         if save_every and i % save_every == 0:

@@ -9,19 +9,19 @@ from helpers import bumps, cut_uniform, flat_attitude, imu, sensed, uniform_bloc
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pdr_filter import serialise
 from pdr_filter.io.formats import read
-from pdr_filter.io.recording import Recording
 from pdr_filter.sensing.conditioning import UniformBlock, merge_streams
 from pdr_filter.sensing.front_end import Sensing
-from pdr_filter.sensing.steps.adaptive import (
+from pdr_filter.sensing.steps.adaptive_detector import (
     AdaptiveDetectorState,
     AdaptiveStepDetector,
     bounce_kernel,
     low_pass_kernel,
 )
-from pdr_filter.sensing.steps.detector import unknown_contexts
+from pdr_filter.sensing.steps.step_detector import unknown_contexts
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Step
+from pdr_filter.values import serialisation as serialise
+from pdr_filter.values.recording import Recording
 
 DETECTOR = AdaptiveStepDetector()
 # Steps a second with the amplitude of the bump that one step makes, m/s2: strolling, walking, then running.
@@ -34,7 +34,7 @@ def detect(
     state, found = detector.init(), []
     for block in blocks:
         attitude = flat_attitude(block.specific_force_mps2[:, 2])
-        state, steps = detector.step(state, block, attitude, unknown_contexts(len(block.time_s)))
+        state, steps = detector.update(state, block, attitude, unknown_contexts(len(block.time_s)))
         found += steps
     return state, found
 
@@ -255,7 +255,7 @@ def test_a_saved_and_loaded_state_goes_on_the_same(at: int) -> None:
     state, found = detect([first])
     state = serialise.from_bytes(serialise.to_bytes(state))
     attitude = flat_attitude(second.specific_force_mps2[:, 2])
-    _, later = DETECTOR.step(state, second, attitude, unknown_contexts(len(second.time_s)))
+    _, later = DETECTOR.update(state, second, attitude, unknown_contexts(len(second.time_s)))
     assert [*found, *later] == detect([block])[1]
 
 
@@ -271,9 +271,9 @@ def test_finishing_changes_nothing_for_a_filter_that_goes_on() -> None:
     first, second = cut_uniform(uniform_block(magnitude), [900])
     state, _ = detect([first])
     attitude, modes = flat_attitude(magnitude[900:]), unknown_contexts(len(second.time_s))
-    expected = DETECTOR.step(state, second, attitude, modes)[1]
+    expected = DETECTOR.update(state, second, attitude, modes)[1]
     DETECTOR.finish(state)
-    assert DETECTOR.step(state, second, attitude, modes)[1] == expected
+    assert DETECTOR.update(state, second, attitude, modes)[1] == expected
     assert len(expected) > 3
 
 

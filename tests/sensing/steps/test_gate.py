@@ -13,15 +13,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
 
-from pdr_filter import serialise
 from pdr_filter.io.formats import read
 from pdr_filter.sensing.conditioning import UniformBlock, merge_streams
 from pdr_filter.sensing.front_end import Sensing
-from pdr_filter.sensing.steps.adaptive import AdaptiveStepDetector
-from pdr_filter.sensing.steps.gate import StepGate
-from pdr_filter.sensing.steps.walk_evidence import EVIDENCE, WalkEvidence, evidence_features, repetitions, slowness
+from pdr_filter.sensing.steps.adaptive_detector import AdaptiveStepDetector
+from pdr_filter.sensing.steps.step_gate import StepGate
+from pdr_filter.sensing.steps.walking_evidence import EVIDENCE, WalkEvidence, evidence_features, repetitions, slowness
 from pdr_filter.simulate import demo_walk
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Step
+from pdr_filter.values import serialisation as serialise
 
 STEP_LATENCY_S = 0.88
 GATE = StepGate()
@@ -56,7 +56,7 @@ def advance(gate: StepGate, blocks: list[UniformBlock], steps: list[tuple[int, S
     for block in blocks:
         n_after = n_before + len(block.time_s)
         part = [s for s in steps if n_before <= s[0] < n_after]
-        state, out = gate.step(state, block, flat_attitude(block.specific_force_mps2[:, 2]), part)
+        state, out = gate.update(state, block, flat_attitude(block.specific_force_mps2[:, 2]), part)
         released += out
         n_before = n_after
     return state, released
@@ -355,7 +355,7 @@ def test_a_bout_goes_on_after_a_short_gap_and_not_after_a_long_one() -> None:
         assert len(released) + len(rest) == 8
         block = uniform_block(np.full(500, 9.8), start_s=6.4 + gap_s, gap_before_s=gap_s)
         later = [(number, a_step(6.4 + gap_s + 0.005 + number / 100 - 0.9)) for number in (100, 150, 200)]
-        state, after = gate.step(state, block, flat_attitude(np.full(500, 9.8)), later)
+        state, after = gate.update(state, block, flat_attitude(np.full(500, 9.8)), later)
         assert len(after) == n
         assert all(0 <= number < 500 for number, _ in after)
 
@@ -367,7 +367,7 @@ def test_a_gap_drops_what_is_no_bout_yet() -> None:
     assert [*released, *rest] == []
     block = uniform_block(np.full(400, 9.8), start_s=4.5, gap_before_s=0.5)
     later = [(number, a_step(4.505 + number / 100 - 0.9)) for number in (95, 145, 195)]
-    assert gate.step(state, block, flat_attitude(np.full(400, 9.8)), later)[1] == []
+    assert gate.update(state, block, flat_attitude(np.full(400, 9.8)), later)[1] == []
 
 
 # --- any steps ------------------------------------------------------------------------------------------------------
@@ -404,7 +404,7 @@ def test_the_same_steps_pass_however_the_samples_are_cut_and_the_state_is_saved(
     for part in cut_uniform(block, edges):
         known = [s for s in steps if n <= s[0] < n + len(part.time_s)]
         cut_state = serialise.from_bytes(serialise.to_bytes(cut_state))
-        cut_state, out = GATE.step(cut_state, part, flat_attitude(part.specific_force_mps2[:, 2]), known)
+        cut_state, out = GATE.update(cut_state, part, flat_attitude(part.specific_force_mps2[:, 2]), known)
         pieces, n = [*pieces, *out], n + len(part.time_s)
     assert [*pieces, *GATE.close(cut_state, [])[1]] == whole
     assert len(whole) > 10
@@ -419,7 +419,7 @@ def test_the_state_stays_small(steps: tuple[list[float], list[float]]) -> None:
     state, n = gate.init(), 0
     for part in cut_uniform(block, list(range(100, len(block.time_s), 100))):
         known = [s for s in known_steps(times_s) if n <= s[0] < n + len(part.time_s)]
-        state, _ = gate.step(state, part, flat_attitude(part.specific_force_mps2[:, 2]), known)
+        state, _ = gate.update(state, part, flat_attitude(part.specific_force_mps2[:, 2]), known)
         n += len(part.time_s)
         assert len(state.rows) <= 300
         assert len(state.waiting) <= 6

@@ -9,29 +9,24 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from pdr_filter.config import Config
 from pdr_filter.evaluate.classification import confusion_matrix
-from pdr_filter.filter.step_length import (
-    KimStepLength,
-    StepLengthFit,
-    WeinbergStepLength,
-    static_fit,
-)
-from pdr_filter.io.recording import Recording
-from pdr_filter.papers.guo2018.features import PoseWindows
-from pdr_filter.papers.guo2018.recipe import chen_fit
-from pdr_filter.papers.tian2016.recipe import tian_fit
+from pdr_filter.filter.step_length.models import KimStepLength, StepLengthFit, WeinbergStepLength, static_fit
+from pdr_filter.offline.training import guo2018_training as train_guo
+from pdr_filter.offline.training.classifier_choice import fit_pose_forest
+from pdr_filter.offline.training.cross_validation import leave_out, recordings_of
 from pdr_filter.recipes import for_recording
-from pdr_filter.recording_run import classify
-from pdr_filter.recording_run import track as track_of
+from pdr_filter.recipes.config import Config
+from pdr_filter.recipes.guo2018.features import PoseWindows
+from pdr_filter.recipes.guo2018.recipe import chen_fit
+from pdr_filter.recipes.tian2016.recipe import tian_fit
 from pdr_filter.sensing.attitude import AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, merge_streams
 from pdr_filter.simulate import Carrying, Gait, Leg, simulate
 from pdr_filter.simulate.motion import CARRYING
-from pdr_filter.training import guo2018 as train_guo
-from pdr_filter.training.machines import fit_pose_forest
-from pdr_filter.training.protocol import leave_out, recordings_of
+from pdr_filter.tracking.whole_recording import classify
+from pdr_filter.tracking.whole_recording import track as track_of
 from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray, IntArray, Step, steps_of
+from pdr_filter.values.recording import Recording
 from tests.studies.data import HEIGHT_M, counted_walk, even_way, people_left_out, place_of, recordings, with_subject
 from tests.studies.printed.guo2018 import POSE_OF_SIDED, POSES, SIDED
 from tests.studies.report import NAN
@@ -145,9 +140,9 @@ def _sided_windows(n_people: int) -> tuple[FloatArray, IntArray, IntArray]:
 def _pose_windows(recording: Recording) -> Iterator[FloatArray]:
     attitudes, windows = AttitudeEstimator(), PoseWindows()
     attitude_state, state = attitudes.init(), windows.init()
-    for block in Conditioner().step(Conditioner().init(), merge_streams(recording))[1]:
-        attitude_state, attitude = attitudes.step(attitude_state, block)
-        state, found = windows.step(state, block, attitude)
+    for block in Conditioner().update(Conditioner().init(), merge_streams(recording))[1]:
+        attitude_state, attitude = attitudes.update(attitude_state, block)
+        state, found = windows.update(state, block, attitude)
         yield from (window.features for _, window in found)
 
 

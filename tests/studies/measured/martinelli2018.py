@@ -16,29 +16,29 @@ from sklearn.model_selection import cross_val_score
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from pdr_filter.classifiers.model import ContextModel, load_model
+from pdr_filter.classifiers.context_model import ContextModel, load_model
 from pdr_filter.classifiers.rvm import RelevanceVectorClassifier
-from pdr_filter.config import Config
 from pdr_filter.evaluate.classification import confusion_matrix
 from pdr_filter.evaluate.distance import percent_error, walked_m
 from pdr_filter.evaluate.runs import epoch_distances
 from pdr_filter.evaluate.tracks import path_m
-from pdr_filter.filter.motion import Mode
-from pdr_filter.filter.step_length import FrequencyVarianceStepLength, StepLengthFit, known_length
-from pdr_filter.filter.weighting import HC, weighted_distances
-from pdr_filter.io.recording import Recording, Truth
-from pdr_filter.papers.martinelli2018.features import WITHOUT_MAGNETOMETER
+from pdr_filter.filter.imm.motion_model import Mode
+from pdr_filter.filter.imm.weighting import HC, weighted_distances
+from pdr_filter.filter.step_length.models import FrequencyVarianceStepLength, StepLengthFit, known_length
+from pdr_filter.offline.training.context_training import PLANS
+from pdr_filter.offline.training.cross_validation import LabelledWindows, label_of
 from pdr_filter.recipes import with_context_model
-from pdr_filter.recording_run import detect_steps, track
+from pdr_filter.recipes.config import Config
+from pdr_filter.recipes.martinelli2018.features import WITHOUT_MAGNETOMETER
 from pdr_filter.sensing.attitude import AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, merge_streams
-from pdr_filter.sensing.features.windows import FeatureWindows
+from pdr_filter.sensing.features.feature_windows import FeatureWindows
 from pdr_filter.simulate import Carrying, Gait, Leg, simulate
 from pdr_filter.simulate.gait import STAIR_TREAD_M
-from pdr_filter.tracks import Track
-from pdr_filter.training.contexts import PLANS
-from pdr_filter.training.protocol import LabelledWindows, label_of
+from pdr_filter.tracking.track import Track
+from pdr_filter.tracking.whole_recording import detect_steps, track
 from pdr_filter.values import CONTEXTS, FloatArray, IntArray, Samples, table
+from pdr_filter.values.recording import Recording, Truth
 from tests.studies.data import recordings, with_subject
 from tests.studies.feature_selection import Selection, select_features
 from tests.studies.printed.martinelli2018 import TABLE_VI, THRESHOLD
@@ -89,13 +89,13 @@ def examples_of(
     for recording in walks:
         conditioner, attitude_estimator = Conditioner(), AttitudeEstimator()
         attitude_state, states = attitude_estimator.init(), {name: s.init() for name, s in stages.items()}
-        for part in conditioner.step(conditioner.init(), merge_streams(recording))[1]:
+        for part in conditioner.update(conditioner.init(), merge_streams(recording))[1]:
             if part.gap_before_s > 0:
                 attitude_state = attitude_estimator.after_gap(attitude_state)
                 states = {name: s.init() for name, s in stages.items()}
-            attitude_state, attitude = attitude_estimator.step(attitude_state, part)
+            attitude_state, attitude = attitude_estimator.update(attitude_state, part)
             for name, stage in stages.items():
-                states[name], windows = stage.step(states[name], part, attitude)
+                states[name], windows = stage.update(states[name], part, attitude)
                 for _, window in windows:
                     label = label_of(recording, window.time_s - stage.window_s, window.time_s)
                     if label is not None:

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from pdr_filter.config import Config
 from pdr_filter.evaluate.steps import StepScores, step_scores
-from pdr_filter.io.recording import Recording
 from pdr_filter.recipes import for_recording
-from pdr_filter.recording_run import run_sensing
-from pdr_filter.sensing.contexts.stage import WindowContext
+from pdr_filter.recipes.config import Config
+from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.simulate import Gait, Leg, simulate
+from pdr_filter.tracking.whole_recording import run_sensing
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, IntArray, Step
+from pdr_filter.values.recording import Recording
 from tests.studies.data import counted_walk, even_way, people_left_out, place_of, recordings, with_subject
 from tests.studies.report import by_count
 

@@ -18,23 +18,23 @@ from pdr_filter.evaluate.tracks import (
     positions_at,
     rigid_fit,
 )
-from pdr_filter.filter.step_length import (
+from pdr_filter.filter.step_length.models import (
     KimStepLength,
     StepLengthFit,
     WeinbergStepLength,
     bounce_fit,
     static_fit,
 )
-from pdr_filter.io.recording import Recording, Subject
-from pdr_filter.papers.tian2016.recipe import tian_fit
 from pdr_filter.recipes import default, tian2016
-from pdr_filter.recording_run import run_sensing
-from pdr_filter.sensing.contexts.stage import WindowContext
+from pdr_filter.recipes.tian2016.recipe import tian_fit
+from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.sensing.front_end import Event
 from pdr_filter.simulate import Carrying, Gait, Leg, simulate
 from pdr_filter.simulate.motion import CARRYING
-from pdr_filter.tracks import Track
+from pdr_filter.tracking.track import Track
+from pdr_filter.tracking.whole_recording import run_sensing
 from pdr_filter.values import CARRYING_MODES, FloatArray, Step
+from pdr_filter.values.recording import Recording, Subject
 from tests.studies.data import counted_walk, with_subject
 from tests.studies.printed.tian2016 import CORRIDOR_M, MODES, N_PEOPLE, N_TRANSITIONS, PATH_M, TABLE_VII, Printed
 

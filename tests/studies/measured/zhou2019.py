@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.signal import find_peaks, firwin
 
-from pdr_filter.config import Config
 from pdr_filter.evaluate.distance import percent_error
 from pdr_filter.evaluate.steps import StepScores, best_offset_s, step_scores
 from pdr_filter.evaluate.tracks import moved_m
-from pdr_filter.filter.step_length import (
+from pdr_filter.filter.step_length.models import (
     FrequencyStepLength,
     FrequencyVarianceStepLength,
     KimStepLength,
@@ -22,17 +21,18 @@ from pdr_filter.filter.step_length import (
     TianStepLength,
     ZhouWalkingStepLength,
 )
-from pdr_filter.io.recording import Recording
 from pdr_filter.offline.calibration.segments import Segment, segments_of, step_contexts
-from pdr_filter.papers.zhou2019.steps import CARRIED, FOOT, EventSearch, ReferenceLineStepDetector, dominant_period_s
 from pdr_filter.recipes import for_recording
-from pdr_filter.recording_run import detect_steps
-from pdr_filter.recording_run import track as track_of
+from pdr_filter.recipes.config import Config
+from pdr_filter.recipes.zhou2019.steps import CARRIED, FOOT, EventSearch, ReferenceLineStepDetector, dominant_period_s
 from pdr_filter.sensing.conditioning import Conditioner, merge_streams
 from pdr_filter.sensing.steps.step_log import specific_force_magnitude
 from pdr_filter.simulate import Gait, Leg, simulate
-from pdr_filter.tracks import Track
+from pdr_filter.tracking.track import Track
+from pdr_filter.tracking.whole_recording import detect_steps
+from pdr_filter.tracking.whole_recording import track as track_of
 from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2, FloatArray, Step, steps_of
+from pdr_filter.values.recording import Recording
 from tests.studies.data import HEIGHT_M, with_subject
 from tests.studies.report import NAN, by_count
 
@@ -61,7 +61,7 @@ def levi_judd_times_s(recording: Recording, search: EventSearch) -> FloatArray:
     What Zhou et al. say of Levi and Judd's patent (US 5583776): a fast Fourier transform gives the frequency, which is
     used to detect peaks; one frequency band for walking and running. Over the whole recording, not causal.
     """
-    _, blocks = Conditioner(_RATE_HZ).step(Conditioner(_RATE_HZ).init(), merge_streams(recording))
+    _, blocks = Conditioner(_RATE_HZ).update(Conditioner(_RATE_HZ).init(), merge_streams(recording))
     found: list[FloatArray] = []
     taps = np.asarray(firwin(_LOW_PASS_TAPS, search.cutoff_hz, window="hamming", fs=_RATE_HZ), dtype=float)
     n = round(_SPECTRUM_S * _RATE_HZ)

@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 
 from pdr_filter.evaluate.distance import percent_error
-from pdr_filter.papers.tian2016.recipe import tian_fit
+from pdr_filter.recipes.tian2016.recipe import tian_fit
 from pdr_filter.values import FloatArray
 
 PAPER = (

@@ -1,0 +1,153 @@
+"""What training and calibration leave behind, in files without code: `<name>.json`, and `<name>.npz` for arrays.
+
+The .json says what it is (`kind`, `format_version`) and holds a checksum of the .npz, which holds plain arrays. Reading
+never unpickles anything. Whatever is wrong with a file is one ValueError that names the file and the remedy.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import re
+import zipfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdr_filter.values import check_whole, limits
+
+Arrays = dict[str, NDArray[Any]]
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class ArtefactFormat:
+    """One kind of artefact and the version of its format."""
+
+    kind: str  # in the .json, and in messages
+    version: int  # that is written, and the only one that is read
+    remedy: str  # what to do about files that cannot be used
+
+    def write(self, path: str | Path, description: Mapping[str, Any], arrays: Arrays | None = None) -> None:
+        """Write `<path>.json`, and `<path>.npz` if there are arrays.
+
+        TypeError, before anything is written, for a description that JSON cannot hold; ValueError for more than `read`
+        takes.
+        """
+        # Only when called: classifiers are arrays, and open no files.
+        from pdr_filter.io.files.safe_files import write_files
+
+        content: dict[str, Any] = {"format_version": self.version, "kind": self.kind, **description}
+        packed = None if arrays is None else _packed(arrays)
+        if packed is not None:
+            # Files of two trainings have the same names and shapes: only this shows that they do not belong together.
+            content["npz_sha256"] = hashlib.sha256(packed).hexdigest()
+        text = json.dumps(content, indent=2, ensure_ascii=False, default=_plain) + "\n"
+        n_bytes, n_text = sum(array.nbytes for array in (arrays or {}).values()), len(text.encode())
+        if n_bytes > limits.MAX_UNPACKED_BYTES or n_text > limits.MAX_DESCRIPTION_BYTES:
+            raise ValueError(
+                f"{self.kind} with {n_bytes} bytes of arrays and {n_text} of text: {limits.MAX_UNPACKED_BYTES} and "
+                f"{limits.MAX_DESCRIPTION_BYTES} are read at most, make it smaller"
+            )
+        json_path, npz_path = file_pair(path)
+        write_files({json_path: text.encode(), **({} if packed is None else {npz_path: packed})})
+
+    def read(self, path: str | Path, build: Callable[[dict[str, Any], Arrays], T]) -> T:
+        """What `build` makes of the description and the arrays (none if the .json has no checksum of any).
+
+        ValueError if a file is missing, damaged, of another kind or version, or if `build` fails or makes something
+        whose fields are not what they are declared as.
+        """
+        from pdr_filter.io.files.safe_files import read_small
+
+        json_path, npz_path = file_pair(path)
+        for needed in (npz_path if str(path).endswith(".npz") else json_path, json_path):
+            if not needed.is_file():
+                raise ValueError(f"{needed}: no such file")
+        try:
+            description = self._checked(read_small(json_path, limits.MAX_DESCRIPTION_BYTES).decode())
+            checksum = description.get("npz_sha256")
+            built = build(description, {} if checksum is None else _unpacked(npz_path, checksum))
+            check_whole(built)
+            return built
+        except Exception as error:  # whatever a damaged file provokes
+            what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+            noun = self.kind.replace("_", " ")
+            raise ValueError(f"{json_path}: not usable as {noun}: {what}; {self.remedy}") from error
+
+    def names_in(self, folder: Path) -> list[str]:
+        """Names of the artefacts of this kind in a folder, which may hold others."""
+        return [path.stem for path in folder.glob("*.json") if _kind(json.loads(path.read_text("utf-8"))) == self.kind]
+
+    def _checked(self, text: str) -> dict[str, Any]:
+        """Return the content of a .json; ValueError if it is of another kind or version."""
+        description: Any = json.loads(text)
+        if _kind(description) != self.kind:
+            raise ValueError(f"its kind is {_kind(description)!r}, not {self.kind!r}")
+        if description.get("format_version") != self.version:
+            raise ValueError(
+                f"its format_version is {description.get('format_version')}, this version reads {self.version} only"
+            )
+        return description
+
+
+def file_pair(path: str | Path) -> tuple[Path, Path]:
+    """Paths of the .json and the .npz, from either or from both without their ending."""
+    stem = re.sub(r"\.(npz|json)$", "", str(path))
+    return Path(f"{stem}.json"), Path(f"{stem}.npz")
+
+
+def prefixed(prefix: str, arrays: Arrays) -> Arrays:
+    """Arrays of a part, its name before theirs."""
+    return {prefix + name: array for name, array in arrays.items()}
+
+
+def of_prefix(prefix: str, arrays: Arrays) -> Arrays:
+    """Return what `prefixed` took, out of the arrays of a whole."""
+    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
+
+
+def _kind(description: Any) -> Any:
+    """Return the kind that a .json names; context models of early versions name none."""
+    if not isinstance(description, dict):
+        return None
+    found = cast(dict[str, Any], description)
+    return found.get("kind", "context_model" if "npz_sha256" in found else None)
+
+
+def _packed(arrays: Arrays) -> bytes:
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, **cast(Any, arrays))
+    return buffer.getvalue()
+
+
+def _unpacked(path: Path, checksum: str) -> Arrays:
+    """Return the arrays of a .npz; ValueError if it is another one, damaged, or holds anything but plain arrays."""
+    from pdr_filter.io.files.safe_files import read_small
+
+    if not path.is_file():
+        raise ValueError(f"{path.name} is missing beside it, copy both files")
+    content = read_small(path, limits.MAX_WHOLE_BYTES)
+    if hashlib.sha256(content).hexdigest() != checksum:
+        raise ValueError(f"{path.name} is damaged or belongs to another .json, copy both files again")
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            claimed = sum(info.file_size for info in archive.infolist())
+        if claimed > limits.MAX_UNPACKED_BYTES:
+            raise ValueError(f"{path.name} claims {claimed} bytes of arrays, more than {limits.MAX_UNPACKED_BYTES}")
+        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+            return {name: arrays[name] for name in arrays.files}
+    except Exception as error:  # whatever a damaged zip provokes
+        raise ValueError(f"{path.name} does not hold plain arrays ({error})") from error
+
+
+def _plain(value: Any) -> Any:
+    """Return NumPy numbers and arrays as what JSON holds."""
+    if isinstance(value, np.generic | np.ndarray):
+        return cast(Any, value).tolist()
+    raise TypeError(f"JSON cannot hold a {type(value).__name__}; make it a number or a string")

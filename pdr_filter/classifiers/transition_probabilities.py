@@ -1,0 +1,90 @@
+"""How contexts follow each other and how much a window counts: what the filter needs besides a classifier, in a file.
+
+`pdr_filter.offline.training.transition_training` estimates both from recordings; `recipes.with_transitions` gives them
+to a filter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pdr_filter.classifiers.model_files import Arrays, ArtefactFormat, file_pair
+from pdr_filter.values import CONTEXTS, FloatArray, check_transition_prob, read_only
+
+FORMAT = ArtefactFormat("transitions", 1, "write the file again with pdr-filter train")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Transitions:
+    """What a `PedestrianModel` needs besides a classifier and where it is from: `recipes.with_transitions` takes it.
+
+    Parameters
+    ----------
+    transition_prob : (C, C)
+        Between `CONTEXTS` from one step to the next; rows from, sum to one.
+    evidence_exponent, prior_exponent : float
+        Of the evidence of a window, as in `PedestrianModel`.
+    counts : (C, C)
+        Of `offline.training.context_sequences.count_transitions`, what the matrix was estimated from; zeros if there
+        was nothing.
+    card : dict
+        What people should know: whether matrix and exponents are estimated or the default and why, data, log losses,
+        date, versions. Anything that JSON holds.
+    """
+
+    transition_prob: FloatArray
+    evidence_exponent: float
+    prior_exponent: float
+    counts: FloatArray
+    card: dict[str, Any] = field(default_factory=dict[str, Any])
+
+    def __post_init__(self) -> None:
+        for name in ("transition_prob", "counts"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+        check_transition_prob(self.transition_prob, len(CONTEXTS))
+        if self.counts.shape != self.transition_prob.shape or not _is_finite_not_negative(self.counts):
+            raise ValueError(f"counts must be {self.transition_prob.shape}, finite and not negative, got {self.counts}")
+        for name in ("evidence_exponent", "prior_exponent"):
+            if not _is_finite_not_negative(getattr(self, name)):
+                raise ValueError(f"{name} must be finite and not negative, got {getattr(self, name)}")
+
+    def save(self, folder: str | Path) -> Path:
+        """Write `transitions.json` into the folder and return its path."""
+        content = {
+            "contexts": list(CONTEXTS),
+            "transition_prob": self.transition_prob,
+            "evidence_exponent": self.evidence_exponent,
+            "prior_exponent": self.prior_exponent,
+            "counts": self.counts,
+            "card": self.card,
+        }
+        path, _ = file_pair(Path(folder) / "transitions")
+        FORMAT.write(path, content)
+        return path
+
+
+def load_transitions(path: str | Path) -> Transitions:
+    """What `Transitions.save` wrote. ValueError that names the file, what is wrong with it and the remedy."""
+    return FORMAT.read(path, _assemble)
+
+
+def _assemble(content: Mapping[str, Any], _: Arrays) -> Transitions:
+    """Return the transitions; KeyError, TypeError or ValueError if anything is missing or does not fit."""
+    if content["contexts"] != list(CONTEXTS):
+        raise ValueError(f"its contexts are {content['contexts']}, those of this version {list(CONTEXTS)}")
+    return Transitions(
+        transition_prob=content["transition_prob"],
+        evidence_exponent=float(content["evidence_exponent"]),
+        prior_exponent=float(content["prior_exponent"]),
+        counts=content["counts"],
+        card=dict(content["card"]),
+    )
+
+
+def _is_finite_not_negative(value: FloatArray | float) -> bool:
+    return bool(np.isfinite(value).all() and (np.asarray(value) >= 0).all())

@@ -1,0 +1,15 @@
+"""Fixes: gating, the rotation of their frame, relocation, and GNSS locations."""
+
+import importlib
+import warnings
+from typing import Any
+
+
+def __getattr__(name: str) -> Any:
+    """Names of the former module `pdr_filter.filter.fixes`, for one release."""
+    if not name.startswith("_") and name != "fix_updates":
+        module = importlib.import_module(f"{__name__}.fix_updates")
+        if name in vars(module):
+            warnings.warn(f"{__name__}.{name} is now in {module.__name__}", DeprecationWarning, stacklevel=2)
+            return vars(module)[name]
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,126 @@
+"""The interacting multiple model on filterpy's classes: slow, readable, and the oracle of `pdr_filter.filter.imm.imm`.
+
+`IMMEstimator` of filterpy 2.0 has four traps, which `MendedIMMEstimator` is without:
+
+1. Its documentation says that M[i, j] leads from mode j to mode i. It leads from i to j; rows sum to one.
+2. `update(None)` shall change nothing, but weighs the modes by how well they predict no innovation at all.
+3. A second `predict` without a measurement in between does not move the mode probabilities.
+4. Likelihoods that underflow are clipped to the smallest number, which loses what they say. Logarithms lose nothing.
+
+Besides, a mode that no other can reach divides zero by zero; here it keeps its own estimate.
+
+The functions have the names, the arguments and the results of those in `pdr_filter.filter.imm.imm`, for one pedestrian:
+`ImmTracker(model, FilterpyImm())` filters with them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from filterpy.kalman import IMMEstimator, KalmanFilter
+
+from pdr_filter.values import FloatArray
+
+
+class MendedIMMEstimator(IMMEstimator):  # filterpy has no types
+    """filterpy's estimator without its traps; `M[i, j]` is the probability from mode i to mode j."""
+
+    def predict(self, u: Any = None) -> None:
+        """Mix the modes, predict each, and move the mode probabilities by one transition, every time."""
+        self._compute_mixing_probabilities()
+        self.mu: FloatArray = self.cbar
+        super().predict(u)
+
+    def update(self, z: Any) -> None:
+        """Update each mode and its probability; None changes nothing."""
+        if z is None:
+            return
+        for kalman in self.filters:
+            kalman.update(z)
+        self.weigh(np.array([kalman.log_likelihood for kalman in self.filters]))
+
+    def weigh(self, log_likelihood: FloatArray) -> None:
+        """Weigh the modes by evidence: mu_j ~ mu_j exp(l_j). What rules out every mode, or is NaN, says nothing."""
+        with np.errstate(divide="ignore"):
+            log_posterior = np.log(self.mu) + log_likelihood
+        if np.isfinite(log_posterior.max()):
+            relative = np.exp(log_posterior - log_posterior.max())
+            self.mu = relative / relative.sum()
+        self._compute_state_estimate()
+        self.x_post, self.P_post = self.x.copy(), self.P.copy()
+
+    def _compute_mixing_probabilities(self) -> None:
+        self.cbar: FloatArray = self.mu @ self.M
+        for i in range(self.N):
+            for j in range(self.N):
+                # A mode that cannot be reached keeps its own estimate.
+                self.omega[i, j] = self.M[i, j] * self.mu[i] / self.cbar[j] if self.cbar[j] > 0 else float(i == j)
+
+
+def estimator(mean: FloatArray, cov: FloatArray, mode_prob: FloatArray, transition_prob: FloatArray) -> Any:
+    """A `MendedIMMEstimator` of Kalman filters, one for each mode, that stand still (F = I, Q = 0)."""
+    return MendedIMMEstimator(_filters(mean, cov), mode_prob, transition_prob)
+
+
+def mix(
+    mean: FloatArray, cov: FloatArray, mode_prob: FloatArray, transition_prob: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """As `pdr_filter.filter.imm.imm.mix`: prediction of filters that stand still is mixing."""
+    if len(mean) == 1:  # filterpy wants two modes at least
+        return mean, cov, mode_prob
+    imm = estimator(mean, cov, mode_prob, transition_prob)
+    imm.predict()
+    return *_estimates(imm.filters), imm.mu
+
+
+def update(
+    mean: FloatArray, cov: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """As `pdr_filter.filter.imm.imm.update`."""
+    filters = _filters(mean, cov, len(z))
+    for kalman in filters:
+        kalman.update(z, R, H)
+    log_likelihood = np.array([float(kalman.log_likelihood) for kalman in filters])
+    return *_estimates(filters), log_likelihood, np.array([float(kalman.mahalanobis) ** 2 for kalman in filters])
+
+
+def update_mode_prob(predicted_mode_prob: FloatArray, log_likelihood: FloatArray) -> FloatArray:
+    """As `pdr_filter.filter.imm.imm.update_mode_prob`."""
+    n_modes = len(predicted_mode_prob)
+    if n_modes == 1:
+        return predicted_mode_prob
+    imm = estimator(np.zeros((n_modes, 1)), np.zeros((n_modes, 1, 1)), predicted_mode_prob, np.eye(n_modes))
+    imm.weigh(log_likelihood)
+    return imm.mu
+
+
+def combine(mean: FloatArray, cov: FloatArray, mode_prob: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """As `pdr_filter.filter.imm.imm.combine`."""
+    if len(mean) == 1:
+        return mean[0], cov[0]
+    imm = estimator(mean, cov, mode_prob, np.eye(len(mean)))
+    return imm.x, imm.P
+
+
+@dataclass(frozen=True)
+class FilterpyImm:
+    """The functions of this module, as a tracker takes them."""
+
+    mix = staticmethod(mix)
+    update = staticmethod(update)
+    update_mode_prob = staticmethod(update_mode_prob)
+    combine = staticmethod(combine)
+
+
+def _filters(mean: FloatArray, cov: FloatArray, dim_z: int = 1) -> list[Any]:
+    filters: list[Any] = [KalmanFilter(dim_x=mean.shape[1], dim_z=dim_z) for _ in mean]
+    for kalman, x, P in zip(filters, mean, cov, strict=True):
+        kalman.x, kalman.P, kalman.Q = x.copy(), P.copy(), np.zeros_like(P)
+    return filters
+
+
+def _estimates(filters: Sequence[Any]) -> tuple[FloatArray, FloatArray]:
+    return np.stack([kalman.x for kalman in filters]), np.stack([kalman.P for kalman in filters])

@@ -1,0 +1,113 @@
+"""The modes of the filter that recipes share: one for each context, with its step length, and how they follow."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pdr_filter.filter.imm.motion_model import Mode
+from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
+from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
+from pdr_filter.filter.imm.weighting import HC
+from pdr_filter.filter.step_length.models import (
+    USUAL_HEIGHT_M,
+    FrequencyVarianceStepLength,
+    StepLengthFit,
+    known_length,
+    scale_std,
+)
+from pdr_filter.values import CONTEXTS, FloatArray, Note
+from pdr_filter.values.recording import Subject
+
+# Stairs advance by one tread a step: 0.29 m up, and 0.43 m down where people skip the landing's end (Martinelli et al.
+# 2018, group B). Treads of public stairs are 0.26 to 0.32 m. All stairs of a walk may be wrong alike: they may be level
+# steps of 0.7 m. In back pockets of strangers 5 to 7 % of level steps are called stairs (docs/benchmarks.md); where
+# level steps and stairs are as many, the square of that error is 0.07 x 0.93 x 0.41^2 m2, or 0.10 m. Down the same, as
+# nobody knows who skips the end of a landing.
+_UPSTAIRS = known_length(0.29, 0.05, shared_std_m=0.10)
+_DOWNSTAIRS = known_length(0.43, 0.10, shared_std_m=0.10)
+# No recording with sideways steps of known length is public. 0.45 m is a comfortable side step; half of it and twice
+# it are within two standard deviations.
+_SIDEWAYS = known_length(0.45, 0.15)
+# Jogging at 2.7 steps a second and 2.6 m/s: 0.95 m a step, with 0.35 m s of change with cadence (after Cavanagh and
+# Kram, "Stride length in distance running", Med. Sci. Sports Exerc. 21, 1989). Not fitted: the only running here with
+# truth is in rooms of 4 to 6 m, at that cadence and as hard, but with steps of 0.46 to 0.62 m. Hence the spread. What a
+# step is off by itself, along and across, was measured in one of these rooms: 0.2 m each, of 0.53 m (oxiod: errors of
+# eight steps together, over the square root of eight).
+_RUNNING = StepLengthFit(
+    FrequencyVarianceStepLength(),
+    theta=np.array([0.0, 0.35, 0.0]),
+    theta_cov=np.diag([0.1, 0.1, 0.0]) ** 2,
+    residual_std_m=0.20,
+)
+_RUNNING_HEADING_STD_RAD = 0.35
+_STATIONARY = known_length(0.0, 0.02)
+
+
+def context_modes(walking: StepLengthFit, running: StepLengthFit = _RUNNING) -> tuple[Mode, ...]:
+    """One mode for each context, with models for walking and running and the default lengths of all others."""
+    lengths = {
+        "stationary": _STATIONARY,
+        "walking": walking,
+        "upstairs": _UPSTAIRS,
+        "downstairs": _DOWNSTAIRS,
+        "sideways": _SIDEWAYS,
+        "running": running,
+    }
+    # Which side a side step goes to is not observable from the features; to the right is the convention.
+    offsets, heading_std = {"sideways": np.pi / 2}, {"running": _RUNNING_HEADING_STD_RAD}
+    return tuple(Mode(c, c, lengths[c], offsets.get(c, 0.0), heading_std.get(c, 0.1)) for c in CONTEXTS)
+
+
+# Mean stays in steps. Level walking and stairs are of the labels of the terrain data set (four people, 140 flights in
+# 140 minutes; part of the "Lower Limb Prostheses Environmental Context Dataset", IEEE DataPort): flights of 6.6 s up
+# and 5.8 s down at 1.9 steps a second, level stretches of 33 s at 1.7. The others are set by hand: standing five false
+# steps, sideways ten, running fifty.
+_STAY_STEPS: dict[str, float] = {
+    "stationary": 5.0,
+    "walking": 55.0,
+    "upstairs": 12.0,
+    "downstairs": 11.0,
+    "sideways": 10.0,
+    "running": 50.0,
+}
+# Where walking leads to: in the same labels as often up as down; the rest is shared by what they do not hold.
+_AFTER_WALKING: dict[str, float] = {
+    "stationary": 0.1,
+    "upstairs": 0.35,
+    "downstairs": 0.35,
+    "sideways": 0.1,
+    "running": 0.1,
+}
+
+
+def context_transitions() -> FloatArray:
+    """Transition matrix between the contexts for one step, rows from.
+
+    Nine of ten ways out of every other context lead to walking (in the terrain labels all do), the tenth to any of the
+    others alike, so that walking is the most frequent context by far, as in life and unlike in training sets.
+    """
+    rows = np.zeros((len(CONTEXTS), len(CONTEXTS)))
+    for i, context in enumerate(CONTEXTS):
+        leave = 1 / _STAY_STEPS[context]
+        to = _AFTER_WALKING if context == "walking" else {c: 0.9 if c == "walking" else 0.1 / 4 for c in CONTEXTS}
+        rows[i] = [1 - leave if c == context else leave * to[c] for c in CONTEXTS]
+    return rows
+
+
+def one_hot_tracker(modes: tuple[Mode, ...]) -> WeightedTracker:
+    """For a published system that decides for one context: the step length is that of the most probable one."""
+    return WeightedTracker(PedestrianModel(modes, context_transitions()), HC)
+
+
+def height_of(subject: Subject | None) -> float:
+    """Height in m, or the usual one where it is not known."""
+    return USUAL_HEIGHT_M if subject is None or subject.height_m is None else subject.height_m
+
+
+def height_notes(subject: Subject | None) -> tuple[Note, ...]:
+    """What to keep in mind where the height is not known."""
+    if subject is not None and subject.height_m is not None:
+        return ()
+    unsure = f"the person's height is not known: {USUAL_HEIGHT_M:.2f} m is assumed, and lengths may be off by"
+    text = f"{unsure} {100 * scale_std(None):.0f} % (with the height by {100 * scale_std(USUAL_HEIGHT_M):.0f} %)"
+    return (Note("height", text),)

@@ -1,0 +1,154 @@
+"""What a filter believes of pedestrians: modes, how one follows another, noise, evidence, and which fixes it takes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from pdr_filter.filter.fixes.frame import START_FRAME, Frame
+from pdr_filter.filter.imm.motion_model import Directions, Mode, MotionNoise
+from pdr_filter.filter.imm.weighting import ModeEvidence
+from pdr_filter.filter.step_length.models import StepLengths, uneven_var_m2
+from pdr_filter.values import CONTEXTS, FloatArray, Step, check_numbers, check_transition_prob, pickled, read_only
+
+
+@dataclass(frozen=True, eq=False)
+class PedestrianModel:
+    """Modes with their transitions, noise and evidence; what both trackers filter with.
+
+    The evidence of one window is tempered by an exponent. Hop over window length (0.5) lets no second of overlapping
+    windows count twice, and that is the exponent in hindsight. Online it is 1: a filter that knows no later windows is
+    late at every change, and doubts cost it more than being too sure (docs/benchmarks.md for both). The exponent of the
+    prior is how far the classifier's training prior is divided out: with all of it other people's flat
+    walking is classified as stairs, with none of it their stairs as walking.
+
+    Fixes with a larger normalised innovation squared than the gate in every mode are rejected: chi-square keeps 99.9 %
+    of good positions below 13.8, of good headings and speeds below 10.8.
+    """
+
+    modes: tuple[Mode, ...]  # `WeightedTracker` needs exactly one for each context
+    transition_prob: FloatArray  # (M, M) from mode i to mode j between two steps; rows sum to one
+    evidence_exponent: float = 1.0
+    hindsight_exponent: float = 0.5  # the same where later windows are known, too
+    prior_exponent: float = 0.2
+    evidence_floor: float = 0.01  # probability below which a context is not pushed by one window
+    # Log evidence of a detected step for a mode that stands still against one that moves: handling a phone makes about
+    # 16 false detections a minute, walking 110 true ones, log(16 / 110).
+    step_log_odds_stationary: float = -1.9
+    noise: MotionNoise = field(default_factory=MotionNoise)
+    fix_gate_nis: float = 13.8
+    scalar_gate_nis: float = 10.8
+    frame: Frame = START_FRAME  # of the fixes; `UNKNOWN_FRAME` until some have shown its origin and north to the track
+
+    __reduce__ = pickled
+
+    def __post_init__(self) -> None:
+        if not self.modes:
+            raise ValueError("modes must hold one mode at least, got none")
+        gates, exponents = ("fix_gate_nis", "scalar_gate_nis"), ("evidence_exponent", "hindsight_exponent")
+        may_be_zero = (*gates, *exponents, "prior_exponent", "evidence_floor")
+        check_numbers(self, zero=may_be_zero, signed=("step_log_odds_stationary",), infinite=gates)
+        if self.evidence_floor >= 1:
+            raise ValueError(f"evidence_floor must be below 1, got {self.evidence_floor}")
+        names = [m.name for m in self.modes]
+        if len(set(names)) < len(names):
+            raise ValueError(f"mode names must be distinct, got {names}")
+        check_transition_prob(self.transition_prob, len(self.modes))
+        object.__setattr__(self, "transition_prob", read_only(self.transition_prob))
+
+    def check_one_mode_for_each_context(self) -> None:
+        """ValueError unless the modes are the contexts, each once."""
+        contexts = [m.context for m in self.modes]
+        if sorted(contexts) != sorted(CONTEXTS):
+            raise ValueError(
+                f'weightings "hc" and "wc" need exactly one mode for each of {CONTEXTS}, got {contexts}; '
+                'use weighting="imm" for other modes'
+            )
+
+    @cached_property
+    def directions(self) -> Directions:
+        """Of all modes."""
+        return Directions.of(self.modes)
+
+    @cached_property
+    def moves(self) -> FloatArray:
+        """1 for the modes in which a step leads somewhere, (M,)."""
+        return np.array([float(m.moves) for m in self.modes])
+
+    @cached_property
+    def stands(self) -> FloatArray:
+        """1 for the stationary modes, (M,): without irregular ones, which have steps as often as walking has."""
+        return np.array([float(m.context == "stationary") for m in self.modes])
+
+    @cached_property
+    def step_evidence(self) -> FloatArray:
+        """Log evidence (M,) of a detected step for each mode."""
+        return self.step_log_odds_stationary * self.stands
+
+    @cached_property
+    def on_stairs(self) -> FloatArray:
+        """1 for the modes that climb stairs, and for those that go down, (2, M)."""
+        return np.array([[float(m.context == c) for m in self.modes] for c in ("upstairs", "downstairs")])
+
+    @cached_property
+    def context_index(self) -> list[int]:
+        """Index into `CONTEXTS` of each mode; only where all modes are contexts."""
+        return [CONTEXTS.index(m.context) for m in self.modes]
+
+    @cached_property
+    def evidence(self) -> ModeEvidence:
+        """What windows say for the modes."""
+        return ModeEvidence(
+            tuple(m.context for m in self.modes),
+            tuple(m.carrying_mode for m in self.modes),
+            self.evidence_exponent,
+            self.prior_exponent,
+            self.evidence_floor,
+        )
+
+    @cached_property
+    def _lengths(self) -> StepLengths:
+        return StepLengths(tuple(m.step_length for m in self.modes))
+
+    @cached_property
+    def _offset_vectors(self) -> FloatArray:
+        offset_rad = self.directions.heading_offset_rad
+        return np.column_stack([np.sin(offset_rad), np.cos(offset_rad)])
+
+    @cached_property
+    def long_run_mode_prob(self) -> FloatArray:
+        """Mode probabilities (M,) to which the transitions lead; from an even start, which an unmixed chain keeps."""
+        return np.linalg.matrix_power(self.transition_prob, 1024).mean(axis=0)
+
+    def lengths(self, step: Step) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Lengths, their variances, those of a single step alone, and the std due to the parameters alone, (M,) each.
+
+        Modes that move nobody have length zero.
+        """
+        length_m, parameter_var_m2 = self._lengths.moments(step)
+        length_m, parameter_var_m2 = self.moves * length_m, self.moves * parameter_var_m2
+        own_var_m2 = self.own_var_m2(step, length_m)
+        return length_m, own_var_m2 + parameter_var_m2, own_var_m2, np.sqrt(parameter_var_m2)
+
+    def own_var_m2(self, step: Step, length_m: FloatArray) -> FloatArray:
+        """Variance (M,) of a single step about the lengths (M,) of the modes.
+
+        One that is too quick for walking and too soft for running may be anything from a step on the spot to twice as
+        long as a model says: L^2 / 3.
+        """
+        var_m2 = self._lengths.residual_var_m2 + uneven_var_m2(step) * self.moves
+        return var_m2 + length_m * length_m / 3.0 if step.is_quick_and_soft else var_m2
+
+    def mean_heading_offset_rad(self, mode_prob: FloatArray) -> float:
+        """The modes' own heading offset, averaged as vectors."""
+        sine, cosine = mode_prob.dot(self._offset_vectors).tolist()
+        return math.atan2(sine, cosine) if sine * sine + cosine * cosine > 1e-18 else 0.0
+
+    def context_prob(self, mode_prob: FloatArray) -> FloatArray:
+        """Context probabilities (C,) that mode probabilities imply: summed over the modes of each context."""
+        prob = [sum(p for m, p in zip(self.modes, mode_prob, strict=True) if m.context == c) for c in CONTEXTS]
+        total = sum(prob)  # less than one beside irregular modes
+        return np.array(prob) / total if total > 0 else np.full(len(CONTEXTS), 1 / len(CONTEXTS))

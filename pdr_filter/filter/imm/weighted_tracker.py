@@ -1,0 +1,161 @@
+"""Steps and context windows in, track rows out: one filter whose step length weighs those of the contexts.
+
+The step length is the highest context's or the probability-weighted one, each step weighted by the two windows that
+contain it: the provisional and the final distance of Martinelli et al. 2018, Algorithms 1 and 2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdr_filter.filter.fixes.fix_updates import use_fix
+from pdr_filter.filter.imm.imm import NumpyImm
+from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, advance
+from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
+from pdr_filter.filter.imm.pedestrian_state import (
+    PedestrianState,
+    StepUpdate,
+    Walked,
+    initial_state,
+    is_known_to_stand,
+    shared_cov,
+    step_update,
+    with_heading,
+    with_open_turn,
+    with_step,
+)
+from pdr_filter.filter.imm.recent_windows import (
+    WINDOW_MEMORY_S,
+    RecentWindows,
+    window_after,
+    window_around,
+    with_window,
+)
+from pdr_filter.filter.imm.tracker import over_gap
+from pdr_filter.filter.imm.weighting import HC, context_weights
+from pdr_filter.sensing.contexts.context_stage import WindowContext
+from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, check_numbers, replace
+
+
+@dataclass(frozen=True, eq=False)
+class WeightedState:
+    """The estimate after the last final step, and the steps that wait for their windows."""
+
+    pedestrian: PedestrianState
+    windows: RecentWindows
+    mode_prob: FloatArray  # (M,) weights of the last final step
+    pending: tuple[Step, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class WeightedTracker:
+    """One filter over the weighted step lengths of the contexts: highest or weighted context.
+
+    The threshold is the second-highest over the highest probability from which contexts are weighted (Algorithm 2:
+    0.8); `weighting.HC` (infinity) takes the highest without exception.
+    """
+
+    model: PedestrianModel  # with exactly one mode for each context
+    threshold: float = 0.8
+
+    # A step is final when the window after the one in which it is new is known.
+    waits_for_windows = 2
+
+    def __post_init__(self) -> None:
+        check_numbers(self, zero=("threshold",), infinite=("threshold",))
+        self.model.check_one_mode_for_each_context()
+
+    @property
+    def weighting(self) -> str:
+        """Its short name: "hc" or "wc"."""
+        return "hc" if self.threshold == HC else "wc"
+
+    def init(self) -> WeightedState:
+        """State at the origin."""
+        return WeightedState(initial_state(self.model, np.ones(1)), (), self.model.long_run_mode_prob, ())
+
+    def on_window(self, state: WeightedState, window: WindowContext) -> tuple[WeightedState, tuple[StepUpdate, ...]]:
+        """New state, and the steps that this window made final."""
+        return self._settle(replace(state, windows=with_window(state.windows, window)), force=False)
+
+    def on_step(self, state: WeightedState, step: Step) -> tuple[WeightedState, tuple[StepUpdate, ...]]:
+        """Return the new state, the steps that became final, and a provisional update of this step."""
+        state = replace(state, pending=(*state.pending, step))
+        state, final = self._settle(state, force=False)
+        ahead, provisional = state, tuple[StepUpdate, ...]()
+        while ahead.pending:
+            ahead, update = self._weighted_step(ahead, is_final=False)
+            provisional = (update,)
+        return state, (*final, *provisional)
+
+    def on_gap(self, state: WeightedState, gap_s: float) -> tuple[WeightedState, tuple[StepUpdate, ...]]:
+        """New state after a time without samples: waiting steps are final, windows start afresh."""
+        state, final = self._settle(state, force=True)
+        return replace(state, pedestrian=over_gap(state.pedestrian, gap_s, self.model.noise), windows=()), final
+
+    def on_fix(self, state: WeightedState, fix: Fix) -> tuple[WeightedState, FixOutcome, float]:
+        """New state after a fix, what became of it, and its normalised innovation squared; see `use_fix`."""
+        pedestrian, outcome, nis = use_fix(self.model, NumpyImm(), state.pedestrian, np.zeros(1), fix)
+        return replace(state, pedestrian=pedestrian), outcome, nis
+
+    def finish(self, state: WeightedState) -> tuple[WeightedState, tuple[StepUpdate, ...]]:
+        """New state with every waiting step final: no further window will come."""
+        return self._settle(state, force=True)
+
+    def _settle(self, state: WeightedState, force: bool) -> tuple[WeightedState, tuple[StepUpdate, ...]]:
+        """Make steps final, in order, whose last window is known (or all, if no further window will come)."""
+        final = list[StepUpdate]()
+        while state.pending:
+            step = state.pending[0]
+            # where windows do not come, steps wait no longer than windows are remembered
+            waits = state.pending[-1].time_s - step.time_s <= WINDOW_MEMORY_S
+            if window_after(state.windows, step.time_s) is None and waits and not force:
+                break
+            state, update = self._weighted_step(state, is_final=True)
+            final.append(update)
+        return state, tuple(final)
+
+    def _weighted_step(self, state: WeightedState, is_final: bool) -> tuple[WeightedState, StepUpdate]:
+        """The first waiting step with the mean of its provisional and final weights: (d + pd) / 2 of the algorithms."""
+        model, step = self.model, state.pending[0]
+        provisional = self._prob_of(state, window_around(state.windows, step.time_s))
+        final = self._prob_of(state, window_after(state.windows, step.time_s)) if is_final else provisional
+        weights = 0.5 * (context_weights(provisional, self.threshold) + context_weights(final, self.threshold))
+        weights = weights[model.context_index]
+        before = with_open_turn(state.pedestrian)
+        if is_known_to_stand(before, step):
+            weights = 1.0 - model.moves
+        length_m, var_m2, _, parameter_std_m = model.lengths(step)
+        mean_length_m = float(weights @ length_m)
+        mixture_var_m2 = max(float(weights @ (var_m2 + length_m**2)) - mean_length_m**2, 0.0)
+        own_var_m2 = max(mixture_var_m2 - float(weights @ parameter_std_m**2), 0.0)
+        directions = model.directions.weighted(weights)
+        before, known, known_cov = with_heading(before, step, before.mean, before.cov, directions, model.noise)
+        length, var = np.array([mean_length_m]), np.array([own_var_m2])
+        ahead = advance(known, known_cov, step, length, var, directions, model.noise)
+        mean, cov = ahead.mean, ahead.cov
+        scale = float(np.exp(known[0, LOG_SCALE]))
+        heading_rad = step.device_heading_rad + float(mean[0, HEADING_OFFSET] + directions.heading_offset_rad[0])
+        walked = Walked(
+            length_m=mean_length_m * scale,
+            length_var_m2=mixture_var_m2,
+            heading_rad=heading_rad,
+            parameter_std_m=weights * parameter_std_m * scale,
+            own_direction=ahead.move.along,
+        )
+        after = replace(before, mean=mean, cov=cov, walked_m=before.walked_m + walked.length_m)
+        after = with_step(after, step, walked, (mean[0], cov[0]))
+        context_prob = 0.5 * (provisional + final)
+        shared_m2 = shared_cov(after)
+        update = step_update(before, after, step, walked, (mean[0], cov[0]), shared_m2, context_prob, weights, is_final)
+        mode_prob = weights if is_final else state.mode_prob
+        state = replace(state, pedestrian=after, pending=state.pending[1:], mode_prob=mode_prob)
+        return state, update
+
+    def _prob_of(self, state: WeightedState, window: WindowContext | None) -> FloatArray:
+        """Context probabilities (C,) of a window; without it of the latest; else those so far."""
+        if window is None and not state.windows:
+            return self.model.context_prob(state.mode_prob)
+        return (window or state.windows[-1]).prob

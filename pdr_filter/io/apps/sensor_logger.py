@@ -1,0 +1,371 @@
+"""Sensor Logger (iOS, Android): a zip or folder with one CSV file for each sensor, or one JSON file.
+
+Layout, units and signs after the app's own documents (github.com/tszheichoi/awesome-sensor-logger: UNITS.md,
+COORDINATES.md, CROSSPLATFORM.md; app versions 1.6 to 1.64); what differs between them is in docs/formats.md, "Known
+traps". `time` is parsed as whole nanoseconds since 1970, which a float holds to 256 ns only. `Accelerometer` has
+gravity removed, and on iOS it and `Gravity` have the opposite sign, unless `standardisation` is true in Metadata.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from itertools import chain
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from pdr_filter.io.apps.sensor_logger_json import objects_by_sensor
+from pdr_filter.io.apps.sensor_logger_other import database_tables, is_push, messages_of, push_tables
+from pdr_filter.io.assemble import Parsed
+from pdr_filter.io.checks import up_cosine
+from pdr_filter.io.files.archive import Members, open_members
+from pdr_filter.io.files.errors import RecordingError
+from pdr_filter.io.files.sqlite_file import SQLITE
+from pdr_filter.io.tables.app_dialects import said_platform
+from pdr_filter.io.tables.table_streams import interpolated
+from pdr_filter.io.tables.text_table import (
+    NumberTable,
+    TextTable,
+    concatenated,
+    find_separator,
+    header_fields,
+    text_rows,
+    whole_number,
+)
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, IntArray, Samples, limits
+from pdr_filter.values.recording import Recording
+
+COLUMNS: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("TotalAcceleration", "Accelerometer", "Gravity", "AccelerometerUncalibrated"), ("x", "y", "z")),
+    **dict.fromkeys(("Gyroscope", "GyroscopeUncalibrated"), ("x", "y", "z")),
+    **dict.fromkeys(("Magnetometer", "MagnetometerUncalibrated"), ("x", "y", "z")),
+    "Barometer": ("pressure",),
+    "Light": ("lux",),
+    "Orientation": ("qw", "qx", "qy", "qz"),
+    "Location": ("latitude", "longitude", "altitude", "horizontalAccuracy"),
+}
+# Streams that are taken over without arithmetic, and what to take if the first is missing.
+PLAIN = {
+    "gyroscope": ("Gyroscope", "GyroscopeUncalibrated"),
+    "magnetometer": ("Magnetometer", "MagnetometerUncalibrated"),
+    "barometer": ("Barometer",),
+    "light": ("Light",),
+    "attitude": ("Orientation",),
+    "location": ("Location",),
+}
+# A row from longer before the start than this is a remembered value: sensors start within a second or two.
+STALE_S = 60.0
+
+
+@dataclass
+class _Export:
+    """What is in an export of the app: of each sensor the whole nanoseconds since 1970, and the values."""
+
+    sensors: dict[str, NumberTable] = field(default_factory=dict[str, NumberTable])
+    metadata: dict[str, str] = field(default_factory=dict[str, str])
+    annotations: list[tuple[int, str]] = field(default_factory=list[tuple[int, str]])
+    notes: list[str] = field(default_factory=list[str])
+
+    def about(self, key: str) -> str:
+        """A value of the metadata without surrounding space; empty if it is not there."""
+        return self.metadata.get(key, "").strip()
+
+
+def looks_like(header: str) -> bool:
+    """Whether the header line of a CSV file is one of Sensor Logger."""
+    return {"time", "seconds_elapsed"} <= set(header_fields(header, find_separator(header)))
+
+
+def is_without_seconds_elapsed(members: Members) -> bool:
+    """True for an export of 2021, whose tables show less than its Metadata.csv."""
+    by_stem = {PurePosixPath(name).stem.lower(): name for name in members.names if name.lower().endswith(".csv")}
+    if not {"metadata", "accelerometer"} <= by_stem.keys():
+        return False
+    header = members.head(by_stem["accelerometer"]).partition(b"\n")[0].decode("latin-1").strip()
+    return {*header_fields(header, ",")} == {"time", "x", "y", "z"} and bool(said_platform(members))
+
+
+def looks_like_export(head: bytes) -> bool:
+    """Whether these are the first bytes of its JSON, of a message that it pushes, or of a database."""
+    is_json = head.lstrip()[:1] == b"[" and b'"sensor"' in head[:4096]
+    return is_json or is_push(head) or head.startswith(SQLITE)
+
+
+def sessions_of(members: Members) -> list[str]:
+    """The recordings in a file of messages that the app pushed; none of any other file."""
+    name = members.names[0]
+    if members.inside or not is_push(members.head(name)):
+        return []
+    return list(messages_of(members, name))
+
+
+def read_sensor_logger(path: str | Path, platform: str | None = None) -> Recording:
+    """Return the recording in a zip file, folder, JSON file, database or file of pushed messages of Sensor Logger.
+
+    `platform`, ios or android, is for an export whose Metadata is lost. RecordingError if the sign of the specific
+    force is not known: no Metadata to name the platform and no attitude to show it, gravity missing, or an attitude
+    that contradicts the sign.
+    """
+    path = Path(path)
+    with open_members(path) as members:
+        first = members.names[0] if len(members.names) == 1 else ""  # one file that holds all; one CSV does not
+        head = members.head(first) if first else b""
+        if head.startswith(SQLITE):
+            export = _Export()
+            export.sensors, export.metadata = database_tables(members, first, COLUMNS, export.notes)
+        elif is_push(head):
+            export = _Export(sensors=push_tables(members, first, COLUMNS))
+            if (n := max(map(len, export.sensors.values()), default=0)) < limits.MIN_SAMPLES:
+                raise RecordingError(
+                    f"{path}: messages that Sensor Logger pushed, with only {n} samples of a sensor; put all messages "
+                    "of the recording into one file, one behind the other"
+                )
+        elif not members.is_container or head.lstrip()[:1] == b"[":
+            export = _read_json(members, first)
+        else:
+            export = _read_tables(members)
+    if platform is not None:
+        named = export.about("platform").lower()
+        if named in ("ios", "android") and named != platform:
+            raise RecordingError(f"{path}: Metadata says {named}, and platform is {platform}; leave platform out")
+        export.metadata["platform"] = platform
+    version, platform = export.about("appVersion"), export.about("platform")
+    source = " ".join(["Sensor Logger", *([version] if version else []), *([f"({platform})"] if platform else [])])
+    parsed = Parsed(path, source[: limits.MAX_NAME_CHARS], notes=export.notes)
+    parsed.set_device(export.about("device name"))
+    name, force = _specific_force(export, parsed)
+    zero_ns = int(force.whole[0]) if len(force) else 0
+    taken = {"accelerometer": name}
+    for stream, choices in PLAIN.items():
+        choice = next((name for name in choices if len(export.sensors.get(name, ()))), None)
+        if choice is not None:
+            taken[stream] = choice
+            if choice.endswith("Uncalibrated"):
+                parsed.notes.append(f"{stream}: only the uncalibrated values were recorded, so its bias is in them")
+    for stream, sensor in taken.items():
+        table = force if stream == "accelerometer" else export.sensors[sensor]
+        # the difference is exact in int64
+        parsed.streams[stream] = ((table.whole - zero_ns).astype(np.float64) * 1e-9, table.values)
+    if "gyroscope" in taken:
+        parsed.found.append("gyroscope: rad/s, same sign on iOS and Android")
+    if "location" in taken:
+        values = parsed.streams["location"][1]
+        values[values[:, 3] < 0, 3] = np.nan  # the app writes -1 for unknown
+    asked_hz = _requested_hz(export)
+    parsed.requested_hz = {stream: asked_hz[sensor] for stream, sensor in taken.items() if sensor in asked_hz}
+    parsed.clock = f"unix nanoseconds of the phone; time zero is {zero_ns} ns"
+    if zero_ns > limits.MAX_ELAPSED_S * 1e9:
+        parsed.meta["epoch_ns"] = zero_ns
+    if export.annotations:
+        parsed.meta["annotations"] = [
+            {"time_s": (time_ns - zero_ns) * 1e-9, "text": text[: limits.MAX_TEXT_CHARS]}
+            for time_ns, text in export.annotations
+        ]
+    return parsed.recording()
+
+
+def _specific_force(export: _Export, parsed: Parsed) -> tuple[str, NumberTable]:
+    """The sensor that is asked for its rate, and specific force with Android's sign."""
+    path, sensors = parsed.path, export.sensors
+    platform = export.about("platform").lower()
+    standard = export.about("standardisation").lower() in ("true", "1")
+    total, linear, gravity = (sensors.get(n) for n in ("TotalAcceleration", "Accelerometer", "Gravity"))
+    raw = sensors.get("AccelerometerUncalibrated")
+    if linear is not None and gravity is None and total is None and raw is None:
+        raise RecordingError(
+            f"{path}: Accelerometer has gravity removed, and neither Gravity nor TotalAcceleration was recorded; "
+            "switch one of them on in the app"
+        )
+    if platform not in ("ios", "android"):
+        platform = _platform_by_content(export, parsed, platform)
+    ios_sign = platform == "ios" and not standard
+    how = f"{platform}, standardisation {'on' if standard else 'off'}"
+    if total is not None and platform == "android":
+        parsed.found.append(f"accelerometer: TotalAcceleration, m/s2, sign as it is ({how})")
+        return "TotalAcceleration", total
+    if linear is not None and gravity is not None:
+        force = linear.values + _at_times(gravity, linear.whole)
+        sign = "-(Accelerometer + Gravity)" if ios_sign else "Accelerometer + Gravity"
+        parsed.found.append(f"accelerometer: {sign}, m/s2 ({how})")
+        return "Accelerometer", NumberTable(linear.whole, -force if ios_sign else force)
+    if raw is not None:
+        scale = -STANDARD_GRAVITY_MPS2 if ios_sign else 1.0
+        unit = "g, sign turned" if ios_sign else "m/s2, sign as it is"
+        parsed.found.append(f"accelerometer: AccelerometerUncalibrated, {unit} ({how})")
+        return "AccelerometerUncalibrated", NumberTable(raw.whole, scale * raw.values)
+    raise RecordingError(
+        f"{path}: no accelerometer (found: {', '.join(sorted(sensors)) or 'no sensor'}); "
+        "record Accelerometer and Gravity"
+    )
+
+
+def _platform_by_content(export: _Export, parsed: Parsed, named: str) -> str:
+    """The platform that the sensors themselves show; RecordingError if they do not."""
+    gravity, attitude = export.sensors.get("Gravity"), export.sensors.get("Orientation")
+    if "TotalAcceleration" in export.sensors:
+        parsed.notes.append("no platform in Metadata; taken as Android, because TotalAcceleration is Android's")
+        return "android"
+    if gravity is not None and attitude is not None and len(gravity) and len(attitude):
+        zero = gravity.whole[0]
+        cosine = up_cosine(*(Samples((s.whole - zero) * 1e-9, s.values) for s in (gravity, attitude)))
+        if abs(cosine) > limits.UP_COSINE_DOUBTFUL:
+            platform = "android" if cosine > 0 else "ios"
+            way = "up" if cosine > 0 else "down"
+            parsed.notes.append(f"no platform in Metadata; {platform}, because Gravity points {way} in Orientation")
+            return platform
+    raise RecordingError(
+        f"{parsed.path}: Metadata names no platform (found {named or 'nothing'!r}), and the signs of iOS and Android "
+        "are opposite; export with Metadata.csv, or say it with pdr-filter convert FILE --platform ios, or android"
+    )
+
+
+def _at_times(sensor: NumberTable, time_ns: IntArray) -> FloatArray:
+    """Values interpolated linearly, NaN where the sensor has a hole."""
+    zero_ns = int(sensor.whole.min()) if len(sensor) else 0
+    at_s, known_s = ((ns - zero_ns).astype(np.float64) * 1e-9 for ns in (time_ns, sensor.whole))
+    return interpolated(at_s, known_s, sensor.values)
+
+
+def _requested_hz(export: _Export) -> dict[str, float]:
+    """Rates that the user chose, by sensor."""
+    names = [name.replace(" ", "") for name in export.about("sensors").split("|")]
+    periods = export.about("sampleRateMs").split("|")
+    rates: dict[str, float] = {}
+    for name, period in zip(names, periods, strict=False):
+        try:
+            period_ms = float(period)
+        except ValueError:
+            continue
+        if 0.1 < period_ms < 1e6:  # zero is "as fast as possible"
+            rates[name] = 1000 / period_ms
+    if len(periods) == 1 and len(names) > 1 and rates:  # one rate for all, as older versions write it
+        rates = dict.fromkeys(names, next(iter(rates.values())))
+    # On Android the sensor is called Accelerometer in the list also where TotalAcceleration is written with it.
+    if "Accelerometer" in rates:
+        for name in ("TotalAcceleration", "Gravity"):
+            rates.setdefault(name, rates["Accelerometer"])
+    return rates
+
+
+def _read_tables(members: Members) -> _Export:
+    """The tables of a zip or folder."""
+    export = _Export()
+    tables = [name for name in members.names if PurePosixPath(name).suffix.lower() == ".csv"]
+    # The last line of these two needs no line feed, and an annotation file may have no bytes at all.
+    metadata, annotations = (
+        text_rows(members.small(name), members.where(name)) if (name := _member(tables, stem, members)) else []
+        for stem in ("Metadata", "Annotation")
+    )
+    if len(metadata) >= 2:
+        export.metadata = dict(zip([name.strip() for name in metadata[0]], metadata[1], strict=False))
+    export.annotations = _annotations(annotations)
+    begun_ns: int | None = None  # of the tables whose times have all their digits
+    rounded: list[str] = []
+    for sensor, columns in COLUMNS.items():
+        if name := _member(tables, sensor, members):
+            table = TextTable(members.blocks(name), members.where(name))
+            if table.is_empty:
+                export.notes.append(f"{sensor}.csv: empty, left out")
+                continue
+            has_elapsed = table.fields.count("seconds_elapsed") == 1
+            time, *places = table.places(("time", *columns, *["seconds_elapsed"][:has_elapsed]))
+            decimal = "," if table.separator != "," and b"," in table.first_rows.split(b"\n", 1)[0] else "."
+            rows = table.parse(places, export.notes, whole=time, decimal=decimal)
+            elapsed_s = rows.values[:, len(columns) :]
+            rows = NumberTable(rows.whole, rows.values[:, : len(columns)])
+            if has_elapsed and 2 * np.count_nonzero(np.diff(rows.whole)) < len(rows) - 1:
+                known = np.abs(elapsed_s[:, 0]) < limits.MAX_ELAPSED_S
+                whole = np.round(elapsed_s[known, 0] * 1e9).astype(np.int64)
+                export.sensors[sensor] = NumberTable(whole, rows.values[known])
+                rounded.append(sensor)
+                continue
+            first = zip(rows.whole[: limits.HEAD_ROWS], elapsed_s[: limits.HEAD_ROWS].ravel(), strict=False)
+            own_begun_ns = _begun_ns((str(time), str(elapsed)) for time, elapsed in first)
+            begun_ns = own_begun_ns or begun_ns
+            export.sensors[sensor] = _without_stale(rows, own_begun_ns, sensor, export.notes)
+    for sensor in rounded:
+        export.notes.append(f"{sensor}.csv: its column time was rounded, so seconds_elapsed is taken")
+        rows = export.sensors[sensor]
+        export.sensors[sensor] = NumberTable(rows.whole + (begun_ns or 0), rows.values)
+    return export
+
+
+def _member(names: Sequence[str], sensor: str, members: Members) -> str:
+    """The file of a sensor, also with something before or behind its name, as `walk_Gravity (1).csv`; "" if none."""
+    stems = {name: PurePosixPath(name).stem.lower() for name in names}
+    exact = [name for name, stem in stems.items() if stem == sensor.lower()]
+    near = [name for name, stem in stems.items() if re.search(rf"(?<![a-z]){sensor.lower()}(?![a-z])", stem)]
+    found = exact or near
+    if len(found) > 1:
+        raise RecordingError(
+            f"{members.path}: {PurePosixPath(found[1]).name} is there twice; make one zip of each recording"
+            if exact
+            else f"{members.path}: {' and '.join(found[:2])} are both {sensor}; keep one of them"
+        )
+    return found[0] if found else ""
+
+
+def _read_json(members: Members, name: str) -> _Export:
+    """The objects of a JSON file."""
+    export = _Export()
+    parts: dict[str, list[NumberTable]] = {}
+    begun_ns: dict[str, int | None] = {}
+    for groups in objects_by_sensor(members, name):
+        for item in chain(*(groups[key].items() for key in ("Metadata", "metadata") if key in groups)):
+            export.metadata = {key: str(value) for key, value in item.items()}
+        if "Annotation" in groups and len(export.annotations) < limits.MAX_ANNOTATIONS:
+            keys = ["time", "text"]
+            rows = ([str(item.get(key, "")) for key in keys] for item in groups["Annotation"].items())
+            export.annotations += _annotations([keys, *rows])
+        for sensor, columns in COLUMNS.items():
+            if sensor not in groups:
+                continue
+            if sensor not in begun_ns:
+                first = groups[sensor].items(limits.HEAD_ROWS)
+                begun_ns[sensor] = _begun_ns((str(r.get("time", "")), str(r.get("seconds_elapsed", ""))) for r in first)
+            table = groups[sensor].table(columns, f"{members.where(name)}, {sensor}", export.notes)
+            parts.setdefault(sensor, []).append(table)
+    export.sensors = {
+        sensor: _without_stale(concatenated(found), begun_ns[sensor], sensor, export.notes)
+        for sensor, found in parts.items()
+    }
+    return export
+
+
+def _begun_ns(times: Iterable[tuple[str, str]]) -> int | None:
+    """When the recording began: the median of time minus seconds elapsed; None if not known."""
+    starts: list[int] = []
+    for time, elapsed in times:
+        with contextlib.suppress(ValueError):
+            at_ns, after_s = whole_number(time), float(elapsed.replace(",", "."))
+            if at_ns is not None and abs(after_s) < limits.MAX_ELAPSED_S:
+                starts.append(at_ns - round(after_s * 1e9))
+    return sorted(starts)[len(starts) // 2] if starts else None
+
+
+def _without_stale(sensor: NumberTable, begun_ns: int | None, name: str, notes: list[str]) -> NumberTable:
+    """Without the values that the phone remembered from before the recording."""
+    if begun_ns is None:
+        return sensor
+    kept = sensor.whole.astype(np.float64) >= begun_ns - STALE_S * 1e9
+    if kept.all():
+        return sensor
+    notes.append(f"{name}: {int((~kept).sum())} values remembered from before the recording left out")
+    return NumberTable(sensor.whole[kept], sensor.values[kept])
+
+
+def _annotations(rows: list[list[str]]) -> list[tuple[int, str]]:
+    """Time and text of the rows below a header that names both."""
+    if not rows or "time" not in rows[0] or "text" not in rows[0]:
+        return []
+    at, text = rows[0].index("time"), rows[0].index("text")
+    found: list[tuple[int, str]] = []
+    for row in rows[1 : limits.MAX_ANNOTATIONS + 1]:
+        if len(row) > max(at, text):
+            with contextlib.suppress(ValueError):
+                if (time_ns := whole_number(row[at])) is not None:
+                    found.append((time_ns, row[text]))
+    return found

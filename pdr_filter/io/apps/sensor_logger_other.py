@@ -1,0 +1,110 @@
+"""Sensor Logger's database, with a table for each sensor, and the messages that it pushes while it records.
+
+A message is `{"messageId", "sessionId", "deviceId", "payload": [{"name", "time", "values": {...}}]}`, with names in
+lower case and whole nanoseconds since 1970 (github.com/tszheichoi/awesome-sensor-logger, PUSHING.md). Messages may
+arrive in any order; a file of them is an array, one message, or one after the other.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any, cast
+
+import numpy as np
+
+from pdr_filter.io.apps.sensor_logger_json import Objects
+from pdr_filter.io.files.archive import Members
+from pdr_filter.io.files.errors import RecordingError
+from pdr_filter.io.files.sqlite_file import open_database
+from pdr_filter.io.tables.text_table import NumberTable
+from pdr_filter.values import limits
+
+Columns = Mapping[str, tuple[str, ...]]  # of each sensor, as its CSV files call them
+Message = dict[str, Any]
+
+
+def is_push(head: bytes) -> bool:
+    """Whether these are the first bytes of messages that were pushed."""
+    return head.lstrip()[:1] in (b"[", b"{") and b'"payload"' in head and b'"sessionId"' in head
+
+
+def messages_of(members: Members, name: str) -> dict[str, list[Message]]:
+    """The messages of each session, in the order in which they were sent."""
+    where = members.where(name)
+    text = members.whole(name, limits.MAX_WHOLE_BYTES).decode("utf-8-sig", "replace")
+    decoder, at = json.JSONDecoder(), 0
+    found: list[Message] = []
+    while at < len(text):
+        if text[at] in " \r\n\t,":
+            at += 1
+            continue
+        try:
+            value, at = decoder.raw_decode(text, at)
+        except (ValueError, RecursionError) as error:
+            raise RecordingError(f"{where}: the JSON is damaged or cut off ({error}); save it again") from error
+        values = cast("list[Any]", value) if isinstance(value, list) else [value]
+        found += [cast("Message", v) for v in values if isinstance(v, dict) and isinstance(v.get("payload"), list)]
+    sessions: dict[str, list[Message]] = {}
+    for message in found:
+        session = "".join(c for c in str(message.get("sessionId")) if c.isalnum() or c in "-_")[: limits.MAX_NAME_CHARS]
+        sessions.setdefault(session, []).append(message)
+    return {session: sorted(messages, key=_number_of) for session, messages in sessions.items()}
+
+
+def push_tables(members: Members, name: str, columns: Columns) -> dict[str, NumberTable]:
+    """The sensors of a session: of the one that the path names, or of the only one."""
+    where = members.where(name)
+    sessions = messages_of(members, name)
+    wanted = members.inside or next(iter(sessions), "")
+    if wanted not in sessions or (not members.inside and len(sessions) > 1):
+        raise RecordingError(
+            f"{where}: holds {len(sessions)} sessions ({', '.join(list(sessions)[:3])}); name one behind the path"
+        )
+    known = {sensor.lower(): sensor for sensor in columns}
+    rows: dict[str, list[Message]] = {}
+    for item in (item for message in sessions[wanted] for item in message["payload"] if isinstance(item, dict)):
+        sensor = known.get(str(item.get("name")).lower())
+        values: Any = item.get("values", item)
+        if sensor is None or not isinstance(values, dict):
+            continue
+        of_columns = {key: cast("Message", values).get(key) for key in columns[sensor]}
+        rows.setdefault(sensor, []).append({**of_columns, "time": item.get("time")})
+    tables: dict[str, NumberTable] = {}
+    for sensor, found in rows.items():
+        table = Objects(found).table(columns[sensor], f"{where}, {sensor}", [])
+        order = np.argsort(table.whole, kind="stable")
+        tables[sensor] = NumberTable(table.whole[order], table.values[order])
+    return tables
+
+
+def database_tables(
+    members: Members, name: str, columns: Columns, notes: list[str]
+) -> tuple[dict[str, NumberTable], dict[str, str]]:
+    """The sensors of a database, and its metadata."""
+    where = members.where(name)
+    sensors: dict[str, NumberTable] = {}
+    metadata: dict[str, str] = {}
+    known = {sensor.lower(): sensor for sensor in columns}
+    with open_database(members, name) as database:
+        for table, found in database.columns.items():
+            sensor = known.get(table.lower())
+            if sensor is not None and {"time", *columns[sensor]} <= set(found):
+                names = ("time", *columns[sensor])
+                rows = Objects([dict(zip(names, row, strict=True)) for row in database.rows(table, names)], names)
+                sensors[sensor] = rows.table(columns[sensor], f"{where}, {sensor}", notes)
+                if n_timeless := len(rows.parsed) - len(sensors[sensor]):
+                    notes.append(f"{table}: {n_timeless} rows without a time left out")
+            elif table.lower() == "metadata" and found:
+                for row in database.rows(table, found)[:1]:
+                    metadata = {key: str(value)[: limits.MAX_TEXT_CHARS] for key, value in zip(found, row, strict=True)}
+        if not sensors:
+            raise RecordingError(
+                f"{where}: no table of a sensor of Sensor Logger in it (found: {', '.join(database.columns)[:160]})"
+            )
+    return sensors, metadata
+
+
+def _number_of(message: Message) -> float:
+    number: Any = message.get("messageId")
+    return float(number) if isinstance(number, int | float) and abs(number) < limits.MAX_INT64 else 0.0

@@ -1,0 +1,120 @@
+"""Logs in which every line names its type: the lines of each type are found as arrays and parsed as one table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdr_filter.io.files.archive import Members
+from pdr_filter.io.tables.text_table import Layout, NumberTable, concatenated, parse_blocks
+from pdr_filter.values import FloatArray, limits
+
+
+class TaggedLog:
+    """The one text among the files of a recording, with the lines at its begin that begin with `comment`."""
+
+    def __init__(self, members: Members, comment: str) -> None:
+        self.name = members.only_text()
+        self.where = members.where(self.name)
+        head = members.head(self.name, limits.MAX_HEADER_BYTES).removeprefix(b"\xef\xbb\xbf").decode("latin-1")
+        lines = head.splitlines()[: limits.MAX_HEADER_LINES]
+        self.header = [line.lstrip(comment).strip() for line in lines if line.startswith(comment)]
+        self._members = members
+
+    def header_values(self, separator: str = "\n") -> dict[str, str]:
+        """Values of `key: value` in the comment lines, of which a line may hold several; the first of each key."""
+        values: dict[str, str] = {}
+        for line in self.header:
+            for part in line.split(separator):
+                key, _, value = part.partition(":")
+                if value.strip():
+                    values.setdefault(key.strip(), value.strip()[: limits.MAX_NAME_CHARS])
+        return values
+
+    def tables(
+        self,
+        layouts: Mapping[str, Layout],
+        tag_field: int,
+        notes: list[str],
+        rewritten: Mapping[str, Callable[[bytes], bytes]] | None = None,
+    ) -> tuple[dict[str, NumberTable], int]:
+        """Tables by type of line, and how many lines have another type; what was repaired is added to the notes.
+
+        Layouts, by type, count columns from the begin of the line and have the same separator. `tag_field` (0 or 1)
+        is the field of a line that holds its type. Lines of a type in `rewritten` are parsed as this makes them.
+        """
+        separator = next(iter(layouts.values())).separator.encode()
+        parts: dict[str, list[NumberTable]] = {tag: [] for tag in layouts}
+        n_seen = dict.fromkeys(layouts, 0)
+        n_fields = {tag: layout.needed for tag, layout in layouts.items()}  # of the last line of each type
+        n_others = 0
+        for block in self._members.blocks(self.name):
+            text = block
+            if not block.endswith(b"\n"):  # the last line of the file; it may end in the middle of a number
+                text = _ended(block, separator, tag_field, n_fields)
+                if text is None:
+                    notes.append(f"{self.where}: the last line is cut off and was left out")
+            if not text:
+                continue
+            ascii_only = text if text.isascii() else text.decode("latin-1").encode("ascii", "replace")
+            bytes_ = np.frombuffer(ascii_only, dtype=np.uint8)
+            ends = np.flatnonzero(bytes_ == 10) + 1
+            starts = np.concatenate([[0], ends[:-1]])
+            tags = starts if tag_field == 0 else _after_first(bytes_, starts, separator)
+            is_other = np.ones(len(starts), dtype=bool)
+            for tag, layout in layouts.items():
+                chosen = _begins(bytes_, tags, tag.encode() + separator)
+                is_other &= ~chosen
+                if chosen.any():
+                    lines = bytes_[np.repeat(chosen, ends - starts)].tobytes()
+                    if rewritten is not None and tag in rewritten:
+                        lines = rewritten[tag](lines)
+                    where = f"{self.where}, {tag} lines"
+                    parts[tag].append(parse_blocks([lines], layout, where, notes, first_line=n_seen[tag] + 1))
+                    n_seen[tag] += int(chosen.sum())
+                    at = int(np.flatnonzero(chosen)[-1])
+                    n_fields[tag] = ascii_only.count(separator, int(starts[at]), int(ends[at])) + 1
+            n_others += int(is_other.sum())
+        return {tag: concatenated(found) for tag, found in parts.items() if found}, n_others
+
+
+def rotation_vector_quaternion(vector: FloatArray) -> FloatArray:
+    """Quaternions wxyz of Android's rotation vectors (N, 3), whose norm is the sine of half the angle.
+
+    w = sqrt(1 - x^2 - y^2 - z^2), not negative; NaN where the vector is longer than one by more than rounding.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        rest = 1 - np.square(vector).sum(axis=1)
+        w = np.where(rest > -0.02, np.sqrt(np.maximum(rest, 0)), np.nan)
+        quaternion = np.column_stack([w, vector])
+        return quaternion / np.sqrt(np.square(quaternion).sum(axis=1))[:, None]
+
+
+def _ended(line: bytes, separator: bytes, tag_field: int, n_fields: Mapping[str, int]) -> bytes | None:
+    """A last line with its line feed; empty if its type is not read, None if the one before it has more fields."""
+    fields = line.split(separator)
+    tag = fields[tag_field].decode("latin-1") if len(fields) > tag_field else ""
+    if tag not in n_fields:
+        return b""
+    return line + b"\n" if len(fields) >= n_fields[tag] else None
+
+
+def _after_first(bytes_: NDArray[np.uint8], starts: NDArray[np.int64], separator: bytes) -> NDArray[np.int64]:
+    """Where the second field of each line begins; past the end where there is none."""
+    at = np.append(np.flatnonzero(bytes_ == separator[0]), len(bytes_))
+    return at[np.searchsorted(at, starts)] + 1
+
+
+def _begins(bytes_: NDArray[np.uint8], tags: NDArray[np.int64], wanted: bytes) -> NDArray[np.bool_]:
+    """Whether the bytes at each place are the wanted ones."""
+    fits = np.ones(len(tags), dtype=bool)
+    for i, byte in enumerate(wanted):
+        at = tags + i
+        inside = at < len(bytes_)
+        fits &= inside
+        fits[inside] &= bytes_[at[inside]] == byte
+        if not fits.any():
+            break
+    return fits

@@ -1,0 +1,381 @@
+"""Files of one recording, from a zip file, a folder or one file, read within bounds whatever the file claims."""
+
+from __future__ import annotations
+
+import codecs
+import gzip
+import io
+import json
+import re
+import struct
+import tomllib
+import zipfile
+import zlib
+from collections.abc import Generator, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath
+from typing import IO, Any, cast
+
+from pdr_filter.io.files.errors import RecordingError
+from pdr_filter.io.files.safe_files import inside, open_regular, read_small
+from pdr_filter.io.tables.column_names import ACCELERATION, LINEAR, quantity_of_file, trial_of
+from pdr_filter.values import limits
+
+# zipfile bounds what it unpacks at once for these two only; a few kilobytes of bzip2 or lzma can become gigabytes.
+SUPPORTED_COMPRESSION = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+# What zipfile raises for a file whose bytes were changed.
+_PYTHON_ERRORS = (EOFError, RuntimeError, OSError, OverflowError, LookupError, ValueError)
+_ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, struct.error, *_PYTHON_ERRORS)
+# Files that are recordings by themselves and are read in place, not out of a zip.
+IN_PLACE = (".hdf5", ".h5", ".mat", ".xlsx", ".xls", ".mcap", ".db3")
+_ZIP, _GZIP = b"PK", b"\x1f\x8b"
+# What is given in place of a recording, by its first bytes, and what to do.
+_OTHERS = {
+    b"7z\xbc\xaf": "a 7z archive; unpack it and give the folder",
+    b"Rar!": "a rar archive; unpack it and give the folder",
+    b"BZh": "a bz2 archive; unpack it and give what is in it",
+    b"\xfd7zXZ": "an xz archive; unpack it and give what is in it",
+    b"\x28\xb5\x2f\xfd": "a zstd archive; unpack it and give what is in it",
+    b"%PDF": "a PDF; export the samples as CSV",
+    b"<!doctype html": "a web page; download the file itself, signed in if need be",
+    b"<html": "a web page; download the file itself, signed in if need be",
+    b"version https://git-lfs": "a pointer to a file in git LFS; get the file itself with git lfs pull",
+}
+_ABOUT = re.compile(r"(?i)(readme|licen[cs]e|notes?)[^/]*$|\.(md|pdf|html?|png|jpe?g|docx?|mp4|m4a)$|(^|/)\.[^/]*$")
+_TABLES = (".csv", ".txt", ".tsv", ".log", ".dat", ".json", ".jsonl", ".ndjson")
+_TAR_AT, _TAR = 257, b"ustar"
+_UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+
+
+class Members:
+    """The files of a recording: those of a zip or a folder, or one file alone, or in a gz. Nothing is unpacked to disk.
+
+    `inside` is what a path names inside a file or among those of a folder: of a zip a folder or a file, of a log a
+    session, of files such as `walk1_acc.csv` and `walk1_gyro.csv` the trial walk1.
+    Where each sensor has a folder of its own, its file is called as if it lay beside them, by the folder's name.
+    Text in UTF-16 with a byte order mark comes as UTF-8.
+    """
+
+    def __init__(
+        self, path: Path, archive: zipfile.ZipFile | None = None, inside: str = "", is_gzip: bool = False
+    ) -> None:
+        self.path = path / inside if inside else path
+        self.inside = inside
+        self._folder = path if path.is_dir() else None
+        self.is_container = archive is not None or self._folder is not None  # not one file
+        self._archive = archive
+        self._infos = {} if archive is None else _infos_by_name(path, archive)
+        self._n_read = 0
+        self._most = limits.MAX_READ_BYTES
+        self._open = gzip.open if is_gzip else open_regular
+        if is_gzip:
+            self._most = min(self._most, _most_unpacked(path.stat().st_size))
+        name = path.stem if is_gzip and path.suffix.lower() == ".gz" else path.name
+        self._files = _files_below(path) if self._folder else {name: path}
+        names = list(self._files if archive is None else self._infos)  # with forward slashes
+        if inside and self.is_container:
+            of_trial = [name for name in names if _trial_path(name) == inside]
+            names = [name for name in names if name == inside or name.startswith(f"{inside}/")] or of_trial
+            self.is_container = names != [inside]
+            if not names:
+                raise RecordingError(f"{path}: nothing in it is called {inside}; look into it for the names")
+        flat = _without_sensor_folders(names)
+        self._files = {flat.get(name, name): file for name, file in self._files.items()}
+        self._infos = {flat.get(name, name): info for name, info in self._infos.items()}
+        self.names = tuple(sorted(flat.get(name, name) for name in names))
+
+    def where(self, name: str) -> str:
+        """How messages call a member."""
+        return f"{self.path}" if self.path.name == name else f"{self.path}: {name}"
+
+    def only_text(self) -> str:
+        """The one file that can be a log or a table: the path itself, or the only text in a zip or folder."""
+        names = [name for name in self.names if name.lower().endswith((".txt", ".log", ".csv"))] or list(self.names)
+        if len(names) != 1:
+            raise RecordingError(f"{self.path}: {len(names)} texts ({', '.join(names[:4])}); give one of them")
+        return names[0]
+
+    def head(self, name: str, most: int = limits.HEAD_BYTES) -> bytes:
+        """The first bytes of a member, `most` of them at most."""
+        return next(self.parts(name, most), b"")
+
+    def small(self, name: str) -> bytes:
+        """The bytes of a member that is small in every recording; RecordingError if it is not."""
+        return self.whole(name, limits.MAX_SMALL_BYTES, "take out of it what is not needed")
+
+    def whole(self, name: str, most: int, remedy: str = "cut the recording") -> bytes:
+        """The bytes of a member that can only be read as a whole; RecordingError if there are more than `most`."""
+        parts: list[bytes] = []
+        n_bytes = 0
+        for part in self.parts(name, min(limits.BLOCK_BYTES, most + 1)):
+            parts.append(part)
+            n_bytes += len(part)
+            if n_bytes > most:
+                raise RecordingError(f"{self.where(name)}: more than {most} bytes; {remedy}")
+        return b"".join(parts)
+
+    def file(self, most: int) -> bytes:
+        """The bytes of the file as a whole: of a zip that of the zip, also where it is packed in another."""
+        if self._archive is None or self._archive.fp is None:
+            return self.whole(self.names[0], most)
+        self._archive.fp.seek(0)
+        content = self._archive.fp.read(most + 1)
+        if len(content) > most:
+            raise RecordingError(f"{self.path}: more than {most} bytes; cut the recording")
+        return content
+
+    def pieces(self, name: str) -> Iterator[bytes]:
+        """The bytes of a member in pieces that end anywhere, without byte order mark."""
+        for i, part in enumerate(self.parts(name)):
+            # UTF-16 without byte order mark, UTF-32 and binary files have zero bytes
+            if i == 0 and b"\x00" in part[:4096]:
+                raise RecordingError(
+                    f"{self.where(name)}: not UTF-8 text but UTF-16 or a binary file; save it as UTF-8"
+                )
+            yield part.removeprefix(b"\xef\xbb\xbf") if i == 0 else part
+
+    def blocks(self, name: str) -> Iterator[bytes]:
+        """Its `pieces` cut into blocks that end with a line feed, as all line ends; an unended last line is a block."""
+        rest = b""
+        for part in self.pieces(name):
+            if b"\r" in part or rest.endswith(b"\r"):
+                part, rest = rest + part, b""
+                last = b"\r" if part.endswith(b"\r") else b""  # whose line feed may be in the next piece
+                part = part.removesuffix(last).replace(b"\r\n", b"\n").replace(b"\r", b"\n") + last
+            cut = part.rfind(b"\n") + 1
+            block, rest = (rest + part[:cut], part[cut:]) if cut else (b"", rest + part)
+            if len(rest) > limits.MAX_LINE_BYTES:
+                raise RecordingError(
+                    f"{self.where(name)}: a line of more than {limits.MAX_LINE_BYTES} bytes; this is no table"
+                )
+            if block:
+                yield block
+        if rest:
+            yield rest.replace(b"\r", b"\n")
+
+    def parts(self, name: str, size: int = limits.BLOCK_BYTES) -> Iterator[bytes]:
+        """The bytes of a member in parts of this size: no more is unpacked at once; the CRC is checked at the end."""
+        where = self.where(name)
+        try:
+            if self._archive is None:
+                file = self._files[name]
+                _check_size(where, file.stat().st_size)
+                opened = self._open(inside(file, self._folder) if self._folder else file)
+            else:
+                _check_claims(where, self._infos[name])
+                opened = self._archive.open(self._infos[name])
+            with opened as file:
+                part = file.read(size)
+                decoder = codecs.getincrementaldecoder("utf-16")() if part.startswith(_UTF_16) else None
+                while part:
+                    self._n_read += len(part)
+                    if self._n_read > self._most:
+                        raise RecordingError(f"{where}: more than {self._most} bytes; cut the recording")
+                    yield part if decoder is None else decoder.decode(part).encode()
+                    part = file.read(size)
+        except RecordingError:
+            raise
+        except OSError as error:
+            raise RecordingError(f"{where}: cannot be read ({error.strerror or error})") from error
+        except _ZIP_ERRORS as error:
+            raise RecordingError(f"{where}: damaged ({error}); copy or export the recording again") from error
+
+
+@contextmanager
+def open_members(path: Path) -> Generator[Members]:
+    """Open a zip, a folder or one file; RecordingError if it is not there, is empty or cannot be opened.
+
+    The path may go on inside a file: `export.zip/walk_2` is the folder walk_2 of the zip.
+    """
+    try:
+        path, inside = outside(path)
+        if not path.exists():
+            raise RecordingError(f"{path}: no such file or folder; check the path")
+        if path.is_dir():
+            yield Members(path, inside=inside)
+            return
+        with open_regular(path) as file:
+            begin = file.read(2)
+            _check_any(path, "the file", begin)
+            if begin == _GZIP:
+                packed = Members(path, is_gzip=True)
+                begin = packed.head(packed.names[0], 2)
+                _check_any(path, "the file in it", begin)
+                if begin == _ZIP:
+                    file = io.BytesIO(packed.whole(packed.names[0], limits.MAX_UNPACKED_BYTES))
+                else:
+                    _refuse_others(path, packed.head(packed.names[0], 512))
+                    yield Members(path, inside=inside, is_gzip=True)
+                    return
+            elif begin != _ZIP:
+                _refuse_others(path, begin + file.read(512))
+                yield Members(path, inside=inside)
+                return
+            with _in_zip(file, path, inside) as members:
+                yield members
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
+
+
+@contextmanager
+def _in_zip(file: IO[bytes], path: Path, inside: str, is_inner: bool = False) -> Generator[Members]:
+    """The files in a zip; in the one zip in it, if it holds nothing else, or in that of its zips which is named."""
+    try:
+        archive = zipfile.ZipFile(file)
+    except _ZIP_ERRORS as error:
+        raise RecordingError(f"{path}: a zip file that is damaged or cut off; copy or export it again") from error
+    with archive:
+        members = Members(path, archive)
+        zips = zips_among(members.names)
+        named = [name for name in zips if inside == name or inside.startswith(f"{name}/")]
+        if is_inner or not (named or len(zips) == 1):
+            yield Members(path, archive, inside) if inside else members
+            return
+        content = io.BytesIO(members.whole(*(named or zips), most=limits.MAX_UNPACKED_BYTES))
+        if named:
+            path, inside = path / named[0], inside.removeprefix(named[0]).lstrip("/")
+        with _in_zip(content, path, inside, is_inner=True) as members:
+            yield members
+
+
+def _check_any(path: Path, what: str, begin: bytes) -> None:
+    if not begin:
+        raise RecordingError(f"{path}: {what} is empty (0 bytes); copy or export the recording again")
+
+
+def _refuse_others(path: Path, head: bytes) -> None:
+    """Say what a file is that is known and no recording."""
+    kind = next((words for begin, words in _OTHERS.items() if head.lower().lstrip().startswith(begin.lower())), "")
+    if head[_TAR_AT:].startswith(_TAR):
+        kind = "a tar archive; unpack it and give the folder"
+    if kind:
+        raise RecordingError(f"{path}: {kind}")
+
+
+def zips_among(names: Sequence[str]) -> list[str]:
+    """Those of zips, which spreadsheets are, too, if nothing else is there but what nobody would read as samples."""
+    others = [name for name in names if not name.lower().endswith((".zip", ".xlsx"))]
+    return [] if any(_ABOUT.search(name) is None for name in others) else [n for n in names if n not in others]
+
+
+def outside(path: Path) -> tuple[Path, str]:
+    """The file or folder that a path goes on inside of, and the rest; the path itself if nothing is there.
+
+    Inside a folder it is a trial: files that have its name beside that of their sensor.
+    """
+    if not path.exists():
+        for parent in path.parents:
+            if parent.is_file():
+                return parent, path.relative_to(parent).as_posix()
+        if (
+            path.name
+            and path.parent.is_dir()
+            and any(trial_of(name) == path.name for name in _files_below(path.parent))
+        ):
+            return path.parent, path.name
+    return path, ""
+
+
+def _trial_path(name: str) -> str:
+    """Folder and trial of a file."""
+    return str(PurePosixPath(name).parent / trial_of(name))
+
+
+def json_object(content: bytes, where: str) -> dict[str, Any]:
+    """The object that a small JSON file holds."""
+    try:
+        value: Any = json.loads(content.decode("utf-8-sig"))
+    except (ValueError, RecursionError) as error:
+        raise RecordingError(f"{where}: not JSON ({error}); correct it or leave the file out") from error
+    if not isinstance(value, dict):
+        raise RecordingError(f"{where}: holds {str(value)[:40]!r}; it must be one object in braces, like {{}}")
+    return cast("dict[str, Any]", value)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The content of a small TOML file."""
+    content = read_small(path, limits.MAX_TOML_BYTES)
+    try:
+        return tomllib.loads(content.decode("utf-8-sig"))
+    except (ValueError, RecursionError) as error:
+        raise RecordingError(f"{path}: not TOML ({error}); correct it or take it away") from error
+
+
+def _files_below(path: Path) -> dict[str, Path]:
+    """Files in a folder, its `meta` and folders of sensors, by path; not deeper: it may be anybody's home folder."""
+    found: dict[str, Path] = {}
+    below = [entry for entry in path.iterdir() if entry.is_dir() and not entry.is_symlink() and entry.name != "meta"]
+    for folder in (path, path / "meta", *(below if _are_of_sensors(entry.name for entry in below) else ())):
+        if folder.is_dir():
+            for entry in folder.iterdir():
+                if not entry.is_dir():  # a pipe or a device is refused when it is read, with its name
+                    found[entry.relative_to(path).as_posix()] = entry
+                if len(found) > limits.MAX_MEMBERS:
+                    raise RecordingError(
+                        f"{path}: more than {limits.MAX_MEMBERS} files; give the folder of one recording"
+                    )
+    return found
+
+
+def _without_sensor_folders(names: Sequence[str]) -> dict[str, str]:
+    """Where folders are called after their sensors, names of the files alone in one, as if they lay beside it."""
+    by_folder: dict[PurePosixPath, list[PurePosixPath]] = {}
+    for name in map(PurePosixPath, names):
+        if name.suffix.lower() in _TABLES and name.parent.name not in ("", "meta"):
+            by_folder.setdefault(name.parent, []).append(name)
+    found: dict[str, str] = {}
+    for parent in {folder.parent for folder in by_folder}:
+        folders = {folder: files for folder, files in by_folder.items() if folder.parent == parent}
+        alone = {folder: files[0] for folder, files in folders.items() if len(files) == 1}
+        if _are_of_sensors(folder.name for folder in alone):
+            flat = {str(file): str(parent / f"{folder.name}{file.suffix}") for folder, file in alone.items()}
+            found |= {name: to for name, to in flat.items() if to not in names}
+    return found
+
+
+def _are_of_sensors(folders: Iterable[str]) -> bool:
+    """Whether folders are called after an accelerometer and another sensor."""
+    sensors = {quantity_of_file(name)[0] for name in folders} - {""}
+    return len(sensors) > 1 and not sensors.isdisjoint((ACCELERATION, LINEAR))
+
+
+def _most_unpacked(size: int) -> int:
+    """How many bytes a packed file of this size may hold."""
+    return max(limits.UNPACKED_FREELY_BYTES, limits.MAX_COMPRESSION_RATIO * size)
+
+
+def _infos_by_name(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
+    """Files in a zip by path inside it, whatever system packed it; a path that leads out of it is refused."""
+    if len(archive.infolist()) > limits.MAX_MEMBERS:
+        raise RecordingError(f"{path}: more than {limits.MAX_MEMBERS} files in the zip; pack one recording alone")
+    claimed = sum(info.file_size for info in archive.infolist())
+    size = archive.fp.seek(0, io.SEEK_END) if archive.fp else 0  # of the zip itself, which may be inside another
+    if claimed > _most_unpacked(size):
+        raise RecordingError(
+            f"{path} claims to unpack to {claimed} bytes, {claimed / size:.0f} times its size: no sensor data is like "
+            "that; unpack it yourself and give the folder, if you trust it"
+        )
+    found: dict[str, zipfile.ZipInfo] = {}
+    for info in archive.infolist():
+        name = PurePosixPath(info.filename.replace("\\", "/"))  # some Windows tools write backslashes
+        if name.is_absolute() or ".." in name.parts or (name.parts[:1] and name.parts[0].endswith(":")):
+            raise RecordingError(f"{path}: member {info.filename!r} points outside the zip; pack it again without it")
+        if not info.filename or info.is_dir() or "__MACOSX" in name.parts:
+            continue
+        if str(name) in found:
+            raise RecordingError(f"{path}: {name} is in the zip twice; pack it again with one of them")
+        found[str(name)] = info
+    return found
+
+
+def _check_claims(where: str, info: zipfile.ZipInfo) -> None:
+    if info.flag_bits & 0x1:
+        raise RecordingError(f"{where} is encrypted; unpack it with its password and pack it again without one")
+    if info.compress_type not in SUPPORTED_COMPRESSION:
+        raise RecordingError(f"{where} uses zip compression method {info.compress_type}; pack it again with deflate")
+    _check_size(where, info.file_size)
+
+
+def _check_size(where: str, n_bytes: int) -> None:
+    if n_bytes > limits.MAX_MEMBER_BYTES:
+        raise RecordingError(f"{where}: {n_bytes} bytes, more than {limits.MAX_MEMBER_BYTES}; cut the recording")

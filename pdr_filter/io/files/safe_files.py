@@ -1,0 +1,144 @@
+"""Files of others are opened here, and files of ours written: only regular ones, and whole or not at all."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import secrets
+import stat
+from collections.abc import Generator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+from pdr_filter.io.files.errors import RecordingError
+from pdr_filter.values import limits
+
+# A pipe without a writer would otherwise be waited for, and a terminal become that of the process.
+_FLAGS = os.O_RDONLY | sum(getattr(os, name, 0) for name in ("O_NONBLOCK", "O_NOCTTY", "O_BINARY"))
+_KINDS = {stat.S_IFIFO: "a pipe", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device", stat.S_IFSOCK: "a socket"}
+
+
+def open_regular(path: Path) -> IO[bytes]:
+    """A regular file, open for reading; RecordingError for a pipe, a device or a file that is nearly all holes."""
+    _check_kind(path, path.stat().st_mode)  # opening a device can already do something
+    number = os.open(path, _FLAGS)
+    try:
+        found = os.fstat(number)
+        _check_kind(path, found.st_mode)
+        if _is_hollow(number, found.st_size):
+            raise RecordingError(
+                f"{path}: {found.st_size} bytes, of which nearly all were never written; copy the recording again"
+            )
+        return os.fdopen(number, "rb")
+    except BaseException:
+        os.close(number)
+        raise
+
+
+def read_small(path: Path, most: int) -> bytes:
+    """The bytes of a small regular file; RecordingError if there are more than `most`."""
+    try:
+        with open_regular(path) as file:
+            content = file.read(most + 1)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read ({error.strerror}); check path and permissions") from error
+    if len(content) > most:
+        raise RecordingError(f"{path}: more than {most} bytes; take out of it what is not needed")
+    return content
+
+
+def read_json(path: Path, most: int) -> Any:
+    """What a small regular file of JSON holds; RecordingError if it is none."""
+    content = read_small(path, most)
+    try:
+        return json.loads(content)
+    except (ValueError, RecursionError) as error:
+        raise RecordingError(f"{path}: not JSON ({error}); save it as UTF-8 again") from error
+
+
+def inside(path: Path, *folders: Path) -> Path:
+    """The same path; RecordingError if it is a link that leads out of these folders, to a file that nobody gave."""
+    target = path.resolve()
+    if not any(target.is_relative_to(folder.resolve()) for folder in folders):
+        raise RecordingError(f"{path}: a link that leads out of its folder, to {target}; copy the file itself there")
+    return path
+
+
+def beside(path: Path, name: str) -> Path:
+    """The file of this name in the folder of another, or in the folder that the other is a link into."""
+    return inside(path.with_name(name), path.parent, path.resolve().parent)
+
+
+@contextmanager
+def whole_file(path: str | Path) -> Generator[IO[bytes]]:
+    """A file to write to, which is at the path when the block has ended without an error; its folder is created.
+
+    Until then it has another name in the same folder, and whatever is at the path stays as it is. A link stays a link.
+    What is no regular file, such as /dev/stdout, is written to as it is.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path = path.resolve()
+    there = path.exists()
+    if there and not path.is_file():
+        with path.open("wb") as file:
+            yield file
+        return
+    unfinished = path.with_name(f".{secrets.token_hex(8)}.part")
+    try:
+        with unfinished.open("xb") as file:
+            yield file
+            _sync(file)
+        if there:
+            unfinished.chmod(stat.S_IMODE(path.stat().st_mode))
+        unfinished.replace(path)
+    except BaseException:
+        unfinished.unlink(missing_ok=True)
+        raise
+
+
+def write_text(path: str | Path, text: str) -> Path:
+    """Write a whole file of UTF-8 text and return its path."""
+    with whole_file(path) as file:
+        file.write(text.encode())
+    return Path(path)
+
+
+def write_files(contents: Mapping[Path, bytes]) -> None:
+    """Write files that belong together: none is under its name before all are on the disk."""
+    with ExitStack() as opened:
+        for path, content in contents.items():
+            file = opened.enter_context(whole_file(path))
+            file.write(content)
+            _sync(file)
+
+
+def _sync(file: IO[bytes]) -> None:
+    """Some disks say only now that they are full."""
+    file.flush()
+    os.fsync(file.fileno())
+
+
+def _check_kind(path: Path, mode: int) -> None:
+    if not stat.S_ISREG(mode):
+        kind = _KINDS.get(stat.S_IFMT(mode), "a folder")
+        raise RecordingError(f"{path}: not a file but {kind}; copy what it holds into a file")
+
+
+def _is_hollow(number: int, size: int) -> bool:
+    """Whether less of a file is on the disk than is believed of a zip file that claims this size."""
+    if size <= limits.UNPACKED_FREELY_BYTES or not hasattr(os, "SEEK_DATA"):
+        return False
+    at = written = 0
+    try:
+        while at < size and written * limits.MAX_COMPRESSION_RATIO < size:
+            begin = os.lseek(number, at, os.SEEK_DATA)
+            at = os.lseek(number, begin, os.SEEK_HOLE)
+            written += at - begin
+    except OSError as error:
+        if error.errno != errno.ENXIO:  # which says that there is no more data; others, that it is not known
+            return False
+    os.lseek(number, 0, os.SEEK_SET)
+    return written * limits.MAX_COMPRESSION_RATIO < size

@@ -1,0 +1,224 @@
+"""Tables in JSON, as SensorLog and loggers that people write leave them.
+
+One object for each row, in an array or one behind the other; one object with an array for each column; or an array of
+rows for each sensor. What is inside an object is a column called `accelerometer.x`.
+"""
+
+from __future__ import annotations
+
+import codecs
+import json
+import re
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from itertools import chain
+from typing import Any, cast
+
+import numpy as np
+
+from pdr_filter.io.apps.sensor_logger_json import floats
+from pdr_filter.io.files.archive import Members
+from pdr_filter.io.files.errors import RecordingError
+from pdr_filter.io.tables.column_names import VECTORS, quantity_of_file
+from pdr_filter.io.tables.dates import is_date, nanoseconds_of, without_midnights
+from pdr_filter.io.tables.text_sheets import LARGEST_FLOAT_WHOLE, ArraySheet
+from pdr_filter.io.tables.text_table import refuse_far_times, whole_number
+from pdr_filter.values import FloatArray, IntArray, limits
+
+SUFFIXES = (".json", ".jsonl", ".ndjson")
+_BETWEEN = re.compile(r"[\s,\[\]\x1e]*")
+_BEGIN = re.compile(
+    rb"\s*(\{|\[\s*([\[{\]\"\d.-]|null|$))"
+)  # a word behind a bracket is TOML, or a section of settings
+_SENSOR = ("sensor", "sensorType", "type", "name")  # keys whose value says of which sensor a row is
+_PLAIN = ("values", "value", "data", "payload", "fields")  # keys that say nothing about what is in them
+_AXES = ("x", "y", "z")
+_ROWS_AT_ONCE = 10_000
+_MAX_DEPTH = 5
+
+Row = dict[str, Any]
+
+
+def looks_like(head: bytes) -> bool:
+    """Whether a text begins like JSON."""
+    return _BEGIN.match(head.removeprefix(codecs.BOM_UTF8)) is not None
+
+
+def json_sheets(members: Members, name: str, notes: list[str] | None = None) -> list[ArraySheet]:
+    """The tables in a text of JSON; RecordingError if it is damaged."""
+    where = members.where(name)
+    tables: dict[str, _Columns] = {}
+    try:
+        for item in _objects(members.pieces(name), where, notes):
+            for sensor, rows in _rows_of(item):
+                if len(tables) >= limits.MAX_TABLES and sensor not in tables:
+                    raise RecordingError(f"{where}: more than {limits.MAX_TABLES} tables; this is no recording")
+                tables.setdefault(sensor, _Columns(where)).add(rows)
+    except (RecursionError, UnicodeDecodeError) as error:
+        raise RecordingError(f"{where}: the JSON is damaged ({error}); export it again") from error
+    stem = name.rpartition("/")[2].partition(".")[0]
+    return [sheet for sensor, table in tables.items() if (sheet := table.sheet(sensor or stem)) is not None]
+
+
+def json_fields(members: Members, name: str) -> list[ArraySheet]:
+    """The tables in a text of JSON without their values: of its first objects, or of its only one."""
+    head, found = members.head(name), dict[str, dict[str, None]]()
+    for pieces in ([head], members.pieces(name)):
+        with suppress(RecordingError, RecursionError, UnicodeDecodeError):
+            for item in _objects(pieces, members.where(name), None):
+                for sensor, rows in _rows_of(item):
+                    found.setdefault(sensor, {}).update(dict.fromkeys(rows if isinstance(rows, dict) else rows[0]))
+        if found or len(head) < limits.HEAD_BYTES:
+            break
+    return [ArraySheet(sensor, members.where(name), tuple(fields), ()) for sensor, fields in found.items()]
+
+
+def _objects(pieces: Iterable[bytes], where: str, notes: list[str] | None) -> Iterator[Row]:
+    """The objects of a text, one after the other; what is cut off at its end is left out."""
+    decoder, utf_8 = json.JSONDecoder(), codecs.getincrementaldecoder("utf-8")()
+    text, n_found, wanted = "", 0, 0
+    for piece in chain(pieces, [None]):
+        text += utf_8.decode(piece or b"", piece is None).removeprefix("\ufeff" if not n_found else "")
+        if len(text) < wanted and piece is not None:
+            continue
+        at = cast("re.Match[str]", _BETWEEN.match(text)).end()
+        while at < len(text):
+            try:
+                value, end = decoder.raw_decode(text, at)
+            except ValueError:
+                break
+            if isinstance(value, dict):
+                n_found += 1
+                yield cast("Row", value)
+            at = cast("re.Match[str]", _BETWEEN.match(text, end)).end()
+        text = text[at:]
+        wanted = 2 * len(text)  # an object that is longer than a piece is not tried again for every one
+        if len(text) > limits.MAX_WHOLE_BYTES:
+            raise RecordingError(f"{where}: an object of more than {limits.MAX_WHOLE_BYTES} characters; export CSV")
+    if text and not n_found:
+        raise RecordingError(f"{where}: the JSON is damaged or cut off; export it again")
+    if text and notes is not None:
+        notes.append(f"{where}: the JSON is damaged or cut off behind {n_found} objects; the rest was left out")
+
+
+def _rows_of(item: Row, name: str = "", depth: int = 0) -> Iterator[tuple[str, list[Row] | dict[str, list[Any]]]]:
+    """Name and rows, or columns, of the tables in an object; one that is a row is a table of one row."""
+    lists = {key: cast("list[Any]", value) for key, value in item.items() if isinstance(value, list)}
+    tables = {key: [cast("Row", row) for row in rows if isinstance(row, dict)] for key, rows in lists.items()}
+    tables = {key: rows for key, rows in tables.items() if rows}
+    columns = {key: rows for key, rows in lists.items() if key not in tables and len(rows) >= limits.MIN_SAMPLES}
+    for key, rows in tables.items():
+        by_sensor: dict[str, list[Row]] = {}
+        for row in rows:
+            by_sensor.setdefault(_sensor_of(row) or (name if key in _PLAIN else key), []).append(_flat(row))
+        yield from by_sensor.items()
+    if columns:
+        yield name, columns
+    inner = {key: cast("Row", value) for key, value in item.items() if isinstance(value, dict)}
+    if not tables and not columns and not any(map(_holds_columns, inner.values())):
+        yield _sensor_of(item) or name, [_flat(item)]
+    elif depth < _MAX_DEPTH:
+        for key, value in inner.items():
+            if _holds_columns(value):
+                yield from _rows_of(value, name if key in _PLAIN else key, depth + 1)
+
+
+def _holds_columns(item: Row) -> bool:
+    return any(isinstance(v, list) and len(cast("list[Any]", v)) >= limits.MIN_SAMPLES for v in item.values())
+
+
+def _sensor_of(row: Row) -> str:
+    """The sensor that a row names; empty if it names none."""
+    said = next((row[key] for key in _SENSOR if isinstance(row.get(key), str)), "")
+    return said[: limits.MAX_NAME_CHARS] if quantity_of_file(said)[0] in VECTORS else ""
+
+
+def _flat(item: Row, before: str = "", depth: int = 0) -> Row:
+    """The values in an object, by names with points between."""
+    found: Row = {}
+    for key, value in item.items():
+        name = before if key in _PLAIN else f"{before}.{key}" if before else key
+        if isinstance(value, list) and len(cast("list[Any]", value)) == len(_AXES):
+            value = dict(zip(_AXES, cast("list[Any]", value), strict=True))
+        if isinstance(value, dict):
+            if depth < _MAX_DEPTH:
+                found |= _flat(cast("Row", value), name, depth + 1)
+        elif not isinstance(value, list):
+            found[name or key] = value
+    return found
+
+
+class _Columns:
+    """The columns of a table, some thousand rows at once, so that no more are in memory as objects."""
+
+    def __init__(self, where: str) -> None:
+        self._where = where
+        self._rows: list[Row] = []
+        self._lengths: list[int] = []
+        self._parts: list[dict[str, _Column]] = []
+
+    def add(self, rows: list[Row] | dict[str, list[Any]]) -> None:
+        if isinstance(rows, dict):
+            n = max(map(len, rows.values()))
+            self._keep({key: [*column, *[None] * (n - len(column))] for key, column in rows.items()}, n)
+            return
+        self._rows += rows
+        if len(self._rows) >= _ROWS_AT_ONCE:
+            self._keep_rows()
+
+    def sheet(self, name: str) -> ArraySheet | None:
+        """The table; None without a column of numbers."""
+        self._keep_rows()
+        columns: dict[str, FloatArray | IntArray] = {}
+        places: dict[str, list[int]] = {"": [], "date": [], "exact": []}
+        for i, field in enumerate(dict.fromkeys(key for part in self._parts for key in part)):
+            parts = zip(self._parts, self._lengths, strict=True)
+            known = [part.get(field, (np.full(n, np.nan), "")) for part, n in parts]
+            kinds = {kind for _, kind in known}
+            kind = kinds.pop() if len(kinds) == 1 else ""
+            column = np.concatenate([column for column, _ in known])
+            whole = column.astype(np.int64) if kind else None
+            columns[field] = (
+                column.astype(float) if whole is None else without_midnights(whole) if kind == "date" else whole
+            )
+            places[kind].append(i)
+        dates, exact = frozenset(places["date"]), frozenset(places["exact"])
+        return (
+            ArraySheet(name, self._where, tuple(columns), (*columns.values(),), "", dates, exact) if columns else None
+        )
+
+    def _keep_rows(self) -> None:
+        if self._rows:
+            keys = dict.fromkeys(key for row in self._rows for key in row)
+            if len(keys) > limits.MAX_COLUMNS:
+                raise RecordingError(f"{self._where}: {len(keys)} columns, more than {limits.MAX_COLUMNS}")
+            self._keep({key: [row.get(key) for row in self._rows] for key in keys}, len(self._rows))
+            self._rows = []
+
+    def _keep(self, columns: dict[str, list[Any]], n: int) -> None:
+        found = {key: _column(values, self._where) for key, values in columns.items()}
+        self._parts.append({key: column for key, column in found.items() if column is not None})
+        self._lengths.append(n)
+
+
+_Column = tuple[FloatArray | IntArray, str]  # values, and whether they are dates or exact whole numbers
+
+
+def _column(values: list[Any], where: str) -> _Column | None:
+    """The numbers or dates of a column, NaN where there is none; None of texts."""
+    first = next((value for value in values if value not in (None, "", "null")), None)
+    whole: list[int | None] | None = None
+    try:
+        if isinstance(first, str) and is_date(first):
+            kind, whole = "date", [nanoseconds_of(v) if isinstance(v, str) and is_date(v) else None for v in values]
+        elif str(first)[:20].isdecimal() and int(str(first)[:20]) > LARGEST_FLOAT_WHOLE:
+            kind, whole = "exact", [whole_number("" if v is None else str(v)) for v in values]
+        else:
+            return np.array(floats(values), dtype=np.float64), ""
+        if None in whole:  # NaN says so; what a float loses of nanoseconds is less than any clock's jitter
+            return np.array([np.nan if v is None else float(v) for v in whole]), ""
+        ticks = np.array(whole, dtype=np.int64)
+    except (ValueError, OverflowError):
+        return None
+    refuse_far_times(ticks, where)
+    return ticks, kind

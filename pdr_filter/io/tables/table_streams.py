@@ -1,0 +1,167 @@
+"""The columns of tables as streams: parsed once, made into one time base, units and signs as a mapping says."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence, Set
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pdr_filter.io.assemble import Parsed
+from pdr_filter.io.files.errors import RecordingError
+from pdr_filter.io.tables.column_mapping import Mapping, StreamMap
+from pdr_filter.io.tables.column_names import ANGLES, GRAVITY, LINEAR, TIME_UNITS, nanoseconds_of
+from pdr_filter.io.tables.column_values import at_times
+from pdr_filter.io.tables.text_sheets import Sheet
+from pdr_filter.io.tables.text_table import NumberTable
+from pdr_filter.values import BoolArray, FloatArray, IntArray
+
+# Gravity is interpolated to the times of the accelerometer; within this it turns by less than a step's swing.
+GRAVITY_GAP_S = 0.3
+
+
+@dataclass
+class SheetData:
+    """A sheet with the columns of it that are used; each is parsed once for each column of exact times."""
+
+    sheet: Sheet
+    places: Set[int | None]  # negative or None of what is not there
+    notes: list[str]
+    _numbers: list[int] = field(default_factory=list[int])  # the columns to parse as numbers
+    _parsed: dict[int | None, NumberTable] = field(default_factory=dict[int | None, NumberTable])
+
+    def __post_init__(self) -> None:
+        used = {place for place in self.places if place is not None and place >= 0}
+        beside = {place for p in used if (place := nanoseconds_of(self.sheet.fields, p)) is not None}
+        self._numbers = sorted((used | beside) - self.sheet.dates)
+
+    def stream(self, places: Sequence[int], time: int | None) -> tuple[IntArray | FloatArray, FloatArray]:
+        """Times (N,) and values (N, d) of the rows with a value; NaN for a place that is not there (-1).
+
+        Times are whole numbers if only these hold them, and numbers of rows if there is no column of times. Sensors of
+        different rates in one table leave fields empty.
+        """
+        exact = time if time is not None and time in self.sheet.dates | self.sheet.exact else None
+        numbers = self._numbers
+        if exact not in self._parsed:
+            self._parsed[exact] = self.sheet.table(numbers, exact, self.notes)
+        table = self._parsed[exact]
+        unknown = np.full(len(table), np.nan)
+        values = np.array([table.values[:, numbers.index(p)] if p in numbers else unknown for p in places]).T
+        if time is None:
+            ticks = np.arange(len(values))
+        elif (nanoseconds := nanoseconds_of(self.sheet.fields, time)) is not None:
+            ticks = table.values[:, [numbers.index(time), numbers.index(nanoseconds)]] @ [1.0, 1e-9]
+        else:
+            ticks = table.whole if exact is not None else table.values[:, numbers.index(time)]
+        known = ~np.isnan(values).all(axis=1)
+        return (ticks, values) if known.all() else (ticks[known], values[known])
+
+
+def fill(parsed: Parsed, mapping: Mapping, data: Sequence[SheetData]) -> None:
+    """Put the streams of a mapping into what becomes the recording, and what is known of their times."""
+    times = sorted({f"{stream.time} ({stream.time_unit})" for stream in mapping.streams if stream.time})
+    parsed.clock = f"column {', '.join(times)}" if times else f"no time column: rows at {mapping.rate_hz:g} Hz"
+    parsed.is_clock = any(stream.time_unit == "date" for stream in mapping.streams)
+    parsed.rate_hz = mapping.rate_hz if times else 0.0
+    if mapping.rate_hz and not times:
+        parsed.requested_hz = {"accelerometer": mapping.rate_hz}
+    found: dict[str, tuple[IntArray | FloatArray, float, FloatArray]] = {}
+    for stream in mapping.streams:
+        at = _sheet_of(stream, mapping, data)
+        time = _place(stream.time, at.sheet, mapping) if stream.time else None
+        places = [_place(name, at.sheet, mapping) if name else -1 for name in stream.columns]
+        ticks, values = at.stream(places, time)
+        if stream.stream == "location":
+            is_new = is_new_place(values)
+            ticks, values = ticks[is_new], values[is_new]
+            values[values[:, 3] < 0, 3] = np.nan  # apps write -1 for unknown
+        unit_s = 1 / mapping.rate_hz if time is None else TIME_UNITS.get(stream.time_unit, 1e-9)
+        found[stream.stream] = (ticks, unit_s, values * stream.factor)
+    if GRAVITY in found and LINEAR in found and "accelerometer" not in found:
+        found["accelerometer"] = _summed(found[LINEAR], found[GRAVITY])
+    if ANGLES in found:
+        ticks, unit_s, angles = found.pop(ANGLES)
+        found["attitude"] = ticks, unit_s, quaternion_of(*angles.T)
+    first = found.get("accelerometer", (np.empty(0), 1.0, np.empty(0)))
+    whole = [ticks for ticks, _, _ in found.values() if ticks.dtype.kind == "i"]
+    # Whole numbers need all their digits: made relative before they become seconds.
+    zero, zero_unit_s = (0, 1.0) if not whole or not len(first[0]) else (first[0][0].item(), first[1])
+    for name, (ticks, unit_s, values) in found.items():
+        if name not in (GRAVITY, LINEAR):
+            parsed.streams[name] = (_seconds(ticks, unit_s, zero, zero_unit_s), values)
+    if whole and len(first[0]) and first[0].dtype.kind == "i" and first[0][0] * first[1] > 1e9:
+        parsed.meta["epoch_s"] = float(first[0][0]) * first[1]
+
+
+def quaternion_of(roll_rad: FloatArray, pitch_rad: FloatArray, yaw_rad: FloatArray) -> FloatArray:
+    """Quaternions wxyz, sensor to world with z up, of CoreMotion's angles: R = Rz(yaw) Rx(pitch) Ry(roll)."""
+    with np.errstate(invalid="ignore"):
+        (cr, sr), (cp, sp), (cy, sy) = ((np.cos(a / 2), np.sin(a / 2)) for a in (roll_rad, pitch_rad, yaw_rad))
+    # q_z(yaw) q_x(pitch) = (cy cp, cy sp, sy sp, sy cp); times q_y(roll) = (cr, 0, sr, 0)
+    w, x, y, z = cy * cp, cy * sp, sy * sp, sy * cp
+    return np.column_stack([w * cr - y * sr, x * cr - z * sr, y * cr + w * sr, z * cr + x * sr])
+
+
+def is_new_place(values: FloatArray) -> BoolArray:
+    """Where a location is another than in the row before: tables with a row for each sample repeat it; 0, 0 is none."""
+    changes = np.ones(len(values), dtype=bool)
+    changes[1:] = (values[1:, :2] != values[:-1, :2]).any(axis=1)
+    return changes & ~np.isnan(values[:, :2]).any(axis=1) & (values[:, :2] != 0).any(axis=1)
+
+
+def interpolated(time_s: FloatArray, known_s: FloatArray, values: FloatArray) -> FloatArray:
+    """Values interpolated linearly, NaN where there is none within `GRAVITY_GAP_S`."""
+    if len(known_s) == 0 or len(time_s) == 0:
+        return np.full((len(time_s), values.shape[1]), np.nan)
+    result = at_times(time_s, known_s, values)
+    known_s = np.sort(known_s)
+    right = np.clip(np.searchsorted(known_s, time_s), 0, len(known_s) - 1)
+    left = np.maximum(right - 1, 0)
+    far = np.minimum(np.abs(known_s[right] - time_s), np.abs(known_s[left] - time_s)) > GRAVITY_GAP_S
+    result[far] = np.nan
+    return result
+
+
+def _summed(
+    linear: tuple[IntArray | FloatArray, float, FloatArray], gravity: tuple[IntArray | FloatArray, float, FloatArray]
+) -> tuple[IntArray | FloatArray, float, FloatArray]:
+    """Linear acceleration and gravity, which may have other times."""
+    zero = linear[0][0].item() if len(linear[0]) else 0
+    at_s = _seconds(linear[0], linear[1], zero, linear[1])
+    known_s = _seconds(gravity[0], gravity[1], zero, linear[1])
+    if np.array_equal(at_s, known_s):
+        return linear[0], linear[1], linear[2] + gravity[2]
+    known = ~np.isnan(known_s)
+    return linear[0], linear[1], linear[2] + interpolated(at_s, known_s[known], gravity[2][known])
+
+
+def _seconds(ticks: IntArray | FloatArray, unit_s: float, zero: float, zero_unit_s: float) -> FloatArray:
+    """Times in s from a time that is an int if it is that of whole numbers."""
+    if unit_s == zero_unit_s or zero == 0:
+        return np.asarray(ticks - zero, dtype=np.float64) * unit_s
+    return ticks.astype(np.float64) * unit_s - float(zero) * zero_unit_s
+
+
+def _sheet_of(stream: StreamMap, mapping: Mapping, data: Sequence[SheetData]) -> SheetData:
+    if not stream.file:
+        if len(data) == 1:
+            return data[0]
+        fitting = [d for d in data if set(stream.columns) - {""} <= set(d.sheet.fields)]
+    else:
+        fitting = [d for d in data if d.sheet.name == stream.file]
+    if len(fitting) != 1:
+        names = ", ".join(d.sheet.name for d in data[:10])
+        raise RecordingError(
+            f"{mapping.where}: [{stream.stream}] file = {stream.file!r} fits {len(fitting)} tables; there are {names}"
+        )
+    return fitting[0]
+
+
+def _place(name: str, sheet: Sheet, mapping: Mapping) -> int:
+    if (n := sheet.fields.count(name)) != 1:
+        raise RecordingError(
+            f"{mapping.where}: column {name!r} is in the table {n} times; "
+            f"columns seen: {', '.join(sheet.fields)[:300] or 'none'}"
+        )
+    return sheet.fields.index(name)

@@ -1,0 +1,310 @@
+"""Tables as they are found: where the header of a text is, what separates its fields, which column is a date.
+
+A text may begin with blank lines, `sep=;`, comments or lines about the device. Its table begins where lines of numbers
+begin; the line above them, if it has as many fields, names the columns.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import islice, pairwise
+
+import numpy as np
+
+from pdr_filter.io.files.archive import Members
+from pdr_filter.io.files.errors import RecordingError
+from pdr_filter.io.tables.column_names import column_of, is_time, is_unit
+from pdr_filter.io.tables.dates import as_nanoseconds, column_nanoseconds, is_date, without_midnights
+from pdr_filter.io.tables.text_table import Layout, NumberTable, concatenated, finite, header_fields, parse_blocks
+from pdr_filter.values import FloatArray, IntArray, limits
+
+_SEPARATORS = (",", ";", "\t", "|", " ")
+_NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?|nan|NaN|null|None|#?N/?A|-?inf|-?Infinity")
+_WHOLE = re.compile(r"[+-]?\d+")
+_LINES_TRIED = 40  # of which the first of numbers begins the table
+_LINES_COMPARED = 8
+# Some apps and spreadsheets write a header in the code page of the phone; numbers are the same in all of them. The
+# first in which most names are known is taken.
+_CODE_PAGES = ("latin-1", "cp1251", "gbk", "shift_jis", "big5", "euc_kr")
+_MOST_SENSORS = 40  # of a phone that writes a row for each sample of any of them
+# A whole number from here on would lose digits as a float: nanoseconds and microseconds since 1970.
+LARGEST_FLOAT_WHOLE = 2**53
+
+
+@dataclass(frozen=True, slots=True)
+class ArraySheet:
+    """A table whose columns are in memory: floats, or int64 nanoseconds."""
+
+    name: str  # of the sheet or variable
+    where: str  # for messages
+    fields: tuple[str, ...]
+    columns: tuple[FloatArray | IntArray, ...]
+    about: str = ""  # what is above the table
+    dates: frozenset[int] = frozenset()  # columns of dates and clock times, in whole nanoseconds
+    exact: frozenset[int] = frozenset()  # columns that only whole numbers hold
+
+    def table(self, numbers: Sequence[int], whole: int | None, notes: list[str]) -> NumberTable:
+        """These columns as floats, and one as whole numbers."""
+        n = len(self.columns[0])
+        ticks = np.zeros(n, np.int64) if whole is None else self.columns[whole].astype(np.int64)
+        values = [self.columns[i].astype(np.float64) for i in numbers]
+        return NumberTable(ticks, finite(np.column_stack(values) if values else np.empty((n, 0)), self.where, notes))
+
+
+@dataclass(frozen=True, slots=True)
+class TextSheet:
+    """A table in a text, whose rows are parsed when they are asked for."""
+
+    name: str  # of the file, without folder and suffix
+    where: str  # for messages
+    fields: tuple[str, ...]
+    about: str  # the lines above the table
+    dates: frozenset[int]  # columns of dates and clock times, which `table` gives in whole nanoseconds
+    exact: frozenset[int]  # columns that only whole numbers hold
+    separator: str
+    decimal: str
+    n_before: int  # lines before the first row
+    blocks: Callable[[], Iterator[bytes]] = field(repr=False)
+    texts: dict[int, str] = field(default_factory=dict[int, str])  # columns of the first row that are no numbers
+    only: tuple[int, str] | None = None  # a column, and what it says in the rows that are meant
+
+    def table(self, numbers: Sequence[int], whole: int | None, notes: list[str]) -> NumberTable:
+        """These columns as floats, and one as whole numbers."""
+        names = tuple(self.fields[i] for i in numbers)
+        layout = Layout(tuple(numbers), whole, self.separator, self.decimal, names)
+        if whole is None or whole not in self.dates:
+            return parse_blocks(self._rows(), layout, self.where, notes, self.n_before + 1)
+        parts: list[NumberTable] = []
+        line = self.n_before + 1
+        for rows in self._rows():
+            parts.append(self._dated(rows, layout, whole, notes, line))
+            line += rows.count(b"\n")
+        if not parts:
+            return NumberTable(np.empty(0, np.int64), np.empty((0, len(numbers))))
+        found = concatenated(parts)
+        return NumberTable(without_midnights(found.whole), found.values)
+
+    def _dated(self, rows: bytes, layout: Layout, dates: int, notes: list[str], line: int) -> NumberTable:
+        """Rows of which one column is dates."""
+        try:
+            ns = column_nanoseconds(rows, self.separator.encode(), dates)
+            if ns is not None:
+                found = parse_blocks([rows], replace(layout, whole=None), self.where, notes, line)
+                if len(found) == len(ns):
+                    return NumberTable(ns, found.values)
+            return parse_blocks([as_nanoseconds(rows, self.separator.encode(), dates)], layout, self.where, notes, line)
+        except RecordingError:
+            raise
+        except ValueError as error:
+            raise RecordingError(f"{self.where}: {error}") from error
+
+    def _rows(self) -> Iterator[bytes]:
+        """Blocks of rows: without the lines before them, single spaces between fields."""
+        left = self.n_before
+        for block in self.blocks():
+            at = 0
+            while left and (end := block.find(b"\n", at)) >= 0:
+                at, left = end + 1, left - 1
+            rows = block[at:]
+            if left or not rows:
+                continue
+            rows = re.sub(rb"(?m)^ | $", b"", re.sub(rb"[ \t]+", b" ", rows)) if self.separator == " " else rows
+            if self.only is not None:
+                column, text = self.only
+                pattern = (
+                    self._up_to(column) + b'"?' + re.escape(text.encode()) + b'"?(?=\\s|$|' + self._mark + rb").*\n?"
+                )
+                rows = b"".join(re.findall(pattern, rows))
+            if rows:
+                yield rows
+
+    @property
+    def _mark(self) -> bytes:
+        return re.escape(self.separator.encode())
+
+    def _up_to(self, column: int) -> bytes:
+        """The pattern of a row before a column."""
+        return rb"(?m)^(?:[^\n" + self._mark + rb"]*" + self._mark + b"){%d}" % column
+
+    def by_text(self, column: int) -> list[TextSheet]:
+        """A sheet for each text of a column, called like it; this one if there are more than a phone has sensors."""
+        pattern = self._up_to(column) + rb'"?([^\n"' + self._mark + rb"]*)"
+        texts: dict[bytes, None] = {}
+        for rows in self._rows():
+            texts |= dict.fromkeys(re.findall(pattern, rows))
+            if len(texts) > _MOST_SENSORS:
+                return [self]
+        names = [text.decode("utf-8", "replace") for text in texts if text]
+        return [replace(self, name=name, only=(column, name)) for name in names]
+
+
+Sheet = ArraySheet | TextSheet
+
+
+def text_sheets(members: Members, member: str, separator: str | None = None) -> list[TextSheet]:
+    """The tables in a text, of which there are several where its first name begins another line of names."""
+    header = members.head(member).removeprefix(b"\xef\xbb\xbf").partition(b"\n")[0].strip()
+    if header.startswith(b'"') and (first := re.match(rb'"[^"\d]*"', header)):
+        n_tables = sum(len(_begins(block, first[0])) for block in members.blocks(member))
+        if n_tables > limits.MAX_TABLES:
+            raise RecordingError(
+                f"{members.where(member)}: {n_tables} lines that begin like a header; write each table into a file"
+            )
+        tables = [partial(_table_at, members, member, first[0], n) for n in range(n_tables)]
+        if n_tables > 1 and len({next(table(), b"").partition(b"\n")[0] for table in tables}) == n_tables:
+            sheets = [text_sheet(members, member, separator, table) for table in tables]
+            return [replace(sheet, name=f"{sheet.name} {n}") for n, sheet in enumerate(sheets, 1) if sheet is not None]
+    sheet = text_sheet(members, member, separator)
+    return [] if sheet is None else [sheet]
+
+
+def _begins(block: bytes, first: bytes) -> list[int]:
+    """Places of the lines of a block that begin so."""
+    return [found.start() for found in re.finditer(re.escape(b"\n" + first), b"\n" + block)]
+
+
+def _table_at(members: Members, member: str, first: bytes, n: int) -> Iterator[bytes]:
+    """Blocks of the n-th of several tables."""
+    at = -1
+    for block in members.blocks(member):
+        begins = _begins(block, first)
+        for begin, end in pairwise(sorted({0, *begins, len(block)})):
+            at += begin in begins
+            if at == n:
+                yield block[begin:end]
+
+
+def text_sheet(
+    members: Members, member: str, separator: str | None = None, blocks: Callable[[], Iterator[bytes]] | None = None
+) -> TextSheet | None:
+    """The table in a text, or in some blocks of it; None if it holds none."""
+    head = members.head(member) if blocks is None else next(blocks(), b"")[: limits.HEAD_BYTES]
+    if b"\x00" in head[:4096]:
+        return None
+    lines = _lines(head)
+    try:
+        layouts = [layout for s in ((separator,) if separator else _SEPARATORS) if (layout := _layout(lines, s))]
+    except RecordingError as error:
+        raise RecordingError(f"{members.where(member)}: {error}") from error
+    found = max(layouts, key=lambda f: f.score, default=None)
+    if found is None:
+        return None
+    named, row = found.header, found.row
+    if len(row) > limits.MAX_COLUMNS:
+        raise RecordingError(f"{members.where(member)}: {len(row)} columns, more than {limits.MAX_COLUMNS}")
+    before = [line for i, line in enumerate(lines[: found.first]) if i != found.at_header and line.strip()]
+    stem = member.rpartition("/")[2].rpartition(".")[0] or member
+    return TextSheet(
+        name=stem,
+        where=members.where(member),
+        fields=unlike(named or [""] * len(row)),
+        about="\n".join(before),
+        dates=frozenset(i for i, text in enumerate(row) if is_date(text)),
+        exact=frozenset(i for i, text in enumerate(row) if text.isdecimal() and int(text[:40]) > LARGEST_FLOAT_WHOLE),
+        texts={i: text for i, text in enumerate(row) if text and not _is_value(text)},
+        separator=found.separator,
+        decimal=found.decimal,
+        n_before=found.first,
+        blocks=blocks or (lambda: members.blocks(member)),
+    )
+
+
+def unlike(names: Sequence[str]) -> tuple[str, ...]:
+    """Names of columns, each once: one without a name gets its number, one that is there again a further number."""
+    found: list[str] = []
+    for i, name in enumerate(names, 1):
+        name = name or f"column {i}"
+        n = sum(other == name or other.startswith(f"{name} #") for other in found)
+        found.append(f"{name} #{n + 1}" if n else name)
+    return tuple(found)
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    separator: str
+    decimal: str
+    first: int  # line of the first row
+    row: list[str]
+    at_header: int | None
+    header: list[str]
+    score: tuple[float, int]
+
+
+def _lines(head: bytes) -> list[str]:
+    """The whole lines of the first bytes of a text."""
+    try:
+        text = head.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = max((head.decode(page, "replace") for page in _CODE_PAGES), key=_n_known)
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    return lines[:-1] if len(head) == limits.HEAD_BYTES else lines
+
+
+def _n_known(text: str) -> int:
+    """How many fields of the first lines that are not ASCII are names of a time or a sensor."""
+    fields = {field.strip(' "') for line in text.splitlines()[:_LINES_TRIED] for field in re.split(r"[,;|\t]", line)}
+    columns = [(name, column_of(0, name)) for name in fields if not name.isascii()]
+    return sum(is_time(name) or bool(column.quantity or column.axis) for name, column in columns)
+
+
+def _layout(lines: list[str], separator: str) -> _Found | None:
+    """Where the table begins if this separates its fields; None if it does not."""
+    # Line ends that were converted twice leave a blank line after each.
+    places = [*islice((i for i, line in enumerate(lines) if line.strip()), _LINES_TRIED + _LINES_COMPARED)]
+    if separator != " " and not any(separator in lines[i] for i in places):
+        return None
+    split = [_split(lines[i], separator) for i in places]
+    for first, (row, after) in enumerate(pairwise([*split, None][: _LINES_TRIED + 1])):
+        n = len(row or ())
+        is_only = after is None and first > 0 and len(split[first - 1]) == n and not _is_row(split[first - 1])
+        if row is None or n < 2 or not _is_row(row):
+            continue
+        if not is_only and (after is None or len(after) != n or not _is_row(after)):
+            continue
+        rows = [r for r in split[first : first + _LINES_COMPARED] if len(r) == n]
+        values = [text for r in rows for text in r if text]
+        share = sum(map(_is_value, values)) / max(len(values), 1)
+        has_comma = any(re.fullmatch(r"[+-]?\d*,\d+([eE][+-]?\d+)?", text) for text in values)
+        at = next((i for i in range(first - 1, -1, -1) if any(split[i])), None)
+        header = split[at] if at is not None else []
+        if separator == "," and len(header) > 1 and n == 2 * len(header) and all(map(_WHOLE.fullmatch, row)):
+            raise RecordingError(
+                f"rows of {n} numbers below {len(header)} names: its commas are both in numbers and between them; "
+                "export it with points in numbers, or with semicolons"
+            )
+        if at is None or _is_row(header) or abs(len(header) - n) > 1:
+            at, header = None, []
+        if at and header and all(map(is_unit, filter(None, header))) and len(split[at - 1]) == len(header):
+            header = [f"{name} ({unit})" if unit else name for name, unit in zip(split[at - 1], header, strict=True)]
+        elif at and header and len(split[at - 1]) == len(header) and len({*header}) < len(header):
+            header = [f"{above} {name}".strip() for above, name in zip(_merged(split[at - 1]), header, strict=True)]
+        header = (header + [""] * n)[:n] if header else []
+        at_header = None if at is None else places[at]
+        return _Found(separator, "," if has_comma else ".", places[first], row, at_header, header, (round(share, 2), n))
+    return None
+
+
+def _merged(names: list[str]) -> list[str]:
+    """Names over columns, each also over those without one behind it, as merged cells are written."""
+    found: list[str] = []
+    for name in names:
+        found.append(name or (found[-1] if found else ""))
+    return found
+
+
+def _split(line: str, separator: str) -> list[str]:
+    return line.split() if separator == " " else header_fields(line, separator)
+
+
+def _is_value(text: str) -> bool:
+    return _NUMBER.fullmatch(text) is not None or is_date(text)
+
+
+def _is_row(row: list[str]) -> bool:
+    """Whether fields are those of a sample: at least two numbers or dates, and most of those that are not empty."""
+    known = [text for text in row if text]
+    n_values = sum(map(_is_value, known))
+    return n_values >= 2 and 2 * n_values > len(known)

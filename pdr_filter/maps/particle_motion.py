@@ -1,0 +1,67 @@
+"""How particles are led on over a step: their columns, and what each learns of its heading."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pdr_filter.filter.imm.motion_model import MAX_HEADING_VARIANCE
+from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
+from pdr_filter.filter.imm.pedestrian_state import TRAIL_STEPS, PedestrianState
+from pdr_filter.values import FloatArray, IntArray, Step, wrap_angle
+
+EAST, NORTH, OFFSET, SCALE, TURN, THROUGH = range(6)
+
+
+N_COLUMNS = 6
+
+
+def led_on(way: FloatArray, step: Step, length_m: float) -> FloatArray:
+    """The way (R, 4) with one step more, in the direction of the device."""
+    heading_rad = step.device_heading_rad
+    last = way[-1, 1:3] if len(way) else np.zeros(2)
+    to = last + length_m * np.array([math.sin(heading_rad), math.cos(heading_rad)])
+    return np.concatenate([way, [[step.time_s, *to, heading_rad]]])[-TRAIL_STEPS:]
+
+
+def backwards(particles: FloatArray, since_m: FloatArray) -> FloatArray:
+    """Where particles (N, 6) were before a way (2,) in the direction of the device: each with its offset and scale."""
+    return particles[:, :2] - np.exp(particles[:, [SCALE]]) * rotated(since_m[None], particles[:, OFFSET])
+
+
+def rotated(vector_m: FloatArray, angle_rad: FloatArray) -> FloatArray:
+    """Vectors (N, 2) east, north turned clockwise by angles (N,)."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    east, north = vector_m.T
+    return np.column_stack([c * east + s * north, c * north - s * east])
+
+
+def turned(
+    x: FloatArray,
+    step: Step,
+    known: PedestrianState,
+    model: PedestrianModel,
+    since_s: float,
+    mode: IntArray,
+    z: FloatArray,
+) -> FloatArray:
+    """Lead the heading offsets of particles over a step, in place; log weights (N,).
+
+    o_k = o_{k-1} + N(0, q), and strides show v = o_k + N(0, r): o_k is drawn from its distribution given v, and
+    the weight is that of v given o_{k-1}, N(o_{k-1}, q + r).
+    """
+    measured, unmeasured = model.noise.heading_drift.variances_rad2(
+        since_s, step.heading_unknown_s, step.yaw_bias_std_radps, model.directions.drift_rad2_per_s
+    )
+    q = np.minimum((measured + unmeasured + step.offset_change_std_rad**2)[mode], MAX_HEADING_VARIANCE)
+    r, log_weight = step.walking_heading_std_rad**2, np.zeros(len(x))
+    if np.isfinite(r) and step.time_s > known.first_heading_s:
+        shown = step.walking_heading_rad - step.device_heading_rad - known.first_heading_rad + x[:, TURN]
+        v = wrap_angle(shown - x[:, OFFSET])
+        gain = q / np.maximum(q + r, 1e-12)
+        log_weight = -0.5 * (v**2 / np.maximum(q + r, 1e-12) + np.log(np.maximum(q + r, 1e-12)))
+        x[:, OFFSET] += gain * v
+        q = (1.0 - gain) * q
+    x[:, OFFSET] += np.sqrt(q) * z
+    return log_weight

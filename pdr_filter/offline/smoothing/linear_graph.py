@@ -1,0 +1,137 @@
+"""Linear least squares over the anchors of a walk: whitened equations, GTSAM's elimination, covariances."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import accumulate
+
+import gtsam
+import numpy as np
+
+from pdr_filter.filter.imm.motion_model import N_STATES
+from pdr_filter.offline.smoothing.location_errors import N_ERRORS
+from pdr_filter.values import BoolArray, FloatArray, IntArray
+
+
+@dataclass(slots=True)
+class Rows:
+    """Whitened linear equations A x_a + B x_b = rhs, one block for each pair of keys."""
+
+    a: IntArray
+    A: FloatArray  # (n, m, da)
+    rhs: FloatArray  # (n, m)
+    b: IntArray  # the second key; -1 for none
+    B: FloatArray  # (n, m, db)
+    weight: FloatArray = field(default_factory=lambda: np.zeros(0))  # (n,); empty for weight one
+
+    @classmethod
+    def of_one(cls, key: int, A: FloatArray, rhs: FloatArray) -> Rows:
+        """A block with a single key."""
+        return cls(np.full(1, key), A[None], rhs[None], np.full(1, -1), np.zeros((0, 0, 0)))
+
+    def chosen(self, keep: BoolArray) -> Rows:
+        """Some of the blocks."""
+        B = self.B[keep] if len(self.B) else self.B
+        weight = self.weight[keep] if len(self.weight) else self.weight
+        return Rows(self.a[keep], self.A[keep], self.rhs[keep], self.b[keep], B, weight)
+
+
+def graph_of(rows: Sequence[Rows]) -> gtsam.GaussianFactorGraph:
+    """Linear factors of GTSAM, one for each block of rows; blocks of weight zero are left out."""
+    graph = gtsam.GaussianFactorGraph()
+    for block in rows:
+        model = gtsam.noiseModel.Unit.Create(block.rhs.shape[1])
+        root = np.sqrt(block.weight) if len(block.weight) else np.ones(len(block.a))
+        a, b = block.a.tolist(), block.b.tolist()
+        for i, w in enumerate(root.tolist()):
+            if w == 0:
+                continue
+            A, rhs = w * block.A[i], w * block.rhs[i]
+            if b[i] < 0:
+                graph.push_back(gtsam.JacobianFactor(a[i], A, rhs, model))
+            else:
+                graph.push_back(gtsam.JacobianFactor(a[i], A, b[i], w * block.B[i], rhs, model))
+    return graph
+
+
+def eliminated(rows: Sequence[Rows]) -> gtsam.GaussianBayesTree:
+    """The equations solved for each key given those eliminated after it."""
+    return graph_of(rows).eliminateMultifrontal(gtsam.Ordering.OrderingType.COLAMD, gtsam.EliminateQR)
+
+
+def cov_of(tree: gtsam.GaussianBayesTree, keys: Sequence[int]) -> FloatArray:
+    """Joint covariance by QR: GTSAM's own, by Cholesky, takes what is known within a kilometre for unknown."""
+    R, _ = tree.jointBayesNet(list(keys), gtsam.EliminateQR).matrix()
+    inverse = np.linalg.inv(R)
+    return inverse @ inverse.T
+
+
+def joint_covariances(
+    rows: Sequence[Rows], n: int, error_node: IntArray, has_frame: bool
+) -> tuple[FloatArray, FloatArray]:
+    """Covariance of both ends of the intervals between n anchors, (n - 1, 8, 8), by going back through them once.
+
+    And that of each error (E, 10, 10) with its anchor, whose number is given. Keys are the anchors, the errors, and the
+    rotation of the frame. Eliminated in the order of the walk, each error after its anchor, R x_j + S x_P = d, where
+    the parents P are the first of them and some of its own parents: their joint covariance is known already. Then
+    cov x_j = R^-1 R^-T + G cov x_P G' with G = -R^-1 S.
+    """
+    n_states, error_of = n + len(error_node), {node: n + k for k, node in enumerate(error_node.tolist())}
+    keys = [key for j in range(n) for key in ((j, error_of[j]) if j in error_of else (j,))]
+    keys += [n_states] if has_frame else []
+    ordering = gtsam.Ordering()
+    for key in keys:
+        ordering.push_back(key)
+    net = graph_of(rows).eliminateSequential(ordering, gtsam.EliminateQR)
+    conditionals = [net.at(i) for i in range(len(keys))]
+    rank = {key: i for i, key in enumerate(keys)}
+    parents_of = [c.keys()[1:] for c in conditionals]
+    first_of = [min(parents, key=rank.__getitem__, default=None) for parents in parents_of]
+    n_waiting = Counter(first_of)
+    # covariance of a key and its parents, while it is the first parent of another key
+    cliques, sizes = dict[int, _Clique](), dict[int, int]()
+    joint_cov = np.empty((n - 1, 2 * N_STATES, 2 * N_STATES))
+    with_error_cov = np.zeros((len(error_node), N_STATES + N_ERRORS, N_STATES + N_ERRORS))
+    for conditional, parents, first in zip(conditionals[::-1], parents_of[::-1], first_of[::-1], strict=True):
+        inverse = np.linalg.inv(conditional.R())
+        m, known = len(inverse), np.zeros((0, 0))
+        cov = inverse @ inverse.T
+        if first is not None:
+            known = cliques[first].of(parents)
+            n_waiting[first] -= 1
+            if not n_waiting[first]:
+                del cliques[first]
+            gain = -inverse @ conditional.S()
+            mixed = gain @ known
+            cov = np.block([[cov + mixed @ gain.T, mixed], [mixed.T, known]])
+        key = conditional.keys()[0]
+        sizes[key] = m
+        clique = _Clique.of_sizes(cov, {k: sizes[k] for k in (key, *parents)})
+        if n_waiting[key]:
+            cliques[key] = clique
+        if key < n - 1:  # steps join it to the next
+            joint_cov[key] = clique.of((key, key + 1))
+        if error_of.get(key) in clique.place:
+            with_error_cov[error_of[key] - n] = clique.of((key, error_of[key]))
+    return joint_cov, with_error_cov
+
+
+@dataclass(frozen=True, slots=True)
+class _Clique:
+    """Joint covariance of some keys, and the place of each in it."""
+
+    cov: FloatArray
+    place: dict[int, range]
+
+    @classmethod
+    def of_sizes(cls, cov: FloatArray, sizes: dict[int, int]) -> _Clique:
+        """The covariance of keys in this order, whose sizes are given."""
+        ends = accumulate(sizes.values())
+        return cls(cov, {key: range(end - size, end) for (key, size), end in zip(sizes.items(), ends, strict=True)})
+
+    def of(self, keys: Sequence[int]) -> FloatArray:
+        """The joint covariance of some of them."""
+        index = [i for key in keys for i in self.place[key]]
+        return self.cov[index][:, index]

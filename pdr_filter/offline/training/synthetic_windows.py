@@ -1,0 +1,84 @@
+"""Windows that stand for people who were not recorded, and how much they count.
+
+Licensed recordings know calling, swinging and the back pocket of one person. Where nothing real exists, windows are
+simulated, or made of real ones. What was made of a recording is left out with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+from zlib import crc32
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pdr_filter.offline.training.cross_validation import Progress, TextArray, in_parallel, read_recording, source_of
+from pdr_filter.simulate.population import EAR_PITCH_RAD, EAR_ROLL_RAD, MODES, simulated_person
+from pdr_filter.values import FloatArray
+from pdr_filter.values.recording import Recording
+
+R = TypeVar("R")
+SIMULATED, TURNED = "simulated", "turned"
+# A recording's path, or the carrying mode and number of a simulated person.
+Source = Path | tuple[str, int]
+
+
+def from_sources(
+    work: Callable[[Recording, str, str], R], paths: Sequence[Path], n_simulated: int, what: str, progress: Progress
+) -> list[R]:
+    """Results of recordings and then of simulated people, so many in each carrying mode.
+
+    `work` takes the recording, its data set or "simulated", and whose it is.
+    """
+    jobs: list[Source] = [*paths, *((mode, number) for number in range(n_simulated) for mode in MODES)]
+    results: list[R] = []
+    for job, result in zip(jobs, in_parallel(partial(_on_source, work), jobs), strict=True):
+        results.append(result)
+        name = job.stem if isinstance(job, Path) else f"a simulated person, {job[0]}"
+        progress(f"{what} of {name}", len(results) / len(jobs))
+    return results
+
+
+def _on_source(work: Callable[[Recording, str, str], R], source: Source) -> R:
+    if isinstance(source, Path):
+        recording = read_recording(source)
+        return work(recording, *source_of(recording))
+    recording = simulated_person(*source)
+    return work(recording, SIMULATED, f"{SIMULATED}/{recording.name}")
+
+
+def grips(mean_up: Sequence[FloatArray], name: str) -> Iterator[FloatArray]:
+    """Rotations (3, 3) of the sensor's axes that turn a phone in front of the body to the ear, at random by name.
+
+    `mean_up` are the mean directions of up (3,) in front of the body, one for each grip.
+    """
+    rng = np.random.default_rng(crc32(name.encode()))
+    for up in mean_up:
+        level = Rotation.align_vectors([0.0, 0.0, 1.0], up / np.sqrt(up @ up))[0]
+        side = rng.choice([-1.0, 1.0])
+        pitch_rad, roll_rad = rng.normal(EAR_PITCH_RAD, 0.2), -side * rng.normal(EAR_ROLL_RAD, 0.25)
+        yield (Rotation.from_euler("ZXY", [0.0, pitch_rad, roll_rad]).inv() * level).as_matrix()
+
+
+def balanced_weight(label: TextArray, source: TextArray, source_weight: Mapping[str, float]) -> FloatArray:
+    """Weights (W,), mean one: every class the same sum, and inside a class every source its own, one if not given.
+
+    `source_weight` is by the source's name up to the first underscore, or by the whole name.
+    """
+    weight = np.zeros(len(label))
+    for name in np.unique(label):
+        own = label == name
+        for part in np.unique(source[own]):
+            rows = own & (source == part)
+            weight[rows] = source_weight.get(part, source_weight.get(part.split("_")[0], 1.0)) / rows.sum()
+        weight[own] /= weight[own].sum()
+    return weight / weight.mean()
+
+
+def made_card(source: TextArray, source_weight: Mapping[str, float]) -> dict[str, Any]:
+    """What a card says of the sources (W,) of windows that were made."""
+    n_windows = {str(name): int((source == name).sum()) for name in np.unique(source)}
+    return {"made_windows": n_windows, "source_weight": dict(source_weight)}

@@ -1,0 +1,72 @@
+"""Train all shipped models, then estimate transitions and tempering: `pdr-filter train` runs it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from threadpoolctl import threadpool_limits
+
+from pdr_filter.classifiers.context_model import ContextModel
+from pdr_filter.offline.training import (
+    carrying_training as carrying,
+)
+from pdr_filter.offline.training import (
+    context_training as contexts,
+)
+from pdr_filter.offline.training import (
+    guo2018_training as guo2018,
+)
+from pdr_filter.offline.training.cross_validation import Progress, part_progress, recordings_of, silent, train_one
+from pdr_filter.offline.training.transition_training import changing_recordings, shipped_model_without, train_evidence
+
+
+def train(
+    data_dir: Path | None, out_dir: Path, progress: Progress = silent, sequences: Sequence[Path] | None = None
+) -> list[dict[str, Any]]:
+    """Cards of the models that were trained and written to `out_dir`, and of the transitions and exponents.
+
+    `data_dir` has one folder for each data set of the models; without it no model is trained, and transitions and
+    exponents are those of the shipped models. `sequences` are further labelled recordings in which people change their
+    context, for transitions and exponents only. `out_dir` gets `<name>.npz`, `<name>.json` and `transitions.json`.
+    """
+    if sequences is not None and not sequences:
+        raise ValueError("no recordings in the folder of sequences; give one of recordings with truth_labels.csv")
+    if data_dir is None:
+        if sequences is None:
+            raise ValueError("nothing to train on: give the folder of the data sets, or one of labelled sequences")
+        return [train_evidence(changing_recordings(sequences), out_dir, shipped_model_without, progress)]
+    wanted = sorted({d for plan in contexts.PLANS for d in plan.datasets})
+    paths = recordings_of(data_dir, wanted)
+    if not paths:
+        raise ValueError(f"{data_dir} holds none of the data sets {wanted}; give the folder that holds theirs")
+    # before the models: a recording that cannot be read shows at once
+    changing = changing_recordings([*paths, *(sequences or ())])
+    cards, default_without = _train_contexts(paths, out_dir, part_progress(progress, 0.0, 0.85))
+    with threadpool_limits(1):
+        cards += carrying.train_carrying(paths, out_dir, part_progress(progress, 0.85, 0.1))
+        cards.append(guo2018.train_guo(paths, out_dir, part_progress(progress, 0.95, 0.04)))
+        return [*cards, train_evidence(changing, out_dir, default_without, part_progress(progress, 0.99, 0.01))]
+
+
+def _train_contexts(
+    paths: Sequence[Path], out_dir: Path, progress: Progress
+) -> tuple[list[dict[str, Any]], Callable[[Sequence[str]], ContextModel]]:
+    """Cards of the context models, and what gives the default's without some people."""
+    cards: list[dict[str, Any]] = []
+    default_without: Callable[[Sequence[str]], ContextModel] = shipped_model_without
+    share = 1 / len(contexts.PLANS)
+    for kind in sorted({(plan.feature_set, plan.has_gyroscope) for plan in contexts.PLANS}):
+        plans = [plan for plan in contexts.PLANS if (plan.feature_set, plan.has_gyroscope) == kind]
+        start, span = len(cards) * share, len(plans) * share
+        windows = contexts.labelled_windows(paths, part_progress(progress, start, 0.2 * span), *kind)
+        for i, plan in enumerate(plans):
+            own, start_of_own = plan.of(windows), start + 0.2 * span + 0.8 * i * share
+            model = train_one(plan, own, part_progress(progress, start_of_own, 0.8 * share))
+            model.save(out_dir)
+            cards.append(model.card)
+            if plan.name == contexts.DEFAULT_MODEL:
+                default_without = partial(contexts.model_without, model, plan, own)
+    return cards, default_without

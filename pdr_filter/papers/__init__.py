@@ -1,1 +1,0 @@
-"""What only one published system uses, a folder for each."""

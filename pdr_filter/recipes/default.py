@@ -1,0 +1,136 @@
+"""Recipes: functions that return a configuration. `default` is the one to use; the others are published systems."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from pdr_filter.classifiers.context_model import ContextModel
+from pdr_filter.classifiers.transition_probabilities import Transitions, load_transitions
+from pdr_filter.filter.imm.imm_tracker import ImmTracker
+from pdr_filter.filter.imm.modes import context_modes, context_transitions, height_notes
+from pdr_filter.filter.imm.motion_model import MotionNoise
+from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
+from pdr_filter.filter.step_length.models import bounce_fit, scale_std
+from pdr_filter.recipes.config import Config
+from pdr_filter.recipes.guo2018.recipe import guo2018 as guo2018
+from pdr_filter.recipes.martinelli2018.recipe import magnitude_contexts
+from pdr_filter.recipes.martinelli2018.recipe import martinelli2018 as martinelli2018
+from pdr_filter.recipes.susi2013.recipe import susi2013 as susi2013
+from pdr_filter.recipes.tian2016.recipe import tian2016 as tian2016
+from pdr_filter.recipes.zhou2019.recipe import zhou2019 as zhou2019
+from pdr_filter.sensing.contexts.context_stage import ContextModels
+from pdr_filter.sensing.contexts.learned_contexts import LearnedContexts, shipped_model
+from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindows
+from pdr_filter.sensing.front_end import Sensing
+from pdr_filter.sensing.heading.walking_heading import WalkingHeading
+from pdr_filter.sensing.steps.adaptive_detector import AdaptiveStepDetector
+from pdr_filter.sensing.steps.contact_time_smoothing import EvenSteps
+from pdr_filter.sensing.steps.step_gate import StepGate
+from pdr_filter.values import CONTEXTS, HeadingDrift
+from pdr_filter.values.recording import Recording, Subject, check_height
+
+
+def default(subject: Subject | None = None) -> Config:
+    """The recipe to use: adaptive steps behind a gate, contexts from attitude-free features, learnt walking heading.
+
+    Of the subject only the height counts; how people differ in their step lengths beyond it is `scale_std`.
+    """
+    if not isinstance(subject, Subject | None):  # pyright: ignore[reportUnnecessaryIsInstance]
+        raise ValueError(
+            f"subject must be a Subject, got {subject!r}: such as that of a recording, or of recording.of_height(1.78)"
+        )
+    height_m = subject.height_m if subject else None
+    if height_m is not None:
+        check_height(height_m)
+    return replace(_for_height(height_m), notes=height_notes(subject))
+
+
+# Coefficients that stages derive once are then those of all recordings of a height: a millisecond of each.
+@lru_cache(maxsize=16, typed=True)
+def _for_height(height_m: float | None) -> Config:
+    """The default but for its notes."""
+    drift = HeadingDrift()
+    return Config(
+        name="default",
+        sensing=Sensing(
+            steps=AdaptiveStepDetector(),
+            gate=StepGate(),
+            even=EvenSteps(),
+            contexts=attitude_free_contexts(),
+            heading=WalkingHeading(drift=drift),
+        ),
+        tracker=ImmTracker(
+            PedestrianModel(
+                modes=context_modes(bounce_fit(height_m)),
+                transition_prob=context_transitions(),
+                noise=MotionNoise(heading_drift=drift, log_scale_std=scale_std(height_m)),
+            )
+        ),
+    )
+
+
+def attitude_free_contexts() -> LearnedContexts:
+    """The default's context stage."""
+    models = ContextModels(
+        shipped_model("context"),
+        shipped_model("context_accelerometer"),
+        shipped_model("carrying"),
+        shipped_model("carrying_accelerometer"),
+    )
+    return LearnedContexts(FeatureWindows(features=ATTITUDE_FREE), models)
+
+
+def with_context_model(config: Config, model: ContextModel) -> Config:
+    """The configuration with another context model for windows with gyroscope, and with the features that it needs."""
+    for contexts in (magnitude_contexts(), attitude_free_contexts()):
+        if set(model.feature_names) <= set(contexts.windows.features.names):
+            contexts = replace(contexts, models=replace(contexts.models, with_gyroscope=model))
+            return replace(config, sensing=replace(config.sensing, contexts=contexts))
+    raise ValueError(f"model {model.name!r} needs features that no feature set has")
+
+
+def with_transitions(config: Config, transitions: Transitions | str | Path) -> Config:
+    """The configuration with transition probabilities and exponents of the evidence that were estimated.
+
+    `transitions`, or the path of its file, is what `pdr-filter train` writes; the exponents in it are of the default's
+    context model. The weightings "hc" and "wc" take step lengths from the windows and not from transitions. ValueError
+    if the file cannot be used, or if the modes of the configuration are not the contexts, each once.
+    """
+    learnt = transitions if isinstance(transitions, Transitions) else load_transitions(transitions)
+    contexts = [mode.context for mode in config.model.modes]
+    if sorted(contexts) != sorted(CONTEXTS):
+        raise ValueError(
+            f"transitions are between the contexts {CONTEXTS}, but recipe {config.name!r} has modes of {contexts}; "
+            "give its model a transition_prob of its own"
+        )
+    of_mode = [CONTEXTS.index(context) for context in contexts]
+    return config.with_model(
+        transition_prob=learnt.transition_prob[np.ix_(of_mode, of_mode)],
+        evidence_exponent=learnt.evidence_exponent,
+        prior_exponent=learnt.prior_exponent,
+    )
+
+
+def for_recording(name: str, recording: Recording) -> Config:
+    """The recipe of that name for the person and the placement of a recording; ValueError if there is none."""
+    check_name(name)
+    if name == "zhou2019" and recording.is_on_foot:
+        return zhou2019(recording.subject, placement="foot")
+    return RECIPES[name](recording.subject)
+
+
+def check_name(name: str) -> None:
+    """ValueError that lists the recipes if there is none of that name."""
+    if name not in RECIPES:
+        raise ValueError(f"no recipe {name!r}; there are {', '.join(sorted(RECIPES))}")
+
+
+RECIPES: Mapping[str, Callable[[Subject | None], Config]] = MappingProxyType(
+    {recipe.__name__: recipe for recipe in (default, martinelli2018, guo2018, susi2013, tian2016, zhou2019)}
+)

@@ -1,0 +1,187 @@
+"""What Guo et al. 2018 compute from windows of 0.6 s: 18 pose features (Table 1) and the level of motion (eq. 1).
+
+Deviations: docs/methods/guo2018.md. Angles are in radians, from the direction of up in the sensor frame; roll is about
+the y-axis, made continuous within a window, its mean in [-pi, pi). It is undefined where the y-axis is vertical, and
+noisy near it, as in a trouser pocket. The level of motion is computed at every sample (Table 2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pdr_filter.sensing.attitude import AttitudeBlock
+from pdr_filter.sensing.conditioning import UniformBlock
+from pdr_filter.sensing.features.sliding_windows import DescribedWindow, SlidingWindows, WindowBuffer, no_samples
+from pdr_filter.values import BoolArray, FloatArray, check_numbers
+
+_ANGLE_STATISTICS = ("mean", "median", "max", "min", "rms", "range")
+_AMBIENT_STATISTICS = ("mean", "median", "rms")
+# Table 1 from top to bottom. Angles are in radians, light in lux, proximity in centimetres.
+NAMES: tuple[str, ...] = (
+    *(f"{s}_pitch" for s in _ANGLE_STATISTICS),
+    *(f"{s}_roll" for s in _ANGLE_STATISTICS),
+    *(f"{s}_light" for s in _AMBIENT_STATISTICS),
+    *(f"{s}_proximity" for s in _AMBIENT_STATISTICS),
+)
+WITHOUT_LIGHT_AND_PROXIMITY: tuple[str, ...] = NAMES[:12]
+
+
+def pitch_and_roll(up_sensor: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Pitch in [-pi/2, pi/2] and roll in [-pi, pi] of a device, each (N,), from unit vectors up (N, 3).
+
+    The device turns from flat, face up and y north, by yaw about z, then pitch about x, then roll about y, each by the
+    right-hand rule: R = R_z(yaw) R_x(pitch) R_y(roll), sensor to world. Then up = [-sin(roll) cos(pitch), sin(pitch),
+    cos(roll) cos(pitch)]. Pitch is positive with the top edge up, roll with the right edge down. (Android's
+    `getOrientation` has the same roll and the opposite pitch.)
+    """
+    x, y, z = up_sensor.T
+    return np.arcsin(np.clip(y, -1.0, 1.0)), np.arctan2(-x, z)
+
+
+def pose_features(window: FloatArray) -> FloatArray:
+    """Features of a window in the order of `NAMES`: (18,), or (12,) without light and proximity.
+
+    Rows of the window, (2, N) or (4, N): pitch and roll in radians, light in lux and proximity in cm.
+    """
+    if window.ndim != 2 or window.shape[0] not in (2, 4) or window.shape[1] == 0:
+        raise ValueError(
+            f"a window has 2 rows (pitch, roll) or 4 (and light, proximity) and at least one sample, got {window.shape}"
+        )
+    angles = [_angle_statistics(window[0]), _angle_statistics(_continuous(window[1]))]
+    return np.concatenate([*angles, *(_ambient_statistics(row) for row in window[2:])])
+
+
+def _angle_statistics(angle_rad: FloatArray) -> FloatArray:
+    highest, lowest = angle_rad.max(), angle_rad.min()
+    return np.array([angle_rad.mean(), np.median(angle_rad), highest, lowest, _rms(angle_rad), highest - lowest])
+
+
+def _ambient_statistics(values: FloatArray) -> FloatArray:
+    return np.array([values.mean(), np.median(values), _rms(values)])
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt((values * values).mean()))
+
+
+def _continuous(angle_rad: FloatArray) -> FloatArray:
+    """The angle without jumps, its mean in [-pi, pi)."""
+    continuous = np.unwrap(angle_rad)
+    turns = np.floor((continuous.mean() + np.pi) / (2 * np.pi))
+    return continuous - 2 * np.pi * turns
+
+
+# alpha of eq. 1
+RATE_SCALE = 9.8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionLevelState:
+    """The samples that later windows still need."""
+
+    n_samples: int  # seen so far in this segment
+    delay_line: FloatArray  # (6, L - 1) specific force, its square, squared angular rate, samples without angular rate
+
+    def fits(self, n_samples: int) -> bool:
+        """Whether a segment of so many samples can leave this."""
+        return self.n_samples == n_samples
+
+
+@dataclass(frozen=True)
+class MotionLevel:
+    """How much a phone moves: eq. 1, causal, at every sample.
+
+    T_n = (1/N) sum_k (|f_k - mean f|^2 + 9.8 |w_k|^2), k over the last `window_s`, or over the samples so far at the
+    start of a segment; f the specific force (m/s2), w the angular rate (rad/s).
+    """
+
+    rate_hz: float = 100.0
+    window_s: float = 0.6
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+
+    @property
+    def window_samples(self) -> int:
+        """Length in samples."""
+        return round(self.window_s * self.rate_hz)
+
+    def init(self) -> MotionLevelState:
+        """State at the start of a segment."""
+        return MotionLevelState(0, np.zeros((6, self.window_samples - 1)))
+
+    def update(self, state: MotionLevelState, block: UniformBlock) -> tuple[MotionLevelState, FloatArray, BoolArray]:
+        """New state, the level at each sample (N,), and whether its whole window has an angular rate (N,)."""
+        x, y, z = block.specific_force_mps2.T
+        u, v, w = block.angular_rate_radps.T
+        known = block.angular_rate_known
+        new = np.stack(
+            [x, y, z, x * x + y * y + z * z, np.where(known, u * u + v * v + w * w, 0.0), (~known).astype(float)]
+        )
+        line = np.concatenate([state.delay_line, new], axis=1)
+        # Every output is one dot product of the window's length, so cutting the signal elsewhere changes no bit.
+        sums = np.stack([np.convolve(row, np.ones(self.window_samples), mode="valid") for row in line])
+        seen = np.minimum(state.n_samples + 1 + np.arange(sums.shape[1]), self.window_samples)
+        x, y, z, force, rate, missing = sums / seen
+        has_rate = missing == 0.0
+        # The difference of two numbers near g squared: nothing but rounding is negative.
+        level = np.maximum(force - (x * x + y * y + z * z), 0.0) + np.where(has_rate, RATE_SCALE * rate, 0.0)
+        return MotionLevelState(state.n_samples + len(known), line[:, len(known) :]), level, has_rate
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseWindow(DescribedWindow):
+    """Features of one window."""
+
+    features: FloatArray  # (12,)
+    level: float  # of motion, over this window
+    has_gyroscope: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseWindowState:
+    """Samples that later windows still need."""
+
+    level: MotionLevelState
+    buffer: WindowBuffer  # of pitch, roll, level of motion, whether it has an angular rate
+
+
+@dataclass(frozen=True)
+class PoseWindows(SlidingWindows[PoseWindowState, PoseWindow]):
+    """Windows of pitch and roll, their features and the level of motion; causal."""
+
+    window_s: float = 0.6
+    hop_s: float = 0.6
+
+    @cached_property
+    def _level(self) -> MotionLevel:
+        return MotionLevel(self.rate_hz, self.window_s)
+
+    def init(self) -> PoseWindowState:
+        """State at the start of a segment."""
+        return PoseWindowState(self._level.init(), no_samples(4))
+
+    def update(
+        self, state: PoseWindowState, block: UniformBlock, attitude: AttitudeBlock
+    ) -> tuple[PoseWindowState, list[tuple[int, PoseWindow]]]:
+        """New state and the windows that became complete, each with the index of its last sample."""
+        level_state, level, has_rate = self._level.update(state.level, block)
+        signals = np.vstack([*pitch_and_roll(attitude.up_sensor), level, has_rate.astype(float)])
+        buffer, windows = self.cut(state.buffer, block.time_s, signals)
+        found = [
+            (
+                w.last,
+                PoseWindow(
+                    start_s=w.start_s,
+                    time_s=w.end_s,
+                    features=pose_features(w.samples[:2]),
+                    level=float(w.samples[2, -1]),
+                    has_gyroscope=bool(w.samples[3, -1]),
+                ),
+            )
+            for w in windows
+        ]
+        return PoseWindowState(level_state, buffer), found

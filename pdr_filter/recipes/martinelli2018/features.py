@@ -1,0 +1,90 @@
+"""The 28 motion features of Martinelli et al. 2018, Table II, of one window of magnitudes.
+
+F6, F10 and F14 of the low-passed |a| are about the mean of |a| itself, as printed.
+
+Deviations, each an error or a silence of the printed table: docs/methods/martinelli2018.md. F9 to F16 are standardised
+moments; the spectra and the zero-crossing rates are of the magnitude less its mean; F24 to F26 are in hertz.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdr_filter.sensing.features.feature_windows import N_MAGNITUDES
+from pdr_filter.values import FloatArray
+
+_OF = ("acc", "acc_f", "gyro", "magn")
+NAMES: tuple[str, ...] = (
+    *(f"range_{s}" for s in _OF),  # F1-F4
+    *(f"std_{s}" for s in _OF),  # F5-F8
+    *(f"skewness_{s}" for s in _OF),  # F9-F12
+    *(f"kurtosis_{s}" for s in _OF),  # F13-F16
+    *(f"energy_{s}" for s in _OF),  # F17-F20
+    *(f"peak_{s}" for s in _OF[:3]),  # F21-F23
+    *(f"peak_frequency_{s}_hz" for s in _OF[:3]),  # F24-F26
+    *(f"zero_crossing_rate_{s}" for s in _OF[:2]),  # F27-F28
+)
+# The 18 that the paper's floating search selected (section V.B).
+SELECTED_18: tuple[str, ...] = tuple(
+    NAMES[i - 1] for i in (1, 2, 4, 5, 6, 9, 10, 14, 16, 17, 19, 20, 21, 22, 23, 24, 25, 27)
+)
+WITHOUT_MAGNETOMETER: tuple[str, ...] = tuple(n for n in NAMES if "magn" not in n)
+WITHOUT_GYROSCOPE: tuple[str, ...] = tuple(n for n in WITHOUT_MAGNETOMETER if "gyro" not in n)
+
+# Below this spread the third and fourth moments are rounding noise divided by itself; they are then those of a
+# constant: zero.
+_MIN_STD = 1e-9
+
+
+def features_28(magnitudes: FloatArray, rate_hz: float) -> FloatArray:
+    """F1 to F28 of a window, shape (28,), in the order of `NAMES`.
+
+    Rows of `magnitudes` (4, N): |a| and low-passed |a| in m/s2, |g| in rad/s, |m| in uT. A missing sensor is a row of
+    zeros, whose features are zero.
+    """
+    n = magnitudes.shape[1]
+    mean = magnitudes.mean(axis=1)
+    centred = magnitudes - mean[:, None]
+    deviation = magnitudes - mean[[0, 0, 2, 3], None]  # of the low-passed |a| from the mean of |a|
+    squared = deviation * deviation
+    variance = squared.mean(axis=1)
+    std = np.sqrt(variance)
+    safe_std = np.where(std > _MIN_STD, std, np.inf)
+    skewness = (squared * deviation).mean(axis=1) / safe_std**3
+    kurtosis = (squared * squared).mean(axis=1) / safe_std**4
+    energy = (magnitudes * magnitudes).sum(axis=1)
+    spectrum = np.abs(np.fft.rfft(centred[:3], axis=1))
+    peak = spectrum.argmax(axis=1)
+    is_negative = centred[:2] < 0
+    crossings = (is_negative[:, 1:] != is_negative[:, :-1]).sum(axis=1) / (n - 1)
+    return np.concatenate(
+        [
+            magnitudes.max(axis=1) - magnitudes.min(axis=1),
+            std,
+            skewness,
+            kurtosis,
+            energy,
+            spectrum[[0, 1, 2], peak],
+            peak * (rate_hz / n),
+            crossings,
+        ]
+    )
+
+
+@dataclass(frozen=True)
+class MagnitudeFeatures:
+    """The 28 features as a `FeatureSet`."""
+
+    name: str = "martinelli"
+    names: tuple[str, ...] = NAMES
+    # Table II does not give the cutoff: 5 Hz keeps the first harmonics of a step.
+    low_pass_hz: float = 5.0
+
+    def describe(self, windows: FloatArray, rate_hz: float) -> FloatArray:
+        """Features (W, 28) of the signals of windows (W, N_SIGNALS, N)."""
+        return np.array([features_28(window, rate_hz) for window in windows[:, :N_MAGNITUDES]])
+
+
+TABLE_II = MagnitudeFeatures()

@@ -1,0 +1,196 @@
+"""Motion-mode features of a handheld device: Susi et al. 2013, sections 6.1 and 6.2.
+
+Angular rate and specific force are low-passed (Butterworth, 10th order, 15 Hz), their norms taken (eq. 2) and the
+moving mean removed (eq. 3); windows of 256 samples at 100 Hz overlap by half. Features of each norm: energy (eq. 4-5),
+variance (eq. 6-7) and dominant frequencies of the short-time Fourier transform.
+
+Equations 1 to 7 are missing or partly missing in the copy of the text at hand. Assumed from the words around them
+(docs/methods/susi2013.md): the moving mean of eq. 3 is causal and as long as the window, over the samples so far at the
+start of a segment; energy, variance and frequencies are of the norm less its moving mean; a frame of the transform is
+the window, with a Hann taper. Beside the features a window has the energy of the norm of the angular rate itself, and
+how much of it is its dominant frequencies.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pdr_filter.sensing.attitude import AttitudeBlock
+from pdr_filter.sensing.conditioning import UniformBlock
+from pdr_filter.sensing.features.sliding_windows import (
+    DescribedWindow,
+    SampleWindow,
+    SlidingWindows,
+    WindowBuffer,
+    no_samples,
+)
+from pdr_filter.sensing.signal_filters import butterworth, filtered
+from pdr_filter.sensing.steps.step_log import specific_force_magnitude
+from pdr_filter.values import FloatArray
+
+_OF = ("acc", "gyro")
+N_DOMINANT = 3
+NAMES: tuple[str, ...] = (
+    *(f"energy_{s}" for s in _OF),
+    *(f"variance_{s}" for s in _OF),
+    *(f"dominant_frequency_{k}_{s}_hz" for s in _OF for k in range(1, N_DOMINANT + 1)),
+)
+WITHOUT_GYROSCOPE: tuple[str, ...] = tuple(n for n in NAMES if "gyro" not in n)
+
+# A sinusoid of smaller amplitude is rounding noise: the spectrum of a constant has no frequency.
+_MIN_AMPLITUDE = 1e-9
+
+
+def motion_features(norms: FloatArray, rate_hz: float) -> FloatArray:
+    """Features of a window in the order of `NAMES`, shape (10,).
+
+    Rows of `norms` (2, N): filtered |f| in m/s2 and filtered |omega| in rad/s, each less its moving mean. A missing
+    sensor is a row of zeros, whose features are zero.
+    """
+    energy = (norms * norms).mean(axis=1)
+    centred = norms - norms.mean(axis=1)[:, None]
+    variance = (centred * centred).mean(axis=1)
+    dominant = [dominant_frequencies(row, rate_hz) for row in norms]
+    return np.concatenate([energy, variance, *dominant])
+
+
+def dominant_frequencies(signal: FloatArray, rate_hz: float) -> FloatArray:
+    """Frequencies in hertz of the three highest maxima of the spectrogram of one frame, highest first, shape (3,).
+
+    They are multiples of rate_hz / N; zero stands for a maximum that does not exist.
+    """
+    taper = _taper(len(signal))
+    # scaled so that a sinusoid in the middle of a bin has its amplitude
+    amplitude = np.abs(np.fft.rfft(signal * taper)) / (0.5 * taper.sum())
+    padded = np.concatenate([[-1.0], amplitude, [-1.0]])
+    is_maximum = (amplitude > padded[:-2]) & (amplitude >= padded[2:]) & (amplitude > _MIN_AMPLITUDE)
+    maxima = np.flatnonzero(is_maximum)
+    highest = maxima[np.argsort(-amplitude[maxima], kind="stable")[:N_DOMINANT]]
+    frequency_hz = np.zeros(N_DOMINANT)
+    frequency_hz[: len(highest)] = highest * (rate_hz / len(signal))
+    return frequency_hz
+
+
+def dominance(norms: FloatArray) -> FloatArray:
+    """Part of the power of each row (d, N) that is in its three highest maxima above zero frequency, (d,), 0 to 1.
+
+    The power is that of the tapered row less its mean; a maximum counts with its two neighbours, which hold all of a
+    sinusoid in the middle of a bin. Nearly 1 for a swinging arm, small where nothing repeats; zero without motion.
+    """
+    return np.array([_dominance(row) for row in norms])
+
+
+def _taper(n: int) -> FloatArray:
+    from scipy.signal.windows import hann
+
+    return np.asarray(hann(n, sym=False))
+
+
+def _dominance(signal: FloatArray) -> float:
+    power = np.abs(np.fft.rfft((signal - signal.mean()) * _taper(len(signal)))) ** 2
+    total = float(power.sum())
+    if total < (_MIN_AMPLITUDE * len(signal)) ** 2:
+        return 0.0
+    inner = power[1:]
+    maxima = 1 + np.flatnonzero((inner > power[:-1]) & (inner >= np.append(power[2:], -1.0)))
+    highest = maxima[np.argsort(-power[maxima], kind="stable")[:N_DOMINANT]]
+    near = np.unique(np.concatenate([highest - 1, highest, np.minimum(highest + 1, len(power) - 1)]))
+    return float(power[near].sum()) / total
+
+
+def filtered_norms(sos: FloatArray, components: FloatArray, zi: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    """|f| and |omega|, (2, N), of the filtered components (6, N) of both (eq. 2), and the new filter memory."""
+    low_passed, zi = filtered(sos, components, zi)
+    return np.stack([specific_force_magnitude(low_passed[:3].T), specific_force_magnitude(low_passed[3:].T)]), zi
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionWindow(DescribedWindow):
+    """Features of one window."""
+
+    features: FloatArray  # (10,)
+    has_gyroscope: bool
+    dominance: FloatArray  # (2,) of |f| and |omega|, see `dominance`
+    rotation_energy: float  # mean square of |omega| itself, rad2/s2; zero without gyroscope
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionWindowState:
+    """Filter memory, and samples that later windows still need."""
+
+    n_samples: int
+    zi: FloatArray | None  # (5, 6, 2); None before the first sample
+    delay_line: FloatArray  # (2, L - 1) filtered norms, for the moving mean
+    buffer: WindowBuffer  # of norms less their moving mean, |omega|, angular rate known
+
+    def fits(self, n_samples: int) -> bool:
+        """Whether a segment of so many samples can leave this."""
+        return self.n_samples == n_samples and self.buffer.fits(n_samples)
+
+
+@dataclass(frozen=True)
+class MotionWindows(SlidingWindows[MotionWindowState, MotionWindow]):
+    """Filtered norms, windows of them and their features; causal.
+
+    Parameters
+    ----------
+    rate_hz, window_s, hop_s : float
+        Of every `SlidingWindows`: 256 and 128 samples at 100 Hz.
+    low_pass_hz : float
+        Cutoff of the 10th-order Butterworth low-pass. At 15 Hz its delay is about 0.07 s.
+    """
+
+    window_s: float = 2.56
+    hop_s: float = 1.28
+    low_pass_hz: float = 15.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _ = self._sos  # a wrong cutoff shows at once
+
+    @cached_property
+    def _sos(self) -> FloatArray:
+        return butterworth(10, self.low_pass_hz, self.rate_hz)
+
+    def init(self) -> MotionWindowState:
+        """State at the start of a segment."""
+        return MotionWindowState(0, None, np.zeros((2, self.window_samples - 1)), no_samples(4))
+
+    def update(
+        self, state: MotionWindowState, block: UniformBlock, attitude: AttitudeBlock
+    ) -> tuple[MotionWindowState, list[tuple[int, MotionWindow]]]:
+        """New state and the windows that became complete, each with the index of its last sample.
+
+        The norms do not depend on the attitude.
+        """
+        components = np.vstack([block.specific_force_mps2.T, block.angular_rate_radps.T])
+        norms, zi = filtered_norms(self._sos, components, state.zi)
+        line = np.concatenate([state.delay_line, norms], axis=1)
+        centred = norms - self._moving_mean(line, state.n_samples)
+        signals = np.vstack([centred, norms[1], block.angular_rate_known.astype(float)])
+        buffer, windows = self.cut(state.buffer, block.time_s, signals)
+        n = norms.shape[1]
+        state = MotionWindowState(state.n_samples + n, zi, line[:, n:], buffer)
+        return state, [(window.last, self._describe(window)) for window in windows]
+
+    def _moving_mean(self, line: FloatArray, n_before: int) -> FloatArray:
+        """Mean over the last L samples, or those so far, of each sample after the delay line (eq. 3)."""
+        length = self.window_samples
+        # Every output is one dot product of the kernel's length, so cutting the signal elsewhere changes no bit.
+        sums = np.stack([np.convolve(row, np.ones(length), mode="valid") for row in line])
+        seen = np.minimum(n_before + 1 + np.arange(sums.shape[1]), length)
+        return sums / seen
+
+    def _describe(self, window: SampleWindow) -> MotionWindow:
+        norms, omega, known = window.samples[:2], window.samples[2], window.samples[3]
+        return MotionWindow(
+            start_s=window.start_s,
+            time_s=window.end_s,
+            features=motion_features(norms, self.rate_hz),
+            has_gyroscope=bool(known.all()),
+            dominance=dominance(norms),
+            rotation_energy=float((omega * omega).mean()),
+        )

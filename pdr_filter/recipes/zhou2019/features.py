@@ -1,0 +1,165 @@
+"""Behaviour features of a foot-mounted accelerometer: Zhou et al. 2019, section III.
+
+Acceleration a = |f - b| - g (eq. 2) with the bias b of a static start (eq. 3) is low-passed by a linear-phase FIR
+filter with a Hamming window; over 2 s its variance, DC component f_0 and energy (eq. 4) distinguish standing, walking,
+running and irregular swing.
+
+Deviations, beside those of docs/methods/zhou2019.md: up is taken along the mean specific force of the start unless it
+is given, because eq. 3 counts a tilt of 5 degrees as 0.85 m/s2 of bias; f_0 is the mean of a in m/s2, with its sign;
+the energy is the mean absolute coefficient of the two-sided transform, as printed, so that a sinusoid has its
+amplitude.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pdr_filter.sensing.attitude import AttitudeBlock
+from pdr_filter.sensing.conditioning import UniformBlock
+from pdr_filter.sensing.features.sliding_windows import (
+    DescribedWindow,
+    SampleWindow,
+    SlidingWindows,
+    WindowBuffer,
+    no_samples,
+)
+from pdr_filter.sensing.signal_filters import low_pass_kernel
+from pdr_filter.sensing.steps.step_log import specific_force_magnitude
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, replace
+
+NAMES: tuple[str, ...] = ("variance", "dc_component", "energy")
+
+
+def static_bias(static_mps2: FloatArray, up_sensor: FloatArray | None = None) -> FloatArray:
+    """Bias b = mean(f) - g up, m/s2, sensor frame, (3,), from specific force (N, 3) of a sensor at rest (eq. 3).
+
+    `up_sensor` is a unit vector (3,); [0, 0, 1] is eq. 3 as printed. If not given, it is the direction of the mean.
+    """
+    mean = static_mps2.mean(axis=0)
+    up = mean / np.sqrt((mean * mean).sum()) if up_sensor is None else up_sensor
+    return mean - STANDARD_GRAVITY_MPS2 * up
+
+
+def acceleration(specific_force_mps2: FloatArray, bias_mps2: FloatArray) -> FloatArray:
+    """Acceleration a = |f - b| - g in m/s2, shape (N,), of specific force (N, 3) with bias (3,) (eq. 2)."""
+    return specific_force_magnitude(specific_force_mps2 - bias_mps2) - STANDARD_GRAVITY_MPS2
+
+
+def behaviour_features(acceleration_mps2: FloatArray) -> FloatArray:
+    """Variance (m2/s4), DC component f_0 and energy (m/s2; eq. 4) of a window (N,) of filtered acceleration, (3,)."""
+    n = len(acceleration_mps2)
+    dc_component = acceleration_mps2.mean()
+    centred = acceleration_mps2 - dc_component
+    coefficients = np.fft.fft(centred)  # the DC component is removed
+    return np.array([(centred * centred).mean(), dc_component, np.abs(coefficients[1:]).sum() / n])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BehaviourWindow(DescribedWindow):
+    """Features of one window; its times are those of the motion, less the filter's delay."""
+
+    features: FloatArray  # (3,)
+    max_mps2: float  # of the filtered acceleration: what Condition 1 of Table 1 compares
+
+
+@dataclass(frozen=True, eq=False)
+class BehaviourState:
+    """The bias, or the samples that it waits for; the filter's delay line; samples that later windows still need."""
+
+    waiting: FloatArray  # (B, 4): time, specific force; empty once the bias is known
+    bias_mps2: FloatArray | None  # (3,); None before it is known
+    delay_line: FloatArray  # (L - 1,) acceleration; empty before the first sample
+    buffer: WindowBuffer  # of filtered acceleration
+
+    def fits(self, n_samples: int) -> bool:
+        """Whether a segment of so many samples can leave this."""
+        return self.buffer.fits(n_samples - len(self.waiting))
+
+
+@dataclass(frozen=True)
+class BehaviourWindows(SlidingWindows[BehaviourState, BehaviourWindow]):
+    """Filtered acceleration, windows of it and their features; causal.
+
+    Parameters
+    ----------
+    static_s : float
+        Length of the static start, at most the window, so that no window is late for it.
+    static_std_mps2 : float
+        If |f| spreads more than this over the start, or is not gravity, nobody stood still: the bias is taken as zero.
+        Over a second a standing foot stays below 0.05 m/s2 (pyshoe), a walking one above 1 m/s2.
+    low_pass_hz : float
+        Cutoff (-6 dB) of the FIR filter.
+    low_pass_s : float
+        Its length; it delays by half of this. 0.5 s of Hamming window roll off within 6.6 Hz.
+    """
+
+    hop_s: float = 2.0
+    static_s: float = 1.0
+    static_std_mps2: float = 0.3
+    low_pass_hz: float = 10.0
+    low_pass_s: float = 0.5
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 1 <= self.static_samples <= self.window_samples:
+            raise ValueError(f"static_s must be positive and at most window_s, got {self.static_s} and {self.window_s}")
+        if not 0 < self.low_pass_hz < 0.5 * self.rate_hz:
+            raise ValueError(f"low_pass_hz must be below half the rate, got {self.low_pass_hz} at {self.rate_hz} Hz")
+
+    @property
+    def static_samples(self) -> int:
+        """Length of the static start in samples."""
+        return round(self.static_s * self.rate_hz)
+
+    @property
+    def latency_s(self) -> float:
+        """Delay of the filter."""
+        return (len(self._taps) // 2) / self.rate_hz
+
+    @cached_property
+    def _taps(self) -> FloatArray:
+        return low_pass_kernel(self.low_pass_hz, self.rate_hz, self.low_pass_s)
+
+    def init(self) -> BehaviourState:
+        """State at the start of a recording."""
+        return BehaviourState(np.empty((0, 4)), None, np.empty(0), no_samples(1))
+
+    def after_gap(self, state: BehaviourState) -> BehaviourState:
+        """State at the start of a segment that keeps the bias: nobody stands still after every gap."""
+        return replace(self.init(), bias_mps2=state.bias_mps2)
+
+    def update(
+        self, state: BehaviourState, block: UniformBlock, attitude: AttitudeBlock
+    ) -> tuple[BehaviourState, list[tuple[int, BehaviourWindow]]]:
+        """New state and the windows that became complete, each with the index of the sample that completed it."""
+        rows = np.concatenate([state.waiting, np.column_stack([block.time_s, block.specific_force_mps2])])
+        bias = state.bias_mps2
+        if bias is None:
+            if len(rows) < self.static_samples:
+                return replace(state, waiting=rows), []
+            bias = self._bias(np.ascontiguousarray(rows[: self.static_samples, 1:]))
+        a = acceleration(rows[:, 1:], bias)
+        # What was before the first sample is taken to be like it: a zero there would look like a blow.
+        before = state.delay_line if len(state.delay_line) else np.full(len(self._taps) - 1, a[0])
+        line = np.concatenate([before, a])
+        # Every output is one dot product of the kernel's length, so cutting the signal elsewhere changes no bit.
+        buffer, windows = self.cut(state.buffer, rows[:, 0], np.convolve(line, self._taps, mode="valid")[None])
+        state = BehaviourState(np.empty((0, 4)), bias, line[len(a) :], buffer)
+        return state, [(window.last, self._describe(window)) for window in windows]
+
+    def _bias(self, start_mps2: FloatArray) -> FloatArray:
+        magnitude = specific_force_magnitude(start_mps2)
+        is_static = magnitude.std() <= self.static_std_mps2 and magnitude.mean() > 0.5 * STANDARD_GRAVITY_MPS2
+        return static_bias(start_mps2) if is_static else np.zeros(3)
+
+    def _describe(self, window: SampleWindow) -> BehaviourWindow:
+        acceleration_mps2 = window.samples[0]
+        return BehaviourWindow(
+            start_s=window.start_s - self.latency_s,
+            time_s=window.end_s - self.latency_s,
+            features=behaviour_features(acceleration_mps2),
+            max_mps2=float(acceleration_mps2.max()),
+        )

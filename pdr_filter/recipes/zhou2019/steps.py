@@ -1,0 +1,330 @@
+"""Steps between crossings of adaptive reference lines: Zhou et al. 2019, section IV.
+
+Acceleration a = |f| - g is low-passed as the behaviour asks for (stage 1), its dominant frequency f_D sets a window of
+one period (eq. 5, stage 2), the extrema in the window (eq. 6, stage 3) place the lines R_L, R_M, R_S (Table 2), and an
+event reaches from the first rise through R_M to the next fall through R_S (stage 4). Standing and irregular swing are
+not counted; what happens there waits until the behaviour is known to have been walking or running.
+
+An event of the paper is a stride of the instrumented foot: two steps. A phone elsewhere on the body feels both feet,
+and an event is a step. `steps_per_event` is 2 or 1; `FOOT` and `CARRIED` are the detectors for either.
+
+Deviations, with reasons and figures: docs/methods/zhou2019.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pdr_filter.sensing.attitude import AttitudeBlock
+from pdr_filter.sensing.conditioning import UniformBlock
+from pdr_filter.sensing.signal_filters import low_pass_kernel
+from pdr_filter.sensing.steps.step_detector import ContextBlock, DetectorState, StepDetector, local_maxima
+from pdr_filter.sensing.steps.step_log import specific_force_magnitude
+from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2, FloatArray, Step, check_numbers, replace
+
+_STATIONARY, _RUNNING = CONTEXTS.index("stationary"), CONTEXTS.index("running")
+# Spectrum lines 0.1 Hz apart: half a sample of a period of 0.7 s, far below what its width allows.
+_LINE_SPACING_HZ = 0.1
+# A second of a foot on the ground or a phone on a table stays below; there is no dominant frequency in noise.
+_QUIET_STD_MPS2 = 0.05
+
+
+@dataclass(frozen=True)
+class EventSearch:
+    """What differs between walking and running, and with the place of the sensor.
+
+    f_D is the lowest line of the spectrum that stands out and has `harmonic_part` of the highest: the empirical
+    threshold against harmonics.
+    """
+
+    cutoff_hz: float  # -6 dB, of the FIR filter: the middle of the printed transition, 4 to 4.5 or 10 to 10.5 Hz
+    min_frequency_hz: float  # where f_D is looked for: strides of a foot, steps elsewhere
+    max_frequency_hz: float
+    harmonic_part: float
+    min_maximum_mps2: float  # smallest T_L
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceLines:
+    """The lines of a window, and the event that is under way."""
+
+    large_mps2: float | None = None  # R_L; None while there was no maximum
+    small_mps2: float | None = None  # R_S
+    start: int | None = None  # filtered sample of START; None before it
+    last_end: float = -np.inf  # filtered sample of the END of the last event
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceLineState(DetectorState):
+    """The last acceleration, the window that is being filled, its lines, and events of unknown behaviour."""
+
+    period_s: float  # 1 / f_D, the length of the window
+    buffer: FloatArray  # (3, B) filtered for walking, for running, context
+    waiting: FloatArray  # (W, 2) sample of an event, dominant period in s
+    window_start: int = 0  # filtered sample
+    is_running: bool = False  # in this window
+    lines: ReferenceLines = ReferenceLines()
+    last_event: float = -np.inf  # sample of the last event that was given
+
+    def fits(self, n_samples: int) -> bool:
+        """Whether a segment of so many samples can leave this."""
+        return super().fits(n_samples) and 0 <= n_samples - self.window_start <= self.buffer.shape[1] <= n_samples
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReferenceLineStepDetector(StepDetector[ReferenceLineState]):
+    """Causal step detector; a step is usually reported a window and 0.25 s after its contact, at most `latency_s`.
+
+    A contact is dated END, which on the foot of a slow walker may fall into the swing, half a stride early. Contacts of
+    an event that stands for several steps divide the time since the last event evenly, or the dominant period if it is
+    the first of a bout.
+
+    Parameters
+    ----------
+    walking, running : EventSearch
+        By behaviour; what is not known to be running is taken for walking.
+    steps_per_event : int
+        2 for a sensor on the foot, 1 elsewhere on the body.
+    relative_maximum : float
+        T_L is at least this part of R_L.
+    min_line_part : float
+        R_S is at least this part of the way from the minimum to R_L.
+    min_period_part : float
+        Least time between ENDs as a part of the dominant period.
+    low_pass_s : float
+        Length of the FIR filters; they delay by half of this.
+    spectrum_s : float
+        Time before a window from which its dominant frequency comes.
+    hold_s : float
+        How long an event waits for walking or running, which is known only after a window of mostly that.
+    """
+
+    walking: EventSearch
+    running: EventSearch
+    steps_per_event: int
+    relative_maximum: float
+    min_line_part: float
+    min_period_part: float
+    low_pass_s: float = 0.5
+    spectrum_s: float = 4.0
+    hold_s: float = 2.75
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        for search in (self.walking, self.running):
+            if not 0 < search.min_frequency_hz < search.max_frequency_hz < search.cutoff_hz < 0.5 * self.rate_hz:
+                raise ValueError(
+                    "min_frequency_hz, max_frequency_hz, cutoff_hz, half the rate must be positive and increase, got "
+                    f"{search.min_frequency_hz}, {search.max_frequency_hz}, {search.cutoff_hz}, {0.5 * self.rate_hz}"
+                )
+
+    @cached_property
+    def _taps(self) -> tuple[FloatArray, FloatArray]:
+        cutoffs_hz = (self.walking.cutoff_hz, self.running.cutoff_hz)
+        walking, running = (low_pass_kernel(cutoff, self.rate_hz, self.low_pass_s) for cutoff in cutoffs_hz)
+        return walking, running
+
+    @property
+    def _delay_samples(self) -> int:
+        return len(self._taps[0]) // 2
+
+    @property
+    def _spectrum_samples(self) -> int:
+        return round(self.spectrum_s * self.rate_hz)
+
+    @property
+    def _bout_samples(self) -> float:
+        """Events further apart belong to different bouts."""
+        return self.steps_per_event * self.max_interval_s * self.rate_hz
+
+    @property
+    def latency_s(self) -> float:
+        """Longest time from a contact to its detection: an event that waits for its behaviour until it is dropped."""
+        longest_window_s = 1.0 / min(self.walking.min_frequency_hz, self.running.min_frequency_hz)
+        within_event_s = (self.steps_per_event - 1) * self.max_interval_s
+        return self.hold_s + longest_window_s + within_event_s + (self._delay_samples + 1) / self.rate_hz
+
+    def init(self) -> ReferenceLineState:
+        """State before the first sample of a segment."""
+        period_s = 2.0 / (self.walking.min_frequency_hz + self.walking.max_frequency_hz)
+        line = np.zeros((2, self._n_line))
+        return ReferenceLineState(self._log.init(), line, period_s, np.empty((3, 0)), np.empty((0, 2)))
+
+    @property
+    def _n_line(self) -> int:
+        return len(self._taps[0]) - 1
+
+    def _signals(
+        self, state: ReferenceLineState, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
+    ) -> tuple[ReferenceLineState, FloatArray]:
+        """Acceleration and context, (2, N)."""
+        a = specific_force_magnitude(block.specific_force_mps2) - STANDARD_GRAVITY_MPS2
+        return state, np.vstack([a, contexts.context.astype(float)])
+
+    def _continued(self, state: ReferenceLineState) -> FloatArray:
+        """The last values stay until the window is complete."""
+        n_more = self._delay_samples + _window_samples(state.period_s, self.rate_hz)
+        return np.repeat(state.line[:, -1:], n_more, axis=1)
+
+    def _detect(
+        self, state: ReferenceLineState, line: FloatArray, first: int
+    ) -> tuple[ReferenceLineState, list[tuple[int, Step]]]:
+        # Every output is one dot product of the kernel's length, so cutting the signal elsewhere changes no bit.
+        filtered = [np.convolve(line[0], taps, mode="valid") for taps in self._taps]
+        new = np.stack([*filtered, line[1, self._n_line :]])
+        n_samples = first + new.shape[1]
+        state = replace(state, buffer=np.concatenate([state.buffer, new], axis=1))
+        steps: list[tuple[int, Step]] = []
+        while state.window_start + _window_samples(state.period_s, self.rate_hz) <= n_samples:
+            state, found = self._window(state, n_samples - state.buffer.shape[1])
+            steps += found
+        n_kept = n_samples - state.window_start + self._spectrum_samples
+        return replace(state, buffer=state.buffer[:, -n_kept:]), steps
+
+    def _window(self, state: ReferenceLineState, first: int) -> tuple[ReferenceLineState, list[tuple[int, Step]]]:
+        """A complete window of the buffer from `first` on: its lines, events, and the length of the next."""
+        window_end = state.window_start + _window_samples(state.period_s, self.rate_hz)
+        begin, end = state.window_start - first, window_end - first
+        search = self.running if state.is_running else self.walking
+        past = np.ascontiguousarray(state.buffer[int(state.is_running), max(end - self._spectrum_samples, 0) : end])
+        # one sample more than the window, so that no extremum falls between two of them
+        samples = state.buffer[int(state.is_running), max(begin - 2, 0) : end]
+        lines = self._place(state.lines, samples, float(past.mean()), search)
+        lines, ends = self._cross(lines, state.buffer[int(state.is_running), begin:end], state)
+        events = np.array([[e - self._delay_samples, state.period_s] for e in ends]).reshape(-1, 2)
+        state = replace(state, lines=lines, waiting=np.concatenate([state.waiting, events]))
+        context = round(state.buffer[2, end - 1])
+        state, steps = self._release(state, context == _STATIONARY, window_end - 1)
+        is_running = context == _RUNNING
+        before = np.ascontiguousarray(state.buffer[int(is_running), max(end - self._spectrum_samples, 0) : end])
+        period_s = dominant_period_s(before, self.running if is_running else self.walking, self.rate_hz)
+        return (
+            replace(state, window_start=window_end, period_s=period_s or state.period_s, is_running=is_running),
+            steps,
+        )
+
+    def _place(
+        self, lines: ReferenceLines, samples: FloatArray, mean_mps2: float, search: EventSearch
+    ) -> ReferenceLines:
+        """R_L and R_S after the extrema in the samples (eq. 6; rules 1 to 3)."""
+        middle = samples[1:-1]
+        large, small = lines.large_mps2, lines.small_mps2
+        threshold = max(search.min_maximum_mps2, self.relative_maximum * (large or 0.0))  # T_L
+        maxima = middle[local_maxima(samples) & (middle > threshold)]
+        minima = middle[local_maxima(-samples) & (middle < mean_mps2)]  # T_S
+        if len(maxima):
+            large = float(maxima.max())
+        if len(minima) and large is not None:
+            new = small_line_mps2(float(minima.min()), large, self.min_line_part)
+            small = 0.5 * (new + small) if small is not None and new < small else new
+        return replace(lines, large_mps2=large, small_mps2=small)
+
+    def _cross(
+        self, lines: ReferenceLines, window: FloatArray, state: ReferenceLineState
+    ) -> tuple[ReferenceLines, list[float]]:
+        """Lines after a window, and the ENDs of events in it, in filtered samples and parts of them."""
+        large, small, start, last_end = lines.large_mps2, lines.small_mps2, lines.start, lines.last_end
+        ends: list[float] = []
+        if large is not None and small is not None:
+            median = median_line_mps2(large, small)
+            min_samples = self.min_period_part * state.period_s * self.rate_hz
+            previous = float(window[0])
+            for number, value in enumerate(window.tolist(), state.window_start):
+                if start is None:
+                    start = number if value >= median else None
+                elif value <= small:
+                    start = None
+                    # Between windows the line may have moved across the signal: then the END is at the sample.
+                    fraction = (previous - small) / (previous - value) if previous > small else 1.0
+                    at = number - 1 + fraction
+                    if at - last_end >= min_samples:
+                        ends.append(at)
+                        last_end = at
+                previous = value
+        window_end = state.window_start + len(window)
+        if window_end - max(last_end, -np.inf if start is None else start) > self._bout_samples:
+            large = small = start = None  # the next bout may be gentler than the last blow of this one
+        return ReferenceLines(large, small, start, last_end), ends
+
+    def _release(
+        self, state: ReferenceLineState, is_still: bool, known: int
+    ) -> tuple[ReferenceLineState, list[tuple[int, Step]]]:
+        """Steps of the events that wait, if somebody walks or may; those that waited too long are dropped."""
+        if is_still:
+            oldest = known + 1 - self._delay_samples - self.hold_s * self.rate_hz
+            return replace(state, waiting=state.waiting[state.waiting[:, 0] >= oldest]), []
+        steps: list[tuple[int, Step]] = []
+        for event, period_s in state.waiting.tolist():
+            interval = event - state.last_event
+            if interval > self._bout_samples:
+                interval = period_s * self.rate_hz
+            for k in reversed(range(self.steps_per_event)):
+                state, step = self._contact(state, event - k * interval / self.steps_per_event, known)
+                steps += [] if step is None else [(known, step)]
+            state = replace(state, last_event=event)
+        return replace(state, waiting=np.empty((0, 2))), steps
+
+    def _contact(self, state: ReferenceLineState, sample: float, known: int) -> tuple[ReferenceLineState, Step | None]:
+        """The step that a contact ends; None if there is no signal of it."""
+        contact = int(np.floor(sample))
+        if not self._log.can_end(state.log, contact):
+            return state, None
+        log, step = self._log.add(state.log, contact, known, sample - contact)
+        return replace(state, log=log), step
+
+
+def small_line_mps2(minimum_mps2: float, large_mps2: float, min_line_part: float = 0.0) -> float:
+    """R_S of a window: twice a positive minimum (rule 2), half of a negative one, at least a part above it."""
+    factor = 2.0 if minimum_mps2 > 0 else 0.5
+    return max(factor * minimum_mps2, minimum_mps2 + min_line_part * (large_mps2 - minimum_mps2))
+
+
+def median_line_mps2(large_mps2: float, small_mps2: float) -> float:
+    """R_M = (R_L + R_S) / 4 (rule 4), between the lines where that is not (R_L < 3 R_S)."""
+    return max(0.25 * (large_mps2 + small_mps2), small_mps2 + 0.1 * (large_mps2 - small_mps2))
+
+
+def dominant_period_s(acceleration_mps2: FloatArray, search: EventSearch, rate_hz: float) -> float | None:
+    """1 / f_D of filtered acceleration (N,); None if it is shorter than a second, quiet, or no line stands out."""
+    if len(acceleration_mps2) < rate_hz or acceleration_mps2.std() < _QUIET_STD_MPS2:
+        return None
+    centred = (acceleration_mps2 - acceleration_mps2.mean()) * np.hanning(len(acceleration_mps2))
+    amplitude = np.abs(np.fft.rfft(centred, max(round(rate_hz / _LINE_SPACING_HZ), len(centred))))
+    spacing_hz = rate_hz / max(round(rate_hz / _LINE_SPACING_HZ), len(centred))
+    low, high = int(np.ceil(search.min_frequency_hz / spacing_hz)), int(search.max_frequency_hz / spacing_hz)
+    stands_out = (amplitude[1:-1] >= amplitude[:-2]) & (amplitude[1:-1] > amplitude[2:])
+    strong = amplitude[1:-1] >= search.harmonic_part * amplitude[low:].max()
+    found = np.flatnonzero((stands_out & strong)[low - 1 : high]) + low
+    return 1.0 / (found[0] * spacing_hz) if len(found) else None
+
+
+def _window_samples(period_s: float, rate_hz: float) -> int:
+    """Length of a window, w = f_A / f_D (eq. 5)."""
+    return max(round(period_s * rate_hz), 1)
+
+
+# Chosen on every second trial of pyshoe, 24 trials of walking and running with the sensor on the foot.
+FOOT = ReferenceLineStepDetector(
+    walking=EventSearch(4.25, 0.45, 1.25, harmonic_part=0.2, min_maximum_mps2=1.5),
+    running=EventSearch(10.25, 0.9, 2.0, harmonic_part=0.2, min_maximum_mps2=4.0),
+    steps_per_event=2,
+    relative_maximum=0.25,
+    min_line_part=0.2,
+    min_period_part=0.7,
+)
+
+# Chosen on persons 1 to 6 of ubicomp13, who carry phones in seven places; running has no recordings with known steps.
+CARRIED = ReferenceLineStepDetector(
+    walking=EventSearch(4.25, 1.2, 2.6, harmonic_part=0.4, min_maximum_mps2=0.5),
+    running=EventSearch(10.25, 2.0, 4.0, harmonic_part=0.4, min_maximum_mps2=3.0),
+    steps_per_event=1,
+    relative_maximum=0.35,
+    min_line_part=0.15,
+    min_period_part=0.55,
+)

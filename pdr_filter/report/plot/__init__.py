@@ -1,0 +1,19 @@
+"""Figures for papers: functions that draw into axes that are given, or into a new figure.
+
+Each returns its axes; `save` writes their figure, as PDF or SVG in vector form with its fonts. Figures belong to no
+window and to no pyplot state, so nothing has to be closed.
+"""
+
+from pdr_filter.report.plot.calibration_plots import calibration as calibration
+from pdr_filter.report.plot.calibration_plots import people as people
+from pdr_filter.report.plot.calibration_plots import residuals as residuals
+from pdr_filter.report.plot.consistency import nees as nees
+from pdr_filter.report.plot.consistency import reliability as reliability
+from pdr_filter.report.plot.figures import save as save
+from pdr_filter.report.plot.floor_plan_plots import draw_storey as draw_storey
+from pdr_filter.report.plot.floor_plan_plots import plan as plan
+from pdr_filter.report.plot.walk_plots import contexts as contexts
+from pdr_filter.report.plot.walk_plots import heights as heights
+from pdr_filter.report.plot.walk_plots import step_lengths as step_lengths
+from pdr_filter.report.plot.walk_plots import track as track
+from pdr_filter.report.plot.walk_plots import way as way

@@ -1,0 +1,83 @@
+"""A calibration: errors of its segments, and its people."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from pdr_filter.report.palette import BLUE, INK, WRONG, context_colours
+from pdr_filter.report.plot.figures import AS_IT_IS, given_or_new, new_figure, save
+from pdr_filter.values import Table
+
+_MAX_POINTS, _MAX_PEOPLE = 5000, 60
+
+
+def calibration(
+    segments: Table,
+    context: str,
+    people_m: Mapping[str, tuple[float, float]],
+    population_m: tuple[float, float],
+    path: str | Path | None = None,
+) -> Figure:
+    """Draw `residuals` beside `people`: what `Calibration.plot` shows. Saved if a path is given."""
+    figure = new_figure((10.0, 4.8))
+    left, right = figure.subplots(1, 2)
+    residuals(segments, left)
+    people(context, people_m, population_m, right)
+    if path is not None:
+        save(figure, path)
+    return figure
+
+
+def residuals(segments: Table, ax: Axes | None = None) -> Axes:
+    """Draw the errors of segments (each left out) over their known lengths; `segments` are those of `Calibration`."""
+    axes = given_or_new(ax)
+    rows: Any = segments
+    if len(rows) > _MAX_POINTS:
+        rows = rows[np.linspace(0, len(rows) - 1, _MAX_POINTS).astype(int)]
+    error = 100 * (rows.left_out_m / rows.distance_m - 1)
+    colours = context_colours()
+    style: dict[str, Any] = {"s": 16, "linewidths": 0.4, "edgecolors": INK}
+    for name in dict.fromkeys(rows.context):
+        own = (rows.context == name) & ~rows.distrusted
+        axes.scatter(rows.distance_m[own], error[own], color=colours[str(name)], label=str(name), **style)
+    if rows.distrusted.any():
+        x, y = rows.distance_m[rows.distrusted], error[rows.distrusted]
+        axes.scatter(x, y, marker="x", color=WRONG, s=30, label="distrusted")
+    axes.axhline(0.0, color=INK, linewidth=0.8)
+    axes.set(xlabel="known length (m)", ylabel="error with this segment left out (%)")
+    axes.legend(frameon=False)
+    return axes
+
+
+def people(
+    context: str,
+    people_m: Mapping[str, tuple[float, float]],
+    population_m: tuple[float, float],
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw people with 95 % intervals: length of a typical step of each in the context, and its standard deviation.
+
+    `population_m` is the mean of all people and their spread, NaN for none.
+    """
+    shown = dict(list(people_m.items())[:_MAX_PEOPLE])
+    axes = given_or_new(ax, (5.6, max(3.6, 1.0 + 0.14 * len(shown))))
+    centre_m, between_m = population_m
+    length_m, std_m = np.array(list(shown.values())).reshape(-1, 2).T
+    number = np.arange(len(shown))
+    interval: dict[str, Any] = {"fmt": "o", "color": BLUE, "markersize": 4, "linewidth": 1}
+    axes.errorbar(length_m, number, xerr=1.96 * std_m, label="person, 95 % interval", **interval)
+    if between_m > 0:
+        band = (centre_m - 1.96 * between_m, centre_m + 1.96 * between_m)
+        axes.axvspan(*band, color=BLUE, alpha=0.1, linewidth=0, label="95 % of all people")
+    axes.axvline(centre_m, color=INK, linewidth=0.8, label="population")
+    axes.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=9, columnspacing=1.0)
+    names = [n if len(n) <= 22 else f"{n[:9]}...{n[-10:]}" for n in shown]
+    axes.set_yticks(number, names, fontsize=8 if ax is None or len(names) < 25 else 5, **AS_IT_IS)
+    axes.set(xlabel=f"length of a typical step, {context} (m)", ylim=(max(len(names), 1) - 0.5, -0.5))
+    return axes

@@ -1,0 +1,403 @@
+"""The filter as one pure step over a block of samples."""
+
+from __future__ import annotations
+
+from bisect import bisect_right, insort
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import repeat
+from operator import attrgetter
+
+import numpy as np
+
+from pdr_filter.filter.fixes.gnss import LocationState, Rides, position_fixes
+from pdr_filter.filter.height import height_filter as height
+from pdr_filter.filter.height.height_filter import HeightState, initial_height
+from pdr_filter.filter.imm import pedestrian_state as pedestrian
+from pdr_filter.filter.imm.pedestrian_state import TRAIL_TIME, StepUpdate, heading_std_rad, moved_by_heading_m
+from pdr_filter.filter.imm.tracker import TrackerState
+from pdr_filter.filter.plan_stage import PlanState
+from pdr_filter.filter.step_length.person import Person, session_of
+from pdr_filter.recipes.config import Config
+from pdr_filter.sensing.contexts.context_stage import WindowContext, with_climbs
+from pdr_filter.sensing.features.barometer import Climb, ClimbState
+from pdr_filter.sensing.front_end import Event, Gap, SensingState
+from pdr_filter.sensing.stream_merging import Merged, MergerState, Sensor, StreamMerger
+from pdr_filter.tracking.step_statistics import StepCounts, WindowCounts
+from pdr_filter.values import (
+    Fix,
+    FixResult,
+    FloatArray,
+    FloorPassage,
+    GridFix,
+    ImuBlock,
+    OnPlan,
+    PositionFix,
+    SpeedFix,
+    Standstill,
+    received_s,
+    replace,
+)
+
+# How old a fix of an app may be: the remembered steps (`pedestrian_state.TRAIL_STEPS`) are half a minute of walking,
+# and a pedestrian who rests now and then makes as many in a minute. A clock that is further off is another clock.
+MAX_FIX_AGE_S = 60.0
+# A fix of the moment at which the sensors were switched on is one of their first sample.
+FIX_TOLERANCE_S = 1.0
+
+# Results of fixes that an app can still ask for.
+_N_LAST_FIXES = 16
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Everything about a filter that changes."""
+
+    sensing: SensingState
+    tracker: TrackerState
+    barometer: ClimbState
+    seen: WindowCounts = field(default_factory=WindowCounts)
+    walked: StepCounts = field(default_factory=StepCounts)
+    height: HeightState = field(default_factory=initial_height)
+    climbs: tuple[Climb, ...] = ()  # from the barometer, for windows that are still to come
+    n_lost_climbs: int = 0  # that waited too long for their windows
+    n_climbs_used: int = 0  # of these, by the height
+    locations: LocationState = field(default_factory=LocationState)
+    rides: Rides = field(default_factory=Rides)
+    waiting_fixes: tuple[Fix, ...] = ()  # not yet received, or from a time whose steps are not yet known
+    n_rejected_fixes: int = 0
+    n_length_fixes: int = 0  # used ones that say how long steps are: positions and speeds
+    particles: PlanState | None = None  # on the floor plan, if there is one
+    merger: MergerState = field(default_factory=StreamMerger().init)  # of sensors that arrive apart
+    window: WindowContext | None = None  # the last one
+    last_fixes: tuple[FixResult, ...] = ()  # what became of them
+    last_update: StepUpdate | None = None  # of this segment
+    finished: bool = False
+
+    @property
+    def clock_offset_s(self) -> float:
+        """What is added to a time of the samples' clock, which may have been set back, to have the track's."""
+        return self.sensing.conditioner.clock.offset_s
+
+
+@dataclass(frozen=True, eq=False)
+class Output:
+    """What one block of samples brought."""
+
+    updates: list[StepUpdate] = field(default_factory=list[StepUpdate])
+    windows: list[WindowContext] = field(default_factory=list[WindowContext])
+    fixes: list[FixResult] = field(default_factory=list[FixResult])
+    floor_passages: list[FloorPassage] = field(default_factory=list[FloorPassage])  # that ended
+
+    def extend(self, later: Output) -> None:
+        """Add what came later."""
+        for name in ("updates", "windows", "fixes", "floor_passages"):
+            getattr(self, name).extend(getattr(later, name))
+
+
+def init(config: Config) -> State:
+    """State of a filter before its first sample."""
+    state = State(config.sensing.init(), config.tracker.init(), config.climb_rate.init())
+    on_plan = config.on_plan
+    if on_plan is None:
+        return state
+    if on_plan.start is not None:
+        state = replace(state, height=height.with_floor(state.height, on_plan.start.floor))
+    # locations are then in the frame of the plan
+    return replace(state, locations=LocationState(origin=on_plan.plan.origin), particles=on_plan.init())
+
+
+def update(config: Config, state: State, block: ImuBlock) -> tuple[State, Output]:
+    """New state and output after a block of samples of any length.
+
+    The result depends on the samples and fixes only, not on how they were cut into blocks. ValueError after `finish`.
+    """
+    if state.finished:
+        raise ValueError("the filter is finished: start a new one for further samples")
+    whole = Output()
+    for part in parts(block):
+        sensing, events = config.sensing.update(state.sensing, part)
+        state, output = _process(config, replace(state, sensing=sensing), events)
+        whole.extend(output)
+    return state, whole
+
+
+def arrive(
+    config: Config, state: State, samples: Mapping[Sensor, tuple[FloatArray, FloatArray]]
+) -> tuple[State, Output]:
+    """New state and output after samples (N,), (N, d) of some sensors, which wait for those of the others."""
+    if state.finished:
+        raise ValueError("the filter is finished: start a new one for further samples")
+    merger, merged = config.merger.together(state.merger, samples)
+    return _with_merged(config, replace(state, merger=merger), merged)
+
+
+def _with_merged(config: Config, state: State, merged: Merged) -> tuple[State, Output]:
+    if len(merged.pressure_time_s):
+        state = add_pressure(config, state, merged.pressure_time_s, merged.pressure_hpa)
+    return update(config, state, merged.block) if len(merged.block.time_s) else (state, Output())
+
+
+# Samples that go through the stages at once: some minutes, so that memory stays small. No result depends on it.
+PART_SAMPLES = 32_000
+
+
+def parts(block: ImuBlock) -> Iterator[ImuBlock]:
+    """A block in pieces of at most `PART_SAMPLES`."""
+    yield from block.parts(PART_SAMPLES)
+
+
+# Climb rates that wait for their windows, one a second: ten minutes before the samples a barometer has another clock.
+MAX_CLIMBS = 600
+
+
+def add_pressure(config: Config, state: State, time_s: FloatArray, pressure_hpa: FloatArray) -> State:
+    """State with samples of a barometer, (N,) each; windows that end after them use the climb rate.
+
+    Give the pressure of a time before the other samples of that time: a window is classified once.
+    """
+    barometer, climbs = config.climb_rate.update(state.barometer, time_s + state.clock_offset_s, pressure_hpa)
+    all_climbs = (*state.climbs, *climbs)
+    n_lost = max(len(all_climbs) - MAX_CLIMBS, 0)
+    return replace(
+        state,
+        barometer=barometer,
+        climbs=all_climbs[n_lost:],
+        n_lost_climbs=state.n_lost_climbs + n_lost,
+        n_climbs_used=max(state.n_climbs_used - n_lost, 0),
+    )
+
+
+def add_location(
+    config: Config,
+    state: State,
+    time_s: FloatArray,
+    latitude_deg: FloatArray,
+    longitude_deg: FloatArray,
+    accuracy_m: FloatArray,
+    altitude_m: FloatArray | None = None,
+) -> State:
+    """State with locations of a phone, (N,) each, some of which become fixes in metres from the first of them."""
+    time_s = time_s + state.clock_offset_s
+    locations, fixes = position_fixes(
+        state.locations, time_s, latitude_deg, longitude_deg, accuracy_m, altitude_m=altitude_m
+    )
+    return add_fixes(config, replace(state, locations=locations), fixes)
+
+
+def add_fixes(config: Config, state: State, fixes: Sequence[Fix]) -> State:
+    """State with fixes, on the track's time base, that wait until they are due."""
+    waiting = list(state.waiting_fixes)
+    for fix in fixes:
+        insort(waiting, fix, key=lambda f: due_s(config, f))
+    return replace(state, waiting_fixes=tuple(waiting))
+
+
+def present_position(config: Config, state: State) -> tuple[FloatArray, FloatArray]:
+    """Position (2,) and covariance (2, 2) after the last final step, on the floor plan if there is one."""
+    reckoned = pedestrian.present_position(state.tracker.pedestrian)
+    place = None if config.on_plan is None else config.on_plan.place(state.particles, reckoned)
+    return reckoned if place is None else (place.position_m, place.position_cov_m2)
+
+
+def person_of(config: Config, state: State) -> Person | None:
+    """What is known of the person in the end: of walks before, and of the fixes of this one; None if nothing is."""
+    session = session_of(config.model, state.tracker.pedestrian, state.n_length_fixes)
+    if session is None:
+        return config.person
+    return (config.person or Person()).pooled(Person((session,)))
+
+
+# A window and the climb rate that it uses share at least half of their seconds.
+_CLIMB_AGE_S = 1.0
+
+
+def climb_at(climbs: Sequence[Climb], time_s: float) -> Climb | None:
+    """The last climb rate at or before a time, if it is recent enough."""
+    i = bisect_right(climbs, time_s, key=attrgetter("time_s"))
+    return climbs[i - 1] if i and climbs[i - 1].time_s >= time_s - _CLIMB_AGE_S else None
+
+
+def finish(config: Config, state: State) -> tuple[State, Output]:
+    """New state and output when no further sample will come: late steps are found, waiting ones become final.
+
+    Fixes of the recording's time that still wait are used; later ones stay waiting. A second call gives nothing.
+    """
+    if state.finished:
+        return state, Output()
+    merger, merged = config.merger.finish(state.merger)
+    state, output = _with_merged(config, replace(state, merger=merger), merged)
+    sensing, events = config.sensing.finish(state.sensing)
+    state, late = _process(config, replace(state, sensing=sensing), events)
+    output.extend(late)
+    tracker, last = config.tracker.finish(state.tracker)
+    end_s = state.sensing.processed_s
+    state = _with_steps(config, state, end_s, last, output)
+    state = _with_pressure(config, state, np.inf, output)
+    known, passages = height.finish(state.height)
+    state = _with_passages(config, replace(state, height=known), passages, output)
+    due = [f for f in state.waiting_fixes if received_s(f) <= end_s]
+    later = [f for f in state.waiting_fixes if received_s(f) > end_s]
+    state = replace(state, tracker=tracker, waiting_fixes=tuple(later), finished=True)
+    for fix in due:
+        state, result = _use_fix(config, state, fix, end_s)
+        output.fixes.append(result)
+    return state, output
+
+
+def _process(config: Config, state: State, events: list[tuple[float, Event]]) -> tuple[State, Output]:
+    output = Output()
+    windows = [event for _, event in events if isinstance(event, WindowContext)]
+    contexts = iter(with_climbs(windows, [climb_at(state.climbs, window.time_s) for window in windows]))
+    of_height = iter(height.window_log_evidence(windows, config.model)) if state.climbs else repeat(None)
+    for known_s, event in events:
+        state, used = _use_due_fixes(config, state, known_s)
+        output.fixes.extend(used)
+        state = _with_pressure(config, state, known_s, output)
+        if isinstance(event, WindowContext):
+            known = height.on_window(state.height, event, next(of_height))
+            context = next(contexts)
+            output.windows.append(context)
+            tracker, updates = config.tracker.on_window(state.tracker, context)
+            state = replace(state, tracker=tracker, height=known, seen=state.seen.plus(context), window=context)
+        elif isinstance(event, Gap):
+            tracker, updates = config.tracker.on_gap(state.tracker, event.duration_s)
+            if config.on_plan is not None:
+                particles = config.on_plan.on_gap(state.particles, event.duration_s, config.model)
+                state = replace(state, particles=particles)
+            state = replace(state, tracker=tracker, last_update=None)
+        else:
+            tracker, updates = config.tracker.on_step(state.tracker, event)
+            before, after = state.tracker.pedestrian, tracker.pedestrian
+            moved_m = moved_by_heading_m(before, after, sum(u.step_length_m for u in updates if u.is_final))
+            walked = state.walked.plus(event, heading_std_rad(after), moved_m)
+            state = replace(state, tracker=tracker, walked=walked)
+        state = _with_steps(config, state, known_s, updates, output)
+    state, used = _use_due_fixes(config, state, state.sensing.processed_s)
+    output.fixes.extend(used)
+    state = _with_pressure(config, state, state.sensing.processed_s, output)
+    n_past = max(bisect_right(state.climbs, state.sensing.processed_s, key=attrgetter("time_s")) - 1, 0)
+    n_past = min(n_past, state.n_climbs_used)
+    return replace(state, climbs=state.climbs[n_past:], n_climbs_used=state.n_climbs_used - n_past), output
+
+
+def _with_pressure(config: Config, state: State, until_s: float, output: Output) -> State:
+    """State whose height knows the pressure up to a time whose steps are known, but for the first of a bout."""
+    if state.n_climbs_used == len(state.climbs):
+        return state
+    until_s -= config.sensing.step_latency_s
+    while state.n_climbs_used < len(state.climbs) and state.climbs[state.n_climbs_used].time_s <= until_s:
+        known, passages = height.on_pressure(state.height, state.climbs[state.n_climbs_used], config.model)
+        state = replace(state, height=known, n_climbs_used=state.n_climbs_used + 1)
+        state = _with_passages(config, state, passages, output)
+    return state
+
+
+def _with_passages(config: Config, state: State, passages: Sequence[FloorPassage], output: Output) -> State:
+    """State whose particles know how somebody came to other storeys, and the output with that."""
+    output.floor_passages.extend(passages)
+    if config.on_plan is not None:
+        for passage in passages:
+            particles = config.on_plan.on_passage(state.particles, passage, state.tracker.pedestrian, config.model)
+            state = replace(state, particles=particles)
+    return state
+
+
+def _with_steps(config: Config, state: State, known_s: float, updates: Sequence[StepUpdate], output: Output) -> State:
+    """State whose height knows the steps that became final, and the output with theirs."""
+    known = state.height
+    for update in updates:
+        if update.is_final:
+            up_prob, down_prob = config.model.on_stairs.dot(update.mode_prob).tolist()
+            known, own, passages = height.on_step(known, known_s, update.step.time_s, up_prob, down_prob, config.model)
+            state = _with_passages(config, state, passages, output)
+        else:
+            own = known.known
+        there = {"height_m": own.height_m, "height_std_m": own.height_std_m, "floor": own.floors.floor}
+        update = replace(update, **there)
+        if config.on_plan is not None and update.is_final:
+            known_now = state.tracker.pedestrian
+            state = replace(state, particles=config.on_plan.on_step(state.particles, update, known_now, config.model))
+            reckoned = update.position_m, update.position_cov_m2
+            update = _on_plan(update, config.on_plan.place(state.particles, reckoned))
+        output.updates.append(update)
+    return replace(state, height=known, last_update=output.updates[-1]) if updates else state
+
+
+def _on_plan(update: StepUpdate, place: OnPlan | None) -> StepUpdate:
+    """A step where the particles on a plan are, if there are some."""
+    if place is None:
+        return update
+    return replace(
+        update,
+        on_plan=place,
+        position_m=place.position_m,
+        position_cov_m2=place.position_cov_m2,
+        walking_heading_rad=place.walking_heading_rad,
+        of_start=None,
+    )
+
+
+def _use_due_fixes(config: Config, state: State, until_s: float) -> tuple[State, list[FixResult]]:
+    if not state.waiting_fixes or due_s(config, state.waiting_fixes[0]) > until_s:
+        return state, []
+    n_due = bisect_right(state.waiting_fixes, until_s, key=lambda f: due_s(config, f))
+    used, due = list[FixResult](), state.waiting_fixes[:n_due]
+    state = replace(state, waiting_fixes=state.waiting_fixes[n_due:])
+    for fix in due:
+        state, result = _use_fix(config, state, fix, until_s)
+        used.append(result)
+    return state, used
+
+
+def due_s(config: Config, fix: Fix) -> float:
+    """When a fix is used: it waits for the step that it falls into, compared with an earlier place it would pull ahead.
+
+    A standstill waits for nothing: it is about steps to come.
+    """
+    if isinstance(fix, Standstill):
+        return received_s(fix)
+    return max(received_s(fix), fix.time_s + config.fix_delay_s)
+
+
+def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[State, FixResult]:
+    if untimely(fix, state.sensing.conditioner.report.first_time_s, received_s(fix)):
+        outcome, nis = "rejected", np.inf
+    else:
+        tracker, outcome, nis = config.tracker.on_fix(state.tracker, fix)
+        state = replace(state, tracker=tracker)
+        if isinstance(fix, PositionFix):
+            state = replace(state, rides=state.rides.plus(fix, tracker.pedestrian.trail[:, TRAIL_TIME]))
+        if config.on_plan is not None:
+            floor = state.height.known.floors.floor
+            particles = config.on_plan.on_fix(state.particles, fix, outcome, tracker.pedestrian, config.model, floor)
+            if isinstance(fix, GridFix) and particles is not state.particles:
+                outcome = "used"
+            state = replace(state, particles=particles)
+    if isinstance(fix, PositionFix | GridFix) and outcome not in ("rejected", "frozen"):
+        state = replace(state, height=height.with_fix(state.height, fix))
+    result = FixResult.of(fix, now_s, outcome, nis)
+    state = replace(
+        state,
+        last_fixes=(*state.last_fixes, result)[-_N_LAST_FIXES:],
+        n_rejected_fixes=state.n_rejected_fixes + (outcome == "rejected"),
+        n_length_fixes=state.n_length_fixes + (result.accepted and isinstance(fix, PositionFix | SpeedFix)),
+    )
+    return state, result
+
+
+def untimely(fix: Fix, first_s: float, last_s: float) -> str:
+    """Why a fix is of another time than the samples so far, whose first and last are given; empty if it is not."""
+    until_s = fix.end_s if isinstance(fix, Standstill) else fix.time_s
+    late_s, ahead_s = max(received_s(fix), last_s) - until_s, fix.time_s - last_s
+    remedy = "fixes and samples need one clock, in seconds"
+    if until_s < first_s - FIX_TOLERANCE_S:
+        return f"the fix at {until_s:.1f} s is from before the first sample ({first_s:.1f} s); {remedy}"
+    if late_s > MAX_FIX_AGE_S:
+        return (
+            f"the fix at {until_s:.1f} s comes {late_s:.0f} s late (last sample {last_s:.1f} s), more than "
+            f"{MAX_FIX_AGE_S:.0f} s; {remedy}; pdr_filter.smooth takes fixes of any time"
+        )
+    if ahead_s > MAX_FIX_AGE_S:
+        return f"the fix at {fix.time_s:.1f} s is {ahead_s:.0f} s ahead of the last sample ({last_s:.1f} s); {remedy}"
+    return ""

@@ -1,0 +1,171 @@
+"""Dead reckoning that the locations of a recording turn and shift as a whole, and do not bend."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import numpy as np
+
+from pdr_filter.filter.fixes.alignment import walked_var_m2
+from pdr_filter.filter.fixes.frame import UNKNOWN_FRAME, Frame
+from pdr_filter.filter.fixes.frame_rotation import PairedPoint, agreed_turn, align, centre_weights
+from pdr_filter.filter.fixes.gnss import INTERVAL_S, LocationState, Rides, position_fixes
+from pdr_filter.filter.fixes.repeated_fixes import frozen_fixes
+from pdr_filter.filter.height.height_filter import HeightState
+from pdr_filter.filter.imm import imm
+from pdr_filter.filter.imm.pedestrian_state import StepUpdate
+from pdr_filter.tracking.filtering import Output, State
+from pdr_filter.values import FixOutcome, FixResult, FloatArray, PositionFix, Samples, read_only
+from pdr_filter.values.recording import Recording
+
+# Locations that turn and shift a track: of more, as many at even intervals. The effort grows with their fourth power.
+MAX_LOCATIONS = 40
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Way:
+    """Dead-reckoned positions including the start, with their variances for a known heading."""
+
+    time_s: FloatArray  # (K + 1,)
+    position_m: FloatArray  # (K + 1, 2) in the frame of the start
+    walked_m: FloatArray  # (K + 1,)
+    walked_var_m2: FloatArray  # (K + 1,)
+
+    @classmethod
+    def of(cls, start_s: float, updates: Sequence[StepUpdate], var_m2: Sequence[float]) -> Way:
+        """The way of final steps from a start, with the variance of each step."""
+        places = [update.position_m if update.of_start is None else update.of_start.position_m for update in updates]
+        return cls(
+            np.array([start_s, *(update.step.time_s for update in updates)]),
+            np.vstack([np.zeros((1, 2)), *places]),
+            np.array([0.0, *(update.walked_m for update in updates)]),
+            np.array([0.0, *var_m2]),
+        )
+
+    def at(self, time_s: float) -> tuple[FloatArray, float]:
+        """Position (2,) and variance at a time."""
+        values = np.column_stack([self.position_m, self.walked_var_m2])
+        east_m, north_m, var_m2 = (float(np.interp(time_s, self.time_s, values[:, k])) for k in range(3))
+        return read_only(np.array([east_m, north_m])), var_m2
+
+    def own_var_m2(self, agreeing: Sequence[PairedPoint]) -> FloatArray:
+        """Variance (K,) that each step's own way adds to the error of an alignment by pairs.
+
+        With w(t) the variance of the way walked until t, whose errors all that comes after shares, and a_i the weights
+        of the locations in the centre of the alignment, the error at t less that of the centre has the variance
+        w(t) - 2 sum_i a_i min(w(t), w_i) + sum_ij a_i a_j min(w_i, w_j). The centre's own variance has all of the last
+        term but w_0, the least of w_i; near the centre what is left is negative: steps there are known better than the
+        centre.
+        """
+        weight, walked = centre_weights(agreeing), np.array([pair.walked_var_m2 for pair in agreeing])
+        shared = [float(weight @ np.minimum(w, walked)) for w in self.walked_var_m2[1:]]
+        return self.walked_var_m2[1:] - 2.0 * np.array(shared) + walked.min()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AlignedWay:
+    """How the locations of a recording turn and shift a way."""
+
+    locations: LocationState
+    fixes: tuple[PositionFix, ...]
+    frozen: tuple[bool, ...]  # of each fix
+    pairs: tuple[PairedPoint, ...]  # of each fix
+    frame: Frame
+
+    def results(self, at_s: float) -> list[FixResult]:
+        """Return the outcome of each fix."""
+        outcomes: list[FixOutcome] = [
+            "frozen" if is_frozen else "turned" if pair in self.frame.agreeing else "rejected"
+            for is_frozen, pair in zip(self.frozen, self.pairs, strict=True)
+        ]
+        return [FixResult.of(fix, at_s, outcome) for fix, outcome in zip(self.fixes, outcomes, strict=True)]
+
+
+def align_way(location: Samples, way: Way, first_s: float, last_s: float, n_steps: int) -> AlignedWay:
+    """The alignment of a way by the locations of the time of its samples."""
+    locations, fixes = _even_fixes(location, first_s, last_s)
+    frozen = tuple(frozen_fixes(fixes, way.time_s, way.position_m, way.walked_m))
+    pairs = tuple(_paired(way, fix) for fix in fixes)
+    asked = tuple(pair for pair, is_frozen in zip(pairs, frozen, strict=True) if not is_frozen)
+    frame = _frame(asked, n_steps) if fixes else UNKNOWN_FRAME
+    return AlignedWay(locations, fixes, frozen, pairs, frame)
+
+
+def aligned(recording: Recording, brought: Iterable[tuple[State, Output]]) -> Iterator[tuple[State, Output]]:
+    """What dead reckoning brings (`whole_recording.outputs` in an unknown frame), placed by the recording's locations.
+
+    The last state knows where, so that `whole_recording.collected` finds the track in the frame of the locations, with
+    a result for each of those that were asked.
+    """
+    last: State | None = None
+    whole, var_m2 = Output(), list[float]()
+    for state, output in brought:
+        last = state
+        whole.extend(output)
+        if any(update.is_final for update in output.updates):
+            known = state.tracker.pedestrian
+            walked = walked_var_m2(imm.combine(known.mean, known.cov, known.prob)[1])
+            var_m2 += [walked] * sum(update.is_final for update in output.updates)
+    if last is None or recording.location is None:
+        return
+    report, known = last.sensing.conditioner.report, last.tracker.pedestrian
+    finals = [update for update in whole.updates if update.is_final]
+    way = Way.of(report.first_time_s, finals, var_m2)
+    found = align_way(recording.location, way, report.first_time_s, report.last_time_s, known.n_final)
+    if found.fixes:
+        known = replace(known, frame=found.frame, n_frozen_fixes=sum(found.frozen))
+        whole.fixes.extend(found.results(last.sensing.processed_s))
+        if known.frame.alignment is not None:
+            whole.updates[:] = _with_own_errors(finals, way.own_var_m2(found.frame.agreeing))
+    tracker = replace(cast(Any, last.tracker), pedestrian=known)
+    rides = Rides.of(found.fixes, np.array([update.step.time_s for update in finals]))
+    n_rejected = sum(fix.outcome == "rejected" for fix in whole.fixes)
+    height = _with_altitudes(last.height, found.fixes, finals)
+    last = replace(last, tracker=tracker, height=height, locations=found.locations, rides=rides)
+    yield replace(last, n_rejected_fixes=n_rejected), whole
+
+
+def _even_fixes(location: Samples, first_s: float, last_s: float) -> tuple[LocationState, tuple[PositionFix, ...]]:
+    """Fixes of the time of the samples, at even intervals."""
+    inside = (location.time_s >= first_s) & (location.time_s <= last_s)
+    latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values[inside].T
+    interval_s = max(INTERVAL_S, (last_s - first_s) / MAX_LOCATIONS) if inside.any() else INTERVAL_S
+    where = latitude_deg, longitude_deg, accuracy_m
+    return position_fixes(LocationState(), location.time_s[inside], *where, interval_s, altitude_m)
+
+
+def _with_altitudes(state: HeightState, fixes: Sequence[PositionFix], finals: Sequence[StepUpdate]) -> HeightState:
+    """State that knows the altitude of the start from fixes and the heights of the steps."""
+    altitude = state.start_altitude
+    for fix in fixes:
+        before = bisect_right(finals, fix.time_s, key=lambda update: update.step.time_s)
+        height_m, std_m = (finals[before - 1].height_m, finals[before - 1].height_std_m) if before else (0.0, 0.0)
+        if fix.altitude_m is not None:
+            altitude = altitude.with_fix(fix, height_m, std_m**2)
+    return replace(state, start_altitude=altitude)
+
+
+def _paired(way: Way, fix: PositionFix) -> PairedPoint:
+    track_m, var_m2 = way.at(fix.time_s)
+    return PairedPoint(track_m, fix.position_m, fix.var_m2, var_m2, fix.time_s, fix.correlation_s)
+
+
+def _frame(pairs: tuple[PairedPoint, ...], n_steps: int) -> Frame:
+    agreeing, turn = agreed_turn(pairs)
+    alignment = align(agreeing, n_steps)
+    if alignment is None:
+        return Frame(is_joined=False, pairs=pairs, agreeing=agreeing, turn=turn)
+    return Frame(is_joined=True, agreeing=agreeing, alignment=alignment)
+
+
+def _with_own_errors(updates: Sequence[StepUpdate], own_var_m2: FloatArray) -> list[StepUpdate]:
+    """Steps whose covariance is what their own way adds to the error of the alignment, (K,)."""
+    moved: list[StepUpdate] = []
+    for update, own_var in zip(updates, own_var_m2.tolist(), strict=True):
+        if update.of_start is not None:
+            update = replace(update, of_start=replace(update.of_start, cov_m2=own_var * np.eye(2)))
+        moved.append(update)
+    return moved

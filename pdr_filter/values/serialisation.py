@@ -1,0 +1,167 @@
+"""Configurations and states to bytes and back: plain values only, nothing in the bytes is ever executed.
+
+The bytes are zlib-compressed JSON. Arrays are stored as their exact bytes, dataclasses by the name of a dataclass of
+this package; any other type is refused, on the way out and on the way in. What comes in must be as the dataclasses
+declare their fields; of states, which hold what their configuration says, `like` looks at the shapes too, and
+`same_count` at what their parts have counted.
+"""
+
+from __future__ import annotations
+
+import base64
+import importlib
+import json
+import sys
+import zlib
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any, cast
+
+import numpy as np
+
+from pdr_filter.values import check_declared
+
+_PACKAGE = "pdr_filter"
+_FORMAT = 3  # 2 named modules of an older layout of the package
+# A filter with its models has some MB, nearly all of it arrays, and some thousand values.
+_MAX_BYTES = 64 << 20
+_MAX_VALUES = 2_000_000
+# What a filter is made of. Other rooms may have more in their values, but nothing here imports them.
+_ROOMS = ("values", "classifiers", "sensing", "filter", "recipes", "tracking", "maps")
+
+
+def to_bytes(value: object) -> bytes:
+    """Bytes of a value made of dataclasses of this package, arrays, numbers, strings, None, tuples and dicts."""
+    content = json.dumps({"format": _FORMAT, "value": _encode(value)}).encode()
+    _check_size(content)
+    return zlib.compress(content, 1)
+
+
+def from_bytes(blob: object) -> Any:
+    """The value that `to_bytes` was given; ValueError if the bytes are not from there."""
+    if not isinstance(blob, bytes):
+        raise ValueError(f"a saved filter is bytes, got {type(blob).__name__}")
+    try:
+        text = _inflate(blob)
+        _check_size(text)
+        content = json.loads(text)
+        if content["format"] != _FORMAT:
+            raise ValueError(
+                f"saved by another version of {_PACKAGE}: its format is {content['format']}, not {_FORMAT}"
+            )
+        return _decode(content["value"])
+    except Exception as error:  # whatever damaged bytes provoke
+        raise ValueError(
+            f"these {len(blob)} bytes are not a saved filter of this version of {_PACKAGE} ({error}); save it again"
+        ) from error
+
+
+def like(value: object, model: object) -> bool:
+    """Whether a state may come from the one that its configuration begins with.
+
+    Its stages are of the same kinds, its arrays have the same shapes but where the first ones are empty.
+    """
+    if is_dataclass(model):
+        return type(value) is type(model) and all(
+            like(getattr(value, f.name), getattr(model, f.name)) for f in fields(model)
+        )
+    if isinstance(model, np.ndarray) and isinstance(value, np.ndarray):
+        shape, first = cast(tuple[int, ...], value.shape), cast(tuple[int, ...], model.shape)
+        return len(shape) == len(first) and all(n in (0, m) for m, n in zip(shape, first, strict=True))
+    return True
+
+
+def same_count(value: object, n_samples: int) -> bool:
+    """Whether the parts of a state of a segment of so many samples have counted and kept the same ones.
+
+    A part says so by its `fits`; of one that has none its own parts do.
+    """
+    if isinstance(value, tuple):
+        return all(same_count(part, n_samples) for part in cast(tuple[object, ...], value))
+    if not is_dataclass(value):
+        return True
+    if hasattr(value, "fits"):
+        return bool(cast(Any, value).fits(n_samples))
+    return all(same_count(getattr(value, f.name), n_samples) for f in fields(value))
+
+
+def _check_size(text: bytes) -> None:
+    n_values = sum(text.count(mark) for mark in (b"{", b"[", b",", b":"))
+    if len(text) > _MAX_BYTES or n_values > _MAX_VALUES:
+        raise ValueError(f"{len(text)} bytes with some {n_values} values, more than {_MAX_BYTES} and {_MAX_VALUES}")
+
+
+def _inflate(blob: bytes) -> bytes:
+    inflater = zlib.decompressobj()
+    content = inflater.decompress(blob, _MAX_BYTES)
+    if inflater.unconsumed_tail or not inflater.eof or inflater.unused_data:
+        raise ValueError(f"cut short, with something behind, or more than {_MAX_BYTES >> 20} MiB")
+    return content
+
+
+def _encode(value: Any) -> Any:
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray):
+        array = cast(np.ndarray[Any, Any], value)
+        if array.dtype.kind not in "biuf":
+            raise TypeError(f"an array of {array.dtype} cannot be saved: only numbers come back as they were")
+        data = base64.b64encode(np.ascontiguousarray(array).tobytes()).decode()
+        return {"array": data, "dtype": array.dtype.str, "shape": list(array.shape)}
+    if isinstance(value, (tuple, list)):
+        items = cast(tuple[Any, ...], value)
+        return {"tuple" if isinstance(value, tuple) else "list": [_encode(v) for v in items]}
+    if isinstance(value, Mapping):
+        mapping = cast(Mapping[Any, Any], value)
+        if not all(isinstance(key, str) for key in mapping):
+            raise TypeError("only mappings with text keys can be saved: JSON turns others into text")
+        return {"dict": {key: _encode(v) for key, v in mapping.items()}}
+    if is_dataclass(value) and type(value).__module__.partition(".")[0] == _PACKAGE:
+        content = {f.name: _encode(getattr(value, f.name)) for f in fields(value) if f.init}
+        return {"dataclass": f"{type(value).__module__}:{type(value).__qualname__}", "fields": content}
+    raise TypeError(f"a {type(value).__qualname__} cannot be saved: keep states to arrays, numbers and dataclasses")
+
+
+def _decode(value: Any) -> Any:
+    if not isinstance(value, dict):
+        return value
+    node = cast(dict[str, Any], value)
+    if "array" in node:
+        return _array(node)
+    if "tuple" in node:
+        return tuple(_decode(v) for v in _of_type(node["tuple"], list))
+    if "list" in node:
+        return [_decode(v) for v in _of_type(node["list"], list)]
+    if "dict" in node:
+        return {key: _decode(v) for key, v in node["dict"].items()}
+    cls = _dataclass(_of_type(node["dataclass"], str))
+    content = {name: _decode(v) for name, v in node["fields"].items()}
+    check_declared(cls, content)
+    return cls(**content)
+
+
+def _of_type(value: Any, cls: type) -> Any:
+    if type(value) is not cls:
+        raise ValueError(f"{str(value)[:60]} in place of a {cls.__name__}")
+    return value
+
+
+def _array(node: Mapping[str, Any]) -> np.ndarray[Any, Any]:
+    dtype = np.dtype(_of_type(node["dtype"], str))
+    if dtype.kind not in "biuf":
+        raise ValueError(f"an array of {dtype}")
+    data = base64.b64decode(node["array"], validate=True)
+    return np.frombuffer(data, dtype=dtype).reshape(_of_type(node["shape"], list)).copy()
+
+
+def _dataclass(name: str) -> type[Any]:
+    module_name, _, class_name = name.partition(":")
+    package, _, rest = module_name.partition(".")
+    if package != _PACKAGE or (module_name not in sys.modules and rest.partition(".")[0] not in _ROOMS):
+        raise ValueError(f"refused to load {name!r}")
+    cls = getattr(importlib.import_module(module_name), class_name)
+    if not (isinstance(cls, type) and is_dataclass(cls)):
+        raise ValueError(f"{name!r} is not a value type")
+    return cls

@@ -1,0 +1,94 @@
+"""A simulated walk whose sensing is done once, so that many sets of fixes can be tracked in a second each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+import pdr_filter as pdr
+from pdr_filter.filter.imm.pedestrian_state import PedestrianState
+from pdr_filter.recipes.config import Config
+from pdr_filter.sensing.contexts.context_stage import WindowContext
+from pdr_filter.sensing.front_end import Event, Gap
+from pdr_filter.tracking.filtering import due_s, parts
+from pdr_filter.values import Fix, FixOutcome, FloatArray
+from pdr_filter.values.recording import Recording
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """Steps of a track, and what became of its fixes in the order in which they were used."""
+
+    time_s: FloatArray  # (K,)
+    position_m: FloatArray  # (K, 2)
+    cov_m2: FloatArray  # (K, 2, 2)
+    fixes: tuple[Fix, ...]
+    outcomes: tuple[FixOutcome, ...]
+    known: PedestrianState
+
+    def times_of(self, outcome: str) -> list[float]:
+        """Times of the fixes of which this became."""
+        return [fix.time_s for fix, own in zip(self.fixes, self.outcomes, strict=True) if own == outcome]
+
+
+@dataclass(frozen=True)
+class SensedWalk:
+    """A recording with truth, and the steps and windows that the default recipe finds in it."""
+
+    recording: Recording
+
+    @cached_property
+    def config(self) -> Config:
+        return pdr.recipes.default(self.recording.subject)
+
+    @cached_property
+    def world(self) -> Config:
+        return self.config.in_world_frame()
+
+    @cached_property
+    def events(self) -> list[tuple[float, Event]]:
+        sensing, found = self.config.sensing, list[tuple[float, Event]]()
+        state = sensing.init()
+        for part in parts(pdr.merge_streams(self.recording)):
+            state, events = sensing.update(state, part)
+            found += events
+        return found + sensing.finish(state)[1]
+
+    @property
+    def end_s(self) -> float:
+        return float(self.recording.truth.position.time_s[-1])
+
+    def at(self, time_s: FloatArray | float) -> FloatArray:
+        """True positions (..., 2)."""
+        truth = self.recording.truth.position
+        return np.stack([np.interp(time_s, truth.time_s, truth[name]) for name in ("east_m", "north_m")], axis=-1)
+
+    def tracked(self, fixes: Sequence[Fix], config: Config | None = None) -> Tracked:
+        """The track with fixes, in the world frame if no other configuration is given."""
+        config = config or self.world
+        tracker, waiting = config.tracker, sorted(fixes, key=lambda fix: due_s(config, fix))
+        state, used, rows = tracker.init(), 0, []
+        outcomes: list[FixOutcome] = []
+        for known_s, event in [*self.events, (np.inf, None)]:
+            while used < len(waiting) and due_s(config, waiting[used]) <= known_s:
+                state, outcome, _ = tracker.on_fix(state, waiting[used])
+                outcomes.append(outcome)
+                used += 1
+            if isinstance(event, WindowContext):
+                state, updates = tracker.on_window(state, event)
+            elif isinstance(event, Gap):
+                state, updates = tracker.on_gap(state, event.duration_s)
+            elif event is not None:
+                state, updates = tracker.on_step(state, event)
+            else:
+                break
+            rows += [(u.step.time_s, u.position_m, u.position_cov_m2) for u in updates if u.is_final]
+        times, places, covs = (np.array(column) for column in zip(*rows, strict=True))
+        return Tracked(times, places, covs, tuple(waiting), tuple(outcomes), state.pedestrian)
+
+    def errors_m(self, track: Tracked) -> FloatArray:
+        """Distance of each step from the truth, (K,)."""
+        return np.linalg.norm(track.position_m - self.at(track.time_s), axis=1)

@@ -1,0 +1,463 @@
+"""Locations of a phone: what they say, how they place a track on Earth, and the ones that say nothing."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pymap3d
+import pytest
+from helpers import cut_randomly
+from scipy.stats import chi2
+
+import pdr_filter as pdr
+from pdr_filter import recipes
+from pdr_filter.filter.fixes import gnss
+from pdr_filter.filter.fixes.gnss import (
+    CORRELATION_S,
+    INTERVAL_S,
+    MIN_ACCURACY_M,
+    RADIUS_68,
+    LocationState,
+    independent,
+    position_fixes,
+)
+from pdr_filter.simulate import Leg, simulate
+from pdr_filter.values import HeadingFix, Origin, PositionFix, Samples, SpeedFix
+from pdr_filter.values.recording import MissingSensorError, Recording
+
+HERE = Origin(48.137, 11.575)
+TURN_RAD = 2.1
+
+
+def clockwise(angle_rad: float) -> np.ndarray:
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, s], [-s, c]])
+
+
+@pytest.fixture(scope="module")
+def bare() -> Recording:
+    """A walk that knows no place."""
+    legs = [Leg("walking", distance_m=70.0), Leg("walking", distance_m=60.0, turn_rad=np.pi / 2)]
+    # the world is turned against it, and the magnetic field is not
+    return replace(simulate(legs, seed=3, name="walk"), magnetometer=None)
+
+
+def truth_m(walk: Recording, times: np.ndarray) -> np.ndarray:
+    """Where it was in the frame of `HERE`."""
+    truth = walk.truth.position
+    on_track = np.column_stack([np.interp(times, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
+    return on_track @ clockwise(TURN_RAD).T + [40.0, -25.0]
+
+
+def rows(time_s: np.ndarray, place_m: np.ndarray, accuracy_m: float = 6.0) -> Samples:
+    latitude_deg, longitude_deg = HERE.latitude_longitude_deg(place_m)
+    values = np.column_stack([latitude_deg, longitude_deg, np.full((len(time_s), 2), [520.0, accuracy_m])])
+    return Samples(time_s, values)
+
+
+def located(walk: Recording, until_s: float = np.inf, noise_m: float = 3.0) -> Recording:
+    """With a location each second, whose errors are correlated as the filter takes them to be."""
+    time_s = np.arange(1.3, min(walk.duration_s, until_s))
+    rng, r = np.random.default_rng(8), np.exp(-1.0 / CORRELATION_S)
+    error = rng.normal(scale=noise_m, size=(len(time_s), 2))
+    for k in range(1, len(time_s)):
+        error[k] = r * error[k - 1] + np.sqrt(1 - r**2) * error[k]
+    return replace(walk, location=rows(time_s, truth_m(walk, time_s) + error))
+
+
+@pytest.fixture(scope="module")
+def walk(bare: Recording) -> Recording:
+    return located(bare)
+
+
+def in_frame_of_here(track: pdr.Track) -> np.ndarray:
+    return HERE.east_north_m(track.latitude_deg, track.longitude_deg)
+
+
+# --- places and metres ------------------------------------------------------------------------------------------------
+
+
+def test_a_short_way_in_degrees_is_that_of_the_two_radii_of_curvature() -> None:
+    a, e2 = 6378137.0, 0.0066943799901413165
+    for latitude_deg in (-62.0, 0.0, 48.137):
+        origin, w = Origin(latitude_deg, 11.575), 1 - e2 * np.sin(np.radians(latitude_deg)) ** 2
+        east_north_m = origin.east_north_m(latitude_deg + 1e-4, 11.575 + 1e-4)
+        meridian_m, normal_m = a * (1 - e2) / w**1.5, a / np.sqrt(w)
+        expected = np.radians(1e-4) * np.array([normal_m * np.cos(np.radians(latitude_deg)), meridian_m])
+        np.testing.assert_allclose(east_north_m, expected, rtol=1e-5)
+
+
+def test_metres_and_degrees_go_there_and_back_and_agree_with_pymap3d() -> None:
+    place_m = np.random.default_rng(0).normal(scale=800.0, size=(20, 2))
+    latitude_deg, longitude_deg = HERE.latitude_longitude_deg(place_m)
+    np.testing.assert_allclose(HERE.east_north_m(latitude_deg, longitude_deg), place_m, atol=1e-3)
+    east_m, north_m, _ = pymap3d.geodetic2enu(latitude_deg, longitude_deg, 0.0, 48.137, 11.575, 0.0)
+    np.testing.assert_array_equal(HERE.east_north_m(latitude_deg, longitude_deg), np.column_stack([east_m, north_m]))
+
+
+@pytest.mark.parametrize("place", [(91.0, 0.0), (0.0, 181.0), (np.nan, 0.0)])
+def test_an_origin_that_is_nowhere_is_refused(place: tuple[float, float]) -> None:
+    with pytest.raises(ValueError, match="are the two exchanged"):
+        Origin(*place)
+
+
+# --- locations to fixes -----------------------------------------------------------------------------------------------
+
+
+def fixes_of(location: Samples) -> tuple[LocationState, tuple[PositionFix, ...]]:
+    latitude_deg, longitude_deg, _, accuracy_m = location.values.T
+    return position_fixes(LocationState(), location.time_s, latitude_deg, longitude_deg, accuracy_m)
+
+
+def test_the_first_location_is_the_origin_and_has_its_own_accuracy() -> None:
+    state, fixes = fixes_of(rows(np.array([2.0]), np.array([[30.0, 10.0]]), accuracy_m=9.0))
+    np.testing.assert_allclose(HERE.east_north_m(state.origin.latitude_deg, state.origin.longitude_deg), [30.0, 10.0])
+    np.testing.assert_array_equal(fixes[0].position_m, [0.0, 0.0])
+    # 68 % of a round normal distribution are inside of the accuracy
+    assert chi2.cdf(9.0**2 / fixes[0].cov_m2[0, 0], 2) == pytest.approx(0.6827, abs=1e-3)
+
+
+def test_the_mean_of_many_fixes_is_as_sure_as_correlated_errors_allow() -> None:
+    time_s = np.arange(0.0, 4000.0)  # one a second
+    _, correlated = fixes_of(rows(time_s, np.zeros((len(time_s), 2)), accuracy_m=RADIUS_68 * 4.0))
+    fixes = independent(correlated)
+    assert {fix.correlation_s for fix in correlated} == {CORRELATION_S}
+    assert {fix.correlation_s for fix in fixes} == {0.0}
+    times = np.array([fix.time_s for fix in fixes])
+    assert np.diff(times).min() >= INTERVAL_S
+    true_var = 16.0 * np.exp(-np.abs(times[:, None] - times) / CORRELATION_S).mean()
+    claimed = 1.0 / sum(1.0 / fix.cov_m2[0, 0] for fix in fixes)
+    assert claimed == pytest.approx(true_var, rel=0.03)
+    # a quarter of an hour of it is no more than some twenty witnesses
+    assert 16.0 / claimed < 4000.0 / (2 * CORRELATION_S) + 2
+
+
+def test_an_accuracy_that_no_phone_has_is_not_believed() -> None:
+    _, (fix,) = fixes_of(rows(np.zeros(1), np.zeros((1, 2)), accuracy_m=0.1))
+    assert fix.cov_m2[0, 0] == pytest.approx((MIN_ACCURACY_M / RADIUS_68) ** 2)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_fixes_do_not_depend_on_how_locations_arrive(walk: Recording, seed: int) -> None:
+    whole_state, whole = fixes_of(walk.location)
+    rng, n = np.random.default_rng(seed), len(walk.location.time_s)
+    cuts = [0, *np.sort(rng.integers(0, n, size=9)).tolist(), n]
+    state, fixes = LocationState(), []
+    for a, b in pairwise(cuts):
+        latitude_deg, longitude_deg, _, accuracy_m = walk.location.values[a:b].T
+        state, new = position_fixes(state, walk.location.time_s[a:b], latitude_deg, longitude_deg, accuracy_m)
+        fixes += new
+    assert state == whole_state
+    assert len(fixes) == len(whole) > 5
+    for one, other in zip(fixes, whole, strict=True):
+        assert one.time_s == other.time_s
+        np.testing.assert_array_equal(one.position_m, other.position_m)
+        np.testing.assert_array_equal(one.cov_m2, other.cov_m2)
+
+
+BAD = {
+    "latitude beyond the pole": (0, 91.0),
+    "latitude nan": (0, np.nan),
+    "longitude beyond the date line": (1, 999.0),
+    "longitude infinite": (1, np.inf),
+    "accuracy nan": (3, np.nan),
+    "accuracy zero": (3, 0.0),
+    "accuracy negative": (3, -1.0),
+    "accuracy infinite": (3, np.inf),
+    "accuracy of a continent": (3, 1e200),
+}
+
+
+@pytest.mark.parametrize("what", BAD)
+def test_a_location_that_says_nothing_is_left_out_and_counted(what: str) -> None:
+    good = rows(np.array([0.0, 20.0, 40.0]), np.array([[0.0, 0.0], [9.0, 9.0], [18.0, 18.0]]))
+    column, value = BAD[what]
+    values = good.values.copy()
+    values[0, column] = value
+    state, fixes = fixes_of(Samples(good.time_s, values))
+    assert [fix.time_s for fix in fixes] == [20.0, 40.0]
+    np.testing.assert_array_equal(fixes[0].position_m, [0.0, 0.0])
+    assert (state.n, state.n_unusable) == (3, 1)
+
+
+def test_zero_zero_is_no_place_and_locations_that_go_back_in_time_are_left_out() -> None:
+    good = rows(np.array([5.0, 20.0, 3.0, 20.0, 40.0]), np.zeros((5, 2)))
+    values = good.values.copy()
+    values[0, :2] = 0.0
+    state, fixes = fixes_of(Samples(good.time_s, values))
+    assert [fix.time_s for fix in fixes] == [20.0, 40.0]
+    assert state.n_unusable == 3
+
+
+# --- tracks -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("weighting", ["imm", "wc"])
+def test_a_track_with_locations_lies_where_the_person_walked(walk: Recording, weighting: str) -> None:
+    track = pdr.track(walk, weighting=weighting)
+    error_m = np.linalg.norm(in_frame_of_here(track) - truth_m(walk, track.time_s), axis=1)
+    assert np.median(error_m) < 5.0  # a location is off by 4 m
+    assert error_m.max() < 12.0
+    assert track.frame == "fixes"
+    squared = in_frame_of_here(track) - truth_m(walk, track.time_s)
+    nees = np.einsum("ka,kab,kb->k", squared, np.linalg.inv(track.position_cov_m2), squared)
+    assert nees.max() < chi2.isf(1e-3, 2)
+
+
+def test_the_origin_says_how_far_the_track_was_turned_and_how_well_that_and_its_place_were_known(
+    bare: Recording, walk: Recording
+) -> None:
+    known = pdr.track(walk).origin
+    assert abs(np.angle(np.exp(1j * (known.turn_rad - TURN_RAD)))) < 3.0 * known.turn_std_rad < 0.8
+    assert 0.0 < known.position_std_m < 6.0 / RADIUS_68
+    # dead reckoning that is turned with it goes where the person walked
+    alone = pdr.track(bare).placed(known)
+    along_m = alone.position_m[-1] - alone.start_position_m
+    true_m = truth_m(bare, alone.time_s[[-1]])[0] - truth_m(bare, np.zeros(1))[0]
+    assert np.linalg.norm(along_m - true_m) < 3.0 * known.turn_std_rad * np.linalg.norm(true_m)
+
+
+def test_after_one_location_the_turn_may_be_any_and_the_origin_says_so(bare: Recording) -> None:
+    time_s = np.array([20.0])
+    known = pdr.track(replace(bare, location=rows(time_s, truth_m(bare, time_s)))).origin
+    assert known.turn_std_rad == pytest.approx(np.pi / np.sqrt(3.0), rel=1e-3)
+    assert known.position_std_m == pytest.approx(6.0 / RADIUS_68, rel=0.1)
+
+
+def test_when_the_locations_stop_the_track_goes_on_in_the_world(bare: Recording) -> None:
+    track = pdr.track(located(bare, until_s=45.0))
+    late = track.time_s > 60.0
+    error_m = np.linalg.norm(in_frame_of_here(track) - truth_m(bare, track.time_s), axis=1)[late]
+    assert np.median(error_m) < 10.0
+    nees = (in_frame_of_here(track) - truth_m(bare, track.time_s))[late]
+    nees = np.einsum("ka,kab,kb->k", nees, np.linalg.inv(track.position_cov_m2[late]), nees)
+    assert nees.max() < chi2.isf(1e-3, 2)
+
+
+def test_without_locations_or_with_them_off_not_a_bit_changes(bare: Recording, walk: Recording) -> None:
+    alone = pdr.track(bare)
+    off = pdr.track(walk, gnss="off")
+    for track in (off, pdr.track(walk, config=recipes.for_recording("default", walk), gnss="off")):
+        np.testing.assert_array_equal(track.position_m, alone.position_m)
+        np.testing.assert_array_equal(track.position_cov_m2, alone.position_cov_m2)
+        np.testing.assert_array_equal(track.walking_heading_rad, alone.walking_heading_rad)
+        assert (track.origin, track.frame, track.fixes) == (None, "start", ())
+        assert track.notes == alone.notes
+
+
+def test_locations_that_say_nothing_leave_the_track_where_it_was_and_are_told(bare: Recording, walk: Recording) -> None:
+    values = walk.location.values.copy()
+    values[:, 3] = -1.0
+    alone, track = pdr.track(bare), pdr.track(replace(walk, location=Samples(walk.location.time_s, values)))
+    np.testing.assert_array_equal(track.position_m, alone.position_m)
+    np.testing.assert_array_equal(track.position_cov_m2, alone.position_cov_m2)
+    assert (track.origin, track.frame) == (None, "start")
+    n = len(values)
+    assert any(f"{n} of {n} locations are not used" in note for note in track.notes)
+
+
+def test_jumps_of_a_kilometre_are_rejected(walk: Recording) -> None:
+    good = pdr.track(walk)
+    values, wrong_s = walk.location.values.copy(), [good.fixes[k].time_s for k in (4, 6)]
+    values[np.isin(walk.location.time_s, wrong_s), 0] += 0.009
+    track = pdr.track(replace(walk, location=Samples(walk.location.time_s, values)))
+    rejected = [fix.time_s for fix in track.fixes if fix.outcome == "rejected"]
+    assert rejected == wrong_s
+    assert np.linalg.norm(track.position_m - good.position_m, axis=1).max() < 6.0
+
+
+def test_locations_in_another_order_are_those_that_go_forward(walk: Recording) -> None:
+    order = np.arange(len(walk.location.time_s))
+    order[10:40] = order[10:40][::-1]
+    mixed = replace(walk, location=Samples(walk.location.time_s[order], walk.location.values[order]))
+    for asked in ("filter", "align"):
+        track = pdr.track(mixed, gnss=asked)
+        error_m = np.linalg.norm(in_frame_of_here(track) - truth_m(walk, track.time_s), axis=1)
+        assert np.median(error_m) < 6.0
+        assert any("locations are not used" in note for note in track.notes)
+
+
+def test_locations_at_one_place_for_minutes_do_not_hold_somebody_who_walks(walk: Recording) -> None:
+    """A phone that repeats its last location: from some time on, and from the start."""
+    for held_s in (lambda t: t > 40.0, lambda t: t < 40.0):
+        values = walk.location.values.copy()
+        is_held = held_s(walk.location.time_s)
+        values[is_held] = values[is_held][0]
+        track = pdr.track(replace(walk, location=Samples(walk.location.time_s, values)))
+        error = in_frame_of_here(track) - truth_m(walk, track.time_s)
+        nees = np.einsum("ka,kab,kb->k", error, np.linalg.inv(track.position_cov_m2), error)
+        assert np.mean(nees < chi2.isf(1e-3, 2)) > 0.9
+        assert np.linalg.norm(error, axis=1).max() < 60.0
+        assert any(fix.outcome == "frozen" for fix in track.fixes)
+
+
+def test_a_first_location_a_kilometre_away_is_outvoted(walk: Recording) -> None:
+    values = walk.location.values.copy()
+    values[0, 0] += 0.009
+    track = pdr.track(replace(walk, location=Samples(walk.location.time_s, values)))
+    error_m = np.linalg.norm(in_frame_of_here(track) - truth_m(walk, track.time_s), axis=1)
+    assert np.median(error_m) < 6.0
+
+
+def test_a_hundred_locations_that_are_off_together_are_not_a_hundred_witnesses(bare: Recording) -> None:
+    time_s = np.arange(1.3, bare.duration_s)
+    shifted = pdr.track(replace(bare, location=rows(time_s, truth_m(bare, time_s) + np.array([9.0, 0.0]))))
+    error = in_frame_of_here(shifted) - truth_m(bare, shifted.time_s)
+    nees = np.einsum("ka,kab,kb->k", error, np.linalg.inv(shifted.position_cov_m2), error)
+    # the track is no surer of itself than one location was
+    assert np.median(nees) < 9.0**2 / (6.0 / RADIUS_68) ** 2
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_an_app_gets_the_same_bits_however_samples_and_locations_arrive(walk: Recording, seed: int) -> None:
+    whole = pdr.track(walk, recipes.default())
+    online, updates = pdr.OnlineFilter(recipes.default().in_world_frame()), []
+    location, sent = walk.location, 0
+    assert online.origin is None
+    for block in cut_randomly(pdr.merge_streams(walk), seed):
+        until = int(np.searchsorted(location.time_s, block.time_s[-1])) if len(block.time_s) else sent
+        latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values[sent:until].T
+        online.push_location(location.time_s[sent:until], latitude_deg, longitude_deg, accuracy_m, altitude_m)
+        sent = until
+        updates += online.push(
+            block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut
+        )
+        online = pdr.OnlineFilter.load(online.save())
+    latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values[sent:].T
+    online.push_location(location.time_s[sent:], latitude_deg, longitude_deg, accuracy_m, altitude_m)
+    updates += online.finish()
+    frame = online.state.tracker.pedestrian.frame
+    told = [u.position_m if u.of_start is None else frame.world(u.of_start).position_m for u in updates]
+    np.testing.assert_array_equal(told, whole.position_m)
+    assert online.origin == whole.origin
+    assert online.notes == tuple(note for note in whole.notes if note not in walk.notes)
+
+
+def test_a_single_location_can_be_pushed_as_four_numbers() -> None:
+    online = pdr.OnlineFilter(recipes.default().in_world_frame())
+    online.push_location(0.0, 48.137, 11.575, 5.0)
+    assert len(online.state.waiting_fixes) == 1
+
+
+# --- aligned as a whole -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("weighting", ["imm", "wc"])
+def test_an_aligned_track_is_dead_reckoning_turned_and_shifted_to_where_it_was(walk: Recording, weighting: str) -> None:
+    track, alone = pdr.track(walk, weighting=weighting, gnss="align"), pdr.track(walk, weighting=weighting, gnss="off")
+    turn_rad = float(np.angle(np.exp(1j * (track.walking_heading_rad - alone.walking_heading_rad)).mean()))
+    turned_m = alone.position_m @ clockwise(turn_rad).T
+    np.testing.assert_allclose(track.position_m - track.position_m[0], turned_m - turned_m[0], atol=1e-6)
+    np.testing.assert_allclose(track.start_position_m - track.position_m[0], -turned_m[0], atol=1e-6)
+    np.testing.assert_array_equal(track.step_length_m, alone.step_length_m)
+    error = in_frame_of_here(track) - truth_m(walk, track.time_s)
+    assert np.linalg.norm(error, axis=1).max() < 12.0
+    nees = np.einsum("ka,kab,kb->k", error, np.linalg.inv(track.position_cov_m2), error)
+    assert nees.max() < chi2.isf(1e-3, 2)
+    assert np.linalg.eigvalsh(track.position_cov_m2).min() > 0
+    assert track.frame == "fixes"
+    assert {fix.outcome for fix in track.fixes} == {"turned"}
+
+
+def test_outliers_do_not_turn_an_aligned_track(walk: Recording) -> None:
+    good = pdr.track(walk, gnss="align")
+    values, wrong_s = walk.location.values.copy(), [good.fixes[k].time_s for k in (0, 4, 6)]
+    values[np.isin(walk.location.time_s, wrong_s), 0] += 0.009
+    track = pdr.track(replace(walk, location=Samples(walk.location.time_s, values)), gnss="align")
+    assert [fix.time_s for fix in track.fixes if fix.outcome == "rejected"] == wrong_s
+    error_m = np.linalg.norm(in_frame_of_here(track) - truth_m(walk, track.time_s), axis=1)
+    assert error_m.max() < 14.0
+    assert any("rejected as outliers: 3" in note for note in track.notes)
+
+
+@pytest.mark.parametrize("gnss", ["filter", "align"])
+@pytest.mark.parametrize("n", [1, 2])
+def test_one_or_two_locations_place_a_track_of_any_kind_and_say_that_north_is_open(
+    bare: Recording, n: int, gnss: str
+) -> None:
+    time_s = np.array([20.0, 31.0])[:n]
+    recording = replace(bare, location=rows(time_s, truth_m(bare, time_s) + np.array([2.0, -1.0])))
+    track, alone = pdr.track(recording, gnss=gnss), pdr.track(bare)
+    side = [np.linalg.norm(t.position_m[-1] - t.position_m[0]) for t in (track, alone)]
+    assert side[0] == pytest.approx(side[1], rel=1e-9)
+    error = in_frame_of_here(track) - truth_m(bare, track.time_s)
+    nees = np.einsum("ka,kab,kb->k", error, np.linalg.inv(track.position_cov_m2), error)
+    assert nees.max() < chi2.isf(1e-3, 2)
+    assert any("do not settle which way the track lies" in note for note in track.notes)
+
+
+def test_locations_that_say_nothing_align_nothing(bare: Recording, walk: Recording) -> None:
+    values = walk.location.values.copy()
+    values[:, 3] = np.nan
+    alone = pdr.track(bare)
+    track = pdr.track(replace(walk, location=Samples(walk.location.time_s, values)), gnss="align")
+    np.testing.assert_array_equal(track.position_m, alone.position_m)
+    assert (track.origin, track.frame, track.fixes) == (None, "start", ())
+    assert any(f"{len(values)} of {len(values)} locations are not used" in note for note in track.notes)
+
+
+# --- contradictions ---------------------------------------------------------------------------------------------------
+
+
+def test_fixes_in_a_frame_of_their_own_turn_the_locations_off_unless_they_are_asked_for(walk: Recording) -> None:
+    fix = PositionFix(20.0, np.array([0.0, 20.0]), np.eye(2))
+    assert pdr.track(walk, fixes=[fix]).origin is None
+    assert pdr.track(walk, fixes=[HeadingFix(20.0, 0.0, 0.1)]).origin is None
+    assert pdr.track(walk, fixes=[SpeedFix(20.0, 1.3, 0.1)]).origin is not None
+    for asked in ("filter", "align"):
+        with pytest.raises(ValueError, match="positions in a frame of their own: leave one of them out"):
+            pdr.track(walk, fixes=[fix], gnss=asked)
+    with pytest.raises(ValueError, match="finds the turn of the whole track, got a HeadingFix"):
+        pdr.track(walk, fixes=[HeadingFix(20.0, 0.0, 0.1)], gnss="align")
+
+
+def test_a_wrong_word_or_a_missing_stream_is_refused(bare: Recording, walk: Recording) -> None:
+    with pytest.raises(ValueError, match=r"gnss must be one of \('filter', 'align', 'off'\), got 'on'"):
+        pdr.track(walk, gnss="on")
+    with pytest.raises(MissingSensorError, match="walk has no location"):
+        pdr.track(bare, gnss="filter")
+
+
+def test_an_app_that_pushes_what_cannot_be_used_is_told_the_remedy() -> None:
+    with pytest.raises(ValueError, match=r"in_world_frame\(\)"):
+        pdr.OnlineFilter().push_location(0.0, 48.0, 11.0, 5.0)
+    online = pdr.OnlineFilter(recipes.default().in_world_frame())
+    with pytest.raises(ValueError, match=r"got shapes time_s \(2,\), latitude_deg \(1,\)"):
+        online.push_location([0.0, 1.0], 48.0, 11.0, 5.0)
+    online.finish()
+    with pytest.raises(ValueError, match="is finished"):
+        online.push_location(0.0, 48.0, 11.0, 5.0)
+
+
+# --- files ------------------------------------------------------------------------------------------------------------
+
+
+def test_map_files_of_a_located_track_need_no_origin_and_others_say_what_is_missing(
+    bare: Recording, walk: Recording, tmp_path: Path
+) -> None:
+    track = pdr.track(walk)
+    feature = json.loads(track.to_geojson(tmp_path / "a.geojson").read_text())["features"][0]
+    longitude_deg, latitude_deg = np.array(feature["geometry"]["coordinates"])[1:, :2].T
+    np.testing.assert_allclose(latitude_deg, track.latitude_deg, atol=1e-8)
+    np.testing.assert_allclose(longitude_deg, track.longitude_deg, atol=1e-8)
+    assert feature["properties"]["frame"] == "fixes"
+    assert "first location" in feature["properties"]["about"]
+    assert f'lat="{track.latitude_deg[-1]:.9f}"' in track.to_gpx(tmp_path / "a.gpx").read_text()
+    assert track.summary()["end_latitude_deg"] == pytest.approx(track.latitude_deg[-1], abs=1e-7)
+    alone = pdr.track(bare)
+    for write in (alone.to_geojson, alone.to_gpx, alone.to_kml):
+        with pytest.raises(ValueError, match=r"no location says where .* origin=\(latitude_deg, longitude_deg\)"):
+            write(tmp_path / "b")
+    with pytest.raises(ValueError, match="no location says where"):
+        _ = alone.latitude_deg
+    assert not (tmp_path / "b").exists()
+
+
+def test_what_calibration_and_gnss_know_of_accuracy_is_one_number() -> None:
+    from pdr_filter.offline.calibration import segments
+
+    assert segments.RADIUS_68 is gnss.RADIUS_68

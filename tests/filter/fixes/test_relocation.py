@@ -1,0 +1,203 @@
+"""Fixes that agree with each other and not with the track: it is moved to where they show it, and not for less."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import cut_randomly
+from scipy.stats import chi2
+
+import pdr_filter as pdr
+from pdr_filter import recipes
+from pdr_filter.filter.fixes.frame_rotation import PairedPoint
+from pdr_filter.filter.fixes.relocation import EPISODE_S, LOG_ODDS_BEFORE, Doubt
+from pdr_filter.simulate import Leg, simulate
+from pdr_filter.values import PositionFix
+from pdr_filter.values.recording import Recording
+
+TURN_RAD = 1.9
+FAR_M = np.array([80.0, -60.0])
+# One fix in ten seconds: after so long as the odds ask there is one that decides.
+PATIENCE_S = LOG_ODDS_BEFORE * EPISODE_S + 11.0
+
+
+def clockwise(angle_rad: float) -> np.ndarray:
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, s], [-s, c]])
+
+
+@pytest.fixture(scope="module")
+def walk() -> Recording:
+    """Five minutes through streets."""
+    legs = [Leg("walking", distance_m=60.0, turn_rad=turn) for turn in (0.0, 1.2, -0.9, 1.6, 0.7, -1.4, 1.0)]
+    return simulate(legs, seed=3, name="walk")
+
+
+def truth_m(walk: Recording, times: np.ndarray) -> np.ndarray:
+    truth = walk.truth.position
+    return np.column_stack([np.interp(times, truth.time_s, truth[n]) for n in ("east_m", "north_m")]) @ (
+        clockwise(TURN_RAD).T
+    )
+
+
+def fixes_of(
+    walk: Recording, wrong_m: Callable[[np.ndarray, np.ndarray], np.ndarray], every_s: float = 10.0
+) -> list[PositionFix]:
+    """Some with errors of 4 m, and what `wrong_m` (times, places) adds to them."""
+    times = np.arange(2.0, walk.duration_s - 4.0, every_s)
+    places = truth_m(walk, times)
+    errors = np.random.default_rng(4).normal(scale=4.0, size=places.shape)
+    return [
+        PositionFix(float(t), place, 16.0 * np.eye(2))
+        for t, place in zip(times, places + errors + wrong_m(times, places), strict=True)
+    ]
+
+
+def tracked(walk: Recording, fixes: list[PositionFix], weighting: str = "imm") -> pdr.Track:
+    return pdr.track(walk, recipes.default(walk.subject).in_world_frame(), weighting, fixes=fixes)
+
+
+def outcomes(track: pdr.Track) -> list[str]:
+    return [fix.outcome for fix in track.fixes]
+
+
+def displaced(begin_s: float) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """Somebody was carried by `FAR_M` at some time."""
+    return lambda times, _: FAR_M * (times > begin_s)[:, None]
+
+
+@pytest.mark.parametrize("weighting", ["imm", "wc"])
+def test_somebody_who_was_carried_on_is_found_again_and_the_track_says_so(walk: Recording, weighting: str) -> None:
+    track = tracked(walk, fixes_of(walk, displaced(120.0)), weighting)
+    assert outcomes(track).count("moved") == 1
+    error = track.position_m - truth_m(walk, track.time_s) - FAR_M * (track.time_s > 120.0)[:, None]
+    late = track.time_s > 120.0 + PATIENCE_S
+    assert np.linalg.norm(error[late], axis=1).max() < 15.0
+    nees = np.einsum("ka,kab,kb->k", error[late], np.linalg.inv(track.position_cov_m2[late]), error[late])
+    assert nees.max() < chi2.isf(1e-3, 2)
+    assert any("agree with each other and not with the track moved it by 1" in note for note in track.notes)
+    moved = next(fix for fix in track.fixes if fix.outcome == "moved")
+    assert moved.accepted
+    assert np.linalg.norm(error[track.time_s < 120.0], axis=1).max() < 15.0
+
+
+@pytest.mark.parametrize("angle_rad", [0.0, 2.0])
+def test_wrong_first_fixes_that_settled_the_frame_are_outlived(walk: Recording, angle_rad: float) -> None:
+    """A kilometre away, and turned about there."""
+
+    def wrong_m(times: np.ndarray, places: np.ndarray) -> np.ndarray:
+        return ((places @ clockwise(angle_rad).T - places) + [800.0, 600.0]) * (times < 45.0)[:, None]
+
+    track = tracked(walk, fixes_of(walk, wrong_m))
+    assert "used" in outcomes(track)[:5] or "turned" in outcomes(track)[:5]
+    assert outcomes(track).count("moved") == 1
+    error_m = np.linalg.norm(track.position_m - truth_m(walk, track.time_s), axis=1)
+    assert error_m[track.time_s > 45.0 + PATIENCE_S + 20.0].max() < 20.0
+
+
+def test_wrong_first_fixes_that_left_the_turn_open_are_outlived_too(walk: Recording) -> None:
+    begin_m = truth_m(walk, np.array([2.0]))[0]
+    # as if he stood: the turn stays open, and nothing rights it but the fixes that come
+    wrong = fixes_of(walk, lambda times, places: (begin_m + 10.0 * FAR_M - places) * (times < 50.0)[:, None])
+    track = tracked(walk, [replace(fix, cov_m2=64.0 * np.eye(2)) for fix in wrong])
+    assert "moved" in outcomes(track)
+    moved_s = track.fixes[outcomes(track).index("moved")].time_s
+    assert moved_s < 50.0 + PATIENCE_S + 10.0
+    late = track.time_s > moved_s + 30.0
+    error_m = np.linalg.norm(track.position_m - truth_m(walk, track.time_s), axis=1)
+    assert np.median(error_m[late]) < 10.0
+
+
+def test_outliers_that_do_not_agree_stay_rejected(walk: Recording) -> None:
+    rng = np.random.default_rng(1)
+
+    def wrong_m(times: np.ndarray, places: np.ndarray) -> np.ndarray:
+        return rng.normal(scale=1000.0, size=places.shape) * ((times > 60.0) & (rng.random(len(times)) < 0.5))[:, None]
+
+    track = tracked(walk, fixes_of(walk, wrong_m))
+    assert outcomes(track).count("rejected") > 5
+    assert "moved" not in outcomes(track)
+    error_m = np.linalg.norm(track.position_m - truth_m(walk, track.time_s), axis=1)
+    assert error_m.max() < 15.0
+
+
+@pytest.mark.parametrize(("lasts_s", "is_moved"), [(0.8, False), (2.0, True)])
+def test_fixes_that_are_off_together_are_believed_when_they_outlast_a_reflection(
+    walk: Recording, lasts_s: float, is_moved: bool
+) -> None:
+    end_s = 120.0 + lasts_s * LOG_ODDS_BEFORE * EPISODE_S
+    track = tracked(walk, fixes_of(walk, lambda times, _: FAR_M * ((times > 120.0) & (times < end_s))[:, None]))
+    assert ("moved" in outcomes(track)) == is_moved
+
+
+def test_fixes_that_stay_where_they_were_move_nobody_who_walks(walk: Recording) -> None:
+    """A phone that repeats its last location for two minutes."""
+
+    def wrong_m(times: np.ndarray, places: np.ndarray) -> np.ndarray:
+        stays = (times > 120.0) & (times < 240.0)
+        return (places[12] + FAR_M - places) * stays[:, None]
+
+    track = tracked(walk, fixes_of(walk, wrong_m))
+    assert outcomes(track).count("rejected") > 9
+    assert "moved" not in outcomes(track)
+
+
+def test_somebody_who_stands_is_not_moved_by_fixes_that_stand_too() -> None:
+    doubt = Doubt()
+    for t in np.arange(0.0, 600.0, 10.0):
+        last = PairedPoint(np.zeros(2), FAR_M, 9.0, 0.0, t)
+        doubt = doubt.with_rejected(last)
+        assert doubt.alignment(last, 0.01, 0, True) is None
+    walked = Doubt()
+    for t in np.arange(0.0, 100.0, 10.0):
+        place = np.array([0.0, t])
+        last = PairedPoint(place, place + FAR_M, 9.0, 0.0, t)
+        walked = walked.with_rejected(last)
+    alignment = walked.alignment(last, 0.01, 0, True)
+    assert alignment is not None
+    np.testing.assert_allclose(alignment.positions(np.zeros(2)), FAR_M)
+    assert alignment.angle_rad == pytest.approx(0.0, abs=1e-9)
+    assert alignment.angle_var_rad2 < 0.01
+
+
+def test_a_frame_that_was_given_is_shifted_but_never_turned(walk: Recording) -> None:
+    straight = [
+        replace(fix, position_m=fix.position_m @ clockwise(TURN_RAD) + FAR_M * (fix.time_s > 100.0))
+        for fix in fixes_of(walk, lambda times, places: np.zeros_like(places))
+    ]
+    config = recipes.default(walk.subject)
+    assert outcomes(pdr.track(walk, config, fixes=straight)).count("moved") == 1
+    turned = [replace(fix, position_m=fix.position_m @ clockwise(2.0).T) for fix in straight]
+    assert "moved" not in outcomes(pdr.track(walk, config, fixes=turned))
+
+
+def test_blocks_and_saving_change_no_bit_of_a_track_that_is_moved(walk: Recording) -> None:
+    fixes, config = fixes_of(walk, displaced(120.0)), recipes.default().in_world_frame()
+    whole = pdr.track(walk, config, fixes=fixes)
+    assert "moved" in outcomes(whole)
+    online, updates = pdr.OnlineFilter(config), []
+    for fix in fixes:
+        online.add_fix(fix)
+    for k, block in enumerate(cut_randomly(pdr.merge_streams(walk), 2, mean_length=400)):
+        updates += online.push(
+            block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut
+        )
+        if k % 6 == 0:
+            online = pdr.OnlineFilter.load(online.save())
+    updates += online.finish()
+    later = [u for u in updates if u.of_start is None]
+    np.testing.assert_array_equal([u.position_m for u in later], whole.position_m[-len(later) :])
+    assert online.notes == tuple(note for note in whole.notes if note not in walk.notes)
+
+
+@pytest.mark.parametrize("every_s", [1.0, 3.0])
+def test_fixes_in_quick_succession_move_the_track_as_soon_as_rare_ones(walk: Recording, every_s: float) -> None:
+    carried_s = 120.0
+    track = tracked(walk, fixes_of(walk, displaced(carried_s), every_s))
+    late = track.time_s > carried_s + PATIENCE_S
+    error_m = np.linalg.norm(track.position_m[late] - truth_m(walk, track.time_s[late]) - FAR_M, axis=1)
+    assert outcomes(track).count("moved") == 1
+    assert np.median(error_m) < 4.0

@@ -1,0 +1,286 @@
+"""Heights and storeys of walks with a barometer, and without."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import cut_randomly
+
+import pdr_filter as pdr
+from pdr_filter.filter.height.floor_detection import FloorState, Level, learnt, storeys_up
+from pdr_filter.simulate import BAROMETER, Leg, SensorErrors, simulate
+from pdr_filter.tracking.track import Track
+from pdr_filter.values import FloatArray, ImuBlock, PositionFix, Samples
+from pdr_filter.values.recording import Recording
+
+ERRORS = SensorErrors(barometer=BAROMETER)
+AROUND = [Leg("walking", distance_m=15.0), Leg("walking", distance_m=15.0, turn_rad=np.pi / 2)]
+LANDING = Leg("walking", distance_m=2.0, turn_rad=np.pi)
+
+
+def storey(context: str) -> list[Leg]:
+    """18 steps on stairs, 3.06 m, with a landing."""
+    return [Leg(context, distance_m=9 * 0.29), LANDING, Leg(context, distance_m=9 * 0.29)]
+
+
+def walk(*legs: Leg, carrying_mode: str = "texting", seed: int = 0) -> Recording:
+    return simulate([Leg("stationary", duration_s=5.0), *legs], carrying_mode=carrying_mode, errors=ERRORS, seed=seed)
+
+
+@pytest.fixture(scope="module")
+def stairs() -> Recording:
+    return walk(*AROUND, *storey("upstairs"), *AROUND, *storey("downstairs"), *AROUND)
+
+
+@pytest.fixture(scope="module")
+def in_pocket() -> Recording:
+    return walk(*AROUND, *storey("upstairs"), *AROUND, *storey("downstairs"), *AROUND, carrying_mode="pocket")
+
+
+@pytest.fixture(scope="module")
+def level() -> Recording:
+    return walk(*AROUND, *AROUND, Leg("stationary", duration_s=20.0), *AROUND)
+
+
+Change = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
+
+
+def with_pressure(recording: Recording, change: Change) -> Recording:
+    assert recording.barometer is not None
+    time_s, pressure = change(recording.barometer.time_s, recording.barometer.values[:, 0])
+    return replace(recording, barometer=Samples(time_s, pressure[:, None]))
+
+
+def error_m(track: Track, recording: Recording) -> FloatArray:
+    truth = recording.truth.position
+    assert truth is not None
+    return track.height_m - np.interp(track.time_s, truth.time_s, truth.up_m)
+
+
+def ways(track: Track) -> list[tuple[int, int, str]]:
+    return [(c.from_floor, c.to_floor, c.how) for c in track.floor_changes()]
+
+
+# --- what is climbed ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("carrying_mode", ["texting", "pocket"])
+def test_stairs_lead_to_the_next_storey_and_back(stairs: Recording, in_pocket: Recording, carrying_mode: str) -> None:
+    recording = stairs if carrying_mode == "texting" else in_pocket
+    track = pdr.track(recording)
+    assert ways(track) == [(0, 1, "stairs"), (1, 0, "stairs")]
+    assert np.sqrt(np.mean(error_m(track, recording) ** 2)) < 0.3
+    labels = recording.truth.labels
+    assert labels is not None
+    for change, first, last in zip(track.floor_changes(), (3, 8), (5, 10), strict=True):
+        assert change.start_s == pytest.approx(labels.start_s[first], abs=4.0)
+        assert change.end_s == pytest.approx(labels.end_s[last], abs=4.0)
+    held = {f: track.floor[(track.time_s > a) & (track.time_s < b)] for f, a, b in ((0, 6, 25), (1, 42, 58))}
+    assert all((rows == f).all() for f, rows in held.items())
+
+
+def test_errors_of_heights_are_what_their_standard_deviation_says(stairs: Recording, in_pocket: Recording) -> None:
+    nees = [np.mean((error_m(t, r) / t.height_std_m) ** 2) for r in (stairs, in_pocket) for t in [pdr.track(r)]]
+    assert 0.05 < np.mean(nees) < 3.0
+
+
+def test_a_lift_moves_somebody_who_makes_no_steps_several_storeys_at_once() -> None:
+    ride = [Leg("stationary", duration_s=8.0), Leg("stationary", duration_s=11.0, ride_up_m=9.9)]
+    recording = walk(*AROUND, *ride, Leg("stationary", duration_s=3.0), *AROUND)
+    track = pdr.track(recording)
+    assert ways(track) == [(0, 3, "lift")]
+    assert set(track.floor) == {0, 3}
+    assert abs(error_m(track, recording)[-1]) < 0.5
+
+
+def test_the_present_height_follows_a_lift_before_the_next_step() -> None:
+    recording = walk(*AROUND, Leg("stationary", duration_s=12.0, ride_up_m=10.0), Leg("stationary", duration_s=4.0))
+    assert recording.barometer is not None
+    online = pdr.OnlineFilter()
+    online.push_pressure(recording.barometer.time_s, recording.barometer.values[:, 0])
+    block = pdr.merge_streams(recording)
+    updates = online.push(block.time_s, block.specific_force_mps2, block.angular_rate_radps)
+    assert updates[-1].height_m == pytest.approx(0.0, abs=0.3)
+    assert online.height_m == pytest.approx(10.0, abs=0.5)
+    assert online.floor == 3
+    assert 0.0 < online.height_std_m < 0.7
+
+
+def test_a_lift_that_stops_between_storeys_is_one_ride() -> None:
+    stop = [Leg("stationary", duration_s=6.0, ride_up_m=4.9), Leg("stationary", duration_s=40.0)]
+    rest = [Leg("stationary", duration_s=4.0, ride_up_m=1.7), Leg("stationary", duration_s=3.0)]
+    recording = walk(*AROUND, Leg("stationary", duration_s=5.0), *stop, *rest, *AROUND)
+    track = pdr.track(recording)
+    assert ways(track) == [(0, 2, "lift")]
+    assert abs(error_m(track, recording)[-1]) < 0.5
+
+
+@pytest.mark.parametrize("up_m", [4.0, -4.0])
+def test_an_escalator_climbs_slowly_whoever_stands_on_it(up_m: float) -> None:
+    recording = walk(*AROUND, Leg("stationary", duration_s=13.0, ride_up_m=up_m, ride_m=7.0), *AROUND)
+    track = pdr.track(recording)
+    assert ways(track) == [(0, int(np.sign(up_m)), "escalator")]
+    assert abs(error_m(track, recording)[-1]) < 0.5
+
+
+def test_a_hill_is_height_and_no_storey(level: Recording) -> None:
+    """5 % for a minute: 4 m, more than a storey."""
+    hill = with_pressure(level, lambda t, p: (t, p - 0.065 / 8.32 * np.clip(t - 10.0, 0.0, 30.0)))
+    track = pdr.track(hill)
+    assert track.height_m[-1] == pytest.approx(1.95, abs=0.6)
+    assert ways(track) == []
+
+
+# --- what is not climbed --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda t, p: (t, p),
+        lambda t, p: (t, p + 0.3 * (t > 20.0)),  # a door
+        lambda t, p: (t, p - 0.4 * ((t > 20.0) & (t < 23.0))),  # a door that slams
+        lambda t, p: (t, p + 2.0 * t / 3600),  # weather
+        lambda t, p: (t[::10], np.round(p[::10], 1)),  # 1 Hz, steps of 0.1 hPa: 0.8 m
+        lambda t, p: (t, np.where(t % 7.0 < 0.1, np.nan, p)),
+        lambda t, p: (t, p + 50.0 * (np.abs(t - 20.0) < 0.05)),  # a failed reading
+        lambda t, p: (t[(t < 10.0) | (t > 30.0)], p[(t < 10.0) | (t > 30.0)] - 0.05),
+        lambda t, p: (np.where(t > 30.0, t - 20.0, t), p),  # a clock that is set back
+        lambda t, p: (t[:1], p[:1]),
+    ],
+)
+def test_nothing_but_climbing_changes_the_storey(level: Recording, change: Change) -> None:
+    track = pdr.track(with_pressure(level, change))
+    assert set(track.floor) == {0}
+    assert track.floor_changes() == []
+    assert np.abs(track.height_m).max() < 1.0
+    assert np.isfinite(track.height_std_m).all()
+
+
+@pytest.mark.parametrize("hpa_s", [(-10.0, 300.0), (-50.0, 300.0)])
+def test_the_cabin_of_an_aeroplane_is_no_lift(hpa_s: tuple[float, float]) -> None:
+    """10 hPa while the phone lies still, or the cabin on its way up; a note says so."""
+    hpa, seconds = hpa_s
+    recording = walk(*AROUND, Leg("stationary", duration_s=seconds + 20.0), *AROUND)
+    cabin = with_pressure(recording, lambda t, p: (t, p + hpa * np.clip((t - 35.0) / seconds, 0.0, 1.0)))
+    track = pdr.track(cabin)
+    assert ways(track) == []
+    assert set(track.floor) == {0}
+    assert np.abs(track.height_m).max() < 1.0
+    assert any("that nobody climbed" in note for note in track.notes)
+
+
+# --- with less ------------------------------------------------------------------------------------------------------
+
+
+def test_without_a_barometer_steps_on_stairs_climb_by_their_treads(in_pocket: Recording) -> None:
+    track = pdr.track(replace(in_pocket, barometer=None))
+    assert ways(track) == [(0, 1, "stairs"), (1, 0, "stairs")]
+    error = error_m(track, in_pocket)
+    assert np.abs(error).max() < 1.0
+    assert np.mean((error / track.height_std_m) ** 2) < 3.0
+
+
+def test_where_nothing_tells_the_height_it_stays_zero_and_its_doubt_grows(stairs: Recording) -> None:
+    """Stairs with the phone in the hand are not seen by motion alone."""
+    track = pdr.track(replace(stairs, barometer=None))
+    assert np.abs(track.height_m).max() < 0.5
+    assert set(track.floor) == {0}
+    assert (np.diff(track.height_std_m) > 0).all()
+    assert track.height_std_m[-1] > 1.0
+
+
+def test_pressure_that_begins_late_or_ends_early_tells_of_its_own_time(stairs: Recording) -> None:
+    late = pdr.track(with_pressure(stairs, lambda t, p: (t[t > 48.0], p[t > 48.0])))
+    early = pdr.track(with_pressure(stairs, lambda t, p: (t[t < 48.0], p[t < 48.0])))
+    assert ways(late) == [(0, -1, "stairs")]
+    assert ways(early) == [(0, 1, "stairs")]
+
+
+def test_a_fix_that_names_a_storey_names_all_others(stairs: Recording) -> None:
+    fix = PositionFix(10.0, np.array([0.0, 5.0]), 9.0 * np.eye(2), floor=4)
+    track = pdr.track(stairs, fixes=[fix])
+    assert track.floor[0] == 0
+    assert ways(track) == [(4, 5, "stairs"), (5, 4, "stairs")]
+    assert track.floor[-1] == 4
+
+
+def test_a_storey_of_a_rejected_fix_is_not_used(stairs: Recording) -> None:
+    track = pdr.track(stairs, fixes=[PositionFix(15.0, np.array([0.0, 900.0]), np.eye(2), floor=4)])
+    assert track.floor.max() == 1
+
+
+@pytest.mark.parametrize("floor", [1.5, np.nan])
+def test_a_storey_that_is_no_whole_number_is_refused(floor: float) -> None:
+    with pytest.raises(ValueError, match="floor must be a whole number"):
+        PositionFix(1.0, np.zeros(2), np.eye(2), floor=floor)  # type: ignore[arg-type]
+
+
+# --- online and offline ---------------------------------------------------------------------------------------------
+
+
+def blocks_of(recording: Recording, seed: int) -> list[ImuBlock]:
+    return cut_randomly(pdr.merge_streams(recording), seed, mean_length=150)
+
+
+@pytest.mark.parametrize("weighting", ["imm", "wc"])
+@pytest.mark.parametrize("rate", [1, 10])
+def test_heights_do_not_depend_on_how_samples_and_pressure_arrive(stairs: Recording, weighting: str, rate: int) -> None:
+    """Pressure in pieces of its own, each before the samples of its time, and the filter saved and loaded between."""
+    recording = with_pressure(stairs, lambda t, p: (t[:: 10 // rate], p[:: 10 // rate]))
+    assert recording.barometer is not None
+    time_s, pressure = recording.barometer.time_s, recording.barometer.values[:, 0]
+    config = pdr.recipes.default(recording.subject).with_weighting(weighting)
+    whole = pdr.track(recording, config)
+    rng = np.random.default_rng(4)
+    online, updates, given = pdr.OnlineFilter(config), [], 0
+    for block in blocks_of(recording, 2):
+        upto = int(np.searchsorted(time_s, block.time_s[-1], side="right")) if len(block.time_s) else given
+        for part in np.split(np.arange(given, max(upto, given)), np.sort(rng.integers(0, 5, 2))):
+            online.push_pressure(time_s[part], pressure[part])
+        given = max(given, upto)
+        updates += online.push(
+            block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut
+        )
+        if rng.random() < 0.05:
+            online = pdr.OnlineFilter.load(online.save())
+    online.push_pressure(time_s[given:], pressure[given:])
+    updates = [u for u in [*updates, *online.finish()] if u.is_final]
+    np.testing.assert_array_equal([u.height_m for u in updates], whole.height_m)
+    np.testing.assert_array_equal([u.height_std_m for u in updates], whole.height_std_m)
+    np.testing.assert_array_equal([u.floor for u in updates], whole.floor)
+    assert online.floor == whole.floor[-1]
+
+
+def test_a_smoothed_track_has_the_heights_of_the_filter(stairs: Recording) -> None:
+    smoothed = pdr.smooth(stairs).track
+    assert ways(smoothed) == [(0, 1, "stairs"), (1, 0, "stairs")]
+    assert smoothed.height_m.shape == smoothed.time_s.shape
+
+
+# --- storeys --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("climbed_m", "floor"), [(2.6, 1), (5.5, 1), (-3.2, -1), (1.5, 0), (11.4, 3)])
+def test_any_height_of_a_storey_is_one_where_nothing_is_known(climbed_m: float, floor: int) -> None:
+    assert round(storeys_up(FloorState().levels, climbed_m)) == floor
+
+
+def test_storeys_that_were_visited_say_how_high_the_next_one_is() -> None:
+    low = (Level(0, 0.0, 0.1), Level(1, 2.7, 0.1), Level(2, 5.4, 0.1))
+    assert storeys_up(low, 1.35) == pytest.approx(0.5)
+    assert storeys_up(low, 5.4 + 0.5 * (3.8 + 2 * 2.7) / 3) == pytest.approx(2.5)
+    assert storeys_up(low, -1.0) == pytest.approx(-1.0 / ((3.8 + 2 * 2.7) / 3))
+
+
+def test_a_landing_is_no_storey_however_long_somebody_stays_there() -> None:
+    at_landing = FloorState(floor=1, level_since_s=0.0, n_level_steps=20)
+    assert learnt(at_landing, 60.0, 1.9, 0.1).levels == FloorState().levels
+    assert [level.floor for level in learnt(at_landing, 60.0, 3.0, 0.1).levels] == [0, 1]
+
+
+def test_who_waits_without_a_step_has_not_come_to_a_storey() -> None:
+    assert len(learnt(FloorState(floor=1, level_since_s=0.0), 60.0, 3.0, 0.1).levels) == 1

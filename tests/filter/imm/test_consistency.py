@@ -1,0 +1,123 @@
+"""The covariance is the size of the errors: on walks that are drawn from the filter's own model, and over a long time.
+
+Smaller than `tests/benchmarks/consistency.py`, whose walks these are; docs/benchmarks.md has its figures.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+import pdr_filter as pdr
+from pdr_filter.filter.imm.pedestrian_state import TRAIL_STEPS, present_position
+from pdr_filter.values import CONTEXTS
+from tests.benchmarks.consistency import Errors, bounds, errors_of_walks, own_model, run_day, said_of, simulated_walk
+
+# --- the simulation itself ------------------------------------------------------------------------------------------
+
+
+def test_the_simulated_classifier_is_calibrated() -> None:
+    """Of the windows that give a context the probability p, the share p is that context."""
+    rng = np.random.default_rng(0)
+    truth = rng.integers(0, len(CONTEXTS), 8000)
+    for overlapping in (False, True):
+        time_s = np.arange(1.0, len(truth) + 1.0)
+        windows = said_of(truth, time_s, rng, overlapping)
+        of = truth[np.searchsorted(time_s, [w.time_s - overlapping for w in windows])]
+        prob = np.stack([w.prob for w in windows])
+        hit = of[:, None] == np.arange(len(CONTEXTS))
+        for low, high in ((0.0, 0.1), (0.1, 0.5), (0.5, 0.9), (0.9, 1.0)):
+            inside = (prob >= low) & (prob < high)
+            assert hit[inside].mean() == pytest.approx(prob[inside].mean(), abs=0.03)
+
+
+def test_a_simulated_walk_goes_as_far_as_its_modes_say() -> None:
+    """Without the person's scale: distance of all steps within four deviations of the sum of the modes' lengths."""
+    model = own_model()
+    still = replace(model, noise=replace(model.noise, log_scale_std=0.0, log_scale_drift_per_sqrt_step=0.0))
+    walk = simulated_walk(still, 3000, np.random.default_rng(3), redrawn=True)
+    moved_m = np.linalg.norm(np.diff(walk.state[:, :2], axis=0), axis=1)
+    expected = np.array([model.modes[m].step_length.predict(s) for m, s in zip(walk.modes, walk.steps, strict=True)])
+    moving = np.array([model.modes[m].context != "stationary" for m in walk.modes])[1:]
+    error_m = (moved_m - expected[1:, 0])[moving].sum()
+    assert abs(error_m) < 4 * np.sqrt(expected[1:, 1][moving].sum())
+    assert len(set(walk.modes)) == len(CONTEXTS)
+
+
+# --- NEES and NIS ---------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def mixed() -> Errors:
+    """200 walks of mixed contexts, 40 steps each, a fix every 20."""
+    return errors_of_walks(own_model(), own_model(), 200, 40, check_every=20, fix_every=20)
+
+
+def test_the_position_is_off_as_much_as_its_covariance_says(mixed: Errors) -> None:
+    low, high = bounds(2, 200)
+    mean = mixed.position.mean(axis=0)
+    assert ((mean >= low) & (mean <= high)).all(), mean
+
+
+def test_fixes_surprise_as_much_as_they_should(mixed: Errors) -> None:
+    low, high = bounds(2, mixed.fixes.size)
+    assert low <= mixed.fixes.mean() <= high
+    assert mixed.rejected <= 0.005 * mixed.fixes.size
+
+
+def test_the_whole_state_is_nearly_consistent(mixed: Errors) -> None:
+    """Approximations of the IMM and of the linear scale cost up to a tenth: docs/benchmarks.md."""
+    low, high = bounds(4, 200)
+    mean = mixed.state.mean(axis=0)
+    assert (mean >= low).all()
+    assert (mean <= 1.1 * high).all(), mean
+
+
+def test_ellipses_hold_their_share_of_the_positions(mixed: Errors) -> None:
+    for prob, allowed in ((0.5, 0.06), (0.95, 0.03)):
+        assert (mixed.position < chi2.ppf(prob, 2)).mean() == pytest.approx(prob, abs=allowed)
+
+
+def test_a_filter_that_trusts_people_too_much_fails_these_tests() -> None:
+    model = own_model()
+    noise = model.noise
+    sure = replace(
+        model,
+        noise=replace(
+            noise,
+            log_scale_std=noise.log_scale_std / 2,
+            initial_heading_offset_std_rad=noise.initial_heading_offset_std_rad / 2,
+        ),
+    )
+    errors = errors_of_walks(model, sure, 60, 40, check_every=40, fix_every=40, fix_std_m=1.0)
+    assert errors.position.mean() > bounds(2, 60)[1]
+    assert errors.fixes.mean() > bounds(2, 60)[1]
+
+
+# --- a long time ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("weighting", ["imm", "wc"])
+def test_hours_of_walking_and_rest_leave_the_state_as_large_as_it_was(weighting: str) -> None:
+    """The state holds all that a step may cost: no array of it grows, so that neither memory nor time do."""
+    n_steps = 2000
+    tracker = pdr.recipes.default().with_weighting(weighting).tracker
+    state, found, _ = run_day(tracker, n_steps, 86_400.0 * n_steps / 60_000)
+    sizes = np.array(found)
+    fifth = len(sizes) // 5
+    first, last = sizes[:fifth].max(axis=0), sizes[-fifth:].max(axis=0)
+    assert first[2] == TRAIL_STEPS
+    assert (last <= first).all()
+    known = state.pedestrian
+    assert known.n_final >= n_steps - 3
+    assert known.prob.sum() == pytest.approx(1.0, abs=1e-12)
+    assert np.isfinite(known.mean).all()
+    assert np.isfinite(known.cov).all()
+    np.testing.assert_allclose(known.cov, known.cov.swapaxes(-1, -2), rtol=0, atol=1e-12 * np.abs(known.cov).max())
+    assert np.linalg.eigvalsh(known.cov).min() >= -1e-12 * np.abs(known.cov).max()
+    position_m, cov_m2 = present_position(known)
+    assert np.isfinite(position_m).all()
+    assert np.linalg.eigvalsh(cov_m2).min() > 0

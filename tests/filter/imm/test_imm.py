@@ -1,0 +1,363 @@
+# ruff: noqa: N803, N806 - the letters of the equations
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from filterpy.kalman import IMMEstimator, KalmanFilter
+from filterpy.kalman import update as filterpy_update
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import multivariate_normal
+
+from pdr_filter.filter.imm.imm import (
+    check_transition_prob,
+    combine,
+    mix,
+    mixed_values,
+    predict,
+    smoothed_mode_prob,
+    update,
+    update_mode_prob,
+)
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def random_cov(rng: np.random.Generator, n: int, size: int = 1) -> np.ndarray:
+    root = rng.normal(size=(size, n, n))
+    return root @ root.transpose(0, 2, 1) + 0.1 * np.eye(n)
+
+
+def random_modes(seed: int, n_modes: int = 4, n: int = 3) -> tuple[np.ndarray, ...]:
+    """Means, covariances, mode probabilities, transition matrix."""
+    rng = np.random.default_rng(seed)
+    prob = rng.dirichlet(np.ones(n_modes))
+    return rng.normal(size=(n_modes, n)), random_cov(rng, n, n_modes), prob, rng.dirichlet(np.ones(n_modes), n_modes)
+
+
+# --- filterpy -------------------------------------------------------------------------------------------------------
+
+# Constant velocity in two dimensions with noise levels; the transition matrix is not symmetric, so that a
+# transposed one is found out.
+TRANSITIONS = {
+    2: np.array([[0.95, 0.05], [0.2, 0.8]]),
+    3: np.array([[0.9, 0.08, 0.02], [0.1, 0.85, 0.05], [0.3, 0.1, 0.6]]),
+}
+NOISE_LEVELS = (0.01, 1.0, 25.0)
+F = np.eye(4) + np.eye(4, k=2)
+H = np.eye(2, 4)
+R = np.array([[1.0, 0.2], [0.2, 0.7]])
+G = np.vstack([0.5 * np.eye(2), np.eye(2)])
+
+
+@pytest.mark.parametrize("n_modes", [2, 3])
+def test_a_hundred_steps_agree_with_filterpy(n_modes: int) -> None:
+    rng = np.random.default_rng(n_modes)
+    M = TRANSITIONS[n_modes]
+    Q = np.stack([q * G @ G.T for q in NOISE_LEVELS[:n_modes]])
+    mode_prob = np.full(n_modes, 1.0 / n_modes)
+    mean, cov = np.zeros((n_modes, 4)), np.tile(10.0 * np.eye(4), (n_modes, 1, 1))
+    filters = []
+    for j in range(n_modes):
+        kalman = KalmanFilter(dim_x=4, dim_z=2)
+        kalman.x, kalman.P = mean[j].copy(), cov[j].copy()
+        kalman.F, kalman.H, kalman.R, kalman.Q = F, H, R, Q[j]
+        filters.append(kalman)
+    oracle = IMMEstimator(filters, mode_prob.copy(), M)
+
+    truth = np.zeros(4)
+    visited = set()
+    for k in range(100):
+        truth = F @ truth + np.sqrt(NOISE_LEVELS[k // 20 % n_modes]) * G @ rng.normal(size=2)
+        z = H @ truth + rng.multivariate_normal(np.zeros(2), R)
+        mean, cov, mode_prob = mix(mean, cov, mode_prob, M)
+        mean, cov = predict(mean, cov, np.tile(F, (n_modes, 1, 1)), Q)
+        mean, cov, log_likelihood, _ = update(mean, cov, z, H, R)
+        mode_prob = update_mode_prob(mode_prob, log_likelihood)
+        x, P = combine(mean, cov, mode_prob)
+        oracle.predict()
+        oracle.update(z)
+        np.testing.assert_allclose(mode_prob, oracle.mu, atol=1e-9)
+        np.testing.assert_allclose(x, oracle.x, atol=1e-9)
+        np.testing.assert_allclose(P, oracle.P, atol=1e-9)
+        for j, kalman in enumerate(filters):
+            np.testing.assert_allclose(mean[j], kalman.x, atol=1e-9)
+            np.testing.assert_allclose(cov[j], kalman.P, atol=1e-9)
+        visited.add(int(mode_prob.argmax()))
+    assert len(visited) > 1  # a problem on which nothing switches would prove little
+
+
+@settings(max_examples=50, deadline=None)
+@given(seed=SEEDS, n=st.integers(1, 5), d=st.integers(1, 3))
+def test_the_update_is_the_kalman_update(seed: int, n: int, d: int) -> None:
+    rng = np.random.default_rng(seed)
+    mean, cov = rng.normal(size=(3, n)), random_cov(rng, n, 3)
+    H_, [R_], z = rng.normal(size=(d, n)), random_cov(rng, d), rng.normal(size=d)
+    updated_mean, updated_cov, log_likelihood, nis = update(mean, cov, z, H_, R_)
+    for j in range(3):
+        S = H_ @ cov[j] @ H_.T + R_
+        K = cov[j] @ H_.T @ np.linalg.inv(S)
+        y = z - H_ @ mean[j]
+        np.testing.assert_allclose(updated_mean[j], mean[j] + K @ y, atol=1e-9)
+        np.testing.assert_allclose(updated_cov[j], (np.eye(n) - K @ H_) @ cov[j], atol=1e-9)
+        assert log_likelihood[j] == pytest.approx(multivariate_normal(H_ @ mean[j], S).logpdf(z), abs=1e-8)
+        assert nis[j] == pytest.approx(y @ np.linalg.inv(S) @ y, abs=1e-8)
+        # its log likelihood is no oracle: it is taken about the updated mean
+        x, P, *_ = filterpy_update(mean[j], cov[j], z, R_, H_, return_all=True)
+        np.testing.assert_allclose(updated_mean[j], x, atol=1e-9)
+        np.testing.assert_allclose(updated_cov[j], P, atol=1e-9)
+
+
+def test_a_thousand_precise_updates_leave_the_covariance_symmetric_and_positive() -> None:
+    rng = np.random.default_rng(0)
+    mean, cov = np.zeros((1, 4)), np.tile(np.diag([1e6, 1e6, 1.0, 1e-4]), (1, 1, 1))
+    for _ in range(1000):
+        H_ = rng.normal(size=(2, 4))
+        mean, cov, _, _ = update(mean, cov, rng.normal(size=2), H_, 1e-8 * np.eye(2))
+        cov = cov + 1e-12 * np.eye(4)
+        np.testing.assert_allclose(cov[0], cov[0].T, atol=1e-12)
+        assert np.linalg.eigvalsh(0.5 * (cov[0] + cov[0].T)).min() >= 0
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=SEEDS)
+def test_the_linear_prediction_is_that_of_each_mode(seed: int) -> None:
+    mean, cov, _, _ = random_modes(seed)
+    rng = np.random.default_rng(seed)
+    F_, Q = rng.normal(size=(4, 3, 3)), random_cov(rng, 3, 4)
+    predicted_mean, predicted_cov = predict(mean, cov, F_, Q)
+    for j in range(4):
+        np.testing.assert_allclose(predicted_mean[j], F_[j] @ mean[j], atol=1e-12)
+        np.testing.assert_allclose(predicted_cov[j], F_[j] @ cov[j] @ F_[j].T + Q[j], atol=1e-12)
+
+
+# --- mode probabilities ---------------------------------------------------------------------------------------------
+
+
+def test_two_modes_without_evidence_decay_to_the_stationary_probabilities_in_closed_form() -> None:
+    a, b = 0.1, 0.3  # leaving mode 0, leaving mode 1
+    M = np.array([[1 - a, a], [b, 1 - b]])
+    prob = np.array([1.0, 0.0])
+    mean, cov = np.zeros((2, 1)), np.ones((2, 1, 1))
+    for k in range(1, 20):
+        mean, cov, prob = mix(mean, cov, prob, M)
+        prob = update_mode_prob(prob, np.zeros(2))
+        expected = b / (a + b) + (1 - b / (a + b)) * (1 - a - b) ** k
+        np.testing.assert_allclose(prob, [expected, 1 - expected], atol=1e-12)
+
+
+def test_the_transition_matrix_is_read_from_row_to_column() -> None:
+    M = np.array([[0.6, 0.4], [0.0, 1.0]])  # mode 1 is never left
+    _, _, predicted = mix(np.zeros((2, 1)), np.ones((2, 1, 1)), np.array([0.5, 0.5]), M)
+    np.testing.assert_allclose(predicted, [0.3, 0.7])
+
+
+def test_mode_probabilities_follow_bayes() -> None:
+    prob = update_mode_prob(np.array([0.5, 0.3, 0.2]), np.log([0.1, 0.2, 0.4]))
+    np.testing.assert_allclose(prob, np.array([0.05, 0.06, 0.08]) / 0.19)
+
+
+@given(seed=SEEDS, offset=st.sampled_from([0.0, -1e6, 1e6, 3.0]))
+def test_equal_log_likelihoods_leave_mode_probabilities_unchanged(seed: int, offset: float) -> None:
+    prior = np.random.default_rng(seed).dirichlet(np.ones(5))
+    np.testing.assert_allclose(update_mode_prob(prior, np.full(5, offset)), prior, atol=1e-9)
+
+
+@given(seed=SEEDS, offset=st.sampled_from([-1e6, -1e4, 1e6]))
+def test_only_differences_of_log_likelihoods_matter(seed: int, offset: float) -> None:
+    rng = np.random.default_rng(seed)
+    prior, log_likelihood = rng.dirichlet(np.ones(4)), 10 * rng.normal(size=4)
+    shifted = update_mode_prob(prior, log_likelihood + offset)
+    np.testing.assert_allclose(shifted, update_mode_prob(prior, log_likelihood), atol=1e-8)
+    assert shifted.sum() == pytest.approx(1.0)
+
+
+def test_a_mode_of_probability_zero_stays_at_zero_without_a_warning() -> None:
+    prob = update_mode_prob(np.array([0.0, 0.4, 0.6]), np.array([50.0, -1.0, -1.0]))
+    np.testing.assert_allclose(prob, [0.0, 0.4, 0.6])
+    assert prob[0] == 0.0
+
+
+@pytest.mark.parametrize(
+    "log_likelihood",
+    [np.array([np.nan, 0.0]), np.full(2, np.nan), np.full(2, -np.inf), np.array([np.inf, 0.0])],
+    ids=["one nan", "all nan", "all impossible", "infinite"],
+)
+def test_evidence_that_says_nothing_leaves_the_prediction(log_likelihood: np.ndarray) -> None:
+    prior = np.array([0.7, 0.3])
+    np.testing.assert_array_equal(update_mode_prob(prior, log_likelihood), prior)
+
+
+def test_evidence_against_the_only_possible_mode_leaves_the_prediction() -> None:
+    prior = np.array([1.0, 0.0])
+    np.testing.assert_array_equal(update_mode_prob(prior, np.array([-np.inf, 0.0])), prior)
+
+
+# --- mixing and combining -------------------------------------------------------------------------------------------
+
+
+def literal_mix(mean: np.ndarray, cov: np.ndarray, prob: np.ndarray, M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Blom and Bar-Shalom as loops."""
+    n_modes, n = mean.shape
+    mixed_mean, mixed_cov = np.zeros((n_modes, n)), np.zeros((n_modes, n, n))
+    for j in range(n_modes):
+        c_j = sum(M[i, j] * prob[i] for i in range(n_modes))
+        for i in range(n_modes):
+            mixed_mean[j] += M[i, j] * prob[i] / c_j * mean[i]
+        for i in range(n_modes):
+            y = mean[i] - mixed_mean[j]
+            mixed_cov[j] += M[i, j] * prob[i] / c_j * (cov[i] + np.outer(y, y))
+    return mixed_mean, mixed_cov
+
+
+@settings(max_examples=50, deadline=None)
+@given(seed=SEEDS, n_modes=st.integers(2, 6))
+def test_mixing_equals_its_equations_written_as_loops(seed: int, n_modes: int) -> None:
+    mean, cov, prob, M = random_modes(seed, n_modes)
+    mixed_mean, mixed_cov, predicted = mix(mean, cov, prob, M)
+    expected_mean, expected_cov = literal_mix(mean, cov, prob, M)
+    np.testing.assert_allclose(mixed_mean, expected_mean, atol=1e-10)
+    np.testing.assert_allclose(mixed_cov, expected_cov, atol=1e-10)
+    np.testing.assert_allclose(predicted, prob @ M, atol=1e-14)
+
+
+@settings(max_examples=50, deadline=None)
+@given(seed=SEEDS, n_modes=st.integers(1, 6))
+def test_mixing_keeps_the_combined_mean_and_covariance(seed: int, n_modes: int) -> None:
+    """The law of total expectation and of total covariance."""
+    mean, cov, prob, M = random_modes(seed, n_modes)
+    before = combine(mean, cov, prob)
+    after = combine(*mix(mean, cov, prob, M))
+    np.testing.assert_allclose(after[0], before[0], atol=1e-10)
+    np.testing.assert_allclose(after[1], before[1], atol=1e-10)
+
+
+def test_combining_gives_the_moments_of_the_mixture() -> None:
+    x, P = combine(np.array([[0.0], [2.0]]), np.array([[[1.0]], [[3.0]]]), np.array([0.25, 0.75]))
+    assert x == pytest.approx([1.5])
+    assert P[0, 0] == pytest.approx(0.25 * (1 + 1.5**2) + 0.75 * (3 + 0.5**2))
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=SEEDS)
+def test_naming_the_modes_in_another_order_changes_nothing_else(seed: int) -> None:
+    mean, cov, prob, M = random_modes(seed)
+    order = np.random.default_rng(seed).permutation(4)
+    straight = mix(mean, cov, prob, M)
+    permuted = mix(mean[order], cov[order], prob[order], M[np.ix_(order, order)])
+    for a, b in zip(permuted, straight, strict=True):
+        np.testing.assert_allclose(a, b[order], atol=1e-10)
+    for a, b in zip(combine(mean[order], cov[order], prob[order]), combine(mean, cov, prob), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-10)
+
+
+def test_a_mode_that_cannot_be_reached_keeps_its_own_estimate() -> None:
+    mean, cov, _, _ = random_modes(1, 3)
+    M = np.array([[0.5, 0.5, 0.0], [0.5, 0.5, 0.0], [0.0, 0.0, 1.0]])
+    mixed_mean, mixed_cov, predicted = mix(mean, cov, np.array([0.4, 0.6, 0.0]), M)
+    np.testing.assert_array_equal(mixed_mean[2], mean[2])
+    np.testing.assert_allclose(mixed_cov[2], cov[2], atol=1e-14)
+    assert predicted[2] == 0.0
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=SEEDS, n_modes=st.integers(1, 5))
+def test_values_are_mixed_as_means_are(seed: int, n_modes: int) -> None:
+    mean, cov, prob, M = random_modes(seed, n_modes)
+    np.testing.assert_allclose(mixed_values(mean[:, 0], prob, M), mix(mean, cov, prob, M)[0][:, 0], atol=1e-12)
+    two = np.stack([mean[:, 0], mean[:, 1]]), np.stack([prob, prob[::-1]])
+    for k in range(2):
+        np.testing.assert_allclose(mixed_values(*two, M)[k], mixed_values(two[0][k], two[1][k], M), atol=1e-12)
+
+
+def test_no_function_modifies_its_input() -> None:
+    mean, cov, prob, M = random_modes(0, 3, 4)
+    copies = [a.copy() for a in (mean, cov, prob, M)]
+    mix(mean, cov, prob, M)
+    update(mean, cov, np.ones(2), H, R)
+    update_mode_prob(prob, np.array([1.0, np.nan, 2.0]))
+    combine(mean, cov, prob)
+    for array, copy in zip((mean, cov, prob, M), copies, strict=True):
+        np.testing.assert_array_equal(array, copy)
+
+
+# --- checks ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_good_transition_matrix_passes() -> None:
+    check_transition_prob(TRANSITIONS[3], 3)
+
+
+@pytest.mark.parametrize(
+    ("transition_prob", "message"),
+    [
+        (TRANSITIONS[3].T, "transpose"),
+        (np.array([[1.1, -0.1], [0.5, 0.5]]), "rows"),
+        (np.array([[np.nan, 1.0], [0.5, 0.5]]), "rows"),
+        (np.ones((1, 2)) / 2, "must be"),
+        (np.eye(4), "must be"),
+    ],
+    ids=["transposed", "negative", "nan", "not square", "too many"],
+)
+def test_a_wrong_transition_matrix_is_refused(transition_prob: np.ndarray, message: str) -> None:
+    n_modes = 2 if transition_prob.shape != (3, 3) else 3
+    with pytest.raises(ValueError, match=message):
+        check_transition_prob(transition_prob, n_modes)
+
+
+# --- many pedestrians at once -----------------------------------------------------------------------------------------
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=SEEDS, n_pedestrians=st.integers(1, 5))
+def test_many_pedestrians_at_once_are_filtered_as_if_each_were_alone(seed: int, n_pedestrians: int) -> None:
+    rng = np.random.default_rng(seed)
+    each = [random_modes(int(s)) for s in rng.integers(0, 2**32 - 1, n_pedestrians)]
+    mean, cov, prob = (np.stack([e[k] for e in each]) for k in range(3))
+    M = each[0][3]
+    F_, Q = rng.normal(size=(4, 3, 3)), random_cov(rng, 3, 4)
+    H_, z, R_ = rng.normal(size=(2, 3)), rng.normal(size=(n_pedestrians, 2)), random_cov(rng, 2, n_pedestrians)
+
+    def cycle(mean: np.ndarray, cov: np.ndarray, prob: np.ndarray, z: np.ndarray, R_: np.ndarray) -> list[np.ndarray]:
+        mean, cov, prob = mix(mean, cov, prob, M)
+        mean, cov = predict(mean, cov, F_, Q)
+        mean, cov, log_likelihood, nis = update(mean, cov, z, H_, R_)
+        prob = update_mode_prob(prob, log_likelihood)
+        return [mean, cov, prob, nis, *combine(mean, cov, prob)]
+
+    together = cycle(mean, cov, prob, z, R_)
+    for k in range(n_pedestrians):
+        for all_of_them, alone in zip(together, cycle(mean[k], cov[k], prob[k], z[k], R_[k]), strict=True):
+            np.testing.assert_allclose(all_of_them[k], alone, atol=1e-10)
+
+
+def test_evidence_that_says_nothing_of_one_pedestrian_is_still_used_for_the_others() -> None:
+    prob = np.array([[0.3, 0.7], [0.3, 0.7], [1.0, 0.0]])
+    evidence = np.array([[np.nan, 0.0], [np.log(7.0), np.log(3.0)], [-np.inf, 0.0]])
+    np.testing.assert_allclose(update_mode_prob(prob, evidence), [[0.3, 0.7], [0.5, 0.5], [1.0, 0.0]])
+
+
+def test_smoothed_mode_probabilities_are_those_of_the_exact_forward_backward_algorithm() -> None:
+    rng = np.random.default_rng(5)
+    n_steps, lag = 30, 4
+    T, log_likelihood = rng.dirichlet(np.ones(3), 3), rng.normal(scale=2.0, size=(n_steps, 3))
+    filtered, mu = [], np.full(3, 1 / 3)
+    for likelihood in np.exp(log_likelihood):
+        mu = (mu @ T) * likelihood
+        mu = mu / mu.sum()
+        filtered.append(mu)
+    lagged = smoothed_mode_prob(np.array(filtered), T, lag)
+    for k in range(n_steps):
+        # all sequences of modes from k on, summed by their probability
+        beta = np.ones(3)
+        for later in range(min(k + lag, n_steps - 1), k, -1):
+            beta = T @ (np.exp(log_likelihood[later]) * beta)
+        expected = filtered[k] * beta
+        np.testing.assert_allclose(lagged[k], expected / expected.sum(), atol=1e-12)
+    np.testing.assert_array_equal(smoothed_mode_prob(np.array(filtered), T, 0), filtered)
+
+
+def test_a_negative_lag_is_refused_and_no_steps_stay_none() -> None:
+    with pytest.raises(ValueError, match="lag must be 0 steps or more, got -1"):
+        smoothed_mode_prob(np.ones((2, 1)), np.ones((1, 1)), -1)
+    assert smoothed_mode_prob(np.empty((0, 2)), np.eye(2), 3).shape == (0, 2)

@@ -1,0 +1,170 @@
+"""A heading that is lost while no samples come: the turn of the track is open again, and fixes close it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import cut_randomly
+from scipy.stats import chi2
+
+import pdr_filter as pdr
+from pdr_filter import recipes
+from pdr_filter.simulate import Leg, simulate
+from pdr_filter.values import HeadingFix, PositionFix
+from pdr_filter.values.recording import Recording, Samples
+
+# Nothing is recorded while the person turns by 2.2 rad.
+GAP_BEGIN_S, GAP_END_S = 97.0, 102.0
+FIX_STD_M = 2.0
+FAR_M = np.array([80.0, -60.0])
+
+
+def in_gap(time_s: np.ndarray) -> np.ndarray:
+    return (time_s > GAP_BEGIN_S) & (time_s < GAP_END_S)
+
+
+@pytest.fixture(scope="module")
+def whole() -> Recording:
+    legs = [Leg("walking", distance_m=70.0, turn_rad=turn) for turn in (0.0, 1.2, 2.2, 0.3)]
+    return simulate(legs, seed=5, name="walk")
+
+
+def without(whole: Recording, is_lost: Callable[[np.ndarray], np.ndarray]) -> Recording:
+    """Without the samples of some times."""
+    left = {}
+    for name in ("accelerometer", "gyroscope", "magnetometer"):
+        samples = getattr(whole, name)
+        keep = ~is_lost(samples.time_s)
+        left[name] = Samples(samples.time_s[keep], samples.values[keep])
+    return replace(whole, **left)
+
+
+@pytest.fixture(scope="module")
+def walk(whole: Recording) -> Recording:
+    return without(whole, in_gap)
+
+
+def truth_m(walk: Recording, times: np.ndarray) -> np.ndarray:
+    truth = walk.truth.position
+    return np.column_stack([np.interp(times, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
+
+
+def fixes_of(walk: Recording) -> list[PositionFix]:
+    """One in twelve seconds, none near the gap."""
+    times = np.arange(3.0, walk.duration_s - 4.0, 12.0)
+    errors = np.random.default_rng(2).normal(scale=FIX_STD_M, size=(len(times), 2))
+    places = truth_m(walk, times) + errors
+    return [PositionFix(float(t), place, FIX_STD_M**2 * np.eye(2)) for t, place in zip(times, places, strict=True)]
+
+
+def tracked(walk: Recording, fixes: list[PositionFix | HeadingFix], weighting: str = "imm") -> pdr.Track:
+    return pdr.track(walk, recipes.default(walk.subject).in_world_frame(), weighting, fixes=fixes)
+
+
+def nees(walk: Recording, time_s: np.ndarray, position_m: np.ndarray, cov_m2: np.ndarray) -> np.ndarray:
+    error = position_m - truth_m(walk, time_s)
+    return np.einsum("ka,kab,kb->k", error, np.linalg.inv(cov_m2), error)
+
+
+@pytest.mark.parametrize("weighting", ["imm", "wc"])
+def test_fixes_after_a_lost_heading_turn_the_track_and_it_stays_inside_its_ellipse(
+    walk: Recording, weighting: str
+) -> None:
+    track = tracked(walk, [*fixes_of(walk)], weighting)
+    after = [fix.outcome for fix in track.fixes if fix.time_s > GAP_END_S]
+    assert after[0] == "turned"
+    assert "rejected" not in after
+    assert nees(walk, track.time_s, track.position_m, track.position_cov_m2).max() < chi2.isf(1e-3, 2)
+    error_m = np.linalg.norm(track.position_m - truth_m(walk, track.time_s), axis=1)
+    assert error_m[track.time_s > GAP_END_S + 40.0].max() < 8.0
+
+
+def test_a_heading_fix_after_a_lost_heading_turns_the_track_at_once(walk: Recording) -> None:
+    heading = HeadingFix(108.0, 3.4, 0.1)
+    track = tracked(walk, sorted([*fixes_of(walk), heading], key=lambda fix: fix.time_s))
+    assert next(fix.outcome for fix in track.fixes if fix.time_s == heading.time_s) == "used"
+    soon = (track.time_s > 108.0) & (track.time_s < 125.0)
+    error_m = np.linalg.norm(track.position_m - truth_m(walk, track.time_s), axis=1)
+    assert error_m[soon].max() < 12.0
+    assert nees(walk, track.time_s, track.position_m, track.position_cov_m2).max() < chi2.isf(1e-3, 2)
+
+
+def test_hindsight_turns_what_was_walked_before_the_fixes_that_close_the_turn(walk: Recording) -> None:
+    found = pdr.smooth(walk, fixes_of(walk)).track
+    error_m = np.linalg.norm(found.position_m - truth_m(walk, found.time_s), axis=1)
+    assert error_m.max() < 6.0
+    assert nees(walk, found.time_s, found.position_m, found.position_cov_m2).max() < chi2.isf(1e-3, 2)
+
+
+def test_a_turn_that_is_open_again_does_not_depend_on_how_samples_are_cut(walk: Recording) -> None:
+    config = recipes.default(walk.subject).in_world_frame()
+    tracks = []
+    for seed in (None, 1, 2):
+        online = pdr.OnlineFilter(config)
+        for fix in fixes_of(walk):
+            online.add_fix(fix)
+        block = pdr.merge_streams(walk)
+        updates = []
+        for part in [block] if seed is None else cut_randomly(block, seed):
+            updates += online.push(
+                part.time_s, part.specific_force_mps2, part.angular_rate_radps, part.magnetic_field_ut
+            )
+            if seed == 2:
+                online = pdr.OnlineFilter.load(online.save()) if len(updates) % 50 == 7 else online
+        updates += online.finish()
+        tracks.append(np.array([u.position_m for u in updates]).tobytes())
+    assert tracks[0] == tracks[1] == tracks[2]
+
+
+def with_wrong(fixes: list[PositionFix], begin_s: float, end_s: float) -> list[PositionFix]:
+    """Fixes of which those between two times are 100 m off."""
+    return [replace(fix, position_m=fix.position_m + FAR_M * (begin_s < fix.time_s < end_s)) for fix in fixes]
+
+
+def test_one_wrong_fix_after_a_lost_heading_does_not_take_the_track_with_it(walk: Recording) -> None:
+    track = tracked(walk, [*with_wrong(fixes_of(walk), GAP_END_S, GAP_END_S + 12.0)])
+    after = [fix.outcome for fix in track.fixes if fix.time_s > GAP_END_S]
+    assert after[0] == "rejected"
+    assert "rejected" not in after[1:]
+    assert nees(walk, track.time_s, track.position_m, track.position_cov_m2).max() < chi2.isf(1e-3, 2)
+
+
+def test_fixes_that_contradict_the_place_of_a_lost_heading_for_long_move_the_track_and_it_says_so(
+    walk: Recording,
+) -> None:
+    track = tracked(walk, [*with_wrong(fixes_of(walk), GAP_END_S, np.inf)])
+    moved = next(fix.time_s for fix in track.fixes if fix.outcome == "moved")
+    assert moved > GAP_END_S + 60.0
+    (note,) = (note for note in track.notes if "moved it by" in note)
+    assert "," not in note.partition("moved it by ")[2].partition(" m")[0]  # once
+    error_m = np.linalg.norm(track.position_m - truth_m(walk, track.time_s) - FAR_M, axis=1)
+    assert error_m[track.time_s > moved + 2.0].max() < 20.0
+
+
+def test_a_fix_at_the_begin_of_a_gap_says_little_of_the_place_at_its_end(whole: Recording) -> None:
+    walk = without(whole, lambda time_s: (time_s > 97.0) & (time_s < 117.0))
+    fixes = [fix for fix in fixes_of(walk) if fix.time_s < 97.0]
+    late = PositionFix(99.0, truth_m(walk, np.array([99.0]))[0], FIX_STD_M**2 * np.eye(2))
+    track = tracked(walk, [*fixes, late])
+    first = int(np.searchsorted(track.time_s, 117.0))
+    std_m = np.sqrt(np.linalg.eigvalsh(track.position_cov_m2[first])[0])
+    assert 12.0 < std_m < 25.0  # 18 s at a metre a second
+    known = tracked(walk, [*fixes, replace(late, time_s=116.9, position_m=truth_m(walk, np.array([116.9]))[0])])
+    assert np.sqrt(np.linalg.eigvalsh(known.position_cov_m2[first])[0]) < 5.0
+
+
+def test_a_gyroscope_that_dies_behind_the_fixes_leaves_the_walk_inside_the_ellipse(whole: Recording) -> None:
+    assert whole.gyroscope is not None
+    turning, dies_s = whole.gyroscope, 60.0
+    stuck = turning.values.copy()
+    stuck[turning.time_s > dies_s, 2] = 0.1
+    broken = replace(whole, gyroscope=Samples(turning.time_s, stuck))
+    before, later = ([f for f in fixes_of(whole) if (f.time_s < dies_s) is is_before] for is_before in (True, False))
+    for fixes in (before, [*before, *later[1::2]]):
+        track = tracked(broken, fixes)
+        off = track.time_s > dies_s + 5.0
+        squared = nees(whole, track.time_s[off], track.position_m[off], track.position_cov_m2[off])
+        assert (squared < chi2.ppf(0.99, 2)).mean() > 0.97

@@ -1,0 +1,206 @@
+"""Modes beyond one for each context: of a carrying mode, of irregular motion, several of one context."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import a_step, even_transitions, updates_of
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pdr_filter.filter.imm.imm_tracker import ImmState, ImmTracker
+from pdr_filter.filter.imm.modes import context_transitions
+from pdr_filter.filter.imm.motion_model import IRREGULAR, Mode, MotionNoise
+from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
+from pdr_filter.filter.imm.pedestrian_state import StepUpdate
+from pdr_filter.filter.imm.weighting import ModeEvidence, carrying_log_evidence
+from pdr_filter.filter.step_length.models import known_length
+from pdr_filter.sensing.contexts.context_stage import CARRYING_STAY_PROB, WindowContext, follow_mode
+from pdr_filter.values import CARRYING_MODES, CONTEXTS
+
+PRIOR = np.full(6, 1 / 6)
+WALKING = CONTEXTS.index("walking")
+SURE_OF_WALKING = np.where(np.arange(6) == WALKING, 0.95, 0.01)
+LENGTH = known_length(0.7, 0.05)
+
+
+def a_window(time_s: float, carrying: np.ndarray | None = None, irregular_prob: float = 0.0) -> WindowContext:
+    carrying = np.full(5, 0.2) if carrying is None else carrying
+    return WindowContext(time_s, SURE_OF_WALKING, PRIOR, carrying, irregular_prob=irregular_prob)
+
+
+def walked(tracker: ImmTracker, windows: list[WindowContext]) -> tuple[ImmState, list[StepUpdate]]:
+    """Two steps with each window."""
+    state, updates = tracker.init(), []
+    for window in windows:
+        state, _ = updates_of(tracker.on_window(state, window))
+        for part in (0.5, 0.0):
+            state, found = updates_of(tracker.on_step(state, a_step(window.time_s - part)))
+            updates += found
+    return state, updates
+
+
+# --- where the phone is ---------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 1000), unknown=st.integers(0, 2))
+def test_the_evidence_of_a_window_for_a_carrying_mode_is_what_the_classifier_said_of_it_alone(
+    seed: int, unknown: int
+) -> None:
+    """`follow_mode` multiplies the prediction by (window / prior)^exponent: that factor comes out again."""
+    rng = np.random.default_rng(seed)
+    known = np.arange(5) >= unknown
+    prior = np.where(known, 1.0, 0.0) / known.sum()
+    before = np.where(known, rng.dirichlet(np.ones(5)), 0.0)
+    before /= before.sum()
+    window = np.where(known, rng.dirichlet(np.ones(5)), 0.0)
+    after = follow_mode(before, window, prior, CARRYING_STAY_PROB, 0.5)
+    evidence = carrying_log_evidence(after, before, 1)
+    expected = 0.5 * np.log(np.maximum(window[known], 1e-9) / prior[known])
+    np.testing.assert_allclose(np.diff(evidence[known]), np.diff(expected), atol=1e-9)
+    np.testing.assert_array_equal(evidence[~known], 0.0)
+
+
+def test_a_mode_of_a_carrying_mode_has_the_probability_of_it() -> None:
+    """The chain of the filter is that of the classifier here: the same transitions, the same evidence."""
+    pair = tuple(Mode(c, "walking", LENGTH, carrying_mode=c) for c in ("texting", "swinging"))
+    stay = CARRYING_STAY_PROB
+    tracker = ImmTracker(PedestrianModel(pair, even_transitions(2, stay)))
+    rng = np.random.default_rng(3)
+    prior = np.isin(CARRYING_MODES, ["texting", "swinging"]) / 2
+    carrying, state = prior, tracker.init()
+    index = [CARRYING_MODES.index(c) for c in ("texting", "swinging")]
+    for k in range(40):
+        said = np.zeros(5)
+        said[index] = rng.dirichlet([1.0, 1.0])
+        carrying = follow_mode(carrying, said, prior, stay, 0.5)
+        state, _ = updates_of(tracker.on_window(state, a_window(2.0 + k, carrying)))
+        state, [update] = updates_of(tracker.on_step(state, a_step(2.0 + k)))
+        np.testing.assert_allclose(update.mode_prob, carrying[index], atol=1e-9)
+
+
+def test_a_gap_is_no_time_for_the_carrying_mode() -> None:
+    """The classifier keeps its probabilities over a gap, and what it kept is no evidence once more."""
+    pair = tuple(Mode(c, "walking", LENGTH, carrying_mode=c) for c in ("texting", "pocket"))
+    tracker = ImmTracker(PedestrianModel(pair, even_transitions(2, CARRYING_STAY_PROB)))
+    even = np.isin(CARRYING_MODES, ["texting", "pocket"]) / 2
+    said = np.where(np.array(CARRYING_MODES) == "texting", 0.8, 0.2) * (even > 0)
+    state, _ = walked(tracker, [a_window(2.0, said)])
+    state, _ = updates_of(tracker.on_gap(state, 60.0))
+    # a window that says nothing: only the transition
+    kept = follow_mode(said, even, even, CARRYING_STAY_PROB, 0.5)
+    state, _ = updates_of(tracker.on_window(state, a_window(63.0, kept)))
+    before = state.pedestrian.prob
+    state, [update] = updates_of(tracker.on_step(state, a_step(63.0)))
+    np.testing.assert_allclose(update.mode_prob, before @ tracker.model.transition_prob, atol=1e-9)
+
+
+def test_several_windows_without_a_step_say_together_what_the_classifier_says_after_them() -> None:
+    pair = tuple(Mode(c, "walking", LENGTH, carrying_mode=c) for c in ("texting", "pocket"))
+    index = [CARRYING_MODES.index(c) for c in ("texting", "pocket")]
+    even = np.isin(CARRYING_MODES, ["texting", "pocket"]) / 2
+    said = np.where(np.array(CARRYING_MODES) == "texting", 0.8, 0.2) * (even > 0)
+    tracker = ImmTracker(PedestrianModel(pair, np.eye(2)))
+    state, updates = walked(tracker, [a_window(2.0, said)])
+    before, carrying = updates[-1].mode_prob, said
+    for k in range(3):  # windows that say nothing: the classifier forgets, three windows long
+        carrying = follow_mode(carrying, even, even, CARRYING_STAY_PROB, 0.5)
+        state, _ = updates_of(tracker.on_window(state, a_window(3.0 + k, carrying)))
+    _, [update] = updates_of(tracker.on_step(state, a_step(5.0)))
+    np.testing.assert_allclose(update.mode_prob, before, atol=1e-9)
+    assert carrying[index[0]] < 0.78
+
+
+def test_windows_without_a_step_count_for_the_carrying_mode_too() -> None:
+    pair = tuple(Mode(c, "walking", LENGTH, carrying_mode=c) for c in ("texting", "pocket"))
+    tracker = ImmTracker(PedestrianModel(pair, np.eye(2)))
+    even = np.isin(CARRYING_MODES, ["texting", "pocket"]) / 2
+    put_away = np.where(np.array(CARRYING_MODES) == "pocket", 0.98, 0.005)
+    state, _ = walked(tracker, [a_window(2.0, even)])
+    for k in range(3):  # nobody steps while the phone is put away
+        state, _ = updates_of(tracker.on_window(state, a_window(3.0 + k, put_away)))
+    _, [update] = updates_of(tracker.on_step(state, a_step(5.0)))
+    assert update.mode_prob[1] > 0.95
+
+
+def test_without_a_carrying_mode_of_their_own_modes_do_not_depend_on_it() -> None:
+    modes = (Mode("walk", "walking", LENGTH), Mode("run", "running", known_length(1.0, 0.1)))
+    rng = np.random.default_rng(0)
+    windows = [a_window(2.0 + k) for k in range(5)]
+    told = [replace(w, carrying_prob=rng.dirichlet(np.ones(5))) for w in windows]
+    tracker = ImmTracker(PedestrianModel(modes, even_transitions(2, 0.9)))
+    one, two = (walked(tracker, w)[1][-1] for w in (windows, told))
+    np.testing.assert_array_equal(one.mode_prob, two.mode_prob)
+
+
+# --- irregular motion -----------------------------------------------------------------------------------------------
+
+
+def with_irregular() -> ImmTracker:
+    # a long step of its own, which must not matter
+    modes = (Mode("walk", "walking", LENGTH), Mode("handling", IRREGULAR, known_length(5.0, 0.02)))
+    return ImmTracker(PedestrianModel(modes, even_transitions(2, 0.9)))
+
+
+def test_in_irregular_motion_an_irregular_mode_takes_over_and_moves_nowhere() -> None:
+    tracker = with_irregular()
+    _, updates = walked(tracker, [a_window(2.0 + k, irregular_prob=0.97) for k in range(10)])
+    # a step without a window of its own follows the transitions, which leave one time in ten
+    assert updates[-1].mode_prob[1] > 0.85
+    assert updates[-1].step_length_m < 0.1
+    assert np.linalg.norm(updates[-1].position_m - updates[-9].position_m) < 8 * 0.1
+
+
+def test_in_regular_motion_an_irregular_mode_hardly_shortens_the_way() -> None:
+    _, updates = walked(with_irregular(), [a_window(2.0 + k, irregular_prob=0.01) for k in range(10)])
+    assert updates[-1].mode_prob[0] > 0.85
+    assert updates[-1].step_length_m == pytest.approx(0.7, abs=0.1)
+
+
+def test_an_irregular_probability_that_is_not_a_number_says_nothing() -> None:
+    _, updates = walked(with_irregular(), [a_window(2.0 + k, irregular_prob=np.nan) for k in range(5)])
+    assert np.isfinite(updates[-1].mode_prob).all()
+    # half and half, as the gate would say if it knew nothing
+    _, even = walked(with_irregular(), [a_window(2.0 + k, irregular_prob=0.5) for k in range(5)])
+    np.testing.assert_array_equal(updates[-1].mode_prob, even[-1].mode_prob)
+
+
+def test_before_the_first_window_contexts_are_those_of_the_modes_that_have_one() -> None:
+    tracker = with_irregular()
+    _, [update] = updates_of(tracker.on_step(tracker.init(), a_step(1.0)))
+    assert update.context_prob[WALKING] == 1.0
+
+
+def test_without_an_irregular_mode_the_gate_does_not_change_the_evidence() -> None:
+    evidence = ModeEvidence(("walking", "running"), (None, None), 1.0, 0.2, 0.01)
+    one, two = (evidence.of(a_window(2.0, irregular_prob=p), None, 1) for p in (0.0, 0.9))
+    np.testing.assert_array_equal(one, two)
+
+
+# --- several modes of a context -------------------------------------------------------------------------------------
+
+
+def test_two_modes_of_one_context_share_its_evidence_and_fixes_tell_them_apart() -> None:
+    from pdr_filter.values import PositionFix
+
+    modes = (Mode("short", "walking", known_length(0.5, 0.02)), Mode("long", "walking", known_length(0.9, 0.02)))
+    noise = MotionNoise(log_scale_std=0.02)
+    tracker = ImmTracker(PedestrianModel(modes, even_transitions(2, 0.99), noise=noise))
+    state, updates = walked(tracker, [a_window(2.0 + k) for k in range(5)])
+    np.testing.assert_allclose(updates[-1].mode_prob, 0.5, atol=1e-12)
+    north_m = 0.9 * len(updates)
+    state, _, _ = tracker.on_fix(state, PositionFix(6.0, np.array([0.0, north_m]), 0.04 * np.eye(2)))
+    assert state.pedestrian.prob[1] > 0.99
+
+
+def test_stays_are_those_of_the_terrain_labels_and_the_long_run_is_mostly_level() -> None:
+    transitions = context_transitions()
+    np.testing.assert_allclose(transitions.sum(axis=1), 1.0)
+    stays = dict(zip(CONTEXTS, 1 / (1 - transitions.diagonal()), strict=True))
+    assert 10 < stays["downstairs"] < stays["upstairs"] < 13  # flights of 5.8 and 6.6 s
+    assert 50 < stays["walking"] < 60  # 33 s
+    long_run = np.linalg.matrix_power(transitions, 1000)[0]
+    assert long_run[CONTEXTS.index("walking")] > 0.7

@@ -1,0 +1,467 @@
+# ruff: noqa: N806 - the letters of the equations
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+from helpers import a_step
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import approx_fprime
+
+from pdr_filter.filter.imm.motion_model import (
+    EAST,
+    HEADING_OFFSET,
+    LOG_SCALE,
+    MAX_HEADING_VARIANCE,
+    NORTH,
+    Directions,
+    Mode,
+    MotionNoise,
+    advance,
+    expect_first_direction,
+    grow_over_gap,
+    initial_estimate,
+    predict_heading,
+    second_order_errors,
+    update_heading,
+)
+from pdr_filter.filter.step_length.models import FrequencyVarianceStepLength, StepLengthFit, known_length
+from pdr_filter.values import HeadingDrift, Step
+
+STILL = MotionNoise(HeadingDrift(random_walk_rad_per_sqrt_s=0.0), log_scale_drift_per_sqrt_step=0.0)
+NO_COV = np.zeros((1, 4, 4))
+
+
+def walking(offset_rad: Sequence[float], heading_var_rad2: Sequence[float]) -> Directions:
+    """Modes with these offsets and scatters of directions, and nothing else."""
+    none = np.zeros(len(offset_rad))
+    return Directions(np.asarray(offset_rad), np.asarray(heading_var_rad2), none, none)
+
+
+def advance_one(
+    mean: np.ndarray,
+    cov: np.ndarray = NO_COV[0],
+    step: Step | None = None,
+    *,
+    length_m: float = 0.7,
+    length_var_m2: float = 0.0,
+    offset_rad: float = 0.0,
+    heading_var_rad2: float = 0.0,
+    noise: MotionNoise = STILL,
+) -> tuple[np.ndarray, np.ndarray]:
+    """`predict_heading` and `advance` for a single mode."""
+    step, directions = step or a_step(), walking([offset_rad], [heading_var_rad2])
+    drifted = predict_heading(cov[None], step, step.duration_s, directions, noise)
+    moved = advance(
+        np.asarray(mean, dtype=float)[None],
+        drifted,
+        step,
+        np.array([length_m]),
+        np.array([length_var_m2]),
+        directions,
+        noise,
+    )
+    return moved.mean[0], moved.cov[0]
+
+
+# --- where a step leads ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("heading_rad", "east_m", "north_m"),
+    [(0.0, 0.0, 0.7), (np.pi / 2, 0.7, 0.0), (np.pi, 0.0, -0.7), (-np.pi / 2, -0.7, 0.0), (2.5 * np.pi, 0.7, 0.0)],
+    ids=["north", "east", "south", "west", "unwrapped east"],
+)
+def test_a_step_goes_where_the_heading_points(heading_rad: float, east_m: float, north_m: float) -> None:
+    mean, _ = advance_one(np.array([3.0, -4.0, 0.0, 0.0]), step=a_step(heading_rad=heading_rad))
+    np.testing.assert_allclose(mean, [3.0 + east_m, -4.0 + north_m, 0.0, 0.0], atol=1e-12)
+
+
+def test_a_step_to_the_right_while_facing_north_goes_east() -> None:
+    mean, _ = advance_one(np.zeros(4), offset_rad=np.pi / 2)
+    np.testing.assert_allclose(mean[:2], [0.7, 0.0], atol=1e-12)
+
+
+def test_device_heading_state_offset_and_the_offset_of_the_mode_add_up() -> None:
+    mean, _ = advance_one(np.array([0.0, 0.0, 0.2, 0.0]), step=a_step(heading_rad=0.3), offset_rad=0.4)
+    np.testing.assert_allclose(mean[:2], [0.7 * np.sin(0.9), 0.7 * np.cos(0.9)])
+
+
+def test_the_scale_multiplies_the_length() -> None:
+    mean, _ = advance_one(np.array([0.0, 0.0, 0.0, np.log(1.1)]))
+    assert mean[NORTH] == pytest.approx(0.77)
+
+
+# --- how unsure it is -----------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    state=st.tuples(st.floats(-50, 50), st.floats(-50, 50), st.floats(-3, 3), st.floats(-0.3, 0.3)),
+    heading_rad=st.floats(-7, 7),
+    length_m=st.floats(0, 1.5),
+    offset_rad=st.sampled_from([0.0, np.pi / 2, -0.4]),
+)
+def test_the_jacobian_equals_finite_differences(
+    state: tuple[float, ...], heading_rad: float, length_m: float, offset_rad: float
+) -> None:
+    x, step = np.array(state), a_step(heading_rad=heading_rad)
+
+    def moved(mean: np.ndarray) -> np.ndarray:
+        return advance_one(mean, step=step, length_m=length_m, offset_rad=offset_rad)[0]
+
+    J = approx_fprime(x, moved, 1e-6)
+    root = np.random.default_rng(0).normal(size=(4, 4)) / 5
+    P = root @ root.T
+    _, cov = advance_one(x, P, step, length_m=length_m, offset_rad=offset_rad)
+    np.testing.assert_allclose(cov, J @ P @ J.T, atol=1e-4)
+
+
+@pytest.mark.parametrize("heading_rad", [0.0, 0.8, -2.0])
+def test_length_noise_lies_along_and_heading_noise_across_the_step(heading_rad: float) -> None:
+    _, cov = advance_one(
+        np.array([0.0, 0.0, 0.0, np.log(2.0)]),
+        step=a_step(heading_rad=heading_rad),
+        length_m=0.7,
+        length_var_m2=0.05**2,
+        heading_var_rad2=0.1**2,
+    )
+    along = np.array([np.sin(heading_rad), np.cos(heading_rad)])
+    across = np.array([np.cos(heading_rad), -np.sin(heading_rad)])
+    P = cov[:2, :2]
+    assert along @ P @ along == pytest.approx((2 * 0.05) ** 2)
+    assert across @ P @ across == pytest.approx((2 * 0.7 * 0.1) ** 2)
+    assert along @ P @ across == pytest.approx(0.0, abs=1e-15)
+    np.testing.assert_allclose(cov[2:, :], 0.0)
+
+
+def test_a_step_in_a_turn_may_lead_in_any_direction_of_the_turn() -> None:
+    step = replace(a_step(heading_rad=0.8, duration_s=0.5), turn_rate_radps=0.4)
+    _, cov = advance_one(np.zeros(4), step=step, length_m=0.7)
+    directions = 0.8 + np.linspace(-0.1, 0.1, 10001)
+    ends = 0.7 * np.column_stack([np.sin(directions), np.cos(directions)])
+    np.testing.assert_allclose(cov[:2, :2], np.cov(ends.T), rtol=0.01, atol=1e-5)
+    whirled = replace(step, turn_rate_radps=40.0)
+    _, cov = advance_one(np.zeros(4), step=whirled, length_m=0.7)
+    assert np.trace(cov[:2, :2]) == pytest.approx(0.7**2 * np.pi**2 / 12)
+
+
+def test_n_equal_steps_add_up_in_closed_form() -> None:
+    """Straight north: independent errors grow with n, those of the common heading and scale with n squared."""
+    n, length, var_l, var_psi, var_h, var_s = 50, 0.7, 0.06**2, 0.1**2, 0.15**2, 0.08**2
+    mean, cov = np.zeros(4), np.diag([0.0, 0.0, var_h, var_s])
+    for _ in range(n):
+        mean, cov = advance_one(mean, cov, length_m=length, length_var_m2=var_l, heading_var_rad2=var_psi)
+    assert mean[NORTH] == pytest.approx(n * length)
+    assert cov[NORTH, NORTH] == pytest.approx(n * var_l + (n * length) ** 2 * var_s)
+    assert cov[EAST, EAST] == pytest.approx(n * length**2 * var_psi + (n * length) ** 2 * var_h)
+    assert cov[EAST, HEADING_OFFSET] == pytest.approx(n * length * var_h)
+    assert cov[NORTH, LOG_SCALE] == pytest.approx(n * length * var_s)
+
+
+def test_heading_and_scale_drift_with_time_and_steps() -> None:
+    noise = MotionNoise(HeadingDrift(random_walk_rad_per_sqrt_s=0.02), log_scale_drift_per_sqrt_step=0.003)
+    _, cov = advance_one(np.zeros(4), step=a_step(duration_s=0.5), noise=noise)
+    assert cov[HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(0.02**2 * 0.5)
+    assert cov[LOG_SCALE, LOG_SCALE] == pytest.approx(0.003**2)
+
+
+def test_the_spread_of_people_is_never_less_known_than_at_the_start() -> None:
+    noise = MotionNoise(log_scale_std=0.08, log_scale_drift_per_sqrt_step=0.01)
+    mean, cov = initial_estimate(noise)
+    for _ in range(300):
+        mean, cov = advance_one(mean, cov, noise=noise)
+        assert cov[LOG_SCALE, LOG_SCALE] == pytest.approx(0.08**2)
+
+
+def test_what_was_learnt_of_the_scale_is_forgotten_towards_the_spread_of_people() -> None:
+    noise = MotionNoise(log_scale_std=0.08, log_scale_drift_per_sqrt_step=0.01)
+    memory = 1 - 0.01**2 / 0.08**2  # of the variance, a step
+    mean, cov = np.array([0.0, 0.0, 0.0, 0.1]), np.zeros((4, 4))
+    for _ in range(100):
+        mean, cov = advance_one(mean, cov, noise=noise)
+    assert mean[LOG_SCALE] == pytest.approx(0.1 * memory**50)
+    assert cov[LOG_SCALE, LOG_SCALE] == pytest.approx(0.08**2 * (1 - memory**100))
+
+
+def test_a_scale_that_is_known_stays_known() -> None:
+    noise = MotionNoise(log_scale_std=0.0)
+    mean, cov = advance_one(np.array([0.0, 0.0, 0.0, 0.1]), noise=noise)
+    assert mean[LOG_SCALE] == 0.1 and cov[LOG_SCALE, LOG_SCALE] == 0.0
+
+
+def test_the_drift_and_the_noise_of_a_mode_come_on_top() -> None:
+    mode = Mode(
+        "bag", "walking", known_length(0.7, 0.0), heading_std_rad=0.0, carrying_mode="bag",
+        heading_drift_rad_per_sqrt_s=0.3, extra_noise_m=0.2,
+    )  # fmt: skip
+    step, directions = a_step(duration_s=0.5), Directions.of([mode])
+    drifted = predict_heading(NO_COV, step, 0.5, directions, STILL)
+    np.testing.assert_allclose(drifted[0], np.diag([0.0, 0.0, 0.09 * 0.5, 0.0]), atol=1e-15)
+    cov = advance(np.zeros((1, 4)), NO_COV, step, np.array([0.7]), np.zeros(1), directions, STILL).cov
+    np.testing.assert_allclose(cov[0], np.diag([0.04, 0.04, 0.0, 0.0]), atol=1e-15)
+
+
+def test_without_angular_rate_the_heading_is_lost_but_never_more_than_a_uniform_one() -> None:
+    noise = MotionNoise()
+    step = a_step(duration_s=0.5, heading_unknown_s=0.5)
+    _, cov = advance_one(np.zeros(4), step=step, noise=noise)
+    assert cov[HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(noise.heading_drift.unknown_rad_per_sqrt_s**2 * 0.5)
+    mean = np.zeros(4)
+    for _ in range(100):
+        mean, cov = advance_one(mean, cov, step, noise=noise)
+        assert cov[HEADING_OFFSET, HEADING_OFFSET] <= MAX_HEADING_VARIANCE * (1 + 1e-12)
+        assert np.linalg.eigvalsh(cov).min() > -1e-9
+    assert cov[HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(np.pi**2 / 3)
+
+
+def test_every_mode_moves_on_its_own() -> None:
+    rng = np.random.default_rng(0)
+    mean, root = rng.normal(size=(3, 4)), rng.normal(size=(3, 4, 4)) / 5
+    cov = root @ root.transpose(0, 2, 1)
+    length, var_l, offset, var_h = rng.uniform(0.1, 1, (4, 3))
+    copies = mean.copy(), cov.copy()
+    step = a_step(heading_rad=0.4)
+    moved = advance(mean, cov, step, length, var_l, walking(offset, var_h), STILL)
+    for j in range(3):
+        alone = advance_one(
+            mean[j],
+            cov[j],
+            step,
+            length_m=length[j],
+            length_var_m2=var_l[j],
+            offset_rad=offset[j],
+            heading_var_rad2=var_h[j],
+        )
+        np.testing.assert_allclose(moved.mean[j], alone[0], atol=1e-12)
+        np.testing.assert_allclose(moved.cov[j], alone[1], atol=1e-12)
+    np.testing.assert_array_equal(mean, copies[0])
+    np.testing.assert_array_equal(cov, copies[1])
+
+
+@pytest.mark.parametrize("gap_s", [0.5, 2.0, 60.0])
+def test_a_gap_widens_the_position_by_the_way_that_may_have_been_walked(gap_s: float) -> None:
+    noise = MotionNoise(HeadingDrift(unknown_rad_per_sqrt_s=0.7), gap_speed_mps=1.2)
+    cov = np.tile(np.diag([1.0, 2.0, 0.01, 0.02]), (2, 1, 1))
+    grown = grow_over_gap(cov, gap_s, noise)
+    heading = min(0.01 + 0.7**2 * gap_s, np.pi**2 / 3)
+    walked = (1.2 * gap_s) ** 2
+    np.testing.assert_allclose(grown[1], np.diag([1.0 + walked, 2.0 + walked, heading, 0.02]))
+    np.testing.assert_array_equal(cov[0], np.diag([1.0, 2.0, 0.01, 0.02]))
+
+
+def test_the_filter_starts_at_the_origin_with_the_spread_of_people() -> None:
+    mean, cov = initial_estimate(MotionNoise(initial_heading_offset_std_rad=0.2, log_scale_std=0.1))
+    np.testing.assert_array_equal(mean, np.zeros(4))
+    np.testing.assert_allclose(cov, np.diag([0.0, 0.0, 0.04, 0.01]))
+
+
+# --- statistics -----------------------------------------------------------------------------------------------------
+
+
+def test_the_predicted_covariance_is_that_of_many_simulated_walks() -> None:
+    rng = np.random.default_rng(0)
+    n_walks, noise = 4000, MotionNoise()
+    mean, cov = initial_estimate(noise)
+    walks = rng.multivariate_normal(mean, cov, n_walks)
+    for k in range(40):
+        step = a_step(heading_rad=0.05 * k)
+        mean, cov = advance_one(mean, cov, step, length_var_m2=0.06**2, heading_var_rad2=0.1**2, noise=noise)
+        length = (0.7 + 0.06 * rng.normal(size=n_walks)) * np.exp(walks[:, 3])
+        psi = step.device_heading_rad + walks[:, 2] + 0.1 * rng.normal(size=n_walks)
+        walks[:, :2] += length[:, None] * np.column_stack([np.sin(psi), np.cos(psi)])
+        walks[:, 2] += (
+            noise.heading_drift.random_walk_rad_per_sqrt_s * np.sqrt(step.duration_s) * rng.normal(size=n_walks)
+        )
+        walks[:, 3] += noise.log_scale_drift_per_sqrt_step * rng.normal(size=n_walks)
+    error = (walks - mean)[:, :2]
+    nees = np.einsum("ni,ij,nj->n", error, np.linalg.inv(cov[:2, :2]), error)
+    assert nees.mean() == pytest.approx(2.0, rel=0.1)
+
+
+# --- step lengths ---------------------------------------------------------------------------------------------------
+
+
+def test_a_step_length_is_linear_in_frequency_and_variance_with_the_variance_of_its_parameters() -> None:
+    theta_cov = np.array([[0.02, 0.001, 0.0], [0.001, 0.01, 0.0], [0.0, 0.0, 0.001]])
+    fit = StepLengthFit(FrequencyVarianceStepLength(max_variance=5.0), np.array([0.4, 0.2, -0.01]), theta_cov, 0.06)
+    for variance, used in [(3.0, 3.0), (80.0, 5.0)]:
+        length_m, var_m2 = fit.predict(a_step(duration_s=0.5, variance=variance))
+        r = np.array([1.0, 2.0, used])
+        assert length_m == pytest.approx(0.4 + 0.2 * 2.0 - 0.01 * used)
+        assert var_m2 == pytest.approx(r @ theta_cov @ r + 0.06**2)
+
+
+def test_a_step_is_never_of_negative_length() -> None:
+    fit = StepLengthFit(FrequencyVarianceStepLength(), np.array([-1.0, 0.0, 0.0]), np.zeros((3, 3)), 0.0)
+    assert fit.predict(a_step())[0] == 0.0
+
+
+def test_a_known_length_does_not_depend_on_the_step() -> None:
+    fit = known_length(0.29, 0.05)
+    assert fit.predict(a_step(variance=1.0)) == fit.predict(a_step(variance=50.0, duration_s=0.3))
+    assert fit.predict(a_step()) == (pytest.approx(0.29), pytest.approx(0.0025))
+
+
+def test_parameters_of_the_wrong_shape_and_unknown_contexts_are_refused() -> None:
+    with pytest.raises(ValueError, match="theta"):
+        StepLengthFit(FrequencyVarianceStepLength(), np.zeros(2), np.zeros((3, 3)), 0.1)
+    with pytest.raises(ValueError, match="context of mode 'fly'"):
+        Mode("fly", "flying", known_length(1.0, 0.1))
+    with pytest.raises(ValueError, match=r"carrying_mode of mode 'walk'.*hat"):
+        Mode("walk", "walking", known_length(1.0, 0.1), carrying_mode="hat")
+    with pytest.raises(ValueError, match=r"extra_noise_m of Mode must be 0 or more .*, got -1"):
+        Mode("walk", "walking", known_length(1.0, 0.1), extra_noise_m=-1.0)
+    with pytest.raises(ValueError, match=r"heading_std_rad of Mode must be 0 or more .*, got nan"):
+        Mode("walk", "walking", known_length(1.0, 0.1), heading_std_rad=np.nan)
+
+
+@pytest.mark.parametrize(("heading_std", "scale_std"), [(0.1, 0.08), (0.5, 0.08), (1.8, 0.08), (0.5, 0.0), (0.0, 0.3)])
+def test_the_second_order_errors_are_those_of_normal_errors_of_heading_and_scale(
+    heading_std: float, scale_std: float
+) -> None:
+    rng = np.random.default_rng(0)
+    e, s = heading_std * rng.normal(size=1_000_000), scale_std * rng.normal(size=1_000_000)
+    along = np.sqrt(((np.exp(s) * np.cos(e) - 1 - s) ** 2).mean())
+    across = np.sqrt((((np.exp(s) - 1) * np.sin(e)) ** 2).mean())
+    assert second_order_errors(heading_std**2, scale_std**2) == pytest.approx((along, across), rel=0.02, abs=1e-12)
+
+
+def test_certain_headings_and_scales_have_no_second_order_error() -> None:
+    assert second_order_errors(0.0, 0.0) == (0.0, 0.0)
+
+
+def test_noise_and_fits_that_cannot_be_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"log_scale_std of MotionNoise must be 0 or more .*, got nan"):
+        MotionNoise(log_scale_std=np.nan)
+    with pytest.raises(ValueError, match=r"gap_speed_mps of MotionNoise must be 0 or more .*, got -1"):
+        MotionNoise(gap_speed_mps=-1.0)
+    with pytest.raises(ValueError, match="bias_correlation_s of HeadingDrift must be"):
+        HeadingDrift(bias_correlation_s=-1.0)
+    model = FrequencyVarianceStepLength()
+    for theta_cov in (-np.eye(3), np.eye(3) * np.nan, np.array([[1.0, 0.5, 0], [0, 1.0, 0], [0, 0, 1.0]])):
+        with pytest.raises(ValueError, match="theta_cov must be symmetric and not negative"):
+            StepLengthFit(model, np.ones(3), theta_cov, 0.1)
+    with pytest.raises(ValueError, match="theta and residual_std_m must be finite"):
+        StepLengthFit(model, np.array([1.0, np.nan, 0.0]), np.eye(3), 0.1)
+
+
+def test_the_heading_wanders_while_nobody_steps() -> None:
+    noise = MotionNoise()
+    step = a_step(duration_s=0.5)
+    rested = predict_heading(np.zeros((1, 4, 4)), step, 600.0, walking([0.0], [0.0]), noise)
+    assert rested[0, HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(
+        noise.heading_drift.random_walk_rad_per_sqrt_s**2 * 600
+    )
+
+
+# --- what samples show of the walking heading -----------------------------------------------------------------------
+
+
+def some_estimate(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """A mean and a covariance with correlations, for one mode."""
+    root = 0.2 * np.random.default_rng(seed).normal(size=(4, 4))
+    return np.array([[1.0, 2.0, 0.3, 0.05]]), (root @ root.T + 0.01 * np.eye(4))[None]
+
+
+def turned_by(angle_rad: float) -> np.ndarray:
+    """Clockwise rotation (2, 2) of vectors east, north."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, s], [-s, c]])
+
+
+def test_a_small_correction_of_the_heading_is_a_kalman_update() -> None:
+    mean, cov = some_estimate()
+    step = replace(a_step(heading_rad=1.0), walking_heading_rad=1.0 + 0.1 + 0.3 + 1e-4, walking_heading_std_rad=0.2)
+    updated, updated_cov = update_heading(mean, cov, step, 0.1)
+    oracle = KalmanFilter(dim_x=4, dim_z=1)
+    oracle.x, oracle.P, oracle.H = mean[0][:, None], cov[0], np.array([[0.0, 0.0, 1.0, 0.0]])
+    oracle.update(np.array([[0.3 + 1e-4]]), R=np.array([[0.04]]))
+    np.testing.assert_allclose(updated[0], oracle.x[:, 0], atol=1e-8)
+    np.testing.assert_allclose(updated_cov[0], oracle.P, atol=1e-4)
+
+
+def test_a_large_correction_of_the_heading_rotates_the_way_since_it_was_lost() -> None:
+    """Thirty steps with a heading that is off by a radian: the update leads where they would have led without."""
+    mean, cov = np.zeros((1, 4)), np.diag([0.0, 0.0, 1.0, 0.0])[None]
+    turns = np.linspace(0.0, 2.0, 30)
+    noise, directions = replace(STILL, log_scale_std=0.0), walking([0.0], [0.0])
+    for turn in turns:
+        step = a_step(heading_rad=float(turn))
+        _, mean, cov = advance(mean, cov, step, np.array([0.7]), np.zeros(1), directions, noise)
+    way = mean[0, :2].copy()
+    shown = replace(a_step(heading_rad=2.0), walking_heading_rad=2.0 + 1.3, walking_heading_std_rad=1e-6)
+    updated, updated_cov = update_heading(mean, cov, shown, 0.0)
+    np.testing.assert_allclose(updated[0, :2], turned_by(1.3) @ way, atol=1e-6)
+    assert np.linalg.eigvalsh(updated_cov[0]).min() > -1e-9
+
+
+def test_the_rotated_covariance_stays_valid_and_turns_with_the_way() -> None:
+    mean, cov = some_estimate(1)
+    step = replace(a_step(), walking_heading_rad=2.4, walking_heading_std_rad=0.5)
+    updated, updated_cov = update_heading(mean, cov, step, 0.0)
+    assert np.linalg.eigvalsh(updated_cov[0]).min() > 0
+    lever = cov[0, :2, HEADING_OFFSET] / cov[0, HEADING_OFFSET, HEADING_OFFSET]
+    after = updated_cov[0, :2, HEADING_OFFSET] / updated_cov[0, HEADING_OFFSET, HEADING_OFFSET]
+    correction = updated[0, HEADING_OFFSET] - mean[0, HEADING_OFFSET]
+    np.testing.assert_allclose(after, turned_by(float(correction)) @ lever, atol=1e-12)
+
+
+@pytest.mark.parametrize("turns", [-3, -1, 1, 2])
+def test_whole_turns_of_a_walking_heading_change_nothing(turns: int) -> None:
+    mean, cov = some_estimate()
+    step = replace(a_step(heading_rad=1.0), walking_heading_rad=1.5, walking_heading_std_rad=0.2)
+    turned = replace(step, walking_heading_rad=1.5 + 2 * np.pi * turns)
+    both = update_heading(mean, cov, step, 0.0), update_heading(mean, cov, turned, 0.0)
+    for once, again in zip(*both, strict=True):
+        np.testing.assert_allclose(once, again, atol=1e-12)
+
+
+def test_a_step_that_shows_no_direction_changes_nothing() -> None:
+    mean, cov = some_estimate()
+    updated, updated_cov = update_heading(mean, cov, a_step(), 0.0)
+    np.testing.assert_array_equal(updated, mean)
+    np.testing.assert_array_equal(updated_cov, cov)
+
+
+def test_a_phone_that_was_moved_forgets_its_heading_offset_as_far_as_it_was_moved() -> None:
+    _, cov = some_estimate()
+    step = replace(a_step(), offset_change_std_rad=0.7)
+    drifted = predict_heading(cov, step, 0.0, walking([0.0], [0.0]), STILL)
+    expected = cov[0, HEADING_OFFSET, HEADING_OFFSET] + 0.49
+    assert drifted[0, HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(expected)
+
+
+def test_a_heading_that_was_lost_long_ago_does_not_turn_what_was_walked_before() -> None:
+    """At the variance of a uniform heading the lever forgets: it keeps its length instead of growing without end."""
+    cov, step = np.zeros((1, 4, 4)), a_step(duration_s=0.5, heading_unknown_s=0.5)
+    directions, mean = walking([0.0], [0.0]), np.zeros((1, 4))
+    levers = list[float]()
+    for _ in range(60):
+        cov = predict_heading(cov, step, 0.5, directions, MotionNoise())
+        _, mean, cov = advance(mean, cov, step, np.array([0.7]), np.zeros(1), directions, MotionNoise())
+        levers.append(float(np.hypot(*cov[0, :2, HEADING_OFFSET])) / cov[0, HEADING_OFFSET, HEADING_OFFSET])
+    # each step forgets the share q / (pi^2 / 3 + q) of the lever, q = 0.5 rad2, and adds its own 0.7 m
+    assert levers[-1] == pytest.approx(0.7 * (1.0 + MAX_HEADING_VARIANCE / 0.5), rel=0.02)
+
+
+def test_the_first_direction_makes_the_steps_before_it_as_unsure_as_if_it_had_been_known_so_from_the_start() -> None:
+    begun = {}
+    for std in (STILL.initial_heading_offset_std_rad, 0.6):
+        mean, cov = initial_estimate(replace(STILL, initial_heading_offset_std_rad=std))
+        for heading in (0.0, 0.4, 1.0):
+            mean, cov = advance_one(mean, cov, a_step(heading_rad=heading), length_var_m2=0.01)
+        begun[std] = cov
+    first, expected = begun.values()
+    np.testing.assert_allclose(expect_first_direction(first[None], 0.6)[0], expected, atol=1e-12)
+
+
+def test_a_bias_of_the_gyroscope_makes_the_heading_less_known_by_its_variance_and_memory() -> None:
+    noise = replace(STILL, heading_drift=HeadingDrift(random_walk_rad_per_sqrt_s=0.0, bias_correlation_s=20.0))
+    step = replace(a_step(duration_s=0.5), yaw_bias_std_radps=0.01)
+    _, cov = advance_one(np.zeros(4), step=step, noise=noise)
+    assert cov[HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(2 * 20.0 * 0.01**2 * 0.5)

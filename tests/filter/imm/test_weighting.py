@@ -1,0 +1,151 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pdr_filter.filter.imm.weighting import HC, context_log_evidence, context_weights, weighted_distances
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def random_walk(seed: int, n_epochs: int = 30, concentration: float = 0.3) -> tuple[np.ndarray, np.ndarray]:
+    """Distances (K, 6) of each epoch and probabilities (K + 1, 6) of each window."""
+    rng = np.random.default_rng(seed)
+    return rng.uniform(0, 2, (n_epochs, 6)), rng.dirichlet(np.full(6, concentration), n_epochs + 1)
+
+
+def literal_algorithms(d: np.ndarray, context: np.ndarray, threshold: float | None) -> dict[str, list[float]]:
+    """Algorithms 1 (threshold None) and 2 of Martinelli et al. 2018, line by line; d[k] is epoch k + 1."""
+    n_epochs = len(d)
+    pd, final = {0: 0.0}, {0: 0.0}
+    total_final, total_provisional = {0: 0.0, -1: 0.0}, {0: 0.0}
+    for k in range(1, n_epochs + 2):  # epoch k uses window k - 1
+        probabilities = context[k - 1]
+        ordered = sorted(probabilities, reverse=True)
+        if threshold is None or ordered[1] / ordered[0] < threshold:
+            j = list(probabilities).index(ordered[0])  # eq. 19
+            weights = [1.0 if i == j else 0.0 for i in range(6)]  # eq. 20
+        else:
+            weights = list(probabilities)
+        if k <= n_epochs:
+            pd[k] = sum(d[k - 1][i] * weights[i] for i in range(6))
+        if k >= 2:
+            final[k - 1] = sum(d[k - 2][i] * weights[i] for i in range(6))
+            total_final[k - 1] = total_final[k - 2] + (final[k - 1] + pd[k - 1]) / 2
+        if k <= n_epochs:
+            total_provisional[k] = total_provisional[k - 1] + (final[k - 1] - pd[k - 1]) / 2 + pd[k]
+    columns = {
+        "provisional_m": pd,
+        "final_m": final,
+        "total_final_m": total_final,
+        "total_provisional_m": total_provisional,
+    }
+    return {name: [column[k] for k in range(1, n_epochs + 1)] for name, column in columns.items()}
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=SEEDS, threshold=st.sampled_from([None, 0.0, 0.3, 0.8, 1.0]), concentration=st.sampled_from([0.1, 1.0, 20]))
+def test_distances_equal_the_printed_algorithms(seed: int, threshold: float | None, concentration: float) -> None:
+    distance_m, context_prob = random_walk(seed, concentration=concentration)
+    ours = weighted_distances(distance_m, context_prob, HC if threshold is None else threshold)
+    for name, expected in literal_algorithms(distance_m, context_prob, threshold).items():
+        np.testing.assert_allclose(getattr(ours, name), expected, atol=1e-12, err_msg=name)
+
+
+@given(seed=SEEDS, threshold=st.sampled_from([HC, 0.0, 0.8]))
+def test_the_total_provisional_distance_is_the_total_final_one_plus_the_provisional_epoch(
+    seed: int, threshold: float
+) -> None:
+    found = weighted_distances(*random_walk(seed), threshold)
+    np.testing.assert_allclose(
+        found.total_final_m[:-1] + found.provisional_m[1:], found.total_provisional_m[1:], atol=1e-12
+    )
+
+
+@given(seed=SEEDS)
+def test_threshold_one_is_hc_and_threshold_zero_always_weights(seed: int) -> None:
+    distance_m, context_prob = random_walk(seed)
+    hc = weighted_distances(distance_m, context_prob, HC)
+    one = weighted_distances(distance_m, context_prob, 1.0)
+    zero = weighted_distances(distance_m, context_prob, 0.0)
+    np.testing.assert_array_equal(one.total_final_m, hc.total_final_m)
+    np.testing.assert_allclose(zero.provisional_m, (distance_m * context_prob[:-1]).sum(axis=1))
+    np.testing.assert_allclose(hc.provisional_m, distance_m[np.arange(30), context_prob[:-1].argmax(axis=1)])
+
+
+def test_weights_are_the_probabilities_from_the_threshold_on() -> None:
+    certain, at_threshold = np.array([0.6, 0.1, 0.3]), np.array([0.5, 0.4, 0.1])
+    np.testing.assert_array_equal(context_weights(certain, 0.8), [1, 0, 0])
+    np.testing.assert_array_equal(context_weights(at_threshold, 0.8), at_threshold)
+    np.testing.assert_array_equal(context_weights(at_threshold, 0.81), [1, 0, 0])
+
+
+def test_of_equal_probabilities_hc_takes_the_first_and_wc_both() -> None:
+    tie = np.array([0.1, 0.45, 0.45])
+    np.testing.assert_array_equal(context_weights(tie, HC), [0, 1, 0])
+    np.testing.assert_array_equal(context_weights(tie, 1.0), tie)
+    np.testing.assert_array_equal(context_weights(np.full(6, 1 / 6), HC), [1, 0, 0, 0, 0, 0])
+
+
+@given(seed=SEEDS, threshold=st.floats(0, 1))
+def test_weights_sum_to_one_and_leave_their_input_alone(seed: int, threshold: float) -> None:
+    prob = np.random.default_rng(seed).dirichlet(np.full(6, 0.5))
+    before = prob.copy()
+    weights = context_weights(prob, threshold)
+    assert weights.sum() == pytest.approx(1.0)
+    weights = weights + 1  # what is returned may be the input: it is not written to
+    np.testing.assert_array_equal(prob, before)
+
+
+def test_a_sure_context_gives_its_own_distance() -> None:
+    distance_m = np.random.default_rng(0).uniform(0, 2, (10, 6))
+    sure = np.tile(np.eye(6)[3], (11, 1))
+    for threshold in (HC, 0.8, 0.0):
+        found = weighted_distances(distance_m, sure, threshold)
+        np.testing.assert_allclose(found.total_final_m, distance_m[:, 3].cumsum())
+        np.testing.assert_allclose(found.total_provisional_m, distance_m[:, 3].cumsum())
+
+
+def test_window_zero_must_be_given() -> None:
+    with pytest.raises(ValueError, match="window 0"):
+        weighted_distances(np.zeros((5, 6)), np.full((5, 6), 1 / 6), 0.8)
+
+
+# --- evidence -------------------------------------------------------------------------------------------------------
+
+
+def test_evidence_is_the_tempered_ratio_of_posterior_and_prior() -> None:
+    prob, prior = np.array([0.7, 0.2, 0.1]), np.array([0.5, 0.25, 0.25])
+    evidence = context_log_evidence(prob, prior, exponent=0.5, floor=0.01)
+    np.testing.assert_allclose(evidence, 0.5 * np.log([1.4, 0.8, 0.4]))
+
+
+def test_the_prior_exponent_says_how_far_the_prior_is_divided_out() -> None:
+    prob, prior = np.array([0.7, 0.2, 0.1]), np.array([0.5, 0.25, 0.25])
+    half, none = (context_log_evidence(prob, prior, 0.25, 0.01, prior_exponent=e) for e in (0.5, 0.0))
+    np.testing.assert_allclose(half, 0.25 * np.log(prob / np.sqrt(prior)))
+    np.testing.assert_allclose(none, 0.25 * np.log(prob))
+
+
+def test_a_classifier_that_says_its_prior_says_nothing() -> None:
+    prior = np.array([0.6, 0.3, 0.1])
+    np.testing.assert_allclose(context_log_evidence(prior, prior, 0.5, 0.01), 0.0, atol=1e-15)
+
+
+def test_two_overlapping_windows_of_exponent_one_half_count_as_one() -> None:
+    prob, prior = np.array([0.7, 0.2, 0.1]), np.array([0.4, 0.3, 0.3])
+    twice = 2 * context_log_evidence(prob, prior, 0.5, 0.01)
+    np.testing.assert_allclose(twice, context_log_evidence(prob, prior, 1.0, 0.01))
+
+
+def test_the_floor_keeps_one_overconfident_window_from_ruling_a_context_out() -> None:
+    evidence = context_log_evidence(np.array([1.0, 0.0]), np.array([0.5, 0.5]), 1.0, 0.01)
+    np.testing.assert_allclose(evidence, np.log([2.0, 0.02]))
+
+
+def test_a_context_that_the_classifier_never_saw_is_unlikely_but_not_impossible() -> None:
+    evidence = context_log_evidence(np.array([0.8, 0.2, 0.0]), np.array([0.5, 0.5, 0.0]), 1.0, 0.01)
+    np.testing.assert_allclose(evidence, np.log([1.6, 0.4, 0.03]))
+    assert np.isfinite(evidence).all()

@@ -1,0 +1,360 @@
+"""HC and WC as limits of the IMM, and what no evidence and no fix may do to its mode probabilities.
+
+The IMM's distance is that of HC or WC, exactly, where
+
+1. its evidence is what they weigh with: `evidence_exponent` 1, `prior_exponent` 0, a floor of nothing and
+   `step_log_odds_stationary` 0; windows are the weights of HC (one for the highest context) or of WC;
+2. it has no memory: all rows of the transition matrix are even, so that every prediction is;
+3. every step has a window of its own. A window is evidence once, and a second step in it would have even probabilities;
+4. no fix has taught the person's scale: modes that move differently learn different ones.
+
+HC and WC weigh each step by two windows, the one that the step is in and the next. The IMM uses the one that it is in,
+so its total is that of the provisional distances, and that of the final ones where both windows agree.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import a_step, even_transitions, updates_of
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from pdr_filter.filter.imm import imm
+from pdr_filter.filter.imm.imm_tracker import ImmState, ImmTracker
+from pdr_filter.filter.imm.motion_model import Mode
+from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
+from pdr_filter.filter.imm.pedestrian_state import StepUpdate
+from pdr_filter.filter.imm.weighted_tracker import WeightedState, WeightedTracker
+from pdr_filter.filter.imm.weighting import HC, context_weights, weighted_distances
+from pdr_filter.filter.step_length.models import FrequencyVarianceStepLength, StepLengthFit
+from pdr_filter.sensing.contexts.context_stage import WindowContext
+from pdr_filter.values import CONTEXTS, PositionFix, Step
+
+N = len(CONTEXTS)
+SEEDS = st.integers(0, 2**32 - 1)
+THRESHOLDS = {"hc": HC, "wc": 0.8, "wc always": 0.0}
+
+
+def modes(sideways_rad: float = np.pi / 2) -> tuple[Mode, ...]:
+    """One mode for each context; lengths depend on the step, and no two are alike."""
+    theta = np.array([[0, 0, 0], [0.3, 0.2, 0.01], [0.2, 0.05, 0], [0.3, 0.1, 0], [0.4, 0, 0], [0.2, 0.3, 0.02]])
+    return tuple(
+        Mode(
+            context,
+            context,
+            StepLengthFit(FrequencyVarianceStepLength(), t, np.eye(3) * 1e-4, 0.05),
+            heading_offset_rad=sideways_rad if context == "sideways" else 0.0,
+        )
+        for context, t in zip(CONTEXTS, theta, strict=True)
+    )
+
+
+Tracker = ImmTracker | WeightedTracker
+State = ImmState | WeightedState
+
+
+def memoryless(sideways_rad: float = np.pi / 2, **changes: Any) -> ImmTracker:
+    model = PedestrianModel(
+        modes(sideways_rad),
+        np.full((N, N), 1 / N),
+        evidence_exponent=1.0,
+        prior_exponent=0.0,
+        evidence_floor=1e-300,
+        step_log_odds_stationary=0.0,
+    )
+    return ImmTracker(replace(model, **changes))
+
+
+def weighted(name: str, sideways_rad: float = np.pi / 2) -> WeightedTracker:
+    """The tracker of that weighting; transitions are no part of it."""
+    model = replace(memoryless(sideways_rad).model, transition_prob=even_transitions(N, 0.9))
+    return WeightedTracker(model, THRESHOLDS[name])
+
+
+def walk(seed: int, n_epochs: int, alike_in_pairs: bool = False) -> tuple[list[Step], list[np.ndarray]]:
+    """A step in each epoch, and probabilities of the windows that end at 2, 3, 4 s and so on, one more than epochs.
+
+    Epoch k goes from k to k + 1 s: its step is in window k - 1, that ends with it, and then comes window k. Where these
+    are alike in pairs, only every second epoch has a step.
+    """
+    rng = np.random.default_rng(seed)
+    steps = [
+        a_step(
+            k + rng.uniform(0.01, 0.99),
+            heading_rad=rng.normal(),
+            duration_s=rng.uniform(0.4, 0.8),
+            variance=rng.gamma(2.0),
+        )
+        for k in range(1, n_epochs + 1)
+    ]
+    prob = [rng.dirichlet(np.full(N, 0.5)) for _ in range(n_epochs + 1)]
+    # sometimes two contexts are as probable as each other: eq. 19 takes the first
+    for p in prob[:: max(n_epochs // 3, 1)]:
+        p[[1, 2]] = p[[1, 2]].mean()
+    if alike_in_pairs:
+        prob = [prob[k - k % 2] for k in range(len(prob))]
+        steps = steps[::2]
+    return steps, prob
+
+
+def windows_of(prob: list[np.ndarray], threshold: float | None = None) -> list[WindowContext]:
+    """Windows with these probabilities, or with the weights that HC or WC would give them; their prior is odd."""
+    prior = np.arange(1.0, N + 1) / np.arange(1.0, N + 1).sum()
+    said = prob if threshold is None else [context_weights(p, threshold) for p in prob]
+    return [WindowContext(2.0 + k, p, prior) for k, p in enumerate(said)]
+
+
+def run(tracker: Tracker, steps: list[Step], windows: list[WindowContext]) -> tuple[State, list[StepUpdate]]:
+    """Final updates; a step becomes known when its own window is."""
+    state, updates = tracker.init(), []
+    for _, _, event in sorted(
+        [*((w.time_s, 0, w) for w in windows), *((np.ceil(s.time_s), 1, s) for s in steps)], key=lambda e: e[:2]
+    ):
+        if isinstance(event, WindowContext):
+            state, found = updates_of(tracker.on_window(state, event))
+        else:
+            state, found = updates_of(tracker.on_step(state, event))
+        updates += found
+    state, found = updates_of(tracker.finish(state))
+    return state, [u for u in [*updates, *found] if u.is_final]
+
+
+def length_of(updates: list[StepUpdate]) -> np.ndarray:
+    return np.array([u.step_length_m for u in updates])
+
+
+def distances(steps: list[Step], n_epochs: int) -> np.ndarray:
+    """(K, N) distance of each epoch under each context."""
+    found = np.zeros((n_epochs, N))
+    for step in steps:
+        found[int(step.time_s) - 1] += [m.step_length.predict(step)[0] for m in modes()]
+    return found
+
+
+# --- the limits -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", THRESHOLDS)
+@pytest.mark.parametrize("seed", range(3))
+def test_without_memory_every_step_of_the_imm_has_the_provisional_distance_of_hc_and_wc(name: str, seed: int) -> None:
+    n_epochs = 60
+    steps, prob = walk(seed, n_epochs)
+    expected = weighted_distances(distances(steps, n_epochs), np.stack(prob), THRESHOLDS[name])
+    _, updates = run(memoryless(), steps, windows_of(prob, THRESHOLDS[name]))
+    np.testing.assert_allclose(length_of(updates), expected.provisional_m, atol=1e-12)
+    weights = np.stack([context_weights(p, THRESHOLDS[name]) for p in prob[:-1]])
+    np.testing.assert_allclose(np.stack([u.mode_prob for u in updates]), weights, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", THRESHOLDS)
+@pytest.mark.parametrize("seed", range(3))
+def test_where_both_windows_of_a_step_agree_the_imm_has_the_total_distance_of_hc_and_wc(name: str, seed: int) -> None:
+    n_epochs = 60
+    steps, prob = walk(seed, n_epochs, alike_in_pairs=True)
+    expected = weighted_distances(distances(steps, n_epochs), np.stack(prob), THRESHOLDS[name])
+    _, of_imm = run(memoryless(), steps, windows_of(prob, THRESHOLDS[name]))
+    _, of_weighting = run(weighted(name), steps, windows_of(prob))
+    assert length_of(of_imm).sum() == pytest.approx(expected.total_final_m[-1], abs=1e-11)
+    np.testing.assert_allclose(length_of(of_imm), length_of(of_weighting), atol=1e-12)
+
+
+def test_raw_probabilities_need_no_weighing_to_be_wc() -> None:
+    """Threshold 0 weighs always: the windows as the classifier gave them are the evidence."""
+    steps, prob = walk(5, 60)
+    expected = weighted_distances(distances(steps, 60), np.stack(prob), 0.0)
+    _, updates = run(memoryless(), steps, windows_of(prob))
+    np.testing.assert_allclose(length_of(updates), expected.provisional_m, atol=1e-12)
+
+
+def test_with_the_highest_context_the_whole_estimate_is_that_of_hc() -> None:
+    """One mode has all of the probability: where it leads, and how sure it is, is HC's, sideways included."""
+    steps, prob = walk(6, 60, alike_in_pairs=True)
+    state, of_imm = run(memoryless(), steps, windows_of(prob, HC))
+    other, of_hc = run(weighted("hc"), steps, windows_of(prob))
+    for a, b in zip(of_imm, of_hc, strict=True):
+        np.testing.assert_allclose(a.position_m, b.position_m, atol=1e-9)
+        np.testing.assert_allclose(a.position_cov_m2, b.position_cov_m2, atol=1e-9)
+    x, P = imm.combine(state.pedestrian.mean, state.pedestrian.cov, state.pedestrian.prob)  # noqa: N806
+    np.testing.assert_allclose(x, other.pedestrian.mean[0], atol=1e-9)
+    np.testing.assert_allclose(P, other.pedestrian.cov[0], atol=1e-9)
+
+
+def test_with_raw_probabilities_the_imm_is_where_wc_is_and_not_surer() -> None:
+    """Where all modes walk the same way. WC's one filter takes the mean length for the slope of the scale."""
+    steps, prob = walk(7, 60, alike_in_pairs=True)
+    _, of_imm = run(memoryless(0.0), steps, windows_of(prob))
+    _, of_wc = run(weighted("wc always", 0.0), steps, windows_of(prob))
+    for a, b in zip(of_imm, of_wc, strict=True):
+        np.testing.assert_allclose(a.position_m, b.position_m, atol=1e-9)
+        assert np.trace(a.position_cov_m2) >= np.trace(b.position_cov_m2) - 1e-12
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"evidence_exponent": 0.5},
+        {"prior_exponent": 1.0},
+        {"evidence_floor": 0.05},
+        {"step_log_odds_stationary": -1.9},
+        {"transition_prob": even_transitions(N, 0.9)},
+    ],
+)
+def test_each_of_the_conditions_is_needed(change: dict[str, object]) -> None:
+    steps, prob = walk(8, 60)
+    expected = weighted_distances(distances(steps, 60), np.stack(prob), 0.0)
+    _, updates = run(memoryless(**change), steps, windows_of(prob))
+    assert np.abs(length_of(updates) - expected.provisional_m).max() > 0.01
+
+
+def test_a_second_step_in_a_window_has_even_probabilities_without_memory() -> None:
+    tracker = memoryless()
+    state, _ = updates_of(tracker.on_window(tracker.init(), WindowContext(2.0, np.eye(N)[1], np.full(N, 1 / N))))
+    state, [first] = updates_of(tracker.on_step(state, a_step(1.3)))
+    _, [second] = updates_of(tracker.on_step(state, a_step(1.8)))
+    np.testing.assert_allclose(first.mode_prob, np.eye(N)[1], atol=1e-12)
+    np.testing.assert_allclose(second.mode_prob, 1 / N, atol=1e-12)
+
+
+# --- what mode probabilities survive ---------------------------------------------------------------------------------
+
+
+def with_mode_prob(state: ImmState, mode_prob: np.ndarray) -> ImmState:
+    return replace(state, pedestrian=replace(state.pedestrian, prob=mode_prob))
+
+
+def assert_sane(state: State) -> None:
+    assert np.isfinite(state.pedestrian.prob).all()
+    assert (state.pedestrian.prob >= 0).all()
+    assert state.pedestrian.prob.sum() == pytest.approx(1.0)
+    assert np.isfinite(state.pedestrian.mean).all()
+    assert np.isfinite(state.pedestrian.cov).all()
+    cov = state.pedestrian.cov
+    # rounding of the largest entry is all that an eigenvalue may be below zero
+    rounding = 1e-9 * np.abs(cov).max()
+    np.testing.assert_allclose(cov, cov.swapaxes(-1, -2), rtol=0, atol=rounding)
+    assert np.linalg.eigvalsh(cov).min() >= -rounding
+
+
+odd_log = st.one_of(st.floats(-1e308, 1e308), st.sampled_from([-np.inf, np.nan, 0.0, -800.0, -1e5]))
+
+
+@settings(max_examples=100, deadline=None)
+@given(seed=SEEDS, n_zero=st.integers(0, N - 1), log_likelihood=st.lists(odd_log, min_size=N, max_size=N))
+@example(seed=0, n_zero=0, log_likelihood=[-np.inf] * N)
+@example(seed=0, n_zero=5, log_likelihood=[-np.inf] * N)
+@example(seed=0, n_zero=0, log_likelihood=[np.nan] * N)
+@example(seed=0, n_zero=3, log_likelihood=[-1e308, 1e308, 0.0, 0.0, -1e308, 1e308])
+def test_no_evidence_makes_mode_probabilities_nan_or_brings_back_a_mode_without_prior(
+    seed: int, n_zero: int, log_likelihood: list[float]
+) -> None:
+    rng = np.random.default_rng(seed)
+    prior = rng.dirichlet(np.ones(N))
+    prior[:n_zero] = 0.0
+    prior /= prior.sum()
+    with np.errstate(over="ignore"):
+        found = imm.update_mode_prob(prior, np.array(log_likelihood))
+    assert np.isfinite(found).all()
+    assert (found[:n_zero] == 0).all()
+    assert found.sum() == pytest.approx(1.0)
+    if not np.isfinite(log_likelihood).any():
+        np.testing.assert_array_equal(found, prior)
+
+
+odd_prob = st.one_of(st.floats(0.0, 1.0), st.sampled_from([0.0, 1.0, np.nan, 1e-300, 5e-324]))
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    seed=SEEDS,
+    said=st.lists(st.lists(odd_prob, min_size=N, max_size=N), min_size=1, max_size=8),
+    exponent=st.sampled_from([0.5, 1.0, 1e4]),
+    floor=st.sampled_from([0.0, 1e-300, 0.01]),
+)
+@example(seed=0, said=[[0.0] * N], exponent=1.0, floor=0.0)
+@example(seed=0, said=[[np.nan] * N] * 3, exponent=0.5, floor=0.01)
+def test_windows_that_make_no_sense_leave_a_sane_state(
+    seed: int, said: list[list[float]], exponent: float, floor: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    tracker = memoryless(transition_prob=even_transitions(N, 0.9), evidence_exponent=exponent, evidence_floor=floor)
+    prior = np.where(rng.random(N) < 0.3, 0.0, 1.0)
+    state = tracker.init()
+    for k, prob in enumerate(said):
+        state, _ = updates_of(tracker.on_window(state, WindowContext(k + 1.0, np.array(prob), prior)))
+        with np.errstate(divide="ignore"):
+            state, [update] = updates_of(tracker.on_step(state, a_step(k + 0.7, heading_rad=rng.normal())))
+        assert_sane(state)
+        assert np.isfinite(update.position_m).all()
+
+
+def test_evidence_that_rules_out_every_mode_is_as_no_window() -> None:
+    tracker = memoryless(evidence_floor=0.0, transition_prob=even_transitions(N, 0.9))
+    for prob in (np.zeros(N), np.full(N, np.nan)):
+        state, _ = updates_of(tracker.on_window(tracker.init(), WindowContext(1.0, prob, np.full(N, 1 / N))))
+        with np.errstate(divide="ignore"):
+            _, [told] = updates_of(tracker.on_step(state, a_step(0.7)))
+        _, [untold] = updates_of(tracker.on_step(tracker.init(), a_step(0.7)))
+        np.testing.assert_allclose(told.mode_prob, untold.mode_prob, atol=1e-12)
+        np.testing.assert_allclose(told.position_m, untold.position_m, atol=1e-12)
+
+
+def test_a_mode_without_prior_comes_back_only_by_a_transition() -> None:
+    closed = np.array(even_transitions(N, 0.9))
+    closed[:, 5] = 0.0
+    closed /= closed.sum(axis=1, keepdims=True)
+    running = WindowContext(1.0, np.eye(N)[5], np.full(N, 1 / N))
+    for transitions, reachable in ((closed, False), (even_transitions(N, 0.9), True)):
+        tracker = memoryless(transition_prob=transitions)
+        state = with_mode_prob(tracker.init(), np.eye(N)[1])
+        state, _ = updates_of(tracker.on_window(state, running))
+        state, [update] = updates_of(tracker.on_step(state, a_step(0.7)))
+        assert_sane(state)
+        assert (update.mode_prob[5] > 0.99) == reachable
+        assert (update.mode_prob[5] > 0) == reachable
+
+
+def test_a_fix_a_thousand_kilometres_away_is_rejected_and_one_that_is_that_unsure_is_not() -> None:
+    steps, prob = walk(9, 20)
+    tracker = memoryless()
+    state, _ = run(tracker, steps, windows_of(prob))
+    far_m = np.array([1e6, -1e6])
+    rejected, outcome, nis = tracker.on_fix(state, PositionFix(20.0, far_m, np.eye(2)))
+    assert outcome == "rejected" and nis > 1e9
+    np.testing.assert_array_equal(rejected.pedestrian.prob, state.pedestrian.prob)
+    accepted, outcome, _ = tracker.on_fix(state, PositionFix(20.0, far_m, 1e12 * np.eye(2)))
+    assert outcome == "used"
+    assert_sane(accepted)
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    seed=SEEDS,
+    log10_away=st.floats(-3, 8),
+    log10_std=st.floats(-3, 7),
+    gap_s=st.one_of(st.just(0.0), st.floats(0.1, 1e6)),
+    n_zero=st.integers(0, N - 1),
+)
+def test_no_fix_wherever_it_is_leaves_anything_but_a_sane_state(
+    seed: int, log10_away: float, log10_std: float, gap_s: float, n_zero: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    tracker = memoryless(transition_prob=even_transitions(N, 0.9))
+    steps, prob = walk(seed, 10)
+    state, _ = run(tracker, steps, windows_of(prob))
+    mode_prob = np.where(np.arange(N) < n_zero, 0.0, rng.dirichlet(np.ones(N)) + 1e-6)
+    state = with_mode_prob(state, mode_prob / mode_prob.sum())
+    if gap_s:
+        state, _ = updates_of(tracker.on_gap(state, gap_s))
+    angle = rng.uniform(0, 2 * np.pi)
+    fix_m = 10**log10_away * np.array([np.sin(angle), np.cos(angle)])
+    for _ in range(2):
+        state, _, _ = tracker.on_fix(state, PositionFix(11.0, fix_m, 10 ** (2 * log10_std) * np.eye(2)))
+        assert_sane(state)
+        assert (state.pedestrian.prob[:n_zero] == 0).all()
+    state, [update] = updates_of(tracker.on_step(state, a_step(12.0 + gap_s)))
+    assert_sane(state)
+    assert np.isfinite(update.position_cov_m2).all()

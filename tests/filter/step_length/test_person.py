@@ -1,0 +1,200 @@
+"""The person's step length: learnt from fixes, pooled over walks, and known in the next recording."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers import cut_randomly
+from typer.testing import CliRunner
+
+import pdr_filter as pdr
+from pdr_filter import recipes
+from pdr_filter.cli.app import app
+from pdr_filter.filter.fixes.gnss import RADIUS_68, fixes_of
+from pdr_filter.filter.imm.motion_model import LOG_SCALE
+from pdr_filter.filter.imm.pedestrian_state import initial_state
+from pdr_filter.filter.step_length.models import RECORDING_STD, TYPICAL_STEP, length_and_jacobian, scale_std
+from pdr_filter.filter.step_length.person import Session, session_of
+from pdr_filter.simulate import Leg, simulate
+from pdr_filter.simulate.population import random_person
+from pdr_filter.values.recording import Recording, Subject
+
+HERE = pdr.Origin(48.137, 11.575)
+
+
+def walk_of(number: int, seed: int, minutes: float) -> Recording:
+    """A walk of somebody, whose height nobody knows."""
+    gait, carrying = random_person("texting", number)
+    n = int(minutes * 75 / 50)
+    turns = np.random.default_rng(seed).uniform(-1.5, 1.5, size=n)
+    legs = [Leg("walking", distance_m=50.0, turn_rad=turn) for turn in turns]
+    walk = simulate(legs, gait, carrying={"texting": carrying}, seed=seed, name=f"walk_{seed}")
+    return replace(walk, meta={**walk.meta, "subject": {}})
+
+
+def located(walk: Recording) -> Recording:
+    """With good locations, one a second."""
+    times, truth = np.arange(1.0, walk.duration_s), walk.truth.position
+    place_m = np.column_stack([np.interp(times, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
+    degrees = HERE.latitude_longitude_deg(place_m)
+    accuracy = np.full((len(times), 2), [520.0, 3.0 * RADIUS_68])
+    return replace(walk, location=pdr.Samples(times, np.column_stack([*degrees, accuracy])))
+
+
+def length_error(track: pdr.Track, walk: Recording) -> float:
+    truth, grid = walk.truth.position, np.arange(0.0, walk.duration_s, 0.5)
+    place_m = np.column_stack([np.interp(grid, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
+    return track.distance_m / np.linalg.norm(np.diff(place_m, axis=0), axis=1).sum() - 1.0
+
+
+@pytest.fixture(scope="module")
+def first() -> Recording:
+    return located(walk_of(NUMBER, 1, 5.0))
+
+
+@pytest.fixture(scope="module")
+def learnt(first: Recording) -> pdr.Person:
+    person = pdr.track(first).person
+    assert person is not None
+    return person
+
+
+# Somebody whose steps are a tenth longer than those of people of unknown height.
+NUMBER = 8
+
+
+def test_a_person_of_unknown_height_with_locations_does_better_in_the_next_recording(learnt: pdr.Person) -> None:
+    second = walk_of(NUMBER, 2, 2.0)
+    alone, known = (length_error(pdr.track(second, person=person), second) for person in (None, learnt))
+    assert abs(alone) > 0.08
+    assert abs(known) < 0.04
+    assert learnt.std < 0.04
+
+
+def test_without_fixes_nothing_is_learnt_and_what_was_known_stays(first: Recording, learnt: pdr.Person) -> None:
+    assert pdr.track(first, gnss="off").person is None
+    assert pdr.track(first, gnss="off", person=learnt).person == learnt
+
+
+def test_what_was_known_before_is_not_learnt_again(first: Recording, learnt: pdr.Person) -> None:
+    """The same walk, tracked with what it taught, teaches the same once more, and no more surely."""
+    again = pdr.track(first, person=learnt).person
+    assert again is not None and len(again.sessions) == 2
+    one, two = again.sessions
+    assert one == learnt.sessions[0]
+    assert two.step_length_m == pytest.approx(one.step_length_m, rel=0.02)
+    assert two.std > 0.7 * one.std
+
+
+@pytest.mark.parametrize("measurement_std", [0.01, 0.05, 0.15])
+def test_a_session_is_the_measurement_without_the_prior(measurement_std: float) -> None:
+    model, measured = recipes.default().model, 0.11
+    prior_var = model.noise.log_scale_std**2
+    gain = prior_var / (prior_var + measurement_std**2)
+    state = initial_state(model, np.ones(1))
+    mean, cov = state.mean.copy(), state.cov.copy()
+    mean[:, LOG_SCALE], cov[:, LOG_SCALE, LOG_SCALE] = gain * measured, (1 - gain) * prior_var
+    session = session_of(model, replace(state, mean=mean, cov=cov), 7)
+    fit = next(m for m in model.modes if m.context == "walking").step_length
+    usual_m = float(length_and_jacobian(fit.model, TYPICAL_STEP, fit.theta)[0])
+    assert session is not None
+    assert (session.std, session.n_fixes) == (pytest.approx(measurement_std), 7)
+    assert session.step_length_m == pytest.approx(usual_m * np.exp(measured))
+    assert session_of(model, state, 7) is None
+
+
+def test_walks_are_pooled_by_what_they_know_and_each_counts_once() -> None:
+    a, b = Session(0.70, 0.02, 40), Session(0.76, 0.05, 10)
+    pooled = pdr.Person((a,)).pooled(pdr.Person((b,)))
+    weights = [1 / (s.std**2 + RECORDING_STD**2) for s in (a, b)]
+    assert np.log(pooled.step_length_m) == pytest.approx(np.average(np.log([0.70, 0.76]), weights=weights))
+    assert pooled.std == pytest.approx(sum(weights) ** -0.5)
+    assert pooled.n_fixes == 50
+    assert pooled.pooled(pdr.Person((a,))) == pooled
+    assert np.isnan(pdr.Person().step_length_m) and np.isinf(pdr.Person().std)
+
+
+def test_people_in_general_count_once_and_a_walk_less_the_less_it_knows() -> None:
+    """The mean of two normal densities, on the length of a typical step."""
+    config = recipes.default()
+    fit = next(m for m in config.model.modes if m.context == "walking").step_length
+    usual_m = float(length_and_jacobian(fit.model, TYPICAL_STEP, fit.theta)[0])
+    for std in (0.01, 0.10, 1.0):
+        known = config.with_person(pdr.Person((Session(1.2 * usual_m, std, 5),))).model
+        now = next(m for m in known.modes if m.context == "walking").step_length
+        precisions = np.array([scale_std(None) ** -2, 1 / (std**2 + RECORDING_STD**2)])
+        expected = np.exp(precisions[1] * np.log(1.2) / precisions.sum())
+        assert float(now.theta[0] / fit.theta[0]) == pytest.approx(expected)
+        assert known.noise.log_scale_std == pytest.approx(np.sqrt(1 / precisions.sum() + RECORDING_STD**2))
+
+
+def test_a_step_length_is_that_of_the_person_whatever_the_height_says() -> None:
+    person = pdr.Person((Session(0.75, 1e-3, 1000),))
+    lengths = []
+    for height_m in (None, 1.5, 1.95):
+        known = recipes.default(Subject(height_m=height_m)).with_person(person).model
+        fit = next(m for m in known.modes if m.context == "walking").step_length
+        lengths.append(float(length_and_jacobian(fit.model, TYPICAL_STEP, fit.theta)[0]))
+    np.testing.assert_allclose(lengths, 0.75, rtol=0.03)
+
+
+def test_a_track_says_whose_steps_it_has(learnt: pdr.Person) -> None:
+    config = recipes.default()
+    assert any("height is not known" in note.text for note in config.notes)
+    notes = [note.text for note in config.with_person(learnt).notes]
+    assert not any("height is not known" in note for note in notes)
+    assert any(f"{learnt.step_length_m:.2f} m, of 1 walk" in note for note in notes)
+    assert config.with_person(pdr.Person()).notes == config.notes
+    with pytest.raises(ValueError, match="pool the two"):
+        config.with_person(learnt).with_person(learnt)
+
+
+def test_an_app_learns_the_same_of_its_person(first: Recording, learnt: pdr.Person) -> None:
+    here = fixes_of(first.location)[0]
+    assert here is not None
+    online = pdr.OnlineFilter(recipes.default(first.subject).with_magnetic_north(here.declination_rad()))
+    assert online.person is None
+    online.push_location(first.location.time_s, *first.location.values.T[[0, 1, 3]])
+    for block in cut_randomly(pdr.merge_streams(first), 3, mean_length=700):
+        online.push(block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut)
+    online = pdr.OnlineFilter.load(online.save())
+    online.finish()
+    assert online.person == learnt
+
+
+def test_a_saved_person_is_the_same_when_it_is_read(learnt: pdr.Person, tmp_path: Path) -> None:
+    assert pdr.Person.load(learnt.save(tmp_path / "me.json")) == learnt
+    assert pdr.Person.load(pdr.Person().save(tmp_path / "nobody.json")) == pdr.Person()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "",
+        "[]",
+        "{}",
+        '{"pdr_filter_person": 2, "sessions": []}',
+        '{"pdr_filter_person": 1}',
+        '{"pdr_filter_person": 1, "sessions": [{"step_length_m": -1, "std": 0.1, "n_fixes": 3}]}',
+        '{"pdr_filter_person": 1, "sessions": [{"step_length_m": NaN, "std": 0.1, "n_fixes": 3}]}',
+    ],
+)
+def test_a_file_that_is_no_person_is_refused_by_its_name(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "other.json"
+    path.write_text(content)
+    with pytest.raises(ValueError, match=r"other\.json: no person file"):
+        pdr.Person.load(path)
+
+
+def test_the_command_line_reads_a_person_file_if_there_is_one_and_writes_it_anew(
+    first: Recording, learnt: pdr.Person, tmp_path: Path
+) -> None:
+    file, me = first.save(tmp_path / "walk.zip"), tmp_path / "me.json"
+    runner = CliRunner()
+    assert runner.invoke(app, ["track", str(file), "--person", str(me)]).exit_code == 0
+    assert len(pdr.Person.load(me).sessions) == 1
+    assert runner.invoke(app, ["track", str(file), "--person", str(me)]).exit_code == 0
+    assert len(pdr.Person.load(me).sessions) == 2

@@ -1,0 +1,536 @@
+"""What `pdr-filter train` says of transitions and tempering is what labelled sequences of other people show."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from joblib import parallel_config
+from typer.testing import CliRunner
+
+import pdr_filter as pdr
+from pdr_filter.classifiers.context_model import ContextModel, load_model
+from pdr_filter.classifiers.transition_probabilities import Transitions, load_transitions
+from pdr_filter.cli.app import app
+from pdr_filter.io.files.own_format import write_recording
+from pdr_filter.offline.training import carrying_training as train_carrying
+from pdr_filter.offline.training import context_training as training
+from pdr_filter.offline.training import guo2018_training as train_guo
+from pdr_filter.offline.training.classifier_choice import fit_softmax
+from pdr_filter.offline.training.context_sequences import (
+    UNKNOWN,
+    LabelledProbabilities,
+    count_transitions,
+    estimate_transitions,
+    fit_tempering,
+    log_loss_by_person,
+)
+from pdr_filter.offline.training.context_training import PLANS, labelled_windows, model_without
+from pdr_filter.offline.training.cross_validation import train_one
+from pdr_filter.offline.training.train_all import train
+from pdr_filter.offline.training.transition_training import (
+    MIN_CHANGES,
+    MIN_PEOPLE,
+    LabelledSequences,
+    changing_recordings,
+    contexts_at,
+    estimate,
+    held_out_log_loss,
+    labelled_sequences,
+    shipped_model_without,
+    train_evidence,
+)
+from pdr_filter.recipes import context_modes, context_transitions, default, with_transitions
+from pdr_filter.simulate import Leg, simulate
+from pdr_filter.values import CONTEXTS, Samples, table
+from pdr_filter.values.recording import Recording
+
+WALKING, UPSTAIRS, RUNNING = (CONTEXTS.index(c) for c in ("walking", "upstairs", "running"))
+DEFAULT = default().model
+
+
+def as_of(recording: Recording, dataset: str, person: str) -> Recording:
+    """The same as a recording of somebody in a data set."""
+    name = f"{dataset}_{person}"
+    meta: dict[str, Any] = {**recording.meta, "dataset": dataset, "subject": {"id": person}, "name": name}
+    return replace(recording, name=name, meta=meta)
+
+
+def mixed_walk(seed: int) -> Recording:
+    """Half a minute with five changes of context."""
+    contexts = ("walking", "running", "walking", "upstairs", "walking", "running")
+    legs = [Leg("stationary", duration_s=3.0), *(Leg(c, duration_s=5.0) for c in contexts)]
+    return simulate(legs, carrying_mode="pocket", seed=seed)
+
+
+@pytest.fixture(scope="module")
+def walks() -> list[Recording]:
+    return [mixed_walk(seed) for seed in range(4)]
+
+
+def written(recordings: list[Recording], folder: Path) -> list[Path]:
+    folder.mkdir(exist_ok=True)
+    return [write_recording(recording, folder / f"{recording.name}.zip") for recording in recordings]
+
+
+@pytest.fixture(scope="module")
+def mine(walks: list[Recording], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of four people of no data set."""
+    folder = tmp_path_factory.mktemp("mine")
+    written([as_of(walk, "mine", f"p{i}") for i, walk in enumerate(walks)], folder)
+    return folder
+
+
+def drawn(n_people: int, n: int, stay: float = 0.95, repeats: int = 3, seed: int = 0) -> LabelledSequences:
+    """Sequences of two contexts whose windows, of two steps, count their evidence `repeats` times over."""
+    rng = np.random.default_rng(seed)
+    two = np.array([WALKING, UPSTAIRS])
+    step_label = np.concatenate([two[np.cumsum(rng.random(2 * n) > stay) % 2] for _ in range(n_people)])
+    label = step_label[::2]
+    person = np.repeat([f"set/p{i}" for i in range(n_people)], n)
+    feature = (label == UPSTAIRS) + 0.7 * rng.normal(size=len(label))
+    log_prob = np.full((len(label), len(CONTEXTS)), -12.0)
+    log_prob[:, two] = -0.5 * repeats * ((feature[:, None] - np.arange(2)) / 0.7) ** 2
+    prob = np.exp(log_prob - log_prob.max(axis=1, keepdims=True))
+    prob /= prob.sum(axis=1, keepdims=True)
+    windows = LabelledProbabilities(prob, np.full_like(prob, 1 / len(CONTEXTS)), label, person, person)
+    return LabelledSequences(step_label, np.repeat(person, 2), np.repeat(person, 2), windows, n_people)
+
+
+# --- Sequences from recordings
+
+
+def test_a_time_has_the_context_of_the_label_it_lies_in_and_none_elsewhere(walks: list[Recording]) -> None:
+    rows = {"start_s": [1.0, 2.0, 5.0], "end_s": [2.0, 4.0, 6.0], "context": ["walking", "running", "cycling"]}
+    labels = table({name: np.array(values) for name, values in rows.items()})
+    recording = replace(walks[0], truth=replace(walks[0].truth, labels=labels))
+    found = contexts_at(recording, np.array([0.9, 1.0, 1.9, 2.0, 3.9, 4.0, 5.5]))
+    np.testing.assert_array_equal(found, [UNKNOWN, WALKING, WALKING, RUNNING, RUNNING, UNKNOWN, UNKNOWN])
+
+
+def test_only_recordings_with_gyroscope_whose_context_changes_are_used(walks: list[Recording], tmp_path: Path) -> None:
+    walk = as_of(walks[0], "mine", "anna")
+    assert walk.truth.labels is not None
+    columns = {name: walk.truth.labels[name] for name in ("start_s", "end_s", "carrying_mode")}
+    same = table({**columns, "context": np.full(7, "walking")})
+    one_context = replace(walk, name="same", truth=replace(walk.truth, labels=same))
+    no_labels = replace(walk, name="none", truth=replace(walk.truth, labels=None))
+    no_gyroscope = replace(walk, name="half", gyroscope=None)
+    paths = written([walk, one_context, no_labels, no_gyroscope], tmp_path)
+    assert changing_recordings([*paths, paths[0]]) == {paths[0].resolve(): "mine/anna"}
+
+
+def test_steps_are_counted_as_the_default_recipe_detects_them(mine: Path) -> None:
+    changing = changing_recordings(sorted(mine.glob("*.zip")))
+    sequences = labelled_sequences(changing, shipped_model_without)
+    assert sequences is not None and sequences.n_recordings == 4
+    expected = np.zeros((len(CONTEXTS), len(CONTEXTS)))
+    for path in changing:
+        walk = pdr.read(path)
+        of_step = contexts_at(walk, np.asarray(pdr.detect_steps(walk).time_s))
+        for before, after in pairwise(of_step):
+            expected[before, after] += UNKNOWN not in (before, after)
+    np.testing.assert_array_equal(sequences.counts(), expected)
+    assert expected[WALKING, RUNNING] == 8 and expected[WALKING, UPSTAIRS] == expected[UPSTAIRS, WALKING] == 4
+    assert sequences.counts(without=["mine/p0", "mine/p1", "mine/p2", "mine/p3"]).sum() == 0
+
+
+def test_windows_are_those_that_the_filter_sees_with_the_context_at_their_middle(mine: Path) -> None:
+    path = sorted(mine.glob("*.zip"))[0]
+    sequences = labelled_sequences({path: "mine/p0"}, shipped_model_without)
+    walk = pdr.read(path)
+    seen = pdr.classify(walk)
+    assert sequences is not None
+    np.testing.assert_array_equal(sequences.windows.prob, seen.context_prob)
+    np.testing.assert_array_equal(sequences.windows.label, contexts_at(walk, seen.time_s - 1.0))
+    np.testing.assert_array_equal(sequences.windows.training_prior[0], load_model("context").training_prior)
+    assert len(set(sequences.windows.label)) == 4
+
+
+def test_no_step_follows_one_from_before_a_gap(walks: list[Recording], tmp_path: Path) -> None:
+    gap = (9.0, 15.0)  # walking before it, walking after it
+
+    def cut(samples: Samples) -> Samples:
+        use = (samples.time_s < gap[0]) | (samples.time_s > gap[1])
+        return Samples(samples.time_s[use], samples.values[use])
+
+    walk = as_of(walks[0], "mine", "p0")
+    assert walk.gyroscope is not None
+    with_gap = replace(walk, accelerometer=cut(walk.accelerometer), gyroscope=cut(walk.gyroscope), magnetometer=None)
+    path = written([with_gap], tmp_path)[0]
+    sequences = labelled_sequences({path: "mine/p0"}, shipped_model_without)
+    assert sequences is not None
+    assert len(np.unique(sequences.step_sequence)) == len(np.unique(sequences.windows.sequence)) == 2
+    joined = count_transitions(sequences.step_label, np.full(len(sequences.step_label), "a"), len(CONTEXTS))
+    assert joined.sum() == sequences.counts().sum() + 1
+
+
+# --- People who must not have been in training
+
+
+def test_a_model_without_people_is_that_of_all_others_and_a_strangers_model_is_the_model_itself(
+    walks: list[Recording], tmp_path: Path
+) -> None:
+    paths = written([as_of(walk, "motionsense", f"s{i}") for i, walk in enumerate(walks)], tmp_path)
+    plan = replace(PLANS[0], machine_fit=fit_softmax, datasets=("motionsense",))
+    windows = plan.of(labelled_windows(paths, feature_set=plan.feature_set))
+    rest = plan.of(labelled_windows(paths[1:], feature_set=plan.feature_set))
+    with parallel_config(backend="threading"):
+        model = train_one(plan, windows, lambda what, done: None)
+        others = train_one(plan, rest, lambda what, done: None)
+    assert model_without(model, plan, windows, ["mine/p0"]) is model
+    without = model_without(model, plan, windows, ["motionsense/s0"])
+    for name in ("training_prior", "feature_mean", "feature_scale"):
+        np.testing.assert_array_equal(getattr(without, name), getattr(others, name))
+    features = windows.features[0]
+    # the calibration is that of all people left out, with the limits of what is familiar
+    assert (without.temperature, without.slip) == (model.temperature, model.slip)
+    assert without.stairs is not None and model.stairs is not None and without.stairs.limit == model.stairs.limit
+    calibrated = replace(others, temperature=model.temperature, slip=model.slip, stairs=without.stairs)
+    np.testing.assert_array_equal(without.predict(features), calibrated.predict(features))
+    assert without.familiarity is not None and model.familiarity is not None and others.familiarity is not None
+    assert without.familiarity.limit == model.familiarity.limit
+    # an eigenvalue's last bits depend on the number of threads that LAPACK happens to have
+    np.testing.assert_allclose(without.familiarity.variance, others.familiarity.variance, rtol=1e-9)
+    all_of_both = model.probabilities(windows.features), without.probabilities(windows.features)
+    assert np.abs(all_of_both[0] - all_of_both[1]).max() > 1e-6
+
+
+def test_every_persons_windows_come_from_a_model_without_them(mine: Path) -> None:
+    asked: list[list[str]] = []
+
+    def recorded(people: Any) -> ContextModel:
+        asked.append(list(people))
+        return load_model("context")
+
+    changing = changing_recordings(sorted(mine.glob("*.zip")))
+    labelled_sequences(changing, recorded)
+    assert sorted(person for fold in asked for person in fold) == sorted(changing.values()) and len(asked) == 3
+
+
+def test_the_shipped_model_says_nothing_of_people_who_may_have_been_in_its_training() -> None:
+    assert shipped_model_without(["mine/p0"]).name == "context"
+    with pytest.raises(ValueError, match=r"motionsense/s03.*give DATA_DIR too"):
+        shipped_model_without(["mine/p0", "motionsense/s03"])
+
+
+# --- The estimate
+
+
+def test_transitions_and_exponents_that_made_the_sequences_are_found() -> None:
+    sequences = drawn(6, 500, stay=0.9, repeats=3)
+    found = estimate(sequences, DEFAULT)
+    assert (found.card["transition_prob"], found.card["exponents"]) == ("estimated", "estimated")
+    assert found.transition_prob[WALKING, WALKING] == pytest.approx(0.9, abs=0.02)
+    assert found.transition_prob[UPSTAIRS, WALKING] == pytest.approx(0.1, abs=0.02)
+    np.testing.assert_array_equal(found.transition_prob[RUNNING], context_transitions()[RUNNING])
+    assert found.evidence_exponent == pytest.approx(1 / 3, abs=0.11)
+    losses = found.card["log_loss"]
+    assert losses["held_out"] < losses["held_out_default_exponents"] < losses["default"]
+    assert found.card["n_people"] == 6 and found.card["n_changes"] == np.sum(found.counts[~np.eye(6, dtype=bool)])
+
+
+def test_held_out_losses_are_of_people_who_had_no_part_in_matrix_or_exponents() -> None:
+    sequences = drawn(4, 120)
+    found = held_out_log_loss(sequences, DEFAULT)
+    expected: dict[str, list[float]] = {"held_out_default_exponents": [], "held_out": []}
+    for person in np.unique(sequences.windows.person):
+        others = sequences.step_person != person
+        counts = count_transitions(sequences.step_label[others], sequences.step_sequence[others], len(CONTEXTS))
+        between = np.linalg.matrix_power(estimate_transitions(counts, context_transitions()), 2)
+        choice = fit_tempering(part_of(sequences.windows, sequences.windows.person != person), between)
+        own = part_of(sequences.windows, sequences.windows.person == person)
+        for name, of_evidence, of_prior in (
+            ("held_out", choice.evidence_exponent, choice.prior_exponent),
+            ("held_out_default_exponents", 1.0, 0.2),
+        ):
+            loss = log_loss_by_person(own, between, np.array([of_evidence]), np.array([of_prior]), 0.01)[1]
+            expected[name].append(float(loss[0, 0]))
+    for name, values in expected.items():
+        assert found[name] == pytest.approx(np.mean(values), rel=1e-12)
+
+
+def part_of(windows: LabelledProbabilities, use: np.ndarray) -> LabelledProbabilities:
+    rows: dict[str, Any] = {name: getattr(windows, name)[use] for name in windows.__dataclass_fields__}
+    return LabelledProbabilities(**rows)
+
+
+def test_the_person_of_a_part_is_left_out_with_all_of_it_where_there_are_many_people() -> None:
+    losses = held_out_log_loss(drawn(12, 40), DEFAULT)
+    assert all(np.isfinite(value) and value > 0 for value in losses.values())
+    assert losses["held_out"] < losses["default"]
+
+
+def is_default(found: Transitions, what: str = "both") -> bool:
+    same_matrix = np.array_equal(found.transition_prob, context_transitions())
+    same_exponents = (found.evidence_exponent, found.prior_exponent) == (1.0, 0.2)
+    return same_exponents and (same_matrix or what == "exponents")
+
+
+def test_without_sequences_everything_stays_the_default_and_the_file_says_why(tmp_path: Path) -> None:
+    card = train_evidence({}, tmp_path, shipped_model_without)
+    found = load_transitions(tmp_path / "transitions.json")
+    assert is_default(found) and found.card == card
+    assert card["transition_prob"].startswith("default: 0 changes") and str(MIN_CHANGES) in card["transition_prob"]
+    assert card["exponents"] == card["transition_prob"] and card["n_recordings"] == 0
+
+
+def test_with_too_few_changes_everything_stays_the_default() -> None:
+    sequences = drawn(5, 400, stay=0.9)
+    end = np.flatnonzero(np.diff(sequences.step_label))[MIN_CHANGES - 1] + 1  # the step before one change too many
+    few = replace(
+        sequences,
+        step_label=sequences.step_label[:end],
+        step_person=sequences.step_person[:end],
+        step_sequence=sequences.step_sequence[:end],
+    )
+    found = estimate(few, DEFAULT)
+    assert is_default(found)
+    assert found.card["transition_prob"].startswith(f"default: {MIN_CHANGES - 1} changes")
+    assert found.counts.sum() == end - 1  # what was seen is in the file all the same
+    one_more = replace(
+        sequences,
+        step_label=sequences.step_label[: end + 1],
+        step_person=sequences.step_person[: end + 1],
+        step_sequence=sequences.step_sequence[: end + 1],
+    )
+    assert estimate(one_more, DEFAULT).card["transition_prob"] == "estimated"
+
+
+def test_of_few_people_the_matrix_is_estimated_and_the_exponents_are_not() -> None:
+    found = estimate(drawn(MIN_PEOPLE - 1, 300), DEFAULT)
+    assert found.card["transition_prob"] == "estimated" and not is_default(found)
+    assert is_default(found, "exponents") and f"{MIN_PEOPLE - 1} people" in found.card["exponents"]
+    assert found.card["log_loss"] == {}
+
+
+def test_exponents_that_do_not_help_others_are_not_taken() -> None:
+    sequences = drawn(4, 200, repeats=1)
+    # Two people whose windows are too unsure and two whose are too sure: what three ask for is wrong for the fourth.
+    prob = sequences.windows.prob ** np.repeat([0.3, 4.0, 0.3, 4.0], 200)[:, None]
+    windows = replace(sequences.windows, prob=prob / prob.sum(axis=1, keepdims=True))
+    found = estimate(replace(sequences, windows=windows), DEFAULT)
+    losses = found.card["log_loss"]
+    assert losses["held_out"] > losses["held_out_default_exponents"]
+    assert is_default(found, "exponents") and "do not lower the log loss of others" in found.card["exponents"]
+    assert found.card["transition_prob"] == "estimated" and not is_default(found)
+
+
+# --- The file, and its use
+
+
+def some(**changes: Any) -> Transitions:
+    values: dict[str, Any] = {
+        "transition_prob": estimate_transitions(100.0 * np.eye(6), context_transitions()),
+        "evidence_exponent": 0.7,
+        "prior_exponent": 0.1,
+        "counts": 100.0 * np.eye(6),
+        "card": {"name": "transitions"},
+    }
+    return Transitions(**values | changes)
+
+
+def test_what_is_read_is_what_was_written_to_the_last_bit(tmp_path: Path) -> None:
+    path = some().save(tmp_path / "new")
+    again = load_transitions(path)
+    assert path == tmp_path / "new" / "transitions.json"
+    np.testing.assert_array_equal(again.transition_prob, some().transition_prob)
+    np.testing.assert_array_equal(again.counts, some().counts)
+    assert (again.evidence_exponent, again.prior_exponent, again.card) == (0.7, 0.1, {"name": "transitions"})
+
+
+def rows(value: float) -> list[list[float]]:
+    changed = context_transitions()
+    changed[WALKING, RUNNING] = value
+    return changed.tolist()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("transition_prob", rows(0.5), r"row 1 is .* with sum 1\.49"),
+        ("transition_prob", rows(-0.1), "row 1 is"),
+        ("transition_prob", rows(float("nan")), "row 1 is .*nan"),
+        ("transition_prob", rows(float("inf")), "row 1 is .*inf"),
+        ("transition_prob", context_transitions().T.tolist(), "transpose it"),
+        ("transition_prob", np.eye(5).tolist(), r"must be \(6, 6\).*got \(5, 5\)"),
+        ("transition_prob", [[1.0], [0.5, 0.5]], "inhomogeneous"),
+        ("transition_prob", "even", "could not convert"),
+        ("evidence_exponent", float("nan"), "evidence_exponent must be finite and not negative, got nan"),
+        ("prior_exponent", -0.5, "prior_exponent must be finite and not negative, got -0.5"),
+        ("prior_exponent", None, "not 'NoneType'"),
+        ("counts", np.full((6, 6), -1.0).tolist(), "counts must be"),
+        ("contexts", ["walking", "standing"], r"contexts are \['walking', 'standing'\], those of this version"),
+        ("contexts", list(CONTEXTS)[::-1], "those of this version"),
+        ("format_version", 2, "format_version is 2, this version reads 1"),
+        ("kind", "calibration", "its kind is 'calibration', not 'transitions'"),
+        ("card", 3, "not iterable"),
+    ],
+)
+def test_a_file_that_does_not_fit_is_refused_with_its_name_the_value_and_the_remedy(
+    name: str, value: Any, message: str, tmp_path: Path
+) -> None:
+    path = some().save(tmp_path)
+    path.write_text(json.dumps({**json.loads(path.read_text()), name: value}))
+    with pytest.raises(ValueError, match=f"(?s)transitions.json: .*{message}.*with pdr-filter train"):
+        load_transitions(path)
+
+
+def test_a_file_that_is_missing_or_no_json_or_lacks_something_is_refused_with_its_name(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"other\.json: no such file"):
+        load_transitions(tmp_path / "other.json")
+    path = some().save(tmp_path)
+    content = json.loads(path.read_text())
+    for text in ("{", "[1]", '"transitions"', "\x00", json.dumps({k: v for k, v in content.items() if k != "counts"})):
+        path.write_text(text)
+        with pytest.raises(ValueError, match=r"transitions\.json: not usable as transitions: .*pdr-filter train"):
+            load_transitions(path)
+
+
+def test_a_configuration_takes_matrix_and_exponents_and_keeps_all_else(tmp_path: Path) -> None:
+    config = default()
+    for given in (some(), some().save(tmp_path), str(tmp_path / "transitions.json")):
+        changed = with_transitions(config, given)
+        np.testing.assert_array_equal(changed.model.transition_prob, some().transition_prob)
+        assert (changed.model.evidence_exponent, changed.model.prior_exponent) == (0.7, 0.1)
+        assert changed.sensing is config.sensing and changed.model.modes is config.model.modes
+        assert changed.model.noise == config.model.noise and changed.name == config.name
+
+
+def test_transitions_follow_the_order_of_the_modes() -> None:
+    config = default()
+    order = [3, 1, 5, 0, 4, 2]
+    modes = tuple(config.model.modes[i] for i in order)
+    matrix = estimate_transitions(np.arange(36.0).reshape(6, 6), context_transitions())
+    config = config.with_model(modes=modes, transition_prob=context_transitions()[np.ix_(order, order)])
+    changed = with_transitions(config, some(transition_prob=matrix)).model
+    for i, before in enumerate(modes):
+        for j, after in enumerate(modes):
+            expected = matrix[CONTEXTS.index(before.context), CONTEXTS.index(after.context)]
+            assert changed.transition_prob[i, j] == expected
+
+
+def test_modes_that_are_not_the_contexts_each_once_are_refused() -> None:
+    config = default()
+    two = config.with_model(modes=context_modes(DEFAULT.modes[1].step_length)[:2], transition_prob=np.eye(2))
+    with pytest.raises(ValueError, match=r"'default' has modes of \['stationary', 'walking'\]"):
+        with_transitions(two, some())
+
+
+def test_with_the_default_transitions_the_track_is_the_same_and_with_others_its_contexts_are_not(
+    walks: list[Recording], tmp_path: Path
+) -> None:
+    train_evidence({}, tmp_path, shipped_model_without)
+    walk, config = walks[0], default(walks[0].subject)
+    plain = pdr.track(walk, config)
+    same = pdr.track(walk, with_transitions(config, tmp_path / "transitions.json"))
+    np.testing.assert_array_equal(same.position_m, plain.position_m)
+    np.testing.assert_array_equal(same.mode_prob, plain.mode_prob)
+    uniform = some(transition_prob=np.full((6, 6), 1 / 6))
+    other = pdr.track(walk, with_transitions(config, uniform))
+    assert np.abs(other.mode_prob - plain.mode_prob).max() > 0.01
+    assert other.n_steps == plain.n_steps
+
+
+# --- The whole command
+
+
+def small_training(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One small model of MotionSense alone, and none of the carrying mode and the pose."""
+    plan = replace(PLANS[0], machine_fit=fit_softmax, datasets=("motionsense",))
+    monkeypatch.setattr(training, "PLANS", (plan,))
+
+    def carrying(paths: Any, out_dir: Any, progress: Any) -> list[dict[str, Any]]:
+        return [{"name": "carrying"}]
+
+    def pose(paths: Any, out_dir: Any, progress: Any) -> dict[str, Any]:
+        return {"name": "guo_pose"}
+
+    monkeypatch.setattr(train_carrying, "train_carrying", carrying)
+    monkeypatch.setattr(train_guo, "train_guo", pose)
+
+
+def test_train_estimates_from_the_data_sets_with_models_that_left_the_people_out(
+    walks: list[Recording], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    small_training(monkeypatch)
+    without: list[str] = []
+
+    def seen(model: ContextModel, plan: Any, windows: Any, people: list[str]) -> ContextModel:
+        without.extend(people)
+        return model_without(model, plan, windows, people)
+
+    monkeypatch.setattr(training, "model_without", seen)
+    written([as_of(walk, "motionsense", f"s{i}") for i, walk in enumerate(walks)], tmp_path / "motionsense")
+    told: list[float] = []
+    with parallel_config(backend="threading"):
+        cards = train(tmp_path, tmp_path / "models", lambda what, done: told.append(done))
+    assert [card["name"] for card in cards] == ["context", "carrying", "guo_pose", "transitions"]
+    assert sorted(without) == [f"motionsense/s{i}" for i in range(4)]
+    found = load_transitions(tmp_path / "models" / "transitions.json")
+    assert found.card["data"] == ["motionsense"] and found.card["n_people"] == 4
+    assert found.card["transition_prob"] == "estimated" and not np.array_equal(
+        found.transition_prob, context_transitions()
+    )
+    assert set(found.card["log_loss"]) == {"default", "held_out_default_exponents", "held_out"}
+    assert told == sorted(told) and told[-1] == pytest.approx(1.0)
+
+
+def test_without_data_sets_or_sequences_there_is_nothing_to_train_on(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="nothing to train on"):
+        train(None, tmp_path)
+    with pytest.raises(ValueError, match="no recordings in the folder"):
+        train(None, tmp_path, sequences=[])
+
+
+def test_the_command_estimates_from_ones_own_recordings_and_track_uses_the_file(mine: Path, tmp_path: Path) -> None:
+    run = partial(CliRunner().invoke, app)
+    result = run(["train", "--sequences", str(mine), "--out", str(tmp_path)])
+    assert result.exit_code == 0, result.stderr
+    path = Path(result.stdout.strip())
+    assert path == tmp_path / "transitions.json"
+    assert "transition_prob: estimated" in result.stderr and "exponents: " in result.stderr
+    found = load_transitions(path)
+    assert found.card["n_people"] == found.card["n_recordings"] == 4 and found.card["n_changes"] >= 16
+    walk = str(sorted(mine.glob("*.zip"))[0])
+
+    tracked = run(["track", walk, "--json", "--online", "--transitions", str(path)])
+    assert tracked.exit_code == 0, tracked.stderr
+    recording = pdr.read(walk)
+    expected = pdr.track(recording, with_transitions(default(recording.subject), found))
+    assert json.loads(tracked.stdout) == expected.summary()
+    assert expected.distance_m != pdr.track(recording).distance_m
+
+
+def test_a_bad_transitions_file_is_one_line_and_code_2(mine: Path, tmp_path: Path) -> None:
+    path = some().save(tmp_path)
+    path.write_text(path.read_text().replace('"evidence_exponent": 0.7', '"evidence_exponent": NaN'))
+    run = partial(CliRunner().invoke, app)
+    result = run(["track", str(sorted(mine.glob("*.zip"))[0]), "--transitions", str(path)])
+    assert result.exit_code == 2
+    assert "evidence_exponent must be finite" in " ".join(result.stderr.split())
+    into = ["--jobs", "2", "--out", str(tmp_path / "out")]
+    many = run(["track", str(mine), *into, "--transitions", str(some().save(tmp_path))])
+    assert many.exit_code == 2 and "--transitions" in many.stderr
+
+
+@pytest.mark.recordings
+def test_no_public_data_set_has_a_labelled_change_of_context_so_that_the_default_stays(
+    data_dir: Path, tmp_path: Path
+) -> None:
+    paths = [p for d in PLANS[0].datasets for p in sorted((data_dir / d).glob("*.zip"))[::8]]
+    changing = changing_recordings(paths)
+    # several activities in one recording, but between their labels is what nobody labelled
+    assert len(paths) > 20 and {person.split("/")[0] for person in changing.values()} == {"difronzo"}
+    sequences = labelled_sequences(changing, lambda people: load_model("context"))
+    assert sequences is not None
+    counts = sequences.counts()
+    assert counts.sum() > 100 and counts.sum() == np.trace(counts)
+    train_evidence({}, tmp_path, shipped_model_without)
+    assert is_default(load_transitions(tmp_path / "transitions.json"))

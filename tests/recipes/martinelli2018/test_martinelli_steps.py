@@ -1,0 +1,305 @@
+from __future__ import annotations
+
+from dataclasses import astuple
+from pathlib import Path
+
+import numpy as np
+import pytest
+import pywt
+from helpers import bumps, cut_uniform, flat_attitude, imu, sensed, uniform_block, walk_of_bumps
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import butter, sosfilt
+
+from pdr_filter.io.formats import read
+from pdr_filter.recipes.martinelli2018.steps import WaveletDetectorState, WaveletStepDetector, wavelet_kernel
+from pdr_filter.sensing.attitude import AttitudeBlock
+from pdr_filter.sensing.conditioning import UniformBlock, merge_streams
+from pdr_filter.sensing.front_end import Sensing
+from pdr_filter.sensing.steps.step_detector import unknown_contexts
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, Step
+from pdr_filter.values.recording import Recording
+
+# Steps a second with the amplitude of the bump that one step makes, m/s2: walking, then running.
+GAITS = [(1.2, 4.0), (1.5, 4.0), (1.8, 4.0), (2.2, 4.0), (2.7, 12.0), (3.2, 20.0)]
+
+
+def detect(
+    detector: WaveletStepDetector, blocks: list[UniformBlock], attitudes: list[AttitudeBlock] | None = None
+) -> tuple[WaveletDetectorState, list[tuple[int, Step]]]:
+    state, found = detector.init(), []
+    for i, block in enumerate(blocks):
+        attitude = attitudes[i] if attitudes else flat_attitude(block.specific_force_mps2[:, 2])
+        state, steps = detector.update(state, block, attitude, unknown_contexts(len(block.time_s)))
+        found += steps
+    return state, found
+
+
+def times_s(found: list[tuple[int, Step]]) -> np.ndarray:
+    return np.array([step.time_s for _, step in found])
+
+
+def assert_one_step_at_each(contacts_s: np.ndarray, found_s: np.ndarray, tolerance_s: float) -> None:
+    """Each contact has its step; the side lobes of the wavelet may add one before the first and after the last."""
+    inside = (found_s > contacts_s[0] - tolerance_s) & (found_s < contacts_s[-1] + tolerance_s)
+    np.testing.assert_allclose(found_s[inside], contacts_s, atol=tolerance_s)
+    assert len(found_s) <= len(contacts_s) + 2
+
+
+# --- the kernel -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("frequency_hz", [1.0, 1.45, 2.8])
+@pytest.mark.parametrize("rate_hz", [50.0, 100.0])
+def test_the_kernel_is_symmetric_with_zero_mean_and_unit_gain_at_its_frequency(
+    frequency_hz: float, rate_hz: float
+) -> None:
+    kernel = wavelet_kernel("mexh", frequency_hz, rate_hz)
+    assert kernel.sum() == pytest.approx(0.0, abs=1e-12)
+    np.testing.assert_allclose(kernel, kernel[::-1], atol=1e-12)
+    t = np.arange(-1000, 1001) / rate_hz
+    response = np.convolve(2.0 * np.cos(2 * np.pi * frequency_hz * t), kernel, mode="same")
+    assert response[1000] == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("frequency_hz", [1.45, 2.8])
+def test_the_kernel_gives_the_continuous_wavelet_transform(frequency_hz: float) -> None:
+    sos = butter(2, (0.5, 3.0), "bandpass", fs=100, output="sos")
+    signal = sosfilt(sos, np.random.default_rng(0).normal(size=2000))
+    scale = pywt.frequency2scale("mexh", frequency_hz / 100)
+    u = np.arange(-200, 201) / scale
+    literal = np.convolve(signal, (1 - u**2) * np.exp(-(u**2) / 2), mode="same")  # eq. 3 up to its factor
+    # pywt samples the integral of the wavelet: up to half a sample off
+    [oracle], _ = pywt.cwt(signal, [scale], "mexh", precision=14)
+    ours = np.convolve(signal, wavelet_kernel("mexh", frequency_hz, 100.0), mode="same")[200:-200]
+    for transform, tolerance in [(literal[200:-200], 0.003), (oracle[200:-200], 0.06)]:
+        factor = (ours @ transform) / (ours @ ours)
+        np.testing.assert_allclose(factor * ours, transform, atol=tolerance * np.abs(transform).max())
+
+
+# --- synthetic steps ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("frequency_hz", "amplitude_mps2"), GAITS)
+def test_every_bump_is_one_step_at_the_time_of_its_maximum(frequency_hz: float, amplitude_mps2: float) -> None:
+    contacts_s, magnitude = walk_of_bumps(frequency_hz, amplitude_mps2)
+    _, found = detect(WaveletStepDetector(), [uniform_block(magnitude)])
+    assert_one_step_at_each(contacts_s, times_s(found), 0.05)
+    durations = np.array([s.duration_s for _, s in found])
+    np.testing.assert_allclose(durations[3:19], 1 / frequency_hz, atol=0.003)
+    np.testing.assert_allclose([s.frequency_hz for _, s in found], 1 / durations)
+
+
+@pytest.mark.parametrize("rate_hz", [50.0, 64.0, 100.0, 200.0])
+@pytest.mark.parametrize(("frequency_hz", "amplitude_mps2"), [(1.5, 4.0), (2.0, 4.0), (2.7, 20.0)])
+def test_the_sampling_rate_of_the_phone_does_not_matter(
+    rate_hz: float, frequency_hz: float, amplitude_mps2: float
+) -> None:
+    contacts_s = 3.0 + np.arange(20) / frequency_hz
+    rng = np.random.default_rng(1)
+    n = int((contacts_s[-1] + 3.0) * rate_hz)
+    time_s = (np.arange(n) + rng.uniform(-0.3, 0.3, n)) / rate_hz
+    force = np.outer(bumps(time_s, contacts_s, amplitude_mps2, frequency_hz), [0.0, 0.6, 0.8])
+    found = [e for _, e in sensed(Sensing(steps=WaveletStepDetector()), [imu(time_s, force)]) if isinstance(e, Step)]
+    assert_one_step_at_each(contacts_s, np.array([s.time_s for s in found]), 0.05)
+
+
+@pytest.mark.parametrize(("frequency_hz", "amplitude_mps2"), GAITS)
+def test_a_step_is_known_one_latency_after_its_contact_and_never_before(
+    frequency_hz: float, amplitude_mps2: float
+) -> None:
+    detector = WaveletStepDetector()
+    _, magnitude = walk_of_bumps(frequency_hz, amplitude_mps2)
+    block = uniform_block(magnitude)
+    state, found = detect(detector, [block])
+    delays_s = np.array([s.detected_time_s - s.time_s for _, s in found])
+    np.testing.assert_allclose(delays_s, detector.latency_s, atol=0.011)
+    assert all(block.time_s[index] == step.detected_time_s for index, step in found)
+    assert all(s.detected_time_s >= s.time_s for _, s in detector.finish(state))
+
+
+def test_the_latency_is_below_a_second() -> None:
+    assert 0.3 < WaveletStepDetector().latency_s < 1.0
+
+
+def test_bumps_below_the_smallest_peak_are_no_steps() -> None:
+    for scale, n_min, n_max in [(0.5, 0, 0), (2.0, 20, 21)]:
+        contacts_s = 3.0 + np.arange(20) / 1.45
+        time_s = (np.arange(2000) + 0.5) / 100
+        inside = (time_s > contacts_s[0] - 0.3) & (time_s < contacts_s[-1] + 0.3)
+        magnitude = 9.81 + inside * scale * 0.35 * np.cos(2 * np.pi * 1.45 * (time_s - 3.0))
+        _, found = detect(WaveletStepDetector(), [uniform_block(magnitude)])
+        assert n_min <= len(found) <= n_max
+
+
+@pytest.mark.parametrize("magnitude", [np.full(1500, 9.80665), np.full(1500, 0.0), np.linspace(9, 11, 1500)])
+def test_rest_free_fall_and_a_slow_drift_have_no_steps(magnitude: np.ndarray) -> None:
+    state, found = detect(WaveletStepDetector(), [uniform_block(magnitude)])
+    assert found == []
+    assert WaveletStepDetector().finish(state) == []
+
+
+def test_heel_strike_and_push_off_are_one_step() -> None:
+    contacts_s, magnitude = walk_of_bumps(1.6, 4.0)
+    time_s = (np.arange(len(magnitude)) + 0.5) / 100
+    two_peaks = magnitude + bumps(time_s, contacts_s + 0.2, 2.0, 4.0) - STANDARD_GRAVITY_MPS2
+    _, found = detect(WaveletStepDetector(), [uniform_block(two_peaks)])
+    assert_one_step_at_each(contacts_s, times_s(found), 0.1)
+
+
+def test_the_unequal_feet_of_a_runner_are_told_apart_by_the_fast_wavelet_only() -> None:
+    contacts_s = 3.0 + np.arange(20) / 2.8
+    time_s = (np.arange(1400) + 0.5) / 100
+    magnitude = (
+        STANDARD_GRAVITY_MPS2
+        + (bumps(time_s, contacts_s[::2], 30.0, 2.8) - STANDARD_GRAVITY_MPS2)
+        + (bumps(time_s, contacts_s[1::2], 12.0, 2.8) - STANDARD_GRAVITY_MPS2)
+    )
+    both = detect(WaveletStepDetector(), [uniform_block(magnitude)])[1]
+    merged = detect(WaveletStepDetector(running_rms_mps2=np.inf), [uniform_block(magnitude)])[1]
+    assert 20 <= len(both) <= 21
+    assert len(merged) <= 12
+
+
+def test_after_a_pause_a_new_bout_begins_with_a_step_of_typical_duration() -> None:
+    time_s = (np.arange(2200) + 0.5) / 100
+    contacts_s = np.concatenate([3.0 + np.arange(8) * 0.55, 14.0 + np.arange(8) * 0.55])
+    _, found = detect(WaveletStepDetector(), [uniform_block(bumps(time_s, contacts_s, 4.0, 1.8))])
+    steps = [s for _, s in found]
+    starts = [s for s in steps if s.duration_s == 0.6]
+    assert min(abs(s.time_s - 3.0) for s in starts) < 0.06
+    assert min(abs(s.time_s - 14.0) for s in starts) < 0.06
+    assert all(s.duration_s < 1.0 for s in steps)
+
+
+# --- what a step says about itself ----------------------------------------------------------------------------------
+
+
+def test_the_statistics_of_a_step_are_those_of_the_samples_since_the_contact_before() -> None:
+    rng = np.random.default_rng(3)
+    _, magnitude = walk_of_bumps(1.8, 4.0)
+    magnitude = magnitude + 0.2 * rng.normal(size=len(magnitude))
+    n = len(magnitude)
+    block = uniform_block(magnitude, rate=np.zeros((n, 3)))
+    block.angular_rate_known[700:705] = False
+    attitude = flat_attitude(magnitude, np.cumsum(rng.normal(size=n)) / 10)
+    attitude.vertical_mps2[:] += rng.normal(size=n)
+    _, found = detect(WaveletStepDetector(), [block], [attitude])
+    contact = [round(s.time_s * 100 - 0.5) for _, s in found]
+    starts = [contact[0] - 60, *contact[:-1]]
+    for (_, step), a, b in zip(found, starts, contact, strict=True):
+        f, v, h = magnitude[a:b], attitude.vertical_mps2[a:b], attitude.device_heading_rad[a:b]
+        assert step.variance == pytest.approx(np.mean((f - np.mean(f)) ** 2))
+        assert (step.magnitude_max_mps2, step.magnitude_min_mps2) == (max(f), min(f))
+        assert (step.vertical_max_mps2, step.vertical_min_mps2) == (max(v), min(v))
+        assert step.vertical_range_mps2 == max(v) - min(v)
+        assert step.mean_abs_mps2 == pytest.approx(np.mean(np.abs(f - 9.80665)))
+        assert step.heading_change_rad == pytest.approx(h[-1] - h[0])
+        assert step.device_heading_rad == pytest.approx(np.mean(h))
+    # five samples without angular rate: all in the step between the contacts around them
+    assert sum(s.heading_unknown_s for _, s in found) == pytest.approx(0.05)
+    assert sum(s.heading_unknown_s > 0 for _, s in found) in (1, 2)
+
+
+# --- the end --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("frequency_hz", "amplitude_mps2"), GAITS)
+@pytest.mark.parametrize("after_last_s", [0.35, 0.5, 0.65])
+def test_at_the_end_the_last_steps_are_found_at_their_times(
+    frequency_hz: float, amplitude_mps2: float, after_last_s: float
+) -> None:
+    contacts_s, magnitude = walk_of_bumps(frequency_hz, amplitude_mps2)
+    magnitude = magnitude[: int(100 * (contacts_s[-1] + after_last_s))]
+    detector, block = WaveletStepDetector(), uniform_block(magnitude)
+    state, found = detect(detector, [block])
+    last = detector.finish(state)
+    assert len(last) > 0
+    every = times_s([*found, *last])
+    assert_one_step_at_each(contacts_s, every, 0.06)
+    assert (np.diff(every) > 0).all()
+    assert all(s.time_s <= s.detected_time_s == block.time_s[-1] for _, s in last)
+    np.testing.assert_allclose([s.duration_s for _, s in last][:1], 1 / frequency_hz, atol=0.03)
+
+
+def test_finishing_before_the_first_sample_finds_nothing() -> None:
+    detector = WaveletStepDetector()
+    assert detector.finish(detector.init()) == []
+
+
+# --- invariance -----------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=25, deadline=None)
+@given(edges=st.lists(st.integers(0, 1500), max_size=80), seed=st.integers(0, 1000))
+def test_steps_do_not_depend_on_how_samples_arrive(edges: list[int], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    detector = WaveletStepDetector()
+    _, magnitude = walk_of_bumps(rng.uniform(1.2, 2.2), rng.uniform(4, 15))
+    magnitude = magnitude + rng.normal(size=len(magnitude))
+    block = uniform_block(magnitude)
+    state, whole = detect(detector, [block])
+    cut_state, pieces = detect(detector, cut_uniform(block, edges))
+    assert len(whole) > 15
+    assert [(i, astuple(s)) for i, s in pieces] == [(i, astuple(s)) for i, s in whole]
+    assert detector.finish(cut_state) == detector.finish(state)
+
+
+def test_a_shift_of_the_time_base_shifts_the_contacts() -> None:
+    _, magnitude = walk_of_bumps(1.8, 4.0)
+    early = detect(WaveletStepDetector(), [uniform_block(magnitude)])[1]
+    late = detect(WaveletStepDetector(), [uniform_block(magnitude, start_s=1024.0)])[1]
+    np.testing.assert_allclose(times_s(late), times_s(early) + 1024.0, atol=1e-9)
+
+
+def test_finishing_changes_nothing_for_a_filter_that_goes_on() -> None:
+    detector = WaveletStepDetector()
+    _, magnitude = walk_of_bumps(1.8, 4.0)
+    first, second = cut_uniform(uniform_block(magnitude), [900])
+    state, _ = detect(detector, [first])
+    attitude, modes = flat_attitude(magnitude[900:]), unknown_contexts(len(second.time_s))
+    expected = detector.update(state, second, attitude, modes)[1]
+    detector.finish(state)
+    assert detector.update(state, second, attitude, modes)[1] == expected
+    assert len(expected) > 5
+
+
+# --- real recordings ------------------------------------------------------------------------------------------------
+
+
+def times_in(recording: Recording) -> np.ndarray:
+    events = sensed(Sensing(steps=WaveletStepDetector()), [merge_streams(recording)])
+    return np.array([e.time_s for _, e in events if isinstance(e, Step)])
+
+
+@pytest.mark.recordings
+def test_steps_of_the_oxford_recordings_are_counted_and_timed_as_by_foot_switches(data_dir: Path) -> None:
+    offsets_s = []
+    for path in sorted((data_dir / "oxford").glob("*.zip")):
+        recording = read(path)
+        assert recording.truth.steps is not None
+        truth_s = recording.truth.steps.time_s
+        found_s = times_in(recording)
+        found_s = found_s[(found_s > truth_s[0] - 0.3) & (found_s < truth_s[-1] + 0.3)]
+        assert abs(len(found_s) / len(truth_s) - 1) < 0.03, path.name
+        nearest_s = found_s[np.abs(found_s[:, None] - truth_s).argmin(axis=0)]
+        offsets_s.append(np.median(nearest_s - truth_s))
+    assert len(offsets_s) == 16
+    # the switches were read every 0.1 s, so that they are up to that late
+    assert abs(np.median(offsets_s)) < 0.08
+
+
+@pytest.mark.recordings
+def test_steps_of_people_7_to_13_of_ubicomp13_are_counted_within_2_5_percent(data_dir: Path) -> None:
+    """The detector was tuned on people 1 to 6."""
+    errors = []
+    for person in range(7, 14):
+        for path in sorted((data_dir / "ubicomp13").glob(f"ubicomp13_p{person:02d}_*.zip")):
+            recording = read(path)
+            assert recording.truth.segments is not None
+            [segment] = recording.truth.segments
+            found_s = times_in(recording)
+            n = ((found_s > segment.start_s - 0.3) & (found_s < segment.end_s + 0.3)).sum()
+            errors.append(n / segment.n_steps - 1)
+    assert len(errors) == 35
+    assert np.mean(np.abs(errors)) < 0.025

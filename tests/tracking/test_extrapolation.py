@@ -1,0 +1,167 @@
+"""What is known at this moment: cheap, without a trace, ahead of the accepted steps, and as JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+import pdr_filter as pdr
+from pdr_filter import recipes
+from pdr_filter.filter.fixes.alignment import Place
+from pdr_filter.simulate import Leg, simulate
+from pdr_filter.tracking.extrapolation import _ACROSS_SHARE, _ALONG_SHARE, _further, _on_plan
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, FixResult, OnPlan, PositionFix
+
+LEGS = [Leg("stationary", duration_s=4.0), Leg("walking", distance_m=25.0), Leg("stationary", duration_s=6.0)]
+WALK = simulate(LEGS, seed=5)
+SAMPLES = pdr.merge_streams(WALK)
+
+
+def walked(online: pdr.OnlineFilter, until_s: float = np.inf) -> Iterator[pdr.Now]:
+    """What is known after each tenth of a second."""
+    for i in range(0, int(np.searchsorted(SAMPLES.time_s, until_s)), 10):
+        part = slice(i, i + 10)
+        online.push(SAMPLES.time_s[part], SAMPLES.specific_force_mps2[part], SAMPLES.angular_rate_radps[part])
+        yield online.now()
+
+
+def test_now_changes_nothing_and_says_the_same_again() -> None:
+    online = pdr.OnlineFilter()
+    now = next(now for now in walked(online) if now.n_steps > 10 and now.provisional_steps)
+    blob = online.save()
+    assert online.now().to_dict() == now.to_dict()
+    assert online.save() == blob
+
+
+@pytest.mark.parametrize("until_s", [8.0, 12.3, 15.0, np.inf])
+def test_after_the_end_nothing_is_provisional(until_s: float) -> None:
+    online = pdr.OnlineFilter()
+    assert any(now.is_provisional for now in walked(online, until_s))
+    online.finish()
+    now = online.now()
+    assert not now.is_provisional
+    assert now.provisional_steps == ()
+    assert now.walking_speed_mps == 0.0
+    np.testing.assert_array_equal(now.position_m, online.position_m)
+    np.testing.assert_array_equal(now.position_cov_m2, online.position_cov_m2)
+
+
+@pytest.mark.parametrize("weighting", ["imm", "wc"])
+def test_the_position_of_now_is_nearer_to_the_track_that_is_accepted_later_than_the_last_accepted_one(
+    weighting: str,
+) -> None:
+    online = pdr.OnlineFilter(recipes.default().with_weighting(weighting))
+    seen = [(now.time_s, online.position_m, now.position_m) for now in walked(online)]
+    track = pdr.track(WALK, recipes.default(), weighting=weighting)
+    at = [(t, a, b) for t, a, b in seen if track.time_s[0] < t < track.time_s[-1]]
+    true = np.column_stack([np.interp([t for t, *_ in at], track.time_s, axis) for axis in track.position_m.T])
+    accepted, shown = (np.linalg.norm(np.array([row[k] for row in at]) - true, axis=1) for k in (1, 2))
+    assert np.median(shown) < 0.25 * np.median(accepted)
+
+
+def test_what_is_ahead_of_the_accepted_steps_is_said_to_be_provisional_and_covers_more() -> None:
+    online, n_ahead = pdr.OnlineFilter(), 0
+    for now in walked(online):
+        n_ahead += bool(now.provisional_steps)
+        ahead_m = np.linalg.norm(now.position_m - online.position_m)
+        assert now.is_provisional == (ahead_m > 0 or bool(now.provisional_steps))
+        assert np.trace(now.position_cov_m2) >= np.trace(online.position_cov_m2) - 1e-9
+        assert [s.time_s for s in now.provisional_steps] == sorted(s.time_s for s in now.provisional_steps)
+    assert n_ahead > 50
+    assert not now.is_provisional
+    np.testing.assert_array_equal(now.position_m, online.position_m)
+
+
+def test_somebody_who_walks_has_a_speed_and_a_context_and_one_who_stands_none() -> None:
+    seen = list(walked(pdr.OnlineFilter()))
+    walking, now = [now for now in seen if 10.0 < now.time_s < 18.0], seen[-1]
+    assert len(walking) > 75
+    assert all(0.8 < now.walking_speed_mps < 2.0 and 0.0 < now.walking_speed_std_mps < 0.6 for now in walking)
+    assert all(now.context_prob[CONTEXTS.index("walking")] > 0.9 for now in walking)
+    assert (now.walking_speed_mps, np.isnan(now.walking_speed_std_mps)) == (0.0, True)
+    assert now.context_prob[CONTEXTS.index("stationary")] > 0.9
+    assert now.n_steps > 25
+    assert now.distance_m == pytest.approx(25.0, rel=0.15)
+
+
+def test_a_gyroscope_on_another_clock_leads_nobody_on_and_the_note_names_the_remedy() -> None:
+    online, ahead_m = pdr.OnlineFilter(), list[float]()
+    force, rate = WALK.accelerometer, WALK.streams["gyroscope"]
+    for second in range(20):
+        for stream, push, later_s in ((force, online.push_accelerometer, 0.0), (rate, online.push_gyroscope, 1000.0)):
+            part = slice(*np.searchsorted(stream.time_s, [second, second + 1]))
+            push(stream.time_s[part] + later_s, stream.values[part])
+        now = online.now()
+        ahead_m.append(float(np.linalg.norm(now.position_m - online.position_m)))
+    assert now.n_steps > 10
+    assert 0.5 < max(ahead_m) < 10.0
+    assert any("accelerometer: silent" in note and "all sensors need one" in note for note in online.notes)
+
+
+def test_now_before_any_sample_is_empty() -> None:
+    now = pdr.OnlineFilter().now()
+    assert (now.n_steps, now.distance_m, now.is_provisional, now.rates_hz) == (0, 0.0, False, {})
+    assert now.to_dict()["time_s"] is None
+
+
+def test_rates_are_those_of_each_sensor() -> None:
+    online = pdr.OnlineFilter()
+    time_s = np.arange(300) / 100.0
+    online.push_accelerometer(time_s, np.tile([0.0, 0.0, 9.8], (300, 1)))
+    online.push_gyroscope(time_s[::2], np.zeros((150, 3)))
+    online.push_pressure(time_s[::50], np.full(6, 1000.0))
+    rates = online.now().rates_hz
+    assert rates == {
+        "accelerometer": pytest.approx(100.0),
+        "gyroscope": pytest.approx(50.0),
+        "barometer": pytest.approx(2.0),
+    }
+
+
+def test_everything_becomes_json_without_nan() -> None:
+    online = pdr.OnlineFilter()
+    online.add_fix(PositionFix(12.0, np.zeros(2), np.eye(2)))
+    *_, now = walked(online, until_s=16.0)
+    updates = online.push(SAMPLES.time_s[1600:], SAMPLES.specific_force_mps2[1600:], SAMPLES.angular_rate_radps[1600:])
+    content = now.to_dict()
+    assert set(content["context_prob"]) == set(CONTEXTS)
+    assert set(content["carrying_prob"]) == set(CARRYING_MODES)
+    assert [fix["kind"] for fix in content["fixes"]] == ["position"]
+    step = updates[0].to_dict()
+    assert step["time_s"] == updates[0].step.time_s
+    assert step["position_m"] == updates[0].position_m.tolist()
+    assert step["step"]["walking_heading_std_rad"] is None or step["step"]["walking_heading_std_rad"] > 0
+    result = FixResult("position", 1.0, 2.0, "rejected", np.inf).to_dict()
+    assert result == {
+        "kind": "position", "time_s": 1.0, "used_s": 2.0, "outcome": "rejected", "nis": None, "accepted": False,
+    }  # fmt: skip
+    assert json.loads(json.dumps([content, step, result], allow_nan=False)) == [content, step, result]
+
+
+def test_what_is_no_fix_is_refused_in_words() -> None:
+    words = r"a fix must be a PositionFix, .*got \(30.0, 1.0, 1.0\); a position is PositionFix\(time_s"
+    with pytest.raises(ValueError, match=words):
+        pdr.OnlineFilter().add_fix((30.0, 1.0, 1.0))  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=words):
+        pdr.track(WALK, fixes=[(30.0, 1.0, 1.0)])  # type: ignore[list-item]
+
+
+def test_who_turns_while_walking_on_goes_along_the_chord_of_the_turn() -> None:
+    there = Place(np.zeros(2), np.zeros((2, 2)), heading_rad=np.pi / 2, n_steps=3)  # to the east now, to the north then
+    ahead = _further(there, 2.0, turned_rad=np.pi / 2)
+    np.testing.assert_allclose(ahead.position_m, [2**0.5, 2**0.5])
+    along, across = np.linalg.eigvalsh(ahead.cov_m2)[::-1] ** 0.5 / 2.0
+    assert (along, across) == pytest.approx((_ALONG_SHARE, _ACROSS_SHARE))
+    assert np.array([1.0, 1.0]) @ ahead.cov_m2 @ [1.0, 1.0] > np.array([1.0, -1.0]) @ ahead.cov_m2 @ [1.0, -1.0]
+
+
+def test_a_place_that_is_surer_ahead_than_behind_keeps_a_covariance_on_a_plan() -> None:
+    behind = Place(np.zeros(2), 4.0 * np.eye(2), heading_rad=0.0, n_steps=3)
+    ahead = Place(np.array([0.0, 1.0]), np.diag([1.0, 9.0]), heading_rad=0.0, n_steps=4)
+    there = OnPlan(np.array([5.0, 5.0]), 0.25 * np.eye(2), np.pi / 2, (), 100, 80.0)
+    placed = _on_plan(ahead, behind, there)
+    np.testing.assert_allclose(placed.position_m, [6.0, 5.0], atol=1e-12)  # what was north is east on the plan
+    np.testing.assert_allclose(placed.cov_m2, np.diag([5.25, 0.25]), atol=1e-12)

@@ -1,0 +1,303 @@
+"""North in a track: what a magnetometer says of the turn of its frame, alone and with fixes, and when it is wrong."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+import pytest
+from helpers import cut_randomly
+from scipy.spatial.transform import Rotation
+
+import pdr_filter as pdr
+from pdr_filter import recipes
+from pdr_filter.filter.fixes.alignment import Alignment, Place
+from pdr_filter.filter.fixes.frame import UNKNOWN_FRAME
+from pdr_filter.filter.fixes.frame_rotation import Compass, PairedPoint, align, open_turn
+from pdr_filter.sensing.conditioning import merge_streams
+from pdr_filter.simulate import Leg, simulate
+from pdr_filter.simulate.walk import phone_motion
+from pdr_filter.values import HeadingFix, Origin, PositionFix, Samples, wrap_angle
+from pdr_filter.values.recording import MissingSensorError, Recording
+
+LEGS = [Leg("walking", distance_m=35.0), Leg("walking", distance_m=30.0, turn_rad=1.4)]
+HERE = Origin(48.137, 11.575)
+WRONG_RAD = math.radians(90.0)
+
+
+def walked(start_heading_rad: float) -> Recording:
+    """A walk in the frame of its magnetic field."""
+    return simulate(LEGS, seed=3, start_heading_rad=start_heading_rad)
+
+
+@pytest.fixture(scope="module")
+def walk() -> Recording:
+    return walked(2.0)
+
+
+def truth_m(walk: Recording, times: np.ndarray) -> np.ndarray:
+    truth = walk.truth.position
+    return np.column_stack([np.interp(times, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
+
+
+def fix_at(walk: Recording, time_s: float, std_m: float = 0.5) -> PositionFix:
+    return PositionFix(time_s, truth_m(walk, np.array([time_s]))[0], std_m**2 * np.eye(2))
+
+
+def located(walk: Recording, turn_rad: float = 0.0, every_s: float = 1.0) -> Recording:
+    """With locations that are right, in a world that is turned clockwise against the magnetic field."""
+    time_s = np.arange(1.3, walk.duration_s, every_s)
+    c, s = math.cos(turn_rad), math.sin(turn_rad)
+    place_m = truth_m(walk, time_s) @ np.array([[c, s], [-s, c]]).T
+    rows = np.column_stack([*HERE.latitude_longitude_deg(place_m), np.full((len(time_s), 2), 6.0)])
+    return replace(walk, location=Samples(time_s, rows))
+
+
+def config_of(walk: Recording, declination_rad: float = 0.0) -> pdr.Config:
+    return recipes.for_recording("default", walk).with_magnetic_north(declination_rad)
+
+
+def rms_m(walk: Recording, track: pdr.Track, from_s: float = 0.0) -> float:
+    late = track.time_s > from_s
+    return float(np.sqrt(((track.position_m - truth_m(walk, track.time_s))[late] ** 2).sum(axis=1).mean()))
+
+
+def nees(walk: Recording, track: pdr.Track) -> np.ndarray:
+    error = track.position_m - truth_m(walk, track.time_s)
+    return np.einsum("ka,kab,kb->k", error, np.linalg.inv(track.position_cov_m2), error)
+
+
+# --- the declination --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("year", "place", "declination_deg"),
+    [
+        # the test values that are published with the models of 2025 and 2020
+        (2025.0, (80.0, 0.0), 1.28),
+        (2025.0, (0.0, 120.0), -0.16),
+        (2025.0, (-80.0, -120.0), 68.78),
+        (2020.0, (80.0, 0.0), -1.28),
+        (2020.0, (0.0, 120.0), 0.16),
+        (2020.0, (-80.0, -120.0), 69.36),
+    ],
+)
+def test_the_declination_is_that_of_the_world_magnetic_model(
+    year: float, place: tuple[float, float], declination_deg: float
+) -> None:
+    assert math.degrees(Origin(*place).declination_rad(year)) == pytest.approx(declination_deg, abs=0.005)
+
+
+def test_before_and_after_the_models_the_nearest_counts() -> None:
+    assert HERE.declination_rad(1970.0) == HERE.declination_rad(2010.0)
+    assert HERE.declination_rad(2090.0) == pytest.approx(HERE.declination_rad(2029.9), abs=1e-3)
+
+
+# --- the turn of a frame ----------------------------------------------------------------------------------------------
+
+
+def test_a_compass_is_normal_but_for_the_one_in_twenty_that_points_anywhere() -> None:
+    compass, angles = Compass(3.0, 0.04), np.linspace(-np.pi, np.pi, 4000, endpoint=False)
+    density = compass.density(angles)
+    assert density.mean() * 2 * np.pi == pytest.approx(1.0, abs=1e-6)
+    assert density.min() == pytest.approx(0.05 / (2 * np.pi), rel=1e-6)
+    assert angles[density.argmax()] == pytest.approx(3.0, abs=2e-3)
+    near = np.abs(wrap_angle(angles - 3.0)) < 0.2
+    assert density[near].mean() * 2 * np.pi * near.mean() == pytest.approx(0.95 * 0.6827 + 0.05 * 0.4 / 6.283, abs=2e-3)
+
+
+def test_a_compass_and_one_fix_leave_the_turn_open_and_a_fix_further_on_settles_it() -> None:
+    first, on = (
+        PairedPoint(np.zeros(2), np.zeros(2), 1.0),
+        PairedPoint(np.array([0.0, 10.0]), np.array([10.0, 0.0]), 9.0),
+    )
+    assert align([first], 0, compass=Compass(np.pi / 2, 0.02)) is None
+    assert align([first, on], 0) is None
+    found = align([first, on], 0, compass=Compass(np.pi / 2 + 0.1, 0.02))
+    assert found is not None
+    # two independent measurements: of the fixes a right angle with the variance 10 / 10^2, and of the compass
+    of_fixes, of_compass = 10.0**2 / 10.0, 1.0 / 0.02
+    expected = (of_fixes * np.pi / 2 + of_compass * (np.pi / 2 + 0.1)) / (of_fixes + of_compass)
+    assert found.angle_rad == pytest.approx(expected, abs=2e-3)
+    assert found.angle_var_rad2 == pytest.approx(1.0 / (of_fixes + of_compass), rel=0.02)
+
+
+def test_the_density_of_the_turn_is_the_product_of_fixes_and_compass() -> None:
+    pairs = [PairedPoint(np.zeros(2), np.zeros(2), 1.0), PairedPoint(np.array([0.0, 5.0]), np.array([4.0, 3.0]), 4.0)]
+    compass, turn = Compass(1.2, 0.05), open_turn(pairs)
+    product = turn.prob * compass.density(np.linspace(-np.pi, np.pi, 120, endpoint=False))
+    np.testing.assert_allclose(turn.with_compass(compass).prob, product / product.sum(), rtol=1e-12)
+    np.testing.assert_array_equal(turn.with_compass(None).prob, turn.prob)
+
+
+def test_a_heading_fix_knows_better_than_a_compass() -> None:
+    frame = UNKNOWN_FRAME.with_compass(Compass(1.0, 0.04))
+    assert frame.name == "north"
+    place = frame.world(Place(np.array([0.0, 10.0]), np.zeros((2, 2)), 0.3, 4))
+    np.testing.assert_allclose(place.position_m, [10 * math.sin(1.0), 10 * math.cos(1.0)])
+    np.testing.assert_allclose(np.linalg.eigvalsh(place.cov_m2), [0.0, 0.04 * 100.0], atol=1e-9)
+    known = frame.with_north(Alignment(0.2, 0.01, np.zeros(2), np.zeros(2), 0.0, 3))
+    assert known.compass is None
+    assert known.with_compass(Compass(1.0, 0.04)).compass is None
+
+
+# --- tracks -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("start_heading_rad", [0.0, 2.0, -1.2])
+def test_a_walk_turned_as_a_whole_has_a_track_turned_as_a_whole_with_north_up(start_heading_rad: float) -> None:
+    walk = walked(start_heading_rad)
+    alone, track = pdr.track(walk), pdr.track(walk, north="magnetic")
+    assert (alone.frame, track.frame) == ("start", "north")
+    np.testing.assert_allclose(
+        np.linalg.norm(track.position_m, axis=1), np.linalg.norm(alone.position_m, axis=1), rtol=1e-9
+    )
+    way = (track.position_m[-1] - truth_m(walk, track.time_s[-1:])[0]).tolist()
+    error_rad = math.hypot(*way) / np.linalg.norm(track.position_m[-1])
+    assert error_rad < math.radians(15.0)
+    assert np.trace(track.position_cov_m2[-1]) > np.trace(alone.position_cov_m2[-1])
+    assert any("north is where the magnetic field says" in note for note in track.notes)
+
+
+@pytest.mark.parametrize("weighting", ["imm", "wc"])
+def test_with_one_fix_and_the_magnetic_field_the_walk_lies_right(walk: Recording, weighting: str) -> None:
+    fix = fix_at(walk, 5.0)
+    config = recipes.for_recording("default", walk)
+    off = pdr.track(walk, config.in_world_frame(), weighting, fixes=[fix])
+    track = pdr.track(walk, config_of(walk), weighting, fixes=[fix])
+    assert rms_m(walk, track) < 5.0 < 0.3 * rms_m(walk, off)
+    assert nees(walk, track).max() < 13.8  # one in a thousand
+
+
+def test_a_compass_that_is_wrong_by_a_right_angle_is_overruled_by_fixes(walk: Recording) -> None:
+    fixes = [fix_at(walk, t, 2.0) for t in np.arange(4.0, walk.duration_s, 6.0)]
+    config = recipes.for_recording("default", walk)
+    off = pdr.track(walk, config.in_world_frame(), fixes=fixes)
+    track = pdr.track(walk, config_of(walk, WRONG_RAD), fixes=fixes)
+    half_s = 0.5 * walk.duration_s
+    assert rms_m(walk, track, half_s) < rms_m(walk, off, half_s) + 1.0 < 2.0
+    assert nees(walk, track).max() < 13.8
+
+
+def test_locations_bring_the_magnetometer_with_them_and_it_can_be_left_out(walk: Recording) -> None:
+    declination_rad = HERE.declination_rad()
+    # true north is west of magnetic north, in a world as it is
+    here = located(walk, declination_rad)
+    track, off = pdr.track(here), pdr.track(here, north="off")
+    bare = pdr.track(replace(here, magnetometer=None))
+    assert np.isinf(off.steps.north_std_rad).all() and np.isinf(bare.steps.north_std_rad).all()
+    assert np.isfinite(track.steps.north_std_rad[5:]).all()
+    only = replace(here, location=Samples(here.location.time_s[:1], here.location.values[:1]))
+    placed = pdr.track(only)
+    heading_rad = float(wrap_angle(placed.walking_heading_rad[10] - 2.0 - declination_rad))
+    assert abs(heading_rad) < math.radians(15.0)
+
+
+def test_the_date_of_a_recording_is_that_of_its_declination(walk: Recording) -> None:
+    def north_rad(meta: dict[str, float | None]) -> float:
+        here = replace(located(walk), meta={**walk.meta, **meta})
+        return float(pdr.track(here).steps.north_rad[20])
+
+    then_s = (2012.5 - 1970.0) * 365.2425 * 86400.0
+    change_rad = HERE.declination_rad(2012.5) - HERE.declination_rad(2025.0)
+    assert abs(change_rad) > math.radians(1.0)
+    assert north_rad({}) - north_rad({"epoch_s": then_s}) == pytest.approx(change_rad, abs=1e-6)
+    assert north_rad({}) == north_rad({"epoch_s": None, "epoch_ns": math.nan})
+    assert north_rad({}) - north_rad({"epoch_ns": int(then_s * 1e9)}) == pytest.approx(change_rad, abs=1e-6)
+
+
+def test_without_a_place_the_declination_is_doubt(walk: Recording) -> None:
+    nowhere, here = pdr.track(walk, north="magnetic"), pdr.track(located(walk), north="magnetic")
+    var = nowhere.steps.north_std_rad[20] ** 2 - here.steps.north_std_rad[20] ** 2
+    assert var == pytest.approx(0.2**2 - math.radians(1.0) ** 2)
+
+
+def test_a_known_heading_wins(walk: Recording) -> None:
+    fix = HeadingFix(8.0, 0.5, 0.02)
+    track = pdr.track(walk, config_of(walk), fixes=[fix])
+    at = np.searchsorted(track.time_s, 8.0)
+    assert abs(wrap_angle(track.walking_heading_rad[at] - 0.5)) < 0.1
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_app_gets_the_same_bits_however_samples_arrive_and_after_a_break(walk: Recording, seed: int) -> None:
+    fixes = [fix_at(walk, 5.0), fix_at(walk, 9.0, 3.0)]
+    track = pdr.track(walk, config_of(walk), fixes=fixes)
+    online, updates = pdr.OnlineFilter(config_of(walk)), []
+    for fix in fixes:
+        online.add_fix(fix)
+    blocks = cut_randomly(merge_streams(walk), seed)
+    for k, block in enumerate(blocks):
+        updates += online.push(
+            block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut
+        )
+        if k == len(blocks) // 2:
+            online = pdr.OnlineFilter.load(online.save())
+    updates += online.finish()
+    np.testing.assert_array_equal([u.step.north_rad for u in updates], track.steps.north_rad)
+    np.testing.assert_array_equal([u.step.north_std_rad for u in updates], track.steps.north_std_rad)
+    np.testing.assert_array_equal(updates[-1].position_m, track.position_m[-1])
+    np.testing.assert_array_equal(updates[-1].position_cov_m2, track.position_cov_m2[-1])
+
+
+def test_what_contradicts_itself_is_refused(walk: Recording) -> None:
+    with pytest.raises(ValueError, match=r"north must be one of .*'magnetic'.*got 'true'"):
+        pdr.track(walk, north="true")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(MissingSensorError, match="no magnetometer"):
+        pdr.track(replace(walk, magnetometer=None), north="magnetic")
+    with pytest.raises(MissingSensorError, match="no gyroscope"):
+        pdr.track(replace(walk, gyroscope=None), north="magnetic")
+    with pytest.raises(ValueError, match="'martinelli2018' does not learn where the person walks"):
+        pdr.track(walk, recipes.martinelli2018(), north="magnetic")
+
+
+@pytest.mark.parametrize(("north", "quarters"), [("rotation-vector", 0), ("true-heading", 1)])
+def test_an_attitude_whose_world_has_a_known_north_turns_the_track_as_the_field_does(
+    walk: Recording, north: Literal["rotation-vector", "true-heading"], quarters: int
+) -> None:
+    time_s = np.arange(0.0, walk.duration_s, 0.02)
+    in_its_world = Rotation.from_euler("z", -90.0 * quarters, degrees=True)  # where x, not y, is north
+    true = in_its_world * phone_motion(LEGS, seed=3, start_heading_rad=2.0).rotation(time_s)
+    own = replace(walk, magnetometer=None, attitude=Samples(time_s, true.as_quat()[:, [3, 0, 1, 2]]))
+    by_attitude, by_field = pdr.track(own, north=north), pdr.track(walk, north="magnetic")
+    assert by_attitude.frame == "north"
+    np.testing.assert_allclose(by_attitude.position_m, by_field.position_m, atol=0.02 * by_field.distance_m)
+    with pytest.raises(MissingSensorError, match="no attitude"):
+        pdr.track(replace(walk, attitude=None), north=north)
+
+
+def test_only_magnetic_north_is_corrected_by_the_declination(walk: Recording) -> None:
+    quat = np.tile([1.0, 0.0, 0.0, 0.0], (len(walk.accelerometer.time_s), 1))
+    own = replace(walk, attitude=Samples(walk.accelerometer.time_s, quat))
+    for north, declination_rad in (("rotation-vector", HERE.declination_rad()), ("true-heading", 0.0)):
+        there, nowhere = (pdr.track(own, origin=o, north=north) for o in (HERE, None))
+        turned_rad = wrap_angle(there.walking_heading_rad - nowhere.walking_heading_rad)
+        np.testing.assert_allclose(turned_rad, declination_rad, atol=1e-9)
+
+
+def test_a_place_that_is_given_says_the_declination_and_a_heading_that_is_given_all(walk: Recording) -> None:
+    track = pdr.track(walk, origin=(48.137, 11.575), north="magnetic")
+    nowhere = pdr.track(walk, north="magnetic")
+    assert (track.frame, track.knows_north) == ("north", True)
+    change_rad = wrap_angle(track.walking_heading_rad - nowhere.walking_heading_rad)
+    np.testing.assert_allclose(change_rad, HERE.declination_rad(), atol=1e-9)
+    with pytest.raises(ValueError, match="both say north"):
+        pdr.track(walk, heading_rad=0.3, north="magnetic")
+    with pytest.raises(ValueError, match="both say north"):
+        pdr.track(walk, origin=replace(HERE, turn_rad=0.3), north="magnetic")
+
+
+def test_locations_alone_turn_the_track_of_a_recipe_that_learns_no_directions(walk: Recording) -> None:
+    here, config = located(walk), recipes.martinelli2018()
+    track, off = pdr.track(here, config), pdr.track(here, config, north="off")
+    np.testing.assert_array_equal(track.position_m, off.position_m)
+
+
+def test_locations_that_say_nothing_leave_the_frame_of_the_start(walk: Recording) -> None:
+    here = located(walk)
+    values = here.location.values.copy()
+    values[:, 3] = np.nan
+    track = pdr.track(replace(here, location=Samples(here.location.time_s, values)))
+    assert track.frame == "start"

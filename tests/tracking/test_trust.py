@@ -1,0 +1,228 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import windows_of
+
+import pdr_filter as pdr
+from pdr_filter.simulate import Leg, simulate
+from pdr_filter.tracking.track import Track
+from pdr_filter.tracking.trust_report import doubts
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, FixResult, PositionFix, Samples, read_only
+from pdr_filter.values.recording import Recording
+
+WALKING, STATIONARY = CONTEXTS.index("walking"), CONTEXTS.index("stationary")
+
+
+@pytest.fixture(scope="module")
+def walk() -> Recording:
+    return simulate([Leg("walking", distance_m=60.0)], seed=1)
+
+
+@pytest.fixture(scope="module")
+def track(walk: Recording) -> Track:
+    return pdr.track(walk)
+
+
+def test_of_an_ordinary_walk_nothing_is_doubted(track: Track) -> None:
+    assert doubts(track) == []
+    assert track.report().startswith(f"simulated_walk: {track.n_steps} steps")
+    assert f"± {track.position_std_m[-1]:.1f} m (one standard deviation, worst direction)" in track.report()
+
+
+def test_a_phone_on_the_table_is_called_one() -> None:
+    time_s = np.arange(3000) / 100
+    rng = np.random.default_rng(0)
+    still = Recording(
+        "table",
+        Samples(time_s, rng.normal([0, 0, 9.81], 0.01, (3000, 3))),
+        Samples(time_s, rng.normal(0.0, 0.002, (3000, 3))),
+    )
+    [told] = doubts(pdr.track(still))
+    assert "did not move" in told
+
+
+def test_a_ride_without_steps_is_told_with_its_times(track: Track) -> None:
+    windows = track.windows
+    late = windows.time_s > 20.0
+    stepped = track.time_s < 18.0
+    riding = replace(
+        track,
+        **{
+            name: getattr(track, name)[stepped]
+            for name in ("time_s", "position_m", "position_cov_m2", "mode_prob", "context_prob", "step_length_m")
+        },
+        steps=track.steps[stepped],
+    )
+    assert late.sum() > 20
+    [told] = doubts(riding)
+    assert "as in a vehicle" in told
+    begin, end = (float(t) for t in told.removeprefix("From ").split(" s ")[0].split(" to "))
+    assert begin == pytest.approx(22.0, abs=1.5)
+    assert end == pytest.approx(float(windows.time_s[-1]), abs=1.0)
+
+
+def test_time_with_motion_and_no_step_is_not_called_walking(track: Track) -> None:
+    nobody = replace(track, time_s=track.time_s[:0])
+    moving_s = sum(s for name, s in track.context_seconds().items() if name != "stationary")
+    assert moving_s > 30 and track.seconds_without_steps < 3
+    assert sum(s for name, s in nobody.context_seconds().items() if name != "stationary") == 0.0
+    assert nobody.seconds_without_steps == pytest.approx(moving_s + track.seconds_without_steps)
+    assert nobody.context_seconds()["stationary"] == track.context_seconds()["stationary"]
+
+
+@pytest.mark.parametrize(
+    ("field", "words"), [("irregular_prob", "handled, not carried"), ("unknown_share", "unlike all")]
+)
+def test_a_stretch_of_odd_windows_is_told_and_a_single_one_is_not(track: Track, field: str, words: str) -> None:
+    time_s = track.windows.time_s
+    for odd, n_told in (((time_s > 10.0) & (time_s < 20.0), 1), (time_s == time_s[9], 0)):
+        windows = replace(track.windows, **{field: read_only(odd.astype(float))})
+        told = [d for d in doubts(replace(track, windows=windows)) if words in d]
+        assert len(told) == n_told
+    assert (
+        "From 11 to 19 s"
+        in doubts(
+            replace(track, windows=replace(track.windows, **{field: read_only(((time_s > 10) & (time_s < 20)) * 1.0)}))
+        )[0]
+    )
+
+
+@pytest.mark.parametrize("mode", ["calling", "bag"])
+def test_a_phone_at_the_ear_or_in_a_bag_is_said_to_turn_unseen_and_one_that_lies_still_is_not(
+    track: Track, mode: str
+) -> None:
+    prob = np.tile(np.where(np.array(CARRYING_MODES) == mode, 0.9, 0.025), (len(track.windows), 1))
+    loose = replace(track, windows=replace(track.windows, carrying_prob=read_only(prob)))
+    assert any("turns against the body" in sentence for sentence in doubts(loose))
+    rests = np.tile(np.where(np.array(CONTEXTS) == "stationary", 0.9, 0.02), (len(track.windows), 1))
+    still = replace(loose, windows=replace(loose.windows, context_prob=read_only(rests)))
+    assert not any("turns against the body" in sentence for sentence in doubts(still))
+
+
+def test_modes_between_which_the_filter_hesitates_are_named(track: Track) -> None:
+    prob = np.array(track.mode_prob)
+    middle = (track.time_s > 12.0) & (track.time_s < 24.0)
+    prob[middle] = 0.0
+    prob[middle, WALKING], prob[middle, CONTEXTS.index("upstairs")] = 0.55, 0.45
+    [told] = doubts(replace(track, mode_prob=prob))
+    assert "hesitates between walking and upstairs" in told
+
+
+def test_the_entropy_counts_modes(track: Track) -> None:
+    prob = np.zeros((3, 6))
+    prob[0, 1], prob[1, :2], prob[2] = 1.0, 0.5, 1 / 6
+    found = replace(track, mode_prob=prob)
+    np.testing.assert_allclose(found.effective_modes, [1.0, 2.0, 6.0])
+    np.testing.assert_allclose(found.mode_entropy, np.log([1.0, 2.0, 6.0]))
+
+
+def test_fixes_are_reported_with_their_innovations_and_the_wild_ones_named(walk: Recording) -> None:
+    truth = walk.truth.position
+    fixes = [
+        PositionFix(t, np.array([np.interp(t, truth.time_s, truth.east_m), np.interp(t, truth.time_s, truth.north_m)]),
+                    4.0 * np.eye(2))
+        for t in (10.0, 20.0, 30.0)
+    ]  # fmt: skip
+    wild = PositionFix(25.0, np.array([500.0, 500.0]), np.eye(2))
+    track = pdr.track(walk, fixes=[*fixes, wild])
+    assert [f.accepted for f in track.fixes] == [True, True, False, True]
+    assert track.fixes[2].nis > 1000
+    assert all(f.nis < 6 for f in track.fixes if f.accepted)
+    assert all(f.used_s >= f.time_s for f in track.fixes)
+    [told] = doubts(track)
+    assert told == "1 of 4 fixes do not fit the track or its time and were not used: at 25 s."
+    assert "fixes: 3 used" in track.report()
+
+
+def test_without_a_gyroscope_the_direction_is_said_to_be_unknown(walk: Recording) -> None:
+    assert any("no angular rate" in d for d in doubts(pdr.track(replace(walk, gyroscope=None))))
+
+
+def test_a_long_time_without_steps_between_two_of_them_is_told(track: Track) -> None:
+    later = np.where(np.arange(track.n_steps) < 50, 0.0, 90.0)
+    told = doubts(replace(track, time_s=track.time_s + later))
+    gap_s = float(track.time_s[50] - track.time_s[49]) + 90.0
+    assert any(f"there is nothing for {gap_s:.0f} s" in line for line in told)
+    assert not any("there is nothing for" in line for line in doubts(track))
+
+
+@pytest.mark.parametrize(("lasts_s", "is_reported"), [(3.0, False), (6.0, True)])
+def test_a_doubt_of_some_seconds_is_ordinary_and_a_longer_one_is_reported(
+    track: Track, lasts_s: float, is_reported: bool
+) -> None:
+    windows = track.windows
+    begin_s = float(windows.time_s[5])
+    odd = (windows.time_s >= begin_s) & (windows.time_s <= begin_s + lasts_s)
+    unlike = replace(track, windows=replace(windows, unknown_share=read_only(np.where(odd, 0.9, 0.0))))
+    assert any("unlike all" in sentence for sentence in doubts(unlike)) == is_reported
+
+
+def test_a_recording_without_a_single_sample_that_can_be_used_begins_at_zero_and_lasts_no_time() -> None:
+    nothing = Recording("empty", Samples(np.arange(300) / 100, np.full((300, 3), np.nan)))
+    track = pdr.track(nothing)
+    assert (track.start_time_s, track.duration_s, track.n_steps) == (0.0, 0.0, 0)
+
+
+@pytest.mark.parametrize(("n", "end"), [(1, "to 5 s"), (2, "and from 12 to 17 s"), (12, "and 4 times more")])
+def test_one_sentence_says_all_the_times_of_a_doubt(track: Track, n: int, end: str) -> None:
+    time_s = np.arange(144.0)
+    windows = windows_of(time_s, np.tile(np.eye(len(CONTEXTS))[STATIONARY], (144, 1)))
+    strange = (time_s % 12 < 6) & (time_s < 12 * n)
+    doubted = replace(track, windows=replace(windows, unknown_share=strange.astype(float)))
+    [told] = doubts(doubted)
+    assert told.startswith("From 0 to 5 s")
+    assert told.split(" the motion is unlike")[0].endswith(end)
+
+
+def test_a_note_that_ends_with_a_full_stop_gets_no_second_one(track: Track) -> None:
+    told = replace(track, notes=("read as it was.", "one more")).report()
+    assert told.endswith("- Read as it was.\n- One more.")
+
+
+def test_a_gap_in_the_samples_is_time_in_no_context(track: Track) -> None:
+    time_s = np.array([1.0, 2.0, 3.0, 1003.0, 1004.0])
+    windows = windows_of(time_s, np.tile(np.eye(len(CONTEXTS))[STATIONARY], (5, 1)))
+    still = replace(track, windows=windows, start_time_s=0.0)
+    assert still.context_seconds()["stationary"] == 1.0 + 1.0 + 1.0 + 2.0 + 1.0  # a window is of two seconds
+
+
+@pytest.mark.parametrize(("soft_of_three", "told"), [(1, False), (2, True)])
+def test_a_stretch_is_quick_and_soft_where_most_of_its_steps_are(track: Track, soft_of_three: int, told: bool) -> None:
+    steps = track.steps.copy()
+    soft = np.arange(track.n_steps) % 3 < soft_of_three
+    steps.frequency_hz[:], steps.vertical_amplitude_mps2[:] = np.where(soft, 3.0, 1.8), 1.0
+    found = replace(track, steps=steps).is_quick_and_soft
+    assert (found[10:-10] == told).all()  # the ends stand for the steps that are not there
+
+
+@pytest.mark.parametrize(("jump_m", "n_told"), [(2.0, 0), (5.0, 1), (1e300, 0), (np.inf, 0)])
+def test_a_jump_of_a_track_without_fixes_is_told_with_its_time(track: Track, jump_m: float, n_told: int) -> None:
+    position_m = np.array(track.position_m)
+    sideways = np.array([position_m[30, 1] - position_m[29, 1], position_m[29, 0] - position_m[30, 0]])
+    position_m[30:] += jump_m * sideways / np.linalg.norm(sideways)  # the last two are of a table that was read
+    jumped = replace(track, position_m=read_only(position_m))
+    told = [sentence for sentence in doubts(jumped) if "jumps" in sentence]
+    assert len(told) == n_told
+    assert all(f"m at {track.time_s[30]:.0f} s" in sentence for sentence in told)
+    fix = FixResult("position", 5.0, 5.0, "used", 1.0)
+    assert not any("jumps" in sentence for sentence in doubts(replace(jumped, fixes=(fix,))))
+
+
+@pytest.mark.parametrize(("lasting_s", "n_told"), [(15, 0), (25, 1)])
+def test_a_short_movement_without_steps_is_no_ride(track: Track, lasting_s: int, n_told: int) -> None:
+    later_s = float(track.time_s[-1]) + 10.0 + np.arange(60.0)
+    context = np.where(np.arange(60) < lasting_s, WALKING, STATIONARY)
+    moved = replace(track, windows=windows_of(later_s, np.eye(len(CONTEXTS))[context]))
+    assert sum("as in a vehicle" in told for told in doubts(moved)) == n_told
+
+
+@pytest.mark.parametrize(("height_m", "std_m", "is_level"), [(0.8, 0.1, True), (1.2, 0.1, False), (1.2, 0.7, True)])
+def test_a_metre_and_two_deviations_say_that_somebody_left_the_storey(
+    track: Track, height_m: float, std_m: float, is_level: bool
+) -> None:
+    none = np.zeros(track.n_steps)
+    high = replace(track, height_m=none - height_m, height_std_m=none + std_m, floor=none.astype(int))
+    assert high.is_level is is_level

@@ -1,0 +1,216 @@
+from __future__ import annotations
+
+import json
+import sys
+import zlib
+from dataclasses import dataclass, fields
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from pdr_filter.filter.imm.motion_model import MotionNoise
+from pdr_filter.filter.step_length.models import known_length
+from pdr_filter.values import PositionFix
+from pdr_filter.values.serialisation import from_bytes, to_bytes
+
+NUMBERS = st.floats(allow_nan=True) | st.integers(-(2**63), 2**63) | st.booleans()
+VALUES = st.recursive(
+    NUMBERS | st.text() | st.none(),
+    lambda children: (
+        st.lists(children, max_size=4)
+        | st.lists(children, max_size=4).map(tuple)
+        | st.dictionaries(st.text(), children, max_size=4)
+    ),
+    max_leaves=20,
+)
+ARRAYS = hnp.arrays(st.sampled_from(["<f8", ">f8", "<f4", "<i8", "u1", "?"]), hnp.array_shapes(min_dims=0, min_side=0))
+
+
+def same(a: Any, b: Any) -> bool:
+    """Equal in type and in every bit."""
+    if type(a) is not type(b):
+        return False
+    if isinstance(a, float):
+        return np.float64(a).tobytes() == np.float64(b).tobytes() or (a != a and b != b)
+    if isinstance(a, np.ndarray):
+        return a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
+    if isinstance(a, (list, tuple)):
+        return len(a) == len(b) and all(same(x, y) for x, y in zip(a, b, strict=True))
+    if isinstance(a, dict):
+        return list(a) == list(b) and all(same(a[k], b[k]) for k in a)
+    if hasattr(a, "__dataclass_fields__"):
+        return all(same(getattr(a, f.name), getattr(b, f.name)) for f in fields(a))
+    return bool(a == b)
+
+
+# --- round trips ----------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=50)
+@given(VALUES)
+def test_plain_values_come_back_as_they_were(value: Any) -> None:
+    assert same(from_bytes(to_bytes(value)), value)
+
+
+@given(ARRAYS)
+def test_arrays_come_back_bit_for_bit(array: np.ndarray) -> None:
+    assert same(from_bytes(to_bytes(array)), array)
+
+
+@pytest.mark.parametrize("value", [-0.0, float("inf"), float("-inf"), 5e-324, 0.1, 1.7976931348623157e308])
+def test_special_numbers_keep_their_bits(value: float) -> None:
+    assert np.float64(from_bytes(to_bytes(value))).tobytes() == np.float64(value).tobytes()
+
+
+def test_the_payload_of_a_nan_in_an_array_survives() -> None:
+    array = np.array([0x7FF8000000000123, 0xFFF8000000000001], dtype=np.uint64).view(np.float64)
+    assert from_bytes(to_bytes(array)).tobytes() == array.tobytes()
+
+
+def test_an_array_that_is_not_contiguous_keeps_its_values_and_comes_back_writable() -> None:
+    array = np.arange(24.0).reshape(4, 6)[::2, ::-3].T
+    array.flags.writeable = False
+    back = from_bytes(to_bytes(array))
+    np.testing.assert_array_equal(back, array)
+    back[0, 0] = 1.0
+
+
+def test_dataclasses_of_the_package_come_back_with_their_fields() -> None:
+    value = {"noise": MotionNoise(log_scale_std=0.2), "fits": (known_length(0.3, 0.1),)}
+    fix = PositionFix(1.5, np.array([1.0, 2.0]), np.eye(2))
+    back = from_bytes(to_bytes({**value, "fix": fix}))
+    assert back["noise"] == value["noise"]
+    assert same(back["fits"], value["fits"])
+    assert same(back["fix"], fix)
+
+
+def test_numpy_numbers_come_back_as_numbers() -> None:
+    assert from_bytes(to_bytes((np.float64(0.1), np.int64(3), np.bool_(True)))) == (0.1, 3, True)
+
+
+# --- what is refused ------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Foreign:
+    """Not a value type of the package."""
+
+    x: float = 1.0
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        Foreign(),
+        {1, 2},
+        b"bytes",
+        datetime.now(UTC),
+        len,
+        np.array([object()]),
+        np.zeros(2, dtype=[("x", float)]),
+        np.zeros(2, dtype=complex),
+        {1: "keys that are no strings"},
+    ],
+    ids=[
+        "foreign dataclass",
+        "set",
+        "bytes",
+        "date",
+        "function",
+        "object array",
+        "table",
+        "complex array",
+        "number as key",
+    ],
+)
+def test_what_cannot_come_back_is_refused(value: object) -> None:
+    with pytest.raises(TypeError):
+        to_bytes({"nested": [value]})
+
+
+def blob(value: Any, **content: Any) -> bytes:
+    return zlib.compress(json.dumps({"format": 3, "value": value, **content}).encode())
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        {"dataclass": "subprocess:Popen", "fields": {"args": ["true"]}},
+        {"dataclass": "pdr_filter_evil:Thing", "fields": {}},
+        {"dataclass": "builtins:dict", "fields": {}},
+        {"dataclass": "pdr_filter.tracking.online:OnlineFilter", "fields": {}},
+        {"dataclass": "pdr_filter.tracking.track:np", "fields": {}},
+        {"dataclass": "pdr_filter.tracking.track:Nothing", "fields": {}},
+        {"dataclass": "pdr_filter.nothing:Step", "fields": {}},
+        {"dataclass": "pdr_filter.tracking.track:Step", "fields": {"unknown": 1}},
+        {"dataclass": "pdr_filter.tracking.track:Step", "fields": {}},
+        {"dataclass": "pdr_filter.tracking.track:Step"},
+        {"dataclass": 5, "fields": {}},
+        {"array": "AAAA", "dtype": "O", "shape": [1]},
+        {"array": "AAAA", "dtype": "<f8", "shape": [1]},
+        {"array": "not base64!", "dtype": "<f8", "shape": [1]},
+        {"array": "", "dtype": "nonsense", "shape": [0]},
+        {"array": "", "dtype": "(1", "shape": [0]},
+        {"array": "", "dtype": "<f8", "shape": "x"},
+        {"array": 5, "dtype": "<f8", "shape": [1]},
+        {"tuple": 5},
+        {"dict": [1]},
+        {},
+    ],
+    ids=str,
+)
+def test_bytes_that_name_anything_else_are_refused(value: Any) -> None:
+    with pytest.raises(ValueError, match="not a saved filter"):
+        from_bytes(blob(value))
+
+
+def test_a_filter_saved_by_an_older_layout_of_the_package_is_refused_with_what_to_do() -> None:
+    old = zlib.compress(json.dumps({"format": 1, "value": None}).encode())
+    with pytest.raises(ValueError, match=r"another version of pdr_filter: its format is 1, not 3\); save it again"):
+        from_bytes(old)
+
+
+def test_a_dataclass_of_another_package_is_refused_and_its_module_not_even_imported() -> None:
+    for name in (f"{__name__}:Foreign", "this:Zen"):  # importing `this` would print a poem
+        with pytest.raises(ValueError, match="refused to load"):
+            from_bytes(blob({"dataclass": name, "fields": {}}))
+    assert "this" not in sys.modules
+
+
+def test_another_format_is_refused_by_its_number() -> None:
+    with pytest.raises(ValueError, match="its format is 99"):
+        from_bytes(blob(1, format=99))
+
+
+@settings(max_examples=200)
+@given(st.binary(max_size=300))
+def test_arbitrary_bytes_are_refused(data: bytes) -> None:
+    with pytest.raises(ValueError, match="not a saved filter"):
+        from_bytes(data)
+
+
+@settings(max_examples=60)
+@given(st.binary(max_size=300) | st.recursive(st.none() | st.integers() | st.text(), lambda c: st.lists(c)))
+def test_arbitrary_compressed_content_is_refused(content: Any) -> None:
+    data = content if isinstance(content, bytes) else json.dumps(content).encode()
+    with pytest.raises(ValueError, match="not a saved filter"):
+        from_bytes(zlib.compress(data))
+
+
+def test_lists_nested_without_end_are_refused() -> None:
+    with pytest.raises(ValueError, match="not a saved filter"):
+        from_bytes(zlib.compress(b"[" * 100_000))
+
+
+@settings(max_examples=100)
+@given(st.data())
+def test_a_damaged_blob_is_refused(data: st.DataObject) -> None:
+    good = to_bytes({"x": np.arange(50.0)})
+    length = data.draw(st.integers(0, len(good) - 1))
+    with pytest.raises(ValueError, match="not a saved filter"):
+        from_bytes(good[:length])
