@@ -165,28 +165,22 @@ def initial_state(model: PedestrianModel, prob: FloatArray) -> PedestrianState:
     )
 
 
-def with_heading(
-    state: PedestrianState,
-    step: Step,
-    mean: FloatArray,
-    cov: FloatArray,
-    directions: Directions,
-    noise: MotionNoise,
-) -> tuple[PedestrianState, FloatArray, FloatArray]:
-    """Return the state, and the means (F, 4) and covariances (F, 4, 4) with the heading of the next step.
+def with_heading(state: PedestrianState, step: Step, directions: Directions, noise: MotionNoise) -> PedestrianState:
+    """Return the state with the heading of the next step, before its displacement.
 
     The heading offset first drifts for the time since the step before, because the heading stage designs its
     measurement with that drift; then the measured walking heading is used. The first one becomes the zero of the frame.
     """
     since_s = step.duration_s if math.isnan(state.last_step_s) else step.time_s - state.last_step_s
-    cov = predict_heading(cov, step, since_s, directions, noise)
+    cov = predict_heading(state.cov, step, since_s, directions, noise)
     if not math.isfinite(step.walking_heading_std_rad):
-        return state, mean, cov
+        return replace(state, cov=cov)
     if math.isinf(state.first_heading_s):
         first_rad = float(wrap_angle(step.walking_heading_rad - step.device_heading_rad))
-        state = replace(state, first_heading_rad=first_rad, first_heading_s=step.time_s)
-        return state, mean, expect_first_direction(cov, step.walking_heading_std_rad)
-    return state, *update_heading(mean, cov, step, state.first_heading_rad)
+        cov = expect_first_direction(cov, step.walking_heading_std_rad)
+        return replace(state, cov=cov, first_heading_rad=first_rad, first_heading_s=step.time_s)
+    mean, cov = update_heading(state.mean, cov, step, state.first_heading_rad)
+    return replace(state, mean=mean, cov=cov)
 
 
 def is_known_to_stand(state: PedestrianState, step: Step) -> bool:
@@ -196,13 +190,13 @@ def is_known_to_stand(state: PedestrianState, step: Step) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Walked:
-    """One step as a tracker weighted it."""
+    """One step as a tracker weighted it. Evidence also moves the estimated position, which is not walking."""
 
     length_m: float
     length_var_m2: float  # without the person's scale
     heading_rad: float
     parameter_std_m: FloatArray  # (M,) due to the parameters of each mode's length model, weighted by its probability
-    own_direction: FloatArray  # (M, 2), or (1, 2) of all: east and north of the unit vector in which each mode walked
+    direction: FloatArray  # (M, 2), or (1, 2) of all: east and north of the unit vector in which each mode walked
 
 
 def with_step(
@@ -223,7 +217,7 @@ def with_step(
     along_m, across_m = walked.length_m * along, walked.length_m * across
     shared_m = np.empty_like(state.shared_m)
     shared_m[_ALONG_AND_ACROSS] = (along_m * sine, along_m * cosine), (across_m * cosine, -across_m * sine)
-    np.multiply(walked.parameter_std_m[:, None], walked.own_direction, out=shared_m[_PARAMETERS])
+    np.multiply(walked.parameter_std_m[:, None], walked.direction, out=shared_m[_PARAMETERS])
     shared_m += state.shared_m
     # a pause before the step starts the smoothed speed afresh
     is_pause = math.isnan(state.last_step_s) or step.time_s - state.last_step_s > 1.5 * step.duration_s
@@ -317,36 +311,35 @@ def after_gap(state: PedestrianState) -> PedestrianState:
 
 
 def step_update(
-    before: PedestrianState,
-    after: PedestrianState,
+    previous: PedestrianState,
+    updated: PedestrianState,
     step: Step,
     walked: Walked,
     combined: tuple[FloatArray, FloatArray],
-    shared_m2: FloatArray,
     context_prob: FloatArray,
     mode_prob: FloatArray,
     is_final: bool = True,
 ) -> StepUpdate:
-    """What is reported of a step that led from one state to the next with this `shared_cov`, see `with_step`."""
+    """Return the report of a step that led from one state to the next, see `with_step`."""
     x, P = combined
-    if after.speed is None:
+    if updated.speed is None:
         raise ValueError("the state after a step must have a walking speed: use the state that with_step returns")
-    own = Place(frozen(x[:2].copy()), position_cov(P, shared_m2), walked.heading_rad, before.n_final)
-    place = own if after.frame.is_joined else after.frame.world(own)
+    of_start = Place(frozen(x[:2].copy()), position_cov(P, shared_cov(updated)), walked.heading_rad, previous.n_final)
+    place = of_start if updated.frame.is_joined else updated.frame.world(of_start)
     return StepUpdate(
-        index=before.n_final,
+        index=previous.n_final,
         step=step,
         is_final=is_final,
         position_m=frozen(place.position_m),
         position_cov_m2=frozen(place.cov_m2),
-        of_start=None if after.frame.is_joined else own,
+        of_start=None if updated.frame.is_joined else of_start,
         step_length_m=walked.length_m,
-        walked_m=float(after.prob.dot(after.walked_m)),
+        walked_m=float(updated.prob.dot(updated.walked_m)),
         walking_heading_rad=place.heading_rad,
-        speed=after.speed,
+        speed=updated.speed,
         context_prob=frozen(context_prob),
         mode_prob=frozen(mode_prob),
-        gap_before_s=before.gap_s,
+        gap_before_s=previous.gap_s,
     )
 
 
