@@ -31,7 +31,7 @@ from pdr_filter.filter.fixes.frame_rotation import Compass
 from pdr_filter.filter.imm import imm
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, MAX_HEADING_VARIANCE
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import PedestrianState, StepUpdate, shared_cov
+from pdr_filter.filter.imm.pedestrian_state import PedestrianState, StepUpdate, consider_cov
 from pdr_filter.maps.crossing_costs import Ground, Terrain
 from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.maps.particle_clusters import n_needed, on_plan
@@ -340,7 +340,7 @@ class ParticleFilter:
         """Particles of the tracker's normal distribution, or of its density over all turns while it is open."""
         x, combined = imm.combine(known.mean, known.cov, known.prob)
         P = combined.copy()
-        P[:2, :2] += shared_cov(known)
+        P[:2, :2] += consider_cov(known)
         P[LOG_SCALE, LOG_SCALE] += scale_std**2
         open_turn = None if known.frame.is_joined else known.frame.turn
         n = min((2 if open_turn is None else 5) * self.n_least, self.n_most)

@@ -179,7 +179,7 @@ class Errors:
     """Normalised errors squared of walks."""
 
     position: FloatArray  # (N, T)
-    position_linear: FloatArray  # (N, T) without `shared_m`
+    position_linear: FloatArray  # (N, T) without `consider_error_m`
     state: FloatArray  # (N, T)
     fixes: FloatArray  # (N, F) normalised innovations squared
     right: FloatArray  # (N,) share of steps whose most probable mode is the true one

@@ -21,11 +21,11 @@ from pdr_filter.filter.imm.pedestrian_state import (
     TRAIL_TIME,
     PedestrianState,
     UsedFix,
+    consider_cov,
     in_other_frame,
+    length_parameters_cov,
     own_place,
-    parameters_cov,
     present_position,
-    shared_cov,
     with_moved_past,
     with_open_turn,
 )
@@ -104,7 +104,7 @@ def _on_position(
     """
     z, H, R = _without_shared_error(model, state, fix, then_m)
     cov = state.cov.copy()
-    cov[:, :2, :2] += shared_cov(state)
+    cov[:, :2, :2] += consider_cov(state)
     updated = arithmetic.update(state.mean, cov, z, H, R)
     after, outcome, nis = _gated(arithmetic, state, updated, model.fix_gate_nis)
     if outcome == "used":
@@ -114,7 +114,7 @@ def _on_position(
         after = replace(
             _with_used(after, fix, _place_at(after, fix.time_s)),
             cov=larger * after.cov,
-            shared_m=np.zeros_like(state.shared_m),
+            consider_error_m=np.zeros_like(state.consider_error_m),
             doubt=after.doubt.with_used(),
             n_fix_errors=n_errors,
             fix_squares=squares,
@@ -328,7 +328,7 @@ def _paired(state: PedestrianState, fix: PositionFix, then_m: FloatArray) -> tup
     """The fix with where the track was, and the variance of the heading, which has no part in that of the track."""
     _, P = imm.combine(state.mean, state.cov, state.prob)
     cov = P.copy()
-    cov[:2, :2] += parameters_cov(state)
+    cov[:2, :2] += length_parameters_cov(state)
     walked_var = walked_var_m2(cov)
     pair = PairedPoint(read_only(then_m), fix.position_m, fix.var_m2, walked_var, fix.time_s, fix.correlation_s)
     return pair, float(P[HEADING_OFFSET, HEADING_OFFSET])

@@ -51,8 +51,8 @@ TRAIL_TIME, TRAIL_HEADING = 0, 3
 TRAIL_POSITION = slice(1, 3)
 # Two steps further apart than this have a pause between them.
 _PAUSE_S = 2.0
-# Rows of the errors that steps share: along and across the step, then one for each mode's parameters.
-_ALONG_AND_ACROSS, _PARAMETERS = slice(2), slice(2, None)
+# Rows of the consider parameters: along and across the step, then one for the length parameters of each mode.
+_ALONG_AND_ACROSS, _LENGTH_PARAMETERS = slice(2), slice(2, None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +120,7 @@ class PedestrianState:
     cov: FloatArray  # (F, 4, 4)
     prob: FloatArray  # (F,) of each filter
     walked_m: FloatArray  # (F,) expected distance of all steps so far, if each filter is right about the last of them
-    shared_m: FloatArray  # (2 + M, 2) sums of the errors that steps share and no state has, see `with_step`
+    consider_error_m: FloatArray  # (2 + M, 2) of the position, one std of each consider parameter, see `consider_cov`
     last_step_s: float  # contact of the last final step; NaN before the first
     gap_s: float  # time without samples since then
     speed: WalkingSpeed | None  # after the last final step; None before the first of a segment
@@ -146,7 +146,7 @@ def initial_state(model: PedestrianModel, prob: FloatArray) -> PedestrianState:
         cov=np.tile(cov, (len(prob), 1, 1)),
         prob=prob,
         walked_m=np.zeros(len(prob)),
-        shared_m=np.zeros((2 + len(model.modes), 2)),
+        consider_error_m=np.zeros((2 + len(model.modes), 2)),
         last_step_s=np.nan,
         gap_s=0.0,
         speed=None,
@@ -204,21 +204,10 @@ def with_step(
 ) -> PedestrianState:
     """State whose means and covariances have the step already, with all else that a step changes.
 
-    `combined` is the combined mean (4,) and covariance (4, 4) after the step. The errors that all steps share add up as
-    vectors, not as variances (`shared_m`): what the linear covariance does not know along and across the step, of
-    length and direction given (`motion_model.second_order_errors`); and for each mode the error due to the parameters
-    of its length model, in the mode's own direction. The parameters are off once for a person: drawn again at each
-    step, as if they were noise, a run of 300 steps would be ten times too sure.
+    `combined` is the combined mean (4,) and covariance (4, 4) after the step.
     """
     x, P = combined
     log_scale_var = float(P[LOG_SCALE, LOG_SCALE])
-    along, across = second_order_errors(float(P[HEADING_OFFSET, HEADING_OFFSET]), log_scale_var)
-    sine, cosine = math.sin(walked.heading_rad), math.cos(walked.heading_rad)
-    along_m, across_m = walked.length_m * along, walked.length_m * across
-    shared_m = np.empty_like(state.shared_m)
-    shared_m[_ALONG_AND_ACROSS] = (along_m * sine, along_m * cosine), (across_m * cosine, -across_m * sine)
-    np.multiply(walked.parameter_std_m[:, None], walked.direction, out=shared_m[_PARAMETERS])
-    shared_m += state.shared_m
     # a pause before the step starts the smoothed speed afresh
     is_pause = math.isnan(state.last_step_s) or step.time_s - state.last_step_s > 1.5 * step.duration_s
     frame = state.frame
@@ -232,7 +221,7 @@ def with_step(
     return replace(
         state,
         frame=frame,
-        shared_m=shared_m,
+        consider_error_m=state.consider_error_m + _consider_error_m(walked, P),
         speed=after_step(
             state.speed, walked.length_m, walked.length_var_m2, step.duration_s, log_scale_var, is_first=is_pause
         ),
@@ -241,6 +230,17 @@ def with_step(
         trail=trail,
         n_final=state.n_final + 1,
     )
+
+
+def _consider_error_m(walked: Walked, P: FloatArray) -> FloatArray:
+    """Error (2 + M, 2) of one step for one standard deviation of each consider parameter, see `consider_cov`."""
+    along, across = second_order_errors(float(P[HEADING_OFFSET, HEADING_OFFSET]), float(P[LOG_SCALE, LOG_SCALE]))
+    sine, cosine = math.sin(walked.heading_rad), math.cos(walked.heading_rad)
+    along_m, across_m = walked.length_m * along, walked.length_m * across
+    error_m = np.empty((2 + len(walked.parameter_std_m), 2))
+    error_m[_ALONG_AND_ACROSS] = (along_m * sine, along_m * cosine), (across_m * cosine, -across_m * sine)
+    np.multiply(walked.parameter_std_m[:, None], walked.direction, out=error_m[_LENGTH_PARAMETERS])
+    return error_m
 
 
 # Half a radian: the step along a heading that is off by so much is an eighth shorter than a linear filter believes.
@@ -264,7 +264,7 @@ def with_open_turn(state: PedestrianState) -> PedestrianState:
         state = in_other_frame(state, turn)
         frame = frame.joined(turn)
     x, P = imm.combine(state.mean, state.cov, state.prob)
-    var_m2 = 0.5 * float(np.trace(position_cov(P, shared_cov(state))))
+    var_m2 = 0.5 * float(np.trace(position_cov(P, consider_cov(state))))
     time_s = float(state.trail[-1, TRAIL_TIME]) if len(state.trail) else 0.0
     here = PairedPoint(read_only(x[:2]), read_only(x[:2]), var_m2, time_s=time_s)
     mean, cov = state.mean.copy(), state.cov.copy()
@@ -274,7 +274,7 @@ def with_open_turn(state: PedestrianState) -> PedestrianState:
         state,
         mean=mean,
         cov=cov,
-        shared_m=np.zeros_like(state.shared_m),
+        consider_error_m=np.zeros_like(state.consider_error_m),
         frame=frame.opened((here,), float(P[HEADING_OFFSET, HEADING_OFFSET]), state.n_final),
         doubt=Doubt(),
         used_fixes=(),
@@ -289,7 +289,7 @@ def in_other_frame(state: PedestrianState, alignment: Alignment) -> PedestrianSt
         mean=mean,
         cov=cov,
         first_heading_rad=state.first_heading_rad - alignment.angle_rad,
-        shared_m=state.shared_m @ alignment.rotation.T,
+        consider_error_m=state.consider_error_m @ alignment.rotation.T,
         frame=state.frame.moved(alignment),
     )
 
@@ -324,7 +324,7 @@ def step_update(
     x, P = combined
     if updated.speed is None:
         raise ValueError("the state after a step must have a walking speed: use the state that with_step returns")
-    of_start = Place(frozen(x[:2].copy()), position_cov(P, shared_cov(updated)), walked.heading_rad, previous.n_final)
+    of_start = Place(frozen(x[:2].copy()), position_cov(P, consider_cov(updated)), walked.heading_rad, previous.n_final)
     place = of_start if updated.frame.is_joined else updated.frame.world(of_start)
     return StepUpdate(
         index=previous.n_final,
@@ -371,23 +371,37 @@ def moved_by_heading_m(before: PedestrianState, after: PedestrianState, length_m
 def own_place(state: PedestrianState) -> Place:
     """The place of the final estimate in the frame of the filter's states, without its heading."""
     x, P = imm.combine(state.mean, state.cov, state.prob)
-    return Place(x[[EAST, NORTH]], position_cov(P, shared_cov(state)), 0.0, state.n_final)
+    return Place(x[[EAST, NORTH]], position_cov(P, consider_cov(state)), 0.0, state.n_final)
 
 
-def position_cov(P: FloatArray, shared_m2: FloatArray) -> FloatArray:
-    """Covariance (2, 2) of a position with linear covariance P (4, 4) and the `shared_cov` of all steps."""
+def position_cov(P: FloatArray, consider_cov_m2: FloatArray) -> FloatArray:
+    """Covariance (2, 2) of a position with linear covariance P (4, 4) and this `consider_cov`."""
     (xx, xy, _, _), (yx, yy, _, _) = P[:2].tolist()
-    (shared_xx, shared_xy), (_, shared_yy) = shared_m2.tolist()
-    xy = 0.5 * (xy + yx) + shared_xy
-    return frozen(np.array(((xx + shared_xx, xy), (xy, yy + shared_yy))))
+    (consider_xx, consider_xy), (_, consider_yy) = consider_cov_m2.tolist()
+    xy = 0.5 * (xy + yx) + consider_xy
+    return frozen(np.array(((xx + consider_xx, xy), (xy, yy + consider_yy))))
 
 
-def shared_cov(state: PedestrianState) -> FloatArray:
-    """What the errors that all steps share add to the position's covariance, (2, 2)."""
-    return state.shared_m.T.dot(state.shared_m)
+def consider_cov(state: PedestrianState) -> FloatArray:
+    """Covariance (2, 2) that the consider parameters add to that of the position.
+
+    A consider parameter is a constant that a filter does not estimate, but whose uncertainty is part of its covariance
+    (the Schmidt-Kalman filter: S. F. Schmidt, "Application of state-space methods to navigation problems", Advances in
+    Control Systems 3, 1966; B. D. Tapley, B. E. Schutz and G. H. Born, "Statistical Orbit Determination", 2004, chapter
+    6). With S the derivative of the position with respect to the parameters and C their covariance, S C S' adds to the
+    position's own covariance. The rows of `consider_error_m` are the columns of S C^(1/2): the error of the position
+    for one standard deviation of each parameter. They add up over the steps as vectors, not as variances, because a
+    parameter has the same error in all steps of a person. With independent errors a run of 300 steps would have a
+    standard deviation ten times too small.
+
+    The parameters are the second-order errors along and across the steps (`motion_model.second_order_errors`), and for
+    each mode those of its length model. A used position fix moves this covariance into that of the states
+    (`fix_updates`), where Schmidt's filter would keep the covariance of parameters and states.
+    """
+    return state.consider_error_m.T.dot(state.consider_error_m)
 
 
-def parameters_cov(state: PedestrianState) -> FloatArray:
-    """The part of `shared_cov` that is due to the parameters of the lengths, whatever the heading, (2, 2)."""
-    own = state.shared_m[_PARAMETERS]
-    return own.T @ own
+def length_parameters_cov(state: PedestrianState) -> FloatArray:
+    """Part (2, 2) of `consider_cov` that is due to the parameters of the length models."""
+    error_m = state.consider_error_m[_LENGTH_PARAMETERS]
+    return error_m.T @ error_m
