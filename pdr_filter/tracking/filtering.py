@@ -247,6 +247,7 @@ def finish(config: Config, state: State) -> tuple[State, Output]:
 
 def _process(config: Config, state: State, events: list[tuple[float, Event]]) -> tuple[State, Output]:
     output = Output()
+    tracker: TrackerState
     windows = [event for _, event in events if isinstance(event, WindowContext)]
     contexts = iter(with_climbs(windows, [climb_at(state.climbs, window.time_s) for window in windows]))
     of_height = iter(height.window_log_evidence(windows, config.model)) if state.climbs else repeat(None)
@@ -361,6 +362,7 @@ def due_s(config: Config, fix: Fix) -> float:
 
 
 def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[State, FixResult]:
+    tracker: TrackerState
     if untimely(fix, state.sensing.conditioner.report.first_time_s, received_s(fix)):
         outcome, nis = "rejected", np.inf
     else:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, cast
 
 import numpy as np
 
@@ -120,7 +119,7 @@ def aligned(recording: Recording, brought: Iterable[tuple[State, Output]]) -> It
         whole.fixes.extend(found.results(last.sensing.processed_s))
         if known.frame.alignment is not None:
             whole.updates[:] = _with_own_errors(finals, way.own_var_m2(found.frame.agreeing))
-    tracker = replace(cast(Any, last.tracker), pedestrian=known)
+    tracker = replace(last.tracker, pedestrian=known)
     rides = Rides.of(found.fixes, np.array([update.step.time_s for update in finals]))
     n_rejected = sum(fix.outcome == "rejected" for fix in whole.fixes)
     height = _with_altitudes(last.height, found.fixes, finals)
