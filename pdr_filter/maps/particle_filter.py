@@ -28,10 +28,9 @@ import numpy as np
 from numpy.random import Generator, Philox
 
 from pdr_filter.filter.fixes.frame_rotation import Compass
-from pdr_filter.filter.imm import imm
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, MAX_HEADING_VARIANCE
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import PedestrianState, StepUpdate, consider_cov
+from pdr_filter.filter.imm.pedestrian_state import PedestrianState, StepUpdate
 from pdr_filter.maps.crossing_costs import Ground, Terrain
 from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.maps.particle_clusters import n_needed, on_plan
@@ -338,9 +337,9 @@ class ParticleFilter:
         self, state: ParticleState, known: PedestrianState, ground: Ground | None, rng: Generator, scale_std: float
     ) -> ParticleState:
         """Particles of the tracker's normal distribution, or of its density over all turns while it is open."""
-        x, combined = imm.combine(known.mean, known.cov, known.prob)
+        x, combined = known.estimates.combined
         P = combined.copy()
-        P[:2, :2] += consider_cov(known)
+        P[:2, :2] += known.estimates.consider_cov_m2
         P[LOG_SCALE, LOG_SCALE] += scale_std**2
         open_turn = None if known.frame.is_joined else known.frame.turn
         n = min((2 if open_turn is None else 5) * self.n_least, self.n_most)
@@ -368,7 +367,7 @@ class ParticleFilter:
     ) -> ParticleState:
         """Particles at the start, turned any way that the heading fixes and the compass so far allow."""
         n = self.n_most
-        x, P = imm.combine(known.mean, known.cov, known.prob)
+        x, P = known.estimates.combined
         particles = np.zeros((n, N_COLUMNS))
         particles[:, :2] = start.draw(rng, n)
         frame, turn_rad = known.frame, rng.uniform(-math.pi, math.pi, n)

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from pdr_filter.filter.fixes.alignment import Place
-from pdr_filter.filter.imm import imm
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET
-from pdr_filter.filter.imm.pedestrian_state import StepUpdate, own_place, present_position
+from pdr_filter.filter.imm.pedestrian_state import StepUpdate, present_position, track_place
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.steps.step_gate import StepGateState
 from pdr_filter.sensing.stream_merging import SENSORS
@@ -108,11 +107,11 @@ def now(config: Config, state: State) -> Now:
         last = updates[-1]
         steps.append(ProvisionalStep(step.time_s, last.position_m))
     pedestrian = state.tracker.pedestrian
-    mean, cov = imm.combine(pedestrian.mean, pedestrian.cov, pedestrian.prob)
+    mean, cov = pedestrian.estimates.combined
     device_rad, frame = sensing.attitude.device_heading_rad, pedestrian.frame
-    place = replace(own_place(pedestrian), heading_rad=device_rad + float(mean[HEADING_OFFSET]))
+    place = replace(track_place(pedestrian), heading_rad=device_rad + float(mean[HEADING_OFFSET]))
     if last is not None and (steps or not last.is_final):
-        own = Place(last.position_m, last.position_cov_m2, last.walking_heading_rad, pedestrian.n_final)
+        own = Place(last.position_m, last.position_cov_m2, last.walking_heading_rad, pedestrian.steps.n_final)
         turned_rad = device_rad - last.step.device_heading_rad
         place = last.of_start or own
         place = replace(place, heading_rad=place.heading_rad + turned_rad)
@@ -125,7 +124,7 @@ def now(config: Config, state: State) -> Now:
     reckoned = present_position(pedestrian)
     on_plan = None if config.on_plan is None else config.on_plan.place(state.particles, reckoned)
     if on_plan is not None and state.particles is not None:
-        base = replace(own_place(pedestrian), heading_rad=state.particles.heading_rad + float(mean[HEADING_OFFSET]))
+        base = replace(track_place(pedestrian), heading_rad=state.particles.heading_rad + float(mean[HEADING_OFFSET]))
         base = base if frame.is_joined else frame.world(base)
         ahead = [_on_plan(replace(place, position_m=s.position_m), base, on_plan).position_m for s in steps]
         steps = [replace(s, position_m=at) for s, at in zip(steps, ahead, strict=True)]
@@ -136,8 +135,8 @@ def now(config: Config, state: State) -> Now:
     return Now(
         time_s=newest_s,
         latency_s=newest_s - sensing.processed_s if math.isfinite(sensing.processed_s) else math.nan,
-        n_steps=pedestrian.n_final,
-        distance_m=float(pedestrian.prob @ pedestrian.walked_m),
+        n_steps=pedestrian.steps.n_final,
+        distance_m=pedestrian.estimates.distance_m,
         position_m=read_only(place.position_m),
         position_cov_m2=read_only(place.cov_m2),
         is_provisional=bool(steps) or way_m > 0,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right, insort
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,7 +15,8 @@ from pdr_filter.filter.fixes.gnss import LocationState, Rides, position_fixes
 from pdr_filter.filter.height import height_filter as height
 from pdr_filter.filter.height.height_filter import HeightState, initial_height
 from pdr_filter.filter.imm import pedestrian_state as pedestrian
-from pdr_filter.filter.imm.pedestrian_state import TRAIL_TIME, StepUpdate, heading_std_rad, moved_by_heading_m
+from pdr_filter.filter.imm.pedestrian_state import StepUpdate, moved_by_heading_m
+from pdr_filter.filter.imm.step_history import TRAIL_TIME
 from pdr_filter.filter.imm.tracker import TrackerState
 from pdr_filter.filter.plan_stage import PlanState
 from pdr_filter.filter.step_length.person import Person, session_of
@@ -202,7 +204,7 @@ def present_position(config: Config, state: State) -> tuple[FloatArray, FloatArr
 
 def person_of(config: Config, state: State) -> Person | None:
     """What is known of the person in the end: of walks before, and of the fixes of this one; None if nothing is."""
-    session = session_of(config.model, state.tracker.pedestrian, state.n_length_fixes)
+    session = session_of(config.model, state.tracker.pedestrian.estimates, state.n_length_fixes)
     if session is None:
         return config.person
     return (config.person or Person()).pooled(Person((session,)))
@@ -271,7 +273,7 @@ def _process(config: Config, state: State, events: list[tuple[float, Event]]) ->
             tracker, updates = config.tracker.on_step(state.tracker, event)
             before, after = state.tracker.pedestrian, tracker.pedestrian
             moved_m = moved_by_heading_m(before, after, sum(u.step_length_m for u in updates if u.is_final))
-            walked = state.walked.plus(event, heading_std_rad(after), moved_m)
+            walked = state.walked.plus(event, math.sqrt(after.estimates.heading_var_rad2), moved_m)
             state = replace(state, tracker=tracker, walked=walked)
         state = _with_steps(config, state, known_s, updates, output)
     state, used = _use_due_fixes(config, state, state.sensing.processed_s)
@@ -369,7 +371,7 @@ def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[Stat
         tracker, outcome, nis = config.tracker.on_fix(state.tracker, fix)
         state = replace(state, tracker=tracker)
         if isinstance(fix, PositionFix):
-            state = replace(state, rides=state.rides.plus(fix, tracker.pedestrian.trail[:, TRAIL_TIME]))
+            state = replace(state, rides=state.rides.plus(fix, tracker.pedestrian.steps.trail[:, TRAIL_TIME]))
         if config.on_plan is not None:
             floor = state.height.known.floors.floor
             particles = config.on_plan.on_fix(state.particles, fix, outcome, tracker.pedestrian, config.model, floor)

@@ -14,7 +14,6 @@ from pdr_filter.filter.fixes.frame_rotation import PairedPoint, agreed_turn, ali
 from pdr_filter.filter.fixes.gnss import INTERVAL_S, LocationState, Rides, position_fixes
 from pdr_filter.filter.fixes.repeated_fixes import frozen_fixes
 from pdr_filter.filter.height.height_filter import HeightState
-from pdr_filter.filter.imm import imm
 from pdr_filter.filter.imm.pedestrian_state import StepUpdate
 from pdr_filter.tracking.filtering import Output, State
 from pdr_filter.values import FixOutcome, FixResult, FloatArray, PositionFix, Samples, read_only
@@ -106,16 +105,16 @@ def aligned(recording: Recording, brought: Iterable[tuple[State, Output]]) -> It
         whole.extend(output)
         if any(update.is_final for update in output.updates):
             known = state.tracker.pedestrian
-            walked = walked_var_m2(imm.combine(known.mean, known.cov, known.prob)[1])
+            walked = walked_var_m2(known.estimates.combined[1])
             var_m2 += [walked] * sum(update.is_final for update in output.updates)
     if last is None or recording.location is None:
         return
     report, known = last.sensing.conditioner.report, last.tracker.pedestrian
     finals = [update for update in whole.updates if update.is_final]
     way = Way.of(report.first_time_s, finals, var_m2)
-    found = align_way(recording.location, way, report.first_time_s, report.last_time_s, known.n_final)
+    found = align_way(recording.location, way, report.first_time_s, report.last_time_s, known.steps.n_final)
     if found.fixes:
-        known = replace(known, frame=found.frame, n_frozen_fixes=sum(found.frozen))
+        known = replace(known, frame=found.frame, fixes=replace(known.fixes, n_frozen=sum(found.frozen)))
         whole.fixes.extend(found.results(last.sensing.processed_s))
         if known.frame.alignment is not None:
             whole.updates[:] = _with_own_errors(finals, way.own_var_m2(found.frame.agreeing))

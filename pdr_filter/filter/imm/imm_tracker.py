@@ -5,22 +5,22 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from pdr_filter.filter.fixes.fix_updates import use_fix
+from pdr_filter.filter.imm.estimates import Estimates
 from pdr_filter.filter.imm.imm import ImmArithmetic, NumpyImm, mixed_values
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, StepMotion, advance
 from pdr_filter.filter.imm.pedestrian_model import ModeLengths, PedestrianModel
 from pdr_filter.filter.imm.pedestrian_state import (
     PedestrianState,
     StepUpdate,
-    Walked,
     initial_state,
-    is_known_to_stand,
+    over_gap,
     step_update,
     with_heading,
     with_open_turn,
     with_step,
 )
 from pdr_filter.filter.imm.recent_windows import RecentWindows, n_after, window_before, with_window
-from pdr_filter.filter.imm.tracker import over_gap
+from pdr_filter.filter.imm.step_history import Walked
 from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, replace
 
@@ -72,37 +72,35 @@ class ImmTracker:
         """
         model, imm = self.model, self.arithmetic
         previous = with_open_turn(state.pedestrian)
-        mixed = self._mixed(previous)
-        turned = with_heading(mixed, step, model.directions, model.noise)
+        mixed = self._mixed(previous.estimates)
+        turned = with_heading(replace(previous, estimates=mixed), step, model.directions, model.noise)
         lengths = model.lengths(step)
-        predicted, motion = self._predicted(turned, step, lengths)
+        predicted, motion = self._predicted(turned.estimates, step, lengths)
         window = window_before(state.windows, step.time_s)
         state, log_evidence = self._with_evidence(state, step, window)
         prob = imm.update_mode_prob(predicted.prob, log_evidence)
         combined = imm.combine(predicted.mean, predicted.cov, prob)
 
         walked = self._walked(step, lengths, motion, prob, combined[0])
-        updated = with_step(replace(predicted, prob=prob), step, walked, combined)
+        updated = with_step(replace(turned, estimates=replace(predicted, prob=prob)), step, walked, combined)
         context_prob = model.context_prob(prob) if window is None else window.prob
         update = step_update(previous, updated, step, walked, combined, context_prob, prob)
         return replace(state, pedestrian=updated), (update,)
 
-    def _mixed(self, pedestrian: PedestrianState) -> PedestrianState:
+    def _mixed(self, estimates: Estimates) -> Estimates:
         """Mixed estimates and predicted mode probabilities, before the next step."""
         transition_prob = self.model.transition_prob
-        mean, cov, prob = self.arithmetic.mix(pedestrian.mean, pedestrian.cov, pedestrian.prob, transition_prob)
-        walked_m = mixed_values(pedestrian.walked_m, pedestrian.prob, transition_prob)
-        return replace(pedestrian, mean=mean, cov=cov, prob=prob, walked_m=walked_m)
+        mean, cov, prob = self.arithmetic.mix(estimates.mean, estimates.cov, estimates.prob, transition_prob)
+        walked_m = mixed_values(estimates.walked_m, estimates.prob, transition_prob)
+        return replace(estimates, mean=mean, cov=cov, prob=prob, walked_m=walked_m)
 
-    def _predicted(
-        self, pedestrian: PedestrianState, step: Step, lengths: ModeLengths
-    ) -> tuple[PedestrianState, StepMotion]:
+    def _predicted(self, estimates: Estimates, step: Step, lengths: ModeLengths) -> tuple[Estimates, StepMotion]:
         """Estimates with the displacement of each mode, and these displacements."""
         length_m, _, residual_var_m2, _ = lengths
         motion, mean, cov = advance(
-            pedestrian.mean, pedestrian.cov, step, length_m, residual_var_m2, self.model.directions, self.model.noise
+            estimates.mean, estimates.cov, step, length_m, residual_var_m2, self.model.directions, self.model.noise
         )
-        return replace(pedestrian, mean=mean, cov=cov, walked_m=pedestrian.walked_m + motion.length_m), motion
+        return replace(estimates, mean=mean, cov=cov, walked_m=estimates.walked_m + motion.length_m), motion
 
     def _with_evidence(self, state: ImmState, step: Step, window: WindowContext | None) -> tuple[ImmState, FloatArray]:
         """State that has used the window of a step, and the log evidence (M,) of step, window and standstills."""
@@ -111,7 +109,7 @@ class ImmTracker:
             n_later = n_after(state.windows, window)
             evidence = evidence + self.model.evidence.of(window, state.used, state.n_unused - n_later)
             state = replace(state, used=window, n_unused=n_later)
-        if is_known_to_stand(state.pedestrian, step):
+        if state.pedestrian.fixes.is_standing(step.time_s):
             evidence = evidence - _STANDSTILL_LOG_EVIDENCE * self.model.moves
         return state, evidence
 

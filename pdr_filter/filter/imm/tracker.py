@@ -5,22 +5,10 @@ from __future__ import annotations
 from dataclasses import Field
 from typing import Any, ClassVar, Protocol, TypeVar
 
-import numpy as np
-
-from pdr_filter.filter.imm.motion_model import MotionNoise, grow_over_gap
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import PedestrianState, StepUpdate, after_gap
+from pdr_filter.filter.imm.pedestrian_state import PedestrianState, StepUpdate
 from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.values import Fix, FixOutcome, Step, replace
-
-
-def over_gap(state: PedestrianState, gap_s: float, noise: MotionNoise) -> PedestrianState:
-    """Return the state after a time without samples: positions and headings are less known.
-
-    The gap's own growth stands for the time since the last step.
-    """
-    cov = grow_over_gap(state.cov, gap_s, noise)
-    return replace(after_gap(state), cov=cov, last_step_s=np.nan, speed=None, gap_s=state.gap_s + gap_s)
+from pdr_filter.values import Fix, FixOutcome, Step
 
 
 class TrackerState(Protocol):

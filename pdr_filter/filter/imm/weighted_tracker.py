@@ -11,15 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdr_filter.filter.fixes.fix_updates import use_fix
+from pdr_filter.filter.imm.estimates import Estimates
 from pdr_filter.filter.imm.imm import NumpyImm
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, advance
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.pedestrian_state import (
     PedestrianState,
     StepUpdate,
-    Walked,
     initial_state,
-    is_known_to_stand,
+    over_gap,
     step_update,
     with_heading,
     with_open_turn,
@@ -32,7 +32,7 @@ from pdr_filter.filter.imm.recent_windows import (
     window_around,
     with_window,
 )
-from pdr_filter.filter.imm.tracker import over_gap
+from pdr_filter.filter.imm.step_history import Walked
 from pdr_filter.filter.imm.weighting import HC, context_weights
 from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, check_numbers, replace
@@ -121,12 +121,12 @@ class WeightedTracker:
         model, step = self.model, state.pending[0]
         context_prob, weights = self._weights(state, step, is_final)
         previous = with_open_turn(state.pedestrian)
-        if is_known_to_stand(previous, step):
+        if previous.fixes.is_standing(step.time_s):
             weights = 1.0 - model.moves
         turned = with_heading(previous, step, model.directions.weighted(weights), model.noise)
-        predicted, walked = self._predicted(turned, step, weights)
+        predicted, walked = self._predicted(turned.estimates, step, weights)
         combined = predicted.mean[0], predicted.cov[0]
-        updated = with_step(predicted, step, walked, combined)
+        updated = with_step(replace(turned, estimates=predicted), step, walked, combined)
         update = step_update(previous, updated, step, walked, combined, context_prob, weights, is_final)
         mode_prob = weights if is_final else state.mode_prob
         return replace(state, pedestrian=updated, pending=state.pending[1:], mode_prob=mode_prob), update
@@ -141,17 +141,15 @@ class WeightedTracker:
         weights = 0.5 * (context_weights(provisional, self.threshold) + context_weights(final, self.threshold))
         return 0.5 * (provisional + final), weights[self.model.context_index]
 
-    def _predicted(
-        self, pedestrian: PedestrianState, step: Step, weights: FloatArray
-    ) -> tuple[PedestrianState, Walked]:
+    def _predicted(self, estimates: Estimates, step: Step, weights: FloatArray) -> tuple[Estimates, Walked]:
         """Estimate with the displacement of a step whose length is that of the modes weighted (M,), and that step."""
         model, directions = self.model, self.model.directions.weighted(weights)
         lengths = model.lengths(step)
         length_m, length_var_m2 = float(weights @ lengths.length_m), lengths.mixture_var_m2(weights)
         single_var_m2 = max(length_var_m2 - float(weights @ lengths.parameter_std_m**2), 0.0)
         motion, mean, cov = advance(
-            pedestrian.mean,
-            pedestrian.cov,
+            estimates.mean,
+            estimates.cov,
             step,
             np.array([length_m]),
             np.array([single_var_m2]),
@@ -165,7 +163,7 @@ class WeightedTracker:
             parameter_std_m=weights * lengths.parameter_std_m * motion.scale,
             direction=motion.along,
         )
-        return replace(pedestrian, mean=mean, cov=cov, walked_m=pedestrian.walked_m + motion.length_m), walked
+        return replace(estimates, mean=mean, cov=cov, walked_m=estimates.walked_m + motion.length_m), walked
 
     def _prob_of(self, state: WeightedState, window: WindowContext | None) -> FloatArray:
         """Context probabilities (C,) of a window; without it of the latest; else those so far."""
