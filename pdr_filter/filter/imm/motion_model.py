@@ -264,11 +264,11 @@ def advance(
     F[..., EAST, HEADING_OFFSET] = F[..., NORTH, LOG_SCALE] = north_m
     F[..., NORTH, HEADING_OFFSET], F[..., EAST, LOG_SCALE] = -east_m, east_m
     # var(along) u u' + var(across) v v', and u u' + v v' = I
-    more, everywhere = motion.var_along_m2 - motion.var_across_m2, motion.var_across_m2 + directions.extra_var_m2
-    more_east = more * motion.sine
-    Q[..., EAST, EAST] = more_east * motion.sine + everywhere
-    Q[..., EAST, NORTH] = Q[..., NORTH, EAST] = more_east * motion.cosine
-    Q[..., NORTH, NORTH] = more * motion.cosine * motion.cosine + everywhere
+    excess_m2, isotropic_m2 = motion.var_along_m2 - motion.var_across_m2, motion.var_across_m2 + directions.extra_var_m2
+    excess_east_m2 = excess_m2 * motion.sine
+    Q[..., EAST, EAST] = excess_east_m2 * motion.sine + isotropic_m2
+    Q[..., EAST, NORTH] = Q[..., NORTH, EAST] = excess_east_m2 * motion.cosine
+    Q[..., NORTH, NORTH] = excess_m2 * motion.cosine * motion.cosine + isotropic_m2
     return Advance(motion, predicted_mean, predict_cov(cov, F, Q))
 
 

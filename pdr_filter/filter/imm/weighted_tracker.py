@@ -83,9 +83,9 @@ class WeightedTracker:
         """Return the new state, the steps that became final, and a provisional update of this step."""
         state = replace(state, pending=(*state.pending, step))
         state, final = self._settle(state, force=False)
-        ahead, provisional = state, tuple[StepUpdate, ...]()
-        while ahead.pending:
-            ahead, update = self._weighted_step(ahead, is_final=False)
+        provisional_state, provisional = state, tuple[StepUpdate, ...]()
+        while provisional_state.pending:
+            provisional_state, update = self._weighted_step(provisional_state, is_final=False)
             provisional = (update,)
         return state, (*final, *provisional)
 
