@@ -88,7 +88,7 @@ def test_a_saved_filter_of_which_one_value_cannot_be_is_refused_by_its_name(
 @pytest.mark.parametrize("shape", [[4, 24], [24, 4], [96], [1, 6, 16]])
 def test_a_state_whose_arrays_have_other_shapes_than_those_of_its_configuration_is_refused(shape: list[int]) -> None:
     content = tree()
-    cov = at(content, (*STATE, "tracker", "fields", "pedestrian", "fields", "cov"))
+    cov = at(content, (*STATE, "tracker", "fields", "pedestrian", "fields", "estimates", "fields", "cov"))
     assert cov["shape"] == [6, 4, 4]
     cov["shape"] = shape
     with pytest.raises(ValueError, match="a state of another configuration"):
