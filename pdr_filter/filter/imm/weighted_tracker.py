@@ -13,7 +13,7 @@ import numpy as np
 from pdr_filter.filter.fixes.fix_updates import use_fix
 from pdr_filter.filter.imm.estimates import Estimates
 from pdr_filter.filter.imm.imm import NumpyImm
-from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, advance
+from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, Directions, advance
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.pedestrian_state import (
     PedestrianState,
@@ -123,8 +123,9 @@ class WeightedTracker:
         previous = with_open_turn(state.pedestrian)
         if previous.fixes.is_standing(step.time_s):
             weights = 1.0 - model.moves
-        turned = with_heading(previous, step, model.directions.weighted(weights), model.noise)
-        predicted, walked = self._predicted(turned.estimates, step, weights)
+        directions = model.directions.weighted(weights)
+        turned = with_heading(previous, step, directions, model.noise)
+        predicted, walked = self._predicted(turned.estimates, step, weights, directions)
         combined = predicted.mean[0], predicted.cov[0]
         updated = with_step(replace(turned, estimates=predicted), step, walked, combined)
         update = step_update(previous, updated, step, walked, combined, context_prob, weights, is_final)
@@ -141,10 +142,11 @@ class WeightedTracker:
         weights = 0.5 * (context_weights(provisional, self.threshold) + context_weights(final, self.threshold))
         return 0.5 * (provisional + final), weights[self.model.context_index]
 
-    def _predicted(self, estimates: Estimates, step: Step, weights: FloatArray) -> tuple[Estimates, Walked]:
+    def _predicted(
+        self, estimates: Estimates, step: Step, weights: FloatArray, directions: Directions
+    ) -> tuple[Estimates, Walked]:
         """Estimate with the displacement of a step whose length is that of the modes weighted (M,), and that step."""
-        model, directions = self.model, self.model.directions.weighted(weights)
-        lengths = model.lengths(step)
+        lengths = self.model.lengths(step)
         length_m, length_var_m2 = float(weights @ lengths.length_m), lengths.mixture_var_m2(weights)
         single_var_m2 = max(length_var_m2 - float(weights @ lengths.parameter_std_m**2), 0.0)
         motion, mean, cov = advance(
@@ -154,7 +156,7 @@ class WeightedTracker:
             np.array([length_m]),
             np.array([single_var_m2]),
             directions,
-            model.noise,
+            self.model.noise,
         )
         walked = Walked(
             length_m=float(motion.length_m[0]),
