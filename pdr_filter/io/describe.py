@@ -52,7 +52,7 @@ class StreamDescription:
     longest_gap_s: float  # zero where there is no gap
     n_duplicates: int  # times equal to the one before
     n_backward: int  # times before the one before
-    n_missing_rows: int  # rows with at least one empty value
+    n_missing_rows: int  # rows with an empty value in a column that has others, as not each app writes altitudes
     requested_hz: float | None = None  # None where the app does not say
 
     @property
@@ -159,6 +159,7 @@ def describe_stream(name: str, samples: Samples, requested_hz: Any = None) -> St
     median_s = float(np.median(forward_s)) if len(forward_s) else np.inf
     gaps_s = forward_s[forward_s > max(limits.GAP_S, limits.GAP_INTERVALS * median_s)]
     span_s = float(time_s.max() - time_s.min()) if len(time_s) else 0.0
+    is_empty = np.isnan(samples.values)
     is_rate = isinstance(requested_hz, int | float) and not isinstance(requested_hz, bool) and 0 < requested_hz < 1e6
     return StreamDescription(
         name=name,
@@ -172,7 +173,7 @@ def describe_stream(name: str, samples: Samples, requested_hz: Any = None) -> St
         longest_gap_s=float(gaps_s.max(initial=0.0)),
         n_duplicates=int((interval_s == 0).sum()),
         n_backward=int((interval_s < 0).sum()),
-        n_missing_rows=int(np.isnan(samples.values).any(axis=1).sum()),
+        n_missing_rows=int(is_empty[:, ~is_empty.all(axis=0)].any(axis=1).sum()),
         requested_hz=float(requested_hz) if is_rate else None,
     )
 

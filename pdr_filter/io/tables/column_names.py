@@ -25,14 +25,14 @@ LOCATION = ("latitude", "longitude", "altitude", "accuracy")
 
 _WORDS = {
     ACCELERATION: "acceleration accelerometer acc acce accel totalacceleration gf gforce "
-    "specificforce beschleunigung accelerazione accelerometro aceleracion aceleracao acelerometro",
+    "specificforce beschleunigung accelerazione accelerometro accelerometre aceleracion aceleracao acelerometro",
     LINEAR: "linearacceleration linearaccelerometer lacc linacc linacce linaccel linearacc linearaccel "
     "useracceleration useraccel useracc linearebeschleunigung",
     GRAVITY: "gravity grav gravitation",
     RATE: "gyroscope gyro gyr gyrorotation rotationrate rotrate turnrate angularvelocity angularrate angularspeed "
     "angvel omega drehrate gyroskop giroscopio",
     ROTATION: "rotation rot",
-    FIELD: "magneticfield magnetometer magnet magn mag mafi magfield magnetfeld",
+    FIELD: "magneticfield magnetic magnetometer magnet magn mag mafi magfield magnetfeld",
     "barometer": "pressure barometer baro bar pres druck",
     "light": "illuminance light lux",
     "proximity": "proximity prox",
@@ -43,16 +43,24 @@ _WORDS = {
     "orientation": "orientation attitude euler rotationvector quaternion heading compass position velocity speed",
 }
 QUANTITY_OF = {word: quantity for quantity, words in _WORDS.items() for word in words.split()}
-# Letters of the physics books, which stand alone: a word may not end with them.
+# A name of one of these alone is known, a longer one that ends with it is not: heart_rate_x is no angular rate.
 _LETTERS = {
-    **{"a": ACCELERATION, "w": RATE, "g": RATE, "b": FIELD, "m": FIELD},
+    **{"a": ACCELERATION, "w": RATE, "g": RATE, "b": FIELD, "m": FIELD, "rate": RATE, "rates": RATE},
     **dict.fromkeys(("lineara", "lina", "usera"), LINEAR),  # as in linear_ax
 }
-# A word may stand anywhere in a name. Only these are also recognised within a longer word, such as `wristaccx`: "lacc"
-# is at the end of "totalacc", and "light" at that of "flight".
+# A word may stand anywhere in a name. Only these are also recognised at the end of a longer word, such as `wristaccx`:
+# "lacc" is at the end of "totalacc", and "light" at that of "flight".
 _GLUED = [
     word for word, quantity in QUANTITY_OF.items() if len(word) >= (3 if quantity in VECTORS else 6) and word != "lacc"
 ]
+# These words are in the names of files that hold no such sensor: long_walk, speed_test, heading_north.
+_OF_FILES = {
+    word: quantity
+    for word, quantity in QUANTITY_OF.items()
+    if quantity not in LOCATION and word not in ("speed", "heading", "rotation", "rot")
+}
+_BEHIND = {"data", "raw", "log", "logs", "sensor", "samples", "values", "cal", "uncal"}  # as in gyrodata
+_LONG = 8  # letters of a word that no other one contains by chance
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
 # Web browsers name the axes of the angular rate so (W3C, "Device Orientation and Motion"; w3c/deviceorientation#44).
 _GREEK_AXES = {"alpha": "x", "beta": "y", "gamma": "z"}
@@ -67,7 +75,9 @@ _ACCURACY = re.compile(
     r"|dokadnosc|noggrannhet|nyaktighe[dt]|tarkkuus|dogruluk"  # whose letters without accents are lost
     r"|\u7cbe\u5ea6|\uc815\ud655\ub3c4|\u0442\u043e\u0447\u043d\u043e\u0441\u0442\u044c"
 )
-_HORIZONTAL_ALONE = re.compile(r"(gps|gnss|loc|location|pos|position)?(h|hor|horiz|horizontal)acc(m|met(er|re)s)?|eph")
+_HORIZONTAL_ALONE = re.compile(
+    r"(gps|gnss|loc|location|pos|position)?((h|hor|horiz|horizontal)acc|acch)(m|met(er|re)s)?|eph"
+)
 _HORIZONTAL = re.compile(r"hori|orizz|\u6c34\u5e73|\uc218\ud3c9|\u0433\u043e\u0440\u0438\u0437")
 # An accuracy is of the horizontal position unless its name has one of these words or parts.
 _OF_OTHERS = re.compile(
@@ -213,6 +223,9 @@ def quantity_of_words(words: Sequence[str]) -> tuple[str, int]:
     ends = ["".join(words[i:])[: len(short) - len(stem) or None] for i in range(len(words))]
     known = next((QUANTITY_OF[end] for end in ends if end in QUANTITY_OF and len(end) > 1), "")
     fitting = [word for word in _GLUED if short.endswith(word)]
+    if not known and not fitting and short.endswith("g"):  # accG: in g, which its size must show
+        of_g = quantity_of_words([short[:-1]])[0]
+        return of_g if of_g in (ACCELERATION, LINEAR) else "", preference
     return known or (QUANTITY_OF[max(fitting, key=len)] if fitting else ""), preference
 
 
@@ -221,13 +234,19 @@ def quantity_of_file(name: str) -> tuple[str, int]:
     """Quantity that the name of a file or a sheet contains anywhere, and its preference; "" if none."""
     words = words_of(name)
     parts = {"".join(words[i:j]) for i in range(len(words)) for j in range(i + 1, min(i + 4, len(words)) + 1)}
-    fitting = [word for word in QUANTITY_OF if word in parts]
-    fitting += [glued for word in words for glued in _GLUED if len(glued) > 3 and glued in word]
-    fitting += [scalar for word in words for scalar in QUANTITY_OF if len(scalar) > 3 and word.startswith(scalar)]
-    fitting = [word for word in fitting if word not in ("rotation", "rot")]
+    fitting = [word for word in _OF_FILES if word in parts or any(_is_within(longer, word) for longer in words)]
     found = "".join(words)
     preference = 0 if "uncal" in found or "raw" in words else 2 if "calibrated" in found else 1
     return _by_gravity(found) or (QUANTITY_OF[max(fitting, key=len)] if fitting else ""), preference
+
+
+def _is_within(longer: str, word: str) -> bool:
+    """Whether a word of a file name is a known one with others before or behind it, as in wristaccel and gyrodata."""
+    before, found, behind = longer.partition(word)
+    is_glued = bool(found) and word in _GLUED and QUANTITY_OF[word] != "orientation"
+    if not before and not (is_glued and len(word) >= _LONG):
+        return behind in _BEHIND or behind in _OF_FILES
+    return is_glued and len(word) >= (_LONG if behind else 4)
 
 
 def _by_gravity(stem: str) -> str:

@@ -60,7 +60,9 @@ class SheetData:
 
 def fill(parsed: Parsed, mapping: Mapping, data: Sequence[SheetData]) -> None:
     """Put the streams of a mapping into what becomes the recording, and what is known of their times."""
-    times = sorted({f"{stream.time} ({stream.time_unit})" for stream in mapping.streams if stream.time})
+    times = sorted(
+        {f"{stream.time.removeprefix('column ')} ({stream.time_unit})" for stream in mapping.streams if stream.time}
+    )
     parsed.clock = f"column {', '.join(times)}" if times else f"no time column: rows at {mapping.rate_hz:g} Hz"
     parsed.is_clock = any(stream.time_unit == "date" for stream in mapping.streams)
     parsed.rate_hz = mapping.rate_hz if times else 0.0
