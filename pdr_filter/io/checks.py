@@ -96,7 +96,7 @@ def _time_notes(streams: Mapping[str, Samples], suffix: str) -> list[str]:
 def _check_rows(samples: Samples, where: str) -> None:
     if len(samples) < limits.MIN_SAMPLES:
         raise RecordingError(
-            f"{where}: only {len(samples)} samples with a time; at least {limits.MIN_SAMPLES} are needed"
+            f"{where}: only {len(samples)} samples with a time, and {limits.MIN_SAMPLES} are needed; record for longer"
         )
     known = ~np.isnan(samples.values)
     if columns := ", ".join(np.array(["x", "y", "z"])[~known.any(axis=0)]):

@@ -312,7 +312,7 @@ def test_the_format_can_be_forced_and_an_unknown_one_is_refused(walk: Path) -> N
     assert run("info", walk, "--format", "own").exit_code == 0
     result = run("info", walk, "--format", "quux")
     assert result.exit_code == 2
-    assert "known are" in result.stderr
+    assert "give one of" in result.stderr
 
 
 def test_a_folder_is_all_its_recordings_for_info_and_compare_and_nothing_is_written_unasked(

@@ -52,7 +52,9 @@ class Objects:
         keys = self.keys or tuple(self.parsed[0])
         missing = [key for key in ("time", *columns) if key not in keys]
         if missing:
-            raise RecordingError(f"{where}: no key {missing[0]!r} (found: {', '.join(map(str, keys))[:120]})")
+            raise RecordingError(
+                f"{where}: no key {missing[0]!r} (found: {', '.join(map(str, keys))[:120]}); export again"
+            )
         if self.texts:
             # Between quotation marks the fields are: nothing, key, colon, value, comma, key, colon, value, ...
             layout = Layout(tuple(3 + 4 * keys.index(c) for c in columns), 3 + 4 * keys.index("time"), separator='"')

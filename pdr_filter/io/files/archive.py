@@ -146,7 +146,7 @@ class Members:
             block, rest = (rest + part[:cut], part[cut:]) if cut else (b"", rest + part)
             if len(rest) > limits.MAX_LINE_BYTES:
                 raise RecordingError(
-                    f"{self.where(name)}: a line of more than {limits.MAX_LINE_BYTES} bytes; this is no table"
+                    f"{self.where(name)}: a line of more than {limits.MAX_LINE_BYTES} bytes, so no table; give one"
                 )
             if block:
                 yield block
@@ -176,7 +176,7 @@ class Members:
         except RecordingError:
             raise
         except OSError as error:
-            raise RecordingError(f"{where}: cannot be read ({error.strerror or error})") from error
+            raise RecordingError(f"{where}: cannot be read ({error.strerror or error}); copy it again") from error
         except _ZIP_ERRORS as error:
             raise RecordingError(f"{where}: damaged ({error}); copy or export the recording again") from error
 

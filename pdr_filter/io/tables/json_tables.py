@@ -52,7 +52,7 @@ def json_sheets(members: Members, name: str, notes: list[str] | None = None) -> 
         for item in _objects(members.pieces(name), where, notes):
             for sensor, rows in _rows_of(item):
                 if len(tables) >= limits.MAX_TABLES and sensor not in tables:
-                    raise RecordingError(f"{where}: more than {limits.MAX_TABLES} tables; this is no recording")
+                    raise RecordingError(f"{where}: more than {limits.MAX_TABLES} tables; export one recording")
                 tables.setdefault(sensor, _Columns(where)).add(rows)
     except (RecursionError, UnicodeDecodeError) as error:
         raise RecordingError(f"{where}: the JSON is damaged ({error}); export it again") from error
@@ -191,7 +191,7 @@ class _Columns:
         if self._rows:
             keys = dict.fromkeys(key for row in self._rows for key in row)
             if len(keys) > limits.MAX_COLUMNS:
-                raise RecordingError(f"{self._where}: {len(keys)} columns, more than {limits.MAX_COLUMNS}")
+                raise RecordingError(f"{self._where}: {len(keys)} columns, over {limits.MAX_COLUMNS}; export fewer")
             self._keep({key: [row.get(key) for row in self._rows] for key in keys}, len(self._rows))
             self._rows = []
 

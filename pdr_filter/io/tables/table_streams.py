@@ -155,7 +155,7 @@ def _sheet_of(stream: StreamMap, mapping: Mapping, data: Sequence[SheetData]) ->
     if len(fitting) != 1:
         names = ", ".join(d.sheet.name for d in data[:10])
         raise RecordingError(
-            f"{mapping.where}: [{stream.stream}] file = {stream.file!r} fits {len(fitting)} tables; there are {names}"
+            f"{mapping.where}: [{stream.stream}] file = {stream.file!r} fits {len(fitting)} tables; name one of {names}"
         )
     return fitting[0]
 
@@ -163,7 +163,7 @@ def _sheet_of(stream: StreamMap, mapping: Mapping, data: Sequence[SheetData]) ->
 def _place(name: str, sheet: Sheet, mapping: Mapping) -> int:
     if (n := sheet.fields.count(name)) != 1:
         raise RecordingError(
-            f"{mapping.where}: column {name!r} is in the table {n} times; "
-            f"columns seen: {', '.join(sheet.fields)[:300] or 'none'}"
+            f"{mapping.where}: column {name!r} is in the table {n} times (columns: "
+            f"{', '.join(sheet.fields)[:300] or 'none'}); name one that is there once"
         )
     return sheet.fields.index(name)

@@ -194,7 +194,7 @@ def text_sheet(
         return None
     named, row = found.header, found.row
     if len(row) > limits.MAX_COLUMNS:
-        raise RecordingError(f"{members.where(member)}: {len(row)} columns, more than {limits.MAX_COLUMNS}")
+        raise RecordingError(f"{members.where(member)}: {len(row)} columns, over {limits.MAX_COLUMNS}; export fewer")
     before = [line for i, line in enumerate(lines[: found.first]) if i != found.at_header and line.strip()]
     stem = member.rpartition("/")[2].rpartition(".")[0] or member
     return TextSheet(
