@@ -7,7 +7,7 @@ from itertools import islice
 from pathlib import Path, PurePosixPath
 
 from pdr_filter.io.apps import sensor_logger
-from pdr_filter.io.detection import detect, detect_file
+from pdr_filter.io.detection import BINARIES, detect, detect_file
 from pdr_filter.io.files.archive import IN_PLACE, Members, open_members, zips_among
 from pdr_filter.io.files.errors import RecordingError
 from pdr_filter.io.tables.any_table import TEXTS, sensors_of
@@ -17,7 +17,7 @@ from pdr_filter.io.tables.json_tables import SUFFIXES
 from pdr_filter.values import limits
 
 _TEXTS = {".csv", ".txt", ".tsv", *SUFFIXES}
-_FILES = {".zip", ".gz", ".sqlite", ".db", *IN_PLACE}
+_FILES = {".zip", ".gz", *BINARIES, *IN_PLACE}
 # Files whose names say that the folder around them is one recording.
 _MEMBERS = {"accelerometer.csv", "accelerometer.json", "data.hdf5", "metadata.csv", "metadata.yaml", "raw data.csv"}
 _WHOLE = ("get_sensor_data", "indoor_location", "ronin")
