@@ -106,7 +106,7 @@ def _check_rows(samples: Samples, where: str) -> None:
 
 
 def _check_times(samples: Samples, where: str, is_unit_declared: bool) -> None:
-    """Refuse times that do not increase, or that are no seconds."""
+    """Refuse times that do not increase or are in another unit than seconds."""
     found = describe_stream("accelerometer", samples)
     n_still = found.n_duplicates + found.n_backward
     if 2 * n_still > len(samples) - 1:

@@ -88,7 +88,7 @@ def read_get_sensor_data(path: str | Path) -> Recording:
             values = tables[tag].values[:, 2:]
             parsed.streams[stream] = (time_s, rotation_vector_quaternion(values) if tag == "AHRS" else values)
     _check_unit(parsed, where)
-    if "GNSS" in tables:  # its sensor time is that of the satellites
+    if "GNSS" in tables:  # with satellite time as sensor time
         parsed.streams["location"] = (tables["GNSS"].values[:, 0], tables["GNSS"].values[:, 2:])
     if "WIFI" in tables:
         app_s, sensor_s, *_ = tables["WIFI"].values.T
@@ -156,7 +156,7 @@ def _check_unit(parsed: Parsed, where: str) -> None:
 
 
 def _unit_beside(path: Path) -> str:
-    """The unit that a TOML file beside the log names; empty without one."""
+    """Unit named in the TOML file of the log, or "" without such a file."""
     toml = beside(path, path.with_suffix(".toml").name)
     if path.is_dir() or toml == path or not toml.is_file():
         return ""

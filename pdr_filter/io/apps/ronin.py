@@ -1,4 +1,4 @@
-"""RoNIN (Herath, Yan, Furukawa 2020): data.hdf5 with info.json beside it, or the hdf5 file alone.
+"""RoNIN (Herath, Yan, Furukawa 2020): data.hdf5 with its info.json, or the hdf5 file alone.
 
 Layout after the authors' loader (github.com/Sachini/ronin, data_glob_speed.py): `synced/{time, gyro, gyro_uncalib,
 acce, magnet, game_rv}` at 200 Hz in seconds, m/s2, rad/s, uT, quaternions wxyz; `pose/tango_pos` is the position from
@@ -31,7 +31,7 @@ RATE_HZ = 200.0
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 # hdf5 meets damaged bytes in many places, and h5py passes its complaints on as these.
 HDF5_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError, OverflowError, AttributeError)
-# Those that h5py itself writes, each at most once: deflate, shuffle, checksum, lzf.
+# Filters written by h5py, each at most once: deflate, shuffle, checksum, lzf.
 FILTERS = (1, 2, 3, 32000)
 # Data set and number of its columns.
 ARRAYS = {
@@ -160,7 +160,7 @@ def _check_storage(found: Any, name: str, file: Path) -> None:
 
 def _check_chunks(found: Any, name: str, file: Path) -> None:
     """Refuse a piece that unpacks to more than it should: hdf5 itself unpacks whatever there is."""
-    most = math.prod(found.chunks) * found.dtype.itemsize + 4  # and a checksum, if the filters have one
+    most = math.prod(found.chunks) * found.dtype.itemsize + 4  # a checksum has 4 bytes
     for i in range(found.id.get_num_chunks()):
         mask, piece = found.id.read_direct_chunk(found.id.get_chunk_info(i).chunk_offset)
         if not mask and len(zlib.decompressobj().decompress(piece, most + 1)) > most:

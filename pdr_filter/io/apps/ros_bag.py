@@ -100,7 +100,7 @@ def _fill(parsed: Parsed, topics: dict[str, _Topic], seen: dict[str, str]) -> No
     for stream, part in parts.items():
         for name, topic in imus.items():
             values = topic.values[:, part]
-            # What a driver does not know, it leaves at zero.
+            # Drivers leave unknown values at zero.
             if np.any(values != 0) and (stream not in chosen or len(values) > len(chosen[stream][2])):
                 chosen[stream] = (name, topic.ns, values)
     if "accelerometer" not in chosen:
@@ -229,7 +229,7 @@ def _of_mcap(members: Members, name: str, seen: dict[str, str]) -> Messages:
 
 
 def _unpacked(compression: str, data: bytes, claimed: int, most: int, where: str) -> bytes:
-    """The records of a chunk, if they are no more than that, whatever it claims."""
+    """Return the unpacked records of a chunk; RecordingError if they are larger than `most` bytes."""
     if not compression:
         return data
     if claimed > most:
@@ -240,7 +240,7 @@ def _unpacked(compression: str, data: bytes, claimed: int, most: int, where: str
         raise RecordingError(f"{where}: compressed with {compression[:20]!r}; use {' or '.join(_UNPACK)}") from None
     try:
         unpacked = unpack(data, claimed + 1)
-    except RuntimeError as error:  # of lz4
+    except RuntimeError as error:  # raised by lz4
         raise ValueError(error) from error
     if len(unpacked) != claimed:
         raise ValueError("a chunk is longer or shorter than it says")

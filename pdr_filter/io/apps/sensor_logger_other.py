@@ -20,7 +20,7 @@ from pdr_filter.io.files.sqlite_file import open_database
 from pdr_filter.io.tables.text_table import NumberTable
 from pdr_filter.values import limits
 
-Columns = Mapping[str, tuple[str, ...]]  # of each sensor, as its CSV files call them
+Columns = Mapping[str, tuple[str, ...]]  # columns of each sensor, named as in the CSV files
 Message = dict[str, Any]
 
 

@@ -1,4 +1,4 @@
-"""Which column of a table is what: as a TOML file says it, or as it was guessed; one type, and the text of the file."""
+"""Mapping from columns of a table to streams, read from a TOML file or guessed, and written as one."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ STREAMS: dict[str, tuple[int, tuple[str, ...]]] = {
 
 @dataclass(frozen=True, slots=True)
 class StreamMap:
-    """Where the values of a stream are, and what they are."""
+    """Columns, unit and sign of one stream."""
 
-    stream: str  # of `STREAMS`
+    stream: str  # one of `STREAMS`
     columns: tuple[str, ...]  # an empty name is a value that is not known
     unit: str
     sign: int = 1
@@ -47,10 +47,10 @@ class StreamMap:
 
 @dataclass(frozen=True, slots=True)
 class Mapping:
-    """Where the streams of a recording are in its tables."""
+    """Columns of all streams of a recording."""
 
     streams: tuple[StreamMap, ...]
-    rate_hz: float = 0.0  # of tables without a time
+    rate_hz: float = 0.0  # rate of tables without a time
     separator: str = ""  # empty if it is to be seen
     decimal: str = ""
     where: str = ""  # the TOML file that says it

@@ -1,4 +1,4 @@
-"""What the columns of a table are, by their names: the words, axes and units of the apps, as data.
+"""Quantity, axis and unit of a column by its name: the vocabulary of the apps, as data.
 
 `ACCELEROMETER X (m/s\u00b2)`, `accelerometerAccelerationX(G)`, `MPL_Accelerometer.x`, `acc_x[m/s^2]`, `ACCEX` and `gFx`
 are all an axis of one quantity. Other words may stand before one of the vocabulary; the longest that fits is taken.
@@ -17,7 +17,7 @@ from pdr_filter.values import STANDARD_GRAVITY_MPS2
 
 ACCELERATION, LINEAR, GRAVITY = "acceleration", "linear_acceleration", "gravity"
 RATE, FIELD = "gyroscope", "magnetometer"
-ROTATION = "rotation"  # of some apps the angular rate, of others the orientation
+ROTATION = "rotation"  # the angular rate in some apps, the orientation in others
 VECTORS = (ACCELERATION, LINEAR, GRAVITY, RATE, FIELD, ROTATION)
 ANGLES = "angles"  # roll, pitch and yaw of CoreMotion
 SCALARS = ("barometer", "light", "proximity")
@@ -39,11 +39,11 @@ _WORDS = {
     "latitude": "latitude lat gpslat latitud latitudine breitengrad breite breedtegraad",
     "longitude": "longitude lon gpslon gpslng lng long longitud longitudine langengrad lange lengtegraad",
     "altitude": "altitude alt height elevation ele altitudewgs altitud altitudine hohe hoogte",
-    # What has axes, too, and is no vector in the phone.
+    # Quantities with axes that are not vectors in the frame of the phone.
     "orientation": "orientation attitude euler rotationvector quaternion heading compass position velocity speed",
 }
 QUANTITY_OF = {word: quantity for quantity, words in _WORDS.items() for word in words.split()}
-# A name of one of these alone is known, a longer one that ends with it is not: heart_rate_x is no angular rate.
+# These words are known alone, not at the end of a longer name: heart_rate_x is not an angular rate.
 _LETTERS = {
     **{"a": ACCELERATION, "w": RATE, "g": RATE, "b": FIELD, "m": FIELD, "rate": RATE, "rates": RATE},
     **dict.fromkeys(("lineara", "lina", "usera"), LINEAR),  # as in linear_ax
@@ -72,7 +72,7 @@ _WITHOUT_GRAVITY = re.compile(
 )
 _ACCURACY = re.compile(
     r"accurac(y|ies)|accuratezza|genauigkeit|nauwkeurigheid|precis(ion|ione|ao)|exactitude?|uncertainty"
-    r"|dokadnosc|noggrannhet|nyaktighe[dt]|tarkkuus|dogruluk"  # whose letters without accents are lost
+    r"|dokadnosc|noggrannhet|nyaktighe[dt]|tarkkuus|dogruluk"  # words with letters that have no plain form
     r"|\u7cbe\u5ea6|\uc815\ud655\ub3c4|\u0442\u043e\u0447\u043d\u043e\u0441\u0442\u044c"
 )
 _HORIZONTAL_ALONE = re.compile(
@@ -87,13 +87,13 @@ _OF_OTHERS = re.compile(
     r"|\u65b9|\u9ad8|\ubc29\ud5a5|\uace0\ub3c4|\u0432\u044b\u0441|\u043d\u0430\u043f\u0440|\u043a\u0443\u0440\u0441"
 )
 _OF_OTHERS_WORDS = {"v", "s", "alt", "ele", "vel", "head", "cap", "dir", "yaw", "acc", "mag", "sensor"}
-# Of android.hardware.Sensor, which loggers write in place of a name; and letters.
+# Codes of android.hardware.Sensor and letters, which loggers write in place of names.
 SENSOR_CODES = {
     **{"1": ACCELERATION, "2": FIELD, "4": RATE, "5": "light", "6": "pressure", "8": "proximity", "9": GRAVITY},
     **{"10": LINEAR, "14": "magnetometer raw", "16": "gyroscope raw", "35": "accelerometer raw"},
     **{"a": ACCELERATION, "g": RATE, "m": FIELD, "A": ACCELERATION, "G": RATE, "M": FIELD},
 }
-# What a unit alone says of a column whose word is in a language that is not known.
+# Quantity by unit alone, for columns named in an unknown language.
 OF_UNIT = {
     **dict.fromkeys(("m/s^2", "m/s2"), ACCELERATION),
     **dict.fromkeys(("rad/s", "\u00b0/s", "deg/s"), RATE),
@@ -160,15 +160,15 @@ _TIME_UNIT_WORDS = {
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """What the name of a column says."""
+    """Quantity, axis and unit in the name of a column."""
 
     place: int
-    name: str  # as it is in the table
-    quantity: str  # empty of an axis or a number without a word
-    axis: str = ""  # x, y, z; empty of a scalar
+    name: str  # as written in the table
+    quantity: str  # empty for a bare axis or an unknown word
+    axis: str = ""  # x, y or z; empty for a scalar
     unit: str = ""  # empty if the name says none
     stem: str = ""  # its letters without the axis; what the three axes of one sensor share
-    preference: int = 1  # 2 of what is called calibrated, 0 of what is called uncalibrated or raw
+    preference: int = 1  # 2 if called calibrated, 0 if called uncalibrated or raw
 
 
 def normal_unit(unit: str) -> str:
@@ -181,7 +181,7 @@ def normal_unit(unit: str) -> str:
     """
     unit = unit.lower().replace("\u00b2", "^2").replace("\u207b", "^-").replace("\u00b9", "1").replace("\u2212", "-")
     unit = unit.replace("\u00b5", "u").replace("\u03bc", "u")
-    unit = unit.replace("\u00e2", "")  # what is left of a sign that was decoded wrongly
+    unit = unit.replace("\u00e2", "")  # remains of a degree sign decoded in another code page
     unit = unit.translate(_LATIN).replace("mkt", "ut")
     for spelled, short in _SPELLINGS:
         unit = re.sub(spelled, short, unit)
@@ -273,7 +273,7 @@ def _accuracy(name: str, unit: str) -> int | None:
     """Preference of an accuracy as that of the horizontal position, 0 if of something else; None of any other name."""
     words = words_of(name)
     stem = "".join(words)
-    # Letters of other scripts are no words above.
+    # `words_of` drops letters of other scripts.
     shown = stem + "".join(c for c in name.lower() if not c.isascii())
     if _HORIZONTAL_ALONE.fullmatch(stem):
         return 3
@@ -313,7 +313,7 @@ def column_of(place: int, name: str) -> Column:
         word = bare[: axis_found.start()]
         begins = [word[: gap.start()] for gap in re.finditer(r"[^A-Za-z]+", word)]
         known = next((q for begin in reversed(begins) if (q := quantity_of_words(words_of(begin))[0])), "")
-        if known in VECTORS and not quantity_of_words(words_of(word))[0]:  # a rotation vector is no rotation
+        if known in VECTORS and not quantity_of_words(words_of(word))[0]:  # a rotation vector is not a rotation
             return Column(place, name, known, axis_found[1].lower(), unit, letters(word), 0)
     if not quantity and axis_found and OF_UNIT.get(unit) in VECTORS:
         word = bare[: axis_found.start()].lower()

@@ -27,11 +27,9 @@ from pdr_filter.values import FloatArray, IntArray, limits
 
 SUFFIXES = (".json", ".jsonl", ".ndjson")
 _BETWEEN = re.compile(r"[\s,\[\]\x1e]*")
-_BEGIN = re.compile(
-    rb"\s*(\{|\[\s*([\[{\]\"\d.-]|null|$))"
-)  # a word behind a bracket is TOML, or a section of settings
+_BEGIN = re.compile(rb"\s*(\{|\[\s*([\[{\]\"\d.-]|null|$))")  # brackets around a word are TOML or a settings section
 _SENSOR = ("sensor", "sensorType", "type", "name")  # keys whose value says of which sensor a row is
-_PLAIN = ("values", "value", "data", "payload", "fields")  # keys that say nothing about what is in them
+_PLAIN = ("values", "value", "data", "payload", "fields")  # keys that do not name their content
 _AXES = ("x", "y", "z")
 _ROWS_AT_ONCE = 10_000
 _MAX_DEPTH = 5
@@ -74,7 +72,7 @@ def json_fields(members: Members, name: str) -> list[ArraySheet]:
 
 
 def _objects(pieces: Iterable[bytes], where: str, notes: list[str] | None) -> Iterator[Row]:
-    """The objects of a text, one after the other; what is cut off at its end is left out."""
+    """Yield the objects of a text. An object that is cut off at the end is skipped."""
     decoder, utf_8 = json.JSONDecoder(), codecs.getincrementaldecoder("utf-8")()
     text, n_found, wanted = "", 0, 0
     for piece in chain(pieces, [None]):

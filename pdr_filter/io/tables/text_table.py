@@ -19,7 +19,7 @@ from pdr_filter.io.files.errors import RecordingError
 from pdr_filter.values import FloatArray, IntArray, limits
 
 SEPARATORS = (",", ";", "\t")
-UNKNOWN = ("null", "None", "NA", "N/A", "#N/A", "-", "--")  # what programs write for no value, beside nothing and NaN
+UNKNOWN = ("null", "None", "NA", "N/A", "#N/A", "-", "--")  # missing values of programs, besides "" and NaN
 LARGE_BYTES = 1024**2  # of a block; below, loading pyarrow takes longer than it saves
 
 
@@ -37,13 +37,13 @@ class NumberTable:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Where the fields of a table are in its lines."""
+    """Places of the fields of a table in its lines."""
 
     picked: tuple[int, ...]  # columns to take as floats
     whole: int | None = None  # column to take as int64; rows in which it is empty are left out
     separator: str = ","
     decimal: str = "."
-    names: tuple[str, ...] = ()  # of the picked columns, for messages
+    names: tuple[str, ...] = ()  # names of the picked columns, for messages
     texts: tuple[int, ...] = ()  # columns to take as text, without surrounding space
 
     @property
@@ -88,7 +88,7 @@ class TextTable:
         return not self.header.strip() and not self.first_rows.strip()
 
     def places(self, names: Sequence[str]) -> tuple[int, ...]:
-        """Where the columns of these names are; RecordingError unless each is there once."""
+        """Places of the columns of these names; RecordingError unless each is there once."""
         for name in names:
             if (n := self.fields.count(name)) != 1:
                 raise RecordingError(
@@ -332,7 +332,7 @@ def _is_complete(row: list[str], layout: Layout) -> bool:
 
 
 def _no_number(row: list[str], i: int, layout: Layout, where: str) -> RecordingError:
-    """What is wrong with the i-th picked field."""
+    """Error for the i-th picked field."""
     name = layout.names[i] if i < len(layout.names) else str(layout.picked[i] + 1)
     if row[layout.picked[i]].strip() == name:
         return RecordingError(
