@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from pdr_filter.tracking.track import Track
     from pdr_filter.values.recording import Recording
 
-_WIDEST_WORD = 40  # of a table; a longer name is broken
+# Characters. Longer words of a table are split, so that one long file name does not squeeze the other columns.
+_WIDEST_WORD = 40
 _NUMBER = re.compile(r"[-+]?\d[\d.]*")
 _BETWEEN = 3  # cells between the columns of a table
 SOME_FAILED, UNUSABLE, STOPPED = 1, 2, 130

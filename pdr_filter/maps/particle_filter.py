@@ -464,7 +464,7 @@ def _turned_rad(pedestrian: PedestrianState) -> float:
 
 
 def _in_turned_frame(state: ParticleState, pedestrian: PedestrianState) -> ParticleState:
-    """State whose turns are from the frame of the tracker's states as it is now."""
+    """Return the state with the rotations of its particles relative to the tracker's present frame."""
     by_rad = _turned_rad(pedestrian) - state.turned_rad
     if by_rad == 0.0:
         return state
@@ -474,7 +474,7 @@ def _in_turned_frame(state: ParticleState, pedestrian: PedestrianState) -> Parti
 
 
 def _with_compass(state: ParticleState, pedestrian: PedestrianState) -> tuple[ParticleState, FloatArray]:
-    """State that has used what the magnetic field says by now, and log weights (N,) for what is new in it."""
+    """Return the state with the latest magnetic north, and the change of the log weights (N,) due to it."""
     new, old = pedestrian.frame.compass, state.compass
     if pedestrian.frame.is_joined or new is None or new is old or pedestrian.frame.turn is not None:
         return state, np.zeros(len(state.weight))

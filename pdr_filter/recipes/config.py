@@ -68,11 +68,11 @@ class Config:
         return isinstance(self.sensing.heading, WalkingHeading)
 
     def with_model(self, **changes: Any) -> Config:
-        """The same with other values of some fields of the model."""
+        """Return a copy in which some fields of the model have other values."""
         return replace(self, tracker=replace(self.tracker, model=replace(self.model, **changes)))
 
     def with_device(self, device: Device) -> Config:
-        """The same for a phone whose gyroscope is known."""
+        """Return a copy for a phone whose gyroscope bias is known."""
         attitude = self.sensing.attitude
         known = replace(attitude, bias=replace(attitude.bias, device=device))
         return replace(self, sensing=replace(self.sensing, attitude=known))

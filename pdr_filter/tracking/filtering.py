@@ -203,7 +203,7 @@ def present_position(config: Config, state: State) -> tuple[FloatArray, FloatArr
 
 
 def person_of(config: Config, state: State) -> Person | None:
-    """What is known of the person in the end: of walks before, and of the fixes of this one; None if nothing is."""
+    """Return the person's step length from earlier walks and the fixes of this one, or None without either."""
     session = session_of(config.model, state.tracker.pedestrian.estimates, state.n_length_fixes)
     if session is None:
         return config.person

@@ -11,10 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from app_files import (
-    a_walk,
     axes,
     imu_messages,
-    on_one_clock,
     push_messages,
     sensor_logger_files,
     table_text,
@@ -25,16 +23,13 @@ from app_files import (
     write_text,
     write_zip,
 )
+from table_cases import FORCE, RATE, TIME_S, WALK
 
 import pdr_filter
 from pdr_filter.io.fix_files import fixes_of_file, loop_closures_of_file
 from pdr_filter.io.formats import read
 from pdr_filter.values import STANDARD_GRAVITY_MPS2
 
-WALK = on_one_clock(a_walk(50.0))
-TIME_S, FORCE = WALK.accelerometer.time_s, WALK.accelerometer.values
-assert WALK.gyroscope is not None
-RATE = WALK.gyroscope.values
 N = len(TIME_S)
 TOML = 'time = { column = "time" }\naccelerometer = { columns = ["acc_x", "acc_y", "acc_z"], unit = "m/s2" }\n'
 
@@ -82,7 +77,7 @@ def rounded(folder: Path) -> Path:
     return walk_csv(folder, time=[text[12:20] for text in wall_clock(TIME_S)])
 
 
-# What is read, with words that must follow each other in its refusal: where it is, the value, the remedy.
+# File to read, then three parts of the message in their order: the file or column, the value, the remedy.
 REFUSALS: dict[str, tuple[Callable[[Path], Path], str, str, str]] = {
     "no file": (lambda f: f / "walk.zip", "walk.zip", "no such file", "check the path"),
     "an empty file": (lambda f: write_text(f / "walk.csv", ""), "walk.csv", "0 bytes", "export the recording again"),
@@ -234,14 +229,6 @@ REFUSALS: dict[str, tuple[Callable[[Path], Path], str, str, str]] = {
 }
 
 
-@pytest.mark.parametrize("kind", REFUSALS)
-def test_a_refusal_names_where_it_is_then_the_value_then_a_remedy(tmp_path: Path, kind: str) -> None:
-    make, *words = REFUSALS[kind]
-    with pytest.raises(ValueError) as refused:
-        read(make(tmp_path))
-    assert_in_order(str(refused.value), words)
-
-
 ARGUMENTS: dict[str, tuple[Callable[[Path], object], str, str, str]] = {
     "format": (lambda f: read(walk_csv(f), format="excel"), "format", "'excel'", "give one of own"),
     "platform": (lambda f: read(walk_csv(f), platform="beos"), "platform", "'beos'", "give one of ios, android"),
@@ -266,16 +253,19 @@ ARGUMENTS: dict[str, tuple[Callable[[Path], object], str, str, str]] = {
 }
 
 
-@pytest.mark.parametrize("kind", ARGUMENTS)
-def test_a_refused_argument_is_named_then_its_value_then_a_remedy(tmp_path: Path, kind: str) -> None:
-    call, *words = ARGUMENTS[kind]
+def reading(make: Callable[[Path], Path]) -> Callable[[Path], object]:
+    return lambda folder: read(make(folder))
+
+
+CALLS = {kind: (reading(make), *words) for kind, (make, *words) in REFUSALS.items()} | ARGUMENTS
+
+
+@pytest.mark.parametrize("kind", CALLS)
+def test_a_refusal_names_the_file_or_argument_then_the_value_then_a_remedy(tmp_path: Path, kind: str) -> None:
+    call, *words = CALLS[kind]
     with pytest.raises(ValueError) as refused:
         call(tmp_path)
-    assert_in_order(str(refused.value), words)
-
-
-def assert_in_order(message: str, words: list[str]) -> None:
-    at = -1
+    message, at = str(refused.value), -1
     for word in words:
         at = message.find(word, at + 1)
         assert at >= 0, (word, message)

@@ -330,13 +330,13 @@ def _paired(state: PedestrianState, fix: PositionFix, track_m: FloatArray) -> tu
 
 
 def _place_at(state: PedestrianState, time_s: float) -> FloatArray | None:
-    """East, north and device heading (3,) at a time; None if the time is no longer remembered."""
+    """Return east, north and device heading (3,) at a time, or None before the oldest remembered step."""
     if len(state.steps.trail) == 0:
         return np.append(track_place(state).position_m, 0.0)
     return state.steps.at(time_s)
 
 
 def _track_m(state: PedestrianState, time_s: float) -> FloatArray | None:
-    """East and north (2,) of the track at a time; None if the time is no longer remembered."""
+    """Return east and north (2,) of the track at a time, or None before the oldest remembered step."""
     place = _place_at(state, time_s)
     return None if place is None else place[:2]

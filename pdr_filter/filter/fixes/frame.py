@@ -96,7 +96,10 @@ class Frame:
         return align(self.agreeing, 0, self.turn_prior_var_rad2, self.compass)
 
     def world(self, place: Place) -> Place:
-        """A place that was reported in a frame of its own, that of the start or a later one, by what is known now."""
+        """Return a place in the frame of the fixes, by the present estimate of the rotation.
+
+        The place may be in the frame of the start or in that of a later time at which the heading was lost.
+        """
         for alignment in (self.north, self.alignment, *self.later):
             if alignment is not None and alignment.turns(place):
                 place = alignment.world(place)
@@ -153,7 +156,10 @@ class Frame:
         return replace(turned, agreeing=free_agreeing, turn=free_turn) if turned.is_north_wrong else turned
 
     def with_north(self, north: Alignment) -> Frame:
-        """After a heading fix has turned its own frame: what is left of the turn is as unsure as both together."""
+        """Return the frame after a heading fix has rotated it.
+
+        The remaining rotation has the variances of north and of the heading fix together.
+        """
         frame = replace(self, compass=None, north_var_rad2=north.angle_var_rad2)
         frame = replace(frame, later=(*self.later, north)) if self.since else replace(frame, north=north)
         return frame._turned()

@@ -258,7 +258,7 @@ def notes(state: HeightState) -> list[Note]:
 
 
 def _after(second: Second, model: PedestrianModel) -> Known:
-    """What is known after a second of the barometer."""
+    """Return the estimate after one second of the barometer."""
     previous, climb, n_steps = second.before, second.climb, second.n_steps
     if previous.calm_in_s > 0:
         calm_in_s = CALM_S if abs(climb.climb_rate_mps) > CALM_MPS else previous.calm_in_s - 1.0

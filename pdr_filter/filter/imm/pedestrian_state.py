@@ -107,7 +107,7 @@ class HeadingZero:
 
 @dataclass(frozen=True, eq=False)
 class PedestrianState:
-    """Estimates after the last final step, gap or fix, and the bookkeeping of frames, steps and fixes beside them."""
+    """Estimates after the last final step, gap or fix, and what later steps and fixes need of earlier ones."""
 
     estimates: Estimates
     frame: Frame  # whether positions are in the frame of the fixes yet
@@ -179,7 +179,7 @@ def _with_compass(frame: Frame, step: Step, heading_offset_rad: float) -> Frame:
     """Frame with the magnetic north of a step, if it has one."""
     if not (math.isfinite(step.north_std_rad) and math.isfinite(step.shown_offset_std_rad)):
         return frame
-    # where the person walks against north, less where he walks in the track's frame
+    # rotation from the track's frame to north: walking direction against north minus that in the track's frame
     angle_rad = float(wrap_angle(step.shown_offset_rad - step.north_rad - heading_offset_rad))
     return frame.with_compass(Compass(angle_rad, step.north_std_rad**2 + step.shown_offset_std_rad**2))
 
@@ -290,7 +290,10 @@ def step_update(
 
 
 def present_position(state: PedestrianState) -> tuple[FloatArray, FloatArray]:
-    """Position (2,) and covariance (2, 2) of the final estimate, in the frame of the fixes as far as it is known."""
+    """Return position (2,) and covariance (2, 2) after the last final step.
+
+    They are in the frame of the fixes as soon as the rotation to that frame has an estimate.
+    """
     place = track_place(state)
     place = place if state.frame.is_joined else state.frame.world(place)
     return read_only(place.position_m), read_only(place.cov_m2)

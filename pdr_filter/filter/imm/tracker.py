@@ -14,7 +14,7 @@ from pdr_filter.values import Fix, FixOutcome, Step
 class TrackerState(Protocol):
     """State of any tracker: a frozen dataclass."""
 
-    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]  # so that `dataclasses.replace` takes it
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]  # `dataclasses.replace` accepts only dataclasses
 
     @property
     def pedestrian(self) -> PedestrianState:
@@ -28,7 +28,7 @@ S = TypeVar("S", bound=TrackerState)
 class Tracker(Protocol[S]):
     """A frozen dataclass with one pure function for each kind of event; S is the class of its states."""
 
-    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]  # so that `dataclasses.replace` takes it
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]  # `dataclasses.replace` accepts only dataclasses
 
     @property
     def model(self) -> PedestrianModel:

@@ -126,13 +126,13 @@ class Person:
 
 
 def session_of(model: PedestrianModel, estimates: Estimates, n_fixes: int) -> Session | None:
-    """What the fixes of a walk so far said of the person's steps; None if they said nothing."""
+    """Return the step length that the fixes of a walk have shown, or None if they have shown nothing."""
     x, P = estimates.combined
     return session_of_scale(model, float(x[LOG_SCALE]), float(P[LOG_SCALE, LOG_SCALE]), n_fixes)
 
 
 def session_of_scale(model: PedestrianModel, log_scale: float, var: float, n_fixes: int) -> Session | None:
-    """What an estimated log scale says of the person's steps; None if no more than was known before.
+    """Return the step length that belongs to an estimated log scale, or None if the prior knew as much.
 
     The posterior N(m, v) of the log scale less its prior N(0, s^2): precision w = 1 / v - 1 / s^2, mean (m / v) / w.
     """

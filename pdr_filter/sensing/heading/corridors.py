@@ -177,7 +177,7 @@ class Corridors:
         return free_rad + prob * apart_rad, var_rad2
 
     def _predict(self, state: CorridorState, elapsed_s: float, turned_rad: float) -> FloatArray:
-        """The bank later on: drift + elapsed time times rate + turn times scale, and all else as it was."""
+        """Return the predicted bank: drift + elapsed time * rate + turn * scale; other states do not change."""
         drift_row = np.array([1.0, elapsed_s, 0.0, turned_rad])
         bank, seen = state.bank.copy(), state.bank.dot(drift_row)
         bank[:, :, _DRIFT] = seen
