@@ -474,7 +474,7 @@ def _in_turned_frame(state: ParticleState, pedestrian: PedestrianState) -> Parti
 
 
 def _with_compass(state: ParticleState, pedestrian: PedestrianState) -> tuple[ParticleState, FloatArray]:
-    """Return the state with the latest magnetic north, and the change of the log weights (N,) due to it."""
+    """Return the state updated by magnetic north, and the change of the log weights, shape (N,) for N particles."""
     new, old = pedestrian.frame.compass, state.compass
     if pedestrian.frame.is_joined or new is None or new is old or pedestrian.frame.turn is not None:
         return state, np.zeros(len(state.weight))

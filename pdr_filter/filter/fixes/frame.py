@@ -96,9 +96,10 @@ class Frame:
         return align(self.agreeing, 0, self.turn_prior_var_rad2, self.compass)
 
     def world(self, place: Place) -> Place:
-        """Return a place in the frame of the fixes, by the present estimate of the rotation.
+        """Convert a place to the coordinate frame of the fixes, with the current estimate of the rotation.
 
-        The place may be in the frame of the start or in that of a later time at which the heading was lost.
+        The frame of the place follows from its number of steps: the frame of the start, or the frame that began
+        where the heading was lost.
         """
         for alignment in (self.north, self.alignment, *self.later):
             if alignment is not None and alignment.turns(place):

@@ -107,7 +107,10 @@ class HeadingZero:
 
 @dataclass(frozen=True, eq=False)
 class PedestrianState:
-    """Estimates after the last final step, gap or fix, and what later steps and fixes need of earlier ones."""
+    """Estimates after the latest event, and the history that later steps and fixes need.
+
+    An event is a gap, a fix, or a step whose row of the track no longer changes.
+    """
 
     estimates: Estimates
     frame: Frame  # whether positions are in the frame of the fixes yet

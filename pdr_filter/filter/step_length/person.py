@@ -126,7 +126,7 @@ class Person:
 
 
 def session_of(model: PedestrianModel, estimates: Estimates, n_fixes: int) -> Session | None:
-    """Return the step length that the fixes of a walk have shown, or None if they have shown nothing."""
+    """Return the step length (m) estimated from the fixes of a walk, or None if they do not determine it."""
     x, P = estimates.combined
     return session_of_scale(model, float(x[LOG_SCALE]), float(P[LOG_SCALE, LOG_SCALE]), n_fixes)
 

@@ -428,7 +428,8 @@ class WalkingHeading:
         if not _MIN_STRIDE_S <= end_s - start_s <= _MAX_STRIDE_S or longer_s > _MAX_SHARE * (end_s - start_s):
             return None
         first, last = (round((t - state.start_s) * self.rate_hz) for t in (start_s, end_s))
-        # Samples that arrived in the same block but after the step must not count: blocks may be of any length.
+        # Samples after the step are ignored even if they are in its block: otherwise the result would depend on the
+        # length of the blocks.
         if first < max(number + 1 - self._n_kept, 0) or last > number + 1:
             return None
         oldest = state.n_samples - state.signals.shape[1]
