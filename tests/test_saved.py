@@ -88,7 +88,7 @@ def test_a_saved_filter_of_which_one_value_cannot_be_is_refused_by_its_name(
 @pytest.mark.parametrize("shape", [[4, 24], [24, 4], [96], [1, 6, 16]])
 def test_a_state_whose_arrays_have_other_shapes_than_those_of_its_configuration_is_refused(shape: list[int]) -> None:
     content = tree()
-    cov = at(content, (*STATE, "tracker", "fields", "pedestrian", "fields", "cov"))
+    cov = at(content, (*STATE, "tracker", "fields", "pedestrian", "fields", "estimates", "fields", "cov"))
     assert cov["shape"] == [6, 4, 4]
     cov["shape"] = shape
     with pytest.raises(ValueError, match="a state of another configuration"):
@@ -141,7 +141,8 @@ def test_a_filter_can_be_saved_at_any_time_of_a_segment(recipe: str, until_s: fl
 def test_positions_that_are_no_numbers_are_refused() -> None:
     online = pdr.OnlineFilter.load(good_filter("default", located=False))
     pedestrian = online.state.tracker.pedestrian
-    lost = replace(pedestrian, mean=np.full_like(pedestrian.mean, np.nan))
+    estimates = pedestrian.estimates
+    lost = replace(pedestrian, estimates=replace(estimates, mean=np.full_like(estimates.mean, np.nan)))
     online.state = replace(online.state, tracker=replace(online.state.tracker, pedestrian=lost))
     with pytest.raises(ValueError, match=r"cannot go on .*save the filter again"):
         pdr.OnlineFilter.load(online.save())
@@ -170,7 +171,7 @@ def test_an_array_may_be_longer_only_where_the_first_one_is_empty() -> None:
 
 @pytest.mark.parametrize("part", [b"[],", b"{},", b"1.5,", b'{"a":[]},'], ids=str)
 def test_a_small_file_of_many_values_does_not_fill_the_memory(part: bytes) -> None:
-    content = b'{"format":3,"value":[' + part * (12_000_000 // len(part)) + b"0]}"
+    content = b'{"format":4,"value":[' + part * (12_000_000 // len(part)) + b"0]}"
     blob = zlib.compress(content)
     assert len(blob) < 60_000
     tracemalloc.start()
@@ -194,7 +195,7 @@ def test_what_unpacks_to_more_than_a_filter_has_is_refused_before_it_is_unpacked
 
 def test_a_class_of_another_room_is_not_imported() -> None:
     with pytest.raises(ValueError, match="refused to load"):
-        from_bytes(zlib.compress(b'{"format":3,"value":{"dataclass":"pdr_filter.live_nothing.x:Server","fields":{}}}'))
+        from_bytes(zlib.compress(b'{"format":4,"value":{"dataclass":"pdr_filter.live_nothing.x:Server","fields":{}}}'))
 
 
 # --- models and calibrations -----------------------------------------------------------------------------------------

@@ -23,7 +23,7 @@ from pdr_filter.cli.options import (
     Start,
     on_plan,
 )
-from pdr_filter.values.sanitise import file_name, printable_lines
+from pdr_filter.values.sanitise import file_name
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,8 @@ def calibrate(
         if figure is not None:
             result.plot(figure)
             written.append(figure)
-    typer.echo(printable_lines(result.report()))
+    for line in result.report().split("\n"):
+        console.print_line(line)
     for path in written:
         console.stderr().print(f"written: {escape(str(path))}")
     console.say_replaced(before)

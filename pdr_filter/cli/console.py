@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import re
+import textwrap
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from glob import escape as glob_escape
@@ -23,7 +24,9 @@ if TYPE_CHECKING:
     from pdr_filter.tracking.track import Track
     from pdr_filter.values.recording import Recording
 
-_WIDEST_WORD = 40  # of a table; a longer name is broken
+# Characters. Longer words of a table are split, so that one long file name does not squeeze the other columns.
+_WIDEST_WORD = 40
+_NUMBER = re.compile(r"[-+]?\d[\d.]*")
 _BETWEEN = 3  # cells between the columns of a table
 SOME_FAILED, UNUSABLE, STOPPED = 1, 2, 130
 
@@ -173,13 +176,18 @@ def print_json(value: Mapping[str, Any]) -> None:
 
 
 def print_notes(tracks: Sequence[Track]) -> None:
-    """The notes of tracks, a line each; one that several tracks share stands once, with their number."""
-    by_note: dict[str, list[str]] = {}
-    for track in tracks:
-        for note in dict.fromkeys(track.notes):
-            by_note.setdefault(note, []).append(track.name)
-    for note, names in by_note.items():
-        whose = names[0] if len(names) == 1 else f"{len(names)} of {len(tracks)} recordings"
+    """Print a line for each note; one that several tracks share, except for its numbers, stands once.
+
+    Such a line has the number of tracks, and the numbers of the first one.
+    """
+    alike: dict[str, dict[int, str]] = {}
+    for i, track in enumerate(tracks):
+        for note in track.notes:
+            alike.setdefault(_NUMBER.sub("0", note), {}).setdefault(i, note)
+    for note, *more in (list(notes.values()) for notes in alike.values()):
+        first = next(track.name for track in tracks if note in track.notes)
+        of_all = f"{len(more) + 1} of {len(tracks)} recordings"
+        whose = first if not more else of_all if set(more) == {note} else f"{of_all}, such as {first}"
         print_line(f"{whose}: {note}")
 
 
@@ -238,8 +246,14 @@ def _part(table: Table, columns: Sequence[Column], width: int) -> Table:
         left -= more
         part.add_column(column.header, justify=column.justify, overflow="fold", width=least + more)
     for cells, row in zip(zip(*(column.cells for column in columns), strict=True), table.rows, strict=True):
-        part.add_row(*cells, end_section=row.end_section)
+        in_parts = [_broken_at_commas(str(c), part.columns[i].width or width) for i, c in enumerate(cells)]
+        part.add_row(*in_parts, end_section=row.end_section)
     return part
+
+
+def _broken_at_commas(cell: str, width: int) -> str:
+    """A list such as "walking 3 s, upstairs 1 s" in lines of this width that end with one of its commas."""
+    return textwrap.fill(re.sub(r"(?<!,) ", "\0", cell), max(width, 1), break_on_hyphens=False).replace("\0", " ")
 
 
 # Below tables with a column "± at the end".

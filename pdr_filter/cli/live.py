@@ -103,7 +103,10 @@ class Sources:
     ] = None
     mqtt: Annotated[
         list[str] | None,
-        typer.Option(metavar="URL", help="Topic of an MQTT broker, mqtt://USER:PASSWORD@HOST/TOPIC, or mqtts."),
+        typer.Option(
+            metavar="URL",
+            help="Topic of an MQTT broker: mqtt://HOST/TOPIC or mqtts, with USER:PASSWORD@ before HOST if needed.",
+        ),
     ] = None
     replay: Annotated[Path | None, typer.Option(help="Replay this recording instead of listening to a phone.")] = None
     speed: Annotated[float, typer.Option(min=0.01, help="Playback speed relative to real time.")] = 1.0
@@ -139,7 +142,7 @@ def live(
     phones: Phones,
     sources: Sources,
     record: Annotated[Path | None, typer.Option(help="Folder for recordings, from which a server goes on.")] = None,
-    tiles: Annotated[str, typer.Option(metavar="URL", help="Map tiles, such as https://HOST/{z}/{x}/{y}.png.")] = "",
+    tiles: Annotated[str, typer.Option(metavar="URL", help="Map tiles: an address with {z}, {x} and {y} in it.")] = "",
 ) -> None:
     """Track phones while they walk: one page shows where each of them is, and how sure that is.
 

@@ -151,7 +151,9 @@ def in_groups(command: Callable[..., None]) -> Callable[..., None]:
             values[name] = group(**{f.name: values.pop(f.name) for f in fields(group)})
         command(**values)
 
-    run.__name__, run.__doc__ = command.__name__, command.__doc__
+    # A terminal breaks the lines of each paragraph where it is full, not where the docstring does.
+    paragraphs = (inspect.getdoc(command) or "").split("\n\n")
+    run.__name__, run.__doc__ = command.__name__, "\n\n".join(" ".join(p.split()) for p in paragraphs)
     run.__annotations__ = {p.name: p.annotation for p in parameters}
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     return run

@@ -33,7 +33,11 @@ def simulate(
     seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same walk.")] = 0,
     carrying_mode: Annotated[
         CarryingMode | None,
-        typer.Option(help="Walk round a block with the phone there; without it, the demonstration walk."),
+        typer.Option(
+            metavar="MODE",
+            help="Walk round a block with the phone in this carrying mode: texting, pocket, swinging or calling; "
+            "without it, the demonstration walk.",
+        ),
     ] = None,
 ) -> None:
     """Write a simulated walk with exact truth as a recording."""

@@ -30,8 +30,8 @@ class PlanState(Protocol):
 class PlanStage(Protocol):
     """A stage that follows the tracker's events on a floor plan.
 
-    `pdr_filter.maps.particle_filter.ParticleFilter` is one. Each method returns the state after one event, and `known`
-    is what the tracker knows then.
+    `pdr_filter.maps.particle_filter.ParticleFilter` is one. Each method returns the state after one event, and
+    `pedestrian` is the state of the tracker after that event.
     """
 
     @property
@@ -48,7 +48,7 @@ class PlanStage(Protocol):
         """State before the first step."""
         ...
 
-    def on_step(self, state: Any, update: StepUpdate, known: PedestrianState, model: PedestrianModel) -> Any:
+    def on_step(self, state: Any, update: StepUpdate, pedestrian: PedestrianState, model: PedestrianModel) -> Any:
         """State after a step."""
         ...
 
@@ -61,14 +61,14 @@ class PlanStage(Protocol):
         state: Any,
         fix: Fix,
         outcome: FixOutcome,
-        known: PedestrianState,
+        pedestrian: PedestrianState,
         model: PedestrianModel,
         floor: int,
     ) -> Any:
         """State after a fix that the tracker has used or rejected."""
         ...
 
-    def on_passage(self, state: Any, passage: FloorPassage, known: PedestrianState, model: PedestrianModel) -> Any:
+    def on_passage(self, state: Any, passage: FloorPassage, pedestrian: PedestrianState, model: PedestrianModel) -> Any:
         """State after the pedestrian has reached another storey."""
         ...
 

@@ -21,7 +21,7 @@ from pdr_filter.values.recording import Recording, Truth
 
 @dataclass
 class Parsed:
-    """What a reader fills while it works: streams on any common time base, and what it found."""
+    """Streams on any common time base and findings, filled by a reader."""
 
     path: Path
     source: str  # app or format, as the report names it

@@ -96,7 +96,7 @@ def _time_notes(streams: Mapping[str, Samples], suffix: str) -> list[str]:
 def _check_rows(samples: Samples, where: str) -> None:
     if len(samples) < limits.MIN_SAMPLES:
         raise RecordingError(
-            f"{where}: only {len(samples)} samples with a time; at least {limits.MIN_SAMPLES} are needed"
+            f"{where}: only {len(samples)} samples with a time, and {limits.MIN_SAMPLES} are needed; record for longer"
         )
     known = ~np.isnan(samples.values)
     if columns := ", ".join(np.array(["x", "y", "z"])[~known.any(axis=0)]):
@@ -106,7 +106,7 @@ def _check_rows(samples: Samples, where: str) -> None:
 
 
 def _check_times(samples: Samples, where: str, is_unit_declared: bool) -> None:
-    """Refuse times that do not increase, or that are no seconds."""
+    """Refuse times that do not increase or are in another unit than seconds."""
     found = describe_stream("accelerometer", samples)
     n_still = found.n_duplicates + found.n_backward
     if 2 * n_still > len(samples) - 1:

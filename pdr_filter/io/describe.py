@@ -1,4 +1,4 @@
-"""What is in a recording, and how it was read: rates, gaps, repeated times, units, truth; source, signs, clock."""
+"""Description of a recording (rates, gaps, repeated times, units, truth) and of its reading (source, signs, clock)."""
 
 from __future__ import annotations
 
@@ -48,11 +48,11 @@ class StreamDescription:
     mean_rate_hz: float | None  # delivered: intervals / time, so gaps and a coarse clock count
     first_s: float | None
     last_s: float | None
-    n_gaps: int  # intervals longer than 0.3 s and than 2.5 usual ones
-    longest_gap_s: float  # zero where there is no gap
+    n_gaps: int  # intervals longer than 0.3 s and than 2.5 median intervals
+    longest_gap_s: float  # zero without a gap
     n_duplicates: int  # times equal to the one before
     n_backward: int  # times before the one before
-    n_missing_rows: int  # rows with at least one empty value
+    n_missing_rows: int  # rows with an empty value in a column that has others, as not each app writes altitudes
     requested_hz: float | None = None  # None where the app does not say
 
     @property
@@ -74,14 +74,14 @@ class StreamDescription:
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """What is in a recording, in plain values."""
+    """Contents of a recording in plain values."""
 
     name: str
     source: str
     duration_s: float
     streams: tuple[StreamDescription, ...]
-    height_m: float | None  # of the person; step lengths depend on it
-    placement: str | None  # of the phone, as the recording states it
+    height_m: float | None  # height of the person, which step lengths depend on
+    placement: str | None  # place of the phone, as stated by the recording
     units: tuple[str, ...]  # one sentence for each stream whose unit can be checked
     truth_rows: dict[str, int]  # rows of each truth table that exists
     notes: tuple[str, ...]  # what the reader found: source, signs, units, clock; what it repaired or found odd
@@ -99,7 +99,7 @@ class ReadingReport:
     found: tuple[str, ...]  # signs and units, one sentence for each decision
     clock: str  # where time zero lies, and whose clock it is
     streams: tuple[StreamDescription, ...]
-    notes: tuple[str, ...]  # what was repaired or left out
+    notes: tuple[str, ...]  # repairs and data that were not used
 
     def lines(self) -> tuple[str, ...]:
         """The report as lines of text."""
@@ -136,7 +136,7 @@ def describe(recording: Recording) -> Description:
 
 
 def reading_report(recording: Recording) -> ReadingReport:
-    """Return the report of a recording as it was read; of the project's own format if it says nothing else."""
+    """Return the report of the reader, or that of the project's own format for recordings without one."""
     reading = _dict_of(recording.meta.get(READING_KEY))
     requested = _dict_of(reading.get("requested_hz")) or {"accelerometer": recording.meta.get("nominal_rate_hz")}
     found: Any = reading.get("found")
@@ -152,13 +152,14 @@ def reading_report(recording: Recording) -> ReadingReport:
 
 
 def describe_stream(name: str, samples: Samples, requested_hz: Any = None) -> StreamDescription:
-    """Return rates, gaps and oddities of one stream, whose times are not NaN; what is no rate counts as not known."""
+    """Return rates, gaps and oddities of one stream without NaN times. An invalid `requested_hz` counts as unknown."""
     time_s = samples.time_s
     interval_s = np.diff(time_s)
     forward_s = interval_s[interval_s > 0]
     median_s = float(np.median(forward_s)) if len(forward_s) else np.inf
     gaps_s = forward_s[forward_s > max(limits.GAP_S, limits.GAP_INTERVALS * median_s)]
     span_s = float(time_s.max() - time_s.min()) if len(time_s) else 0.0
+    is_empty = np.isnan(samples.values)
     is_rate = isinstance(requested_hz, int | float) and not isinstance(requested_hz, bool) and 0 < requested_hz < 1e6
     return StreamDescription(
         name=name,
@@ -172,16 +173,17 @@ def describe_stream(name: str, samples: Samples, requested_hz: Any = None) -> St
         longest_gap_s=float(gaps_s.max(initial=0.0)),
         n_duplicates=int((interval_s == 0).sum()),
         n_backward=int((interval_s < 0).sum()),
-        n_missing_rows=int(np.isnan(samples.values).any(axis=1).sum()),
+        n_missing_rows=int(is_empty[:, ~is_empty.all(axis=0)].any(axis=1).sum()),
         requested_hz=float(requested_hz) if is_rate else None,
     )
 
 
 def median_norm(values: FloatArray) -> float:
     """Median Euclidean norm of the complete rows of values (N, d), in their unit; NaN if no row is complete."""
-    complete = values[~np.isnan(values).any(axis=1)]
     with np.errstate(over="ignore"):  # the square of an absurd value may be infinite; the median does not mind
-        return float(np.median(np.sqrt(np.square(complete).sum(axis=1)))) if len(complete) else float("nan")
+        squares = np.einsum("ij,ij->i", values, values)  # NaN of a row that is not complete
+    squares = squares[~np.isnan(squares)]
+    return float(np.median(np.sqrt(squares))) if len(squares) else float("nan")
 
 
 def _unit_sentences(recording: Recording) -> tuple[str, ...]:
@@ -198,5 +200,5 @@ def _unit_sentences(recording: Recording) -> tuple[str, ...]:
 
 
 def _dict_of(value: Any) -> dict[str, Any]:
-    """The value if it is a dict; files of other people may hold anything in its place."""
+    """Return the value if it is a dict, else an empty one: untrusted files may hold anything."""
     return cast("dict[str, Any]", value) if isinstance(value, dict) else {}

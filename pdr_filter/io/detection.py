@@ -19,6 +19,8 @@ from pdr_filter.io.tables.spreadsheet import is_spreadsheet
 from pdr_filter.io.tables.text_sheets import text_sheet
 from pdr_filter.values import limits
 
+BINARIES = (".sqlite", ".db", ".mat")  # files in a zip or folder whose content is looked at, as that of texts is
+
 
 def detect(path: Path) -> str:
     """The format of a file or folder, by its content; the project's own if nothing else fits, which then explains."""
@@ -47,11 +49,7 @@ def _detect_among(members: Members) -> str:
         return "ronin"
     if ros_bag.is_bag(members):
         return "ros_bag"
-    texts = [
-        name
-        for name in members.names
-        if name.lower().endswith((*TEXTS, *json_tables.SUFFIXES, ".sqlite", ".db", ".mat"))
-    ]
+    texts = [name for name in members.names if name.lower().endswith((*TEXTS, *json_tables.SUFFIXES, *BINARIES))]
     found = [detect_file(members, name) for name in texts[: limits.MAX_FILES_LOOKED_AT]]
     of_apps = list(dict.fromkeys(format for format in found if format not in ("", "table")))
     if of_apps:

@@ -47,10 +47,10 @@ def _rows(file: Path, names: tuple[str, ...], what: str, std_m: float) -> list[l
     if len(values) > limits.MAX_FIXES:
         raise ValueError(f"{file}: {len(values)} {what}, more than {limits.MAX_FIXES}; leave out some")
     if not len(values):
-        raise ValueError(f"{file}: no {what} below the line {','.join(columns)}")
+        raise ValueError(f"{file}: no {what} below the line {','.join(columns)}; write one in each line")
     if len(columns) == len(names):
         values = np.column_stack([values, np.full(len(values), std_m)])
     std = values[:, -1]
     if not (std > 0).all():
-        raise ValueError(f"{file}, row {int(np.argmin(std > 0)) + 1}: std_m must be positive, got {std.min():g}")
+        raise ValueError(f"{file}, row {int(np.argmin(std > 0)) + 1}: std_m is {std.min():g}; write a positive number")
     return values.tolist()

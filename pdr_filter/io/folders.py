@@ -7,7 +7,7 @@ from itertools import islice
 from pathlib import Path, PurePosixPath
 
 from pdr_filter.io.apps import sensor_logger
-from pdr_filter.io.detection import detect, detect_file
+from pdr_filter.io.detection import BINARIES, detect, detect_file
 from pdr_filter.io.files.archive import IN_PLACE, Members, open_members, zips_among
 from pdr_filter.io.files.errors import RecordingError
 from pdr_filter.io.tables.any_table import TEXTS, sensors_of
@@ -17,7 +17,7 @@ from pdr_filter.io.tables.json_tables import SUFFIXES
 from pdr_filter.values import limits
 
 _TEXTS = {".csv", ".txt", ".tsv", *SUFFIXES}
-_FILES = {".zip", ".gz", ".sqlite", ".db", *IN_PLACE}
+_FILES = {".zip", ".gz", *BINARIES, *IN_PLACE}
 # Files whose names say that the folder around them is one recording.
 _MEMBERS = {"accelerometer.csv", "accelerometer.json", "data.hdf5", "metadata.csv", "metadata.yaml", "raw data.csv"}
 _WHOLE = ("get_sensor_data", "indoor_location", "ronin")
@@ -60,7 +60,7 @@ def recordings_in(folder: str | Path) -> list[Path]:
 
 def only_recording_in(path: Path) -> Path:
     """The path, or the only recording in a folder around it; RecordingError if there are several."""
-    # Neither is anybody's home folder searched, nor is a link followed to what nobody gave.
+    # A search of a whole home folder would take long, and links lead to files that were not given.
     below = list(islice(path.rglob("*"), limits.MAX_MEMBERS)) if path.is_dir() else []
     if path.is_dir():
         is_searched = 0 < len(below) < limits.MAX_MEMBERS and not any(entry.is_symlink() for entry in below)
@@ -163,7 +163,7 @@ def _parts_in(path: Path) -> list[str]:
 
 
 def _is_mapped(path: Path) -> bool:
-    """True for a text with a TOML file of its columns beside it."""
+    """True for a text that has a TOML file of its columns."""
     return path.suffix.lower() in _TEXTS and path.is_file() and mapping_beside(path).is_file()
 
 

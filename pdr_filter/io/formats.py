@@ -62,12 +62,12 @@ def read(path: str | Path, format: str | None = None, platform: str | None = Non
     """
     path = Path(path)
     if platform is not None and platform not in PLATFORMS:
-        raise ValueError(f"platform is {platform!r}; known are {', '.join(PLATFORMS)}")
+        raise ValueError(f"platform is {platform!r}; give one of {', '.join(PLATFORMS)}")
     if format is None:
         path = only_recording_in(path)
     format = format.lower().replace("-", "_") if format else detect(path)
     if format not in FORMATS:
-        raise ValueError(f"format is {format!r}; known are {', '.join(FORMATS)}")
+        raise ValueError(f"format is {format!r}; give one of {', '.join(FORMATS)}, or none to find it by content")
     if platform is None:
         return FORMATS[format](path)
     if format not in OF_TWO_PLATFORMS:

@@ -30,15 +30,16 @@ def in_order(streams: Streams, suffix: str, notes: list[str]) -> dict[str, tuple
     the filter follows the clock. The accelerometer decides between the two for all sensors.
     """
     found = dict(streams)
-    orders = {name: _order(time_s) for name, (time_s, _) in streams.items()}
-    if orders.get("accelerometer") is None:
+    late = {name: n_late for name, (time_s, _) in streams.items() if (n_late := _n_late(time_s))}
+    orders = {name: _order(streams[name][0], n_late) for name, n_late in late.items()}
+    if orders.get("accelerometer", ...) is None:
         return found
     moved: dict[str, int] = {}
     for name, order in orders.items():
-        time_s, values = streams[name]
-        if order is not None and (n_late := _n_late(time_s)):
+        if order is not None:
+            time_s, values = streams[name]
             found[name] = time_s[order], values[order]
-            moved[name + suffix] = n_late
+            moved[name + suffix] = late[name]
     if moved:
         words = f"{how_many(max(moved.values()), 'row')} out of order, as after editing a table, sorted by time"
         notes.append(f"{', '.join(moved)}: {words}")
@@ -58,8 +59,11 @@ def spread(
         if name not in streams:
             continue
         time_s, values = streams[name]
-        repeats = (np.diff(time_s) == 0) & (np.diff(values, axis=0) != 0).any(axis=1)
-        last = np.append(np.flatnonzero(np.diff(time_s) != 0), len(time_s) - 1)  # last rows of the packs
+        repeats = np.diff(time_s) == 0
+        if repeats.sum() <= _PACKED_SHARE * len(time_s):
+            continue
+        last = np.append(np.flatnonzero(~repeats), len(time_s) - 1)  # last rows of the packs
+        repeats &= (np.diff(values, axis=0) != 0).any(axis=1)
         if repeats.sum() <= _PACKED_SHARE * len(time_s) or len(last) < _FEWEST_PACKS:
             continue
         pack_s, n = time_s[last], np.diff(last, prepend=-1)
@@ -89,12 +93,9 @@ def _n_late(time_s: FloatArray) -> int:
     return int((late_s > 0).sum()) if (late_s > _JITTER_S).any() else 0
 
 
-def _order(time_s: FloatArray) -> IntArray | None:
-    """Order of the rows by time; None if sorting does not undo a move."""
+def _order(time_s: FloatArray, n_late: int) -> IntArray | None:
+    """Order of the rows by time; None if sorting does not undo a move. So many rows are late."""
     order = np.argsort(time_s, kind="stable")
-    n_late = _n_late(time_s)
-    if n_late == 0:
-        return order
     apart_s, sorted_s = np.diff(time_s), np.diff(time_s[order])
     period_s = float(np.nanmedian(np.abs(apart_s[apart_s != 0])))
     gap_s = max(GAP_S, GAP_INTERVALS * period_s)

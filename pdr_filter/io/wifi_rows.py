@@ -25,7 +25,7 @@ CLOCKS_AGREE_S = 1.0  # times that apps write jitter by some tenths of a second
 
 
 def with_whole_addresses(blocks: Iterable[bytes]) -> Iterator[bytes]:
-    """The same text with each address as a decimal number, the first 48 bits of it."""
+    """Return the text with each address as a decimal number: its first 48 bits."""
     for block in blocks:
         yield _ANY_ADDRESS.sub(_whole, block)
 

@@ -28,10 +28,9 @@ import numpy as np
 from numpy.random import Generator, Philox
 
 from pdr_filter.filter.fixes.frame_rotation import Compass
-from pdr_filter.filter.imm import imm
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, MAX_HEADING_VARIANCE
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import PedestrianState, StepUpdate, shared_cov
+from pdr_filter.filter.imm.pedestrian_state import PedestrianState, StepUpdate
 from pdr_filter.maps.crossing_costs import Ground, Terrain
 from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.maps.particle_clusters import n_needed, on_plan
@@ -178,7 +177,7 @@ class ParticleFilter:
         self,
         state: ParticleState,
         update: StepUpdate,
-        known: PedestrianState,
+        pedestrian: PedestrianState,
         model: PedestrianModel,
     ) -> ParticleState:
         """State after a step, and what the tracker knows then."""
@@ -191,17 +190,18 @@ class ParticleFilter:
         scale_std = float(update.mode_prob @ parameter_std_m) / mean_m if mean_m > 0 else 0.0
         is_first = len(state.way) == 0 or update.gap_before_s > 0
         since_s = step.duration_s if is_first else step.time_s - state.way[-1, 0]
-        state, is_placed = _in_turned_frame(state, known), known.frame.is_joined or known.frame.turn is not None
+        state = _in_turned_frame(state, pedestrian)
+        is_placed = pedestrian.frame.is_joined or pedestrian.frame.turn is not None
         state = replace(state, way=led_on(state.way, step, mean_m), heading_rad=step.device_heading_rad)
         if len(state.weight) == 0:
             if self.start is not None:
-                return self._from_start(state, self.start, known, model, rng, scale_std)
-            return self._from_tracker(state, known, ground, rng, scale_std) if is_placed else state
+                return self._from_start(state, self.start, pedestrian, model, rng, scale_std)
+            return self._from_tracker(state, pedestrian, ground, rng, scale_std) if is_placed else state
         n = len(state.weight)
         x, from_m = state.particles.copy(), state.particles[:, :2]
         z, prob = rng.standard_normal((4, n)), np.cumsum(update.mode_prob)[:-1]
         mode = np.searchsorted(prob, rng.random(n), side="right")
-        log_weight = turned(x, step, known, model, since_s, mode, z[0])
+        log_weight = turned(x, step, pedestrian, model, since_s, mode, z[0])
         own_std_m = np.sqrt(own_var_m2 + _UNEVEN_VAR_M2)
         scaled_m = np.exp(x[:, SCALE]) * (length_m[mode] + own_std_m[mode] * z[1])
         own = model.directions
@@ -213,7 +213,7 @@ class ParticleFilter:
             x[:, :2] += np.sqrt(own.extra_var_m2)[mode, None] * rng.standard_normal((n, 2))
         noise = model.noise
         x[:, SCALE] = noise.log_scale_memory * x[:, SCALE] + math.sqrt(noise.log_scale_drift_var) * z[3]
-        state, log_compass = _with_compass(state, known)
+        state, log_compass = _with_compass(state, pedestrian)
         state, _ = _weighed(replace(state, particles=x, parent=np.arange(n)), log_weight + log_compass)
         if ground is not None:
             up, down = model.on_stairs
@@ -225,7 +225,7 @@ class ParticleFilter:
             state, _ = _weighed(state, ground.of_anybody(from_m, mean_m) - cost)
             state = self._noted(replace(state, doubt=doubt), step.time_s, ground)
         if state.doubt > _MOST_DOUBT or _n_effective(state) < _LEAST_EFFECTIVE:
-            return self._again(state, known, model, ground, rng, scale_std, step.time_s)
+            return self._again(state, pedestrian, model, ground, rng, scale_std, step.time_s)
         return self._resampled(state, rng, must_count=update.index % _COUNT_STEPS == 0)
 
     def on_gap(self, state: ParticleState, gap_s: float, model: PedestrianModel) -> ParticleState:
@@ -244,7 +244,7 @@ class ParticleFilter:
         state: ParticleState,
         fix: Fix,
         outcome: FixOutcome,
-        known: PedestrianState,
+        pedestrian: PedestrianState,
         model: PedestrianModel,
         floor: int,
     ) -> ParticleState:
@@ -258,9 +258,9 @@ class ParticleFilter:
             return state
         rng, state = self._random(state)
         ground = self.ground(floor)
-        state, is_moved = _in_turned_frame(state, known), outcome == "moved"
+        state, is_moved = _in_turned_frame(state, pedestrian), outcome == "moved"
         if self.start is None and (len(state.weight) == 0 or is_moved):
-            return self._from_tracker(state, known, ground, rng, 0.0)
+            return self._from_tracker(state, pedestrian, ground, rng, 0.0)
         if len(state.weight) == 0:
             return state
         x, then = state.particles, [np.interp(fix.time_s, state.way[:, 0], state.way[:, k]) for k in (1, 2, 3)]
@@ -279,13 +279,13 @@ class ParticleFilter:
         state = replace(state, parent=np.arange(len(state.weight)))
         n_effective = _n_effective(state)
         if outcome == "turned" and self.start is None and n_effective < _SHOWN_SHARE * len(state.weight):
-            return self._from_tracker(state, known, ground, rng, 0.0)
+            return self._from_tracker(state, pedestrian, ground, rng, 0.0)
         if n_effective < _LEAST_EFFECTIVE:
-            return self._again(state, known, model, ground, rng, 0.0, fix.time_s)
+            return self._again(state, pedestrian, model, ground, rng, 0.0, fix.time_s)
         return self._resampled(state, rng, must_count=False)
 
     def on_passage(
-        self, state: ParticleState, passage: FloorPassage, known: PedestrianState, model: PedestrianModel
+        self, state: ParticleState, passage: FloorPassage, pedestrian: PedestrianState, model: PedestrianModel
     ) -> ParticleState:
         """State after somebody has come to another storey: who took a lift was in one."""
         ground = self.ground(passage.to_floor)
@@ -297,7 +297,7 @@ class ParticleFilter:
         state, _ = _weighed(state, -ground.lift_costs(out_m))
         state = replace(state, parent=np.arange(len(state.weight)))
         if _n_effective(state) < _LEAST_EFFECTIVE:
-            return self._again(state, known, model, ground, rng, 0.0, passage.end_s)
+            return self._again(state, pedestrian, model, ground, rng, 0.0, passage.end_s)
         return self._resampled(state, rng, must_count=False)
 
     # --- what is known ------------------------------------------------------------------------------------------------
@@ -335,43 +335,43 @@ class ParticleFilter:
         return numbers, replace(state, n_draws=state.n_draws + 1)
 
     def _from_tracker(
-        self, state: ParticleState, known: PedestrianState, ground: Ground | None, rng: Generator, scale_std: float
+        self, state: ParticleState, pedestrian: PedestrianState, ground: Ground | None, rng: Generator, scale_std: float
     ) -> ParticleState:
         """Particles of the tracker's normal distribution, or of its density over all turns while it is open."""
-        x, combined = imm.combine(known.mean, known.cov, known.prob)
+        x, combined = pedestrian.estimates.combined
         P = combined.copy()
-        P[:2, :2] += shared_cov(known)
+        P[:2, :2] += pedestrian.estimates.consider_cov_m2
         P[LOG_SCALE, LOG_SCALE] += scale_std**2
-        open_turn = None if known.frame.is_joined else known.frame.turn
+        open_turn = None if pedestrian.frame.is_joined else pedestrian.frame.turn
         n = min((2 if open_turn is None else 5) * self.n_least, self.n_most)
         particles = np.zeros((n, N_COLUMNS))
         # a variance that is zero has no factor
         particles[:, :4] = x + rng.standard_normal((n, 4)) @ np.linalg.cholesky(P + 1e-12 * np.eye(4)).T
         if open_turn is not None:
-            open_turn = open_turn.with_compass(known.frame.compass)
+            open_turn = open_turn.with_compass(pedestrian.frame.compass)
             angle_rad = open_turn.samples(rng, n)
             from_centre_m = particles[:, :2] - open_turn.track_centre_m
             particles[:, :2] = rotated(from_centre_m, angle_rad) + open_turn.world_centre_m
             particles[:, :2] += math.sqrt(open_turn.centre_var_m2) * rng.standard_normal((n, 2))
             particles[:, OFFSET] += angle_rad
             particles[:, TURN] = angle_rad
-        return self._begun(state, particles, known, ground)
+        return self._begun(state, particles, pedestrian, ground)
 
     def _from_start(
         self,
         state: ParticleState,
         start: Start,
-        known: PedestrianState,
+        pedestrian: PedestrianState,
         model: PedestrianModel,
         rng: Generator,
         scale_std: float,
     ) -> ParticleState:
         """Particles at the start, turned any way that the heading fixes and the compass so far allow."""
         n = self.n_most
-        x, P = imm.combine(known.mean, known.cov, known.prob)
+        x, P = pedestrian.estimates.combined
         particles = np.zeros((n, N_COLUMNS))
         particles[:, :2] = start.draw(rng, n)
-        frame, turn_rad = known.frame, rng.uniform(-math.pi, math.pi, n)
+        frame, turn_rad = pedestrian.frame, rng.uniform(-math.pi, math.pi, n)
         if frame.north is not None:
             turn_rad = math.sqrt(frame.north.angle_var_rad2) * rng.standard_normal(n)
         particles[:, TURN] = turn_rad
@@ -379,9 +379,9 @@ class ParticleFilter:
         particles[:, OFFSET] += math.sqrt(P[HEADING_OFFSET, HEADING_OFFSET]) * rng.standard_normal(n)
         scale_std = math.hypot(scale_std, model.noise.log_scale_std)
         particles[:, SCALE] = scale_std * rng.standard_normal(n)
-        state = self._begun(state, particles, known, None, _DOUBT_OF_AREA if len(start.cells) else _LEAST_DOUBT)
-        if known.frame.north is None and known.frame.compass is not None:
-            state, log_weight = _with_compass(replace(state, compass=None), known)
+        state = self._begun(state, particles, pedestrian, None, _DOUBT_OF_AREA if len(start.cells) else _LEAST_DOUBT)
+        if pedestrian.frame.north is None and pedestrian.frame.compass is not None:
+            state, log_weight = _with_compass(replace(state, compass=None), pedestrian)
             state, _ = _weighed(state, log_weight)
         return state
 
@@ -389,7 +389,7 @@ class ParticleFilter:
         self,
         state: ParticleState,
         particles: FloatArray,
-        known: PedestrianState,
+        pedestrian: PedestrianState,
         ground: Ground | None,
         doubt: float = _LEAST_DOUBT,
     ) -> ParticleState:
@@ -400,8 +400,8 @@ class ParticleFilter:
             particles=particles,
             weight=np.full(n, 1.0 / n),
             parent=np.empty(0, dtype=np.int64),
-            turned_rad=_turned_rad(known),
-            compass=known.frame.compass,
+            turned_rad=_turned_rad(pedestrian),
+            compass=pedestrian.frame.compass,
             doubt=doubt,
         )
         return state if ground is None else _weighed(state, -ground.heights(particles[:, :2]))[0]
@@ -409,7 +409,7 @@ class ParticleFilter:
     def _again(
         self,
         state: ParticleState,
-        known: PedestrianState,
+        pedestrian: PedestrianState,
         model: PedestrianModel,
         ground: Ground | None,
         rng: Generator,
@@ -419,10 +419,10 @@ class ParticleFilter:
         """State whose particles are drawn again, because what they say cannot be: from the tracker, or anywhere."""
         events = (*state.events, PlanEvent(time_s, "lost", ""))[-_MAX_EVENTS:]
         state = replace(state, events=events, n_lost=state.n_lost + 1)
-        if known.frame.is_joined or known.frame.turn is not None or ground is None:
-            return self._from_tracker(state, known, ground, rng, scale_std)
+        if pedestrian.frame.is_joined or pedestrian.frame.turn is not None or ground is None:
+            return self._from_tracker(state, pedestrian, ground, rng, scale_std)
         anywhere = start_of(FloorPlan("", (ground.storey,)), ANYWHERE)
-        return self._from_start(state, anywhere, known, model, rng, scale_std)
+        return self._from_start(state, anywhere, pedestrian, model, rng, scale_std)
 
     def _resampled(self, state: ParticleState, rng: Generator, must_count: bool) -> ParticleState:
         """State with as many particles as are needed, of one weight, if too few of them have weight or too many are.
@@ -457,15 +457,15 @@ class ParticleFilter:
         return replace(state, particles=particles, events=events)
 
 
-def _turned_rad(known: PedestrianState) -> float:
+def _turned_rad(pedestrian: PedestrianState) -> float:
     """By how much heading fixes and position fixes have turned the frame of the tracker's states so far."""
-    frame = known.frame
+    frame = pedestrian.frame
     return sum(a.angle_rad for a in (frame.north, frame.alignment, *frame.moves) if a is not None)
 
 
-def _in_turned_frame(state: ParticleState, known: PedestrianState) -> ParticleState:
-    """State whose turns are from the frame of the tracker's states as it is now."""
-    by_rad = _turned_rad(known) - state.turned_rad
+def _in_turned_frame(state: ParticleState, pedestrian: PedestrianState) -> ParticleState:
+    """Return the state with the rotations of its particles relative to the tracker's present frame."""
+    by_rad = _turned_rad(pedestrian) - state.turned_rad
     if by_rad == 0.0:
         return state
     particles = state.particles.copy()
@@ -473,10 +473,10 @@ def _in_turned_frame(state: ParticleState, known: PedestrianState) -> ParticleSt
     return replace(state, particles=particles, turned_rad=state.turned_rad + by_rad)
 
 
-def _with_compass(state: ParticleState, known: PedestrianState) -> tuple[ParticleState, FloatArray]:
-    """State that has used what the magnetic field says by now, and log weights (N,) for what is new in it."""
-    new, old = known.frame.compass, state.compass
-    if known.frame.is_joined or new is None or new is old or known.frame.turn is not None:
+def _with_compass(state: ParticleState, pedestrian: PedestrianState) -> tuple[ParticleState, FloatArray]:
+    """Return the state updated by magnetic north, and the change of the log weights, shape (N,) for N particles."""
+    new, old = pedestrian.frame.compass, state.compass
+    if pedestrian.frame.is_joined or new is None or new is old or pedestrian.frame.turn is not None:
         return state, np.zeros(len(state.weight))
     turn_rad = state.particles[:, TURN]
     log_weight = np.log(new.density(turn_rad)) - (0.0 if old is None else np.log(old.density(turn_rad)))

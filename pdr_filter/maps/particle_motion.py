@@ -8,7 +8,8 @@ import numpy as np
 
 from pdr_filter.filter.imm.motion_model import MAX_HEADING_VARIANCE
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import TRAIL_STEPS, PedestrianState
+from pdr_filter.filter.imm.pedestrian_state import PedestrianState
+from pdr_filter.filter.imm.step_history import TRAIL_STEPS
 from pdr_filter.values import FloatArray, IntArray, Step, wrap_angle
 
 EAST, NORTH, OFFSET, SCALE, TURN, THROUGH = range(6)
@@ -40,7 +41,7 @@ def rotated(vector_m: FloatArray, angle_rad: FloatArray) -> FloatArray:
 def turned(
     x: FloatArray,
     step: Step,
-    known: PedestrianState,
+    pedestrian: PedestrianState,
     model: PedestrianModel,
     since_s: float,
     mode: IntArray,
@@ -56,8 +57,8 @@ def turned(
     )
     q = np.minimum((measured + unmeasured + step.offset_change_std_rad**2)[mode], MAX_HEADING_VARIANCE)
     r, log_weight = step.walking_heading_std_rad**2, np.zeros(len(x))
-    if np.isfinite(r) and step.time_s > known.first_heading_s:
-        shown = step.walking_heading_rad - step.device_heading_rad - known.first_heading_rad + x[:, TURN]
+    if np.isfinite(r) and step.time_s > pedestrian.heading_zero.time_s:
+        shown = step.walking_heading_rad - step.device_heading_rad - pedestrian.heading_zero.offset_rad + x[:, TURN]
         v = wrap_angle(shown - x[:, OFFSET])
         gain = q / np.maximum(q + r, 1e-12)
         log_weight = -0.5 * (v**2 / np.maximum(q + r, 1e-12) + np.log(np.maximum(q + r, 1e-12)))

@@ -52,10 +52,10 @@ class _Remembering(ParticleFilter):
     seen: list[_Seen] = field(default_factory=list[_Seen])
 
     def on_step(
-        self, state: ParticleState, update: StepUpdate, known: PedestrianState, model: PedestrianModel
+        self, state: ParticleState, update: StepUpdate, pedestrian: PedestrianState, model: PedestrianModel
     ) -> ParticleState:
         reckoned = update.position_m, update.position_cov_m2
-        return self._remembered(super().on_step(state, update, known, model), state, reckoned=reckoned)
+        return self._remembered(super().on_step(state, update, pedestrian, model), state, reckoned=reckoned)
 
     def on_gap(self, state: ParticleState, gap_s: float, model: PedestrianModel) -> ParticleState:
         return self._remembered(super().on_gap(state, gap_s, model), state)
@@ -65,17 +65,17 @@ class _Remembering(ParticleFilter):
         state: ParticleState,
         fix: Fix,
         outcome: FixOutcome,
-        known: PedestrianState,
+        pedestrian: PedestrianState,
         model: PedestrianModel,
         floor: int,
     ) -> ParticleState:
-        after = super().on_fix(state, fix, outcome, known, model, floor)
-        return self._remembered(after, state, is_moved=outcome == "moved")
+        updated = super().on_fix(state, fix, outcome, pedestrian, model, floor)
+        return self._remembered(updated, state, is_moved=outcome == "moved")
 
     def on_passage(
-        self, state: ParticleState, passage: FloorPassage, known: PedestrianState, model: PedestrianModel
+        self, state: ParticleState, passage: FloorPassage, pedestrian: PedestrianState, model: PedestrianModel
     ) -> ParticleState:
-        return self._remembered(super().on_passage(state, passage, known, model), state)
+        return self._remembered(super().on_passage(state, passage, pedestrian, model), state)
 
     def _remembered(
         self,

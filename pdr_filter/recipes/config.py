@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, cast
+from typing import Any
 
 from pdr_filter.filter.fixes.frame import UNKNOWN_FRAME
 from pdr_filter.filter.imm.imm_tracker import ImmTracker
@@ -40,7 +40,7 @@ class Config:
 
     name: str
     sensing: Sensing
-    tracker: Tracker
+    tracker: Tracker[Any]  # any class of states: a recipe chooses the tracker when it is called
     climb_rate: ClimbRate = field(default_factory=ClimbRate)
     needs: tuple[str, ...] = ()
     notes: tuple[Note, ...] = ()
@@ -68,11 +68,11 @@ class Config:
         return isinstance(self.sensing.heading, WalkingHeading)
 
     def with_model(self, **changes: Any) -> Config:
-        """The same with other values of some fields of the model."""
-        return replace(self, tracker=replace(cast(Any, self.tracker), model=replace(self.model, **changes)))
+        """Return a copy in which some fields of the model have other values."""
+        return replace(self, tracker=replace(self.tracker, model=replace(self.model, **changes)))
 
     def with_device(self, device: Device) -> Config:
-        """The same for a phone whose gyroscope is known."""
+        """Return a copy for a phone whose gyroscope bias is known."""
         attitude = self.sensing.attitude
         known = replace(attitude, bias=replace(attitude.bias, device=device))
         return replace(self, sensing=replace(self.sensing, attitude=known))
@@ -81,7 +81,7 @@ class Config:
         """The same for a person whose step length is known; ValueError if it knows one already."""
         if self.person is not None:
             raise ValueError("the configuration knows a person already: pool the two with Person.pooled")
-        known = replace(self, tracker=replace(cast(Any, self.tracker), model=person.in_model(self.model)))
+        known = replace(self, tracker=replace(self.tracker, model=person.in_model(self.model)))
         walks = f"{len(person.sessions)} walk" + "s" * (len(person.sessions) != 1)
         text = f"step lengths of a person with typical steps of {person.step_length_m:.2f} m, of {walks}"
         notes = (*(n for n in self.notes if n.about != "height"), Note("step lengths", text))

@@ -309,7 +309,7 @@ class Calibration:
             f"{how_many(len(rows), 'segment')}, {rows.distance_m.sum():.0f} m, "
             f"{how_many(len(set(rows.recording)), 'recording')}, {how_many(n_people, 'person', 'people')}",
             "",
-            f"{'context':<12}{'segments':>9}  {'model':<28}{'population: k +- std (people differ by)'}",
+            f"{'context':<12}{'segments':>9}{'residual':>10}  model, below it k +- std (people differ by)",
         ]
         for name in self.contexts:
             k, std = self.k[name], np.sqrt(np.diagonal(self.k_cov[name]))
@@ -318,12 +318,14 @@ class Calibration:
                 f"{a:.4g}" + (f" +- {b:.2g}" if b > 0 else " held") + (f" ({d:.2g})" if d > 0 else "")
                 for a, b, d in zip(k, std, between, strict=True)
             )
-            lines.append(f"{name:<12}{self.n_segments[name]:>9.1f}  {type(self.models[name]).__name__:<28}{values}")
-            lines.append(f"{'':<23}residual {self.residual_std_m[name]:.3f} m a step")
+            residual = f"{self.residual_std_m[name]:.3f} m"
+            model = type(self.models[name]).__name__
+            lines.append(f"{name:<12}{self.n_segments[name]:>9.1f}{residual:>10}  {model}")
+            lines.append(f"  {values}")
         return [*lines, f"between recordings of one person: {100 * self.recording_std:.1f} %"]
 
     def _error_lines(self) -> list[str]:
-        lines = ["error of segments in %: bias, spread, RMS", f"{'':<34}{'bias':>7}{'spread':>8}{'RMS':>7}"]
+        lines = [f"{'error of segments in %':<34}{'bias':>7}{'spread':>8}{'RMS':>7}"]
         for label, column in (
             ("uncalibrated (prior)", "uncalibrated_m"),
             ("calibrated, in sample", "predicted_m"),
@@ -338,14 +340,14 @@ class Calibration:
 
     def _people_lines(self) -> list[str]:
         main, people, rows = self.main_context, self.subjects, cast(Any, self.segments)
-        lines = [f"{'person':<34}{'segments':>9}  k of {main} +- std{'':>10}left out: bias, RMS %"]
+        lines = [f"{'person (segments left out)':<34}{'segments':>9}{'bias %':>7}{'RMS %':>7}  k of {main} +- std"]
         for name in self.subject_ids[:_MOST_PEOPLE]:
             person = people[name]
             own = rows[rows.subject == name]
             bias, _, rms = _errors_percent(own.left_out_m, own.distance_m)
             std = np.sqrt(np.diagonal(person.k_cov[main]))
             values = ", ".join(f"{a:.4g} +- {b:.2g}" for a, b in zip(person.k[main], std, strict=True) if b > 0)
-            lines.append(f"{_shortened(name):<34}{person.n_segments:>9}  {values:<28}{bias:>+7.1f}{rms:>7.1f}")
+            lines.append(f"{_shortened(name):<34}{person.n_segments:>9}{bias:>+7.1f}{rms:>7.1f}  {values}")
         if len(self.subject_ids) > _MOST_PEOPLE:
             lines.append(f"and {len(self.subject_ids) - _MOST_PEOPLE} more people")
         return lines

@@ -10,9 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pdr_filter.filter.fixes.alignment import Place
-from pdr_filter.filter.imm import imm
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET
-from pdr_filter.filter.imm.pedestrian_state import StepUpdate, own_place, present_position
+from pdr_filter.filter.imm.pedestrian_state import StepUpdate, present_position, track_place
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.steps.step_gate import StepGateState
 from pdr_filter.sensing.stream_merging import SENSORS
@@ -117,16 +116,16 @@ def present_place(config: Config, state: State) -> Present:
     for step in () if state.finished else _candidates(sensing.gate):
         tracker, updates = config.tracker.on_step(tracker, step)
         last = updates[-1]
-        own_m = last.position_m if last.of_start is None else last.of_start.position_m
-        steps.append(ProvisionalStep(step.time_s, own_m))
+        step_place_m = last.position_m if last.of_start is None else last.of_start.position_m
+        steps.append(ProvisionalStep(step.time_s, step_place_m))
     pedestrian = state.tracker.pedestrian
-    mean, _ = imm.combine(pedestrian.mean, pedestrian.cov, pedestrian.prob)
+    mean, _ = pedestrian.estimates.combined
     device_rad = sensing.attitude.device_heading_rad
-    place = replace(own_place(pedestrian), heading_rad=device_rad + float(mean[HEADING_OFFSET]))
+    place = replace(track_place(pedestrian), heading_rad=device_rad + float(mean[HEADING_OFFSET]))
     if last is not None and (steps or not last.is_final):
-        own = Place(last.position_m, last.position_cov_m2, last.walking_heading_rad, pedestrian.n_final)
+        last_place = Place(last.position_m, last.position_cov_m2, last.walking_heading_rad, pedestrian.steps.n_final)
         turned_rad = device_rad - last.step.device_heading_rad
-        place = last.of_start or own
+        place = last.of_start or last_place
         place = replace(place, heading_rad=place.heading_rad + turned_rad)
     speed_mps, speed_std_mps, way_m = 0.0, math.nan, 0.0
     if last is not None and not state.finished and _walks(config, state, last, bool(steps)):
@@ -140,27 +139,28 @@ def now(config: Config, state: State) -> Now:
     """What is known at this moment: `present_place` in the frame of the fixes, and all else."""
     sensing, pedestrian, present = state.sensing, state.tracker.pedestrian, present_place(config, state)
     newest_s, steps, place, frame = present.time_s, present.steps, present.place, pedestrian.frame
-    mean, cov = imm.combine(pedestrian.mean, pedestrian.cov, pedestrian.prob)
+    mean, cov = pedestrian.estimates.combined
     if not frame.is_joined:
-        each = (frame.world(Place(s.position_m, np.zeros((2, 2)), 0.0, pedestrian.n_final)) for s in steps)
-        steps = tuple(replace(s, position_m=p.position_m) for s, p in zip(steps, each, strict=True))
+        n_steps = pedestrian.steps.n_final
+        places = (frame.world(Place(s.position_m, np.zeros((2, 2)), 0.0, n_steps)) for s in steps)
+        steps = tuple(replace(s, position_m=p.position_m) for s, p in zip(steps, places, strict=True))
     place = place if frame.is_joined else frame.world(place)
     reckoned = present_position(pedestrian)
     on_plan = None if config.on_plan is None else config.on_plan.place(state.particles, reckoned)
     if on_plan is not None and state.particles is not None:
-        base = replace(own_place(pedestrian), heading_rad=state.particles.heading_rad + float(mean[HEADING_OFFSET]))
+        base = replace(track_place(pedestrian), heading_rad=state.particles.heading_rad + float(mean[HEADING_OFFSET]))
         base = base if frame.is_joined else frame.world(base)
-        ahead = [_on_plan(replace(place, position_m=s.position_m), base, on_plan).position_m for s in steps]
-        steps = tuple(replace(s, position_m=at) for s, at in zip(steps, ahead, strict=True))
+        step_positions_m = [_on_plan(replace(place, position_m=s.position_m), base, on_plan).position_m for s in steps]
+        steps = tuple(replace(s, position_m=at) for s, at in zip(steps, step_positions_m, strict=True))
         place = _on_plan(place, base, on_plan)
-    window, report, known = state.window, sensing.conditioner.report, state.height.known
+    window, report, height = state.window, sensing.conditioner.report, state.height.known
     unknown = np.full(len(CONTEXTS), np.nan), np.full(len(CARRYING_MODES), np.nan)
     context_prob, carrying_prob = (window.prob, window.carrying_prob) if window else unknown
     return Now(
         time_s=newest_s,
         latency_s=newest_s - sensing.processed_s if math.isfinite(sensing.processed_s) else math.nan,
-        n_steps=pedestrian.n_final,
-        distance_m=float(pedestrian.prob @ pedestrian.walked_m),
+        n_steps=pedestrian.steps.n_final,
+        distance_m=pedestrian.estimates.distance_m,
         position_m=read_only(place.position_m),
         position_cov_m2=read_only(place.cov_m2),
         is_provisional=bool(steps) or present.way_m > 0,
@@ -171,9 +171,9 @@ def now(config: Config, state: State) -> Now:
         walking_speed_std_mps=present.speed_std_mps,
         context_prob=read_only(context_prob),
         carrying_prob=read_only(carrying_prob),
-        height_m=known.height_m,
-        height_std_m=known.height_std_m,
-        floor=known.floors.floor,
+        height_m=height.height_m,
+        height_std_m=height.height_std_m,
+        floor=height.floors.floor,
         fixes=state.last_fixes,
         rates_hz=_rates_hz(state),
         n_gaps=report.n_gaps,
@@ -191,17 +191,17 @@ def _further(place: Place, way_m: float, turned_rad: float) -> Place:
     return replace(place, position_m=place.position_m + way_m * along, cov_m2=place.cov_m2 + way_m**2 * share)
 
 
-def _on_plan(place: Place, base: Place, there: OnPlan) -> Place:
+def _on_plan(place: Place, base: Place, on_plan: OnPlan) -> Place:
     """A place of the tracker ahead of that of its last step, as seen from where the particles have that step."""
-    turn_rad = there.walking_heading_rad - base.heading_rad
+    turn_rad = on_plan.walking_heading_rad - base.heading_rad
     c, s = math.cos(turn_rad), math.sin(turn_rad)
     rotation = np.array([[c, s], [-s, c]])
     value, vector = np.linalg.eigh(place.cov_m2 - base.cov_m2)
     grown = vector @ np.diag(np.maximum(value, 0.0)) @ vector.T
     return replace(
         place,
-        position_m=there.position_m + rotation @ (place.position_m - base.position_m),
-        cov_m2=there.position_cov_m2 + rotation @ grown @ rotation.T,
+        position_m=on_plan.position_m + rotation @ (place.position_m - base.position_m),
+        cov_m2=on_plan.position_cov_m2 + rotation @ grown @ rotation.T,
         heading_rad=place.heading_rad + turn_rad,
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right, insort
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,7 +15,8 @@ from pdr_filter.filter.fixes.gnss import LocationState, Rides, good_places, plac
 from pdr_filter.filter.height import height_filter as height
 from pdr_filter.filter.height.height_filter import HeightState, initial_height
 from pdr_filter.filter.imm import pedestrian_state as pedestrian
-from pdr_filter.filter.imm.pedestrian_state import TRAIL_TIME, StepUpdate, heading_std_rad, moved_by_heading_m
+from pdr_filter.filter.imm.pedestrian_state import StepUpdate, moved_by_heading_m
+from pdr_filter.filter.imm.step_history import TRAIL_TIME
 from pdr_filter.filter.imm.tracker import TrackerState
 from pdr_filter.filter.plan_stage import PlanState
 from pdr_filter.filter.step_length.person import Person, session_of
@@ -225,8 +227,8 @@ def present_position(config: Config, state: State) -> tuple[FloatArray, FloatArr
 
 
 def person_of(config: Config, state: State) -> Person | None:
-    """What is known of the person in the end: of walks before, and of the fixes of this one; None if nothing is."""
-    session = session_of(config.model, state.tracker.pedestrian, state.n_length_fixes)
+    """Return the person's step length from earlier walks and the fixes of this one, or None without either."""
+    session = session_of(config.model, state.tracker.pedestrian.estimates, state.n_length_fixes)
     if session is None:
         return config.person
     return (config.person or Person()).pooled(Person((session,)))
@@ -258,12 +260,12 @@ def finish(config: Config, state: State) -> tuple[State, Output]:
     end_s = state.sensing.processed_s
     state = _with_steps(config, state, end_s, last, output)
     state = _with_pressure(config, state, np.inf, output)
-    known, passages = height.finish(state.height)
-    state = _with_passages(config, replace(state, height=known), passages, output)
-    due = [f for f in state.waiting_fixes if received_s(f) <= end_s]
-    later = [f for f in state.waiting_fixes if received_s(f) > end_s]
-    state = replace(state, tracker=tracker, waiting_fixes=tuple(later), finished=True)
-    for fix in due:
+    height_state, passages = height.finish(state.height)
+    state = _with_passages(config, replace(state, height=height_state), passages, output)
+    due_fixes = [f for f in state.waiting_fixes if received_s(f) <= end_s]
+    later_fixes = [f for f in state.waiting_fixes if received_s(f) > end_s]
+    state = replace(state, tracker=tracker, waiting_fixes=tuple(later_fixes), finished=True)
+    for fix in due_fixes:
         state, result = _use_fix(config, state, fix, end_s)
         output.fixes.append(result)
     return state, output
@@ -271,6 +273,7 @@ def finish(config: Config, state: State) -> tuple[State, Output]:
 
 def _process(config: Config, state: State, events: list[tuple[float, Event]]) -> tuple[State, Output]:
     output = Output()
+    tracker: TrackerState
     windows = [event for _, event in events if isinstance(event, WindowContext)]
     contexts = iter(with_climbs(windows, [climb_at(state.climbs, window.time_s) for window in windows]))
     of_height = iter(height.window_log_evidence(windows, config.model)) if state.climbs else repeat(None)
@@ -279,11 +282,11 @@ def _process(config: Config, state: State, events: list[tuple[float, Event]]) ->
         output.fixes.extend(used)
         state = _with_pressure(config, state, known_s, output)
         if isinstance(event, WindowContext):
-            known = height.on_window(state.height, event, next(of_height))
+            height_state = height.on_window(state.height, event, next(of_height))
             context = next(contexts)
             output.windows.append(context)
             tracker, updates = config.tracker.on_window(state.tracker, context)
-            state = replace(state, tracker=tracker, height=known, seen=state.seen.plus(context), window=context)
+            state = replace(state, tracker=tracker, height=height_state, seen=state.seen.plus(context), window=context)
         elif isinstance(event, Gap):
             tracker, updates = config.tracker.on_gap(state.tracker, event.duration_s)
             if config.on_plan is not None:
@@ -292,9 +295,10 @@ def _process(config: Config, state: State, events: list[tuple[float, Event]]) ->
             state = replace(state, tracker=tracker, last_update=None)
         else:
             tracker, updates = config.tracker.on_step(state.tracker, event)
-            before, after = state.tracker.pedestrian, tracker.pedestrian
-            moved_m = moved_by_heading_m(before, after, sum(u.step_length_m for u in updates if u.is_final))
-            walked = state.walked.plus(event, heading_std_rad(after), moved_m)
+            walked_m = sum(u.step_length_m for u in updates if u.is_final)
+            moved_m = moved_by_heading_m(state.tracker.pedestrian, tracker.pedestrian, walked_m)
+            heading_std_rad = math.sqrt(tracker.pedestrian.estimates.heading_var_rad2)
+            walked = state.walked.plus(event, heading_std_rad, moved_m)
             state = replace(state, tracker=tracker, walked=walked)
         state = _with_steps(config, state, known_s, updates, output)
     state, used = _use_due_fixes(config, state, state.sensing.processed_s)
@@ -312,8 +316,9 @@ def _with_pressure(config: Config, state: State, until_s: float, output: Output)
     until_s -= config.sensing.step_latency_s
     while state.n_climbs_used < len(state.climbs) and state.climbs[state.n_climbs_used].time_s <= until_s:
         climb = state.climbs[state.n_climbs_used]
-        known, passages = height.on_pressure(state.height, climb, config.model, place_at(state.places, climb.time_s))
-        state = replace(state, height=known, n_climbs_used=state.n_climbs_used + 1)
+        place = place_at(state.places, climb.time_s)
+        height_state, passages = height.on_pressure(state.height, climb, config.model, place)
+        state = replace(state, height=height_state, n_climbs_used=state.n_climbs_used + 1)
         state = _with_passages(config, state, passages, output)
     return state
 
@@ -330,25 +335,30 @@ def _with_passages(config: Config, state: State, passages: Sequence[FloorPassage
 
 def _with_steps(config: Config, state: State, known_s: float, updates: Sequence[StepUpdate], output: Output) -> State:
     """State whose height knows the steps that became final, and the output with theirs."""
-    known = state.height
+    height_state = state.height
     for update in updates:
         if update.is_final:
             up_prob, down_prob = config.model.on_stairs.dot(update.mode_prob).tolist()
             step_s, model = update.step.time_s, config.model
-            place = place_at(state.places, step_s)
-            known, own, passages = height.on_step(known, known_s, step_s, up_prob, down_prob, model, place)
+            height_state, height_at_step, passages = height.on_step(
+                height_state, known_s, step_s, up_prob, down_prob, model, place_at(state.places, step_s)
+            )
             state = _with_passages(config, state, passages, output)
         else:
-            own = known.known
-        there = {"height_m": own.height_m, "height_std_m": own.height_std_m, "floor": own.floors.floor}
-        update = replace(update, **there)
+            height_at_step = height_state.known
+        update = replace(
+            update,
+            height_m=height_at_step.height_m,
+            height_std_m=height_at_step.height_std_m,
+            floor=height_at_step.floors.floor,
+        )
         if config.on_plan is not None and update.is_final:
-            known_now = state.tracker.pedestrian
-            state = replace(state, particles=config.on_plan.on_step(state.particles, update, known_now, config.model))
+            particles = config.on_plan.on_step(state.particles, update, state.tracker.pedestrian, config.model)
+            state = replace(state, particles=particles)
             reckoned = update.position_m, update.position_cov_m2
             update = _on_plan(update, config.on_plan.place(state.particles, reckoned))
         output.updates.append(update)
-    return replace(state, height=known, last_update=output.updates[-1]) if updates else state
+    return replace(state, height=height_state, last_update=output.updates[-1]) if updates else state
 
 
 def _on_plan(update: StepUpdate, place: OnPlan | None) -> StepUpdate:
@@ -388,13 +398,14 @@ def due_s(config: Config, fix: Fix) -> float:
 
 
 def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[State, FixResult]:
+    tracker: TrackerState
     if untimely(fix, state.sensing.conditioner.report.first_time_s, received_s(fix)):
         outcome, nis = "rejected", np.inf
     else:
         tracker, outcome, nis = config.tracker.on_fix(state.tracker, fix)
         state = replace(state, tracker=tracker)
         if isinstance(fix, PositionFix):
-            state = replace(state, rides=state.rides.plus(fix, tracker.pedestrian.trail[:, TRAIL_TIME]))
+            state = replace(state, rides=state.rides.plus(fix, tracker.pedestrian.steps.trail[:, TRAIL_TIME]))
         if config.on_plan is not None:
             floor = state.height.known.floors.floor
             particles = config.on_plan.on_fix(state.particles, fix, outcome, tracker.pedestrian, config.model, floor)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, cast
 
 import numpy as np
 
@@ -15,7 +14,6 @@ from pdr_filter.filter.fixes.frame_rotation import PairedPoint, agreed_turn, ali
 from pdr_filter.filter.fixes.gnss import INTERVAL_S, LocationState, Rides, position_fixes
 from pdr_filter.filter.fixes.repeated_fixes import frozen_fixes
 from pdr_filter.filter.height.height_filter import HeightState
-from pdr_filter.filter.imm import imm
 from pdr_filter.filter.imm.pedestrian_state import StepUpdate
 from pdr_filter.tracking.filtering import Output, State
 from pdr_filter.values import FixOutcome, FixResult, FloatArray, PositionFix, Samples, read_only
@@ -94,7 +92,7 @@ def align_way(location: Samples, way: Way, first_s: float, last_s: float, n_step
     return AlignedWay(locations, fixes, frozen, pairs, frame)
 
 
-def aligned(recording: Recording, brought: Iterable[tuple[State, Output]]) -> Iterator[tuple[State, Output]]:
+def aligned(recording: Recording, results: Iterable[tuple[State, Output]]) -> Iterator[tuple[State, Output]]:
     """What dead reckoning brings (`whole_recording.outputs` in an unknown frame), placed by the recording's locations.
 
     The last state knows where, so that `whole_recording.collected` finds the track in the frame of the locations, with
@@ -102,29 +100,33 @@ def aligned(recording: Recording, brought: Iterable[tuple[State, Output]]) -> It
     """
     last: State | None = None
     whole, var_m2 = Output(), list[float]()
-    for state, output in brought:
+    for state, output in results:
         last = state
         whole.extend(output)
         if any(update.is_final for update in output.updates):
-            known = state.tracker.pedestrian
-            walked = walked_var_m2(imm.combine(known.mean, known.cov, known.prob)[1])
+            pedestrian = state.tracker.pedestrian
+            walked = walked_var_m2(pedestrian.estimates.combined[1])
             var_m2 += [walked] * sum(update.is_final for update in output.updates)
     if last is None or recording.location is None:
         return
-    report, known = last.sensing.conditioner.report, last.tracker.pedestrian
+    report, pedestrian = last.sensing.conditioner.report, last.tracker.pedestrian
     finals = [update for update in whole.updates if update.is_final]
     way = Way.of(report.first_time_s, finals, var_m2)
-    found = align_way(recording.location, way, report.first_time_s, report.last_time_s, known.n_final)
-    if found.fixes:
-        known = replace(known, frame=found.frame, n_frozen_fixes=sum(found.frozen))
-        whole.fixes.extend(found.results(last.sensing.processed_s))
-        if known.frame.alignment is not None:
-            whole.updates[:] = _with_own_errors(finals, way.own_var_m2(found.frame.agreeing))
-    tracker = replace(cast(Any, last.tracker), pedestrian=known)
-    rides = Rides.of(found.fixes, np.array([update.step.time_s for update in finals]))
+    alignment = align_way(recording.location, way, report.first_time_s, report.last_time_s, pedestrian.steps.n_final)
+    if alignment.fixes:
+        pedestrian = replace(
+            pedestrian,
+            frame=alignment.frame,
+            fixes=replace(pedestrian.fixes, n_frozen=sum(alignment.frozen)),
+        )
+        whole.fixes.extend(alignment.results(last.sensing.processed_s))
+        if pedestrian.frame.alignment is not None:
+            whole.updates[:] = _with_own_errors(finals, way.own_var_m2(alignment.frame.agreeing))
+    tracker = replace(last.tracker, pedestrian=pedestrian)
+    rides = Rides.of(alignment.fixes, np.array([update.step.time_s for update in finals]))
     n_rejected = sum(fix.outcome == "rejected" for fix in whole.fixes)
-    height = _with_altitudes(last.height, found.fixes, finals)
-    last = replace(last, tracker=tracker, height=height, locations=found.locations, rides=rides)
+    height = _with_altitudes(last.height, alignment.fixes, finals)
+    last = replace(last, tracker=tracker, height=height, locations=alignment.locations, rides=rides)
     yield replace(last, n_rejected_fixes=n_rejected), whole
 
 
@@ -141,8 +143,8 @@ def _with_altitudes(state: HeightState, fixes: Sequence[PositionFix], finals: Se
     """State that knows the altitude of the start from fixes and the heights of the steps."""
     altitude = state.start_altitude
     for fix in fixes:
-        before = bisect_right(finals, fix.time_s, key=lambda update: update.step.time_s)
-        height_m, std_m = (finals[before - 1].height_m, finals[before - 1].height_std_m) if before else (0.0, 0.0)
+        n_before = bisect_right(finals, fix.time_s, key=lambda update: update.step.time_s)
+        height_m, std_m = (finals[n_before - 1].height_m, finals[n_before - 1].height_std_m) if n_before else (0.0, 0.0)
         if fix.altitude_m is not None:
             altitude = altitude.with_fix(fix, height_m, std_m**2)
     return replace(state, start_altitude=altitude)

@@ -205,10 +205,10 @@ class OnlineFilter:
 
     def _took(self, state: State, output: Output) -> list[StepUpdate]:
         """The updates, with the new state; ValueError, once, if no specific force yet was in the right unit."""
-        before, units = self.state.sensing.conditioner, state.sensing.conditioner.units
-        if units.is_wrong and not before.units.n:
+        conditioner, units = self.state.sensing.conditioner, state.sensing.conditioner.units
+        if units.is_wrong and not conditioner.units.n:
             # the note stays, and nothing of the block
-            sensing = replace(self.state.sensing, conditioner=replace(before, units=units))
+            sensing = replace(self.state.sensing, conditioner=replace(conditioner, units=units))
             self.state = replace(self.state, sensing=sensing)
             raise ValueError(f"{units.wrong_force}; start a new filter with such samples")
         self.state = state

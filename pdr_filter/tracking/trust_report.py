@@ -26,65 +26,67 @@ _DOUBTFUL_MODES = 1.9
 def doubts(track: TrackRows) -> list[str]:
     """Sentences about the stretches of a track that mean little, each with its times; empty if there are none."""
     windows = track.windows
-    found: list[str] = []
+    sentences: list[str] = []
     if len(windows):
         moves = windows.context_prob[:, _STATIONARY] < 0.5
         stepless = moves & ~_has_step(track)
         if track.n_steps == 0 and not moves.any():
-            found.append("The phone did not move: there is no walk to reckon.")
+            sentences.append("The phone did not move: there is no walk to reckon.")
         rides = [(a, b) for a, b in _stretches(windows.time_s, stepless) if b - a >= _MIN_RIDE_S]
-        found += _said(
+        sentences += _said(
             rides,
             "the phone moved without steps, as in a vehicle or a lift: dead reckoning does not apply, and the track "
             "stands still there.",
         )
         handled = _long(windows.time_s, moves & (windows.irregular_prob > 0.5))
-        found += _said(handled, "the phone was handled, not carried: steps there may be false or lost.")
-        found += _said(
+        sentences += _said(handled, "the phone was handled, not carried: steps there may be false or lost.")
+        sentences += _said(
             _long(windows.time_s, windows.unknown_share > 0.5),
             "the motion is unlike all that the classifier was trained on: its contexts, and the step lengths that "
             "follow from them, are guesses.",
         )
     if track.n_steps:
         undecided = track.effective_modes > _DOUBTFUL_MODES
-        found += [
+        sentences += [
             f"From {a:.0f} to {b:.0f} s the filter hesitates between {_names(track, a, b)}: their step lengths differ."
             for a, b in _long(track.time_s, undecided)
         ]
         is_shown = np.isfinite(np.asarray(track.steps.shown_offset_std_rad))
-        found += _said(
+        sentences += _said(
             _long(track.time_s, is_shown & (track.direction_trust < HARDLY_AGREE)),
             "strides do not agree on where walking leads, as in a bag: the turn of the phone alone leads the track, "
             "and where the phone was turned against the body the track has turned too.",
         )
-        found += _said(
+        sentences += _said(
             _long(track.time_s, track.is_quick_and_soft),
             "steps are as quick as running and as soft as walking, as on the spot: how long they are, and where they "
             "lead, is unsure.",
         )
-        found += _said(
+        sentences += _said(
             _long(windows.time_s, is_loose(track)),
             "the phone is held as at the ear, or dangles as in a bag: if it turns against the body without a tilt, the "
             "track turns with it.",
         )
         blind = np.asarray(track.steps.heading_unknown_s) > 0.5 * np.asarray(track.steps.duration_s)
-        found += _said(_long(track.time_s, blind), "there is no angular rate: the direction of the walk is unknown.")
-        found += [
+        sentences += _said(
+            _long(track.time_s, blind), "there is no angular rate: the direction of the walk is unknown."
+        )
+        sentences += [
             f"Between {a:.0f} and {b:.0f} s there is nothing for {b - a:.0f} s: a rest, or a gap in the samples; the "
             "track goes on where it was."
             for a, b in zip(track.time_s[:-1], track.time_s[1:], strict=True)
             if b - a > 60.0
         ]
-        found += _jumps(track)
+        sentences += _jumps(track)
     rejected = [fix for fix in track.fixes if fix.outcome == "rejected"]
     if rejected:
         times = ", ".join(f"{fix.time_s:.0f}" for fix in rejected[:_MAX_TIMES])
         times += ", ..." if len(rejected) > _MAX_TIMES else ""
-        found.append(
+        sentences.append(
             f"{len(rejected)} of {len(track.fixes)} fixes do not fit the track or its time and were not used: "
             f"at {times} s."
         )
-    return found
+    return sentences
 
 
 def report(track: TrackRows) -> str:

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_filter.filter.imm import imm
 from pdr_filter.filter.imm.past_path import turned
-from pdr_filter.filter.imm.pedestrian_state import own_place, shared_cov
+from pdr_filter.filter.imm.pedestrian_state import track_place
 from pdr_filter.recipes.config import Config
 from pdr_filter.tracking.extrapolation import present_place
 from pdr_filter.tracking.filtering import State
@@ -60,8 +59,9 @@ def walked_path(config: Config, state: State) -> WalkedPath:
             "smooth the finished walk with pdr_filter.smooth"
         )
     pedestrian = state.tracker.pedestrian
-    _, P = imm.combine(pedestrian.mean, pedestrian.cov, pedestrian.prob)
-    time_s, place_m, cov_m2 = pedestrian.path.places(P, shared_cov(pedestrian), own_place(pedestrian).position_m)
+    estimates = pedestrian.estimates
+    P, present_m = estimates.combined[1], track_place(pedestrian).position_m
+    time_s, place_m, cov_m2 = pedestrian.path.places(P, estimates.consider_cov_m2, present_m)
     n_steps, present = len(time_s), present_place(config, state)
     ahead = [(step.time_s, step.position_m) for step in present.steps]
     last_s = ahead[-1][0] if ahead else float(time_s[-1]) if len(time_s) else -np.inf

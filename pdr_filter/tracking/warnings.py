@@ -29,7 +29,7 @@ def notes_of(config: Config, state: State, vertices: FloatArray | None = None) -
     `vertices` (K, 3) of a whole track, time, east and north, say where it stopped during a ride.
     """
     notes = [Note("samples", text) for text in state.sensing.conditioner.notes()]
-    if state.finished and state.tracker.pedestrian.n_final == 0:
+    if state.finished and state.tracker.pedestrian.steps.n_final == 0:
         notes.append(Note("steps", "no steps found: dead reckoning does not apply here"))
     notes += [*_of_sensors(config, state), *_of_windows(state.seen), *_of_steps(state.walked)]
     notes += [*config.notes, *height.notes(state.height)]
@@ -136,7 +136,7 @@ def notes_of_rides(rides: Rides, vertices: FloatArray | None) -> Iterator[Note]:
 def _of_fixes(state: State) -> Iterator[Note]:
     if state.n_rejected_fixes:
         yield Note("fixes", f"fixes rejected as outliers: {state.n_rejected_fixes}")
-    n_frozen = state.tracker.pedestrian.n_frozen_fixes
+    n_frozen = state.tracker.pedestrian.fixes.n_frozen
     if n_frozen:
         words = f"{how_many(n_frozen, 'fix', 'fixes')} not used, because they repeat the last position while steps go "
         yield Note("fixes", words + "on: the app has probably lost GNSS")

@@ -165,8 +165,8 @@ def track(
     )
     recording, config = run.recording, run.config
     with_fixes = run.with_location and gnss != "align"
-    brought = outputs(recording, config, run.fixes, progress, with_fixes, run.with_location)
-    return run.placed(collected(recording, config, aligned(recording, brought) if gnss == "align" else brought))
+    results = outputs(recording, config, run.fixes, progress, with_fixes, run.with_location)
+    return run.placed(collected(recording, config, aligned(recording, results) if gnss == "align" else results))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -190,8 +190,8 @@ class Run:
         result = replace(result, notes=(*result.notes, *notes))
         if self.origin is None:
             return result if self.heading_rad is None else result.turned(self.heading_rad)
-        here = Origin.of(self.origin)
-        return result.placed(here if self.heading_rad is None else replace(here, turn_rad=self.heading_rad))
+        place = Origin.of(self.origin)
+        return result.placed(place if self.heading_rad is None else replace(place, turn_rad=self.heading_rad))
 
 
 def asked_run(
@@ -224,8 +224,8 @@ def asked_run(
             load_calibration,
         )
 
-        known = calibration if isinstance(calibration, Calibration) else load_calibration(calibration)
-        config = known.config(config, recording.subject)
+        parameters = calibration if isinstance(calibration, Calibration) else load_calibration(calibration)
+        config = parameters.config(config, recording.subject)
     if device is not None:
         config = config.with_device(device if isinstance(device, Device) else Device.load(device))
     if person is not None:
@@ -272,11 +272,11 @@ def outputs(
     yield finish(config, state)
 
 
-def collected(recording: Recording, config: Config, brought: Iterable[tuple[State, Output]]) -> Track:
+def collected(recording: Recording, config: Config, results: Iterable[tuple[State, Output]]) -> Track:
     """The track of a recording from its `outputs`."""
     state, whole = init(config), Output()
-    for after, output in brought:
-        state = after
+    for new_state, output in results:
+        state = new_state
         whole.extend(output)
     report, end_s = state.sensing.conditioner.report, state.sensing.processed_s
     late = (FixResult.of(fix, end_s, "waiting") for fix in state.waiting_fixes)
@@ -381,12 +381,12 @@ def run_sensing(
     sensing: Sensing, recording: Recording, progress: Callable[[float], None] | None = None
 ) -> tuple[SensingState, list[Event]]:
     """Return the final state of sensing, and the steps, contexts and gaps in the order in which they became known."""
-    state, found = sensing.init(), list[tuple[int, Event]]()
+    state, all_events = sensing.init(), list[tuple[int, Event]]()
     for part in _parts(merge_streams(recording), progress):
         state, events = sensing.update(state, part)
-        found += events
+        all_events += events
     state, events = sensing.finish(state)
-    return state, [event for _, event in found + events]
+    return state, [event for _, event in all_events + events]
 
 
 def _parts(block: ImuBlock, progress: Callable[[float], None] | None) -> Iterator[ImuBlock]:
@@ -398,18 +398,18 @@ def _parts(block: ImuBlock, progress: Callable[[float], None] | None) -> Iterato
             progress(done / n)
 
 
-def _windows(found: Sequence[WindowContext]) -> Windows:
+def _windows(contexts: Sequence[WindowContext]) -> Windows:
     return Windows(
-        time_s=read_only(np.array([w.time_s for w in found])),
-        context_prob=read_only(np.array([w.prob for w in found]).reshape(-1, len(CONTEXTS))),
+        time_s=read_only(np.array([w.time_s for w in contexts])),
+        context_prob=read_only(np.array([w.prob for w in contexts]).reshape(-1, len(CONTEXTS))),
         contexts=CONTEXTS,
-        carrying_prob=read_only(np.array([w.carrying_prob for w in found]).reshape(-1, len(CARRYING_MODES))),
+        carrying_prob=read_only(np.array([w.carrying_prob for w in contexts]).reshape(-1, len(CARRYING_MODES))),
         carrying_modes=CARRYING_MODES,
-        unknown_share=read_only(np.array([w.unknown_share for w in found])),
-        stairs_unknown_share=read_only(np.array([w.stairs_unknown_share for w in found])),
-        irregular_prob=read_only(np.array([w.irregular_prob for w in found])),
-        climb_rate_mps=read_only(np.array([w.climb_rate_mps for w in found])),
-        model=tuple(w.model for w in found),
+        unknown_share=read_only(np.array([w.unknown_share for w in contexts])),
+        stairs_unknown_share=read_only(np.array([w.stairs_unknown_share for w in contexts])),
+        irregular_prob=read_only(np.array([w.irregular_prob for w in contexts])),
+        climb_rate_mps=read_only(np.array([w.climb_rate_mps for w in contexts])),
+        model=tuple(w.model for w in contexts),
     )
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from pdr_filter.values import check_declared
 
 _PACKAGE = "pdr_filter"
-_FORMAT = 3  # 2 named modules of an older layout of the package
+_FORMAT = 4  # 2 named modules of an older layout of the package, 3 had a flat state of the tracker
 # A filter with its models has some MB, nearly all of it arrays, and some thousand values.
 _MAX_BYTES = 64 << 20
 _MAX_VALUES = 2_000_000

@@ -33,11 +33,10 @@ from scipy.stats import chi2
 
 import pdr_filter as pdr
 from pdr_filter import evaluate
-from pdr_filter.filter.imm import imm
 from pdr_filter.filter.imm.imm_tracker import ImmState, ImmTracker
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import PedestrianState, present_position
+from pdr_filter.filter.imm.pedestrian_state import present_position
 from pdr_filter.filter.imm.weighted_tracker import WeightedState, WeightedTracker
 from pdr_filter.filter.step_length.models import length_and_jacobian
 from pdr_filter.sensing.contexts.context_stage import WindowContext
@@ -179,7 +178,7 @@ class Errors:
     """Normalised errors squared of walks."""
 
     position: FloatArray  # (N, T)
-    position_linear: FloatArray  # (N, T) without `shared_m`
+    position_linear: FloatArray  # (N, T) without the consider covariance
     state: FloatArray  # (N, T)
     fixes: FloatArray  # (N, F) normalised innovations squared
     right: FloatArray  # (N,) share of steps whose most probable mode is the true one
@@ -214,7 +213,7 @@ def filtered_errors(
         known = state.pedestrian
         right += int(updates[-1].mode_prob.argmax() == walk.modes[k])
         if (k + 1) % check_every == 0:
-            x, P = imm.combine(known.mean, known.cov, known.prob)
+            x, P = known.estimates.combined
             error = walk.state[k] - x
             seen = P.copy()
             seen[:2, :2] = present_position(known)[1]
@@ -444,11 +443,11 @@ State = ImmState | WeightedState
 
 def sizes(state: State) -> tuple[int, int, int, int]:
     """Numbers in all arrays of the state, windows, rows of the trail, waiting steps."""
-    known = state.pedestrian
-    own = sum(v.size for f in fields(PedestrianState) if isinstance(v := getattr(known, f.name), np.ndarray))
+    estimates, trail = state.pedestrian.estimates, state.pedestrian.steps.trail
+    of_pedestrian = trail.size + sum(getattr(estimates, f.name).size for f in fields(estimates))
     of_windows = sum(w.prob.size + w.training_prior.size + w.carrying_prob.size for w in state.windows)
     waiting = state.pending if isinstance(state, WeightedState) else ()
-    return own + of_windows, len(state.windows), len(known.trail), len(waiting)
+    return of_pedestrian + of_windows, len(state.windows), len(trail), len(waiting)
 
 
 def run_day(tracker: Tracker, n_steps: int, day_s: float) -> tuple[State, list[tuple[int, int, int, int]], int]:
@@ -462,7 +461,7 @@ def run_day(tracker: Tracker, n_steps: int, day_s: float) -> tuple[State, list[t
             state, _ = tracker.on_window(state, event)
         else:
             state, _ = tracker.on_step(state, event)
-            if state.pedestrian.n_final % 20 == 0:
+            if state.pedestrian.steps.n_final % 20 == 0:
                 found.append(sizes(state))
     return state, found, rejected
 
@@ -475,14 +474,15 @@ def whole_day(tables: Tables) -> None:
         begin = time.perf_counter()
         state, found, _ = run_day(tracker, 60_000, 86_400.0)
         took = time.perf_counter() - begin
-        known = state.pedestrian
+        cov = state.pedestrian.estimates.cov
         tenth = len(found) // 10
         first, last = (np.array(part).max(axis=0) for part in (found[:tenth], found[-tenth:]))
-        asymmetry = np.abs(known.cov - known.cov.swapaxes(-1, -2)).max() / np.abs(known.cov).max()
-        std = np.sqrt(np.diagonal(known.cov, axis1=1, axis2=2).max(axis=0))
+        asymmetry = np.abs(cov - cov.swapaxes(-1, -2)).max() / np.abs(cov).max()
+        std = np.sqrt(np.diagonal(cov, axis1=1, axis2=2).max(axis=0))
         of_state = [", ".join(map(str, sizes_of)) for sizes_of in (first, last)]
-        at_end = [f"{np.linalg.eigvalsh(known.cov).min():.1e}", f"{asymmetry:.0e}", f"{std[HEADING_OFFSET]:.2f}"]
-        rows.append([weighting, known.n_final, f"{took:.0f}", *of_state, *at_end, f"{std[LOG_SCALE]:.3f}"])
+        at_end = [f"{np.linalg.eigvalsh(cov).min():.1e}", f"{asymmetry:.0e}", f"{std[HEADING_OFFSET]:.2f}"]
+        n_steps = state.pedestrian.steps.n_final
+        rows.append([weighting, n_steps, f"{took:.0f}", *of_state, *at_end, f"{std[LOG_SCALE]:.3f}"])
     columns = ["weighting", "steps", "s", "largest state, first tenth: numbers, windows, trail, waiting", "last tenth"]
     columns += ["smallest eigenvalue", "asymmetry", "std of the heading rad", "std of the log scale"]
     tables.write("consistency_day", columns, rows, "24 hours.")

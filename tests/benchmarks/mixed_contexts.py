@@ -399,7 +399,7 @@ def tracked(events: list[Event], config: Config, weighting: str) -> list[StepUpd
     return updates_of(tracker, events)
 
 
-def updates_of(tracker: Tracker, events: list[Event]) -> list[StepUpdate]:
+def updates_of(tracker: Tracker[Any], events: list[Event]) -> list[StepUpdate]:
     """Final steps that a tracker makes of the events of a walk."""
     state, updates = tracker.init(), list[StepUpdate]()
     for event in events:

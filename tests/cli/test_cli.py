@@ -308,11 +308,22 @@ def test_without_a_command_the_help_is_shown() -> None:
         assert command in shown
 
 
+def test_the_help_of_each_command_fits_eighty_columns_without_a_broken_word(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("typer.rich_utils.MAX_WIDTH", 80)
+    for command in app.registered_commands:
+        assert command.callback is not None
+        assert not any("\n" in paragraph for paragraph in (command.callback.__doc__ or "").split("\n\n"))
+        shown = run(command.callback.__name__, "--help").stdout
+        assert max(map(len, shown.splitlines())) <= 80
+        assert "…" not in shown
+        assert all(word[-1] in "|>" for word in shown.split() if word.startswith("<") and "|" in word)
+
+
 def test_the_format_can_be_forced_and_an_unknown_one_is_refused(walk: Path) -> None:
     assert run("info", walk, "--format", "own").exit_code == 0
     result = run("info", walk, "--format", "quux")
     assert result.exit_code == 2
-    assert "known are" in result.stderr
+    assert "give one of" in result.stderr
 
 
 def test_a_folder_is_all_its_recordings_for_info_and_compare_and_nothing_is_written_unasked(

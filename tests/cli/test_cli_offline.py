@@ -92,7 +92,7 @@ def test_a_walk_is_smoothed_against_fixes_of_a_file(walk: Path, tmp_path: Path) 
         ("time_s,east_m\n1,2\n", "no column 'north_m'"),
         ("time_s,east_m,north_m\n", "no fixes"),
         ("time_s,east_m,north_m\n1,,3\n", "row 1"),
-        ("time_s,east_m,north_m,std_m\n1,2,3,0\n", "std_m must be positive"),
+        ("time_s,east_m,north_m,std_m\n1,2,3,0\n", "std_m is 0; write a positive number"),
     ):
         (tmp_path / "bad.csv").write_text(content, encoding="utf-8")
         result = run("smooth", walk, "--fixes", tmp_path / "bad.csv")
@@ -145,7 +145,7 @@ def test_a_walk_of_which_no_place_is_known_is_smoothed_as_by_the_function(walk: 
         ("first_s,second_s\n1,\n", "row 1: first_s,second_s must all be numbers"),
         ("first_s,second_s\n1,x\n", "'x' is not a number"),
         ("first_s,second_s\n1,9\n9,9\n", "row 2: first_s must be before second_s, got 9 and 9"),
-        ("first_s,second_s,std_m\n1,9,0\n", "row 1: std_m must be positive"),
+        ("first_s,second_s,std_m\n1,9,0\n", "row 1: std_m is 0; write a positive number"),
         ("first_s,second_s\n1,900\n", "loop closure 1 at 900.0 s is outside the recording, 0.0 to 11"),
     ],
 )

@@ -48,6 +48,7 @@ def test_a_table_is_no_wider_than_the_terminal_and_breaks_no_word(
     table = printed(capsys).partition("±: one")[0]
     assert max(map(len, table.splitlines())) <= columns
     assert all(word in table for word in {*WORDS, "a_walk_in_the_corridor"})
+    assert all(f"{name} {s:.0f} s" in table for name, s in TRACK.context_seconds().items() if s >= 0.5)
 
 
 def test_each_part_of_a_table_begins_with_what_tells_its_rows_apart(
@@ -82,3 +83,12 @@ def test_a_note_that_several_recordings_share_stands_once(capsys: pytest.Capture
     tracks[4] = replace(tracks[4], notes=("the height is not known", "2 gaps"))
     console.print_notes(tracks)
     assert capsys.readouterr().out.splitlines() == ["9 of 9 recordings: the height is not known", "walk 4: 2 gaps"]
+
+
+def test_a_note_that_differs_between_recordings_only_in_its_numbers_stands_once(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    notes = [("rest", f"{i} gaps, {0.5 * i} s in all") if i else ("rest",) for i in range(4)]
+    console.print_notes([replace(TRACK, name=f"walk {i}", notes=own) for i, own in enumerate(notes)])
+    told = capsys.readouterr().out.splitlines()
+    assert told == ["4 of 4 recordings: rest", "3 of 4 recordings, such as walk 1: 1 gaps, 0.5 s in all"]

@@ -188,6 +188,20 @@ ODDITIES = (
         "total_acc_x, total_acc_y, total_acc_z",
     ),
     Oddity(
+        "file names that contain the letters of a sensor: `access`, `grave`, `preset`, `long_walk`",
+        "not taken for that sensor; the columns decide",
+        lambda: {"grave.csv": table_text({"time": TIME_S} | axes("%", FORCE))},
+        "acceleration: x, y, z, m/s2",
+        "accelerometer",
+        path="grave.csv",
+    ),
+    Oddity(
+        "columns with a g behind their word: `accG_x`",
+        "acceleration in g or m/s2, whichever its size shows",
+        lambda: {"walk.csv": table_text(columns(force="accG_%", rate="rate_%"))},
+        "accG_x, accG_y, accG_z, m/s2 by its size",
+    ),
+    Oddity(
         "`accelerometer.csv` of another app, alone or in a folder",
         "the content decides, and a TOML file of columns beside it counts",
         lambda: {"accelerometer.csv": in_g("% (in G's)"), "accelerometer.toml": MAPPING},

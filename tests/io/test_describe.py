@@ -68,6 +68,13 @@ def test_rows_with_an_empty_value_are_counted_once() -> None:
     assert describe_stream("gyroscope", Samples(np.arange(4.0), values)).n_missing_rows == 2
 
 
+def test_a_column_without_values_makes_no_row_incomplete() -> None:
+    values = np.full((3, 4), 9.0)
+    values[:, 2] = np.nan
+    values[1, 0] = np.nan
+    assert describe_stream("location", Samples(np.arange(3.0), values)).n_missing_rows == 1
+
+
 @pytest.mark.parametrize("n", [0, 1])
 def test_one_sample_or_none_has_no_rate(n: int) -> None:
     found = accelerometer(np.zeros(n))

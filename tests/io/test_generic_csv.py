@@ -109,17 +109,17 @@ def test_units_that_are_given_wrong_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "hint"),
     [
-        ('"ax"', '"nowhere"', "'nowhere' is in the table 0 times; columns seen: t, ax"),
-        ('"g"', '"stone"', "unit 'stone'; known are m/s2, g, mg"),
-        ('"g"', '["g"]', "known are m/s2, g, mg"),
-        ('"ms"', '"fortnight"', "time unit 'fortnight'"),
-        ("sign = -1", "sign = 7", "sign must be 1 or -1"),
+        ('"ax"', '"nowhere"', "'nowhere' is in the table 0 times (columns: t, ax"),
+        ('"g"', '"stone"', "unit is 'stone'; write one of m/s2, g, mg"),
+        ('"g"', '["g"]', "write one of m/s2, g, mg"),
+        ('"ms"', '"fortnight"', "time unit is 'fortnight'"),
+        ("sign = -1", "sign = 7", "sign is 7; write 1 or -1"),
         ("[gyroscope]", "[giroscope]", "unknown table 'giroscope'"),
-        ('["ax", "ay", "az"]', '["ax"]', "needs columns = [...] with 3 names"),
-        ('column = "t"', "", "needs column"),
+        ('["ax", "ay", "az"]', '["ax"]', "columns is ['ax']; write 3 names"),
+        ('column = "t"', "", "write column = ... or rate_hz"),
         ("[time]", "[time", "not TOML"),
         ("[accelerometer]", "[magnetometer]", "no [accelerometer]"),
-        ("[time]", "[file]\nseparator = ','\ndecimal = ','\n[time]", "cannot be used together"),
+        ("[time]", "[file]\nseparator = ','\ndecimal = ','\n[time]", "do not fit; write ';' and ','"),
     ],
 )
 def test_a_mapping_that_does_not_fit_is_refused_with_what_would(tmp_path: Path, old: str, new: str, hint: str) -> None:
@@ -130,5 +130,5 @@ def test_a_format_can_be_forced(tmp_path: Path) -> None:
     path = mapped(tmp_path)
     assert len(read(path, "generic_csv").accelerometer) == len(WALK.accelerometer)
     assert refusal(path, "get_sensor_data")
-    with pytest.raises(ValueError, match="format is 'excel'; known are own, sensor_logger"):
+    with pytest.raises(ValueError, match="format is 'excel'; give one of own, sensor_logger"):
         read(path, "excel")

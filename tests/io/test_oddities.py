@@ -280,6 +280,12 @@ def test_a_ride_is_named_with_the_place_where_the_track_stopped_and_a_walk_is_no
         assert not any("vehicle" in n for n in pdr.track(read(write_text(tmp_path / "walk.csv", walk))).notes)
 
 
+def test_a_ride_without_steps_is_named_in_a_smoothed_track(tmp_path: Path) -> None:
+    smoothed = pdr.smooth(read(write_text(tmp_path / "ride.csv", ride())))
+    assert smoothed.track.n_steps == 0
+    assert any("as in a vehicle" in n and "stops at 0.0 m east, 0.0 m north" in n for n in smoothed.notes)
+
+
 @pytest.mark.parametrize("late_s", [0.0, 25.0])
 def test_an_app_is_told_of_a_ride_and_neither_of_a_walk_nor_of_an_outlier(late_s: float) -> None:
     walk = on_one_clock(pdr.simulate.demo_walk())

@@ -370,7 +370,7 @@ def test_an_accelerometer_without_values_is_refused(tmp_path: Path) -> None:
 def test_too_few_samples_are_refused_with_their_number(tmp_path: Path, n: int) -> None:
     message = refusal(folder_with(tmp_path / "w", accelerometer=accelerometer_csv(n)))
     assert f"only {n} samples" in message
-    assert "at least 10" in message
+    assert "10 are needed; record for longer" in message
 
 
 def test_an_accelerometer_alone_is_read_whatever_its_file_is_called(tmp_path: Path) -> None:
@@ -475,7 +475,7 @@ def test_a_compression_that_unpacks_without_bound_is_refused(tmp_path: Path) -> 
 # ---------------------------------------------------------------- anything at all
 
 
-def recording_or_refusal(path: Path) -> None:
+def assert_recording_or_refusal(path: Path) -> None:
     try:
         recording = read(path)
     except RecordingError as error:
@@ -499,7 +499,7 @@ def test_a_damaged_zip_gives_a_recording_or_a_refusal(tmp_path: Path, data: st.D
             damaged[at] = value
     path = tmp_path / "damaged.zip"
     path.write_bytes(bytes(damaged))
-    recording_or_refusal(path)
+    assert_recording_or_refusal(path)
 
 
 def test_every_single_damaged_header_byte_gives_a_recording_or_a_refusal(tmp_path: Path) -> None:
@@ -513,7 +513,7 @@ def test_every_single_damaged_header_byte_gives_a_recording_or_a_refusal(tmp_pat
         damaged = bytearray(good)
         damaged[at] ^= 1 << rng.randrange(8)
         path.write_bytes(bytes(damaged))
-        recording_or_refusal(path)
+        assert_recording_or_refusal(path)
 
 
 FIELD = st.sampled_from(
@@ -536,18 +536,18 @@ def test_any_csv_text_gives_a_recording_or_a_refusal(
     good = "".join(f"{i / 100},0.1,9.7,9.8,1\n" for i in range(n_good))
     text = header + good + (end or "\n").join(rows) + tail
     data = text.encode("utf-8", "surrogatepass")
-    recording_or_refusal(folder_with(tmp_path / "a", accelerometer=data))
-    recording_or_refusal(folder_with(tmp_path / "b", gyroscope=data, truth_position=data))
+    assert_recording_or_refusal(folder_with(tmp_path / "a", accelerometer=data))
+    assert_recording_or_refusal(folder_with(tmp_path / "b", gyroscope=data, truth_position=data))
 
 
 @FUZZ
 @given(content=st.binary(max_size=200))
 def test_any_bytes_give_a_recording_or_a_refusal(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "bytes").write_bytes(content)
-    recording_or_refusal(tmp_path / "bytes")
-    recording_or_refusal(folder_with(tmp_path / "a", accelerometer=content))
-    recording_or_refusal(folder_with(tmp_path / "b", meta=content))
-    recording_or_refusal(folder_with(tmp_path / "c", truth_labels=content))
+    assert_recording_or_refusal(tmp_path / "bytes")
+    assert_recording_or_refusal(folder_with(tmp_path / "a", accelerometer=content))
+    assert_recording_or_refusal(folder_with(tmp_path / "b", meta=content))
+    assert_recording_or_refusal(folder_with(tmp_path / "c", truth_labels=content))
 
 
 JSON = st.recursive(

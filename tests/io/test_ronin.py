@@ -83,7 +83,7 @@ def test_what_is_missing_or_of_another_shape_is_refused(tmp_path: Path) -> None:
     short = data | {"synced/acce": data["synced/acce"][:-5]}
     assert "but" in refusal(folder_with(tmp_path / "d", short))
     text = data | {"synced/acce": np.full((len(data["synced/time"]), 3), b"x")}
-    assert "no numbers" in refusal(folder_with(tmp_path / "e", text))
+    assert "write it as numbers" in refusal(folder_with(tmp_path / "e", text))
 
 
 def test_a_quaternion_of_the_other_order_is_refused(tmp_path: Path) -> None:

@@ -157,7 +157,7 @@ def test_a_platform_where_the_sign_is_known_is_refused(tmp_path: Path) -> None:
     (tmp_path / "walk.csv").write_text(sensorlog())
     assert "leave platform out" in refusal(tmp_path / "walk.csv", platform="ios")
     assert "leave platform out" in refusal(write_zip(tmp_path / "w.zip", phyphox_files(WALK)), platform="ios")
-    with pytest.raises(ValueError, match="platform is 'windows'; known are ios, android"):
+    with pytest.raises(ValueError, match="platform is 'windows'; give one of ios, android"):
         read(tmp_path / "walk.csv", platform="windows")
 
 

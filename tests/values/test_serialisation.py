@@ -134,7 +134,7 @@ def test_what_cannot_come_back_is_refused(value: object) -> None:
 
 
 def blob(value: Any, **content: Any) -> bytes:
-    return zlib.compress(json.dumps({"format": 3, "value": value, **content}).encode())
+    return zlib.compress(json.dumps({"format": 4, "value": value, **content}).encode())
 
 
 @pytest.mark.parametrize(
@@ -171,7 +171,7 @@ def test_bytes_that_name_anything_else_are_refused(value: Any) -> None:
 
 def test_a_filter_saved_by_an_older_layout_of_the_package_is_refused_with_what_to_do() -> None:
     old = zlib.compress(json.dumps({"format": 1, "value": None}).encode())
-    with pytest.raises(ValueError, match=r"another version of pdr_filter: its format is 1, not 3\); save it again"):
+    with pytest.raises(ValueError, match=r"another version of pdr_filter: its format is 1, not 4\); save it again"):
         from_bytes(old)
 
 

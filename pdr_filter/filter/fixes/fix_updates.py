@@ -8,28 +8,23 @@ from dataclasses import replace
 import numpy as np
 
 from pdr_filter.filter.fixes.alignment import Alignment, walked_var_m2
+from pdr_filter.filter.fixes.fix_history import UsedFix
 from pdr_filter.filter.fixes.frame_rotation import PairedPoint, align, least_squares_error, n_free, scatter
 from pdr_filter.filter.fixes.relocation import Doubt
 from pdr_filter.filter.fixes.repeated_fixes import seen_after
-from pdr_filter.filter.imm import imm
 from pdr_filter.filter.imm.imm import ImmArithmetic
 from pdr_filter.filter.imm.motion_model import EAST, HEADING_OFFSET, LOG_SCALE, N_STATES, NORTH, expect_first_direction
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.pedestrian_state import (
-    TRAIL_HEADING,
-    TRAIL_STEPS,
-    TRAIL_TIME,
     PedestrianState,
-    UsedFix,
     in_other_frame,
-    own_place,
-    parameters_cov,
     present_position,
-    shared_cov,
+    track_place,
     with_detached_path,
     with_moved_past,
     with_open_turn,
 )
+from pdr_filter.filter.imm.step_history import TRAIL_TIME
 from pdr_filter.values import (
     N_BEFORE,
     Fix,
@@ -46,7 +41,6 @@ from pdr_filter.values import (
     wrap_angle,
 )
 
-MAX_STANDSTILLS = 16
 _Result = tuple[PedestrianState, FixOutcome, float]
 
 
@@ -61,41 +55,43 @@ def use_fix(
     `offset_rad` (F,) is the filters' own walking heading less the heading that the body faces.
     """
     if isinstance(fix, Standstill):
-        standstills = (*state.standstills, (fix.time_s, fix.end_s))[-MAX_STANDSTILLS:]
-        return replace(state, standstills=standstills), "used", np.nan
+        return replace(state, fixes=state.fixes.with_standstill(fix)), "used", np.nan
     if isinstance(fix, GridFix):  # which particles on a floor plan use
         return state, "nothing to compare", np.nan
     if isinstance(fix, SpeedFix):
         return _on_speed(model, arithmetic, state, fix)
     state = with_open_turn(state)
-    then = _place_at(state, fix.time_s)
-    if then is None:
+    place = _place_at(state, fix.time_s)
+    if place is None:
         return state, "rejected", np.inf
+    track_m, device_heading_rad = place[:2], float(place[2])
     if isinstance(fix, HeadingFix):
-        return _on_heading(model, arithmetic, state, offset_rad, fix, float(then[2]))
-    seen = seen_after(state.seen, fix, then[:2], float(state.prob @ state.walked_m))
-    state = replace(state, seen=seen, n_frozen_fixes=state.n_frozen_fixes + seen.is_frozen)
+        return _on_heading(model, arithmetic, state, offset_rad, fix, device_heading_rad)
+    seen = seen_after(state.fixes.seen, fix, track_m, state.estimates.distance_m)
+    fixes = replace(state.fixes, seen=seen, n_frozen=state.fixes.n_frozen + seen.is_frozen)
+    state = replace(state, fixes=fixes)
     if seen.is_frozen:
         return state, "frozen", np.nan
     fix = _after_gap(model, state, fix)
     if not state.frame.is_joined:
-        return _on_first_positions(model, arithmetic, state, fix, then[:2])
-    return _on_known_frame(model, arithmetic, state, fix, then[:2])
+        return _on_first_positions(model, arithmetic, state, fix, track_m)
+    return _on_known_frame(model, arithmetic, state, fix, track_m)
 
 
 def _after_gap(model: PedestrianModel, state: PedestrianState, fix: PositionFix) -> PositionFix:
     """Return a fix from before the end of a gap with a larger covariance, as the way since then is unknown."""
-    if state.gap_s == 0.0 or len(state.trail) == 0:
+    gap_s, trail = state.steps.gap_s, state.steps.trail
+    if gap_s == 0.0 or len(trail) == 0:
         return fix
-    into_gap_s = max(fix.time_s - float(state.trail[-1, TRAIL_TIME]), 0.0)
-    if state.gap_s <= into_gap_s:
+    into_gap_s = max(fix.time_s - float(trail[-1, TRAIL_TIME]), 0.0)
+    if gap_s <= into_gap_s:
         return fix
-    var_m2 = float(model.noise.gap_var_m2(state.gap_s - into_gap_s))
+    var_m2 = float(model.noise.gap_var_m2(gap_s - into_gap_s))
     return replace(fix, cov_m2=read_only(fix.cov_m2 + var_m2 * np.eye(2)))
 
 
 def _on_position(
-    model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: PositionFix, then_m: FloatArray
+    model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: PositionFix, track_m: FloatArray
 ) -> _Result:
     """The track at the fix's own time corrects the present.
 
@@ -103,47 +99,35 @@ def _on_position(
     track and fixes are less sure than they say (M. Roth, E. Ozkan and F. Gustafsson, "A Student's t filter for heavy
     tailed process and measurement noise", ICASSP 2013), with a degree of freedom more for each error.
     """
-    z, H, R = _without_shared_error(model, state, fix, then_m)
-    cov = state.cov.copy()
-    cov[:, :2, :2] += shared_cov(state)
-    updated = arithmetic.update(state.mean, cov, z, H, R)
-    after, outcome, nis = _gated(arithmetic, _with_shared_path(state, cov), updated, model.fix_gate_nis)
+    z, H, R = _without_shared_error(model, state, fix, track_m)
+    estimates, fixes = state.estimates, state.fixes
+    cov = estimates.cov.copy()
+    cov[:, :2, :2] += estimates.consider_cov_m2
+    results = arithmetic.update(estimates.mean, cov, z, H, R)
+    updated, outcome, nis = _gated(arithmetic, _with_consider_path(state, cov), results, model.fix_gate_nis)
     if outcome == "used":
-        n_errors, squares = state.n_fix_errors + 2, state.fix_squares + nis
+        n_errors, squares = fixes.n_errors + 2, fixes.squares + nis
         # the factor of all errors so far, of which the covariance has that of those before already
-        larger = scatter(squares, n_errors) / scatter(state.fix_squares, state.n_fix_errors)
-        after = replace(
-            _with_used(after, fix, _place_at(after, fix.time_s)),
-            cov=larger * after.cov,
-            shared_m=np.zeros_like(state.shared_m),
-            doubt=after.doubt.with_used(),
-            path=after.path.scaled(larger),
-            n_fix_errors=n_errors,
-            fix_squares=squares,
-        )
-    return after if outcome == "used" else state, outcome, nis
+        larger = scatter(squares, n_errors) / scatter(fixes.squares, fixes.n_errors)
+        no_error_m = np.zeros_like(estimates.consider_error_m)
+        estimates = replace(updated.estimates, cov=larger * updated.estimates.cov, consider_error_m=no_error_m)
+        fixes = updated.fixes.with_used(fix, _track_m(updated, fix.time_s))
+        fixes = replace(fixes, doubt=fixes.doubt.with_used(), n_errors=n_errors, squares=squares)
+        updated = replace(updated, estimates=estimates, fixes=fixes, path=updated.path.scaled(larger))
+    return updated if outcome == "used" else state, outcome, nis
 
 
-def _with_shared_path(state: PedestrianState, cov: FloatArray) -> PedestrianState:
-    """State whose path knows that covariances (F, 4, 4) have the errors that steps share now."""
-    x, P = imm.combine(state.mean, state.cov, state.prob)
-    _, after = imm.combine(state.mean, cov, state.prob)
-    time_s = float(state.trail[-1, TRAIL_TIME]) if len(state.trail) else -np.inf
-    return replace(state, path=state.path.with_shared(P, shared_cov(state), after, time_s, x[:2].copy()))
-
-
-def _with_used(state: PedestrianState, fix: PositionFix, place: FloatArray | None) -> PedestrianState:
-    """State that remembers a used fix whose error later ones may share."""
-    if fix.correlation_s == 0:
-        return state
-    # ways that a gap has hidden stay hidden: after it the first fix counts as one more of those before
-    known = tuple(f for f in state.used_fixes if f.track_m is not None)
-    used = UsedFix(fix, None if place is None else read_only(place[:2]))
-    return replace(state, used_fixes=(*known, used)[-N_BEFORE:])
+def _with_consider_path(state: PedestrianState, cov: FloatArray) -> PedestrianState:
+    """State whose path knows that covariances (F, 4, 4) have the errors of the consider parameters now."""
+    estimates = state.estimates
+    x, P = estimates.combined
+    _, grown_P = replace(estimates, cov=cov).combined
+    path = state.path.with_shared(P, estimates.consider_cov_m2, grown_P, state.steps.end_s, x[:2].copy())
+    return replace(state, path=path)
 
 
 def _without_shared_error(
-    model: PedestrianModel, state: PedestrianState, fix: PositionFix, then_m: FloatArray
+    model: PedestrianModel, state: PedestrianState, fix: PositionFix, track_m: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Measurement z (2,) = H x + noise of covariance R, which has no part in common with the errors of fixes before.
 
@@ -154,47 +138,47 @@ def _without_shared_error(
     containing sequentially correlated noise", J. Spacecraft 5, 1968). The way since fix n, by which p_n becomes the
     present position, is as uncertain as heading and step lengths are.
     """
-    x, P = imm.combine(state.mean, state.cov, state.prob)
-    since_m = own_place(state).position_m - then_m
-    used = state.used_fixes if fix.correlation_s > 0 else ()
-    ways_m = [then_m - u.track_m for u in used if u.track_m is not None]
+    x, P = state.estimates.combined
+    since_m = track_place(state).position_m - track_m
+    used = state.fixes.used if fix.correlation_s > 0 else ()
+    ways_m = [track_m - u.track_m for u in used if u.track_m is not None]
     z, H = fix.position_m, np.eye(2, N_STATES)
     if len(ways_m) < len(used):
-        own_cov = repeated_cov_m2(fix, [u.fix for u in used])
+        innovation_cov_m2 = repeated_cov_m2(fix, [u.fix for u in used])
     else:
-        by_error, own_cov = error_given_before(fix, [u.fix for u in used])
+        by_error, innovation_cov_m2 = error_given_before(fix, [u.fix for u in used])
         for A, u, d in zip(by_error, used, ways_m, strict=True):
             z = z - A @ (u.fix.position_m + d)
             H[:, :2] -= A
             H[:, HEADING_OFFSET] += A @ (d[1], -d[0])
             H[:, LOG_SCALE] += A @ d
     since_var = model.noise.log_scale_std**2 + float(P[HEADING_OFFSET, HEADING_OFFSET])
-    R = own_cov + since_var * float(since_m @ since_m) * np.eye(2)
+    R = innovation_cov_m2 + since_var * float(since_m @ since_m) * np.eye(2)
     return z + H[:, :2] @ since_m + H[:, 2:] @ x[2:], H, R
 
 
 def _on_known_frame(
-    model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: PositionFix, then_m: FloatArray
+    model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: PositionFix, track_m: FloatArray
 ) -> _Result:
     """As `_on_position`; a track that many rejected fixes contradict is moved to where they show it."""
-    after, outcome, nis = _on_position(model, arithmetic, state, fix, then_m)
+    updated, outcome, nis = _on_position(model, arithmetic, state, fix, track_m)
     if outcome == "used":
-        return after, outcome, nis
-    pair, heading_var = _paired(state, fix, then_m)
-    state = replace(state, doubt=state.doubt.with_rejected(pair))
-    can_turn = state.frame.alignment is not None
-    alignment = state.doubt.alignment(pair, heading_var, state.n_final, can_turn)
+        return updated, outcome, nis
+    pair, heading_var = _paired(state, fix, track_m)
+    doubt, can_turn = state.fixes.doubt.with_rejected(pair), state.frame.alignment is not None
+    state = replace(state, fixes=replace(state.fixes, doubt=doubt))
+    alignment = doubt.alignment(pair, heading_var, state.steps.n_final, can_turn)
     if alignment is None:
         return state, outcome, nis
-    # the alignment contains the prior of the heading already
-    doubted = state.doubt.pairs
     state = with_detached_path(state)
-    known = replace(state, cov=expect_first_direction(state.cov, 0.0), doubt=Doubt())
-    state = in_other_frame(known, alignment)
+    # the alignment contains the prior of the heading already
+    cov = expect_first_direction(state.estimates.cov, 0.0)
+    fixes = replace(state.fixes, doubt=Doubt())
+    state = in_other_frame(replace(state, estimates=replace(state.estimates, cov=cov), fixes=fixes), alignment)
     moved = replace(alignment, since=alignment.n_steps)
     state = replace(state, frame=replace(state.frame, later=(*state.frame.later, moved)))
-    pairs = [pair.moved(alignment.positions) for pair in doubted]
-    state, nis = _with_other_half(model, arithmetic, state, fix, alignment.positions(then_m), pairs)
+    pairs = [pair.moved(alignment.positions) for pair in doubt.pairs]
+    state, nis = _with_other_half(model, arithmetic, state, fix, alignment.positions(track_m), pairs)
     return state, "moved", nis
 
 
@@ -207,16 +191,17 @@ def _on_heading(
     device_heading_rad: float,
 ) -> _Result:
     """Z = device heading then + heading offset + the filter's own; where no north is known yet, it defines it."""
-    if len(state.trail) == 0:
+    if len(state.steps.trail) == 0:
         return state, "nothing to compare", np.nan
-    innovation = fix.walking_heading_rad - device_heading_rad - state.mean[:, HEADING_OFFSET]
+    prob = state.estimates.prob
+    innovation = fix.walking_heading_rad - device_heading_rad - state.estimates.mean[:, HEADING_OFFSET]
     innovation = wrap_angle(innovation - offset_rad)
     frame, var = state.frame, fix.std_rad**2
     if frame.is_open:
-        angle_rad = float(np.arctan2(state.prob @ np.sin(innovation), state.prob @ np.cos(innovation)))
+        angle_rad = float(np.arctan2(prob @ np.sin(innovation), prob @ np.cos(innovation)))
         share = 1.0 / (1.0 + var / frame.north_var_rad2)  # weight of the fix against the prior of the turn
         about_m = frame.pairs[0].track_m if frame.since else np.zeros(2)
-        turn = Alignment(share * angle_rad, share * var, about_m, about_m, 0.0, state.n_final, frame.since)
+        turn = Alignment(share * angle_rad, share * var, about_m, about_m, 0.0, state.steps.n_final, frame.since)
         state = in_other_frame(state, turn)
         return replace(state, frame=state.frame.with_north(turn)), "used", np.nan
     return _on_state(model, arithmetic, state, HEADING_OFFSET, innovation, var)
@@ -224,11 +209,12 @@ def _on_heading(
 
 def _on_speed(model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: SpeedFix) -> _Result:
     """Log z - log v = error of the log scale, v the smoothed speed of the present bout, to first order."""
-    if state.speed is None or state.speed.smoothed_mps <= 0:
+    speed = state.steps.speed
+    if speed is None or speed.smoothed_mps <= 0:
         return state, "nothing to compare", np.nan
-    v = state.speed.smoothed_mps
-    variance = (fix.std_mps / v) ** 2 + state.speed.level_var_m2ps2 / v**2
-    innovation = np.full(len(state.mean), np.log(fix.speed_mps / v))
+    v = speed.smoothed_mps
+    variance = (fix.std_mps / v) ** 2 + speed.level_var_m2ps2 / v**2
+    innovation = np.full(len(state.estimates.mean), np.log(fix.speed_mps / v))
     return _on_state(model, arithmetic, state, LOG_SCALE, innovation, variance)
 
 
@@ -241,9 +227,10 @@ def _on_state(
     variance: float,
 ) -> _Result:
     """State after a measurement of one of its entries, whose innovation (F,) is another one for each filter."""
-    z = state.mean[:, index] + innovation
+    prior = state.estimates
+    z = prior.mean[:, index] + innovation
     H, R = np.eye(N_STATES)[[index]], np.array([[variance]])
-    each = [arithmetic.update(state.mean[[k]], state.cov[[k]], z[[k]], H, R) for k in range(len(z))]
+    each = [arithmetic.update(prior.mean[[k]], prior.cov[[k]], z[[k]], H, R) for k in range(len(z))]
     mean, cov, log_likelihood, nis = (np.concatenate([result[i] for result in each]) for i in range(4))
     return _gated(arithmetic, state, (mean, cov, log_likelihood, nis), model.scalar_gate_nis)
 
@@ -259,39 +246,43 @@ def _gated(
     best_nis = float(nis.min())
     if not best_nis <= gate_nis:
         return state, "rejected", best_nis
-    before, _ = imm.combine(state.mean, state.cov, state.prob)
-    prob = arithmetic.update_mode_prob(state.prob, log_likelihood)
-    moved = imm.combine(mean, cov, prob)[0] - before
-    state = replace(state, mean=mean, cov=cov, prob=prob, path=state.path.corrected(moved))
-    shift_m = moved[[EAST, NORTH]]
+    prior_x, _ = state.estimates.combined
+    prob = arithmetic.update_mode_prob(state.estimates.prob, log_likelihood)
+    state = replace(state, estimates=replace(state.estimates, mean=mean, cov=cov, prob=prob))
+    moved = state.estimates.combined[0] - prior_x
+    state, shift_m = replace(state, path=state.path.corrected(moved)), moved[[EAST, NORTH]]
     return with_moved_past(state, lambda position_m: position_m + shift_m), "used", best_nis
 
 
 def _on_first_positions(
-    model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: PositionFix, then_m: FloatArray
+    model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: PositionFix, track_m: FloatArray
 ) -> _Result:
     """State that is placed or turned by one fix more, in the frame of the fixes once the turn is settled.
 
     The fix that settles it says two things, how far the track is turned and where it is now, each with half of what
     it knows.
     """
-    pair, _ = _paired(state, fix, then_m)
+    pair, _ = _paired(state, fix, track_m)
     frame = state.frame.with_pair(pair)
     agreeing = frame.agreeing
-    if state.doubt.explains(pair):  # with any turn the place of one fix may be reached: the others are evidence, too
+    if state.fixes.doubt.explains(
+        pair
+    ):  # with any turn the place of one fix may be reached: the others are evidence, too
         return _on_doubted_place(state, pair)
     if agreeing[-1] is not pair:
         return _on_doubted_place(replace(state, frame=frame), pair)
-    state = replace(state, doubt=state.doubt.with_used())
+    fixes = replace(state.fixes, doubt=state.fixes.doubt.with_used())
+    state = replace(state, fixes=fixes)
     half = (*agreeing[:-1], replace(pair, var_m2=2.0 * pair.var_m2))
-    alignment = align(half, state.n_final, frame.turn_prior_var_rad2, frame.compass) if frame.is_narrow else None
+    alignment = align(half, state.steps.n_final, frame.turn_prior_var_rad2, frame.compass) if frame.is_narrow else None
     if alignment is None:
         return replace(state, frame=frame), "placed" if len(agreeing) == 1 else "turned", np.nan
     squares = least_squares_error(agreeing, frame.turn_prior_var_rad2)
-    joined = {"frame": frame.joined(alignment), "n_fix_errors": n_free(agreeing), "fix_squares": squares}
-    state = replace(in_other_frame(state, alignment), **joined)
+    state = in_other_frame(state, alignment)
+    fixes = replace(state.fixes, n_errors=n_free(agreeing), squares=squares)
+    state = replace(state, frame=frame.joined(alignment), fixes=fixes)
     pairs = [pair.moved(alignment.positions) for pair in agreeing]
-    state, nis = _with_other_half(model, arithmetic, state, fix, alignment.positions(then_m), pairs)
+    state, nis = _with_other_half(model, arithmetic, state, fix, alignment.positions(track_m), pairs)
     return state, "turned", nis
 
 
@@ -301,14 +292,16 @@ def _on_doubted_place(state: PedestrianState, pair: PairedPoint) -> _Result:
     After a lost heading the place of the track is one of them. Fixes that contradict the others for long move the
     track: it goes on from them, with its turn open.
     """
-    state = replace(state, doubt=state.doubt.with_rejected(pair))
-    if not state.doubt.contradicts(pair):
+    doubt, n_steps = state.fixes.doubt.with_rejected(pair), state.steps.n_final
+    state = replace(state, fixes=replace(state.fixes, doubt=doubt))
+    if not doubt.contradicts(pair):
         return state, "rejected", np.inf
-    n_steps, turn, (before_m, _) = state.n_final, state.frame.most_probable(state.n_final), present_position(state)
+    turn, (from_m, _) = state.frame.most_probable(n_steps), present_position(state)
     joined = state.frame.joined(turn)
     state = with_detached_path(in_other_frame(state, turn))
-    state = replace(state, frame=joined.opened(state.doubt.pairs, np.inf, n_steps), doubt=Doubt())
-    moved = Alignment(0.0, 0.0, before_m, present_position(state)[0], 0.0, n_steps, since=n_steps)
+    opened = joined.opened(state.fixes.doubt.pairs, np.inf, n_steps)
+    state = replace(state, frame=opened, fixes=replace(state.fixes, doubt=Doubt()))
+    moved = Alignment(0.0, 0.0, from_m, present_position(state)[0], 0.0, n_steps, since=n_steps)
     return replace(state, frame=replace(state.frame, later=(*joined.later, moved))), "moved", np.inf
 
 
@@ -317,7 +310,7 @@ def _with_other_half(
     arithmetic: ImmArithmetic,
     state: PedestrianState,
     fix: PositionFix,
-    now_m: FloatArray,
+    track_m: FloatArray,
     pairs: Sequence[PairedPoint],
 ) -> tuple[PedestrianState, float]:
     """State that an alignment by pairs has placed, with the half of the last fix that the alignment does not have."""
@@ -329,28 +322,33 @@ def _with_other_half(
         for pair in pairs[:-1]
         if pair.correlation_s > 0
     )
-    state = replace(state, used_fixes=shared[-N_BEFORE:])
-    after, outcome, nis = _on_position(model, arithmetic, state, replace(fix, cov_m2=2.0 * fix.cov_m2), now_m)
-    if outcome == "used" and fix.correlation_s > 0:
-        after = replace(after, used_fixes=after.used_fixes[:-1])
-    return _with_used(after, fix, _place_at(after, fix.time_s)), nis
+    state = replace(state, fixes=replace(state.fixes, used=shared[-N_BEFORE:]))
+    half = replace(fix, cov_m2=2.0 * fix.cov_m2)
+    updated, outcome, nis = _on_position(model, arithmetic, state, half, track_m)
+    fixes = updated.fixes
+    if outcome == "used" and fix.correlation_s > 0:  # remembered with its whole information, not with half of it
+        fixes = replace(fixes, used=fixes.used[:-1])
+    return replace(updated, fixes=fixes.with_used(fix, _track_m(updated, fix.time_s))), nis
 
 
-def _paired(state: PedestrianState, fix: PositionFix, then_m: FloatArray) -> tuple[PairedPoint, float]:
+def _paired(state: PedestrianState, fix: PositionFix, track_m: FloatArray) -> tuple[PairedPoint, float]:
     """The fix with where the track was, and the variance of the heading, which has no part in that of the track."""
-    _, P = imm.combine(state.mean, state.cov, state.prob)
+    _, P = state.estimates.combined
     cov = P.copy()
-    cov[:2, :2] += parameters_cov(state)
+    cov[:2, :2] += state.estimates.length_parameters_cov_m2
     walked_var = walked_var_m2(cov)
-    pair = PairedPoint(read_only(then_m), fix.position_m, fix.var_m2, walked_var, fix.time_s, fix.correlation_s)
+    pair = PairedPoint(read_only(track_m), fix.position_m, fix.var_m2, walked_var, fix.time_s, fix.correlation_s)
     return pair, float(P[HEADING_OFFSET, HEADING_OFFSET])
 
 
 def _place_at(state: PedestrianState, time_s: float) -> FloatArray | None:
-    """East, north and device heading (3,) at a time; None if the time is no longer remembered."""
-    trail = state.trail
-    if len(trail) == 0:
-        return np.append(own_place(state).position_m, 0.0)
-    if time_s < trail[0, TRAIL_TIME] and len(trail) == TRAIL_STEPS:
-        return None
-    return np.array([np.interp(time_s, trail[:, TRAIL_TIME], trail[:, k]) for k in range(1, TRAIL_HEADING + 1)])
+    """Return east, north and device heading (3,) at a time, or None before the oldest remembered step."""
+    if len(state.steps.trail) == 0:
+        return np.append(track_place(state).position_m, 0.0)
+    return state.steps.at(time_s)
+
+
+def _track_m(state: PedestrianState, time_s: float) -> FloatArray | None:
+    """Return east and north (2,) of the track at a time, or None before the oldest remembered step."""
+    place = _place_at(state, time_s)
+    return None if place is None else place[:2]

@@ -55,8 +55,8 @@ class Frame:
         """Variance of a turn that is not in the filter's states: of a frame that is joined, none."""
         if self.is_joined:
             return 0.0
-        known = self._provisional or self._open
-        return known.angle_var_rad2 if known else 0.0 if self.compass is None else self.compass.std_rad**2
+        turn = self._provisional or self._open
+        return turn.angle_var_rad2 if turn else 0.0 if self.compass is None else self.compass.std_rad**2
 
     @property
     def is_known(self) -> bool:
@@ -96,14 +96,18 @@ class Frame:
         return align(self.agreeing, 0, self.turn_prior_var_rad2, self.compass)
 
     def world(self, place: Place) -> Place:
-        """A place that was reported in a frame of its own, that of the start or a later one, by what is known now."""
-        for turn in (self.north, self.alignment, *self.later):
-            if turn is not None and turn.turns(place):
-                place = turn.world(place)
+        """Convert a place to the coordinate frame of the fixes, with the current estimate of the rotation.
+
+        The frame of the place follows from its number of steps: the frame of the start, or the frame that began
+        where the heading was lost.
+        """
+        for alignment in (self.north, self.alignment, *self.later):
+            if alignment is not None and alignment.turns(place):
+                place = alignment.world(place)
         if self.is_joined or place.n_steps < self.since:
             return place
-        known = self._provisional or self._open or self.present_turn
-        return place if known is None else known.world(place)
+        turn = self._provisional or self._open or self.present_turn
+        return place if turn is None else turn.world(place)
 
     def origin(self, place: Origin) -> Origin:
         """Where the fixes have their zero, with how well they put the track there as they settled its turn, or so far.
@@ -111,14 +115,14 @@ class Frame:
         The turn is that of the frame of the start, a heading fix before them included.
         """
         before_rad = 0.0 if self.north is None else self.north.angle_rad
-        known = self.alignment or self._provisional or self._open
-        if known is None:
+        turn = self.alignment or self._provisional or self._open
+        if turn is None:
             return place
         return replace(
             place,
-            turn_rad=float(wrap_angle(before_rad + known.angle_rad)),
-            turn_std_rad=math.sqrt(known.angle_var_rad2),
-            position_std_m=math.sqrt(known.centre_var_m2),
+            turn_rad=float(wrap_angle(before_rad + turn.angle_rad)),
+            turn_std_rad=math.sqrt(turn.angle_var_rad2),
+            position_std_m=math.sqrt(turn.centre_var_m2),
         )
 
     def drawn(self) -> Frame:
@@ -138,19 +142,22 @@ class Frame:
         # what is known of a place from before is no fix among others: see `doubt` for when it is wrong
         n_sure = 1 if self.since else 0
         agreeing, turn = agreed_turn(self.pairs, self.north_var_rad2, n_sure)
-        found = replace(self, agreeing=agreeing, turn=turn, north_conflict=0.0)
+        turned = replace(self, agreeing=agreeing, turn=turn, north_conflict=0.0)
         if self.is_open:
-            return found
-        others, free = agreed_turn(self.pairs, math.inf, n_sure)
-        gained = disagreement(self.pairs, agreeing, self.north_var_rad2) - disagreement(self.pairs, others, math.inf)
-        found = replace(found, north_conflict=gained)
-        return replace(found, agreeing=others, turn=free) if found.is_north_wrong else found
+            return turned
+        free_agreeing, free_turn = agreed_turn(self.pairs, math.inf, n_sure)  # without the prior of north
+        with_prior = disagreement(self.pairs, agreeing, self.north_var_rad2)
+        turned = replace(turned, north_conflict=with_prior - disagreement(self.pairs, free_agreeing, math.inf))
+        return replace(turned, agreeing=free_agreeing, turn=free_turn) if turned.is_north_wrong else turned
 
     def with_north(self, north: Alignment) -> Frame:
-        """After a heading fix has turned its own frame: what is left of the turn is as unsure as both together."""
-        known = replace(self, compass=None, north_var_rad2=north.angle_var_rad2)
-        known = replace(known, later=(*self.later, north)) if self.since else replace(known, north=north)
-        return known._turned()
+        """Return the frame after a heading fix has rotated it.
+
+        The remaining rotation has the variances of north and of the heading fix together.
+        """
+        frame = replace(self, compass=None, north_var_rad2=north.angle_var_rad2)
+        frame = replace(frame, later=(*self.later, north)) if self.since else replace(frame, north=north)
+        return frame._turned()
 
     def with_compass(self, compass: Compass) -> Frame:
         """With what the magnetic field says by now; a heading fix knows better."""
@@ -159,12 +166,12 @@ class Frame:
     @property
     def is_narrow(self) -> bool:
         """True if positions and compass leave little doubt of the turn, and agree with a heading fix before them."""
-        known = self._open
-        if known is not None and self.turn_prior_var_rad2 <= MAX_ANGLE_STD_RAD**2:
+        turn = self._open
+        if turn is not None and self.turn_prior_var_rad2 <= MAX_ANGLE_STD_RAD**2:
             if self.north_conflict > _UNSURE:
                 return False
-            known = open_turn(self.agreeing).with_compass(self.compass)
-        return known is not None and known.is_narrow
+            turn = open_turn(self.agreeing).with_compass(self.compass)
+        return turn is not None and turn.is_narrow
 
     @property
     def is_open(self) -> bool:

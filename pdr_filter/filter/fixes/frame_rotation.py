@@ -305,13 +305,13 @@ def align(
         return None
     angle_rad, information, too_sure = float(_ANGLES_RAD[turn.prob.argmax()]), 1.0, 1.0
     for _ in range(5):
-        back = fit.world * cmath.rect(1.0, -angle_rad)
-        slope, left = -1j * back, back - fit.track
+        turned_back = fit.world * cmath.rect(1.0, -angle_rad)
+        slope, residual = -1j * turned_back, turned_back - fit.track
         of_compass, too_large_rad = (0.0, 0.0) if compass is None else compass.weighed(angle_rad)
-        too_sure = scatter(float(np.vdot(left, fit.projected @ left).real), n_free(pairs))
+        too_sure = scatter(float(np.vdot(residual, fit.projected @ residual).real), n_free(pairs))
         of_fixes = fit.projected @ slope / too_sure
         information = float(np.vdot(of_fixes, slope).real) + 1.0 / north_var_rad2 + of_compass
-        pull = float(np.vdot(of_fixes, left).real) + angle_rad / north_var_rad2
+        pull = float(np.vdot(of_fixes, residual).real) + angle_rad / north_var_rad2
         angle_rad -= (pull + of_compass * too_large_rad) / information
     return Alignment(angle_rad, 1.0 / information, *_centres(fit), too_sure * fit.shift_var_m2, n_steps)
 
@@ -357,6 +357,6 @@ def _agreeing(pairs: tuple[PairedPoint, ...], north_var_rad2: float, n_sure: int
         limit = agreement_limit(2 * n - 3) if n > 3 else _APART**2
         if fit.squares.min() <= limit:
             break
-        others = (fit.pairs[:k] + fit.pairs[k + 1 :] for k in range(n_sure, n))
-        fit = min((_fitted(some, north_var_rad2) for some in others), key=lambda some: some.squares.min())
+        subsets = (fit.pairs[:k] + fit.pairs[k + 1 :] for k in range(n_sure, n))
+        fit = min((_fitted(subset, north_var_rad2) for subset in subsets), key=lambda subset: subset.squares.min())
     return fit

@@ -145,14 +145,14 @@ def independent(fixes: Sequence[PositionFix], before: Sequence[PositionFix] = ()
     The covariance of each has that of the fixes before in it (`values.repeated_cov_m2`), of which some may have been
     used already.
     """
-    found = list(fixes)
+    independent_fixes = list(fixes)
     last = [fix for fix in before if fix.correlation_s > 0]
-    for k in sorted(range(len(found)), key=lambda k: fixes[k].time_s):
+    for k in sorted(range(len(independent_fixes)), key=lambda k: fixes[k].time_s):
         fix = fixes[k]
         if fix.correlation_s > 0:
-            found[k] = replace(fix, cov_m2=repeated_cov_m2(fix, last), correlation_s=0.0)
+            independent_fixes[k] = replace(fix, cov_m2=repeated_cov_m2(fix, last), correlation_s=0.0)
             last = [*last, fix][-N_BEFORE:]
-    return tuple(found)
+    return tuple(independent_fixes)
 
 
 def origin_of(location: Samples) -> Origin | None:
@@ -219,20 +219,20 @@ class Rides:
 
     def plus(self, fix: PositionFix, step_time_s: FloatArray) -> Rides:
         """Return the rides with one more fix; steps are given by their times (K,)."""
-        before = self.last
-        if before is None or fix.time_s <= before.time_s:
-            return self if before is not None else Rides((), fix)
-        duration_s = fix.time_s - before.time_s
-        way_m = float(np.linalg.norm(fix.position_m - before.position_m))
-        n_steps = np.count_nonzero((step_time_s > before.time_s) & (step_time_s <= fix.time_s))
-        is_sure = way_m > 3 * math.sqrt(before.var_m2 + fix.var_m2)
+        previous = self.last
+        if previous is None or fix.time_s <= previous.time_s:
+            return self if previous is not None else Rides((), fix)
+        duration_s = fix.time_s - previous.time_s
+        way_m = float(np.linalg.norm(fix.position_m - previous.position_m))
+        n_steps = np.count_nonzero((step_time_s > previous.time_s) & (step_time_s <= fix.time_s))
+        is_sure = way_m > 3 * math.sqrt(previous.var_m2 + fix.var_m2)
         if not is_sure or way_m < _RIDE_MPS * duration_s or n_steps > _RIDE_STEPS_HZ * duration_s:
             return Rides(self.found, fix)
-        if self.found and self.found[-1].end_s == before.time_s:
+        if self.found and self.found[-1].end_s == previous.time_s:
             ride = self.found[-1]
             ride = Ride(ride.begin_s, fix.time_s, ride.way_m + way_m, ride.first, fix)
             return Rides((*self.found[:-1], ride), fix)
-        return Rides((*self.found, Ride(before.time_s, fix.time_s, way_m, before, fix))[-_MOST_RIDES:], fix)
+        return Rides((*self.found, Ride(previous.time_s, fix.time_s, way_m, previous, fix))[-_MOST_RIDES:], fix)
 
 
 def _is_place(latitude_deg: float, longitude_deg: float) -> bool:

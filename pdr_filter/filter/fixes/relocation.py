@@ -57,13 +57,13 @@ class Doubt:
         The fix joins the pairs if it agrees with them, else the rival, else it starts a new rival. A rival of three
         changes places with the pairs: a fix far from all others never makes the pairs forgotten.
         """
-        later = replace(self, is_used_last=False)
+        doubt = replace(self, is_used_last=False)
         if _agree((*self.pairs, pair)):
-            return replace(later, pairs=_thinned((*self.pairs, pair)))
+            return replace(doubt, pairs=_thinned((*self.pairs, pair)))
         rival = _thinned((*self.rival, pair)) if _agree((*self.rival, pair)) else (pair,)
         if len(rival) < _MIN_DOUBTS:
-            return replace(later, rival=rival)
-        return replace(later, pairs=rival, rival=self.pairs)
+            return replace(doubt, rival=rival)
+        return replace(doubt, pairs=rival, rival=self.pairs)
 
     def with_used(self) -> Doubt:
         """Return the doubt after a used fix: none if two fixes in a row are used, or if few were rejected.

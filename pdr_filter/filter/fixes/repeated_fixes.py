@@ -26,17 +26,17 @@ class SeenPlace:
     is_frozen: bool = False  # True if fixes repeated it while steps went on
 
 
-def seen_after(before: SeenPlace | None, fix: PositionFix, track_m: FloatArray, walked_m: float) -> SeenPlace:
+def seen_after(previous: SeenPlace | None, fix: PositionFix, track_m: FloatArray, walked_m: float) -> SeenPlace:
     """Last new position after a fix, given the place of the track and the walked distance at its time.
 
     An exact repetition is frozen if dead reckoning has left the place by more than the standard deviation of the fix,
     and has not walked in a circle. It stays frozen until a fix gives another position.
     """
-    if before is None or not np.array_equal(fix.position_m, before.position_m):
+    if previous is None or not np.array_equal(fix.position_m, previous.position_m):
         return SeenPlace(fix.position_m, read_only(track_m), walked_m)
-    moved_m = float(np.linalg.norm(track_m - before.track_m))
-    far_m = max(_MIN_MOVED_M, fix.var_m2**0.5, _MOVED_SHARE * (walked_m - before.walked_m))
-    return replace(before, is_frozen=True) if moved_m > far_m else before
+    moved_m = float(np.linalg.norm(track_m - previous.track_m))
+    far_m = max(_MIN_MOVED_M, fix.var_m2**0.5, _MOVED_SHARE * (walked_m - previous.walked_m))
+    return replace(previous, is_frozen=True) if moved_m > far_m else previous
 
 
 def frozen_fixes(

@@ -101,11 +101,11 @@ class FloorState:
 
 def storey_m(levels: tuple[Level, ...]) -> float:
     """How high a storey is: the usual height and those of this building, each with the same weight."""
-    found = [USUAL_STOREY_M]
+    heights_m = [USUAL_STOREY_M]
     for lower, upper in pairwise(levels):
         n = upper.floor - lower.floor
-        found += n * [(upper.climbed_m - lower.climbed_m) / n]
-    return sum(found) / len(found)
+        heights_m += n * [(upper.climbed_m - lower.climbed_m) / n]
+    return sum(heights_m) / len(heights_m)
 
 
 def storeys_up(levels: tuple[Level, ...], climbed_m: float) -> float:

@@ -158,15 +158,15 @@ def window_log_evidence(windows: Sequence[WindowContext], model: PedestrianModel
     """Log evidence (W, 7) of what windows' motion says of stairs; the climb rate, which is pressure, is not in it."""
     if not windows:
         return np.zeros((0, N_MODES))
-    said = context_log_evidence(
+    of_contexts = context_log_evidence(
         np.array([to_be_told_apart(w.prob, w.stairs_unknown_share) for w in windows]),
         np.array([w.training_prior for w in windows]),
         model.evidence_exponent,
         model.evidence_floor,
         model.prior_exponent,
     )
-    on_foot, standing = said[:, _ON_FOOT].max(axis=1), said[:, _STANDING]
-    either, up, down = np.maximum(on_foot, standing), said[:, _UPSTAIRS], said[:, _DOWNSTAIRS]
+    on_foot, standing = of_contexts[:, _ON_FOOT].max(axis=1), of_contexts[:, _STANDING]
+    either, up, down = np.maximum(on_foot, standing), of_contexts[:, _UPSTAIRS], of_contexts[:, _DOWNSTAIRS]
     of_modes = np.column_stack([either, on_foot, up, down, standing, either, standing])
     of_modes[~np.isfinite(of_modes).all(axis=1)] = 0.0  # a window without probabilities
     return of_modes
@@ -188,12 +188,12 @@ def on_pressure(
     `place` is where a good location showed the phone in that second.
     """
     second = Second(state.known, climb, state.log_evidence, state.n_steps, place)
-    known = _after(second, model)
+    height = _after(second, model)
     recent = (*state.recent, second)
     n_final = sum(s.climb.time_s < climb.time_s - LATE_S for s in state.recent)
-    passages = [p for later in recent[1 : n_final + 1] for p in later.before.floors.passages]
-    waits = replace(state, log_evidence=np.zeros(N_MODES), n_steps=0)
-    return replace(waits, known=known, recent=recent[n_final:]), tuple(passages)
+    passages = [p for later_second in recent[1 : n_final + 1] for p in later_second.before.floors.passages]
+    without_evidence = replace(state, log_evidence=np.zeros(N_MODES), n_steps=0)
+    return replace(without_evidence, known=height, recent=recent[n_final:]), tuple(passages)
 
 
 def on_step(
@@ -215,19 +215,19 @@ def on_step(
         if step_s > state.known.pressure_s:
             return replace(state, step_s=step_s, n_steps=state.n_steps + 1), state.known, ()
         i = next(i for i, s in enumerate(state.recent) if step_s <= s.climb.time_s)
-        again = [*state.recent[:i], replace(state.recent[i], n_steps=state.recent[i].n_steps + 1)]
-        for later in state.recent[i + 1 :]:
-            again.append(replace(later, before=_after(again[-1], model)))
-        known = _after(again[-1], model)
-        own = again[i + 1].before if i + 1 < len(again) else known
-        return replace(state, step_s=step_s, known=known, recent=tuple(again)), own, ()
-    passages = tuple(p for later in state.recent[1:] for p in later.before.floors.passages)
+        seconds = [*state.recent[:i], replace(state.recent[i], n_steps=state.recent[i].n_steps + 1)]
+        for later_second in state.recent[i + 1 :]:
+            seconds.append(replace(later_second, before=_after(seconds[-1], model)))
+        height = _after(seconds[-1], model)
+        height_at_step = seconds[i + 1].before if i + 1 < len(seconds) else height
+        return replace(state, step_s=step_s, known=height, recent=tuple(seconds)), height_at_step, ()
+    passages = tuple(p for later_second in state.recent[1:] for p in later_second.before.floors.passages)
     if state.recent:
         passages += state.known.floors.passages
     unseen_var = (_UNSEEN_SLOPE_M**2 + state.stairs_unknown_share * _UNSEEN_STAIRS_M**2) * elapsed_s
-    known = _climbed(state.known, step_s, elapsed_s, up_prob, down_prob, unseen_var, place)
-    state = replace(state, step_s=step_s, known=known, recent=(), log_evidence=np.zeros(N_MODES), n_steps=0)
-    return state, known, passages + known.floors.passages
+    height = _climbed(state.known, step_s, elapsed_s, up_prob, down_prob, unseen_var, place)
+    state = replace(state, step_s=step_s, known=height, recent=(), log_evidence=np.zeros(N_MODES), n_steps=0)
+    return state, height, passages + height.floors.passages
 
 
 def with_fix(state: HeightState, fix: PositionFix | GridFix) -> HeightState:
@@ -243,8 +243,8 @@ def with_fix(state: HeightState, fix: PositionFix | GridFix) -> HeightState:
 def with_floor(state: HeightState, floor: int) -> HeightState:
     """State that is known to be on a storey of this number now."""
 
-    def named(known: Known) -> Known:
-        return replace(known, floors=fixed(known.floors, floor - state.known.floors.floor))
+    def named(height: Known) -> Known:
+        return replace(height, floors=fixed(height.floors, floor - state.known.floors.floor))
 
     recent = tuple(replace(second, before=named(second.before)) for second in state.recent)
     return replace(state, known=named(state.known), recent=recent)
@@ -252,7 +252,7 @@ def with_floor(state: HeightState, floor: int) -> HeightState:
 
 def finish(state: HeightState) -> tuple[HeightState, tuple[FloorPassage, ...]]:
     """State when nothing more will come, and the last floor changes."""
-    passages = [p for later in state.recent[1:] for p in later.before.floors.passages]
+    passages = [p for later_second in state.recent[1:] for p in later_second.before.floors.passages]
     if state.recent:
         passages += state.known.floors.passages
     times = [t for t in (state.step_s, state.known.pressure_s) if np.isfinite(t)]
@@ -270,27 +270,27 @@ def notes(state: HeightState) -> list[Note]:
 
 
 def _after(second: Second, model: PedestrianModel) -> Known:
-    """What is known after a second of the barometer."""
-    known, climb, n_steps = second.before, second.climb, second.n_steps
-    if known.calm_in_s > 0:
-        calm_in_s = CALM_S if abs(climb.climb_rate_mps) > CALM_MPS else known.calm_in_s - 1.0
-        return replace(known, pressure_s=climb.time_s, calm_in_s=max(calm_in_s, 0.0))
-    elapsed_s = climb.time_s - known.pressure_s
+    """Return the estimate after one second of the barometer."""
+    previous, climb, n_steps = second.before, second.climb, second.n_steps
+    if previous.calm_in_s > 0:
+        calm_in_s = CALM_S if abs(climb.climb_rate_mps) > CALM_MPS else previous.calm_in_s - 1.0
+        return replace(previous, pressure_s=climb.time_s, calm_in_s=max(calm_in_s, 0.0))
+    elapsed_s = climb.time_s - previous.pressure_s
     if not elapsed_s > 0:  # the first, or a clock that was set back
         elapsed_s = 1.0
     log_evidence = second.log_evidence.copy()
     log_evidence[[LIFT, DRIFT]] += n_steps * model.step_log_odds_stationary
     moments = vertical.after_second(
-        known.moments, elapsed_s, n_steps, climb.height_m, climb.height_std_m**2, log_evidence
+        previous.moments, elapsed_s, n_steps, climb.height_m, climb.height_std_m**2, log_evidence
     )
     now, prob = vertical.combined(moments), moments[:, 0, 0].tolist()
     rides = prob[LIFT]
-    ride = (known.ride or (climb.time_s, known.climbed_m)) if rides > 0.5 else None
+    ride = (previous.ride or (climb.time_s, previous.climbed_m)) if rides > 0.5 else None
     if ride is not None and climb.time_s - ride[0] > LONGEST_RIDE_S:
-        return _in_vehicle(known, climb.time_s, moments, ride[1])
+        return _in_vehicle(previous, climb.time_s, moments, ride[1])
     on_stairs = prob[UP] + prob[DOWN]
     way, slope_m = followed(
-        known.floors, climb.time_s, elapsed_s, now.climbed_m, on_stairs, rides, n_steps, second.place
+        previous.floors, climb.time_s, elapsed_s, now.climbed_m, on_stairs, rides, n_steps, second.place
     )
     if slope_m != 0.0:
         moments = vertical.as_slope(moments, slope_m)
@@ -305,7 +305,7 @@ def _after(second: Second, model: PedestrianModel) -> Known:
         way = with_level(way, level)
     else:
         way = learnt(way, climb.time_s, now.climbed_m, _std(now.climbed_var_m2))
-    first_air_m = now.air_m if math.isnan(known.first_air_m) else known.first_air_m
+    first_air_m = now.air_m if math.isnan(previous.first_air_m) else previous.first_air_m
     return Known(
         moments=moments,
         climbed_m=now.climbed_m,
@@ -314,13 +314,13 @@ def _after(second: Second, model: PedestrianModel) -> Known:
         pressure_s=climb.time_s,
         ride=ride,
         first_air_m=first_air_m,
-        most_air_m=known.most_air_m if prob[JUMP] > 0.5 else max(known.most_air_m, abs(now.air_m - first_air_m)),
+        most_air_m=previous.most_air_m if prob[JUMP] > 0.5 else max(previous.most_air_m, abs(now.air_m - first_air_m)),
         floors=way,
     )
 
 
 def _climbed(
-    known: Known,
+    previous: Known,
     step_s: float,
     elapsed_s: float,
     up_prob: float,
@@ -332,14 +332,14 @@ def _climbed(
     rise_m, on_stairs = RISER_M * (up_prob - down_prob), up_prob + down_prob
     of_stairs = on_stairs * (RISER_M**2 + _RISER_STD_M**2) - rise_m**2
     climbed_var = _FLIGHT_STEPS * max(of_stairs, 0.0)
-    moments = vertical.after_step(known.moments, rise_m, climbed_var, unseen_var)
+    moments = vertical.after_step(previous.moments, rise_m, climbed_var, unseen_var)
     now = vertical.combined(moments)
-    way, slope_m = followed(known.floors, step_s, elapsed_s, now.climbed_m, on_stairs, 0.0, 1, place)
+    way, slope_m = followed(previous.floors, step_s, elapsed_s, now.climbed_m, on_stairs, 0.0, 1, place)
     if slope_m != 0.0:
         moments = vertical.as_slope(moments, slope_m)
         now = vertical.combined(moments)
     return replace(
-        known,
+        previous,
         moments=moments,
         climbed_m=now.climbed_m,
         height_m=now.height_m,
@@ -348,20 +348,20 @@ def _climbed(
     )
 
 
-def _in_vehicle(known: Known, now_s: float, moments: FloatArray, before_m: float) -> Known:
+def _in_vehicle(previous: Known, now_s: float, moments: FloatArray, before_m: float) -> Known:
     """What is known when a ride was none: the height is that before it, and nothing of the air."""
     moments = vertical.with_air_unknown(moments, before_m)
-    then, floor = vertical.combined(moments), known.floors.climbing.from_floor
+    estimate, floor = vertical.combined(moments), previous.floors.climbing.from_floor
     return replace(
-        known,
+        previous,
         moments=moments,
-        climbed_m=then.climbed_m,
-        height_m=then.height_m,
-        height_var_m2=then.height_var_m2,
+        climbed_m=estimate.climbed_m,
+        height_m=estimate.height_m,
+        height_var_m2=estimate.height_var_m2,
         pressure_s=now_s,
         ride=None,
         calm_in_s=CALM_S,
-        floors=replace(known.floors, floor=floor, climbing=Climbing(now_s, floor, before_m), passages=()),
+        floors=replace(previous.floors, floor=floor, climbing=Climbing(now_s, floor, before_m), passages=()),
     )
 
 

@@ -69,8 +69,8 @@ def _transitions() -> FloatArray:
     rows = np.zeros((N_MODES, N_MODES))
     for mode, stay_s in _STAYS_S.items():
         rows[mode, mode] = 1.0 - 1.0 / stay_s
-        for after, share in _NEXT[mode].items():
-            rows[mode, after] = share / stay_s
+        for next_mode, share in _NEXT[mode].items():
+            rows[mode, next_mode] = share / stay_s
     return read_only(rows)
 
 
@@ -133,9 +133,9 @@ def with_air_unknown(moments: FloatArray, climbed_m: float) -> FloatArray:
     cov[[_RATE, _AIR], :] = 0.0
     cov[:, [_RATE, _AIR]] = 0.0
     cov[_AIR, _AIR] = _UNKNOWN_M2
-    known = np.zeros(_SHAPE)
-    known[LEVEL] = cov + np.outer(x, x)
-    return known
+    level_moments = np.zeros(_SHAPE)
+    level_moments[LEVEL] = cov + np.outer(x, x)
+    return level_moments
 
 
 def after_second(

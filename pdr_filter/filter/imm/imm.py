@@ -141,9 +141,9 @@ def smoothed_mode_prob(mode_prob: FloatArray, transition_prob: FloatArray, lag: 
     k = np.arange(n_steps)
     end = np.minimum(k + lag, n_steps - 1)
     smoothed = mode_prob[end]
-    for back in range(1, lag + 1):
-        use = end - back >= k
-        smoothed[use] = _one_step_back(mode_prob[end[use] - back], smoothed[use], transition_prob)
+    for n_back in range(1, lag + 1):
+        use = end - n_back >= k
+        smoothed[use] = _one_step_back(mode_prob[end[use] - n_back], smoothed[use], transition_prob)
     return smoothed
 
 

@@ -5,26 +5,25 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from pdr_filter.filter.fixes.fix_updates import use_fix
+from pdr_filter.filter.imm.estimates import Estimates
 from pdr_filter.filter.imm.imm import ImmArithmetic, NumpyImm, mixed_values
-from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, advance
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
+from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, Advance, StepMotion, advance
+from pdr_filter.filter.imm.pedestrian_model import ModeLengths, PedestrianModel
 from pdr_filter.filter.imm.pedestrian_state import (
     PedestrianState,
     StepUpdate,
-    Walked,
     back_over_step,
     initial_state,
-    is_known_to_stand,
-    shared_cov,
+    over_gap,
     step_update,
     with_heading,
     with_open_turn,
     with_step,
 )
 from pdr_filter.filter.imm.recent_windows import RecentWindows, n_after, window_before, with_window
-from pdr_filter.filter.imm.tracker import over_gap
+from pdr_filter.filter.imm.step_history import Walked
 from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.values import Fix, FixOutcome, Step, replace
+from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, replace
 
 # Evidence of a known standstill against every mode that moves: a hundred thousand to one, because a window that is sure
 # of walking says a hundred to one for it (`evidence_floor`), and the step itself seven to one.
@@ -66,45 +65,68 @@ class ImmTracker:
         return replace(state, windows=windows, n_unused=n_unused), ()
 
     def on_step(self, state: ImmState, step: Step) -> tuple[ImmState, tuple[StepUpdate, ...]]:
-        """New state and the update of this step: mix, predict every mode, weigh by evidence, combine."""
+        """Return the new state and the update of this step: one cycle of the IMM estimator.
+
+        The parts are interaction, mode-matched filtering, mode probability update and combination (Y. Bar-Shalom, X. R.
+        Li and T. Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, section 11.6.6). The
+        measurement of each mode is the walking heading; context windows and the step itself are evidence for the modes.
+        """
         model, imm = self.model, self.arithmetic
-        pedestrian = with_open_turn(state.pedestrian)
-        mean, cov, prob = imm.mix(pedestrian.mean, pedestrian.cov, pedestrian.prob, model.transition_prob)
-        walked_m = mixed_values(pedestrian.walked_m, pedestrian.prob, model.transition_prob)
-        pedestrian, mean, cov, back = with_heading(pedestrian, step, mean, cov, prob, model.directions, model.noise)
-        length_m, var_m2, own_var_m2, parameter_std_m = model.lengths(step)
-        ahead = advance(mean, cov, step, length_m, own_var_m2, model.directions, model.noise)
-        window = window_before(state.windows, step.time_s)
-        n_later = n_after(state.windows, window) if window else 0
-        is_new = window is not None and (state.used is None or window.time_s > state.used.time_s)
-        evidence = model.step_evidence
-        if window is not None and is_new:
-            evidence = evidence + model.evidence.of(window, state.used, state.n_unused - n_later)
-        if is_known_to_stand(pedestrian, step):
-            evidence = evidence - _STANDSTILL_LOG_EVIDENCE * model.moves
-        before_motion = mean, cov, ahead, prob
-        mean, cov, prob = ahead.mean, ahead.cov, imm.update_mode_prob(prob, evidence)
-        x, P = imm.combine(mean, cov, prob)
-        back = back_over_step(back, *before_motion, x)
-        # The length and heading of the step itself; evidence also moves the combined position, which is no walking.
-        walked = Walked(
-            length_m=float(prob.dot(ahead.move.length_m)),
-            length_var_m2=max(float(prob.dot(var_m2 + length_m * length_m)) - float(prob.dot(length_m)) ** 2, 0.0),
-            heading_rad=step.device_heading_rad + float(x[HEADING_OFFSET]) + model.mean_heading_offset_rad(prob),
-            parameter_std_m=prob * parameter_std_m * ahead.move.scale,  # the person's, before it is forgotten a little
-            own_direction=ahead.move.along,
+        previous = with_open_turn(state.pedestrian)
+        mixed = self._mixed(previous.estimates)
+        turned, back = with_heading(replace(previous, estimates=mixed), step, model.directions, model.noise)
+        lengths = model.lengths(step)
+        ahead = self._ahead(turned.estimates, step, lengths)
+        predicted = replace(
+            turned.estimates, mean=ahead.mean, cov=ahead.cov, walked_m=mixed.walked_m + ahead.motion.length_m
         )
-        walked_m = walked_m + ahead.move.length_m
-        after = replace(pedestrian, mean=mean, cov=cov, prob=prob, walked_m=walked_m)
-        after = with_step(after, step, walked, (x, P), back)
-        latest = window or (state.windows[-1] if state.windows else None)
-        context_prob = latest.prob if latest else model.context_prob(prob)
-        shared_m2 = shared_cov(after)
-        update = step_update(pedestrian, after, step, walked, (x, P), shared_m2, context_prob, prob)
-        state = replace(state, pedestrian=after)
-        if is_new:
+        window = window_before(state.windows, step.time_s)
+        state, log_evidence = self._with_evidence(state, step, window)
+        prob = imm.update_mode_prob(predicted.prob, log_evidence)
+        combined = imm.combine(predicted.mean, predicted.cov, prob)
+
+        walked = self._walked(step, lengths, ahead.motion, prob, combined[0])
+        back = back_over_step(back, turned.estimates, ahead, combined[0])
+        updated = with_step(replace(turned, estimates=replace(predicted, prob=prob)), step, walked, combined, back)
+        context_prob = model.context_prob(prob) if window is None else window.prob
+        update = step_update(previous, updated, step, walked, combined, context_prob, prob)
+        return replace(state, pedestrian=updated), (update,)
+
+    def _mixed(self, estimates: Estimates) -> Estimates:
+        """Mixed estimates and predicted mode probabilities, before the next step."""
+        transition_prob = self.model.transition_prob
+        mean, cov, prob = self.arithmetic.mix(estimates.mean, estimates.cov, estimates.prob, transition_prob)
+        walked_m = mixed_values(estimates.walked_m, estimates.prob, transition_prob)
+        return replace(estimates, mean=mean, cov=cov, prob=prob, walked_m=walked_m)
+
+    def _ahead(self, estimates: Estimates, step: Step, lengths: ModeLengths) -> Advance:
+        """Displacement of each mode, and the means and covariances after it."""
+        length_m, _, residual_var_m2, _ = lengths
+        return advance(
+            estimates.mean, estimates.cov, step, length_m, residual_var_m2, self.model.directions, self.model.noise
+        )
+
+    def _with_evidence(self, state: ImmState, step: Step, window: WindowContext | None) -> tuple[ImmState, FloatArray]:
+        """State that has used the window of a step, and the log evidence (M,) of step, window and standstills."""
+        evidence = self.model.step_evidence
+        if window is not None and (state.used is None or window.time_s > state.used.time_s):
+            n_later = n_after(state.windows, window)
+            evidence = evidence + self.model.evidence.of(window, state.used, state.n_unused - n_later)
             state = replace(state, used=window, n_unused=n_later)
-        return state, (update,)
+        if state.pedestrian.fixes.is_standing(step.time_s):
+            evidence = evidence - _STANDSTILL_LOG_EVIDENCE * self.model.moves
+        return state, evidence
+
+    def _walked(self, step: Step, lengths: ModeLengths, motion: StepMotion, prob: FloatArray, x: FloatArray) -> Walked:
+        """Length and heading of a step, weighted by the mode probabilities (M,), with the combined mean x (4,)."""
+        heading_rad = step.device_heading_rad + float(x[HEADING_OFFSET]) + self.model.mean_heading_offset_rad(prob)
+        return Walked(
+            length_m=float(prob.dot(motion.length_m)),
+            length_var_m2=lengths.mixture_var_m2(prob),
+            heading_rad=heading_rad,
+            parameter_std_m=prob * lengths.parameter_std_m * motion.scale,
+            direction=motion.along,
+        )
 
     def on_gap(self, state: ImmState, gap_s: float) -> tuple[ImmState, tuple[StepUpdate, ...]]:
         """New state after a time without samples: windows start afresh, positions and headings are less known."""

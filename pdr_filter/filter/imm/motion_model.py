@@ -225,10 +225,10 @@ def expect_first_direction(cov: FloatArray, std_rad: float) -> FloatArray:
 class Advance(NamedTuple):
     """A step of the modes, and their predicted means and covariances."""
 
-    move: StepMotion
+    motion: StepMotion
     mean: FloatArray  # (..., M, 4)
     cov: FloatArray  # (..., M, 4, 4)
-    by_state: FloatArray  # (..., M, 4, 4) F, the derivative by the state before
+    by_state: FloatArray  # (..., M, 4, 4) F, the derivative with respect to the state before
 
 
 def advance(
@@ -245,7 +245,7 @@ def advance(
     p_k = p_{k-1} + d as `StepMotion` has it; s_k = a s_{k-1}; P_k = F P_{k-1} F' + Q with F = d (p, o, s)_k /
     d (p, o, s)_{k-1}. The drift of the heading offset comes before the step (`predict_heading`).
     """
-    move = step_motion(
+    motion = step_motion(
         step.device_heading_rad,
         mean[..., HEADING_OFFSET],
         mean[..., LOG_SCALE],
@@ -255,7 +255,7 @@ def advance(
         step.turned_rad,
     )
     # component by component: of so few numbers broadcasting costs more than the product
-    east_m, north_m = move.length_m * move.sine, move.length_m * move.cosine
+    east_m, north_m = motion.length_m * motion.sine, motion.length_m * motion.cosine
     predicted_mean = mean.copy()
     predicted_mean[..., EAST] += east_m
     predicted_mean[..., NORTH] += north_m
@@ -265,12 +265,12 @@ def advance(
     F[..., EAST, HEADING_OFFSET] = F[..., NORTH, LOG_SCALE] = north_m
     F[..., NORTH, HEADING_OFFSET], F[..., EAST, LOG_SCALE] = -east_m, east_m
     # var(along) u u' + var(across) v v', and u u' + v v' = I
-    more, everywhere = move.var_along_m2 - move.var_across_m2, move.var_across_m2 + directions.extra_var_m2
-    more_east = more * move.sine
-    Q[..., EAST, EAST] = more_east * move.sine + everywhere
-    Q[..., EAST, NORTH] = Q[..., NORTH, EAST] = more_east * move.cosine
-    Q[..., NORTH, NORTH] = more * move.cosine * move.cosine + everywhere
-    return Advance(move, predicted_mean, predict_cov(cov, F, Q), F)
+    excess_m2, isotropic_m2 = motion.var_along_m2 - motion.var_across_m2, motion.var_across_m2 + directions.extra_var_m2
+    excess_east_m2 = excess_m2 * motion.sine
+    Q[..., EAST, EAST] = excess_east_m2 * motion.sine + isotropic_m2
+    Q[..., EAST, NORTH] = Q[..., NORTH, EAST] = excess_east_m2 * motion.cosine
+    Q[..., NORTH, NORTH] = excess_m2 * motion.cosine * motion.cosine + isotropic_m2
+    return Advance(motion, predicted_mean, predict_cov(cov, F, Q), F)
 
 
 class StepMotion(NamedTuple):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,6 +14,20 @@ from pdr_filter.filter.imm.motion_model import Directions, Mode, MotionNoise
 from pdr_filter.filter.imm.weighting import ModeEvidence
 from pdr_filter.filter.step_length.models import StepLengths, uneven_var_m2
 from pdr_filter.values import CONTEXTS, FloatArray, Step, check_numbers, check_transition_prob, pickled, read_only
+
+
+class ModeLengths(NamedTuple):
+    """Lengths of one step in each mode without the person's scale, and their variances, (M,) each."""
+
+    length_m: FloatArray  # zero in modes that move nobody
+    var_m2: FloatArray  # of the length: residual and parameters
+    residual_var_m2: FloatArray  # of a single step about the length of its mode
+    parameter_std_m: FloatArray  # due to the parameters of the length model
+
+    def mixture_var_m2(self, weights: FloatArray) -> float:
+        """Variance of the length of a step whose mode has these probabilities (M,)."""
+        second_moment_m2 = float(weights.dot(self.var_m2 + self.length_m * self.length_m))
+        return max(second_moment_m2 - float(weights.dot(self.length_m)) ** 2, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,15 +138,12 @@ class PedestrianModel:
         """Mode probabilities (M,) to which the transitions lead; from an even start, which an unmixed chain keeps."""
         return np.linalg.matrix_power(self.transition_prob, 1024).mean(axis=0)
 
-    def lengths(self, step: Step) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Lengths, their variances, those of a single step alone, and the std due to the parameters alone, (M,) each.
-
-        Modes that move nobody have length zero.
-        """
+    def lengths(self, step: Step) -> ModeLengths:
+        """Return the length of a step in each mode."""
         length_m, parameter_var_m2 = self._lengths.moments(step)
         length_m, parameter_var_m2 = self.moves * length_m, self.moves * parameter_var_m2
-        own_var_m2 = self.own_var_m2(step, length_m)
-        return length_m, own_var_m2 + parameter_var_m2, own_var_m2, np.sqrt(parameter_var_m2)
+        residual_var_m2 = self.own_var_m2(step, length_m)
+        return ModeLengths(length_m, residual_var_m2 + parameter_var_m2, residual_var_m2, np.sqrt(parameter_var_m2))
 
     def own_var_m2(self, step: Step, length_m: FloatArray) -> FloatArray:
         """Variance (M,) of a single step about the lengths (M,) of the modes.

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
 
 from pdr_filter.filter.fixes.alignment import Alignment, Place, moved
+from pdr_filter.filter.fixes.fix_history import FixHistory
 from pdr_filter.filter.fixes.frame import Frame
 from pdr_filter.filter.fixes.frame_rotation import Compass, PairedPoint
 from pdr_filter.filter.fixes.relocation import Doubt
-from pdr_filter.filter.fixes.repeated_fixes import SeenPlace
-from pdr_filter.filter.imm import imm
+from pdr_filter.filter.imm.estimates import ALONG_AND_ACROSS, LENGTH_PARAMETERS, Estimates, position_cov
 from pdr_filter.filter.imm.motion_model import (
     EAST,
     HEADING_OFFSET,
@@ -24,6 +24,7 @@ from pdr_filter.filter.imm.motion_model import (
     Directions,
     MotionNoise,
     expect_first_direction,
+    grow_over_gap,
     initial_estimate,
     predict_heading,
     second_order_errors,
@@ -31,12 +32,12 @@ from pdr_filter.filter.imm.motion_model import (
 )
 from pdr_filter.filter.imm.past_path import Back, PastPath
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.walking_speed import WalkingSpeed, after_step
+from pdr_filter.filter.imm.step_history import StepHistory, Walked
+from pdr_filter.filter.imm.walking_speed import WalkingSpeed
 from pdr_filter.values import (
     CONTEXTS,
     FloatArray,
     OnPlan,
-    PositionFix,
     Step,
     as_plain,
     frozen,
@@ -45,16 +46,8 @@ from pdr_filter.values import (
     wrap_angle,
 )
 
-# Final steps that are remembered for late fixes: a minute at four steps a second, which is how late a fix may be
-# (`filtering.MAX_FIX_AGE_S`).
-TRAIL_STEPS = 256
-# Columns of the trail.
-TRAIL_TIME, TRAIL_HEADING = 0, 3
-TRAIL_POSITION = slice(1, 3)
 # Two steps further apart than this have a pause between them.
 _PAUSE_S = 2.0
-# Rows of the errors that steps share: along and across the step, then one for each mode's parameters.
-_ALONG_AND_ACROSS, _PARAMETERS = slice(2), slice(2, None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,176 +99,130 @@ class StepUpdate:
         return as_plain({"time_s": self.step.time_s, **named, "context_prob": contexts})
 
 
-@dataclass(frozen=True, eq=False)
-class UsedFix:
-    """A used position fix with a correlated error, and where the track was then; None if a gap followed it."""
+@dataclass(frozen=True, slots=True)
+class HeadingZero:
+    """Heading offset that counts as zero in the states: the first one that was known."""
 
-    fix: PositionFix
-    track_m: FloatArray | None  # (2,)
+    offset_rad: float = 0.0
+    time_s: float = math.inf  # contact of the step that it was known from; infinite before
 
 
 @dataclass(frozen=True, eq=False)
 class PedestrianState:
-    """Estimates of F filters (one for each mode with `imm`, one alone with `hc` and `wc`) and what goes with them."""
+    """Estimates after the latest event, and the history that later steps and fixes need.
 
-    mean: FloatArray  # (F, 4)
-    cov: FloatArray  # (F, 4, 4)
-    prob: FloatArray  # (F,) of each filter
-    walked_m: FloatArray  # (F,) expected distance of all steps so far, if each filter is right about the last of them
-    shared_m: FloatArray  # (2 + M, 2) sums of the errors that steps share and no state has, see `with_step`
-    last_step_s: float  # contact of the last final step; NaN before the first
-    gap_s: float  # time without samples since then
-    speed: WalkingSpeed | None  # after the last final step; None before the first of a segment
-    first_heading_rad: float  # heading offset that counts as zero: the first that was known
-    first_heading_s: float  # contact of the step that it was known from; infinite before
-    trail: FloatArray  # (R, 4) time, east, north, device heading of the last final steps: where a late fix belongs
+    An event is a gap, a fix, or a step whose row of the track no longer changes.
+    """
+
+    estimates: Estimates
     frame: Frame  # whether positions are in the frame of the fixes yet
-    doubt: Doubt  # position fixes that the track does not explain
-    used_fixes: tuple[UsedFix, ...]  # the last ones whose errors the next one shares
-    seen: SeenPlace | None
-    n_fix_errors: int  # innovations of used position fixes, one an axis
-    fix_squares: float  # sum of their normalised squares
-    n_frozen_fixes: int  # positions that were repeated while steps went on
-    standstills: tuple[tuple[float, float], ...]  # begin and end of the last ones
-    n_final: int  # steps
-    path: PastPath  # of all steps, as it is estimated now
+    heading_zero: HeadingZero = HeadingZero()
+    steps: StepHistory = field(default_factory=StepHistory)
+    fixes: FixHistory = field(default_factory=FixHistory)
+    path: PastPath = field(default_factory=PastPath)  # of all steps, as it is estimated now
 
 
 def initial_state(model: PedestrianModel, prob: FloatArray) -> PedestrianState:
     """State at the origin, of as many filters as probabilities (F,) are given."""
     mean, cov = initial_estimate(model.noise)
-    return PedestrianState(
+    estimates = Estimates(
         mean=np.tile(mean, (len(prob), 1)),
         cov=np.tile(cov, (len(prob), 1, 1)),
         prob=prob,
         walked_m=np.zeros(len(prob)),
-        shared_m=np.zeros((2 + len(model.modes), 2)),
-        last_step_s=np.nan,
-        gap_s=0.0,
-        speed=None,
-        first_heading_rad=0.0,
-        first_heading_s=np.inf,
-        trail=np.empty((0, 4)),
-        frame=model.frame,
-        doubt=Doubt(),
-        used_fixes=(),
-        seen=None,
-        n_fix_errors=0,
-        fix_squares=0.0,
-        n_frozen_fixes=0,
-        standstills=(),
-        n_final=0,
-        path=PastPath(),
+        consider_error_m=np.zeros((2 + len(model.modes), 2)),
     )
+    return PedestrianState(estimates, model.frame)
 
 
 def with_heading(
-    state: PedestrianState,
-    step: Step,
-    mean: FloatArray,
-    cov: FloatArray,
-    prob: FloatArray,
-    directions: Directions,
-    noise: MotionNoise,
-) -> tuple[PedestrianState, FloatArray, FloatArray, Back]:
-    """Return the state, and the means (F, 4) and covariances (F, 4, 4) with the heading of the next step.
+    state: PedestrianState, step: Step, directions: Directions, noise: MotionNoise
+) -> tuple[PedestrianState, Back]:
+    """Return the state with the heading of the next step, before its displacement, and how that before follows it.
 
-    The last value is how the combined state before follows the one with that heading. `prob` (F,) is that of each
-    filter. The heading offset first drifts for the time since the step before, because the heading stage designs its
+    The heading offset first drifts for the time since the step before, because the heading stage designs its
     measurement with that drift; then the measured walking heading is used. The first one becomes the zero of the frame.
     """
-    since_s = step.duration_s if math.isnan(state.last_step_s) else step.time_s - state.last_step_s
-    x, P = imm.combine(mean, cov, prob)
-    cov = predict_heading(cov, step, since_s, directions, noise)
-    back = Back.over(P, P, imm.combine(mean, cov, prob)[1])
-    if not math.isfinite(step.walking_heading_std_rad):
-        return state, mean, cov, back
-    if math.isinf(state.first_heading_s):
-        first_rad = float(wrap_angle(step.walking_heading_rad - step.device_heading_rad))
-        state = replace(state, first_heading_rad=first_rad, first_heading_s=step.time_s)
-        return state, mean, expect_first_direction(cov, step.walking_heading_std_rad), back
-    mean, cov = update_heading(mean, cov, step, state.first_heading_rad)
-    return state, mean, cov, back.learnt(prob.dot(mean) - x)
+    estimates, zero = state.estimates, state.heading_zero
+    since_s = step.duration_s if math.isnan(state.steps.last_s) else step.time_s - state.steps.last_s
+    (x, P), mean = estimates.combined, estimates.mean
+    cov = predict_heading(estimates.cov, step, since_s, directions, noise)
+    back = Back.over(P, P, replace(estimates, cov=cov).combined[1])
+    if math.isfinite(step.walking_heading_std_rad):
+        if math.isinf(zero.time_s):
+            offset_rad = float(wrap_angle(step.walking_heading_rad - step.device_heading_rad))
+            zero, cov = HeadingZero(offset_rad, step.time_s), expect_first_direction(cov, step.walking_heading_std_rad)
+        else:
+            mean, cov = update_heading(mean, cov, step, zero.offset_rad)
+            back = back.learnt(estimates.prob.dot(mean) - x)
+    return replace(state, estimates=replace(estimates, mean=mean, cov=cov), heading_zero=zero), back
 
 
-def is_known_to_stand(state: PedestrianState, step: Step) -> bool:
-    """Whether the person is known to have stood at a step's contact."""
-    return any(begin_s <= step.time_s <= end_s for begin_s, end_s in state.standstills)
+def back_over_step(back: Back, estimates: Estimates, ahead: Advance, x_after: FloatArray) -> Back:
+    """Return how the state before a step follows the one after it.
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Walked:
-    """One step as a tracker weighted it."""
-
-    length_m: float
-    length_var_m2: float  # without the person's scale
-    heading_rad: float
-    parameter_std_m: FloatArray  # (M,) due to the parameters of each mode's length model, weighted by its probability
-    own_direction: FloatArray  # (M, 2), or (1, 2) of all: east and north of the unit vector in which each mode walked
-
-
-def back_over_step(
-    back: Back, mean: FloatArray, cov: FloatArray, ahead: Advance, prob: FloatArray, x_after: FloatArray
-) -> Back:
-    """How the state before a step follows the one after it.
-
-    `back` is how it follows that before the motion, of means (F, 4) and covariances (F, 4, 4). `x_after` (4,) is the
-    combined mean after the motion and the evidence of contexts.
+    `back` is how it follows that before the displacement, of the given estimates. `x_after` (4,) is the combined mean
+    after the displacement and the evidence of contexts.
     """
-    x, P = imm.combine(mean, cov, prob)
-    ahead_x, ahead_P = imm.combine(ahead.mean, ahead.cov, prob)
-    within = np.einsum("f,fab,fcb->ac", prob, cov, ahead.by_state)
-    cross = within + ((mean - x) * prob[:, None]).T @ (ahead.mean - ahead_x)
+    prob, (x, P) = estimates.prob, estimates.combined
+    ahead_x, ahead_P = replace(estimates, mean=ahead.mean, cov=ahead.cov).combined
+    within = np.einsum("f,fab,fcb->ac", prob, estimates.cov, ahead.by_state)
+    cross = within + ((estimates.mean - x) * prob[:, None]).T @ (ahead.mean - ahead_x)
     return back.then(Back.over(P, cross, ahead_P).learnt(x_after - ahead_x))
 
 
 def with_step(
-    state: PedestrianState,
-    step: Step,
-    walked: Walked,
-    combined: tuple[FloatArray, FloatArray],
-    back: Back,
+    state: PedestrianState, step: Step, walked: Walked, combined: tuple[FloatArray, FloatArray], back: Back
 ) -> PedestrianState:
-    """State whose means and covariances have the step already, with all else that a step changes.
+    """Return the state with all that a step changes besides means and covariances, which have the step already.
 
     `combined` is the combined mean (4,) and covariance (4, 4) after the step, and `back` how the combined state before
-    it follows that. The errors that all steps share add up as
-    vectors, not as variances (`shared_m`): what the linear covariance does not know along and across the step, of
-    length and direction given (`motion_model.second_order_errors`); and for each mode the error due to the parameters
-    of its length model, in the mode's own direction. The parameters are off once for a person: drawn again at each
-    step, as if they were noise, a run of 300 steps would be ten times too sure.
+    it follows that.
     """
     x, P = combined
-    log_scale_var = float(P[LOG_SCALE, LOG_SCALE])
-    along, across = second_order_errors(float(P[HEADING_OFFSET, HEADING_OFFSET]), log_scale_var)
-    sine, cosine = math.sin(walked.heading_rad), math.cos(walked.heading_rad)
-    along_m, across_m = walked.length_m * along, walked.length_m * across
-    shared_m = np.empty_like(state.shared_m)
-    shared_m[_ALONG_AND_ACROSS] = (along_m * sine, along_m * cosine), (across_m * cosine, -across_m * sine)
-    np.multiply(walked.parameter_std_m[:, None], walked.own_direction, out=shared_m[_PARAMETERS])
-    shared_m += state.shared_m
-    # a pause before the step starts the smoothed speed afresh
-    is_pause = math.isnan(state.last_step_s) or step.time_s - state.last_step_s > 1.5 * step.duration_s
-    frame = state.frame
-    if math.isfinite(step.north_std_rad) and math.isfinite(step.shown_offset_std_rad):
-        # where the person walks against north, less where he walks in the track's frame
-        angle_rad = float(wrap_angle(step.shown_offset_rad - step.north_rad - float(x[HEADING_OFFSET])))
-        frame = frame.with_compass(Compass(angle_rad, step.north_std_rad**2 + step.shown_offset_std_rad**2))
-    trail = np.empty((min(len(state.trail) + 1, TRAIL_STEPS), 4))
-    trail[:-1] = state.trail[len(state.trail) + 1 - len(trail) :]
-    trail[-1] = step.time_s, x[EAST], x[NORTH], step.device_heading_rad
+    consider_error_m = state.estimates.consider_error_m + _consider_error_m(walked, P)
     return replace(
         state,
-        frame=frame,
-        shared_m=shared_m,
-        speed=after_step(
-            state.speed, walked.length_m, walked.length_var_m2, step.duration_s, log_scale_var, is_first=is_pause
-        ),
-        last_step_s=step.time_s,
-        gap_s=0.0,
-        trail=trail,
-        n_final=state.n_final + 1,
+        estimates=replace(state.estimates, consider_error_m=consider_error_m),
+        frame=_with_compass(state.frame, step, float(x[HEADING_OFFSET])),
+        steps=state.steps.plus(step, walked, x, P),
         path=state.path.predicted(back).with_step(step.time_s, x[:2].copy()),
+    )
+
+
+def _consider_error_m(walked: Walked, P: FloatArray) -> FloatArray:
+    """Error (2 + M, 2) of one step for one std of each consider parameter, see `Estimates.consider_cov_m2`."""
+    along, across = second_order_errors(float(P[HEADING_OFFSET, HEADING_OFFSET]), float(P[LOG_SCALE, LOG_SCALE]))
+    sine, cosine = math.sin(walked.heading_rad), math.cos(walked.heading_rad)
+    along_m, across_m = walked.length_m * along, walked.length_m * across
+    error_m = np.empty((2 + len(walked.parameter_std_m), 2))
+    error_m[ALONG_AND_ACROSS] = (along_m * sine, along_m * cosine), (across_m * cosine, -across_m * sine)
+    np.multiply(walked.parameter_std_m[:, None], walked.direction, out=error_m[LENGTH_PARAMETERS])
+    return error_m
+
+
+def _with_compass(frame: Frame, step: Step, heading_offset_rad: float) -> Frame:
+    """Frame with the magnetic north of a step, if it has one."""
+    if not (math.isfinite(step.north_std_rad) and math.isfinite(step.shown_offset_std_rad)):
+        return frame
+    # rotation from the track's frame to north: walking direction against north minus that in the track's frame
+    angle_rad = float(wrap_angle(step.shown_offset_rad - step.north_rad - heading_offset_rad))
+    return frame.with_compass(Compass(angle_rad, step.north_std_rad**2 + step.shown_offset_std_rad**2))
+
+
+def over_gap(state: PedestrianState, gap_s: float, noise: MotionNoise) -> PedestrianState:
+    """Return the state after a time without samples: positions and headings are less known.
+
+    The gap's own growth stands for the time since the last step.
+    """
+    estimates = replace(state.estimates, cov=grow_over_gap(state.estimates.cov, gap_s, noise))
+    P = state.estimates.combined[1]
+    return replace(
+        state,
+        estimates=estimates,
+        steps=state.steps.after_gap(gap_s),
+        fixes=state.fixes.after_gap(),
+        path=state.path.predicted(Back.over(P, P, estimates.combined[1])),
     )
 
 
@@ -289,152 +236,122 @@ def with_open_turn(state: PedestrianState) -> PedestrianState:
     Where it is becomes the first of the pairs that will show the turn, what is known of the heading the prior of that.
     """
     frame = state.frame
-    if not frame.is_known or float(state.prob @ state.cov[:, HEADING_OFFSET, HEADING_OFFSET]) < _LOST_HEADING_VAR_RAD2:
+    if not frame.is_known or state.estimates.heading_var_rad2 < _LOST_HEADING_VAR_RAD2:
         return state
     if frame.since and not frame.is_joined and len(frame.agreeing) < 2:
         # nothing has been learnt since it was lost, and its errors last: opened anew each step they would be
         # independent
         return state
+    steps = state.steps
     if not frame.is_joined:
-        turn = frame.most_probable(state.n_final)
+        turn = frame.most_probable(steps.n_final)
         state = in_other_frame(state, turn)
         frame = frame.joined(turn)
-    x, P = imm.combine(state.mean, state.cov, state.prob)
-    var_m2 = 0.5 * float(np.trace(position_cov(P, shared_cov(state))))
-    time_s = float(state.trail[-1, TRAIL_TIME]) if len(state.trail) else 0.0
-    here = PairedPoint(read_only(x[:2]), read_only(x[:2]), var_m2, time_s=time_s)
-    mean, cov = state.mean.copy(), state.cov.copy()
+    estimates = state.estimates
+    x, P = estimates.combined
+    var_m2 = 0.5 * float(np.trace(position_cov(P, estimates.consider_cov_m2)))
+    time_s = steps.end_s
+    turning_point = PairedPoint(read_only(x[:2]), read_only(x[:2]), var_m2, time_s=time_s)
+    mean, cov = estimates.mean.copy(), estimates.cov.copy()
     mean[:, :LOG_SCALE] = x[:LOG_SCALE]
     cov[:, :LOG_SCALE] = cov[:, :, :LOG_SCALE] = 0.0
+    no_error_m = np.zeros_like(estimates.consider_error_m)
     return replace(
         state,
-        mean=mean,
-        cov=cov,
-        shared_m=np.zeros_like(state.shared_m),
-        frame=frame.opened((here,), float(P[HEADING_OFFSET, HEADING_OFFSET]), state.n_final),
-        doubt=Doubt(),
-        used_fixes=(),
+        estimates=replace(estimates, mean=mean, cov=cov, consider_error_m=no_error_m),
+        frame=frame.opened((turning_point,), float(P[HEADING_OFFSET, HEADING_OFFSET]), steps.n_final),
+        fixes=replace(state.fixes, doubt=Doubt(), used=()),
         path=state.path.detached(P, time_s, x[:2].copy()),
     )
 
 
 def in_other_frame(state: PedestrianState, alignment: Alignment) -> PedestrianState:
     """State in another frame."""
-    mean, cov = moved(state.mean, state.cov, alignment)
-    (_, P), (x, turned_P) = imm.combine(state.mean, state.cov, state.prob), imm.combine(mean, cov, state.prob)
+    estimates = state.estimates
+    mean, cov = moved(estimates.mean, estimates.cov, alignment)
+    consider_error_m = estimates.consider_error_m @ alignment.rotation.T
+    turned = replace(estimates, mean=mean, cov=cov, consider_error_m=consider_error_m)
+    x, turned_P = turned.combined
     return replace(
         with_moved_past(state, alignment.positions),
-        mean=mean,
-        cov=cov,
-        first_heading_rad=state.first_heading_rad - alignment.angle_rad,
-        shared_m=state.shared_m @ alignment.rotation.T,
-        path=state.path.turned(alignment, P, turned_P, x[:2]),
+        estimates=turned,
+        path=state.path.turned(alignment, estimates.combined[1], turned_P, x[:2]),
+        heading_zero=HeadingZero(state.heading_zero.offset_rad - alignment.angle_rad, state.heading_zero.time_s),
         frame=state.frame.moved(alignment),
     )
 
 
 def with_moved_past(state: PedestrianState, positions: Callable[[FloatArray], FloatArray]) -> PedestrianState:
     """State with the remembered places of the track moved by a function of positions (..., 2)."""
-    trail = state.trail.copy()
-    trail[:, TRAIL_POSITION] = positions(state.trail[:, TRAIL_POSITION])
-    used = (f if f.track_m is None else replace(f, track_m=read_only(positions(f.track_m))) for f in state.used_fixes)
-    seen = state.seen
-    seen = None if seen is None else replace(seen, track_m=read_only(positions(seen.track_m)))
-    return replace(state, trail=trail, used_fixes=tuple(used), seen=seen, doubt=state.doubt.moved(positions))
+    return replace(state, steps=state.steps.moved(positions), fixes=state.fixes.moved(positions))
 
 
 def with_detached_path(state: PedestrianState) -> PedestrianState:
     """State whose present place is learnt afresh: the path until now stays as it is."""
-    x, P = imm.combine(state.mean, state.cov, state.prob)
-    time_s = float(state.trail[-1, TRAIL_TIME]) if len(state.trail) else -math.inf
-    return replace(state, path=state.path.detached(P, time_s, x[:2].copy()))
-
-
-def after_gap(state: PedestrianState) -> PedestrianState:
-    """State in which nothing is known of the way since the used fixes."""
-    used = tuple(replace(f, track_m=None) for f in state.used_fixes)
-    return replace(state, used_fixes=used, seen=state.seen if state.seen and state.seen.is_frozen else None)
+    x, P = state.estimates.combined
+    return replace(state, path=state.path.detached(P, state.steps.end_s, x[:2].copy()))
 
 
 def step_update(
-    before: PedestrianState,
-    after: PedestrianState,
+    previous: PedestrianState,
+    updated: PedestrianState,
     step: Step,
     walked: Walked,
     combined: tuple[FloatArray, FloatArray],
-    shared_m2: FloatArray,
     context_prob: FloatArray,
     mode_prob: FloatArray,
     is_final: bool = True,
 ) -> StepUpdate:
-    """What is reported of a step that led from one state to the next with this `shared_cov`, see `with_step`."""
+    """Return the report of a step that led from one state to the next, see `with_step`."""
     x, P = combined
-    if after.speed is None:
+    speed, n_steps = updated.steps.speed, previous.steps.n_final
+    if speed is None:
         raise ValueError("the state after a step must have a walking speed: use the state that with_step returns")
-    own = Place(frozen(x[:2].copy()), position_cov(P, shared_m2), walked.heading_rad, before.n_final)
-    place = own if after.frame.is_joined else after.frame.world(own)
+    cov_m2 = position_cov(P, updated.estimates.consider_cov_m2)
+    of_start = Place(frozen(x[:2].copy()), cov_m2, walked.heading_rad, n_steps)
+    place = of_start if updated.frame.is_joined else updated.frame.world(of_start)
     return StepUpdate(
-        index=before.n_final,
+        index=n_steps,
         step=step,
         is_final=is_final,
         position_m=frozen(place.position_m),
         position_cov_m2=frozen(place.cov_m2),
-        of_start=None if after.frame.is_joined else own,
+        of_start=None if updated.frame.is_joined else of_start,
         step_length_m=walked.length_m,
-        walked_m=float(after.prob.dot(after.walked_m)),
+        walked_m=updated.estimates.distance_m,
         walking_heading_rad=place.heading_rad,
-        speed=after.speed,
+        speed=speed,
         context_prob=frozen(context_prob),
         mode_prob=frozen(mode_prob),
-        gap_before_s=before.gap_s,
+        gap_before_s=previous.steps.gap_s,
     )
 
 
 def present_position(state: PedestrianState) -> tuple[FloatArray, FloatArray]:
-    """Position (2,) and covariance (2, 2) of the final estimate, in the frame of the fixes as far as it is known."""
-    own = own_place(state)
-    place = own if state.frame.is_joined else state.frame.world(own)
+    """Return position (2,) and covariance (2, 2) after the last final step.
+
+    They are in the frame of the fixes as soon as the rotation to that frame has an estimate.
+    """
+    place = track_place(state)
+    place = place if state.frame.is_joined else state.frame.world(place)
     return read_only(place.position_m), read_only(place.cov_m2)
 
 
-def heading_std_rad(state: PedestrianState) -> float:
-    """Standard deviation of the heading offset, over all filters."""
-    return math.sqrt(float(state.prob.dot(state.cov[:, HEADING_OFFSET, HEADING_OFFSET])))
-
-
-def moved_by_heading_m(before: PedestrianState, after: PedestrianState, length_m: float) -> float:
+def moved_by_heading_m(previous: PedestrianState, updated: PedestrianState, length_m: float) -> float:
     """Distance by which steps of this length moved the position too far; 0 across a pause or a change of frame."""
-    is_pause = not after.last_step_s - before.last_step_s < _PAUSE_S
+    is_pause = not updated.steps.last_s - previous.steps.last_s < _PAUSE_S
     if (
         is_pause
-        or before.frame.alignment is not after.frame.alignment
-        or len(before.frame.later) < len(after.frame.later)
+        or previous.frame.alignment is not updated.frame.alignment
+        or len(previous.frame.later) < len(updated.frame.later)
     ):
         return 0.0
-    moved_m = after.prob.dot(after.mean[:, :LOG_SCALE]) - before.prob.dot(before.mean[:, :LOG_SCALE])
+    from_m, to_m = (e.prob.dot(e.mean[:, :LOG_SCALE]) for e in (previous.estimates, updated.estimates))
+    moved_m = to_m - from_m
     return max(math.hypot(moved_m[EAST], moved_m[NORTH]) - length_m, 0.0)
 
 
-def own_place(state: PedestrianState) -> Place:
+def track_place(state: PedestrianState) -> Place:
     """The place of the final estimate in the frame of the filter's states, without its heading."""
-    x, P = imm.combine(state.mean, state.cov, state.prob)
-    return Place(x[[EAST, NORTH]], position_cov(P, shared_cov(state)), 0.0, state.n_final)
-
-
-def position_cov(P: FloatArray, shared_m2: FloatArray) -> FloatArray:
-    """Covariance (2, 2) of a position with linear covariance P (4, 4) and the `shared_cov` of all steps."""
-    (xx, xy, _, _), (yx, yy, _, _) = P[:2].tolist()
-    (shared_xx, shared_xy), (_, shared_yy) = shared_m2.tolist()
-    xy = 0.5 * (xy + yx) + shared_xy
-    return frozen(np.array(((xx + shared_xx, xy), (xy, yy + shared_yy))))
-
-
-def shared_cov(state: PedestrianState) -> FloatArray:
-    """What the errors that all steps share add to the position's covariance, (2, 2)."""
-    return state.shared_m.T.dot(state.shared_m)
-
-
-def parameters_cov(state: PedestrianState) -> FloatArray:
-    """The part of `shared_cov` that is due to the parameters of the lengths, whatever the heading, (2, 2)."""
-    own = state.shared_m[_PARAMETERS]
-    return own.T @ own
+    x, P = state.estimates.combined
+    return Place(x[[EAST, NORTH]], position_cov(P, state.estimates.consider_cov_m2), 0.0, state.steps.n_final)

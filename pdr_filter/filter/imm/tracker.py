@@ -2,32 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from dataclasses import Field
+from typing import Any, ClassVar, Protocol, TypeVar
 
-import numpy as np
-
-from pdr_filter.filter.imm import imm
-from pdr_filter.filter.imm.motion_model import MotionNoise, grow_over_gap
-from pdr_filter.filter.imm.past_path import Back
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import PedestrianState, StepUpdate, after_gap
+from pdr_filter.filter.imm.pedestrian_state import PedestrianState, StepUpdate
 from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.values import Fix, FixOutcome, Step, replace
-
-
-def over_gap(state: PedestrianState, gap_s: float, noise: MotionNoise) -> PedestrianState:
-    """Return the state after a time without samples: positions and headings are less known.
-
-    The gap's own growth stands for the time since the last step.
-    """
-    cov = grow_over_gap(state.cov, gap_s, noise)
-    (_, before), (_, after) = (imm.combine(state.mean, c, state.prob) for c in (state.cov, cov))
-    path = state.path.predicted(Back.over(before, before, after))
-    return replace(after_gap(state), cov=cov, path=path, last_step_s=np.nan, speed=None, gap_s=state.gap_s + gap_s)
+from pdr_filter.values import Fix, FixOutcome, Step
 
 
 class TrackerState(Protocol):
-    """What every tracker's state has."""
+    """State of any tracker: a frozen dataclass."""
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]  # `dataclasses.replace` accepts only dataclasses
 
     @property
     def pedestrian(self) -> PedestrianState:
@@ -35,8 +22,13 @@ class TrackerState(Protocol):
         ...
 
 
-class Tracker(Protocol):
-    """One pure function for each kind of event; the state is the tracker's own."""
+S = TypeVar("S", bound=TrackerState)
+
+
+class Tracker(Protocol[S]):
+    """A frozen dataclass with one pure function for each kind of event; S is the class of its states."""
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]  # `dataclasses.replace` accepts only dataclasses
 
     @property
     def model(self) -> PedestrianModel:
@@ -53,26 +45,26 @@ class Tracker(Protocol):
         """How many windows must follow before a step is final."""
         ...
 
-    def init(self) -> Any:
+    def init(self) -> S:
         """State at the origin."""
         ...
 
-    def on_window(self, state: Any, window: WindowContext) -> tuple[Any, tuple[StepUpdate, ...]]:
+    def on_window(self, state: S, window: WindowContext) -> tuple[S, tuple[StepUpdate, ...]]:
         """New state after a context window, and the steps that it made final."""
         ...
 
-    def on_step(self, state: Any, step: Step) -> tuple[Any, tuple[StepUpdate, ...]]:
+    def on_step(self, state: S, step: Step) -> tuple[S, tuple[StepUpdate, ...]]:
         """Return the state after a step, and the updates of this step and of those that became final."""
         ...
 
-    def on_gap(self, state: Any, gap_s: float) -> tuple[Any, tuple[StepUpdate, ...]]:
+    def on_gap(self, state: S, gap_s: float) -> tuple[S, tuple[StepUpdate, ...]]:
         """New state after a time without samples."""
         ...
 
-    def on_fix(self, state: Any, fix: Fix) -> tuple[Any, FixOutcome, float]:
+    def on_fix(self, state: S, fix: Fix) -> tuple[S, FixOutcome, float]:
         """New state after a fix, what became of it, and its normalised innovation squared."""
         ...
 
-    def finish(self, state: Any) -> tuple[Any, tuple[StepUpdate, ...]]:
+    def finish(self, state: S) -> tuple[S, tuple[StepUpdate, ...]]:
         """New state when nothing more will come."""
         ...

@@ -38,7 +38,7 @@ class WalkingSpeed:
 
 
 def after_step(
-    before: WalkingSpeed | None,
+    previous: WalkingSpeed | None,
     length_m: float,
     length_var_m2: float,
     duration_s: float,
@@ -55,13 +55,13 @@ def after_step(
     speed = length_m / duration_s
     var = (length_var_m2 + 2 * (speed * CONTACT_STD_S) ** 2) / duration_s**2
     level, level_var = speed, var
-    scatter = var if before is None else before.scatter_m2ps2
-    if before is not None and not is_first:
-        innovation = speed - before.smoothed_mps
+    scatter = var if previous is None else previous.scatter_m2ps2
+    if previous is not None and not is_first:
+        innovation = speed - previous.smoothed_mps
         scatter = _SCATTER_DECAY * scatter + (1 - _SCATTER_DECAY) * innovation**2
-        predicted = before.level_var_m2ps2 + SPEED_CHANGE_MPS_PER_SQRT_S**2 * duration_s
+        predicted = previous.level_var_m2ps2 + SPEED_CHANGE_MPS_PER_SQRT_S**2 * duration_s
         gain = predicted / (predicted + max(var, scatter))
-        level = before.smoothed_mps + gain * innovation
+        level = previous.smoothed_mps + gain * innovation
         level_var = (1 - gain) * predicted
     return WalkingSpeed(
         step_mps=speed,

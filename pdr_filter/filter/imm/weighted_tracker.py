@@ -11,17 +11,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdr_filter.filter.fixes.fix_updates import use_fix
+from pdr_filter.filter.imm.estimates import Estimates
 from pdr_filter.filter.imm.imm import NumpyImm
-from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, advance
+from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, Advance, Directions, advance
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.pedestrian_state import (
     PedestrianState,
     StepUpdate,
-    Walked,
     back_over_step,
     initial_state,
-    is_known_to_stand,
-    shared_cov,
+    over_gap,
     step_update,
     with_heading,
     with_open_turn,
@@ -34,7 +33,7 @@ from pdr_filter.filter.imm.recent_windows import (
     window_around,
     with_window,
 )
-from pdr_filter.filter.imm.tracker import over_gap
+from pdr_filter.filter.imm.step_history import Walked
 from pdr_filter.filter.imm.weighting import HC, context_weights
 from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, check_numbers, replace
@@ -85,9 +84,9 @@ class WeightedTracker:
         """Return the new state, the steps that became final, and a provisional update of this step."""
         state = replace(state, pending=(*state.pending, step))
         state, final = self._settle(state, force=False)
-        ahead, provisional = state, tuple[StepUpdate, ...]()
-        while ahead.pending:
-            ahead, update = self._weighted_step(ahead, is_final=False)
+        provisional_state, provisional = state, tuple[StepUpdate, ...]()
+        while provisional_state.pending:
+            provisional_state, update = self._weighted_step(provisional_state, is_final=False)
             provisional = (update,)
         return state, (*final, *provisional)
 
@@ -119,44 +118,59 @@ class WeightedTracker:
         return state, tuple(final)
 
     def _weighted_step(self, state: WeightedState, is_final: bool) -> tuple[WeightedState, StepUpdate]:
-        """The first waiting step with the mean of its provisional and final weights: (d + pd) / 2 of the algorithms."""
+        """Return the state after the first waiting step, and the update of that step."""
         model, step = self.model, state.pending[0]
+        context_prob, weights = self._weights(state, step, is_final)
+        previous = with_open_turn(state.pedestrian)
+        if previous.fixes.is_standing(step.time_s):
+            weights = 1.0 - model.moves
+        directions = model.directions.weighted(weights)
+        turned, back = with_heading(previous, step, directions, model.noise)
+        ahead, walked = self._ahead(turned.estimates, step, weights, directions)
+        walked_m = previous.estimates.walked_m + ahead.motion.length_m
+        predicted = replace(turned.estimates, mean=ahead.mean, cov=ahead.cov, walked_m=walked_m)
+        combined = predicted.mean[0], predicted.cov[0]
+        back = back_over_step(back, turned.estimates, ahead, combined[0])
+        updated = with_step(replace(turned, estimates=predicted), step, walked, combined, back)
+        update = step_update(previous, updated, step, walked, combined, context_prob, weights, is_final)
+        mode_prob = weights if is_final else state.mode_prob
+        return replace(state, pedestrian=updated, pending=state.pending[1:], mode_prob=mode_prob), update
+
+    def _weights(self, state: WeightedState, step: Step, is_final: bool) -> tuple[FloatArray, FloatArray]:
+        """Context probabilities (C,) and weights of the modes (M,) of a step.
+
+        Both are the mean of the provisional and the final ones, as (d + pd) / 2 of the algorithms.
+        """
         provisional = self._prob_of(state, window_around(state.windows, step.time_s))
         final = self._prob_of(state, window_after(state.windows, step.time_s)) if is_final else provisional
         weights = 0.5 * (context_weights(provisional, self.threshold) + context_weights(final, self.threshold))
-        weights = weights[model.context_index]
-        before = with_open_turn(state.pedestrian)
-        if is_known_to_stand(before, step):
-            weights = 1.0 - model.moves
-        length_m, var_m2, _, parameter_std_m = model.lengths(step)
-        mean_length_m = float(weights @ length_m)
-        mixture_var_m2 = max(float(weights @ (var_m2 + length_m**2)) - mean_length_m**2, 0.0)
-        own_var_m2 = max(mixture_var_m2 - float(weights @ parameter_std_m**2), 0.0)
-        directions = model.directions.weighted(weights)
-        before, known, known_cov, back = with_heading(
-            before, step, before.mean, before.cov, before.prob, directions, model.noise
+        return 0.5 * (provisional + final), weights[self.model.context_index]
+
+    def _ahead(
+        self, estimates: Estimates, step: Step, weights: FloatArray, directions: Directions
+    ) -> tuple[Advance, Walked]:
+        """Displacement of a step whose length is that of the modes weighted (M,), and that step."""
+        lengths = self.model.lengths(step)
+        length_m, length_var_m2 = float(weights @ lengths.length_m), lengths.mixture_var_m2(weights)
+        single_var_m2 = max(length_var_m2 - float(weights @ lengths.parameter_std_m**2), 0.0)
+        ahead = advance(
+            estimates.mean,
+            estimates.cov,
+            step,
+            np.array([length_m]),
+            np.array([single_var_m2]),
+            directions,
+            self.model.noise,
         )
-        length, var = np.array([mean_length_m]), np.array([own_var_m2])
-        ahead = advance(known, known_cov, step, length, var, directions, model.noise)
-        mean, cov = ahead.mean, ahead.cov
-        back = back_over_step(back, known, known_cov, ahead, before.prob, mean[0])
-        scale = float(np.exp(known[0, LOG_SCALE]))
-        heading_rad = step.device_heading_rad + float(mean[0, HEADING_OFFSET] + directions.heading_offset_rad[0])
+        motion, mean = ahead.motion, ahead.mean
         walked = Walked(
-            length_m=mean_length_m * scale,
-            length_var_m2=mixture_var_m2,
-            heading_rad=heading_rad,
-            parameter_std_m=weights * parameter_std_m * scale,
-            own_direction=ahead.move.along,
+            length_m=float(motion.length_m[0]),
+            length_var_m2=length_var_m2,
+            heading_rad=step.device_heading_rad + float(mean[0, HEADING_OFFSET] + directions.heading_offset_rad[0]),
+            parameter_std_m=weights * lengths.parameter_std_m * motion.scale,
+            direction=motion.along,
         )
-        after = replace(before, mean=mean, cov=cov, walked_m=before.walked_m + walked.length_m)
-        after = with_step(after, step, walked, (mean[0], cov[0]), back)
-        context_prob = 0.5 * (provisional + final)
-        shared_m2 = shared_cov(after)
-        update = step_update(before, after, step, walked, (mean[0], cov[0]), shared_m2, context_prob, weights, is_final)
-        mode_prob = weights if is_final else state.mode_prob
-        state = replace(state, pedestrian=after, pending=state.pending[1:], mode_prob=mode_prob)
-        return state, update
+        return ahead, walked
 
     def _prob_of(self, state: WeightedState, window: WindowContext | None) -> FloatArray:
         """Context probabilities (C,) of a window; without it of the latest; else those so far."""

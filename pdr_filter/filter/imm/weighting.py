@@ -90,7 +90,7 @@ def context_log_evidence(
     return exponent * (np.log(np.maximum(context_prob, floor)) - prior_exponent * np.log(prior))
 
 
-def carrying_log_evidence(prob: FloatArray, before: FloatArray | None, n_windows: int) -> FloatArray:
+def carrying_log_evidence(prob: FloatArray, previous_prob: FloatArray | None, n_windows: int) -> FloatArray:
     """Log evidence (D,) of the windows since `before` for where the phone is: the new probabilities over the old ones.
 
     Probabilities of the carrying mode are of all windows so far, so each of them holds the earlier ones once more. What
@@ -100,12 +100,12 @@ def carrying_log_evidence(prob: FloatArray, before: FloatArray | None, n_windows
     that say of each window alone where the phone is (those of two published recipes), this is a difference of two
     windows and means little: give modes a carrying mode with the learned contexts of the default only.
     """
-    known = prob > 0
-    n_known = max(int(known.sum()), 1)
-    even = np.where(known, 1.0 / n_known, 0.0)
+    is_known = prob > 0
+    n_known = max(int(is_known.sum()), 1)
+    even = np.where(is_known, 1.0 / n_known, 0.0)
     changes = (1.0 - CARRYING_STAY_PROB) * n_known / max(n_known - 1, 1)
-    predicted = even if before is None else even + (before - even) * (1.0 - changes) ** n_windows
-    comparable = known & (predicted > 0)
+    predicted = even if previous_prob is None else even + (previous_prob - even) * (1.0 - changes) ** n_windows
+    comparable = is_known & (predicted > 0)
     return np.log(np.where(comparable, prob, 1.0)) - np.log(np.where(comparable, predicted, 1.0))
 
 
@@ -143,6 +143,6 @@ class ModeEvidence:
         evidence = evidence[self._context_index]
         if all(c is None for c in self.carrying_modes) or not np.isfinite(window.carrying_prob).all():
             return evidence
-        before = used.carrying_prob if used is not None and np.isfinite(used.carrying_prob).all() else None
-        of_carrying = carrying_log_evidence(window.carrying_prob, before, n_windows)
+        previous_prob = used.carrying_prob if used is not None and np.isfinite(used.carrying_prob).all() else None
+        of_carrying = carrying_log_evidence(window.carrying_prob, previous_prob, n_windows)
         return evidence + np.append(of_carrying, 0.0)[self._carrying_index]

@@ -10,10 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pdr_filter.filter.imm import imm
+from pdr_filter.filter.imm.estimates import Estimates
 from pdr_filter.filter.imm.motion_model import LOG_SCALE, Mode
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import PedestrianState
 from pdr_filter.filter.step_length.models import RECORDING_STD, TYPICAL_STEP, StepLengthFit, length_and_jacobian
 from pdr_filter.values import check_numbers, check_whole, limits
 
@@ -126,14 +125,14 @@ class Person:
         return float(weights @ logs / weights.sum()), float(weights.sum())
 
 
-def session_of(model: PedestrianModel, known: PedestrianState, n_fixes: int) -> Session | None:
-    """What the fixes of a walk so far said of the person's steps; None if they said nothing."""
-    x, P = imm.combine(known.mean, known.cov, known.prob)
+def session_of(model: PedestrianModel, estimates: Estimates, n_fixes: int) -> Session | None:
+    """Return the step length (m) estimated from the fixes of a walk, or None if they do not determine it."""
+    x, P = estimates.combined
     return session_of_scale(model, float(x[LOG_SCALE]), float(P[LOG_SCALE, LOG_SCALE]), n_fixes)
 
 
 def session_of_scale(model: PedestrianModel, log_scale: float, var: float, n_fixes: int) -> Session | None:
-    """What an estimated log scale says of the person's steps; None if no more than was known before.
+    """Return the step length that belongs to an estimated log scale, or None if the prior knew as much.
 
     The posterior N(m, v) of the log scale less its prior N(0, s^2): precision w = 1 / v - 1 / s^2, mean (m / v) / w.
     """

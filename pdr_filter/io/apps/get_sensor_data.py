@@ -74,7 +74,9 @@ def read_get_sensor_data(path: str | Path) -> Recording:
         _check_columns(log.header, where)
         tables, _ = log.tables(LAYOUTS, 0, parsed.notes, {"WIFI": partial(lines_of_log, _WIFI, b";")})
     if "ACCE" not in tables:
-        raise RecordingError(f"{where}: no ACCE lines (found: {', '.join(tables) or 'none'}); log the accelerometer")
+        raise RecordingError(
+            f"{where}: no ACCE lines (found: {', '.join(tables) or 'none'}); record the accelerometer, too"
+        )
     about = log.header_values()
     parsed.set_device(about.get("Manufacturer"), about.get("Model"))
     version = next((line for line in log.header if line.startswith("Version")), "")
@@ -86,7 +88,7 @@ def read_get_sensor_data(path: str | Path) -> Recording:
             values = tables[tag].values[:, 2:]
             parsed.streams[stream] = (time_s, rotation_vector_quaternion(values) if tag == "AHRS" else values)
     _check_unit(parsed, where)
-    if "GNSS" in tables:  # its sensor time is that of the satellites
+    if "GNSS" in tables:  # with satellite time as sensor time
         parsed.streams["location"] = (tables["GNSS"].values[:, 0], tables["GNSS"].values[:, 2:])
     if "WIFI" in tables:
         app_s, sensor_s, *_ = tables["WIFI"].values.T
@@ -124,7 +126,7 @@ def _clock_offset_s(values: FloatArray, tag: str, where: str, notes: list[str]) 
     if span_s > SHORTEST_CHECKED_S and abs(ratio - 1) > CLOCKS_AGREE:
         raise RecordingError(
             f"{where}: in the {tag} lines the sensor's time runs {ratio:.4g} times as fast as the app's; "
-            "both must be seconds, correct the column that is not"
+            "both are in seconds in this format, so convert the column that is not"
         )
     return float(np.median(app_s - sensor_s))
 
@@ -146,7 +148,7 @@ def _check_unit(parsed: Parsed, where: str) -> None:
         parsed.found.append("accelerometer: g, as the TOML file beside the log says, although the log declares m/s^2")
     elif unit == "" and limits.G_RANGE[0] <= median <= limits.G_RANGE[1]:
         raise RecordingError(
-            f"{where}: declares m/s^2, but the median |a| is {median:.4g}: this looks like g units. If so, write "
+            f"{where}: declares m/s^2, but the median |a| is {median:.4g}, which looks like g; if so, write "
             f'accelerometer_unit = "g" into {parsed.path.with_suffix(".toml").name} beside it'
         )
     else:
@@ -154,7 +156,7 @@ def _check_unit(parsed: Parsed, where: str) -> None:
 
 
 def _unit_beside(path: Path) -> str:
-    """The unit that a TOML file beside the log names; empty without one."""
+    """Unit named in the TOML file of the log, or "" without such a file."""
     toml = beside(path, path.with_suffix(".toml").name)
     if path.is_dir() or toml == path or not toml.is_file():
         return ""

@@ -51,7 +51,7 @@ def read_indoor_location(path: str | Path) -> Recording:
     force = tables.get("TYPE_ACCELEROMETER")
     if force is None or len(force) == 0:
         found = ", ".join(tables) or "none"
-        raise RecordingError(f"{log.where}: no TYPE_ACCELEROMETER lines (found: {found}); this walk cannot be used")
+        raise RecordingError(f"{log.where}: no TYPE_ACCELEROMETER lines (found: {found}); take a walk that has them")
     zero_ms = int(force.whole[0])
     time_s = {tag: (table.whole - zero_ms).astype(np.float64) * 1e-3 for tag, table in tables.items()}
     for tag, stream in STREAM.items():

@@ -1,4 +1,4 @@
-"""RoNIN (Herath, Yan, Furukawa 2020): data.hdf5 with info.json beside it, or the hdf5 file alone.
+"""RoNIN (Herath, Yan, Furukawa 2020): data.hdf5 with its info.json, or the hdf5 file alone.
 
 Layout after the authors' loader (github.com/Sachini/ronin, data_glob_speed.py): `synced/{time, gyro, gyro_uncalib,
 acce, magnet, game_rv}` at 200 Hz in seconds, m/s2, rad/s, uT, quaternions wxyz; `pose/tango_pos` is the position from
@@ -31,7 +31,7 @@ RATE_HZ = 200.0
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 # hdf5 meets damaged bytes in many places, and h5py passes its complaints on as these.
 HDF5_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError, OverflowError, AttributeError)
-# Those that h5py itself writes, each at most once: deflate, shuffle, checksum, lzf.
+# Filters written by h5py, each at most once: deflate, shuffle, checksum, lzf.
 FILTERS = (1, 2, 3, 32000)
 # Data set and number of its columns.
 ARRAYS = {
@@ -55,7 +55,7 @@ def read_ronin(path: str | Path) -> Recording:
     info = _info(beside(file, "info.json"), parsed)
     time_s, arrays = _read_arrays(file, parsed.notes)
     if "accelerometer" not in arrays:
-        raise RecordingError(f"{file}: no synced/acce; this file cannot be used")
+        raise RecordingError(f"{file}: no synced/acce, which holds the accelerometer; take data.hdf5 as published")
     for name, values in arrays.items():
         if len(values) != len(time_s):
             raise RecordingError(f"{file}: {len(values)} rows of {name}, but {len(time_s)} times; take it whole")
@@ -95,7 +95,9 @@ def _read_arrays(file: Path, notes: list[str]) -> tuple[FloatArray, dict[str, Fl
             time_s = _array(data, "synced/time", 1, file, notes)
             if time_s is None:
                 groups = ", ".join(map(str, islice(data, 8)))
-                raise RecordingError(f"{file}: no synced/time (found: {groups or 'nothing'}); raw files are not read")
+                raise RecordingError(
+                    f"{file}: no synced/time (found: {groups or 'nothing'}); take data.hdf5 as published"
+                )
             arrays = {key: _array(data, name, n, file, notes) for key, (name, n) in ARRAYS.items()}
     except RecordingError:
         raise
@@ -111,13 +113,13 @@ def _array(data: Any, name: str, columns: int, file: Path, notes: list[str]) -> 
         return None
     shape: Any = getattr(found, "shape", None)
     if shape is None or len(shape) != (1 if columns == 1 else 2) or (columns > 1 and shape[1] != columns):
-        raise RecordingError(f"{file}: {name} has the shape {shape}, expected (N, {columns})")
+        raise RecordingError(f"{file}: {name} has the shape {shape}; write it with the shape (N, {columns})")
     if shape[0] > limits.MAX_ARRAY_ROWS:
         raise RecordingError(
             f"{file}: {name} claims {shape[0]} rows, more than {limits.MAX_ARRAY_ROWS}; cut the recording"
         )
     if np.dtype(found.dtype).kind not in "fiu":
-        raise RecordingError(f"{file}: {name} holds {found.dtype}, no numbers")
+        raise RecordingError(f"{file}: {name} holds {found.dtype}; write it as numbers")
     _check_storage(found, name, file)
     with np.errstate(over="ignore", invalid="ignore"):
         return finite(np.array(found[()], dtype=np.float64), name, notes)
@@ -150,7 +152,7 @@ def _check_storage(found: Any, name: str, file: Path) -> None:
     stored = min(found.id.get_storage_size(), file.stat().st_size)
     if claimed > max(limits.UNPACKED_FREELY_BYTES, limits.MAX_COMPRESSION_RATIO * stored):
         raise RecordingError(
-            f"{file}: {name} claims {claimed} bytes and {stored} are stored: no sensor data is like that; write it anew"
+            f"{file}: {name} claims {claimed} bytes and {stored} are stored, unlike sensor data; write the file again"
         )
     if FILTERS[0] in names:
         _check_chunks(found, name, file)
@@ -158,11 +160,11 @@ def _check_storage(found: Any, name: str, file: Path) -> None:
 
 def _check_chunks(found: Any, name: str, file: Path) -> None:
     """Refuse a piece that unpacks to more than it should: hdf5 itself unpacks whatever there is."""
-    most = math.prod(found.chunks) * found.dtype.itemsize + 4  # and a checksum, if the filters have one
+    most = math.prod(found.chunks) * found.dtype.itemsize + 4  # a checksum has 4 bytes
     for i in range(found.id.get_num_chunks()):
         mask, piece = found.id.read_direct_chunk(found.id.get_chunk_info(i).chunk_offset)
         if not mask and len(zlib.decompressobj().decompress(piece, most + 1)) > most:
-            raise RecordingError(f"{file}: {name} has a piece that unpacks to more than {most} bytes; write it anew")
+            raise RecordingError(f"{file}: {name} has a piece of more than {most} bytes unpacked; write the file again")
 
 
 def _info(path: Path, parsed: Parsed) -> dict[str, Any]:
@@ -183,5 +185,5 @@ def _vector(info: dict[str, Any], key: str, file: Path) -> FloatArray | None:
         if value.shape != (3,) or not (np.abs(value) < limits.LARGEST_VALUE).all():
             raise ValueError(key)
     except (ValueError, TypeError, OverflowError) as error:
-        raise RecordingError(f"{file.parent / 'info.json'}: {key} is not three numbers") from error
+        raise RecordingError(f"{file.parent / 'info.json'}: {key} is not three numbers; correct it") from error
     return value

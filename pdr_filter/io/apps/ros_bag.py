@@ -79,12 +79,12 @@ class _Topic:
         except (struct.error, ValueError, IndexError) as error:
             raise RecordingError(f"{where}: a message of {self.kind} is damaged ({error}); record it again") from error
         self._ns.append(at_ns or received_ns)
+        if abs(self._ns[-1]) >= limits.MAX_WHOLE_TIME:
+            raise RecordingError(f"{where}: {self.kind} has the time {self._ns[-1]} ns; stamp it with ns since 1970")
         self._rows.append(row)
 
     @property
     def ns(self) -> IntArray:
-        if self._ns and not -limits.MAX_WHOLE_TIME < min(self._ns) <= max(self._ns) < limits.MAX_WHOLE_TIME:
-            raise RecordingError(f"{self.kind}: a time of {max(self._ns)} ns, which is no time since 1970")
         return np.array(self._ns, dtype=np.int64)
 
     @property
@@ -100,12 +100,12 @@ def _fill(parsed: Parsed, topics: dict[str, _Topic], seen: dict[str, str]) -> No
     for stream, part in parts.items():
         for name, topic in imus.items():
             values = topic.values[:, part]
-            # What a driver does not know, it leaves at zero.
+            # Drivers leave unknown values at zero.
             if np.any(values != 0) and (stream not in chosen or len(values) > len(chosen[stream][2])):
                 chosen[stream] = (name, topic.ns, values)
     if "accelerometer" not in chosen:
         listed = ", ".join(f"{name} ({kind})" for name, kind in list(seen.items())[:8]) or "none"
-        raise RecordingError(f"{parsed.path}: no {IMU} with an acceleration in this bag (topics: {listed})")
+        raise RecordingError(f"{parsed.path}: no {IMU} with an acceleration (topics: {listed}); record its topic")
     for stream, kind, factor in (("magnetometer", FIELD, 1e6), ("barometer", PRESSURE, 0.01), ("location", PLACE, 1.0)):
         of_kind = {name: topic for name, topic in topics.items() if topic.kind == kind}
         if of_kind:
@@ -166,14 +166,14 @@ _KINDS = (IMU, FIELD, PRESSURE, PLACE)
 def _of_database(members: Members, name: str, seen: dict[str, str]) -> Messages:
     with open_database(members, name) as database:
         if not {"topics", "messages"} <= database.columns.keys():
-            raise RecordingError(f"{members.where(name)}: a database without topics and messages is no bag")
+            raise RecordingError(f"{members.where(name)}: a database without topics and messages is no bag; give a bag")
         topics = {row[0]: (str(row[1]), str(row[2])) for row in database.rows("topics", ("id", "name", "type"))}
         seen |= dict(topics.values())
         for number, (topic, kind) in topics.items():
             if kind in _KINDS and isinstance(number, int):
                 for received_ns, content in database.rows("messages", ("timestamp", "data"), ("topic_id", number)):
                     if not isinstance(received_ns, int) or not isinstance(content, bytes):
-                        raise RecordingError(f"{members.where(name)}: a message without its time or content")
+                        raise RecordingError(f"{members.where(name)}: a message lacks time or content; record it again")
                     yield topic, kind, received_ns, content
 
 
@@ -184,7 +184,7 @@ def _of_mcap(members: Members, name: str, seen: dict[str, str]) -> Messages:
         from mcap.records import Channel, Chunk, Message, Schema
         from mcap.stream_reader import StreamReader, breakup_chunk
     except ImportError as error:
-        raise RecordingError(f'{where}: an MCAP file needs one more package: pip install "pdr_filter[ros]"') from error
+        raise RecordingError(f'{where}: an MCAP file needs a package; install "pdr_filter[ros]"') from error
     content = members.whole(name, limits.MAX_UNPACKED_BYTES)
     left = max(limits.UNPACKED_FREELY_BYTES, limits.MAX_COMPRESSION_RATIO * len(content))
     schemas: dict[int, str] = {}
@@ -229,7 +229,7 @@ def _of_mcap(members: Members, name: str, seen: dict[str, str]) -> Messages:
 
 
 def _unpacked(compression: str, data: bytes, claimed: int, most: int, where: str) -> bytes:
-    """The records of a chunk, if they are no more than that, whatever it claims."""
+    """Return the unpacked records of a chunk; RecordingError if they are larger than `most` bytes."""
     if not compression:
         return data
     if claimed > most:
@@ -237,10 +237,10 @@ def _unpacked(compression: str, data: bytes, claimed: int, most: int, where: str
     try:
         unpack = _UNPACK[compression]
     except KeyError:
-        raise RecordingError(f"{where}: compressed with {compression[:20]!r}; known are {', '.join(_UNPACK)}") from None
+        raise RecordingError(f"{where}: compressed with {compression[:20]!r}; use {' or '.join(_UNPACK)}") from None
     try:
         unpacked = unpack(data, claimed + 1)
-    except RuntimeError as error:  # of lz4
+    except RuntimeError as error:  # raised by lz4
         raise ValueError(error) from error
     if len(unpacked) != claimed:
         raise ValueError("a chunk is longer or shorter than it says")

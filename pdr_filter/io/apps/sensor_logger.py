@@ -62,7 +62,7 @@ STALE_S = 60.0
 
 @dataclass
 class _Export:
-    """What is in an export of the app: of each sensor the whole nanoseconds since 1970, and the values."""
+    """Tables of an export: for each sensor, nanoseconds since 1970 and values."""
 
     sensors: dict[str, NumberTable] = field(default_factory=dict[str, NumberTable])
     metadata: dict[str, str] = field(default_factory=dict[str, str])
@@ -262,7 +262,7 @@ def _read_tables(members: Members) -> _Export:
     if len(metadata) >= 2:
         export.metadata = dict(zip([name.strip() for name in metadata[0]], metadata[1], strict=False))
     export.annotations = _annotations(annotations)
-    begun_ns: int | None = None  # of the tables whose times have all their digits
+    begun_ns: int | None = None  # first time, in tables that keep all digits
     rounded: list[str] = []
     for sensor, columns in COLUMNS.items():
         if name := _member(tables, sensor, members):

@@ -32,15 +32,15 @@ DIGITS = re.compile(r"[0-9]{1,18}[0-9]?(,[0-9]{1,18}[0-9]?)*")
 BETWEEN_OBJECTS = re.compile(rb"\}\s{0,20},\s{0,20}\{")
 SENSOR_FIRST = '{"sensor":"'
 PLAIN_WORD = re.compile(r"\w{1,100}")
-NUMBER = "[-+.0-9eE]++"  # what the app writes as one; possessive, so that nothing is tried twice
+NUMBER = "[-+.0-9eE]++"  # possessive quantifier: the search never backtracks
 
 
 @dataclass(frozen=True, slots=True)
 class Objects:
-    """Objects of one sensor: as parsed, or as text where all are alike."""
+    """Objects of one sensor, parsed, or as text if all have the same keys."""
 
     parsed: list[dict[str, Any]]
-    keys: tuple[str, ...] = ()  # of every object in `texts`, in this order
+    keys: tuple[str, ...] = ()  # keys of every object in `texts`, in order
     texts: tuple[str, ...] = ()  # "key":"number" pairs without spaces, the sensor's name first; without braces
 
     def items(self, most: int | None = None) -> list[dict[str, Any]]:
@@ -52,7 +52,9 @@ class Objects:
         keys = self.keys or tuple(self.parsed[0])
         missing = [key for key in ("time", *columns) if key not in keys]
         if missing:
-            raise RecordingError(f"{where}: no key {missing[0]!r} (found: {', '.join(map(str, keys))[:120]})")
+            raise RecordingError(
+                f"{where}: no key {missing[0]!r} (found: {', '.join(map(str, keys))[:120]}); export again"
+            )
         if self.texts:
             # Between quotation marks the fields are: nothing, key, colon, value, comma, key, colon, value, ...
             layout = Layout(tuple(3 + 4 * keys.index(c) for c in columns), 3 + 4 * keys.index("time"), separator='"')
@@ -92,7 +94,7 @@ def objects_by_sensor(members: Members, name: str) -> Iterator[dict[str, Objects
             text = text[1:]
         tail = max(0, len(text) - limits.TAIL_BYTES)
         cuts = list(BETWEEN_OBJECTS.finditer(text, tail))[-limits.CUTS_TRIED :]
-        for cut in reversed(cuts):  # one that lies in a text is not where an object ends; the one before it is
+        for cut in reversed(cuts):  # a cut inside a text ends no object: try the cut before
             objects = _objects(text[: cut.start() + 1])
             if objects is not None:
                 yield objects
@@ -134,7 +136,7 @@ def _float(value: Any) -> float:
 
 
 def _objects(content: bytes) -> dict[str, Objects] | None:
-    """Objects by sensor of the inside of an array; None if it is no JSON."""
+    """Return the objects in the text of an array by sensor, or None for text that is not JSON."""
     groups = _alike(content)  # takes half as long as parsing every object
     if groups is not None:
         return groups
@@ -143,7 +145,7 @@ def _objects(content: bytes) -> dict[str, Objects] | None:
 
 
 def _alike(content: bytes) -> dict[str, Objects] | None:
-    """The same in the app's own layout, without spaces and with the sensor's name first; None if it is another."""
+    """Return these objects for the app's layout, without spaces and with the sensor name first; else None."""
     try:
         text = content.decode()
     except UnicodeDecodeError:
@@ -153,7 +155,7 @@ def _alike(content: bytes) -> dict[str, Objects] | None:
     by_sensor: dict[str, list[str]] = {}
     begin = len(SENSOR_FIRST) - 1
     for inside in text[1:-1].split("},{"):
-        # A text in the file that holds such a cut makes parts that do not begin like an object, or are no JSON.
+        # A cut inside a text leaves parts that begin unlike an object or are not JSON.
         if not inside.startswith(SENSOR_FIRST[1:]):
             return None
         by_sensor.setdefault(inside[begin : inside.find('"', begin)], []).append(inside)
@@ -191,7 +193,7 @@ def _grouped(objects: list[dict[str, Any]]) -> dict[str, Objects]:
 
 
 def _loads(inside: bytes) -> list[dict[str, Any]] | None:
-    """The objects of the inside of an array, None if it is no JSON."""
+    """Return the objects in the text of an array, or None for text that is not JSON."""
     try:
         value: Any = json.loads(b"[" + inside + b"]")
     except (ValueError, RecursionError):

@@ -20,7 +20,7 @@ from pdr_filter.io.files.sqlite_file import open_database
 from pdr_filter.io.tables.text_table import NumberTable
 from pdr_filter.values import limits
 
-Columns = Mapping[str, tuple[str, ...]]  # of each sensor, as its CSV files call them
+Columns = Mapping[str, tuple[str, ...]]  # columns of each sensor, named as in the CSV files
 Message = dict[str, Any]
 
 
@@ -59,7 +59,8 @@ def push_tables(members: Members, name: str, columns: Columns) -> dict[str, Numb
     wanted = members.inside or next(iter(sessions), "")
     if wanted not in sessions or (not members.inside and len(sessions) > 1):
         raise RecordingError(
-            f"{where}: holds {len(sessions)} sessions ({', '.join(list(sessions)[:3])}); name one behind the path"
+            f"{where}: holds {len(sessions)} sessions ({', '.join(list(sessions)[:3])}); read one of them, as "
+            f"{where}/{next(iter(sessions), 'SESSION')}"
         )
     known = {sensor.lower(): sensor for sensor in columns}
     rows: dict[str, list[Message]] = {}
@@ -100,7 +101,8 @@ def database_tables(
                     metadata = {key: str(value)[: limits.MAX_TEXT_CHARS] for key, value in zip(found, row, strict=True)}
         if not sensors:
             raise RecordingError(
-                f"{where}: no table of a sensor of Sensor Logger in it (found: {', '.join(database.columns)[:160]})"
+                f"{where}: no table of a sensor of Sensor Logger in it (found: {', '.join(database.columns)[:160]}); "
+                "export the recording again, as CSV if this is another app's"
             )
     return sensors, metadata
 

@@ -40,7 +40,7 @@ class TaggedLog:
         notes: list[str],
         rewritten: Mapping[str, Callable[[bytes], bytes]] | None = None,
     ) -> tuple[dict[str, NumberTable], int]:
-        """Tables by type of line, and how many lines have another type; what was repaired is added to the notes.
+        """Return tables by type of line and the number of lines of other types. Repairs are added to the notes.
 
         Layouts, by type, count columns from the begin of the line and have the same separator. `tag_field` (0 or 1)
         is the field of a line that holds its type. Lines of a type in `rewritten` are parsed as this makes them.
@@ -48,7 +48,7 @@ class TaggedLog:
         separator = next(iter(layouts.values())).separator.encode()
         parts: dict[str, list[NumberTable]] = {tag: [] for tag in layouts}
         n_seen = dict.fromkeys(layouts, 0)
-        n_fields = {tag: layout.needed for tag, layout in layouts.items()}  # of the last line of each type
+        n_fields = {tag: layout.needed for tag, layout in layouts.items()}  # in the last line of each type
         n_others = 0
         for block in self._members.blocks(self.name):
             text = block
@@ -102,7 +102,7 @@ def _ended(line: bytes, separator: bytes, tag_field: int, n_fields: Mapping[str,
 
 
 def _after_first(bytes_: NDArray[np.uint8], starts: NDArray[np.int64], separator: bytes) -> NDArray[np.int64]:
-    """Where the second field of each line begins; past the end where there is none."""
+    """Start of the second field of each line; past the end for lines with one field."""
     at = np.append(np.flatnonzero(bytes_ == separator[0]), len(bytes_))
     return at[np.searchsorted(at, starts)] + 1
 

@@ -23,13 +23,13 @@ from pdr_filter.values import limits
 
 # zipfile bounds what it unpacks at once for these two only; a few kilobytes of bzip2 or lzma can become gigabytes.
 SUPPORTED_COMPRESSION = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-# What zipfile raises for a file whose bytes were changed.
+# Errors of zipfile for damaged files.
 _PYTHON_ERRORS = (EOFError, RuntimeError, OSError, OverflowError, LookupError, ValueError)
 _ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, struct.error, *_PYTHON_ERRORS)
 # Files that are recordings by themselves and are read in place, not out of a zip.
 IN_PLACE = (".hdf5", ".h5", ".mat", ".xlsx", ".xls", ".mcap", ".db3")
 _ZIP, _GZIP = b"PK", b"\x1f\x8b"
-# What is given in place of a recording, by its first bytes, and what to do.
+# First bytes of files that are given by mistake, with the kind and the remedy.
 _OTHERS = {
     b"7z\xbc\xaf": "a 7z archive; unpack it and give the folder",
     b"Rar!": "a rar archive; unpack it and give the folder",
@@ -135,18 +135,18 @@ class Members:
             yield part.removeprefix(b"\xef\xbb\xbf") if i == 0 else part
 
     def blocks(self, name: str) -> Iterator[bytes]:
-        """Its `pieces` cut into blocks that end with a line feed, as all line ends; an unended last line is a block."""
+        """Yield `pieces` cut at line ends, which become line feeds. A last line without an end is a block."""
         rest = b""
         for part in self.pieces(name):
             if b"\r" in part or rest.endswith(b"\r"):
                 part, rest = rest + part, b""
-                last = b"\r" if part.endswith(b"\r") else b""  # whose line feed may be in the next piece
+                last = b"\r" if part.endswith(b"\r") else b""  # the line feed may be in the next piece
                 part = part.removesuffix(last).replace(b"\r\n", b"\n").replace(b"\r", b"\n") + last
             cut = part.rfind(b"\n") + 1
             block, rest = (rest + part[:cut], part[cut:]) if cut else (b"", rest + part)
             if len(rest) > limits.MAX_LINE_BYTES:
                 raise RecordingError(
-                    f"{self.where(name)}: a line of more than {limits.MAX_LINE_BYTES} bytes; this is no table"
+                    f"{self.where(name)}: a line of more than {limits.MAX_LINE_BYTES} bytes, so no table; give one"
                 )
             if block:
                 yield block
@@ -176,7 +176,7 @@ class Members:
         except RecordingError:
             raise
         except OSError as error:
-            raise RecordingError(f"{where}: cannot be read ({error.strerror or error})") from error
+            raise RecordingError(f"{where}: cannot be read ({error.strerror or error}); copy it again") from error
         except _ZIP_ERRORS as error:
             raise RecordingError(f"{where}: damaged ({error}); copy or export the recording again") from error
 
@@ -253,7 +253,7 @@ def _refuse_others(path: Path, head: bytes) -> None:
 
 
 def zips_among(names: Sequence[str]) -> list[str]:
-    """Those of zips, which spreadsheets are, too, if nothing else is there but what nobody would read as samples."""
+    """Return the zips (spreadsheets included) among the names, or nothing if there are other files of samples."""
     others = [name for name in names if not name.lower().endswith((".zip", ".xlsx"))]
     return [] if any(_ABOUT.search(name) is None for name in others) else [n for n in names if n not in others]
 
@@ -318,7 +318,7 @@ def _files_below(path: Path) -> dict[str, Path]:
 
 
 def _without_sensor_folders(names: Sequence[str]) -> dict[str, str]:
-    """Where folders are called after their sensors, names of the files alone in one, as if they lay beside it."""
+    """Map `Accelerometer/data.csv` to `Accelerometer.csv`, where each sensor has a folder with one file."""
     by_folder: dict[PurePosixPath, list[PurePosixPath]] = {}
     for name in map(PurePosixPath, names):
         if name.suffix.lower() in _TABLES and name.parent.name not in ("", "meta"):
@@ -349,7 +349,7 @@ def _infos_by_name(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.Zi
     if len(archive.infolist()) > limits.MAX_MEMBERS:
         raise RecordingError(f"{path}: more than {limits.MAX_MEMBERS} files in the zip; pack one recording alone")
     claimed = sum(info.file_size for info in archive.infolist())
-    size = archive.fp.seek(0, io.SEEK_END) if archive.fp else 0  # of the zip itself, which may be inside another
+    size = archive.fp.seek(0, io.SEEK_END) if archive.fp else 0  # the zip may be inside another one
     if claimed > _most_unpacked(size):
         raise RecordingError(
             f"{path} claims to unpack to {claimed} bytes, {claimed / size:.0f} times its size: no sensor data is like "

@@ -26,7 +26,7 @@ from pdr_filter.values import CONTEXTS, FloatArray, Table, Wifi, limits, table
 from pdr_filter.values.recording import Recording, Truth
 
 REQUIRED = "accelerometer.csv"
-OTHERS = ("meta.json", "gyroscope.csv")  # beside it in a recording, one of them at least
+OTHERS = ("meta.json", "gyroscope.csv")  # a recording has at least one of them
 
 
 def read_recording(path: str | Path) -> Recording:
@@ -71,7 +71,7 @@ def read_recording(path: str | Path) -> Recording:
 
 
 def write_recording(recording: Recording, path: str | Path) -> Path:
-    """The same as `recording.save(path)`."""
+    """Write a recording, as `recording.save(path)` does."""
     return recording.save(path)
 
 

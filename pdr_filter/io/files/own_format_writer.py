@@ -62,7 +62,7 @@ def write_own_format(
     files["meta.json"] = json.dumps(dict(meta), indent=1, default=_plain) + "\n"
     if not path.suffix:
         write_files({path / name: text.encode() for name, text in files.items()})
-        for name in set(FILES) - files.keys():  # of another recording, which must not be mixed with this one
+        for name in set(FILES) - files.keys():  # files of another recording would be mixed with this one
             (path / name).unlink(missing_ok=True)
         return path
     with whole_file(path) as file, zipfile.ZipFile(file, "w", compression=zipfile.ZIP_DEFLATED) as archive:
@@ -109,7 +109,7 @@ def _number_format(column: str) -> str:
 
 
 def _plain(value: object) -> object:
-    """What json can write in place of a value that it cannot."""
+    """Return a value that json can write for one that it cannot."""
     if isinstance(value, Mapping):
         return dict(cast("Mapping[str, object]", value))
     if is_dataclass(value) and not isinstance(value, type):

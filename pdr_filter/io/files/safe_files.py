@@ -1,4 +1,4 @@
-"""Files of others are opened here, and files of ours written: only regular ones, and whole or not at all."""
+"""Safe opening of untrusted files (regular files only) and atomic writing."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def read_small(path: Path, most: int) -> bytes:
 
 
 def read_json(path: Path, most: int) -> Any:
-    """What a small regular file of JSON holds; RecordingError if it is none."""
+    """Return the content of a small JSON file; RecordingError if it is not regular or not JSON."""
     content = read_small(path, most)
     try:
         return json.loads(content)
@@ -59,7 +59,7 @@ def read_json(path: Path, most: int) -> Any:
 
 
 def inside(path: Path, *folders: Path) -> Path:
-    """The same path; RecordingError if it is a link that leads out of these folders, to a file that nobody gave."""
+    """Return the path; RecordingError if it is a link that leads out of these folders."""
     target = path.resolve()
     if not any(target.is_relative_to(folder.resolve()) for folder in folders):
         raise RecordingError(f"{path}: a link that leads out of its folder, to {target}; copy the file itself there")
@@ -138,7 +138,7 @@ def _is_hollow(number: int, size: int) -> bool:
             at = os.lseek(number, begin, os.SEEK_HOLE)
             written += at - begin
     except OSError as error:
-        if error.errno != errno.ENXIO:  # which says that there is no more data; others, that it is not known
+        if error.errno != errno.ENXIO:  # ENXIO: no more data; other errors: unknown
             return False
     os.lseek(number, 0, os.SEEK_SET)
     return written * limits.MAX_COMPRESSION_RATIO < size

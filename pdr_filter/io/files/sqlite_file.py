@@ -1,4 +1,4 @@
-"""Tables of an SQLite database that somebody else made: read only, from memory, without its functions and triggers."""
+"""Tables of an untrusted SQLite database: read only, from memory, without its functions and triggers."""
 
 from __future__ import annotations
 

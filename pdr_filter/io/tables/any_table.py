@@ -96,7 +96,7 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
 
 
 def read_generic_csv(path: str | Path) -> Recording:
-    """Return the recording in a table, as the TOML file beside it says; RecordingError without one that fits."""
+    """Return the recording in a table described by the TOML file of the same name; RecordingError without that file."""
     path = Path(path)
     if not (mapping := mapping_beside(path)).is_file():
         raise RecordingError(
@@ -159,7 +159,7 @@ def sheets_of(members: Members, separator: str | None = None, notes: list[str] |
 
 
 def _named_values(head: bytes) -> str:
-    """Why lines such as `ACC: 12, 0.1, 0.2, 9.8` or `x=0.1` are not read; empty of others."""
+    """Return why lines such as `ACC: 12, 0.1, 0.2, 9.8` or `x=0.1` are not read, or "" for other lines."""
     found = _NAMED_VALUE.search(head.decode("utf-8", "replace"))
     if found is None:
         return ""
@@ -219,7 +219,7 @@ def _nothing(sheets: Sequence[Sheet], path: Path) -> str:
 
 
 def sensors_of(members: Members, name: str) -> set[str]:
-    """Sensors that the columns of a text name; none of a text that is no table."""
+    """Sensors named by the columns of a text; an empty set for a text without a table."""
     sheets: Sequence[Sheet]
     try:
         if looks_like(members.head(name)):

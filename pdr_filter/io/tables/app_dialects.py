@@ -1,4 +1,4 @@
-"""What is known of the apps whose tables are read by the names of their columns: one entry for each, as data.
+"""Units, signs and marks of the apps whose tables are read by the names of their columns, as data.
 
 Layouts after the files of their users and the apps' own documents. An app that says nothing about signs, or has another
 on iOS than on Android, is read with Android's sign and a note.
@@ -72,13 +72,13 @@ DIALECTS = (
         units={**_SI, ACCELERATION: "g", LINEAR: "g", GRAVITY: "g"},
         sign=-1,
     ),
-    Dialect(  # of Apple, by whatever app
+    Dialect(  # Apple's CoreMotion, exported by any app
         "CoreMotion",
         r"\buserAcceleration[._ ]?x\b",
         "gravity beside userAcceleration",
         units={**_SI, ACCELERATION: "g", LINEAR: "g", GRAVITY: "g"},
         sign=-1,
-        usual_period_ms=20.0,  # of MotionSense (github.com/mmalekzadeh/motion-sense), which has no times
+        usual_period_ms=20.0,  # MotionSense (github.com/mmalekzadeh/motion-sense) has no times
     ),
     Dialect(  # DeviceMotionEvent, also of Expo and Cordova
         "a web browser",

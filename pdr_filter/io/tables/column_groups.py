@@ -168,7 +168,7 @@ def _time_of(sheet: Sheet, quantity: str, places: Sequence[int], times: Sequence
         name = sheet.fields[time]
         of = _sensor_of_time(name)
         is_other = bool(of) and of != quantity
-        # among those of no sensor, numbers before dates; among its own, what comes just before it
+        # shared times: numbers before dates; own times: the nearest one before the sensor
         return is_other, of != quantity, time in sheet.dates, (first - time) if first - time > 0 else 1000 + time
 
     return min(times, key=order)

@@ -1,10 +1,11 @@
-"""The mapping of tables that nobody described: from the names of their columns, what is known of the app, the values.
+"""Mapping of undescribed tables, guessed from the names of their columns, the app and the values.
 
 What names and values leave open is said: units from values, the sign of an app that has another on iOS.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -34,7 +35,7 @@ from pdr_filter.io.tables.table_streams import SheetData, is_new_place
 from pdr_filter.io.tables.text_sheets import Sheet
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, limits
 
-# Of the constant part of an acceleration against its norm: gravity outweighs what walking adds.
+# Share of the constant part in the norm of an acceleration: gravity outweighs the motion of walking.
 _GRAVITY_SHARE = 0.6
 _G_OF_GRAVITY = (0.8, 1.25)
 _LEAST_GRAVITY_MPS2 = limits.SPECIFIC_FORCE_RANGE_MPS2[0]
@@ -49,7 +50,7 @@ _NAMES = {
     **{"ut": "uT", "mt": "mT", "gauss": "G", "t": "T", "hpa": "hPa", "pa": "Pa", "kpa": "kPa", "lx": "lux", "i": "cm"},
     **{"m/s^2": "m/s2", "m/s/s": "m/s2", "\u00b0/s": "deg/s", "dps": "deg/s"},
 }
-# Where the median of a quantity lies, and the units in which it may be written.
+# Plausible range of the median of a quantity, and the units to try.
 _BY_SIZE = {
     FIELD: (limits.MAGNETIC_FIELD_RANGE_UT, ("ut", "gauss", "mt", "t")),
     "barometer": (limits.PRESSURE_RANGE_HPA, ("hpa", "pa", "kpa")),
@@ -68,7 +69,7 @@ class Guess:
     evidence: list[str] = field(default_factory=list[str])
     notes: list[str] = field(default_factory=list[str])
     source: str = ""
-    is_time_declared: bool = False  # that of the accelerometer
+    is_time_declared: bool = False  # unit of the accelerometer's times
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,10 +84,7 @@ class _Stream:
     is_unit_declared: bool
     unit: str  # as in `UNITS`; empty if not known
     is_time_declared: bool
-
-    @property
-    def constant(self) -> float:
-        return constant_part(self.time_s, self.values)
+    constant: float  # `constant_part` of an acceleration or a rotation, else NaN
 
     @property
     def factor(self) -> float:
@@ -200,11 +198,15 @@ def _stream(group: Group, data: SheetData, dialect: Dialect | None, rate_hz: flo
     known = np.isfinite(time_s)
     if group.quantity == "location":
         known &= is_new_place(values)
-    return _Stream(group, data, unit, time_s[known], values[known], bool(declared), declared, is_time_declared)
+    if not known.all():
+        time_s, values = time_s[known], values[known]
+    has_constant = group.quantity in (ACCELERATION, LINEAR, GRAVITY, ROTATION)
+    constant = constant_part(time_s, values) if has_constant else math.nan
+    return _Stream(group, data, unit, time_s, values, bool(declared), declared, is_time_declared, constant)
 
 
 def _time_unit(ticks: FloatArray) -> str:
-    """The unit of times that nobody says: since 1970 by its size, else the one in which a phone delivers its rate."""
+    """Unit of times without a stated one: by the size of times since 1970, else by the rates of phones."""
     ticks = ticks[~np.isnan(ticks)]
     median = float(np.median(ticks)) if len(ticks) else 0.0
     span = float(ticks.max() - ticks.min()) if len(ticks) else 0.0
@@ -232,7 +234,7 @@ def _forces(streams: Sequence[_Stream], dialect: Dialect | None, result: Guess, 
             f"{where}: {app} has no accelerometer (sensors seen: {others}); record it and export again{remedy}"
         )
     of = {q: [s for s in found if s.group.quantity == q] for q in (ACCELERATION, LINEAR, GRAVITY)}
-    # What ROS calls linear acceleration has gravity in it.
+    # The linear acceleration of ROS messages includes gravity.
     with_gravity = [s for s in (of[ACCELERATION] or of[LINEAR]) if s.unit and _has_gravity(s)]
     rates = [s for s in streams if s.group.quantity == RATE]
     if with_gravity:
@@ -282,9 +284,11 @@ def _with_force_unit(s: _Stream) -> _Stream:
 
 def _has_gravity(s: _Stream) -> bool:
     """Whether gravity is in it; also where its header has the wrong unit, which the checks of every reader refuse."""
-    constant, low = s.constant, _G_OF_GRAVITY
-    is_g_under_mps2 = low[0] <= constant <= low[1] and constant / max(median_norm(s.values), 1e-12) > 0.8
-    return constant * s.factor >= _LEAST_GRAVITY_MPS2 or (is_g_under_mps2 and s.is_unit_declared)
+    low, high = _G_OF_GRAVITY
+    if s.constant * s.factor >= _LEAST_GRAVITY_MPS2:
+        return True
+    is_near_1 = s.is_unit_declared and low <= s.constant <= high
+    return is_near_1 and s.constant / max(median_norm(s.values), 1e-12) > 0.8
 
 
 def _force_words(s: _Stream) -> str:
@@ -296,7 +300,7 @@ def _force_words(s: _Stream) -> str:
 
 
 def _with_unit(s: _Stream, force: FloatArray, time_s: FloatArray, result: Guess) -> _Stream:
-    """The unit of what is no acceleration; of the gyroscope, also whether it agrees with how gravity turns."""
+    """Return the stream with its unit. Evidence for a gyroscope includes its agreement with the turning of gravity."""
     quantity, name = s.group.quantity, s.group.name
     if quantity == RATE:
         factor = turning(time_s, force, s.time_s, s.values * (s.factor if s.unit else 1.0))
@@ -323,7 +327,7 @@ def _with_unit(s: _Stream, force: FloatArray, time_s: FloatArray, result: Guess)
 
 
 def _as_rate(s: _Stream, forces: Sequence[_Stream]) -> _Stream:
-    """What is called a rotation as a gyroscope, if it turns gravity as one does; else as it is, and not used."""
+    """Return a stream called rotation as a gyroscope if gravity turns with it; else unchanged, and not used."""
     if s.group.quantity != ROTATION:
         return s
     factor = turning(forces[0].time_s, _force(forces), s.time_s, s.values)
@@ -352,7 +356,7 @@ def _is_of_earth(s: _Stream) -> bool:
 
 
 def _sign(dialect: Dialect | None, platform: str | None, forces: Sequence[_Stream], result: Guess, where: str) -> int:
-    """Of acceleration and gravity: that of the app, or of the platform that is named, or Android's with a note."""
+    """Sign of acceleration and gravity: that of the app, of the named platform, or Android's with a note."""
     if dialect is not None and dialect.sign is not None:
         if platform is not None:
             raise RecordingError(

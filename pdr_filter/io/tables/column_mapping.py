@@ -1,4 +1,4 @@
-"""Which column of a table is what: as a TOML file says it, or as it was guessed; one type, and the text of the file."""
+"""Mapping from columns of a table to streams, read from a TOML file or guessed, and written as one."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ STREAMS: dict[str, tuple[int, tuple[str, ...]]] = {
 
 @dataclass(frozen=True, slots=True)
 class StreamMap:
-    """Where the values of a stream are, and what they are."""
+    """Columns, unit and sign of one stream."""
 
-    stream: str  # of `STREAMS`
+    stream: str  # one of `STREAMS`
     columns: tuple[str, ...]  # an empty name is a value that is not known
     unit: str
     sign: int = 1
@@ -47,10 +47,10 @@ class StreamMap:
 
 @dataclass(frozen=True, slots=True)
 class Mapping:
-    """Where the streams of a recording are in its tables."""
+    """Columns of all streams of a recording."""
 
     streams: tuple[StreamMap, ...]
-    rate_hz: float = 0.0  # of tables without a time
+    rate_hz: float = 0.0  # rate of tables without a time
     separator: str = ""  # empty if it is to be seen
     decimal: str = ""
     where: str = ""  # the TOML file that says it
@@ -85,7 +85,7 @@ def read_mapping(path: Path) -> Mapping:
     """The mapping in a TOML file; RecordingError if it cannot be one."""
     content = read_toml(path)
     if unknown := content.keys() - {"file", "time", *STREAMS}:
-        raise RecordingError(f"{path}: unknown table {sorted(unknown)[0]!r}; known are {', '.join(STREAMS)}")
+        raise RecordingError(f"{path}: unknown table {sorted(unknown)[0]!r}; use {', '.join(STREAMS)}")
     if "accelerometer" not in content and not {GRAVITY, LINEAR} <= content.keys():
         raise RecordingError(
             f'{path}: no [accelerometer]; write it with columns = ["x", "y", "z"], or [{GRAVITY}] and [{LINEAR}]'
@@ -94,7 +94,9 @@ def read_mapping(path: Path) -> Mapping:
     separator, decimal = str(file.get("separator", "")), str(file.get("decimal", ""))
     unusable = (decimal or ".", '"', "\n", "\r")
     if ("separator" in file and len(separator) != 1) or separator in unusable or decimal not in ("", ".", ","):
-        raise RecordingError(f"{path}: separator {separator!r} and decimal {decimal!r} cannot be used together")
+        raise RecordingError(
+            f"{path}: separator {separator!r} and decimal {decimal!r} do not fit; write ';' and ',', or ',' and '.'"
+        )
     time = _table(path, content, "time", {"column", "unit", "rate_hz"})
     rate_hz: Any = time.get("rate_hz")
     is_rate = isinstance(rate_hz, int | float) and not isinstance(rate_hz, bool) and 0.1 < rate_hz < 1e6
@@ -108,10 +110,10 @@ def read_mapping(path: Path) -> Mapping:
 def _table(path: Path, content: dict[str, Any], key: str, known: set[str]) -> dict[str, Any]:
     value: Any = content.get(key, {})
     if not isinstance(value, dict):
-        raise RecordingError(f"{path}: {key} must be a table, like [{key}]")
+        raise RecordingError(f"{path}: {key} is no table; write it as [{key}]")
     found = cast("dict[str, Any]", value)
     if found.keys() - known:
-        raise RecordingError(f"{path}: [{key}] has {sorted(found.keys() - known)[0]!r}; known are {sorted(known)}")
+        raise RecordingError(f"{path}: [{key}] has {sorted(found.keys() - known)[0]!r}; use {', '.join(sorted(known))}")
     return found
 
 
@@ -119,19 +121,19 @@ def _stream(path: Path, name: str, settings: dict[str, Any], time: dict[str, Any
     n, units = STREAMS[name]
     columns: Any = settings.get("columns")
     if not isinstance(columns, list) or len(cast("list[Any]", columns)) != n:
-        raise RecordingError(f"{path}: [{name}] needs columns = [...] with {n} names, got {columns!r}")
+        raise RecordingError(f"{path}: [{name}] columns is {columns!r}; write {n} names, as in columns = [...]")
     unit = str(settings.get("unit", units[0]))
     if unit not in units:
-        raise RecordingError(f"{path}: [{name}] unit {unit!r}; known are {', '.join(units)}")
+        raise RecordingError(f"{path}: [{name}] unit is {unit!r}; write one of {', '.join(units)}")
     sign: Any = settings.get("sign", 1)
     if sign not in (1, -1):
-        raise RecordingError(f"{path}: [{name}] sign must be 1 or -1, got {sign!r}")
+        raise RecordingError(f"{path}: [{name}] sign is {sign!r}; write 1 or -1")
     time_column = str(settings.get("time", time.get("column", "")))
     time_unit = str(settings.get("time_unit", time.get("unit", "s")))
     if time_unit not in (*TIME_UNITS, "date"):
-        raise RecordingError(f"{path}: time unit {time_unit!r}; known are {', '.join(TIME_UNITS)}, date")
+        raise RecordingError(f"{path}: time unit is {time_unit!r}; write one of {', '.join(TIME_UNITS)}, date")
     if not time_column and not is_rate:
-        raise RecordingError(f"{path}: [time] needs column = ... or rate_hz = ...")
+        raise RecordingError(f"{path}: [time] names no time; write column = ... or rate_hz = ...")
     names = tuple(str(column) for column in cast("list[Any]", columns))
     return StreamMap(name, names, unit, sign, time_column, time_unit, str(settings.get("file", "")))
 

@@ -1,4 +1,4 @@
-"""What the columns of a table are, by their names: the words, axes and units of the apps, as data.
+"""Quantity, axis and unit of a column by its name: the vocabulary of the apps, as data.
 
 `ACCELEROMETER X (m/s\u00b2)`, `accelerometerAccelerationX(G)`, `MPL_Accelerometer.x`, `acc_x[m/s^2]`, `ACCEX` and `gFx`
 are all an axis of one quantity. Other words may stand before one of the vocabulary; the longest that fits is taken.
@@ -17,7 +17,7 @@ from pdr_filter.values import STANDARD_GRAVITY_MPS2
 
 ACCELERATION, LINEAR, GRAVITY = "acceleration", "linear_acceleration", "gravity"
 RATE, FIELD = "gyroscope", "magnetometer"
-ROTATION = "rotation"  # of some apps the angular rate, of others the orientation
+ROTATION = "rotation"  # the angular rate in some apps, the orientation in others
 VECTORS = (ACCELERATION, LINEAR, GRAVITY, RATE, FIELD, ROTATION)
 ANGLES = "angles"  # roll, pitch and yaw of CoreMotion
 SCALARS = ("barometer", "light", "proximity")
@@ -25,34 +25,42 @@ LOCATION = ("latitude", "longitude", "altitude", "accuracy")
 
 _WORDS = {
     ACCELERATION: "acceleration accelerometer acc acce accel totalacceleration gf gforce "
-    "specificforce beschleunigung accelerazione accelerometro aceleracion aceleracao acelerometro",
+    "specificforce beschleunigung accelerazione accelerometro accelerometre aceleracion aceleracao acelerometro",
     LINEAR: "linearacceleration linearaccelerometer lacc linacc linacce linaccel linearacc linearaccel "
     "useracceleration useraccel useracc linearebeschleunigung",
     GRAVITY: "gravity grav gravitation",
     RATE: "gyroscope gyro gyr gyrorotation rotationrate rotrate turnrate angularvelocity angularrate angularspeed "
     "angvel omega drehrate gyroskop giroscopio",
     ROTATION: "rotation rot",
-    FIELD: "magneticfield magnetometer magnet magn mag mafi magfield magnetfeld",
+    FIELD: "magneticfield magnetic magnetometer magnet magn mag mafi magfield magnetfeld",
     "barometer": "pressure barometer baro bar pres druck",
     "light": "illuminance light lux",
     "proximity": "proximity prox",
     "latitude": "latitude lat gpslat latitud latitudine breitengrad breite breedtegraad",
     "longitude": "longitude lon gpslon gpslng lng long longitud longitudine langengrad lange lengtegraad",
     "altitude": "altitude alt height elevation ele altitudewgs altitud altitudine hohe hoogte",
-    # What has axes, too, and is no vector in the phone.
+    # Quantities with axes that are not vectors in the frame of the phone.
     "orientation": "orientation attitude euler rotationvector quaternion heading compass position velocity speed",
 }
 QUANTITY_OF = {word: quantity for quantity, words in _WORDS.items() for word in words.split()}
-# Letters of the physics books, which stand alone: a word may not end with them.
+# These words are known alone, not at the end of a longer name: heart_rate_x is not an angular rate.
 _LETTERS = {
-    **{"a": ACCELERATION, "w": RATE, "g": RATE, "b": FIELD, "m": FIELD},
+    **{"a": ACCELERATION, "w": RATE, "g": RATE, "b": FIELD, "m": FIELD, "rate": RATE, "rates": RATE},
     **dict.fromkeys(("lineara", "lina", "usera"), LINEAR),  # as in linear_ax
 }
-# A word may stand anywhere in a name. Only these are also recognised within a longer word, such as `wristaccx`: "lacc"
-# is at the end of "totalacc", and "light" at that of "flight".
+# A word may stand anywhere in a name. Only these are also recognised at the end of a longer word, such as `wristaccx`:
+# "lacc" is at the end of "totalacc", and "light" at that of "flight".
 _GLUED = [
     word for word, quantity in QUANTITY_OF.items() if len(word) >= (3 if quantity in VECTORS else 6) and word != "lacc"
 ]
+# These words are in the names of files that hold no such sensor: long_walk, speed_test, heading_north.
+_OF_FILES = {
+    word: quantity
+    for word, quantity in QUANTITY_OF.items()
+    if quantity not in LOCATION and word not in ("speed", "heading", "rotation", "rot")
+}
+_BEHIND = {"data", "raw", "log", "logs", "sensor", "samples", "values", "cal", "uncal"}  # as in gyrodata
+_LONG = 8  # letters of a word that no other one contains by chance
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
 # Web browsers name the axes of the angular rate so (W3C, "Device Orientation and Motion"; w3c/deviceorientation#44).
 _GREEK_AXES = {"alpha": "x", "beta": "y", "gamma": "z"}
@@ -64,10 +72,12 @@ _WITHOUT_GRAVITY = re.compile(
 )
 _ACCURACY = re.compile(
     r"accurac(y|ies)|accuratezza|genauigkeit|nauwkeurigheid|precis(ion|ione|ao)|exactitude?|uncertainty"
-    r"|dokadnosc|noggrannhet|nyaktighe[dt]|tarkkuus|dogruluk"  # whose letters without accents are lost
+    r"|dokadnosc|noggrannhet|nyaktighe[dt]|tarkkuus|dogruluk"  # words with letters that have no plain form
     r"|\u7cbe\u5ea6|\uc815\ud655\ub3c4|\u0442\u043e\u0447\u043d\u043e\u0441\u0442\u044c"
 )
-_HORIZONTAL_ALONE = re.compile(r"(gps|gnss|loc|location|pos|position)?(h|hor|horiz|horizontal)acc(m|met(er|re)s)?|eph")
+_HORIZONTAL_ALONE = re.compile(
+    r"(gps|gnss|loc|location|pos|position)?((h|hor|horiz|horizontal)acc|acch)(m|met(er|re)s)?|eph"
+)
 _HORIZONTAL = re.compile(r"hori|orizz|\u6c34\u5e73|\uc218\ud3c9|\u0433\u043e\u0440\u0438\u0437")
 # An accuracy is of the horizontal position unless its name has one of these words or parts.
 _OF_OTHERS = re.compile(
@@ -77,13 +87,13 @@ _OF_OTHERS = re.compile(
     r"|\u65b9|\u9ad8|\ubc29\ud5a5|\uace0\ub3c4|\u0432\u044b\u0441|\u043d\u0430\u043f\u0440|\u043a\u0443\u0440\u0441"
 )
 _OF_OTHERS_WORDS = {"v", "s", "alt", "ele", "vel", "head", "cap", "dir", "yaw", "acc", "mag", "sensor"}
-# Of android.hardware.Sensor, which loggers write in place of a name; and letters.
+# Codes of android.hardware.Sensor and letters, which loggers write in place of names.
 SENSOR_CODES = {
     **{"1": ACCELERATION, "2": FIELD, "4": RATE, "5": "light", "6": "pressure", "8": "proximity", "9": GRAVITY},
     **{"10": LINEAR, "14": "magnetometer raw", "16": "gyroscope raw", "35": "accelerometer raw"},
     **{"a": ACCELERATION, "g": RATE, "m": FIELD, "A": ACCELERATION, "G": RATE, "M": FIELD},
 }
-# What a unit alone says of a column whose word is in a language that is not known.
+# Quantity by unit alone, for columns named in an unknown language.
 OF_UNIT = {
     **dict.fromkeys(("m/s^2", "m/s2"), ACCELERATION),
     **dict.fromkeys(("rad/s", "\u00b0/s", "deg/s"), RATE),
@@ -150,15 +160,15 @@ _TIME_UNIT_WORDS = {
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """What the name of a column says."""
+    """Quantity, axis and unit in the name of a column."""
 
     place: int
-    name: str  # as it is in the table
-    quantity: str  # empty of an axis or a number without a word
-    axis: str = ""  # x, y, z; empty of a scalar
+    name: str  # as written in the table
+    quantity: str  # empty for a bare axis or an unknown word
+    axis: str = ""  # x, y or z; empty for a scalar
     unit: str = ""  # empty if the name says none
     stem: str = ""  # its letters without the axis; what the three axes of one sensor share
-    preference: int = 1  # 2 of what is called calibrated, 0 of what is called uncalibrated or raw
+    preference: int = 1  # 2 if called calibrated, 0 if called uncalibrated or raw
 
 
 def normal_unit(unit: str) -> str:
@@ -171,7 +181,7 @@ def normal_unit(unit: str) -> str:
     """
     unit = unit.lower().replace("\u00b2", "^2").replace("\u207b", "^-").replace("\u00b9", "1").replace("\u2212", "-")
     unit = unit.replace("\u00b5", "u").replace("\u03bc", "u")
-    unit = unit.replace("\u00e2", "")  # what is left of a sign that was decoded wrongly
+    unit = unit.replace("\u00e2", "")  # remains of a degree sign decoded in another code page
     unit = unit.translate(_LATIN).replace("mkt", "ut")
     for spelled, short in _SPELLINGS:
         unit = re.sub(spelled, short, unit)
@@ -213,6 +223,9 @@ def quantity_of_words(words: Sequence[str]) -> tuple[str, int]:
     ends = ["".join(words[i:])[: len(short) - len(stem) or None] for i in range(len(words))]
     known = next((QUANTITY_OF[end] for end in ends if end in QUANTITY_OF and len(end) > 1), "")
     fitting = [word for word in _GLUED if short.endswith(word)]
+    if not known and not fitting and short.endswith("g"):  # accG: in g, which its size must show
+        of_g = quantity_of_words([short[:-1]])[0]
+        return of_g if of_g in (ACCELERATION, LINEAR) else "", preference
     return known or (QUANTITY_OF[max(fitting, key=len)] if fitting else ""), preference
 
 
@@ -221,13 +234,19 @@ def quantity_of_file(name: str) -> tuple[str, int]:
     """Quantity that the name of a file or a sheet contains anywhere, and its preference; "" if none."""
     words = words_of(name)
     parts = {"".join(words[i:j]) for i in range(len(words)) for j in range(i + 1, min(i + 4, len(words)) + 1)}
-    fitting = [word for word in QUANTITY_OF if word in parts]
-    fitting += [glued for word in words for glued in _GLUED if len(glued) > 3 and glued in word]
-    fitting += [scalar for word in words for scalar in QUANTITY_OF if len(scalar) > 3 and word.startswith(scalar)]
-    fitting = [word for word in fitting if word not in ("rotation", "rot")]
+    fitting = [word for word in _OF_FILES if word in parts or any(_is_within(longer, word) for longer in words)]
     found = "".join(words)
     preference = 0 if "uncal" in found or "raw" in words else 2 if "calibrated" in found else 1
     return _by_gravity(found) or (QUANTITY_OF[max(fitting, key=len)] if fitting else ""), preference
+
+
+def _is_within(longer: str, word: str) -> bool:
+    """Whether a word of a file name is a known one with others before or behind it, as in wristaccel and gyrodata."""
+    before, found, behind = longer.partition(word)
+    is_glued = bool(found) and word in _GLUED and QUANTITY_OF[word] != "orientation"
+    if not before and not (is_glued and len(word) >= _LONG):
+        return behind in _BEHIND or behind in _OF_FILES
+    return is_glued and len(word) >= (_LONG if behind else 4)
 
 
 def _by_gravity(stem: str) -> str:
@@ -254,7 +273,7 @@ def _accuracy(name: str, unit: str) -> int | None:
     """Preference of an accuracy as that of the horizontal position, 0 if of something else; None of any other name."""
     words = words_of(name)
     stem = "".join(words)
-    # Letters of other scripts are no words above.
+    # `words_of` drops letters of other scripts.
     shown = stem + "".join(c for c in name.lower() if not c.isascii())
     if _HORIZONTAL_ALONE.fullmatch(stem):
         return 3
@@ -294,7 +313,7 @@ def column_of(place: int, name: str) -> Column:
         word = bare[: axis_found.start()]
         begins = [word[: gap.start()] for gap in re.finditer(r"[^A-Za-z]+", word)]
         known = next((q for begin in reversed(begins) if (q := quantity_of_words(words_of(begin))[0])), "")
-        if known in VECTORS and not quantity_of_words(words_of(word))[0]:  # a rotation vector is no rotation
+        if known in VECTORS and not quantity_of_words(words_of(word))[0]:  # a rotation vector is not a rotation
             return Column(place, name, known, axis_found[1].lower(), unit, letters(word), 0)
     if not quantity and axis_found and OF_UNIT.get(unit) in VECTORS:
         word = bare[: axis_found.start()].lower()

@@ -1,4 +1,4 @@
-"""What the values of a table say of themselves: whether gravity is in them, their unit, whether sensors agree."""
+"""Tests on the values of a table: presence of gravity, unit, agreement of sensors."""
 
 from __future__ import annotations
 
@@ -20,9 +20,8 @@ LEAST_S = 10.0
 
 def constant_part(time_s: FloatArray, values: FloatArray) -> float:
     """The median norm of the mean over windows of 2 s, in the unit of the values: of an accelerometer, gravity."""
-    known = ~np.isnan(values).any(axis=1) & ~np.isnan(time_s)
-    time_s, values = time_s[known], values[known]
-    if len(values) == 0:
+    time_s, values = _complete(time_s, values)
+    if not len(values):
         return float("nan")
     window = np.floor((time_s - time_s[0]) / WINDOW_S)
     starts = np.flatnonzero(np.diff(window, prepend=np.nan) != 0)
@@ -39,12 +38,10 @@ def turning(time_s: FloatArray, force: FloatArray, rate_time_s: FloatArray, rate
     in rad/s and has the axes and the sense of the accelerometer, pi/180 = 0.017 if it is in deg/s, and near 0 or below
     if the axes differ. The sign of the accelerometer does not matter.
     """
-    known = ~np.isnan(force).any(axis=1)
-    known_rate = ~np.isnan(rate).any(axis=1)
-    if known.sum() < 10 or known_rate.sum() < 10:
+    time_s, force = _complete(time_s, force)
+    rate_time_s, rate = _complete(rate_time_s, rate)
+    if min(len(time_s), len(rate_time_s)) < 10:
         return None
-    force, time_s = force[known], time_s[known]
-    rate, rate_time_s = rate[known_rate], rate_time_s[known_rate]
     begin, end = max(time_s.min(), rate_time_s.min()), min(time_s.max(), rate_time_s.max())
     if not LEAST_S < end - begin < 1e6:
         return None
@@ -68,10 +65,19 @@ def turning(time_s: FloatArray, force: FloatArray, rate_time_s: FloatArray, rate
 
 def at_times(at_s: FloatArray, time_s: FloatArray, values: FloatArray) -> FloatArray:
     """Values (M, d), interpolated linearly; before the first and after the last time those of that time."""
-    order = np.argsort(time_s, kind="stable")
-    return np.column_stack([np.interp(at_s, time_s[order], column[order]) for column in values.T])
+    if (time_s[1:] < time_s[:-1]).any():
+        order = np.argsort(time_s, kind="stable")
+        time_s, values = time_s[order], values[order]
+    return np.column_stack([np.interp(at_s, time_s, column) for column in values.T])
+
+
+def _complete(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Times and values of the rows without NaN."""
+    known = ~(np.isnan(values).any(axis=1) | np.isnan(time_s))
+    return (time_s, values) if known.all() else (time_s[known], values[known])
 
 
 def _smoothed(values: FloatArray, n: int) -> FloatArray:
-    kernel = np.ones(n) / n
-    return np.column_stack([np.convolve(column, kernel, mode="valid") for column in values.T])
+    """Means over n rows, (N - n + 1, d)."""
+    sums = np.cumsum(np.vstack([np.zeros_like(values[:1]), values]), axis=0)
+    return (sums[n:] - sums[:-n]) / n

@@ -31,7 +31,7 @@ _MONTHS = {
 _DATE = r"(\d{1,4})[-/. ]([A-Za-z]{3}|\d{1,2})[-/. ](\d{1,4})"
 # Spreadsheets leave the seconds away.
 _CLOCK = r"(\d{1,2})[:\-](\d{2})(?:[:\-](\d{2})(?:[.:_,](\d{1,9}))?)?"
-_HALF = r"[AaPp]\.?[Mm]\.?"  # of the day, after a clock of twelve hours
+_HALF = r"[AaPp]\.?[Mm]\.?"  # half of the day on a twelve-hour clock
 _ZONE = rf"(?:\s?(Z|UTC|[+-]\d{{2}}:?\d{{2}}|{_HALF}))?"
 _WITH_DATE = re.compile(rf"{_DATE}[ T_]+{_CLOCK}{_ZONE}")
 _CLOCK_ONLY = re.compile(rf"()()()(\d{{1,2}}):(\d{{2}}):(\d{{2}})(?:[.:_,](\d{{1,9}}))?(?:\s?({_HALF}))?")
@@ -67,7 +67,7 @@ def nanoseconds_of(text: str) -> int:
 
 
 def as_nanoseconds(rows: bytes, separator: bytes, place: int) -> bytes:
-    """Rows of text with the dates of one column as `nanoseconds_of`; what is no date stays as it is."""
+    """Rows of text with the dates of one column as nanoseconds. Other texts are unchanged."""
     mark = re.escape(separator)
     column = re.compile(rb'(?m)^((?:[^\n%b]*%b){%d})"?([^\n"%b]*)"?' % (mark, mark, place, mark))
 
@@ -143,7 +143,7 @@ def _days(fields: NDArray[np.uint8], found: re.Match[str]) -> IntArray | None:
 
 
 def without_midnights(ns: IntArray) -> IntArray:
-    """Clock times that go on where the clock begins anew at midnight, or at the full hour; dates as they are."""
+    """Clock times continued past midnight or the full hour, where the clock restarts. Dates are unchanged."""
     if len(ns) == 0 or ns.max() >= _NS_OF_DAY:
         return ns
     period = _NS_OF_HOUR if ns.max() < _NS_OF_HOUR else _NS_OF_DAY
@@ -160,7 +160,7 @@ def _day_ns(first: str, middle: str, last: str) -> int:
         month = _MONTHS[middle.lower()] if middle.isalpha() else int(middle)
         numbers = (int(first), month, int(last)) if len(first) == 4 else (int(last), month, int(first))
         year, month, day = numbers if numbers[1] <= 12 else (numbers[0], numbers[2], numbers[1])
-        if not 1900 <= year <= 2200:  # whole nanoseconds of an int64 end in 2262
+        if not 1900 <= year <= 2200:  # int64 nanoseconds end in 2262
             raise ValueError(year)
         return (date(year, month, day) - date(1970, 1, 1)).days * _NS_OF_DAY
     except (ValueError, KeyError) as error:

@@ -27,11 +27,9 @@ from pdr_filter.values import FloatArray, IntArray, limits
 
 SUFFIXES = (".json", ".jsonl", ".ndjson")
 _BETWEEN = re.compile(r"[\s,\[\]\x1e]*")
-_BEGIN = re.compile(
-    rb"\s*(\{|\[\s*([\[{\]\"\d.-]|null|$))"
-)  # a word behind a bracket is TOML, or a section of settings
+_BEGIN = re.compile(rb"\s*(\{|\[\s*([\[{\]\"\d.-]|null|$))")  # brackets around a word are TOML or a settings section
 _SENSOR = ("sensor", "sensorType", "type", "name")  # keys whose value says of which sensor a row is
-_PLAIN = ("values", "value", "data", "payload", "fields")  # keys that say nothing about what is in them
+_PLAIN = ("values", "value", "data", "payload", "fields")  # keys that do not name their content
 _AXES = ("x", "y", "z")
 _ROWS_AT_ONCE = 10_000
 _MAX_DEPTH = 5
@@ -52,7 +50,7 @@ def json_sheets(members: Members, name: str, notes: list[str] | None = None) -> 
         for item in _objects(members.pieces(name), where, notes):
             for sensor, rows in _rows_of(item):
                 if len(tables) >= limits.MAX_TABLES and sensor not in tables:
-                    raise RecordingError(f"{where}: more than {limits.MAX_TABLES} tables; this is no recording")
+                    raise RecordingError(f"{where}: more than {limits.MAX_TABLES} tables; export one recording")
                 tables.setdefault(sensor, _Columns(where)).add(rows)
     except (RecursionError, UnicodeDecodeError) as error:
         raise RecordingError(f"{where}: the JSON is damaged ({error}); export it again") from error
@@ -74,7 +72,7 @@ def json_fields(members: Members, name: str) -> list[ArraySheet]:
 
 
 def _objects(pieces: Iterable[bytes], where: str, notes: list[str] | None) -> Iterator[Row]:
-    """The objects of a text, one after the other; what is cut off at its end is left out."""
+    """Yield the objects of a text. An object that is cut off at the end is skipped."""
     decoder, utf_8 = json.JSONDecoder(), codecs.getincrementaldecoder("utf-8")()
     text, n_found, wanted = "", 0, 0
     for piece in chain(pieces, [None]):
@@ -191,7 +189,7 @@ class _Columns:
         if self._rows:
             keys = dict.fromkeys(key for row in self._rows for key in row)
             if len(keys) > limits.MAX_COLUMNS:
-                raise RecordingError(f"{self._where}: {len(keys)} columns, more than {limits.MAX_COLUMNS}")
+                raise RecordingError(f"{self._where}: {len(keys)} columns, over {limits.MAX_COLUMNS}; export fewer")
             self._keep({key: [row.get(key) for row in self._rows] for key in keys}, len(self._rows))
             self._rows = []
 

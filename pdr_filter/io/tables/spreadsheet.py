@@ -69,7 +69,7 @@ def _check_claims(members: Members) -> None:
         if last_row * last_column * _LEAST_FILLED > max(n_cells, _CELLS_FREELY * _LEAST_FILLED):
             raise RecordingError(
                 f"{members.path}: {name} has a cell in row {last_row}, column {last_column}, and hardly any before it; "
-                "this is no table of samples"
+                "this is no table of samples; export the sheet with the samples as CSV"
             )
 
 

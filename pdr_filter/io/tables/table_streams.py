@@ -25,7 +25,7 @@ class SheetData:
     """A sheet with the columns of it that are used; each is parsed once for each column of exact times."""
 
     sheet: Sheet
-    places: Set[int | None]  # negative or None of what is not there
+    places: Set[int | None]  # negative or None for a missing column
     notes: list[str]
     _numbers: list[int] = field(default_factory=list[int])  # the columns to parse as numbers
     _parsed: dict[int | None, NumberTable] = field(default_factory=dict[int | None, NumberTable])
@@ -59,8 +59,10 @@ class SheetData:
 
 
 def fill(parsed: Parsed, mapping: Mapping, data: Sequence[SheetData]) -> None:
-    """Put the streams of a mapping into what becomes the recording, and what is known of their times."""
-    times = sorted({f"{stream.time} ({stream.time_unit})" for stream in mapping.streams if stream.time})
+    """Fill `parsed` with the streams of a mapping and with the properties of their times."""
+    times = sorted(
+        {f"{stream.time.removeprefix('column ')} ({stream.time_unit})" for stream in mapping.streams if stream.time}
+    )
     parsed.clock = f"column {', '.join(times)}" if times else f"no time column: rows at {mapping.rate_hz:g} Hz"
     parsed.is_clock = any(stream.time_unit == "date" for stream in mapping.streams)
     parsed.rate_hz = mapping.rate_hz if times else 0.0
@@ -85,7 +87,7 @@ def fill(parsed: Parsed, mapping: Mapping, data: Sequence[SheetData]) -> None:
         found["attitude"] = ticks, unit_s, quaternion_of(*angles.T)
     first = found.get("accelerometer", (np.empty(0), 1.0, np.empty(0)))
     whole = [ticks for ticks, _, _ in found.values() if ticks.dtype.kind == "i"]
-    # Whole numbers need all their digits: made relative before they become seconds.
+    # Differences of whole numbers keep all digits, so they are taken before the conversion to seconds.
     zero, zero_unit_s = (0, 1.0) if not whole or not len(first[0]) else (first[0][0].item(), first[1])
     for name, (ticks, unit_s, values) in found.items():
         if name not in (GRAVITY, LINEAR):
@@ -104,7 +106,7 @@ def quaternion_of(roll_rad: FloatArray, pitch_rad: FloatArray, yaw_rad: FloatArr
 
 
 def is_new_place(values: FloatArray) -> BoolArray:
-    """Where a location is another than in the row before: tables with a row for each sample repeat it; 0, 0 is none."""
+    """True for rows with a new location: tables with a row for each sample repeat locations, and 0, 0 is none."""
     changes = np.ones(len(values), dtype=bool)
     changes[1:] = (values[1:, :2] != values[:-1, :2]).any(axis=1)
     return changes & ~np.isnan(values[:, :2]).any(axis=1) & (values[:, :2] != 0).any(axis=1)
@@ -153,7 +155,7 @@ def _sheet_of(stream: StreamMap, mapping: Mapping, data: Sequence[SheetData]) ->
     if len(fitting) != 1:
         names = ", ".join(d.sheet.name for d in data[:10])
         raise RecordingError(
-            f"{mapping.where}: [{stream.stream}] file = {stream.file!r} fits {len(fitting)} tables; there are {names}"
+            f"{mapping.where}: [{stream.stream}] file = {stream.file!r} fits {len(fitting)} tables; name one of {names}"
         )
     return fitting[0]
 
@@ -161,7 +163,7 @@ def _sheet_of(stream: StreamMap, mapping: Mapping, data: Sequence[SheetData]) ->
 def _place(name: str, sheet: Sheet, mapping: Mapping) -> int:
     if (n := sheet.fields.count(name)) != 1:
         raise RecordingError(
-            f"{mapping.where}: column {name!r} is in the table {n} times; "
-            f"columns seen: {', '.join(sheet.fields)[:300] or 'none'}"
+            f"{mapping.where}: column {name!r} is in the table {n} times (columns: "
+            f"{', '.join(sheet.fields)[:300] or 'none'}); name one that is there once"
         )
     return sheet.fields.index(name)

@@ -24,12 +24,12 @@ from pdr_filter.values import FloatArray, IntArray, limits
 _SEPARATORS = (",", ";", "\t", "|", " ")
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?|nan|NaN|null|None|#?N/?A|-?inf|-?Infinity")
 _WHOLE = re.compile(r"[+-]?\d+")
-_LINES_TRIED = 40  # of which the first of numbers begins the table
+_LINES_TRIED = 40  # the first line of numbers among them begins the table
 _LINES_COMPARED = 8
 # Some apps and spreadsheets write a header in the code page of the phone; numbers are the same in all of them. The
 # first in which most names are known is taken.
 _CODE_PAGES = ("latin-1", "cp1251", "gbk", "shift_jis", "big5", "euc_kr")
-_MOST_SENSORS = 40  # of a phone that writes a row for each sample of any of them
+_MOST_SENSORS = 40  # sensors in a file with one row for each sample of any sensor
 # A whole number from here on would lose digits as a float: nanoseconds and microseconds since 1970.
 LARGEST_FLOAT_WHOLE = 2**53
 
@@ -38,11 +38,11 @@ LARGEST_FLOAT_WHOLE = 2**53
 class ArraySheet:
     """A table whose columns are in memory: floats, or int64 nanoseconds."""
 
-    name: str  # of the sheet or variable
+    name: str  # name of the sheet or variable
     where: str  # for messages
     fields: tuple[str, ...]
     columns: tuple[FloatArray | IntArray, ...]
-    about: str = ""  # what is above the table
+    about: str = ""  # text above the table
     dates: frozenset[int] = frozenset()  # columns of dates and clock times, in whole nanoseconds
     exact: frozenset[int] = frozenset()  # columns that only whole numbers hold
 
@@ -58,7 +58,7 @@ class ArraySheet:
 class TextSheet:
     """A table in a text, whose rows are parsed when they are asked for."""
 
-    name: str  # of the file, without folder and suffix
+    name: str  # name of the file without folder and suffix
     where: str  # for messages
     fields: tuple[str, ...]
     about: str  # the lines above the table
@@ -68,8 +68,8 @@ class TextSheet:
     decimal: str
     n_before: int  # lines before the first row
     blocks: Callable[[], Iterator[bytes]] = field(repr=False)
-    texts: dict[int, str] = field(default_factory=dict[int, str])  # columns of the first row that are no numbers
-    only: tuple[int, str] | None = None  # a column, and what it says in the rows that are meant
+    texts: dict[int, str] = field(default_factory=dict[int, str])  # texts of the first row by column
+    only: tuple[int, str] | None = None  # a column and its text in the selected rows
 
     def table(self, numbers: Sequence[int], whole: int | None, notes: list[str]) -> NumberTable:
         """These columns as floats, and one as whole numbers."""
@@ -194,7 +194,7 @@ def text_sheet(
         return None
     named, row = found.header, found.row
     if len(row) > limits.MAX_COLUMNS:
-        raise RecordingError(f"{members.where(member)}: {len(row)} columns, more than {limits.MAX_COLUMNS}")
+        raise RecordingError(f"{members.where(member)}: {len(row)} columns, over {limits.MAX_COLUMNS}; export fewer")
     before = [line for i, line in enumerate(lines[: found.first]) if i != found.at_header and line.strip()]
     stem = member.rpartition("/")[2].rpartition(".")[0] or member
     return TextSheet(
@@ -251,7 +251,7 @@ def _n_known(text: str) -> int:
 
 
 def _layout(lines: list[str], separator: str) -> _Found | None:
-    """Where the table begins if this separates its fields; None if it does not."""
+    """Start of the table with fields separated by this mark, or None without one."""
     # Line ends that were converted twice leave a blank line after each.
     places = [*islice((i for i, line in enumerate(lines) if line.strip()), _LINES_TRIED + _LINES_COMPARED)]
     if separator != " " and not any(separator in lines[i] for i in places):

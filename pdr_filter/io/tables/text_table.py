@@ -19,7 +19,7 @@ from pdr_filter.io.files.errors import RecordingError
 from pdr_filter.values import FloatArray, IntArray, limits
 
 SEPARATORS = (",", ";", "\t")
-UNKNOWN = ("null", "None", "NA", "N/A", "#N/A", "-", "--")  # what programs write for no value, beside nothing and NaN
+UNKNOWN = ("null", "None", "NA", "N/A", "#N/A", "-", "--")  # missing values of programs, besides "" and NaN
 LARGE_BYTES = 1024**2  # of a block; below, loading pyarrow takes longer than it saves
 
 
@@ -37,13 +37,13 @@ class NumberTable:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Where the fields of a table are in its lines."""
+    """Places of the fields of a table in its lines."""
 
     picked: tuple[int, ...]  # columns to take as floats
     whole: int | None = None  # column to take as int64; rows in which it is empty are left out
     separator: str = ","
     decimal: str = "."
-    names: tuple[str, ...] = ()  # of the picked columns, for messages
+    names: tuple[str, ...] = ()  # names of the picked columns, for messages
     texts: tuple[int, ...] = ()  # columns to take as text, without surrounding space
 
     @property
@@ -80,9 +80,7 @@ class TextTable:
         self.separator = separator or find_separator(self.header)
         self.fields = header_fields(self.header, self.separator)
         if len(self.fields) > limits.MAX_COLUMNS:
-            raise RecordingError(
-                f"{where}: {len(self.fields)} columns, more than {limits.MAX_COLUMNS}; this is no table"
-            )
+            raise RecordingError(f"{where}: {len(self.fields)} columns, more than {limits.MAX_COLUMNS}; export fewer")
 
     @property
     def is_empty(self) -> bool:
@@ -90,13 +88,13 @@ class TextTable:
         return not self.header.strip() and not self.first_rows.strip()
 
     def places(self, names: Sequence[str]) -> tuple[int, ...]:
-        """Where the columns of these names are; RecordingError unless each is there once."""
+        """Places of the columns of these names; RecordingError unless each is there once."""
         for name in names:
             if (n := self.fields.count(name)) != 1:
                 raise RecordingError(
                     f"{self.where}: {f'{n} columns' if n else 'no column'} {name!r} "
                     f"(found: {', '.join(self.fields)[:160] or 'nothing'}); "
-                    f"the first line must name {','.join(names)} once each"
+                    f"write {','.join(names)} once each into the first line"
                 )
         return tuple(self.fields.index(name) for name in names)
 
@@ -184,7 +182,7 @@ def finite(values: FloatArray, where: str, notes: list[str]) -> FloatArray:
 def refuse_far_times(whole: IntArray, where: str) -> None:
     """Refuse whole times whose differences an int64 could not hold."""
     if len(whole) and not (whole.min() >= -limits.MAX_WHOLE_TIME and whole.max() <= limits.MAX_WHOLE_TIME):
-        raise RecordingError(f"{where}: a time of {whole.max()} or {whole.min()}, which is no time since 1970")
+        raise RecordingError(f"{where}: times from {whole.min()} to {whole.max()}; export them as they were recorded")
 
 
 def parse_lines(lines: Sequence[str], layout: Layout) -> NumberTable:
@@ -282,14 +280,14 @@ def _parse_rows(text: str, layout: Layout, where: str, notes: list[str], line: i
         if len(row) < layout.needed:
             raise RecordingError(
                 f"{where}, line {at}: only {len(row)} fields ({layout.separator.join(row)[:60]!r}); "
-                "every row needs one for each column, empty if unknown"
+                "write one for each column in every row, empty if unknown"
             )
         if layout.whole is not None:
             try:
                 known = whole_number(row[layout.whole])
             except ValueError as error:
                 raise RecordingError(
-                    f"{where}, line {at}: {row[layout.whole].strip()[:40]!r} is no time in whole units since 1970"
+                    f"{where}, line {at}: time {row[layout.whole].strip()[:40]!r} is no whole number; export it again"
                 ) from error
             if known is None:
                 n_timeless += 1
@@ -322,7 +320,9 @@ def _rows(text: str, separator: str, where: str, line: int) -> Iterator[tuple[in
             if any(field.strip() for field in row):
                 yield line + reader.line_num - 1, row, reader.line_num >= n_lines
     except csv.Error as error:
-        raise RecordingError(f"{where}, line {line + reader.line_num - 1}: not CSV text ({error})") from error
+        raise RecordingError(
+            f"{where}, line {line + reader.line_num - 1}: not CSV text ({error}); export again"
+        ) from error
 
 
 def _is_complete(row: list[str], layout: Layout) -> bool:
@@ -332,7 +332,7 @@ def _is_complete(row: list[str], layout: Layout) -> bool:
 
 
 def _no_number(row: list[str], i: int, layout: Layout, where: str) -> RecordingError:
-    """What is wrong with the i-th picked field."""
+    """Error for the i-th picked field."""
     name = layout.names[i] if i < len(layout.names) else str(layout.picked[i] + 1)
     if row[layout.picked[i]].strip() == name:
         return RecordingError(

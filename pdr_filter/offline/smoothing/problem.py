@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from pdr_filter.filter.imm.motion_model import LOG_SCALE, MAX_HEADING_VARIANCE, N_STATES, Mode
 from pdr_filter.offline.smoothing.location_errors import NO_ERRORS, Errors, errors_of, own_share
-from pdr_filter.offline.smoothing.observations import Observations
+from pdr_filter.offline.smoothing.observations import KnownHeading, LoopClosure, Observations
 from pdr_filter.offline.smoothing.preintegration import MIN_STATE_VAR, Increments, Intervals, preintegrate
-from pdr_filter.values import FloatArray, IntArray, TrackRows, read_only, wrap_angle
+from pdr_filter.values import BoolArray, FloatArray, IntArray, PositionFix, TrackRows, read_only, wrap_angle
 
 # 99.9 % of good observations are below: chi-square with two degrees of freedom, and with one. That of the positions is
 # the gate of the filter.
@@ -157,32 +158,69 @@ def pose_problem(
     """
     fixes = (*observed.positions, *observed.locations)
     is_location = np.arange(len(fixes)) >= len(observed.positions)
-    own_shares = [own_share(f, is_one) for f, is_one in zip(fixes, is_location.tolist(), strict=True)]
-    at = [nearest_contact(steps, f.time_s) for f in fixes]
-    loops = [(nearest_contact(steps, c.first_s), nearest_contact(steps, c.second_s)) for c in observed.loop_closures]
-    back = [nearest_contact(steps, r.time_s) for r in returns]
-    headings = [
-        (nearest_contact(steps, h.start_s)[0], nearest_contact(steps, h.end_s)[0]) for h in observed.known_headings
-    ]
-    needed = (
-        [i for i, _, _ in at + back] + [p[0] for pair in loops for p in pair] + [i for pair in headings for i in pair]
+    contacts = _Contacts(
+        [nearest_contact(steps, f.time_s) for f in fixes],
+        [(nearest_contact(steps, c.first_s), nearest_contact(steps, c.second_s)) for c in observed.loop_closures],
+        [nearest_contact(steps, r.time_s) for r in returns],
+        [(nearest_contact(steps, h.start_s)[0], nearest_contact(steps, h.end_s)[0]) for h in observed.known_headings],
     )
-    nodes = choose_nodes(steps, [*wanted, *needed, *states.node.tolist()], anchor_interval_s)
+    nodes = choose_nodes(steps, [*wanted, *contacts.steps(), *states.node.tolist()], anchor_interval_s)
 
     def numbers(contacts: list[int]) -> IntArray:
         return np.searchsorted(nodes, np.array(contacts, dtype=np.int64))
 
+    return Problem(
+        preintegrate(steps, nodes),
+        start_mean,
+        start_cov,
+        _positions(contacts, numbers, fixes, is_location, observed.loop_closures, returns, start_mean),
+        _directions(contacts, numbers, steps, observed.known_headings),
+        _at_anchors(steps, nodes, offsets),
+        frame_std_rad,
+        errors_of(fixes, is_location, numbers([i for i, _, _ in contacts.fixes])),
+        replace(states, node=numbers(states.node.tolist())),
+    )
+
+
+# Number of steps before a contact, displacement (2,) from it, and variance in m2 of what lies between.
+_Contact = tuple[int, FloatArray, float]
+
+
+class _Contacts(NamedTuple):
+    """Nearest contacts (`nearest_contact`) of all observations; of known headings the numbers of steps alone."""
+
+    fixes: list[_Contact]
+    loops: list[tuple[_Contact, _Contact]]
+    returns: list[_Contact]
+    headings: list[tuple[int, int]]
+
+    def steps(self) -> list[int]:
+        """Numbers of steps that need an anchor."""
+        single = [*self.fixes, *self.returns, *(contact for pair in self.loops for contact in pair)]
+        return [i for i, _, _ in single] + [i for pair in self.headings for i in pair]
+
+
+def _positions(
+    contacts: _Contacts,
+    numbers: Callable[[list[int]], IntArray],
+    fixes: Sequence[PositionFix],
+    is_location: BoolArray,
+    loop_closures: Sequence[LoopClosure],
+    returns: Sequence[Return],
+    start_mean: FloatArray,
+) -> ObservedPositions:
+    """Return fixes, loop closures and returns as observed positions, in this order."""
+    at, loops, back = contacts.fixes, contacts.loops, contacts.returns
+    own_shares = [own_share(f, is_one) for f, is_one in zip(fixes, is_location.tolist(), strict=True)]
     fix_cov_m2 = [
         own * f.cov_m2 + max(extra, _BEST_FIX_M**2 - own * float(np.linalg.eigvalsh(f.cov_m2)[0])) * np.eye(2)
         for f, own, (_, _, extra) in zip(fixes, own_shares, at, strict=True)
     ]
-    loop_cov_m2 = [
-        (c.std_m**2 + a[2] + b[2]) * np.eye(2) for c, (a, b) in zip(observed.loop_closures, loops, strict=True)
-    ]
+    loop_cov_m2 = [(c.std_m**2 + a[2] + b[2]) * np.eye(2) for c, (a, b) in zip(loop_closures, loops, strict=True)]
     return_cov_m2 = [r.cov_m2 + extra * np.eye(2) for r, (_, _, extra) in zip(returns, back, strict=True)]
     none, itself = [np.zeros(2)] * len(loops), [np.eye(2, N_STATES)] * (len(at) + len(loops))
     cov_m2 = np.array(fix_cov_m2 + loop_cov_m2 + return_cov_m2).reshape(-1, 2, 2)
-    positions = ObservedPositions(
+    return ObservedPositions(
         node=numbers([i for i, _, _ in at] + [b[0] for _, b in loops] + [i for i, _, _ in back]),
         other=np.concatenate([np.full(len(at), -1), numbers([a[0] for a, _ in loops]), np.zeros(len(back), dtype=int)]),
         follow=np.array(itself + [r.by_start for r in returns]).reshape(-1, 2, N_STATES),
@@ -192,24 +230,22 @@ def pose_problem(
         ).reshape(-1, 2),
         whiten=read_only(np.linalg.inv(np.linalg.cholesky(cov_m2))),
     )
+
+
+def _directions(
+    contacts: _Contacts,
+    numbers: Callable[[list[int]], IntArray],
+    steps: Increments,
+    known_headings: Sequence[KnownHeading],
+) -> ObservedDirections:
+    """Return known headings as observed directions between two anchors."""
     walked = np.concatenate([np.zeros((1, 2)), np.cumsum(steps.displacement_m, axis=0)])
-    directions = ObservedDirections(
-        first=numbers([a for a, _ in headings]),
-        last=numbers([b for _, b in headings]),
-        length_m=np.array([np.hypot(*(walked[b] - walked[a])) for a, b in headings]),
-        heading_rad=np.array([h.heading_rad for h in observed.known_headings]),
-        std_rad=np.array([h.std_rad for h in observed.known_headings]),
-    )
-    return Problem(
-        preintegrate(steps, nodes),
-        start_mean,
-        start_cov,
-        positions,
-        directions,
-        _at_anchors(steps, nodes, offsets),
-        frame_std_rad,
-        errors_of(fixes, is_location, numbers([i for i, _, _ in at])),
-        replace(states, node=numbers(states.node.tolist())),
+    return ObservedDirections(
+        first=numbers([a for a, _ in contacts.headings]),
+        last=numbers([b for _, b in contacts.headings]),
+        length_m=np.array([np.hypot(*(walked[b] - walked[a])) for a, b in contacts.headings]),
+        heading_rad=np.array([h.heading_rad for h in known_headings]),
+        std_rad=np.array([h.std_rad for h in known_headings]),
     )
 
 
@@ -224,7 +260,7 @@ def choose_nodes(steps: Increments, wanted: Sequence[int], interval_s: float) ->
     return np.array(nodes, dtype=np.int64)
 
 
-def nearest_contact(steps: Increments, time_s: float) -> tuple[int, FloatArray, float]:
+def nearest_contact(steps: Increments, time_s: float) -> _Contact:
     """Steps before the nearest contact, part of a step from it to the time, variance (m2) of what lies between."""
     k = int(np.searchsorted(steps.time_s, time_s))
     if k == len(steps):

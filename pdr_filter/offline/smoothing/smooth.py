@@ -580,9 +580,8 @@ def _on_earth(
     if where.n_unusable:
         notes = (*notes, where.unusable())
     places = sorted([*locations, *(f for f in observed.fixes if isinstance(f, PositionFix))], key=lambda f: f.time_s)
-    vertices = np.column_stack([track.time_s, track.position_m])
-    if track.n_steps:
-        vertices = np.vstack([[track.start_time_s, *track.start_position_m], vertices])
+    start = [track.start_time_s, *track.start_position_m]
+    vertices = np.vstack([start, np.column_stack([track.time_s, track.position_m])])
     notes = (*notes, *(note.text for note in notes_of_rides(Rides.of(places, track.time_s), vertices)))
     origin, altitude = track.origin, Altitude()
     if origin is None and where.origin is not None and track.frame == "fixes" and track.n_steps:

@@ -177,13 +177,13 @@ class Corridors:
         return free_rad + prob * apart_rad, var_rad2
 
     def _predict(self, state: CorridorState, elapsed_s: float, turned_rad: float) -> FloatArray:
-        """The bank later on: drift + elapsed time times rate + turn times scale, and all else as it was."""
-        later = np.array([1.0, elapsed_s, 0.0, turned_rad])
-        bank, seen = state.bank.copy(), state.bank.dot(later)
+        """Return the predicted bank: drift + elapsed time * rate + turn * scale; other states do not change."""
+        drift_row = np.array([1.0, elapsed_s, 0.0, turned_rad])
+        bank, seen = state.bank.copy(), state.bank.dot(drift_row)
         bank[:, :, _DRIFT] = seen
         row = seen[:, 1:]
         bank[:, 1 + _DRIFT] = row
-        bank[:, 1 + _DRIFT, _DRIFT] = row.dot(later) + self.wander_rad_per_sqrt_s**2 * elapsed_s
+        bank[:, 1 + _DRIFT, _DRIFT] = row.dot(drift_row) + self.wander_rad_per_sqrt_s**2 * elapsed_s
         return bank
 
     def _see(self, state: CorridorState, heading_rad: float, is_new: bool) -> CorridorState:

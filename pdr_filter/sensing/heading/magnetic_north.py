@@ -102,17 +102,17 @@ class MagneticNorth:
         self, state: MagneticNorthState, block: UniformBlock, attitude: AttitudeBlock, steps: list[tuple[int, Step]]
     ) -> tuple[MagneticNorthState, list[tuple[int, Step]]]:
         """New state, and the steps of a block with the heading of north."""
-        known = block.magnetic_field_known & block.angular_rate_known
+        is_sampled = block.magnetic_field_known & block.angular_rate_known
         samples = np.concatenate(
-            [state.samples, np.column_stack([block.magnetic_field_ut, attitude.quat, known.astype(float)])]
+            [state.samples, np.column_stack([block.magnetic_field_ut, attitude.quat, is_sampled.astype(float)])]
         )
         size, n_waiting = round(_READING_S * self.rate_hz), len(state.samples)
         whole = samples[: len(samples) // size * size].reshape(-1, size, _SAMPLE_COLUMNS)
         ends_s = block.time_s[np.arange(1, len(whole) + 1) * size - 1 - n_waiting]
         is_known = whole[:, :, _KNOWN].all(axis=1)
-        found = _readings(whole[is_known], ends_s[is_known])
+        new_readings = _readings(whole[is_known], ends_s[is_known])
         samples = samples[len(samples) // size * size :]
-        readings = np.concatenate([state.readings, found])
+        readings = np.concatenate([state.readings, new_readings])
         state = replace(state, samples=samples, readings=readings)
         state, steps = self.finish(state, steps)
         recent = state.readings[:, _TIME] > block.time_s[-1] - _MAX_LATENCY_S
@@ -141,10 +141,10 @@ class MagneticNorth:
 
     def _with_readings(self, state: MagneticNorthState, readings: FloatArray) -> MagneticNorthState:
         used_s = float(readings[-1, _TIME])
-        left = np.exp((readings[:, _TIME] - used_s) / self.memory_s)
+        weight = np.exp((readings[:, _TIME] - used_s) / self.memory_s)
         stay = math.exp((state.used_s - used_s) / self.memory_s)
-        squares = stay * state.squares + (left @ readings[:, _SQUARES]).reshape(7, 7)
-        n, n_fresh = stay * state.n + float(left.sum()), state.n_fresh + len(readings)
+        squares = stay * state.squares + (weight @ readings[:, _SQUARES]).reshape(7, 7)
+        n, n_fresh = stay * state.n + float(weight.sum()), state.n_fresh + len(readings)
         return replace(state, n=n, squares=squares, used_s=used_s, n_fresh=n_fresh)
 
     def _solved(self, state: MagneticNorthState) -> MagneticNorthState:
@@ -162,10 +162,10 @@ class MagneticNorth:
         P = np.linalg.inv(information)
         x = weight * (P @ Xf)
         left_ut2 = ff - 2.0 * float(x @ Xf) + float(x @ XX @ x)
-        own = self.disturbance_readings * self.disturbance_ut**2
+        prior_ut2 = self.disturbance_readings * self.disturbance_ut**2
         # one of the independent readings went into m
         seen, share = max(state.n / c - 1.0, 0.0), max(left_ut2, 0.0) / (3.0 * c)
-        variance_ut2 = (own + share) / (self.disturbance_readings + seen)
+        variance_ut2 = (prior_ut2 + share) / (self.disturbance_readings + seen)
         east, north = float(x[0]), float(x[1])
         psi = math.atan2(east, north)
         cosine, sine = math.cos(psi), math.sin(psi)

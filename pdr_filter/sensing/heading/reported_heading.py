@@ -56,8 +56,8 @@ class Reported:
         """What the filter still knows at a step with this bias, before more is reported."""
         elapsed_s = step.duration_s if math.isnan(self.time_s) else step.time_s - self.time_s
         wandered_var, lost_var = drift.variances_rad2(elapsed_s, step.heading_unknown_s, yaw_bias_std_radps)
-        known = replace(self, var_rad2=self.var_rad2 + wandered_var, time_s=step.time_s)
-        return known.after_loss(lost_var)
+        drifted = replace(self, var_rad2=self.var_rad2 + wandered_var, time_s=step.time_s)
+        return drifted.after_loss(lost_var)
 
     def with_report(
         self, step: Step, shown: Shown, error_rad: float, var_rad2: float, change_std_rad: float
@@ -95,7 +95,7 @@ class Reported:
         if gain < _MIN_GAIN or is_unknown:
             return replace(self, var_rad2=max(before_var, self.var_rad2)), {"offset_change_std_rad": added_std_rad}
         innovation_rad = min(max(away_rad / gain, -_MAX_INNOVATION_RAD), _MAX_INNOVATION_RAD)
-        after = replace(
+        reported = replace(
             self,
             offset_rad=self.offset_rad + gain * innovation_rad,
             var_rad2=var_rad2,
@@ -103,7 +103,7 @@ class Reported:
             shown_var_rad2=min(self.shown_var_rad2, shown.var_rad2) if change_std_rad == 0 else shown.var_rad2,
             error_rad=error_rad,
         )
-        return after, _heading(step, self.offset_rad + innovation_rad, var_rad2 / gain, added_std_rad)
+        return reported, _heading(step, self.offset_rad + innovation_rad, var_rad2 / gain, added_std_rad)
 
 
 def _heading(step: Step, offset_rad: float, var_rad2: float, change_std_rad: float) -> dict[str, float]:

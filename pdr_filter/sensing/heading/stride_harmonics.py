@@ -142,9 +142,9 @@ def in_mean_frame(
     Each is turned by the shortest way from its own `up` (3, T) to the mean one, as in `carry_axis`: what turns with the
     device stays, what swings with it does not. The rows of `frames` (K, 3, 3) are axis, right and mean up.
     """
-    both, turned = np.stack([force, up]), np.empty((2, *force.shape))
+    vectors, turned = np.stack([force, up]), np.empty((2, *force.shape))
     for frame, start, end in zip(frames, ends[:-1].tolist(), ends[1:].tolist(), strict=True):
-        np.matmul(frame, both[:, :, start:end], out=turned[:, :, start:end])
+        np.matmul(frame, vectors[:, :, start:end], out=turned[:, :, start:end])
     ups = turned[1]
     flat = turned[0] - (force[0] * up[0] + force[1] * up[1] + force[2] * up[2]) * ups
     tilted = flat[2] / np.maximum(1.0 + ups[2], 1e-6)

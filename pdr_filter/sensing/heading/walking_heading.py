@@ -257,20 +257,20 @@ class WalkingHeading:
             state = replace(state, start_s=float(block.time_s[0]), reported=reported)
         n_old, n_new = state.signals.shape[1], len(block.time_s)
         signals = np.empty((_N_ROWS, n_old + n_new))
-        signals[:, :n_old], new = state.signals, signals[:, n_old:]
-        new[_TIME], new[_FORCE], new[_UP] = block.time_s, block.specific_force_mps2.T, attitude.up_sensor.T
-        new[_EAST], new[_NORTH] = attitude.horizontal_mps2.T
-        new[_VERTICAL], new[_HEADING] = attitude.vertical_mps2, attitude.device_heading_rad
-        new[_KNOWN] = block.angular_rate_known
+        signals[:, :n_old], rows = state.signals, signals[:, n_old:]
+        rows[_TIME], rows[_FORCE], rows[_UP] = block.time_s, block.specific_force_mps2.T, attitude.up_sensor.T
+        rows[_EAST], rows[_NORTH] = attitude.horizontal_mps2.T
+        rows[_VERTICAL], rows[_HEADING] = attitude.vertical_mps2, attitude.device_heading_rad
+        rows[_KNOWN] = block.angular_rate_known
         if len(attitude.heading_error_rad):
-            new[_ERROR], new[_ERROR_VAR] = attitude.heading_error_rad, attitude.heading_error_var_rad2
-            new[_LOST_VAR] = attitude.heading_lost_var_rad2
+            rows[_ERROR], rows[_ERROR_VAR] = attitude.heading_error_rad, attitude.heading_error_var_rad2
+            rows[_LOST_VAR] = attitude.heading_lost_var_rad2
         else:
-            new[_ERROR:] = 0.0
+            rows[_ERROR:] = 0.0
         state = replace(state, n_samples=n_before + n_new, signals=signals)
-        at = [known - n_before for known, _ in steps]
+        indices = [number - n_before for number, _ in steps]
         state, result = self._annotated(
-            state, steps, contexts.context[at].tolist(), contexts.carrying_mode[at].tolist()
+            state, steps, contexts.context[indices].tolist(), contexts.carrying_mode[indices].tolist()
         )
         return replace(state, signals=state.signals[:, -self._n_kept :]), result
 
@@ -299,14 +299,14 @@ class WalkingHeading:
         contacts_s = (*state.contacts_s, *(step.time_s for _, step in steps))
         first = len(state.contacts_s) + 1
         samples = [
-            self._stride_samples(state, contacts_s[max(first + i - 3, 0) : first + i], known)
-            for i, (known, _) in enumerate(steps)
+            self._stride_samples(state, contacts_s[max(first + i - 3, 0) : first + i], number)
+            for i, (number, _) in enumerate(steps)
         ]
         strides = self._strides(samples, contexts)
         result: list[tuple[int, Step]] = []
-        for (known, step), stride, mode in zip(steps, strides, carrying_modes, strict=True):
-            state, found = self._annotate(state, step, self._bias_error(state, step.time_s, known), stride, mode)
-            result.append((known, replace(step, **found) if found else step))
+        for (number, step), stride, mode in zip(steps, strides, carrying_modes, strict=True):
+            state, changes = self._annotate(state, step, self._bias_error(state, step.time_s, number), stride, mode)
+            result.append((number, replace(step, **changes) if changes else step))
         return replace(state, contacts_s=contacts_s[-2:]), result
 
     def _annotate(
@@ -337,14 +337,14 @@ class WalkingHeading:
             return replace(state, reported=reported), loss | heard | _shown(state)
         stride = stride.about(stride.axis if state.up is None else carry_axis(state.axis, state.up, stride.up))
         offset, formers, place, change_std_rad = self._settle(state, stride, step.time_s, carrying_mode)
-        known = self._known(step.time_s)
-        if known is not None and (change_std_rad > 0 or state.place is None):
-            offset = offset.seen(OF_AXIS, cmath.rect(1.0, known.shown_rad), known.var_rad2)
+        known_place = self._known(step.time_s)
+        if known_place is not None and (change_std_rad > 0 or state.place is None):
+            offset = offset.seen(OF_AXIS, cmath.rect(1.0, known_place.shown_rad), known_place.var_rad2)
         may_read = place.carrying_mode == _TEXTING or (place.carrying_mode < 0 and stride.up[2] > 0.5)
         place = self.strides.learn(replace(place, n_read=place.n_read + may_read), stride, step.duration_s)
         elapsed_s = step.duration_s if math.isnan(state.walking_s) else step.time_s - state.walking_s
         offset, shown, trust = self._believe(place, offset, stride, elapsed_s)
-        shown = self._with_axis(place, shown, stride, trust) if known is None else offset
+        shown = self._with_axis(place, shown, stride, trust) if known_place is None else offset
         angle_rad = shown.shown_rad - stride.axis_offset_rad
         offset_rad = shown.offset_rad
         walking_rad = stride.device_heading_rad + offset_rad
@@ -380,15 +380,15 @@ class WalkingHeading:
         since_s = step.duration_s if math.isnan(state.reported.time_s) else step.time_s - state.reported.time_s
         return {"yaw_bias_std_radps": math.sqrt(lost_var_rad2 / (2.0 * self.drift.bias_correlation_s * since_s))}
 
-    def _bias_error(self, state: WalkingHeadingState, contact_s: float, known: int) -> tuple[float, float, float]:
+    def _bias_error(self, state: WalkingHeadingState, contact_s: float, number: int) -> tuple[float, float, float]:
         """By how much the device's heading is too large at a contact, its variance, and the variance lost so far.
 
         Those of the step before where the samples are no longer remembered.
         """
-        at = round((contact_s - state.start_s) * self.rate_hz) - 1
-        if not max(known + 1 - self._n_kept, 0) <= at <= known:
+        index = round((contact_s - state.start_s) * self.rate_hz) - 1
+        if not max(number + 1 - self._n_kept, 0) <= index <= number:
             return state.of_bias_rad, state.of_bias_var_rad2, state.lost_var_rad2
-        error_rad, var_rad2, lost_var_rad2 = state.signals[_ERROR:, at - state.n_samples].tolist()
+        error_rad, var_rad2, lost_var_rad2 = state.signals[_ERROR:, index - state.n_samples].tolist()
         return error_rad, var_rad2, lost_var_rad2
 
     def drift_in_time(self, state: WalkingHeadingState) -> tuple[float, float]:
@@ -418,7 +418,7 @@ class WalkingHeading:
         )
 
     def _stride_samples(
-        self, state: WalkingHeadingState, contacts_s: tuple[float, ...], known: int
+        self, state: WalkingHeadingState, contacts_s: tuple[float, ...], number: int
     ) -> FloatArray | None:
         """Samples of the last two steps, or None if they are not two steps alike with angular rate."""
         if len(contacts_s) < 3:
@@ -428,8 +428,9 @@ class WalkingHeading:
         if not _MIN_STRIDE_S <= end_s - start_s <= _MAX_STRIDE_S or longer_s > _MAX_SHARE * (end_s - start_s):
             return None
         first, last = (round((t - state.start_s) * self.rate_hz) for t in (start_s, end_s))
-        # The same whatever else arrived in the block of the sample that revealed the step.
-        if first < max(known + 1 - self._n_kept, 0) or last > known + 1:
+        # Samples after the step are ignored even if they are in its block: otherwise the result would depend on the
+        # length of the blocks.
+        if first < max(number + 1 - self._n_kept, 0) or last > number + 1:
             return None
         oldest = state.n_samples - state.signals.shape[1]
         samples = state.signals[:, first - oldest : last - oldest]
@@ -438,17 +439,17 @@ class WalkingHeading:
     def _strides(self, samples: Sequence[FloatArray | None], contexts: Sequence[int]) -> list[Stride | None]:
         """What each stride shows; None where there is none, and of who steps sideways, and so pushes sideways."""
         strides: list[Stride | None] = [None] * len(samples)
-        known = [(i, s) for i, s in enumerate(samples) if s is not None and contexts[i] != _SIDEWAYS]
-        for start in range(0, len(known), _MAX_GROUP):
-            group = known[start : start + _MAX_GROUP]
+        usable = [(i, s) for i, s in enumerate(samples) if s is not None and contexts[i] != _SIDEWAYS]
+        for start in range(0, len(usable), _MAX_GROUP):
+            group = usable[start : start + _MAX_GROUP]
             joined = np.concatenate([s for _, s in group], axis=1)
             ends = np.cumsum([0, *(s.shape[1] for _, s in group)])
             of_all = StrideSamples(
                 ends, joined[_FORCE], joined[_UP], joined[_EAST], joined[_NORTH], joined[_VERTICAL], joined[_HEADING]
             )
             runs = np.array([contexts[i] == _RUNNING for i, _ in group])
-            found = strides_of(of_all, runs, self.rate_hz, self._phases)
-            for (i, _), stride in zip(group, found, strict=True):
+            group_strides = strides_of(of_all, runs, self.rate_hz, self._phases)
+            for (i, _), stride in zip(group, group_strides, strict=True):
                 strides[i] = stride
         return strides
 
@@ -460,16 +461,16 @@ class WalkingHeading:
         self, state: WalkingHeadingState, stride: Stride, time_s: float, carrying_mode: int
     ) -> tuple[Offset, tuple[Former, ...], Placement, float]:
         """The offset, former places, the place that a stride is in, and by how much the offset may have changed."""
-        before, formers = state.place, state.formers
-        if before is None:
+        place_before, formers = state.place, state.formers
+        if place_before is None:
             offset = state.offset.moved(0.0, 0.0, self._systematic_rad2(stride))
             return offset, formers, Placement(time_s, carrying_mode, -1, stride.up), 0.0
-        is_moved = math.acos(min(max(dot(before.up, stride.up), -1.0), 1.0)) > self.max_tilt_rad
-        is_old = carrying_mode == before.old_mode and time_s - before.start_s < _LABEL_LAG_S
-        label = before.carrying_mode if is_old or carrying_mode < 0 else carrying_mode
+        is_moved = math.acos(min(max(dot(place_before.up, stride.up), -1.0), 1.0)) > self.max_tilt_rad
+        is_old = carrying_mode == place_before.old_mode and time_s - place_before.start_s < _LABEL_LAG_S
+        label = place_before.carrying_mode if is_old or carrying_mode < 0 else carrying_mode
         if not is_moved:
-            up = unit(combined(1.0 - 1.0 / _UP_STRIDES, before.up, 1.0 / _UP_STRIDES, stride.up))
-            return state.offset, formers, replace(before, up=up, carrying_mode=label), 0.0
+            up = unit(combined(1.0 - 1.0 / _UP_STRIDES, place_before.up, 1.0 / _UP_STRIDES, stride.up))
+            return state.offset, formers, replace(place_before, up=up, carrying_mode=label), 0.0
         # What is said of the mode is of windows that ended before the phone was moved.
         place = Placement(time_s, -1, carrying_mode, stride.up)
         offset = state.shown
@@ -482,8 +483,8 @@ class WalkingHeading:
         if former_rad is not None:
             shown_rad = stride.axis_offset_rad + former_rad
             offset = offset.seen(OF_STRIDES, cmath.rect(1.0, shown_rad), self.return_std_rad**2)
-        if before.n_strides >= _SETTLED_STRIDES:
-            former = Former(time_s, before.n_strides, state.direction_up, state.direction)
+        if place_before.n_strides >= _SETTLED_STRIDES:
+            former = Former(time_s, place_before.n_strides, state.direction_up, state.direction)
             formers = (*formers, former)[-_N_FORMERS:]
         return offset, formers, place, UNKNOWN_STD_RAD
 
@@ -535,8 +536,8 @@ class WalkingHeading:
         # half of what is not shared is across the direction, and two overlapping strides count as one
         is_young = place.n_strides <= _YOUNG_STRIDES
         vectors, weight = (_as_complex(place), place.weight) if is_young else (stride.vectors, 1.0)
-        ahead = (mix[0] * vectors[0] + mix[1] * vectors[1] + mix[2] * vectors[2]) / weight
-        toward = ahead / math.sqrt(share * length2) * cmath.rect(1.0, stride.axis_offset_rad)
+        forward = (mix[0] * vectors[0] + mix[1] * vectors[1] + mix[2] * vectors[2]) / weight
+        toward = forward / math.sqrt(share * length2) * cmath.rect(1.0, stride.axis_offset_rad)
         shown = offset.seen(OF_STRIDES, toward, (1.0 - share) / share / weight)
         return (offset if place.n_strides < _YOUNG_STRIDES else shown), shown, share
 

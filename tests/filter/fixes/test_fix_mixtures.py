@@ -139,15 +139,16 @@ def test_a_hundred_consistent_fixes_leave_the_covariance_of_a_kalman_filter() ->
     larger = []
     for seed in range(8):
         rng, state = np.random.default_rng(seed), tracker.init()
-        cov = state.pedestrian.cov.copy()
+        pedestrian = state.pedestrian
+        cov = pedestrian.estimates.cov.copy()
         cov[:, :2, :2] = 16.0 * np.eye(2)
-        state = replace(state, pedestrian=replace(state.pedestrian, cov=cov))
+        state = replace(state, pedestrian=replace(pedestrian, estimates=replace(pedestrian.estimates, cov=cov)))
         truth = rng.normal(0.0, 4.0, 2)
         for k in range(100):
             state, outcome, _ = tracker.on_fix(state, PositionFix(k, truth + rng.normal(0.0, 3.0, 2), 9.0 * np.eye(2)))
             assert outcome == "used"
         expected = 1.0 / (1.0 / 16.0 + 100.0 / 9.0)
-        larger.append(float(state.pedestrian.cov[0, 0, 0]) / expected)
+        larger.append(float(state.pedestrian.estimates.cov[0, 0, 0]) / expected)
     assert 0.9 < np.mean(larger) < 1.15
 
 
@@ -278,7 +279,7 @@ def test_fixes_that_repeat_the_last_position_do_not_hold_somebody_who_walks(
     # a fix within its own deviation of the last one may still be used
     assert np.abs(walk.errors_m(track)[late] - walk.errors_m(alone)[late]).max() < 1.5
     assert track.outcomes.count("frozen") >= 0.8 * len(held)
-    assert track.known.n_frozen_fixes == track.outcomes.count("frozen")
+    assert track.known.fixes.n_frozen == track.outcomes.count("frozen")
     assert not track.times_of("moved")
 
 

@@ -12,7 +12,8 @@ import pytest
 from scipy.stats import chi2
 
 import pdr_filter as pdr
-from pdr_filter.filter.imm.pedestrian_state import TRAIL_STEPS, present_position
+from pdr_filter.filter.imm.pedestrian_state import present_position
+from pdr_filter.filter.imm.step_history import TRAIL_STEPS
 from pdr_filter.values import CONTEXTS
 from tests.benchmarks.consistency import Errors, bounds, errors_of_walks, own_model, run_day, said_of, simulated_walk
 
@@ -111,13 +112,14 @@ def test_hours_of_walking_and_rest_leave_the_state_as_large_as_it_was(weighting:
     first, last = sizes[:fifth].max(axis=0), sizes[-fifth:].max(axis=0)
     assert first[2] == TRAIL_STEPS
     assert (last <= first).all()
-    known = state.pedestrian
-    assert known.n_final >= n_steps - 3
-    assert known.prob.sum() == pytest.approx(1.0, abs=1e-12)
-    assert np.isfinite(known.mean).all()
-    assert np.isfinite(known.cov).all()
-    np.testing.assert_allclose(known.cov, known.cov.swapaxes(-1, -2), rtol=0, atol=1e-12 * np.abs(known.cov).max())
-    assert np.linalg.eigvalsh(known.cov).min() >= -1e-12 * np.abs(known.cov).max()
-    position_m, cov_m2 = present_position(known)
+    pedestrian, estimates = state.pedestrian, state.pedestrian.estimates
+    assert pedestrian.steps.n_final >= n_steps - 3
+    assert estimates.prob.sum() == pytest.approx(1.0, abs=1e-12)
+    assert np.isfinite(estimates.mean).all()
+    cov, tolerance = estimates.cov, 1e-12 * np.abs(estimates.cov).max()
+    assert np.isfinite(cov).all()
+    np.testing.assert_allclose(cov, cov.swapaxes(-1, -2), rtol=0, atol=tolerance)
+    assert np.linalg.eigvalsh(cov).min() >= -tolerance
+    position_m, cov_m2 = present_position(pedestrian)
     assert np.isfinite(position_m).all()
     assert np.linalg.eigvalsh(cov_m2).min() > 0

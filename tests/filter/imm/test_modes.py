@@ -93,7 +93,7 @@ def test_a_gap_is_no_time_for_the_carrying_mode() -> None:
     # a window that says nothing: only the transition
     kept = follow_mode(said, even, even, CARRYING_STAY_PROB, 0.5)
     state, _ = updates_of(tracker.on_window(state, a_window(63.0, kept)))
-    before = state.pedestrian.prob
+    before = state.pedestrian.estimates.prob
     state, [update] = updates_of(tracker.on_step(state, a_step(63.0)))
     np.testing.assert_allclose(update.mode_prob, before @ tracker.model.transition_prob, atol=1e-9)
 
@@ -193,7 +193,7 @@ def test_two_modes_of_one_context_share_its_evidence_and_fixes_tell_them_apart()
     np.testing.assert_allclose(updates[-1].mode_prob, 0.5, atol=1e-12)
     north_m = 0.9 * len(updates)
     state, _, _ = tracker.on_fix(state, PositionFix(6.0, np.array([0.0, north_m]), 0.04 * np.eye(2)))
-    assert state.pedestrian.prob[1] > 0.99
+    assert state.pedestrian.estimates.prob[1] > 0.99
 
 
 def test_stays_are_those_of_the_terrain_labels_and_the_long_run_is_mostly_level() -> None:

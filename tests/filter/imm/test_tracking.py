@@ -120,7 +120,8 @@ def test_how_far_a_step_from_rest_went_is_less_known_where_somebody_walks(weight
     steps = (a_step(1.5), replace(a_step(1.5), from_rest=True))
     state = begin.init()
     if weighting == "imm":
-        state = replace(state, pedestrian=replace(state.pedestrian, prob=np.eye(6)[context]))
+        estimates = replace(state.pedestrian.estimates, prob=np.eye(6)[context])
+        state = replace(state, pedestrian=replace(state.pedestrian, estimates=estimates))
     usual, paused = (run(begin, in_order([step], windows), state)[1][-1] for step in steps)
     np.testing.assert_array_equal(paused.position_m, usual.position_m)
     added_m2 = paused.position_cov_m2 - usual.position_cov_m2
@@ -220,7 +221,7 @@ def test_imm_with_one_mode_is_a_plain_extended_kalman_filter() -> None:
     for window in windows[:3]:  # evidence for the only mode means nothing
         state, _ = updates_of(single.on_window(state, window))
     rng = np.random.default_rng(0)
-    shared_m, last_s = np.zeros((3, 2)), np.nan
+    consider_error_m, last_s = np.zeros((3, 2)), np.nan
     residual_var = mode.step_length.residual_std_m**2
     for k, step in enumerate(steps):
         state, [update] = updates_of(single.on_step(state, step))
@@ -244,8 +245,8 @@ def test_imm_with_one_mode_is_a_plain_extended_kalman_filter() -> None:
         u, v = np.array([np.sin(psi), np.cos(psi)]), np.array([np.cos(psi), -np.sin(psi)])
         of_along, of_across = second_order_errors(P[2, 2], P[3, 3])
         of_parameters = np.sqrt(length_var - residual_var)  # off once a person, so that steps add up
-        shared_m += scale * np.array([length * of_along * u, length * of_across * v, of_parameters * u])
-        seen = P[:2, :2] + sum(np.outer(e, e) for e in shared_m)
+        consider_error_m += scale * np.array([length * of_along * u, length * of_across * v, of_parameters * u])
+        seen = P[:2, :2] + sum(np.outer(e, e) for e in consider_error_m)
         np.testing.assert_allclose(update.position_m, x[:2], atol=1e-9)
         np.testing.assert_allclose(update.position_cov_m2, seen, atol=1e-9)
         if k % 5 == 4:
@@ -253,11 +254,11 @@ def test_imm_with_one_mode_is_a_plain_extended_kalman_filter() -> None:
             state, outcome, _ = single.on_fix(state, PositionFix(step.time_s, z, R))
             assert outcome == "used"
             H = np.eye(2, 4)
-            P[:2, :2], shared_m = seen, np.zeros((3, 2))
+            P[:2, :2], consider_error_m = seen, np.zeros((3, 2))
             K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
             x, P = x + K @ (z - H @ x), (np.eye(4) - K @ H) @ P
-            np.testing.assert_allclose(state.pedestrian.mean[0], x, atol=1e-9)
-            np.testing.assert_allclose(state.pedestrian.cov[0], P, atol=1e-9)
+            np.testing.assert_allclose(state.pedestrian.estimates.mean[0], x, atol=1e-9)
+            np.testing.assert_allclose(state.pedestrian.estimates.cov[0], P, atol=1e-9)
 
 
 @settings(max_examples=10, deadline=None)
@@ -406,7 +407,7 @@ def test_a_fix_that_no_mode_explains_is_rejected_and_changes_no_estimate(weighti
     state, _ = run(filter_, in_order(*random_walk(8)))
     after, outcome, nis = filter_.on_fix(state, PositionFix(20.0, np.array([1000.0, 0.0]), np.eye(2)))
     assert outcome == "rejected" and nis > filter_.model.fix_gate_nis
-    for name in ("mean", "cov", "prob", "shared_m", "trail", "frame"):
+    for name in ("estimates", "steps", "frame", "heading_zero"):
         assert getattr(after.pedestrian, name) is getattr(state.pedestrian, name)
 
 
@@ -432,7 +433,7 @@ def test_fixes_keep_the_scale_of_a_tall_person() -> None:
             fix = PositionFix(0.5 * (k + 1), np.array([0.0, true_north_m]), 0.25 * np.eye(2))
             state, outcome, _ = filter_.on_fix(state, fix)
             assert outcome == "used"
-    assert np.exp(state.pedestrian.mean[0, 3]) == pytest.approx(1.1, abs=0.01)
+    assert np.exp(state.pedestrian.estimates.mean[0, 3]) == pytest.approx(1.1, abs=0.01)
 
 
 # --- steps that become known late ------------------------------------------------------------------------------------
@@ -590,7 +591,7 @@ def test_a_turned_frame_turns_what_all_steps_share_too() -> None:
     filter_ = tracker("imm")
     state, _ = run(filter_, in_order(*random_walk(5)))
     known = state.pedestrian
-    assert np.linalg.norm(known.shared_m) > 0.1
-    turn = Alignment(0.7, 0.0, np.zeros(2), np.zeros(2), 0.0, known.n_final)
+    assert np.linalg.norm(known.estimates.consider_error_m) > 0.1
+    turn = Alignment(0.7, 0.0, np.zeros(2), np.zeros(2), 0.0, known.steps.n_final)
     before, after = present_position(known)[1], present_position(in_other_frame(known, turn))[1]
     np.testing.assert_allclose(after, turn.rotation @ before @ turn.rotation.T, atol=1e-9)

@@ -178,9 +178,9 @@ def test_with_the_highest_context_the_whole_estimate_is_that_of_hc() -> None:
     for a, b in zip(of_imm, of_hc, strict=True):
         np.testing.assert_allclose(a.position_m, b.position_m, atol=1e-9)
         np.testing.assert_allclose(a.position_cov_m2, b.position_cov_m2, atol=1e-9)
-    x, P = imm.combine(state.pedestrian.mean, state.pedestrian.cov, state.pedestrian.prob)  # noqa: N806
-    np.testing.assert_allclose(x, other.pedestrian.mean[0], atol=1e-9)
-    np.testing.assert_allclose(P, other.pedestrian.cov[0], atol=1e-9)
+    x, P = state.pedestrian.estimates.combined  # noqa: N806
+    np.testing.assert_allclose(x, other.pedestrian.estimates.mean[0], atol=1e-9)
+    np.testing.assert_allclose(P, other.pedestrian.estimates.cov[0], atol=1e-9)
 
 
 def test_with_raw_probabilities_the_imm_is_where_wc_is_and_not_surer() -> None:
@@ -223,16 +223,18 @@ def test_a_second_step_in_a_window_has_even_probabilities_without_memory() -> No
 
 
 def with_mode_prob(state: ImmState, mode_prob: np.ndarray) -> ImmState:
-    return replace(state, pedestrian=replace(state.pedestrian, prob=mode_prob))
+    pedestrian = state.pedestrian
+    estimates = replace(pedestrian.estimates, prob=mode_prob)
+    return replace(state, pedestrian=replace(pedestrian, estimates=estimates))
 
 
 def assert_sane(state: State) -> None:
-    assert np.isfinite(state.pedestrian.prob).all()
-    assert (state.pedestrian.prob >= 0).all()
-    assert state.pedestrian.prob.sum() == pytest.approx(1.0)
-    assert np.isfinite(state.pedestrian.mean).all()
-    assert np.isfinite(state.pedestrian.cov).all()
-    cov = state.pedestrian.cov
+    assert np.isfinite(state.pedestrian.estimates.prob).all()
+    assert (state.pedestrian.estimates.prob >= 0).all()
+    assert state.pedestrian.estimates.prob.sum() == pytest.approx(1.0)
+    assert np.isfinite(state.pedestrian.estimates.mean).all()
+    assert np.isfinite(state.pedestrian.estimates.cov).all()
+    cov = state.pedestrian.estimates.cov
     # rounding of the largest entry is all that an eigenvalue may be below zero
     rounding = 1e-9 * np.abs(cov).max()
     np.testing.assert_allclose(cov, cov.swapaxes(-1, -2), rtol=0, atol=rounding)
@@ -324,7 +326,7 @@ def test_a_fix_a_thousand_kilometres_away_is_rejected_and_one_that_is_that_unsur
     far_m = np.array([1e6, -1e6])
     rejected, outcome, nis = tracker.on_fix(state, PositionFix(20.0, far_m, np.eye(2)))
     assert outcome == "rejected" and nis > 1e9
-    np.testing.assert_array_equal(rejected.pedestrian.prob, state.pedestrian.prob)
+    np.testing.assert_array_equal(rejected.pedestrian.estimates.prob, state.pedestrian.estimates.prob)
     accepted, outcome, _ = tracker.on_fix(state, PositionFix(20.0, far_m, 1e12 * np.eye(2)))
     assert outcome == "used"
     assert_sane(accepted)
@@ -354,7 +356,7 @@ def test_no_fix_wherever_it_is_leaves_anything_but_a_sane_state(
     for _ in range(2):
         state, _, _ = tracker.on_fix(state, PositionFix(11.0, fix_m, 10 ** (2 * log10_std) * np.eye(2)))
         assert_sane(state)
-        assert (state.pedestrian.prob[:n_zero] == 0).all()
+        assert (state.pedestrian.estimates.prob[:n_zero] == 0).all()
     state, [update] = updates_of(tracker.on_step(state, a_step(12.0 + gap_s)))
     assert_sane(state)
     assert np.isfinite(update.position_cov_m2).all()

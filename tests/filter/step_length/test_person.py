@@ -94,16 +94,16 @@ def test_a_session_is_the_measurement_without_the_prior(measurement_std: float) 
     model, measured = recipes.default().model, 0.11
     prior_var = model.noise.log_scale_std**2
     gain = prior_var / (prior_var + measurement_std**2)
-    state = initial_state(model, np.ones(1))
-    mean, cov = state.mean.copy(), state.cov.copy()
+    estimates = initial_state(model, np.ones(1)).estimates
+    mean, cov = estimates.mean.copy(), estimates.cov.copy()
     mean[:, LOG_SCALE], cov[:, LOG_SCALE, LOG_SCALE] = gain * measured, (1 - gain) * prior_var
-    session = session_of(model, replace(state, mean=mean, cov=cov), 7)
+    session = session_of(model, replace(estimates, mean=mean, cov=cov), 7)
     fit = next(m for m in model.modes if m.context == "walking").step_length
     usual_m = float(length_and_jacobian(fit.model, TYPICAL_STEP, fit.theta)[0])
     assert session is not None
     assert (session.std, session.n_fixes) == (pytest.approx(measurement_std), 7)
     assert session.step_length_m == pytest.approx(usual_m * np.exp(measured))
-    assert session_of(model, state, 7) is None
+    assert session_of(model, estimates, 7) is None
 
 
 def test_walks_are_pooled_by_what_they_know_and_each_counts_once() -> None:

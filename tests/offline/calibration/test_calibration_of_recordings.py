@@ -326,6 +326,7 @@ def test_the_report_has_people_errors_and_doubts_and_the_figure_is_drawn(
     text = calibration.report()
     for words in ("3 segments, 36 m", "BounceStepLength", "simulated", "segment left out", "needs two people"):
         assert words in text
+    assert all(len(line) <= 80 for line in text.splitlines() if not line.startswith("- "))
     assert calibration.plot(tmp_path / "new" / "figure.png").axes
     assert (tmp_path / "new" / "figure.png").stat().st_size > 10_000
 
