@@ -113,7 +113,9 @@ def _on_position(
         estimates = replace(updated.estimates, cov=larger * updated.estimates.cov, consider_error_m=no_error_m)
         fixes = updated.fixes.with_used(fix, _track_m(updated, fix.time_s))
         fixes = replace(fixes, doubt=fixes.doubt.with_used(), n_errors=n_errors, squares=squares)
-        updated = replace(updated, estimates=estimates, fixes=fixes, path=updated.path.scaled(larger))
+        updated = replace(updated, estimates=estimates, fixes=fixes)
+        path = updated.path.corrected(np.zeros(N_STATES), larger)
+        updated = replace(updated, path=path)
     return updated if outcome == "used" else state, outcome, nis
 
 
@@ -250,7 +252,7 @@ def _gated(
     prob = arithmetic.update_mode_prob(state.estimates.prob, log_likelihood)
     state = replace(state, estimates=replace(state.estimates, mean=mean, cov=cov, prob=prob))
     moved = state.estimates.combined[0] - prior_x
-    state, shift_m = replace(state, path=state.path.corrected(moved)), moved[[EAST, NORTH]]
+    state, shift_m = replace(state, path=state.path.corrected(moved, 1.0)), moved[[EAST, NORTH]]
     return with_moved_past(state, lambda position_m: position_m + shift_m), "used", best_nis
 
 

@@ -8,11 +8,11 @@ from pdr_filter.filter.fixes.fix_updates import use_fix
 from pdr_filter.filter.imm.estimates import Estimates
 from pdr_filter.filter.imm.imm import ImmArithmetic, NumpyImm, mixed_values
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, Advance, StepMotion, advance
+from pdr_filter.filter.imm.past_path import WalkedStep
 from pdr_filter.filter.imm.pedestrian_model import ModeLengths, PedestrianModel
 from pdr_filter.filter.imm.pedestrian_state import (
     PedestrianState,
     StepUpdate,
-    back_over_step,
     initial_state,
     over_gap,
     step_update,
@@ -74,7 +74,7 @@ class ImmTracker:
         model, imm = self.model, self.arithmetic
         previous = with_open_turn(state.pedestrian)
         mixed = self._mixed(previous.estimates)
-        turned, back = with_heading(replace(previous, estimates=mixed), step, model.directions, model.noise)
+        turned, drifted_cov = with_heading(replace(previous, estimates=mixed), step, model.directions, model.noise)
         lengths = model.lengths(step)
         ahead = self._ahead(turned.estimates, step, lengths)
         predicted = replace(
@@ -86,8 +86,8 @@ class ImmTracker:
         combined = imm.combine(predicted.mean, predicted.cov, prob)
 
         walked = self._walked(step, lengths, ahead.motion, prob, combined[0])
-        back = back_over_step(back, turned.estimates, ahead, combined[0])
-        updated = with_step(replace(turned, estimates=replace(predicted, prob=prob)), step, walked, combined, back)
+        event = WalkedStep.of(step.time_s, mixed, drifted_cov, turned.estimates, ahead, combined[0])
+        updated = with_step(replace(turned, estimates=replace(predicted, prob=prob)), step, walked, combined, event)
         context_prob = model.context_prob(prob) if window is None else window.prob
         update = step_update(previous, updated, step, walked, combined, context_prob, prob)
         return replace(state, pedestrian=updated), (update,)

@@ -8,24 +8,28 @@ with an error e that has no part in x. That is exact for a linear filter:
   B times the correction of the mean, and along an arc where the heading is corrected.
 
 The result is that of a Rauch-Tung-Striebel smoother (A. Gelb, "Applied optimal estimation", 1974, section 5.4:
-fixed-point smoothing), without a pass over the past. Steps that are more than a block old follow an anchor, the state
-at the end of the last block, so that a step costs the same after an hour as after a minute.
+fixed-point smoothing), without a pass over the past. The last events are kept as they are and worked out together, so
+that the path adds a tenth to the time of a step.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
 from pdr_filter.filter.fixes.alignment import Alignment
-from pdr_filter.filter.imm.motion_model import EAST, HEADING_OFFSET, N_STATES, NORTH
+from pdr_filter.filter.imm.estimates import Estimates
+from pdr_filter.filter.imm.motion_model import EAST, HEADING_OFFSET, N_STATES, NORTH, Advance
 from pdr_filter.values import FloatArray, replace
 
-# Steps between two anchors: with as many a step costs least.
-_BLOCK = 64
+# Events that are worked out together.
+_BLOCK = 32
+# A correction of the heading turns the steps before it. A smaller one moves those of its block along the tangent, for
+# 20 m to 0.1 m from the arc.
+_LARGE_TURN_RAD = 0.1
 # Steps that are remembered, an hour of walking at two steps a second; of more, the older ones at even intervals.
 MAX_STEPS = 8192
 # Where a state is known exactly, its covariance cannot be inverted: a hundredth of a millimetre, squared.
@@ -34,29 +38,107 @@ _LEAST = _LEAST_VAR * np.eye(N_STATES)
 _OF_PLACE = np.eye(2, N_STATES)[:, :, None]
 # Variance, for each square metre of the way, that the errors of lengths which steps share can have: 10 %.
 _MOST_SHARED = 0.01
+# Shared errors whose variance is a smaller part of that of the position do not bend the path: noise stands for them.
+_LEAST_SHARED = 0.01
 
 
-class Back(NamedTuple):
-    """How a state x follows a later one x': x = mean + moved + gain (x' - mean') + an error of covariance `left`."""
+@dataclass(frozen=True, eq=False)
+class Back:
+    """How states x (..., 4) follow later ones x': x = mean + moved + gain (x' - mean') + an error.
 
-    gain: FloatArray  # (4, 4) G
-    left: FloatArray  # (4, 4) P - G P' G'
-    moved: FloatArray  # (4,) what was learnt of x on the way to x'
+    After the event all errors so far have `scale` times their variance.
+    """
+
+    gain: FloatArray  # (..., 4, 4) G
+    left: FloatArray  # (..., 4, 4) P - G P' G', the covariance of the error
+    moved: FloatArray  # (..., 4) what was learnt of x on the way to x'
+    scale: float = 1.0
+
+    @property
+    def turned_rad(self) -> float:
+        """By how much the heading of x was corrected."""
+        return float(self.moved[HEADING_OFFSET])
 
     @classmethod
     def over(cls, before: FloatArray, cross: FloatArray, after: FloatArray) -> Back:
-        """Over a prediction, with the covariances (4, 4) of x, of x and x', and of x'."""
+        """Over a prediction, with the covariances (..., 4, 4) of x, of x and x', and of x'."""
         gain = cross @ np.linalg.inv(after + _LEAST)
-        return cls(gain, before - gain @ cross.T, np.zeros(N_STATES))
+        return cls(gain, before - gain @ cross.swapaxes(-1, -2), np.zeros(before.shape[:-1]))
 
     def then(self, later: Back) -> Back:
-        """From a state after x' back to x."""
+        """From states after x' back to x."""
         gain = self.gain
-        return Back(gain @ later.gain, self.left + gain @ later.left @ gain.T, self.moved + gain @ later.moved)
+        left = later.scale * self.left + gain @ later.left @ gain.swapaxes(-1, -2)
+        moved = self.moved + _times(gain, later.moved)
+        return Back(gain @ later.gain, left, moved, self.scale * later.scale)
 
     def learnt(self, moved: FloatArray) -> Back:
-        """The same after a correction (4,) of x'."""
-        return self._replace(moved=self.moved + self.gain @ moved)
+        """The same after corrections (..., 4) of x'."""
+        return replace(self, moved=self.moved + _times(self.gain, moved))
+
+
+_STAYED = Back(np.eye(N_STATES), np.zeros((N_STATES, N_STATES)), np.zeros(N_STATES))
+
+
+@dataclass(frozen=True, eq=False)
+class WalkedStep:
+    """A step as the filters (F,) of a tracker went over it; their probabilities are those before its evidence."""
+
+    time_s: float
+    updated_mean: FloatArray  # (4,) combined, after the evidence
+    prob: FloatArray  # (F,)
+    mean: FloatArray  # (F, 4) and covariances (F, 4, 4) before
+    cov: FloatArray
+    drifted_cov: FloatArray  # with the drift of the heading offset
+    turned_mean: FloatArray  # with the measured heading
+    turned_cov: FloatArray
+    ahead_mean: FloatArray  # with the displacement
+    ahead_cov: FloatArray
+    by_state: FloatArray  # (F, 4, 4), see `Advance`
+
+    @property
+    def turned_rad(self) -> float:
+        """By how much the heading was corrected."""
+        return float(self.updated_mean[HEADING_OFFSET] - self.prob.dot(self.mean[:, HEADING_OFFSET]))
+
+    @classmethod
+    def of(
+        cls,
+        time_s: float,
+        mixed: Estimates,
+        drifted_cov: FloatArray,
+        turned: Estimates,
+        ahead: Advance,
+        updated_mean: FloatArray,
+    ) -> WalkedStep:
+        """The step at a contact, from the estimates before it to the combined mean (4,) after it."""
+        before = mixed.prob, mixed.mean, mixed.cov, drifted_cov, turned.mean, turned.cov
+        return cls(time_s, updated_mean, *before, ahead.mean, ahead.cov, ahead.by_state)
+
+
+def _over_steps(steps: Sequence[WalkedStep]) -> list[Back]:
+    """How the combined state before each step follows that after it."""
+    (_, updated, prob, mean, cov, drifted_cov, turned_mean, turned_cov, ahead_mean, ahead_cov, by_state) = (
+        np.array([getattr(step, name) for step in steps]) for name in WalkedStep.__dataclass_fields__
+    )
+    x, P = _combined(prob, mean, cov)
+    turned_x, turned_P = _combined(prob, turned_mean, turned_cov)
+    ahead_x, ahead_P = _combined(prob, ahead_mean, ahead_cov)
+    weights = prob[..., None, None]
+    cross = (weights * (turned_cov @ by_state.swapaxes(-1, -2))).sum(axis=1)
+    spread = (turned_mean - turned_x[:, None]) * prob[..., None]
+    cross += spread.swapaxes(-1, -2) @ (ahead_mean - ahead_x[:, None])
+    drift = Back.over(P, P, _combined(prob, mean, drifted_cov)[1]).learnt(turned_x - x)
+    back = drift.then(Back.over(turned_P, cross, ahead_P).learnt(updated - ahead_x))
+    return [Back(*each) for each in zip(back.gain, back.left, back.moved, strict=True)]
+
+
+def _combined(prob: FloatArray, mean: FloatArray, cov: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Means (K, 4) and covariances (K, 4, 4) of mixtures of F filters, as `imm.combine` of many."""
+    x = (prob[:, None] @ mean)[:, 0]
+    spread = mean - x[:, None]
+    within = (prob[..., None, None] * cov).sum(axis=1)
+    return x, within + (prob[..., None] * spread).swapaxes(-1, -2) @ spread
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +180,7 @@ class PastSteps:
 
     def rebased(self, back: Back) -> PastSteps:
         """The same as they follow a later state."""
-        own_cov_m2 = self.own_cov_m2 + _propagated(self.by_state, back.left)
+        own_cov_m2 = back.scale * self.own_cov_m2 + _propagated(self.by_state, back.left)
         return PastSteps(self.time_s, self.moved_m(back.moved), back.gain.T @ self.by_state, own_cov_m2)
 
     def following(self, place_m: FloatArray, cov_m2: FloatArray, cross: FloatArray, state_cov: FloatArray) -> PastSteps:
@@ -114,46 +196,43 @@ NO_STEPS = PastSteps(np.empty(0), np.empty((2, 0)), np.empty((2, N_STATES, 0)), 
 class PastPath:
     """Past steps of a filter whose present state is known to it."""
 
-    recent: PastSteps = NO_STEPS  # as they follow the present state
-    earlier: PastSteps = NO_STEPS  # as they follow the anchor
-    anchor_by: FloatArray = field(default_factory=lambda: np.eye(N_STATES))  # how the anchor follows the present state
-    anchor_cov: FloatArray = field(default_factory=lambda: np.zeros((N_STATES, N_STATES)))
-    anchor_moved: FloatArray = field(default_factory=lambda: np.zeros(N_STATES))  # corrections of its mean
+    earlier: PastSteps = NO_STEPS  # as they follow the state before the last events
+    events: tuple[WalkedStep | Back, ...] = ()
     since_s: float = -math.inf  # steps until then are in the frame of the fixes, whatever becomes of the present frame
     shared_from_m: FloatArray = field(default_factory=lambda: np.zeros(2))  # where, and when, errors that steps share
     shared_from_s: float = -math.inf  # began to add up
 
-    def predicted(self, back: Back) -> PastPath:
-        """The path as it follows a later state."""
-        by = self.anchor_by
-        return replace(
-            self,
-            recent=self.recent.rebased(back),
-            anchor_by=by @ back.gain,
-            anchor_cov=self.anchor_cov + by @ back.left @ by.T,
-            anchor_moved=self.anchor_moved + by @ back.moved,
-        )
+    def with_event(self, event: WalkedStep | Back) -> PastPath:
+        """The path with one more event."""
+        if abs(event.turned_rad) > _LARGE_TURN_RAD:
+            return replace(self.settled(), events=(event,)).settled()
+        path = replace(self, events=(*self.events, event))
+        return path.settled() if len(path.events) >= _BLOCK else path
 
-    def corrected(self, moved: FloatArray) -> PastPath:
-        """The path after a correction (4,) of the present state."""
-        recent = replace(self.recent, place_m=self.recent.moved_m(moved))
-        return replace(self, recent=recent, anchor_moved=self.anchor_moved + self.anchor_by @ moved)
+    def predicted(self, before: FloatArray, after: FloatArray) -> PastPath:
+        """The path after the covariance (4, 4) of the present state has grown."""
+        return self.with_event(Back.over(before, before, after))
 
-    def with_step(self, time_s: float, place_m: FloatArray) -> PastPath:
-        """The path with a step that led to the present place (2,)."""
-        step = PastSteps(np.array([time_s]), place_m[:, None], _OF_PLACE, np.zeros((3, 1)))
-        path = replace(self, recent=self.recent.joined(step))
-        return path.rebased() if len(path.recent) >= _BLOCK else path
+    def corrected(self, moved: FloatArray, scale: float) -> PastPath:
+        """The path after a correction (4,) of the present state that scales the variances of all errors."""
+        return self.with_event(replace(_STAYED, moved=moved, scale=scale))
 
-    def rebased(self) -> PastPath:
-        """The path with the present state as the anchor."""
-        earlier = self.earlier.rebased(Back(self.anchor_by, self.anchor_cov, self.anchor_moved))
-        return PastPath(
-            earlier=earlier.joined(self.recent),
-            since_s=self.since_s,
-            shared_from_m=self.shared_from_m,
-            shared_from_s=self.shared_from_s,
-        )
+    def settled(self) -> PastPath:
+        """The path whose steps all follow the present state."""
+        return replace(self, earlier=self._steps(), events=()) if self.events else self
+
+    def _steps(self) -> PastSteps:
+        """All steps as they follow the present state."""
+        steps = [event for event in self.events if isinstance(event, WalkedStep)]
+        over_steps = iter(_over_steps(steps) if steps else ())
+        backs = [next(over_steps) if isinstance(event, WalkedStep) else event for event in self.events]
+        back, after_steps = _STAYED, list[Back]()
+        for event, over in zip(reversed(self.events), reversed(backs), strict=True):
+            if isinstance(event, WalkedStep):
+                after_steps.append(back)
+            back = over.then(back)
+        earlier = self.earlier.rebased(back)
+        return earlier.joined(_behind(steps, after_steps[::-1])) if steps else earlier
 
     def with_shared(
         self, before: FloatArray, shared_m2: FloatArray, after: FloatArray, time_s: float, here_m: FloatArray
@@ -162,7 +241,9 @@ class PastPath:
 
         They grow with the way from where they began to add up, which is `here_m` (2,) from now on.
         """
-        path, way_m, share = self.rebased(), here_m - self.shared_from_m, self._share(shared_m2, here_m)
+        if np.trace(shared_m2) < _LEAST_SHARED * np.trace(before[:2, :2]):
+            return replace(self.predicted(before, after), shared_from_s=time_s, shared_from_m=here_m)
+        path, way_m, share = self.settled(), here_m - self.shared_from_m, self._share(shared_m2, here_m)
         steps = path.earlier
         since_m = self._since_shared_m(steps.time_s, steps.place_m)
         cross = before @ steps.by_state
@@ -171,19 +252,9 @@ class PastPath:
         earlier = steps.following(steps.place_m, cov_m2, cross, after)
         return replace(path, earlier=earlier, shared_from_s=time_s, shared_from_m=here_m)
 
-    def scaled(self, factor: float) -> PastPath:
-        """The path whose errors have so many times the variance."""
-        recent, earlier = self.recent, self.earlier
-        return replace(
-            self,
-            recent=replace(recent, own_cov_m2=factor * recent.own_cov_m2),
-            earlier=replace(earlier, own_cov_m2=factor * earlier.own_cov_m2),
-            anchor_cov=factor * self.anchor_cov,
-        )
-
     def detached(self, cov: FloatArray, time_s: float, here_m: FloatArray) -> PastPath:
         """The path of which nothing later is learnt, as after a lost heading; `cov` (4, 4) is that of x."""
-        path = self.rebased()
+        path = self.settled()
         steps = path.earlier
         fixed = replace(steps, by_state=np.zeros_like(steps.by_state), own_cov_m2=steps.cov_m2(cov))
         return replace(path, earlier=fixed, since_s=time_s, shared_from_s=time_s, shared_from_m=here_m)
@@ -193,7 +264,7 @@ class PastPath:
 
         All places of the present frame share the error of the alignment with the present one.
         """
-        path, T = self.rebased(), np.eye(N_STATES)
+        path, T = self.settled(), np.eye(N_STATES)
         T[:2, :2] = alignment.rotation
         steps, first = path.earlier, int(np.searchsorted(path.earlier.time_s, self.since_s, side="right"))
         past, present = (
@@ -215,13 +286,9 @@ class PastPath:
         self, cov: FloatArray, shared_m2: FloatArray, here_m: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Times (N,), places (2, N) and covariances (3, N) of all steps, given those of x (4, 4) and its place."""
-        of_anchor = self.anchor_cov + self.anchor_by @ cov @ self.anchor_by.T
-        earlier, recent = self.earlier, self.recent
-        time_s = np.concatenate([earlier.time_s, recent.time_s])
-        place_m = np.concatenate([earlier.moved_m(self.anchor_moved), recent.place_m], axis=-1)
-        cov_m2 = np.concatenate([earlier.cov_m2(of_anchor), recent.cov_m2(cov)], axis=-1)
-        shared_m2 = self._share(shared_m2, here_m) * _squares(self._since_shared_m(time_s, place_m))
-        return time_s, place_m, cov_m2 + shared_m2
+        steps = self._steps() if self.events else self.earlier
+        shared_m2 = self._share(shared_m2, here_m) * _squares(self._since_shared_m(steps.time_s, steps.place_m))
+        return steps.time_s, steps.place_m, steps.cov_m2(cov) + shared_m2
 
     def _share(self, shared_m2: FloatArray, here_m: FloatArray) -> float:
         """Largest variance, for each square metre, of an error along the way that is part of `shared_m2` (2, 2)."""
@@ -248,6 +315,21 @@ def turned(alignment: Alignment, place_m: FloatArray, cov_m2: FloatArray) -> tup
             s * s * ee - 2.0 * c * s * en + c * c * nn + var_rad2 * east_m**2 + alignment.centre_var_m2,
         ]
     )
+
+
+def _behind(steps: Sequence[WalkedStep], backs: Sequence[Back]) -> PastSteps:
+    """Steps as they follow the present state, given how the state after each follows it."""
+    pairs = zip(steps, backs, strict=True)
+    place_m = np.stack([step.updated_mean[:2] + back.moved[:2] for step, back in pairs], axis=-1)
+    by_state = np.stack([back.gain[:2] for back in backs], axis=-1)
+    left = np.stack([back.left for back in backs], axis=-1)
+    own_cov_m2 = np.stack([left[EAST, EAST], left[EAST, NORTH], left[NORTH, NORTH]])
+    return PastSteps(np.array([step.time_s for step in steps]), place_m, by_state, own_cov_m2)
+
+
+def _times(matrix: FloatArray, vector: FloatArray) -> FloatArray:
+    """Products (..., 4) of matrices (..., 4, 4) and vectors (..., 4)."""
+    return (matrix @ vector[..., None])[..., 0]
 
 
 def _propagated(by: FloatArray, cov: FloatArray) -> FloatArray:

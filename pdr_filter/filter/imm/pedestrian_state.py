@@ -20,7 +20,6 @@ from pdr_filter.filter.imm.motion_model import (
     HEADING_OFFSET,
     LOG_SCALE,
     NORTH,
-    Advance,
     Directions,
     MotionNoise,
     expect_first_direction,
@@ -30,7 +29,7 @@ from pdr_filter.filter.imm.motion_model import (
     second_order_errors,
     update_heading,
 )
-from pdr_filter.filter.imm.past_path import Back, PastPath
+from pdr_filter.filter.imm.past_path import PastPath, WalkedStep
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.step_history import StepHistory, Walked
 from pdr_filter.filter.imm.walking_speed import WalkingSpeed
@@ -137,47 +136,33 @@ def initial_state(model: PedestrianModel, prob: FloatArray) -> PedestrianState:
 
 def with_heading(
     state: PedestrianState, step: Step, directions: Directions, noise: MotionNoise
-) -> tuple[PedestrianState, Back]:
-    """Return the state with the heading of the next step, before its displacement, and how that before follows it.
+) -> tuple[PedestrianState, FloatArray]:
+    """Return the state with the heading of the next step, before its displacement.
 
     The heading offset first drifts for the time since the step before, because the heading stage designs its
     measurement with that drift; then the measured walking heading is used. The first one becomes the zero of the frame.
+    The second value are the covariances (F, 4, 4) with the drift and without the measured heading.
     """
     estimates, zero = state.estimates, state.heading_zero
     since_s = step.duration_s if math.isnan(state.steps.last_s) else step.time_s - state.steps.last_s
-    (x, P), mean = estimates.combined, estimates.mean
-    cov = predict_heading(estimates.cov, step, since_s, directions, noise)
-    back = Back.over(P, P, replace(estimates, cov=cov).combined[1])
+    mean, drifted_cov = estimates.mean, predict_heading(estimates.cov, step, since_s, directions, noise)
+    cov = drifted_cov
     if math.isfinite(step.walking_heading_std_rad):
         if math.isinf(zero.time_s):
             offset_rad = float(wrap_angle(step.walking_heading_rad - step.device_heading_rad))
             zero, cov = HeadingZero(offset_rad, step.time_s), expect_first_direction(cov, step.walking_heading_std_rad)
         else:
             mean, cov = update_heading(mean, cov, step, zero.offset_rad)
-            back = back.learnt(estimates.prob.dot(mean) - x)
-    return replace(state, estimates=replace(estimates, mean=mean, cov=cov), heading_zero=zero), back
-
-
-def back_over_step(back: Back, estimates: Estimates, ahead: Advance, x_after: FloatArray) -> Back:
-    """Return how the state before a step follows the one after it.
-
-    `back` is how it follows that before the displacement, of the given estimates. `x_after` (4,) is the combined mean
-    after the displacement and the evidence of contexts.
-    """
-    prob, (x, P) = estimates.prob, estimates.combined
-    ahead_x, ahead_P = replace(estimates, mean=ahead.mean, cov=ahead.cov).combined
-    within = np.einsum("f,fab,fcb->ac", prob, estimates.cov, ahead.by_state)
-    cross = within + ((estimates.mean - x) * prob[:, None]).T @ (ahead.mean - ahead_x)
-    return back.then(Back.over(P, cross, ahead_P).learnt(x_after - ahead_x))
+    return replace(state, estimates=replace(estimates, mean=mean, cov=cov), heading_zero=zero), drifted_cov
 
 
 def with_step(
-    state: PedestrianState, step: Step, walked: Walked, combined: tuple[FloatArray, FloatArray], back: Back
+    state: PedestrianState, step: Step, walked: Walked, combined: tuple[FloatArray, FloatArray], event: WalkedStep
 ) -> PedestrianState:
     """Return the state with all that a step changes besides means and covariances, which have the step already.
 
-    `combined` is the combined mean (4,) and covariance (4, 4) after the step, and `back` how the combined state before
-    it follows that.
+    `combined` is the combined mean (4,) and covariance (4, 4) after the step, and `event` what the
+    path needs of it.
     """
     x, P = combined
     consider_error_m = state.estimates.consider_error_m + _consider_error_m(walked, P)
@@ -186,7 +171,7 @@ def with_step(
         estimates=replace(state.estimates, consider_error_m=consider_error_m),
         frame=_with_compass(state.frame, step, float(x[HEADING_OFFSET])),
         steps=state.steps.plus(step, walked, x, P),
-        path=state.path.predicted(back).with_step(step.time_s, x[:2].copy()),
+        path=state.path.with_event(event),
     )
 
 
@@ -222,7 +207,7 @@ def over_gap(state: PedestrianState, gap_s: float, noise: MotionNoise) -> Pedest
         estimates=estimates,
         steps=state.steps.after_gap(gap_s),
         fixes=state.fixes.after_gap(),
-        path=state.path.predicted(Back.over(P, P, estimates.combined[1])),
+        path=state.path.predicted(P, estimates.combined[1]),
     )
 
 

@@ -14,11 +14,11 @@ from pdr_filter.filter.fixes.fix_updates import use_fix
 from pdr_filter.filter.imm.estimates import Estimates
 from pdr_filter.filter.imm.imm import NumpyImm
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, Advance, Directions, advance
+from pdr_filter.filter.imm.past_path import WalkedStep
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.pedestrian_state import (
     PedestrianState,
     StepUpdate,
-    back_over_step,
     initial_state,
     over_gap,
     step_update,
@@ -125,13 +125,13 @@ class WeightedTracker:
         if previous.fixes.is_standing(step.time_s):
             weights = 1.0 - model.moves
         directions = model.directions.weighted(weights)
-        turned, back = with_heading(previous, step, directions, model.noise)
+        turned, drifted_cov = with_heading(previous, step, directions, model.noise)
         ahead, walked = self._ahead(turned.estimates, step, weights, directions)
         walked_m = previous.estimates.walked_m + ahead.motion.length_m
         predicted = replace(turned.estimates, mean=ahead.mean, cov=ahead.cov, walked_m=walked_m)
         combined = predicted.mean[0], predicted.cov[0]
-        back = back_over_step(back, turned.estimates, ahead, combined[0])
-        updated = with_step(replace(turned, estimates=predicted), step, walked, combined, back)
+        event = WalkedStep.of(step.time_s, previous.estimates, drifted_cov, turned.estimates, ahead, combined[0])
+        updated = with_step(replace(turned, estimates=predicted), step, walked, combined, event)
         update = step_update(previous, updated, step, walked, combined, context_prob, weights, is_final)
         mode_prob = weights if is_final else state.mode_prob
         return replace(state, pedestrian=updated, pending=state.pending[1:], mode_prob=mode_prob), update

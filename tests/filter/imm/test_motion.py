@@ -392,7 +392,7 @@ def test_a_large_correction_of_the_heading_rotates_the_way_since_it_was_lost() -
     noise, directions = replace(STILL, log_scale_std=0.0), walking([0.0], [0.0])
     for turn in turns:
         step = a_step(heading_rad=float(turn))
-        _, mean, cov = advance(mean, cov, step, np.array([0.7]), np.zeros(1), directions, noise)
+        _, mean, cov, _ = advance(mean, cov, step, np.array([0.7]), np.zeros(1), directions, noise)
     way = mean[0, :2].copy()
     shown = replace(a_step(heading_rad=2.0), walking_heading_rad=2.0 + 1.3, walking_heading_std_rad=1e-6)
     updated, updated_cov = update_heading(mean, cov, shown, 0.0)
@@ -443,7 +443,7 @@ def test_a_heading_that_was_lost_long_ago_does_not_turn_what_was_walked_before()
     levers = list[float]()
     for _ in range(60):
         cov = predict_heading(cov, step, 0.5, directions, MotionNoise())
-        _, mean, cov = advance(mean, cov, step, np.array([0.7]), np.zeros(1), directions, MotionNoise())
+        _, mean, cov, _ = advance(mean, cov, step, np.array([0.7]), np.zeros(1), directions, MotionNoise())
         levers.append(float(np.hypot(*cov[0, :2, HEADING_OFFSET])) / cov[0, HEADING_OFFSET, HEADING_OFFSET])
     # each step forgets the share q / (pi^2 / 3 + q) of the lever, q = 0.5 rad2, and adds its own 0.7 m
     assert levers[-1] == pytest.approx(0.7 * (1.0 + MAX_HEADING_VARIANCE / 0.5), rel=0.02)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pdr_filter.filter.fixes.alignment import Alignment
-from pdr_filter.filter.imm.past_path import MAX_STEPS, Back, PastPath
+from pdr_filter.filter.imm.past_path import MAX_STEPS, PastPath, WalkedStep
 from pdr_filter.values import FloatArray
 
 # Of heading offsets: so small that arcs are straight, as a linear smoother has them.
@@ -24,6 +24,14 @@ def motion(rng: np.random.Generator) -> FloatArray:
     F[:2, 2] = rng.normal(size=2) / SCALE[2]
     F[:2, 3] = rng.normal(size=2)
     return F
+
+
+def a_step(
+    time_s: float, mean: FloatArray, cov: FloatArray, F: FloatArray, after: FloatArray, after_cov: FloatArray
+) -> WalkedStep:
+    """A step of one filter, with nothing learnt on the way."""
+    before = mean[None], cov[None]
+    return WalkedStep(time_s, after, np.ones(1), *before, cov[None], *before, after[None], after_cov[None], F[None])
 
 
 class Joint:
@@ -48,13 +56,13 @@ def walked(n: int, measured_at: tuple[int, ...]) -> tuple[PastPath, Joint]:
     joint, path = Joint(random_cov(rng, 0.3)), PastPath()
     for k in range(n):
         F, Q, d = motion(rng), random_cov(rng, 0.1), np.array([0.3, 0.6, 0.0, 0.0])
-        P = joint.cov[-4:, -4:]
+        x, P = joint.mean[-4:], joint.cov[-4:, -4:]
         joint.predict(F, Q, d)
-        path = path.predicted(Back.over(P, P @ F.T, joint.cov[-4:, -4:])).with_step(float(k), joint.mean[-4:-2])
+        path = path.with_event(a_step(float(k), x, P, F, joint.mean[-4:], joint.cov[-4:, -4:]))
         if k in measured_at:
             before = joint.mean[-4:]
             joint.update(joint.mean[-4:-2] + rng.normal(size=2), 0.5)
-            path = path.corrected(joint.mean[-4:] - before)
+            path = path.corrected(joint.mean[-4:] - before, 1.0)
     return path, joint
 
 
@@ -90,20 +98,20 @@ def test_an_alignment_turns_the_past_with_the_present_and_shares_its_error() -> 
     np.testing.assert_allclose(cov_m2[:, 0], [expected[0, 0], expected[0, 1], expected[1, 1]], rtol=1e-3, atol=1e-3)
     # a correction of the present in the direction of one state, of which the shift is a part
     cross = alignment.rotation @ joint.cov[4:6, -4:] @ T.T + 0.01 * np.outer([north_m, -east_m], g) + shift[:2]
-    corrected = moved.corrected(after[:, 0] / after[0, 0])
+    corrected = moved.corrected(after[:, 0] / after[0, 0], 1.0)
     by_m = corrected.places(after, np.zeros((2, 2)), here_m)[1][:, 0] - place_m[:, 0]
     np.testing.assert_allclose(by_m, cross[:, 0] / after[0, 0], rtol=0.05, atol=1e-3)
 
 
 def test_a_corrected_heading_moves_the_past_along_an_arc() -> None:
     """A step of 10 m to the north whose heading was wrong by a quarter turn, seen from its end."""
-    path = PastPath().with_step(0.0, np.zeros(2))
-    P = np.diag([1e-6, 1e-6, 1.0, 1e-6])
+    P, origin, end = np.diag([1e-6, 1e-6, 1.0, 1e-6]), np.zeros(4), np.array([0.0, 10.0, 0.0, 0.0])
+    path = PastPath().with_event(a_step(0.0, origin, P, np.eye(4), origin, P))
     F = np.eye(4)
     F[0, 2] = 10.0
-    path = path.predicted(Back.over(P, P @ F.T, F @ P @ F.T)).with_step(1.0, np.array([0.0, 10.0]))
+    path = path.with_event(a_step(1.0, origin, P, F, end, F @ P @ F.T))
     # the end is known, and the start is a quarter of a circle about it
-    path = path.corrected(np.array([0.0, 0.0, np.pi / 2, 0.0]))
+    path = path.corrected(np.array([0.0, 0.0, np.pi / 2, 0.0]), 1.0)
     _, place_m, _ = path.places(P, np.zeros((2, 2)), np.zeros(2))
     np.testing.assert_allclose(place_m.T, [[-10.0, 10.0], [0.0, 10.0]], atol=0.15)
 
@@ -113,17 +121,26 @@ def test_a_detached_path_stays_where_it_is() -> None:
     P = joint.cov[-4:, -4:]
     fixed = path.detached(P, 99.0, joint.mean[-4:-2])
     before = path.places(P, np.zeros((2, 2)), np.zeros(2))
-    moved = fixed.corrected(np.ones(4)).turned(Alignment(1.0, 0.1, np.zeros(2), np.zeros(2), 1.0, 0), P, P, np.zeros(2))
+    alignment = Alignment(1.0, 0.1, np.zeros(2), np.zeros(2), 1.0, 0)
+    moved = fixed.corrected(np.ones(4), 1.0).turned(alignment, P, P, np.zeros(2))
     after = moved.places(P, np.zeros((2, 2)), np.zeros(2))
     for a, b in zip(before, after, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-9)
 
 
+def test_a_late_fix_scales_the_errors_of_all_steps_before_it() -> None:
+    path, joint = walked(50, ())
+    P = joint.cov[-4:, -4:]
+    before = path.places(P, np.zeros((2, 2)), np.zeros(2))[2]
+    after = path.corrected(np.zeros(4), 3.0).places(3.0 * P, np.zeros((2, 2)), np.zeros(2))[2]
+    np.testing.assert_allclose(after, 3.0 * before, rtol=1e-7)
+
+
 def test_memory_is_bounded_and_the_past_is_thinned_evenly() -> None:
     path, P = PastPath(), np.eye(4)
-    back = Back.over(P, P, 1.001 * P)
     for k in range(3 * MAX_STEPS // 2):
-        path = path.predicted(back).with_step(float(k), np.array([0.0, float(k)]))
+        place = np.array([0.0, float(k), 0.0, 0.0])
+        path = path.with_event(a_step(float(k), place, P, np.eye(4), place, 1.001 * P))
     time_s, place_m, _ = path.places(P, np.zeros((2, 2)), np.zeros(2))
     assert len(time_s) <= MAX_STEPS + 64
     assert len(time_s) > 0.6 * MAX_STEPS
