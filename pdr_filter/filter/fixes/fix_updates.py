@@ -276,7 +276,7 @@ def _on_first_positions(
     fixes = replace(state.fixes, doubt=state.fixes.doubt.with_used())
     state = replace(state, fixes=fixes)
     half = (*agreeing[:-1], replace(pair, var_m2=2.0 * pair.var_m2))
-    alignment = align(half, state.steps.n_final, frame.turn_prior_var_rad2, frame.compass) if frame.is_narrow else None
+    alignment = align(half, state.steps.n_final, frame.turn_prior_var_rad2, frame.compass) if frame.is_settled else None
     if alignment is None:
         return replace(state, frame=frame), "placed" if len(agreeing) == 1 else "turned", np.nan
     squares = least_squares_error(agreeing, frame.turn_prior_var_rad2)

@@ -164,14 +164,24 @@ class Frame:
         return replace(self, compass=compass) if self.is_open else self
 
     @property
-    def is_narrow(self) -> bool:
-        """True if positions and compass leave little doubt of the turn, and agree with a heading fix before them."""
-        turn = self._open
+    def is_settled(self) -> bool:
+        """True if the track bends, and its turn is clear: of positions, compass and a heading fix before them."""
+        turn = self._open if self._bends else None
         if turn is not None and self.turn_prior_var_rad2 <= MAX_ANGLE_STD_RAD**2:
             if self.north_conflict > _UNSURE:
                 return False
             turn = open_turn(self.agreeing).with_compass(self.compass)
         return turn is not None and turn.is_narrow
+
+    @property
+    def _bends(self) -> bool:
+        """Whether the track is as wrong as its fixes.
+
+        Until then fixes rotate and shift the whole track. Once the rotation is settled, each of them corrects position
+        and heading from then on, which bends the track.
+        """
+        walked_m2 = [pair.walked_var_m2 for pair in self.agreeing]
+        return bool(walked_m2) and max(walked_m2) - min(walked_m2) > min(pair.var_m2 for pair in self.agreeing)
 
     @property
     def is_open(self) -> bool:
