@@ -14,8 +14,8 @@ from .maps.floor_plan import FloorPlan as FloorPlan
 from .maps.radio.radio_map import RadioMap as RadioMap
 from .offline.calibration.fit import calibrate as calibrate
 from .offline.smoothing.fixed_lag import FixedLagSmoother as FixedLagSmoother
-from .offline.smoothing.smooth import Smoothed as Smoothed
 from .offline.smoothing.smooth import smooth as smooth
+from .offline.smoothing.smoothed import Smoothed as Smoothed
 from .recipes.config import Config as Config
 from .recipes.step_length_calibration import Calibration as Calibration
 from .report import plot as plot

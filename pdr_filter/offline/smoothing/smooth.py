@@ -7,18 +7,16 @@ GTSAM eliminates the linear graph of every Gauss-Newton iteration and gives the 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import compress
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from pdr_filter.filter.fixes.alignment import Place
 from pdr_filter.filter.fixes.alignment import walked_var_m2 as walked_var
 from pdr_filter.filter.fixes.frame import START_FRAME
-from pdr_filter.filter.fixes.gnss import LocationState, Rides, independent, locations_of
-from pdr_filter.filter.height.height_filter import Altitude
+from pdr_filter.filter.fixes.gnss import LocationState, independent, locations_of
 from pdr_filter.filter.imm.imm import smoothed_mode_prob
 from pdr_filter.filter.imm.motion_model import (
     HEADING_OFFSET,
@@ -39,22 +37,29 @@ from pdr_filter.offline.smoothing.observations import (
 from pdr_filter.offline.smoothing.plan_result import Hindsight as OnPlanHindsight
 from pdr_filter.offline.smoothing.preintegration import Increments, bridge, increments, turned
 from pdr_filter.offline.smoothing.problem import Problem, heading_offsets, pose_problem, start_covariance
+from pdr_filter.offline.smoothing.smoothed import (
+    HERE_STD_M,
+    Smoothed,
+    fix_results,
+    floors_at_steps,
+    notes_of_solution,
+    observation_table,
+    without_steps,
+)
+from pdr_filter.offline.smoothing.smoothed_place import aligned_walk, on_earth, with_given_place
 from pdr_filter.offline.smoothing.solve import Solution, solve
-from pdr_filter.offline.smoothing.storeys import with_arrivals, with_named_floors
-from pdr_filter.offline.smoothing.usable import Used, listed, usable, whole_loop
+from pdr_filter.offline.smoothing.storeys import with_arrivals
+from pdr_filter.offline.smoothing.usable import Used, usable, whole_loop
 from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
 from pdr_filter.recipes.config import Config
 from pdr_filter.recipes.step_length_calibration import Calibration
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading, known_places
 from pdr_filter.tracking.georeferencing import GnssUse, NorthUse
-from pdr_filter.tracking.gnss_alignment import Way, align_way
 from pdr_filter.tracking.track import Track
-from pdr_filter.tracking.warnings import notes_of_rides
-from pdr_filter.tracking.whole_recording import Run, asked_run, collected, outputs, run_sensing
+from pdr_filter.tracking.whole_recording import asked_run, collected, outputs, run_sensing
 from pdr_filter.values import (
     Fix,
-    FixResult,
     FloatArray,
     GridFix,
     HeadingFix,
@@ -62,69 +67,18 @@ from pdr_filter.values import (
     Origin,
     Plan,
     PositionFix,
-    Samples,
     SpeedFix,
     Standstill,
     Step,
-    Table,
-    how_many,
-    pickled,
     read_only,
     step_table,
-    table,
     wrap_angle,
 )
 from pdr_filter.values.recording import Recording
 
 # Nothing is known of where the walk began in the frame of the fixes, apart from being in the same region.
 _ANYWHERE_STD_M = 1000.0
-_HERE_STD_M = _HERE_STD_RAD = 1e-3
-_KINDS = ("fix", "location", "loop closure", "known heading")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Smoothed:
-    """The track in hindsight, and what was learnt on the way.
-
-    Where there were fixes, positions are in their frame and headings clockwise from its north; where there were none,
-    they are those of the filter, from the start and the first heading.
-    """
-
-    track: Track
-    heading_offset_rad: FloatArray  # (K,) walking less device heading after each step, the map's rotation included
-    heading_offset_std_rad: FloatArray  # (K,)
-    log_scale: FloatArray  # (K,) of the step lengths
-    log_scale_std: FloatArray  # (K,)
-    start_position_m: FloatArray  # (2,)
-    start_position_cov_m2: FloatArray  # (2, 2)
-    # A row for each observation: kind ("fix", "location", "loop closure", "known heading"), number in its sequence,
-    # time_s, nis (squared distance from what all others say, normalised by its covariance; NaN if it was not used) and
-    # weight (1 used, 0 rejected, outside the recording, frozen or without information).
-    observations: Table
-    floor: FloatArray  # (K,) storey at each step, NaN where no floor change says it
-    notes: tuple[str, ...]
-
-    __reduce__ = pickled
-
-    @property
-    def scale(self) -> float:
-        """The person's factor on every step length, mean over the steps; 1 without steps."""
-        return float(np.exp(self.log_scale.mean())) if len(self.log_scale) else 1.0
-
-    @property
-    def scale_std(self) -> float:
-        """Standard deviation of `scale`: an error that the steps share."""
-        return float(self.scale * self.log_scale_std.mean()) if len(self.log_scale) else np.nan
-
-    @property
-    def rejected(self) -> Table:
-        """The observations that were not used."""
-        return self.observations[self.observations.weight < 0.5].view(np.recarray)
-
-    def __repr__(self) -> str:
-        return (
-            f"Smoothed({self.track!r}, scale {self.scale:.3f} +- {self.scale_std:.3f}, {len(self.rejected)} rejected)"
-        )
+_HERE_STD_RAD = 1e-3
 
 
 def smooth(
@@ -226,7 +180,7 @@ def smooth(
 
         found = smooth_on_plan(recording, config, run.fixes, run.with_location, second_pass)
         places = tuple(fix for fix in run.fixes if isinstance(fix, PositionFix))
-        return _placed(run, _on_plan(found, Observations(places)))
+        return with_given_place(run, _on_plan(found, Observations(places)))
     # dead reckoning: fixes and locations come in afterwards
     config = config.in_hindsight().with_model(frame=START_FRAME)
     stood = [fix for fix in run.fixes if isinstance(fix, Standstill)]
@@ -254,8 +208,8 @@ def smooth(
     )
     smoothed, walked_var_m2 = _smooth_track(track, modes, config, observed, start_heading_std_rad, anchor_interval_s)
     if gnss == "align" and recording.location is not None:
-        smoothed, where, locations = _aligned(smoothed, walked_var_m2, recording.location)
-    return _placed(run, _on_earth(smoothed, where, locations, observed))
+        smoothed, where, locations = aligned_walk(smoothed, walked_var_m2, recording.location)
+    return with_given_place(run, on_earth(smoothed, where, locations, observed))
 
 
 def _halves(
@@ -305,7 +259,7 @@ def _on_plan(found: OnPlanHindsight, observed: Observations) -> Smoothed:
     """What a floor plan shows."""
     results = {result.time_s: result for result in found.track.fixes}
     each = [results.get(fix.time_s) for fix in observed.fixes]
-    observations = _table(observed).copy()
+    observations = observation_table(observed).copy()
     observations.nis = [np.nan if result is None else result.nis for result in each]
     observations.weight = [float(result is not None and result.accepted) for result in each]
     observations.flags.writeable = False
@@ -318,7 +272,7 @@ def _on_plan(found: OnPlanHindsight, observed: Observations) -> Smoothed:
         start_position_m=found.track.start_position_m,
         start_position_cov_m2=read_only(found.track.position_cov_m2[0]),
         observations=observations,
-        floor=_floors(found.track, ()),
+        floor=floors_at_steps(found.track, ()),
         notes=found.track.notes,
     )
 
@@ -343,14 +297,14 @@ def _smooth_track(
     if track.n_steps == 0:
         places = compress((*observed.fixes, *observed.locations), inside)
         known = independent([f for f in places if isinstance(f, PositionFix)])
-        return _without_steps(track, observed, known), np.zeros(0)
+        return without_steps(track, observed, known), np.zeros(0)
     steps, shared_var = increments(track.steps, track.mode_prob, modes, noise, track.gap_before_s)
     used = usable(track, steps, modes, noise.log_scale_std, observed, inside)
     offsets = heading_offsets(track, steps, modes)
     heading_std_rad, frame_std_rad = _start_directions(used, len(offsets) > 0, noise, start_heading_std_rad)
     fixes = (*used.observed.positions, *used.observed.locations)
     centre = np.mean([f.position_m for f in fixes], axis=0) if fixes else np.zeros(2)
-    start_std_m = _ANYWHERE_STD_M if fixes else _HERE_STD_M
+    start_std_m = _ANYWHERE_STD_M if fixes else HERE_STD_M
     start_cov = start_covariance(start_std_m, heading_std_rad, noise.log_scale_std**2 + shared_var)
     before_first = steps.jump_var_rad2[0] + steps.drift_var_rad2[0] + steps.unknown_var_rad2[0]
     start_cov[HEADING_OFFSET, HEADING_OFFSET] += before_first
@@ -409,9 +363,9 @@ def _smoothed(
     anchored = np.unique(problem.intervals.nodes[problem.positions.node[of_map]])
     along = _second_order(moved, cov[:, HEADING_OFFSET, HEADING_OFFSET], anchored)
     position_cov = cov[:, :2, :2] + along[:, :, None] * along[:, None, :]
-    observations = _table(observed, used.row, found)
+    observations = observation_table(observed, used.row, found)
     start_m = read_only(found.mean[0, :2] if used.has_places else np.zeros(2))
-    notes = (*track.notes, *used.notes, *_notes(track, found, observations, observed, used))
+    notes = (*track.notes, *used.notes, *notes_of_solution(track, found, observations, observed, used))
     smoothed = replace(
         track,
         position_m=read_only(position),
@@ -424,7 +378,7 @@ def _smoothed(
         start_position_m=start_m,
         is_smoothed=True,
         frame="fixes" if used.has_places else "north" if used.knows_north else track.frame,
-        fixes=_results(observed, observations, used, track.start_time_s + track.duration_s),
+        fixes=fix_results(observed, observations, used, track.start_time_s + track.duration_s),
     )
     result = Smoothed(
         track=smoothed,
@@ -435,7 +389,7 @@ def _smoothed(
         start_position_m=start_m,
         start_position_cov_m2=read_only(found.joint_cov[0, :2, :2]),
         observations=observations,
-        floor=_floors(track, observed.floor_changes),
+        floor=floors_at_steps(track, observed.floor_changes),
         notes=notes,
     )
     return result, np.array([walked_var(P) for P in cov])
@@ -451,191 +405,3 @@ def _second_order(moved: FloatArray, heading_var_rad2: FloatArray, anchored: Int
     ahead = total[fixed[np.minimum(after, len(fixed) - 1)]] - total[1:]
     nearer = (ahead**2).sum(axis=1) < (back**2).sum(axis=1)
     return np.where(nearer[:, None], ahead, back)
-
-
-def _table(observed: Observations, row: IntArray | None = None, found: Solution | None = None) -> Table:
-    """The table `Smoothed.observations`, with the row of each observation in the solution (-1: not used)."""
-    times_s = [
-        [f.time_s for f in observed.fixes],
-        [f.time_s for f in observed.locations],
-        [c.second_s for c in observed.loop_closures],
-        [h.start_s for h in observed.known_headings],
-    ]
-    counts = [len(t) for t in times_s]
-    nis, weight = np.full(sum(counts), np.nan), np.zeros(sum(counts))
-    if found is not None and row is not None:
-        used = row >= 0
-        nis[used], weight[used] = found.nis[row[used]], found.weight[row[used]]
-    return table(
-        {
-            "kind": np.repeat(_KINDS, counts),
-            "number": np.concatenate([np.arange(n) for n in counts]),
-            "time_s": np.concatenate([np.array(t, dtype=float) for t in times_s]),
-            "nis": nis,
-            "weight": weight,
-        }
-    )
-
-
-def _results(observed: Observations, observations: Table, used: Used, end_s: float) -> tuple[FixResult, ...]:
-    """Return the outcome of each fix and location."""
-    fixes = (*observed.fixes, *observed.locations)
-    rows = zip(fixes, observations.weight.tolist(), observations.nis.tolist(), used.is_frozen.tolist(), strict=False)
-    return tuple(
-        FixResult.of(f, end_s, "frozen" if is_frozen else "used" if weight >= 0.5 else "rejected", nis)
-        for f, weight, nis, is_frozen in rows
-    )
-
-
-def _notes(track: Track, found: Solution, observations: Table, observed: Observations, used: Used) -> list[str]:
-    notes: list[str] = []
-    for kind in _KINDS:
-        rows = (observations.kind == kind) & (observations.weight < 0.5) & ~np.isnan(observations.nis)
-        if kind == "location" and rows.any():
-            times = listed([f"{t:.0f}" for t in observations.time_s[rows]])
-            notes.append(f"the walk contradicts {how_many(int(rows.sum()), 'location')}, at {times} s: not used")
-            continue
-        if observed.is_loop and kind == "loop closure":
-            last = int(np.flatnonzero(observations.kind == kind)[-1])
-            if rows[last]:
-                notes.append("the walk did not end within 1 m of its start, as loop states: not used")
-            rows[last] = False
-        if rows.any():
-            notes.append(f"{kind} {listed(observations.number[rows])}: the walk cannot explain it, not used")
-    n_good = int((observations.weight[np.isin(observations.kind, _KINDS[:2])] >= 0.5).sum())
-    if used.has_places and n_good == 0:
-        notes.append("no fix agrees with the walk: positions are not known in the frame of the fixes")
-    elif n_good == 1 and found.joint_cov[0, HEADING_OFFSET, HEADING_OFFSET] > 0.5:
-        notes.append("a single fix says where the walk was and not which way it went: directions are not known")
-    elif n_good and found.joint_cov[0, HEADING_OFFSET, HEADING_OFFSET] > 0.5:
-        notes.append("the fixes do not settle which way the walk went: its north is the most probable one")
-    if used.knows_north and (found.weight[-used.n_north :] < 0.5).any():
-        notes.append("north of the magnetic field contradicts everything else that is known of the walk: not used")
-    unknown_s = float(np.asarray(track.steps.heading_unknown_s).sum())
-    if unknown_s > 1.0:
-        notes.append(f"no angular rate for {unknown_s:.0f} s: directions there come from the fixes around them alone")
-    if not found.converged:
-        notes.append("the least squares did not converge: too little is known of this walk, do not trust the track")
-    return notes
-
-
-def _floors(track: Track, floor_changes: Sequence[FloorChange]) -> FloatArray:
-    changes = sorted(floor_changes, key=lambda c: c.time_s)
-    index = np.searchsorted([c.time_s for c in changes], track.time_s, side="right") - 1
-    floors = np.array([np.nan, *(float(c.floor) for c in changes)])
-    return read_only(floors[index + 1])
-
-
-def _aligned(
-    smoothed: Smoothed, walked_var_m2: FloatArray, location: Samples
-) -> tuple[Smoothed, LocationState, tuple[PositionFix, ...]]:
-    """A smoothed walk that the locations of the recording turn and shift as a whole."""
-    track, end_s = smoothed.track, smoothed.track.start_time_s + smoothed.track.duration_s
-    way = Way(
-        np.array([track.start_time_s, *track.time_s]),
-        np.vstack([track.start_position_m, track.position_m]),
-        np.array([0.0, *track.walked_m]),
-        np.array([0.0, *walked_var_m2]),
-    )
-    found = align_way(location, way, track.start_time_s, end_s, track.n_steps)
-    if not found.fixes:
-        return smoothed, found.locations, ()
-    cov_m2, notes = track.position_cov_m2, smoothed.notes
-    if found.frame.alignment is not None:
-        cov_m2 = way.own_var_m2(found.frame.agreeing)[:, None, None] * np.eye(2)
-    else:
-        notes = (*notes, "the locations do not settle which way the track lies: its north is the most probable one")
-    frame = found.frame.drawn()
-    rows = zip(track.position_m, cov_m2, track.walking_heading_rad.tolist(), strict=True)
-    places = [frame.world(Place(*row, k)) for k, row in enumerate(rows)]
-    start = frame.world(Place(track.start_position_m, smoothed.start_position_cov_m2, 0.0, 0))
-    track = replace(
-        track,
-        position_m=read_only(np.array([p.position_m for p in places]).reshape(-1, 2)),
-        position_cov_m2=read_only(np.array([p.cov_m2 for p in places]).reshape(-1, 2, 2)),
-        walking_heading_rad=read_only(wrap_angle(np.array([p.heading_rad for p in places]))),
-        start_position_m=read_only(start.position_m),
-        frame="fixes",
-        origin=None if found.locations.origin is None else frame.origin(found.locations.origin),
-        fixes=tuple(found.results(end_s)),
-        notes=notes,
-    )
-    turned_rad = read_only(wrap_angle(smoothed.heading_offset_rad + start.heading_rad))
-    smoothed = replace(
-        smoothed,
-        track=track,
-        heading_offset_rad=turned_rad,
-        start_position_m=track.start_position_m,
-        start_position_cov_m2=read_only(start.cov_m2),
-        notes=notes,
-    )
-    return smoothed, found.locations, found.fixes
-
-
-def _on_earth(
-    smoothed: Smoothed, where: LocationState, locations: Sequence[PositionFix], observed: Observations
-) -> Smoothed:
-    """A smoothed walk with the place on Earth that its locations give, and with the storeys that fixes name."""
-    track, notes = smoothed.track, smoothed.notes
-    if where.n_unusable:
-        notes = (*notes, where.unusable())
-    places = sorted([*locations, *(f for f in observed.fixes if isinstance(f, PositionFix))], key=lambda f: f.time_s)
-    start = [track.start_time_s, *track.start_position_m]
-    vertices = np.vstack([start, np.column_stack([track.time_s, track.position_m])])
-    notes = (*notes, *(note.text for note in notes_of_rides(Rides.of(places, track.time_s), vertices)))
-    origin, altitude = track.origin, Altitude()
-    if origin is None and where.origin is not None and track.frame == "fixes" and track.n_steps:
-        origin = replace(
-            where.origin,
-            turn_rad=float(smoothed.heading_offset_rad[0]),
-            turn_std_rad=float(smoothed.heading_offset_std_rad.min()),
-            position_std_m=float(track.position_std_m.min()),
-        )
-    if origin is not None and track.n_steps:
-        for fix in locations:
-            k = max(int(np.searchsorted(track.time_s, fix.time_s)) - 1, 0)
-            if fix.altitude_m is not None:
-                altitude = altitude.with_fix(fix, float(track.height_m[k]), float(track.height_std_m[k] ** 2))
-        origin = altitude.of(origin)
-    track = replace(track, origin=origin, notes=notes)
-    return replace(smoothed, track=with_named_floors(track, observed.fixes), notes=notes)
-
-
-def _placed(run: Run, smoothed: Smoothed) -> Smoothed:
-    """A smoothed walk with the given place and heading."""
-    before, track = smoothed.track, run.placed(smoothed.track)
-    turn_rad = track.origin.turn_rad if track.origin is not None and before.frame == "start" else run.heading_rad
-    if track.frame == before.frame or turn_rad is None:
-        return replace(smoothed, track=track, notes=track.notes)
-    rotation = turned(np.array(turn_rad), np.array(0.0))
-    return replace(
-        smoothed,
-        track=track,
-        notes=track.notes,
-        heading_offset_rad=read_only(wrap_angle(smoothed.heading_offset_rad + turn_rad)),
-        start_position_m=track.start_position_m,
-        start_position_cov_m2=read_only(rotation @ smoothed.start_position_cov_m2 @ rotation.T),
-    )
-
-
-def _without_steps(track: Track, observed: Observations, fixes: Sequence[PositionFix]) -> Smoothed:
-    """Nobody walked: the place is the weighted mean of the fixes."""
-    if fixes:
-        information = np.linalg.inv(np.array([f.cov_m2 for f in fixes]))
-        cov = np.linalg.inv(information.sum(axis=0))
-        place = cov @ np.einsum("nab,nb->a", information, np.array([f.position_m for f in fixes]))
-    else:
-        place, cov = np.zeros(2), _HERE_STD_M**2 * np.eye(2)
-    none = read_only(np.zeros(0))
-    return Smoothed(
-        track=replace(track, is_smoothed=True),
-        heading_offset_rad=none,
-        heading_offset_std_rad=none,
-        log_scale=none,
-        log_scale_std=none,
-        start_position_m=read_only(place),
-        start_position_cov_m2=read_only(cov),
-        observations=_table(observed),
-        floor=_floors(track, observed.floor_changes),
-        notes=track.notes,
-    )

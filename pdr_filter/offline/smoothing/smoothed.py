@@ -1,0 +1,179 @@
+"""The result of smoothing: the track, what was estimated with it, and what became of each observation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pdr_filter.filter.imm.motion_model import (
+    HEADING_OFFSET,
+)
+from pdr_filter.offline.smoothing.observations import (
+    FloorChange,
+    Observations,
+)
+from pdr_filter.offline.smoothing.solve import Solution
+from pdr_filter.offline.smoothing.usable import Used, listed
+from pdr_filter.tracking.track import Track
+from pdr_filter.values import (
+    FixResult,
+    FloatArray,
+    IntArray,
+    PositionFix,
+    Table,
+    how_many,
+    pickled,
+    read_only,
+    table,
+)
+
+_KINDS = ("fix", "location", "loop closure", "known heading")
+# Standard deviation of a place that is known.
+HERE_STD_M = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Smoothed:
+    """The track in hindsight, and what was learnt on the way.
+
+    Where there were fixes, positions are in their frame and headings clockwise from its north; where there were none,
+    they are those of the filter, from the start and the first heading.
+    """
+
+    track: Track
+    heading_offset_rad: FloatArray  # (K,) walking less device heading after each step, the map's rotation included
+    heading_offset_std_rad: FloatArray  # (K,)
+    log_scale: FloatArray  # (K,) of the step lengths
+    log_scale_std: FloatArray  # (K,)
+    start_position_m: FloatArray  # (2,)
+    start_position_cov_m2: FloatArray  # (2, 2)
+    # A row for each observation: kind ("fix", "location", "loop closure", "known heading"), number in its sequence,
+    # time_s, nis (squared distance from what all others say, normalised by its covariance; NaN if it was not used) and
+    # weight (1 used, 0 rejected, outside the recording, frozen or without information).
+    observations: Table
+    floor: FloatArray  # (K,) storey at each step, NaN where no floor change says it
+    notes: tuple[str, ...]
+
+    __reduce__ = pickled
+
+    @property
+    def scale(self) -> float:
+        """The person's factor on every step length, mean over the steps; 1 without steps."""
+        return float(np.exp(self.log_scale.mean())) if len(self.log_scale) else 1.0
+
+    @property
+    def scale_std(self) -> float:
+        """Standard deviation of `scale`: an error that the steps share."""
+        return float(self.scale * self.log_scale_std.mean()) if len(self.log_scale) else np.nan
+
+    @property
+    def rejected(self) -> Table:
+        """The observations that were not used."""
+        return self.observations[self.observations.weight < 0.5].view(np.recarray)
+
+    def __repr__(self) -> str:
+        return (
+            f"Smoothed({self.track!r}, scale {self.scale:.3f} +- {self.scale_std:.3f}, {len(self.rejected)} rejected)"
+        )
+
+
+def observation_table(observed: Observations, row: IntArray | None = None, found: Solution | None = None) -> Table:
+    """The table `Smoothed.observations`, with the row of each observation in the solution (-1: not used)."""
+    times_s = [
+        [f.time_s for f in observed.fixes],
+        [f.time_s for f in observed.locations],
+        [c.second_s for c in observed.loop_closures],
+        [h.start_s for h in observed.known_headings],
+    ]
+    counts = [len(t) for t in times_s]
+    nis, weight = np.full(sum(counts), np.nan), np.zeros(sum(counts))
+    if found is not None and row is not None:
+        used = row >= 0
+        nis[used], weight[used] = found.nis[row[used]], found.weight[row[used]]
+    return table(
+        {
+            "kind": np.repeat(_KINDS, counts),
+            "number": np.concatenate([np.arange(n) for n in counts]),
+            "time_s": np.concatenate([np.array(t, dtype=float) for t in times_s]),
+            "nis": nis,
+            "weight": weight,
+        }
+    )
+
+
+def fix_results(observed: Observations, observations: Table, used: Used, end_s: float) -> tuple[FixResult, ...]:
+    """Return the outcome of each fix and location."""
+    fixes = (*observed.fixes, *observed.locations)
+    rows = zip(fixes, observations.weight.tolist(), observations.nis.tolist(), used.is_frozen.tolist(), strict=False)
+    return tuple(
+        FixResult.of(f, end_s, "frozen" if is_frozen else "used" if weight >= 0.5 else "rejected", nis)
+        for f, weight, nis, is_frozen in rows
+    )
+
+
+def notes_of_solution(
+    track: Track, found: Solution, observations: Table, observed: Observations, used: Used
+) -> list[str]:
+    """What a user should know of the solution, in words."""
+    notes: list[str] = []
+    for kind in _KINDS:
+        rows = (observations.kind == kind) & (observations.weight < 0.5) & ~np.isnan(observations.nis)
+        if kind == "location" and rows.any():
+            times = listed([f"{t:.0f}" for t in observations.time_s[rows]])
+            notes.append(f"the walk contradicts {how_many(int(rows.sum()), 'location')}, at {times} s: not used")
+            continue
+        if observed.is_loop and kind == "loop closure":
+            last = int(np.flatnonzero(observations.kind == kind)[-1])
+            if rows[last]:
+                notes.append("the walk did not end within 1 m of its start, as loop states: not used")
+            rows[last] = False
+        if rows.any():
+            notes.append(f"{kind} {listed(observations.number[rows])}: the walk cannot explain it, not used")
+    n_good = int((observations.weight[np.isin(observations.kind, _KINDS[:2])] >= 0.5).sum())
+    if used.has_places and n_good == 0:
+        notes.append("no fix agrees with the walk: positions are not known in the frame of the fixes")
+    elif n_good == 1 and found.joint_cov[0, HEADING_OFFSET, HEADING_OFFSET] > 0.5:
+        notes.append("a single fix says where the walk was and not which way it went: directions are not known")
+    elif n_good and found.joint_cov[0, HEADING_OFFSET, HEADING_OFFSET] > 0.5:
+        notes.append("the fixes do not settle which way the walk went: its north is the most probable one")
+    if used.knows_north and (found.weight[-used.n_north :] < 0.5).any():
+        notes.append("north of the magnetic field contradicts everything else that is known of the walk: not used")
+    unknown_s = float(np.asarray(track.steps.heading_unknown_s).sum())
+    if unknown_s > 1.0:
+        notes.append(f"no angular rate for {unknown_s:.0f} s: directions there come from the fixes around them alone")
+    if not found.converged:
+        notes.append("the least squares did not converge: too little is known of this walk, do not trust the track")
+    return notes
+
+
+def floors_at_steps(track: Track, floor_changes: Sequence[FloorChange]) -> FloatArray:
+    """Storey (K,) at each step by the given changes, NaN before the first."""
+    changes = sorted(floor_changes, key=lambda c: c.time_s)
+    index = np.searchsorted([c.time_s for c in changes], track.time_s, side="right") - 1
+    floors = np.array([np.nan, *(float(c.floor) for c in changes)])
+    return read_only(floors[index + 1])
+
+
+def without_steps(track: Track, observed: Observations, fixes: Sequence[PositionFix]) -> Smoothed:
+    """Nobody walked: the place is the weighted mean of the fixes."""
+    if fixes:
+        information = np.linalg.inv(np.array([f.cov_m2 for f in fixes]))
+        cov = np.linalg.inv(information.sum(axis=0))
+        place = cov @ np.einsum("nab,nb->a", information, np.array([f.position_m for f in fixes]))
+    else:
+        place, cov = np.zeros(2), HERE_STD_M**2 * np.eye(2)
+    none = read_only(np.zeros(0))
+    return Smoothed(
+        track=replace(track, is_smoothed=True),
+        heading_offset_rad=none,
+        heading_offset_std_rad=none,
+        log_scale=none,
+        log_scale_std=none,
+        start_position_m=read_only(place),
+        start_position_cov_m2=read_only(cov),
+        observations=observation_table(observed),
+        floor=floors_at_steps(track, observed.floor_changes),
+        notes=track.notes,
+    )

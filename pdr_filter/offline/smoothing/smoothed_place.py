@@ -1,0 +1,120 @@
+"""The place of a smoothed walk on the Earth: by its locations, by an alignment of the whole, or as given."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pdr_filter.filter.fixes.alignment import Place
+from pdr_filter.filter.fixes.gnss import LocationState, Rides
+from pdr_filter.filter.height.height_filter import Altitude
+from pdr_filter.offline.smoothing.observations import (
+    Observations,
+)
+from pdr_filter.offline.smoothing.preintegration import turned
+from pdr_filter.offline.smoothing.smoothed import Smoothed
+from pdr_filter.offline.smoothing.storeys import with_named_floors
+from pdr_filter.tracking.gnss_alignment import Way, align_way
+from pdr_filter.tracking.warnings import notes_of_rides
+from pdr_filter.tracking.whole_recording import Run
+from pdr_filter.values import (
+    FloatArray,
+    PositionFix,
+    Samples,
+    read_only,
+    wrap_angle,
+)
+
+
+def aligned_walk(
+    smoothed: Smoothed, walked_var_m2: FloatArray, location: Samples
+) -> tuple[Smoothed, LocationState, tuple[PositionFix, ...]]:
+    """A smoothed walk that the locations of the recording turn and shift as a whole."""
+    track, end_s = smoothed.track, smoothed.track.start_time_s + smoothed.track.duration_s
+    way = Way(
+        np.array([track.start_time_s, *track.time_s]),
+        np.vstack([track.start_position_m, track.position_m]),
+        np.array([0.0, *track.walked_m]),
+        np.array([0.0, *walked_var_m2]),
+    )
+    found = align_way(location, way, track.start_time_s, end_s, track.n_steps)
+    if not found.fixes:
+        return smoothed, found.locations, ()
+    cov_m2, notes = track.position_cov_m2, smoothed.notes
+    if found.frame.alignment is not None:
+        cov_m2 = way.own_var_m2(found.frame.agreeing)[:, None, None] * np.eye(2)
+    else:
+        notes = (*notes, "the locations do not settle which way the track lies: its north is the most probable one")
+    frame = found.frame.drawn()
+    rows = zip(track.position_m, cov_m2, track.walking_heading_rad.tolist(), strict=True)
+    places = [frame.world(Place(*row, k)) for k, row in enumerate(rows)]
+    start = frame.world(Place(track.start_position_m, smoothed.start_position_cov_m2, 0.0, 0))
+    track = replace(
+        track,
+        position_m=read_only(np.array([p.position_m for p in places]).reshape(-1, 2)),
+        position_cov_m2=read_only(np.array([p.cov_m2 for p in places]).reshape(-1, 2, 2)),
+        walking_heading_rad=read_only(wrap_angle(np.array([p.heading_rad for p in places]))),
+        start_position_m=read_only(start.position_m),
+        frame="fixes",
+        origin=None if found.locations.origin is None else frame.origin(found.locations.origin),
+        fixes=tuple(found.results(end_s)),
+        notes=notes,
+    )
+    turned_rad = read_only(wrap_angle(smoothed.heading_offset_rad + start.heading_rad))
+    smoothed = replace(
+        smoothed,
+        track=track,
+        heading_offset_rad=turned_rad,
+        start_position_m=track.start_position_m,
+        start_position_cov_m2=read_only(start.cov_m2),
+        notes=notes,
+    )
+    return smoothed, found.locations, found.fixes
+
+
+def on_earth(
+    smoothed: Smoothed, where: LocationState, locations: Sequence[PositionFix], observed: Observations
+) -> Smoothed:
+    """A smoothed walk with the place on Earth that its locations give, and with the storeys that fixes name."""
+    track, notes = smoothed.track, smoothed.notes
+    if where.n_unusable:
+        notes = (*notes, where.unusable())
+    places = sorted([*locations, *(f for f in observed.fixes if isinstance(f, PositionFix))], key=lambda f: f.time_s)
+    start = [track.start_time_s, *track.start_position_m]
+    vertices = np.vstack([start, np.column_stack([track.time_s, track.position_m])])
+    notes = (*notes, *(note.text for note in notes_of_rides(Rides.of(places, track.time_s), vertices)))
+    origin, altitude = track.origin, Altitude()
+    if origin is None and where.origin is not None and track.frame == "fixes" and track.n_steps:
+        origin = replace(
+            where.origin,
+            turn_rad=float(smoothed.heading_offset_rad[0]),
+            turn_std_rad=float(smoothed.heading_offset_std_rad.min()),
+            position_std_m=float(track.position_std_m.min()),
+        )
+    if origin is not None and track.n_steps:
+        for fix in locations:
+            k = max(int(np.searchsorted(track.time_s, fix.time_s)) - 1, 0)
+            if fix.altitude_m is not None:
+                altitude = altitude.with_fix(fix, float(track.height_m[k]), float(track.height_std_m[k] ** 2))
+        origin = altitude.of(origin)
+    track = replace(track, origin=origin, notes=notes)
+    return replace(smoothed, track=with_named_floors(track, observed.fixes), notes=notes)
+
+
+def with_given_place(run: Run, smoothed: Smoothed) -> Smoothed:
+    """A smoothed walk with the given place and heading."""
+    before, track = smoothed.track, run.placed(smoothed.track)
+    turn_rad = track.origin.turn_rad if track.origin is not None and before.frame == "start" else run.heading_rad
+    if track.frame == before.frame or turn_rad is None:
+        return replace(smoothed, track=track, notes=track.notes)
+    rotation = turned(np.array(turn_rad), np.array(0.0))
+    return replace(
+        smoothed,
+        track=track,
+        notes=track.notes,
+        heading_offset_rad=read_only(wrap_angle(smoothed.heading_offset_rad + turn_rad)),
+        start_position_m=track.start_position_m,
+        start_position_cov_m2=read_only(rotation @ smoothed.start_position_cov_m2 @ rotation.T),
+    )
