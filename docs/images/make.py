@@ -129,8 +129,8 @@ def real_track() -> Figure | None:
 
 
 def online_or_smoothed() -> Figure:
-    """A simulated walk almost twice round a block: its locations, the online and the smoothed track, and the truth."""
-    sides_m, corner = (45.0, 30.0, 45.0, 30.0, 45.0, 30.0, 45.0), np.pi / 2
+    """A simulated walk four times round a block: its locations, the online and the smoothed track, and the truth."""
+    sides_m, corner = (45.0, 30.0) * 8, np.pi / 2
     legs = [pdr.simulate.Leg("walking", distance_m=d, turn_rad=corner * (k > 0)) for k, d in enumerate(sides_m)]
     walk = pdr.simulate.simulate(legs, seed=5, name="block")
     truth, here = walk.truth.position, pdr.Origin(48.137, 11.575)
