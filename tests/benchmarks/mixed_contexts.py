@@ -12,6 +12,7 @@ second. Distances are in `weightings.py`.
 
 from __future__ import annotations
 
+import argparse
 import pickle
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -27,14 +28,7 @@ from pdr_filter.filter.imm.imm import smoothed_mode_prob
 from pdr_filter.filter.imm.pedestrian_state import StepUpdate
 from pdr_filter.filter.imm.tracker import Tracker
 from pdr_filter.offline.training import context_training as contexts
-from pdr_filter.offline.training.context_sequences import (
-    UNKNOWN,
-    LabelledProbabilities,
-    count_transitions,
-    estimate_transitions,
-    filter_windows,
-    fit_tempering,
-)
+from pdr_filter.offline.training.context_sequences import UNKNOWN
 from pdr_filter.offline.training.context_training import PLANS, labelled_windows
 from pdr_filter.offline.training.cross_validation import DOUBTFUL, LabelledWindows, label_of, recordings_of
 from pdr_filter.recipes import context_transitions, default, with_context_model
@@ -43,10 +37,9 @@ from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.sensing.contexts.learned_contexts import shipped_model
 from pdr_filter.sensing.front_end import Event, Gap
 from pdr_filter.tracking.filtering import finish, init, update
-from pdr_filter.tracking.whole_recording import run_sensing
 from pdr_filter.values import CONTEXTS, FloatArray, ImuBlock, IntArray, Samples, table
 from pdr_filter.values.recording import Recording, Truth
-from tests.benchmarks.common import Tables, options
+from tests.benchmarks.common import Tables, run
 
 PLAN = PLANS[0]
 N_FOLDS = 3
@@ -55,7 +48,6 @@ BLOCK_S = 0.1
 # Two seconds of walking: what a final step of HC and WC waits too.
 LAG_STEPS = 4
 STATIONARY = CONTEXTS.index("stationary")
-MODEL = default().model
 # Trial of each part in the two walks of a person, and how much of it, s; walking is cut at another place each time.
 N_WALKS = 2
 PARTS: tuple[tuple[tuple[str, str], float], ...] = (
@@ -184,15 +176,11 @@ class Said:
     window_s: FloatArray  # (W,) ends
     window_known_s: FloatArray
     window_prob: FloatArray  # (W, C)
-    training_prior: FloatArray  # (C,)
     step_s: FloatArray  # (K,)
     step_known_s: FloatArray
     of_window: FloatArray  # (K, C) the window that each step used
     filtered: FloatArray  # (K, C)
     smoothed: FloatArray  # (K, C)
-    learnt: FloatArray  # (K, C) filtered, with transitions and exponents of other people's walks
-    events: list[Event]
-    config: Config
 
     @property
     def lagged(self) -> FloatArray:
@@ -227,15 +215,11 @@ def said_online(walk: Recording, person: str, config: Config) -> Said:
         np.array([w.time_s for _, w in windows]),
         np.array([t for t, _ in windows]),
         np.array([w.prob for _, w in windows]),
-        windows[0][1].training_prior,
         np.array([u.step.time_s for _, u in updates]),
         np.array([t for t, _ in updates]),
         np.array([u.context_prob for _, u in updates]),
         np.array([u.mode_prob for _, u in updates]),
         smoothed.mode_prob,
-        np.array([u.mode_prob for _, u in updates]),
-        run_sensing(config.sensing, walk)[1],
-        config,
     )
 
 
@@ -280,7 +264,7 @@ def window_scores(tables: Tables, all_said: list[Said]) -> None:
         [],
         [],
         [],
-        {"arg-max": [], "mean of 5": [], "filtered": [], "learnt": [], "lagged": [], "smoothed": []},
+        {"arg-max": [], "mean of 5": [], "filtered": [], "lagged": [], "smoothed": []},
     )
     person = []
     for said in all_said:
@@ -293,7 +277,6 @@ def window_scores(tables: Tables, all_said: list[Said]) -> None:
         answers["mean of 5"] += list(mean_of_five(said.window_prob).argmax(axis=1))
         for name, prob in (
             ("filtered", said.filtered),
-            ("learnt", said.learnt),
             ("lagged", said.lagged),
             ("smoothed", said.smoothed),
         ):
@@ -316,24 +299,6 @@ def window_scores(tables: Tables, all_said: list[Said]) -> None:
     order = ", ".join(CONTEXTS[c] for c in np.unique(y[y >= 0]))
     about = f"Recall in the order {order}; gain over the arg-max, mean of people."
     tables.write("mixed_contexts_windows", columns, rows, about)
-
-
-def step_scores(tables: Tables, all_said: list[Said]) -> None:
-    """Accuracy over steps: what the window of a step says, and what the filter and the smoother say of it."""
-    rows = []
-    y = np.concatenate([[context_at(s.walk, t) for t in s.step_s] for s in all_said])
-    use = y >= 0
-    for name, prob in (
-        ("arg-max", np.concatenate([s.of_window for s in all_said])),
-        ("filtered", np.concatenate([s.filtered for s in all_said])),
-        ("learnt", np.concatenate([s.learnt for s in all_said])),
-        ("lagged", np.concatenate([s.lagged for s in all_said])),
-        ("smoothed", np.concatenate([s.smoothed for s in all_said])),
-    ):
-        loss = -np.log(np.maximum(prob[use, y[use]], 1e-6)).mean()
-        rows.append([name, f"{np.mean(prob[use].argmax(axis=1) == y[use]):.3f}", f"{loss:.2f}"])
-    about = f"{use.sum()} steps, of which {np.sum(y == STATIONARY)} while standing or sitting."
-    tables.write("mixed_contexts_steps", ["answer", "accuracy", "log loss"], rows, about)
 
 
 def delays_s(said: Said, known_s: FloatArray, prob: FloatArray) -> dict[int, list[float]]:
@@ -359,11 +324,9 @@ def delays(tables: Tables, all_said: list[Said]) -> None:
     for name, known, prob in (
         ("arg-max", "window_known_s", "window_prob"),
         ("filtered", "step_known_s", "filtered"),
-        ("learnt", "step_known_s", "learnt"),
         ("lagged", "lagged_known_s", "lagged"),
         ("arg-max of its step, by the step's own time", "step_s", "of_window"),
         ("filtered, by the step's own time", "step_s", "filtered"),
-        ("learnt, by the step's own time", "step_s", "learnt"),
         ("smoothed, by the step's own time", "step_s", "smoothed"),
     ):
         found: dict[int, list[float]] = {}
@@ -379,18 +342,6 @@ def delays(tables: Tables, all_said: list[Said]) -> None:
         rows.append([name, *cells, f"{np.isinf(every).sum()} of {len(every)}"])
     columns = ["answer", *by_context, "never"]
     tables.write("mixed_contexts_delays", columns, rows, "Seconds: median, 90 %; never found counts as infinite.")
-
-
-def labelled(all_said: list[Said]) -> LabelledProbabilities:
-    """Windows of walks as sequences."""
-    n = [len(s.window_s) for s in all_said]
-    return LabelledProbabilities(
-        prob=np.concatenate([s.window_prob for s in all_said]),
-        training_prior=np.concatenate([np.tile(s.training_prior, (k, 1)) for s, k in zip(all_said, n, strict=True)]),
-        label=np.concatenate([[context_at(s.walk, t - 1.0) for t in s.window_s] for s in all_said]),
-        person=np.repeat([s.person for s in all_said], n),
-        sequence=np.repeat([s.walk.name for s in all_said], n),
-    )
 
 
 def tracked(events: list[Event], config: Config, weighting: str) -> list[StepUpdate]:
@@ -413,65 +364,13 @@ def updates_of(tracker: Tracker[Any], events: list[Event]) -> list[StepUpdate]:
     return updates + [u for u in tracker.finish(state)[1] if u.is_final]
 
 
-def with_learnt(all_said: list[Said], fold: tuple[str, ...]) -> list[Said]:
-    """The walks of a fold, filtered with transitions and exponents of all other people's walks."""
-    others = [s for s in all_said if s.person not in fold]
-    sequences = labelled(others)
-    known = sequences.label != UNKNOWN  # the still seconds are no context that is changed to
-    steps = np.concatenate(
-        [np.searchsorted(s.step_s, s.window_s) - np.searchsorted(s.step_s, s.window_s - 1.0) for s in others]
-    )
-    counts = count_transitions(sequences.label[known], sequences.sequence[known], len(CONTEXTS), steps[known])
-    transition_prob = estimate_transitions(counts, context_transitions())
-    exponents = fit_tempering(sequences, np.linalg.matrix_power(transition_prob, 2))
-    print(
-        f"without {', '.join(fold)}: stays of "
-        + ", ".join(f"{c} {1 / (1 - p):.0f}" for c, p in zip(CONTEXTS, transition_prob.diagonal(), strict=True))
-        + f" steps; exponents: evidence {exponents.evidence_exponent:.1f}, prior {exponents.prior_exponent:.1f}"
-    )
-    result: list[Said] = []
-    for said in (s for s in all_said if s.person in fold):
-        config = said.config.with_model(
-            transition_prob=transition_prob,
-            evidence_exponent=exponents.evidence_exponent,
-            prior_exponent=exponents.prior_exponent,
-        )
-        updates = tracked(said.events, config, "imm")
-        result.append(replace(said, learnt=np.array([u.mode_prob for u in updates])))
-    return result
-
-
-def real(tables: Tables, data: Path, cache: Path | None) -> None:
-    """All tables."""
-    windows: LabelledWindows = cached(cache, "windows", lambda: windows_of(data))
-    all_said = [said_online(*each) for each in walks_left_out(data, cache, windows)]
-    all_said = [said for fold in folds_of(windows) for said in with_learnt(all_said, fold)]
+def walks(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Both tables."""
+    windows: LabelledWindows = cached(arguments.cache, "windows", lambda: windows_of(arguments.data))
+    all_said = [said_online(*each) for each in walks_left_out(arguments.data, arguments.cache, windows)]
     window_scores(tables, all_said)
-    step_scores(tables, all_said)
     delays(tables, all_said)
-    sequences = labelled(all_said)
-    between = np.linalg.matrix_power(context_transitions(), 2)
-    chosen = fit_tempering(sequences, between)
-    plain = filter_windows(sequences, between, MODEL.evidence_exponent, MODEL.prior_exponent, 0.01)
-    use = sequences.label != UNKNOWN
-    loss = -np.log(plain[use, sequences.label[use]]).mean()
-    exponents = f"{chosen.evidence_exponent:.1f}, {chosen.prior_exponent:.1f}"
-    rows = [
-        ["chosen on these people", exponents, f"{chosen.log_loss:.3f}"],
-        ["chosen on the other people", "", f"{chosen.held_out_log_loss:.3f}"],
-        ["default", f"{MODEL.evidence_exponent:.1f}, {MODEL.prior_exponent:.1f}", f"{loss:.3f}"],
-    ]
-    columns = ["exponents", "evidence, prior", "log loss of the filtered windows"]
-    tables.write("mixed_contexts_tempering", columns, rows)
-
-
-def main() -> None:
-    parser = options(__doc__)
-    parser.add_argument("--cache", type=Path, default=None, help="keeps windows and models of the folds")
-    args = parser.parse_args()
-    tables = Tables.of(__spec__.name, args)
-    real(tables, args.data, args.cache)
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, walks, cache=None)

@@ -16,6 +16,7 @@ them: lengths by 8 % where it takes 7, and the gyroscope's bias from its prior, 
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -33,11 +34,10 @@ from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.contexts.learned_contexts import shipped_model
 from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindows
 from pdr_filter.sensing.front_end import feature_windows
-from pdr_filter.sensing.gyroscope_bias import GyroBias
 from pdr_filter.simulate import Leg, SensorErrors, simulate
 from pdr_filter.simulate.population import random_person
 from pdr_filter.values import BoolArray, FloatArray
-from tests.benchmarks.common import Tables, options
+from tests.benchmarks.common import Tables, run
 
 TextArray = NDArray[np.str_]
 PLAN = {plan.name: plan for plan in PLANS}["context"]
@@ -130,11 +130,11 @@ def told_apart(real: LabelledWindows, made: LabelledWindows) -> tuple[float, str
     return float(roc_auc_score(y, prob, sample_weight=weight)), f"`{PLAN.feature_names[best]}` ({medians})"
 
 
-def contexts(tables: Tables, data: Path, n_people: int) -> None:
-    real, model = real_windows(data), shipped_model("context")
+def contexts(tables: Tables, arguments: argparse.Namespace) -> None:
+    real, model = real_windows(arguments.data), shipped_model("context")
     said, rows = left_out(real), list[list[object]]()
     for place in PLACES:
-        made = simulated_windows(place, n_people)
+        made = simulated_windows(place, arguments.people)
         made_said = np.array(PLAN.labels)[model.probabilities(made.features).argmax(axis=1)]
         for context in MOVING:
             own = made.context == context
@@ -150,7 +150,8 @@ def contexts(tables: Tables, data: Path, n_people: int) -> None:
                 cells += ["-", "-"]
             rows.append([place, context, *cells])
     columns = ["place", "context", "recall: simulated", "real, left out", "real people", "tree: AUC"]
-    about = f"{n_people} simulated people in each place. Recall of windows, mean over people; medians: real, simulated."
+    about = f"{arguments.people} simulated people in each place. Recall of windows, mean over people; "
+    about += "medians: real, simulated."
     tables.write("simulated_people", [*columns, "its best feature"], rows, about)
 
 
@@ -169,27 +170,17 @@ class Outcome:
     walking: float  # mean probability of walking
 
 
-LENGTH_STD, WIDER = 0.08, 1.25  # of the log length of people, and of the biases beside their prior
-
-
-def wider(gait: pdr.simulate.Gait, number: int) -> tuple[pdr.simulate.Gait, SensorErrors]:
-    """The same person with another length, and a phone with another bias."""
-    rng, prior, errors = np.random.default_rng([8, number]), GyroBias(), SensorErrors()
-    factor = float(np.exp(LENGTH_STD * rng.standard_normal()))
-    bias_std = WIDER * float(rng.choice(prior.prior_std_radps, p=prior.prior_prob))
-    return replace(gait, length_factor=factor), replace(errors, gyroscope=replace(errors.gyroscope, bias_std=bias_std))
-
-
-def walk_of(place: str, number: int, is_wider: bool) -> pdr.Recording:
+def walk_of(place: str, number: int) -> pdr.Recording:
     """Somebody's walk of nine straight legs."""
     gait, carrying = person_in(place, number)
-    gait, errors = wider(gait, number) if is_wider else (gait, SensorErrors())
     rng, mode = np.random.default_rng([7, number]), PLACES[place][0]
     legs = [Leg("stationary", duration_s=3.0), Leg("walking", distance_m=float(rng.uniform(10, 30)))]
     for _ in range(8):
         turn_rad = float(rng.choice([-1.0, 1.0])) * np.pi / 2
         legs.append(Leg("walking", distance_m=float(rng.uniform(10, 30)), turn_rad=turn_rad))
-    return simulate(legs, gait, mode, errors=errors, seed=number, carrying={mode: carrying}, name=f"{mode}_{number}")
+    return simulate(
+        legs, gait, mode, errors=SensorErrors(), seed=number, carrying={mode: carrying}, name=f"{mode}_{number}"
+    )
 
 
 def frame_rad(track: pdr.Track, at: FloatArray) -> float:
@@ -223,10 +214,12 @@ def outcome(walk: pdr.Recording) -> Outcome:
     )
 
 
-def tracks(tables: Tables, name: str, n_people: int, is_wider: bool) -> None:
+def tracks(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Tracks of simulated people by the default recipe."""
+    n_people = arguments.people
     rows: list[list[object]] = []
     for place in PLACES:
-        found = [outcome(walk_of(place, number, is_wider)) for number in range(n_people)]
+        found = [outcome(walk_of(place, number)) for number in range(n_people)]
         nees = np.array([o.nees for o in found])
         both = [
             f"{mean:.1f} ({median:.1f})"
@@ -260,20 +253,8 @@ def tracks(tables: Tables, name: str, n_people: int, is_wider: bool) -> None:
     ]
     columns += ["error m", "distance %: bias, spread", "steps lost %", "direction deg: median, 90 %", "P(walking)"]
     about = f"{n_people} simulated people. Well sensed: walking for 0.9 of the steps, under 2 % of them lost."
-    tables.write(name, columns, rows, about)
-
-
-def main() -> None:
-    parser = options(str(__doc__), "contexts", "tracks")
-    parser.add_argument("--people", type=int, default=48)
-    args = parser.parse_args()
-    written = Tables.of(__spec__.name, args)
-    if "contexts" in args.parts:
-        contexts(written, args.data, args.people)
-    if "tracks" in args.parts:
-        tracks(written, "simulated_people_tracks", args.people, is_wider=False)
-        tracks(written, "simulated_people_wider", 4 * args.people, is_wider=True)
+    tables.write("simulated_people_tracks", columns, rows, about)
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, contexts, tracks, people=48)

@@ -1,12 +1,16 @@
-"""How fast the whole pipeline is: recordings of all sets, their stages, an hour, a day in blocks, a block, a start.
+# ruff: noqa: N803 - the letters of the equations
+"""How fast the whole pipeline is: recordings of all sets, a day in blocks, a block, its parts, and the IMM itself.
 
-usage: python -m tests.benchmarks.throughput [recordings] [stages] [pushed] [calls] [hour] [costs] [day] [start]
-       [--before TREE] [--every 4]
+usage: python -m tests.benchmarks.throughput [recordings] [pushed] [calls] [costs] [day] [imm_cycles] [--before TREE]
+       [--every 4] [--hours 24] [--pedestrians 10000]
 
-The hour is the embedded simulated walk repeated in time; costs are those of one real walk, a part of the filter left
-out or put in. `--before` is another checkout of the project: its recordings, stages, pushed blocks and starts are timed
-in turns with ours, ours twice, so that the two figures of one tree show what the machine adds. Times are of the
-processor, one core.
+The day is the embedded simulated walk repeated in time; costs are those of one real walk, a part of the filter left
+out or put in. `--before` is another checkout of the project: its recordings and pushed blocks are timed in turns with
+ours, ours twice, so that the two figures of one tree show what the machine adds. Times are of the processor, one core.
+
+imm_cycles: one cycle is mix, predict, update, mode probabilities, combine; 6 modes, 4 states, a position fix each step,
+against filterpy's IMMEstimator in the same run. Both filter the same numbers; the largest difference of the estimates
+is in the table, so that nobody compares a fast wrong answer with a slow right one.
 """
 
 from __future__ import annotations
@@ -18,21 +22,22 @@ import resource
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from filterpy.kalman import IMMEstimator, KalmanFilter
 
 import pdr_filter as pdr
+from pdr_filter.filter.imm import imm
 from pdr_filter.filter.imm.modes import context_modes, context_transitions
 from pdr_filter.filter.step_length.models import bounce_fit
 from pdr_filter.recipes import default
-from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindows
 from pdr_filter.values import PositionFix, Samples
-from tests.benchmarks.common import ROOT, Tables, options, paths
+from tests.benchmarks.common import ROOT, Tables, paths, run
 from tests.maps.made_up import box, feature, line, write
 
 SITES = ("humolire", "ms_indoor", "oxiod", "ubicomp13", "tyrex", "oxford", "ipol", "motionsense", "ipin2023")
@@ -50,50 +55,6 @@ for path in sys.argv[1:]:
     found.append((recording.duration_s, best))
 print(json.dumps(found))
 """
-# The stages of the default, by the class of each, and of a step what follows them.
-_OF_STAGES = """
-import importlib, json, sys, time
-import pdr_filter as pdr
-
-STAGES = {
-    "conditioner": "sensing.conditioning.Conditioner.step",
-    "attitude and bias": "sensing.attitude.AttitudeEstimator.step",
-    "features of windows": "sensing.features.windows.FeatureWindows.step",
-    "contexts, features included": "sensing.contexts.learned.LearnedContexts.step",
-    "step detector": "sensing.steps.adaptive.AdaptiveStepDetector.step",
-    "gate": "sensing.steps.gate.StepGate.step",
-    "walking heading": "sensing.heading.walking_heading.WalkingHeading.step",
-    "sensing in all": "sensing.front_end.Sensing.step",
-    "tracker, steps": "filter.imm_tracker.ImmTracker.on_step",
-    "tracker, fixes": "filter.imm_tracker.ImmTracker.on_fix",
-}
-taken = dict.fromkeys(STAGES, 0.0)
-
-def timed(function, name):
-    def run(*arguments):
-        start = time.process_time()
-        result = function(*arguments)
-        taken[name] += time.process_time() - start
-        return result
-    return run
-
-recordings = [pdr.read(path) for path in sys.argv[1:]]
-pdr.track(recordings[0])
-for name, place in STAGES.items():
-    module, owner, method = place.rsplit(".", 2)
-    owner = getattr(importlib.import_module("pdr_filter." + module), owner)
-    setattr(owner, method, timed(getattr(owner, method), name))
-best = []
-for _ in range(3):
-    taken.update(dict.fromkeys(taken, 0.0))
-    start = time.process_time()
-    for recording in recordings:
-        pdr.track(recording)
-    best.append([time.process_time() - start, *taken.values()])
-least = [min(times) for times in zip(*best)]
-seconds = sum(recording.duration_s for recording in recordings)
-print(json.dumps([["pdr.track in all", *taken], [1e3 * t / seconds for t in least]]))
-"""
 _OF_PUSHED = """
 import json, sys, time
 import pdr_filter as pdr
@@ -109,13 +70,6 @@ for _ in range(3):
     runs.append(cost)
 least = sorted(min(costs) for costs in zip(*runs))
 print(json.dumps([sum(least) / len(least), least[len(least) // 2], least[int(0.99 * len(least))]]))
-"""
-_OF_START = """
-import json, sys, time
-start = time.perf_counter(), time.process_time()
-import pdr_filter
-pdr_filter.OnlineFilter()
-print(json.dumps((time.perf_counter() - start[0], time.process_time() - start[1])))
 """
 
 
@@ -147,13 +101,15 @@ def trees(before: Path | None) -> dict[str, Path]:
     return {"now": ROOT} if before is None else {"before": before, "now": ROOT, "now, again": ROOT}
 
 
-def of_recordings(tables: Tables, args: argparse.Namespace) -> None:
+def recordings(tables: Tables, arguments: argparse.Namespace) -> None:
     """Times real time of real recordings with all their sensors, for each set."""
     rows: list[list[str]] = []
-    every: dict[str, list[np.ndarray]] = {name: [] for name in trees(args.before)}
+    every: dict[str, list[np.ndarray]] = {name: [] for name in trees(arguments.before)}
     for site in SITES:
-        chosen = [str(path) for path in paths(args.data, site)[:: args.every]]
-        times = {name: np.array(in_tree(tree, _OF_RECORDINGS, *chosen)) for name, tree in trees(args.before).items()}
+        chosen = [str(path) for path in paths(arguments.data, site)[:: arguments.every]]
+        times = {
+            name: np.array(in_tree(tree, _OF_RECORDINGS, *chosen)) for name, tree in trees(arguments.before).items()
+        }
         for name, found in times.items():
             every[name].append(found)
         rows.append([site, str(len(chosen)), *(f"{(t[:, 0] / t[:, 1]).mean():.0f}" for t in times.values())])
@@ -165,28 +121,11 @@ def of_recordings(tables: Tables, args: argparse.Namespace) -> None:
     tables.write("throughput_recordings", ["set", "recordings", *all_of], rows, about)
 
 
-def of_stages(tables: Tables, args: argparse.Namespace) -> None:
-    """Cost of each stage on one recording of each set."""
-    chosen = [str(found[len(found) // 2]) for site in SITES if (found := paths(args.data, site))]
-    runs = {name: [] for name in trees(args.before)}
-    for _ in range(3):
-        for name, tree in trees(args.before).items():
-            stages, taken = in_tree(tree, _OF_STAGES, *chosen)
-            runs[name].append(taken)
-    least = [np.min(taken, axis=0) for taken in runs.values()]
-    rows = [[stage, *(f"{of_tree[i]:.3f}" for of_tree in least)] for i, stage in enumerate(stages)]
-    about = (
-        f"ms a second of data, {len(chosen)} recordings, one of each set; the least of nine runs, in turns, one core, "
-        f"{load()}."
-    )
-    tables.write("throughput_stages", ["stage", *runs], rows, about)
-
-
-def of_pushed(tables: Tables, args: argparse.Namespace) -> None:
+def pushed(tables: Tables, arguments: argparse.Namespace) -> None:
     """Blocks of 0.1 s of a real walk with all its sensors."""
-    path, runs = str(paths(args.data, "oxiod")[2]), {name: [] for name in trees(args.before)}
+    path, runs = str(paths(arguments.data, "oxiod")[2]), {name: [] for name in trees(arguments.before)}
     for _ in range(3):
-        for name, tree in trees(args.before).items():
+        for name, tree in trees(arguments.before).items():
             runs[name].append(in_tree(tree, _OF_PUSHED, path))
     rows = [[name, *(f"{v:.2f} ms" for v in np.min(taken, axis=0))] for name, taken in runs.items()]
     about = (
@@ -214,54 +153,6 @@ def long_walk(hours: float) -> pdr.Recording:
     )
 
 
-def features_s(recording: pdr.Recording) -> tuple[float, int]:
-    """Time of all features of a recording, the signals given, and the number of windows."""
-    sensing, stage = default().sensing, FeatureWindows(features=ATTITUDE_FREE)
-    _, uniform = sensing.conditioner.update(sensing.conditioner.init(), pdr.merge_streams(recording))
-    state, parts = sensing.attitude.init(), []
-    for part in uniform:
-        state, attitude = sensing.attitude.update(state, part)
-        parts.append((part, attitude))
-    start, n, windows = time.process_time(), 0, stage.init()
-    for part, attitude in parts:
-        windows, found = stage.update(windows, part, attitude)
-        n += len(found)
-    return time.process_time() - start, n
-
-
-def pushed_ms(block: pdr.ImuBlock, n_samples: int = 10, most: int = 60_000) -> np.ndarray:
-    """Cost of each pushed block, ms."""
-    online, cost = pdr.OnlineFilter(), []
-    for i in range(0, min(len(block.time_s), most), n_samples):
-        part = slice(i, i + n_samples)
-        start = time.process_time()
-        online.push(block.time_s[part], block.specific_force_mps2[part], block.angular_rate_radps[part])
-        cost.append(1e3 * (time.process_time() - start))
-    return np.array(cost)
-
-
-def of_an_hour(tables: Tables, args: argparse.Namespace) -> None:
-    """The simulated hour, a pushed block, a saved filter."""
-    recording, rows = long_walk(args.hours), []
-    pdr.track(pdr.simulate.demo_walk())  # loads models, fills caches
-    for weighting in ("imm", "wc", "hc"):
-        best = best_s(lambda w=weighting: pdr.track(recording, weighting=w))
-        times, n_steps = recording.duration_s / best, pdr.track(recording, weighting=weighting).n_steps
-        rows.append([f"an hour, `{weighting}`, {n_steps} steps", f"{best:.1f} s, {times:.0f} times real time"])
-    best, n_windows = min(features_s(recording) for _ in range(3))
-    rows.append([f"{len(ATTITUDE_FREE.names)} features of its {n_windows} windows", f"{best:.2f} s"])
-    block = pdr.merge_streams(recording)
-    cost = np.min([pushed_ms(block) for _ in range(3)], axis=0)
-    high = np.percentile(cost, 99)
-    rows.append(["one pushed block of 0.1 s", f"mean {np.mean(cost):.2f} ms, 99th percentile {high:.1f} ms"])
-    online = pdr.OnlineFilter()
-    online.push(block.time_s[:3000], block.specific_force_mps2[:3000], block.angular_rate_radps[:3000])
-    blob = online.save()
-    loaded_ms = 1e3 * best_s(lambda: pdr.OnlineFilter.load(blob))
-    rows.append(["a saved filter, models included", f"{len(blob) / 1e3:.0f} kB, loaded in {loaded_ms:.0f} ms"])
-    tables.write("throughput", ["what", "result"], rows, f"One core, {load()}.")
-
-
 def around(track: pdr.Track) -> pdr.FloorPlan:
     """A hall that holds a track, with four walls in it."""
     corners = np.array([track.position_m.min(axis=0) - 10.0, track.position_m.max(axis=0) + 10.0])
@@ -272,9 +163,9 @@ def around(track: pdr.Track) -> pdr.FloorPlan:
         return pdr.FloorPlan.read(write(Path(folder) / "hall.geojson", features))
 
 
-def of_parts(tables: Tables, args: argparse.Namespace) -> None:
+def costs(tables: Tables, arguments: argparse.Namespace) -> None:
     """A real walk with parts of the filter left out or put in."""
-    recording = pdr.read(args.data / "oxiod" / "oxiod_anon_floor1_handheld1.zip")
+    recording = pdr.read(arguments.data / "oxiod" / "oxiod_anon_floor1_handheld1.zip")
     track = pdr.track(recording)
     n_steps = track.n_steps
     config, fix_cov = default(recording.subject), 9.0 * np.eye(2)
@@ -291,7 +182,7 @@ def of_parts(tables: Tables, args: argparse.Namespace) -> None:
     particles = config.with_plan(around(track), PositionFix(0.0, np.zeros(2), fix_cov))
     assert particles.on_plan is not None
     on_plan = [
-        (f"on a floor plan, {n:,} particles at most", replace(particles, on_plan=replace(particles.on_plan, n_most=n)))
+        (f"on a floor plan, {n:,} particles at most", REPL)
         for n in (4_000, particles.on_plan.n_most)
     ]
     climbing = replace(recording, barometer=Samples(time_s, 1000.0 + 0.01 * np.sin(0.1 * time_s)[:, None]))
@@ -327,9 +218,9 @@ def of_parts(tables: Tables, args: argparse.Namespace) -> None:
     tables.write("throughput_parts", ["what", "ms a second", "ms a step more", "times real time"], rows, about)
 
 
-def of_calls(tables: Tables, args: argparse.Namespace) -> None:
+def calls(tables: Tables, arguments: argparse.Namespace) -> None:
     """A minute of a real walk, pushed in larger and smaller pieces, merged and as its sensors come."""
-    block = pdr.merge_streams(pdr.read(args.data / "oxiod" / "oxiod_anon_floor1_handheld1.zip"))
+    block = pdr.merge_streams(pdr.read(arguments.data / "oxiod" / "oxiod_anon_floor1_handheld1.zip"))
     n = int(np.searchsorted(block.time_s, block.time_s[0] + 60.0))
 
     def merged(samples: int) -> None:
@@ -356,11 +247,11 @@ def of_calls(tables: Tables, args: argparse.Namespace) -> None:
     tables.write("throughput_calls", columns, rows, about)
 
 
-def of_a_day(tables: Tables, args: argparse.Namespace) -> None:
+def day(tables: Tables, arguments: argparse.Namespace) -> None:
     """A day in blocks of a minute: whether its cost is that of its length, and its memory that of an hour."""
     block, online, rows = pdr.merge_streams(long_walk(1.0)), pdr.OnlineFilter(), []
     period_s, used_s, n_steps = float(block.time_s[-1]) + 0.01, 0.0, 0
-    for hour in range(args.day_hours):
+    for hour in range(arguments.hours):
         for i in range(0, len(block.time_s), 6000):
             part = slice(i, i + 6000)
             time_s = block.time_s[part] + hour * period_s
@@ -378,40 +269,101 @@ def of_a_day(tables: Tables, args: argparse.Namespace) -> None:
     tables.write("throughput_day", columns, rows, f"Pushed in blocks of a minute, whose updates were let go; {load()}.")
 
 
-def of_start(tables: Tables, args: argparse.Namespace) -> None:
-    """From the first import to the first filter."""
-    found = {name: [] for name in trees(args.before)}
-    for _ in range(7):
-        for name, tree in trees(args.before).items():
-            found[name].append(in_tree(tree, _OF_START))
-    rows = [[name, *(f"{v:.2f} s" for v in np.min(taken, axis=0))] for name, taken in found.items()]
-    about = "`import pdr_filter; pdr_filter.OnlineFilter()` in a fresh interpreter; the least of seven, in turns."
-    tables.write("throughput_start", ["", "from start to end", "processor time"], rows, about)
+N_MODES, N_STATES = 6, 4
+GROUP = 500
+MANY_STEPS = 100
+H = np.eye(2, N_STATES)
+R = np.array([[4.0, 0.5], [0.5, 3.0]])
+M = np.full((N_MODES, N_MODES), 0.02) + 0.88 * np.eye(N_MODES)
+F = np.tile(np.eye(N_STATES), (N_MODES, 1, 1))
+F[:, 0, 2], F[:, 1, 3] = 0.3, np.linspace(0.2, 0.8, N_MODES)
+Q = np.stack([np.diag([0.01, 0.01, 1e-4, 1e-5]) * 2.0**k for k in range(N_MODES)])
+PRIOR = np.full(N_MODES, 1 / N_MODES)
 
 
-PARTS: dict[str, Callable[[Tables, argparse.Namespace], None]] = {
-    "recordings": of_recordings,
-    "stages": of_stages,
-    "pushed": of_pushed,
-    "calls": of_calls,
-    "hour": of_an_hour,
-    "costs": of_parts,
-    "day": of_a_day,
-    "start": of_start,
-}
+def started(n: int | None = None) -> tuple[np.ndarray, ...]:
+    """Means, covariances, mode probabilities of one pedestrian or of n."""
+    batch = () if n is None else (n, 1, 1)
+    mean, cov = np.zeros((N_MODES, N_STATES)), np.tile(np.eye(N_STATES), (N_MODES, 1, 1))
+    if not batch:
+        return mean, cov, PRIOR
+    return np.tile(mean, batch), np.tile(cov, (n, 1, 1, 1)), np.tile(PRIOR, (n, 1))
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    parser = options(__doc__, *PARTS)
-    parser.add_argument("--hours", type=float, default=1.0)
-    parser.add_argument("--day-hours", type=int, default=24)
-    parser.add_argument("--every", type=int, default=4, help="take every so many-th recording of a set")
-    parser.add_argument("--before", type=Path, help="another checkout to compare with")
-    args = parser.parse_args(arguments)
-    tables = Tables.of(__spec__.name, args)
-    for part in args.parts:
-        PARTS[part](tables, args)
+def cycle(mean: np.ndarray, cov: np.ndarray, prob: np.ndarray, z: np.ndarray, R_: np.ndarray) -> tuple[np.ndarray, ...]:
+    """One step with its fix; the last is the combined mean."""
+    mean, cov, prob = imm.mix(mean, cov, prob, M)
+    mean, cov = imm.predict(mean, cov, F, Q)
+    mean, cov, log_likelihood, _ = imm.update(mean, cov, z, H, R_)
+    prob = imm.update_mode_prob(prob, log_likelihood)
+    return mean, cov, prob, imm.combine(mean, cov, prob)[0]
+
+
+def of_filterpy() -> IMMEstimator:
+    """The same problem on filterpy's classes."""
+    filters = []
+    for k in range(N_MODES):
+        kalman = KalmanFilter(dim_x=N_STATES, dim_z=2)
+        kalman.x, kalman.P = np.zeros(N_STATES), np.eye(N_STATES)
+        kalman.F, kalman.Q, kalman.H, kalman.R = F[k], Q[k], H, R
+        filters.append(kalman)
+    return IMMEstimator(filters, PRIOR.copy(), M)
+
+
+def fastest_s(run: Callable[[np.ndarray], object], fixes: np.ndarray) -> float:
+    """Time of the fastest step, the one that other work on the machine disturbed least."""
+    costs = []
+    for z in fixes:
+        begin = time.perf_counter()
+        run(z)
+        costs.append(time.perf_counter() - begin)
+    return min(costs)
+
+
+class Numpy:
+    """All pedestrians by `imm`, in groups that fit into the cache of a core; one pedestrian without a leading axis."""
+
+    def __init__(self, n: int | None) -> None:
+        sizes = [None] if n is None else [len(g) for g in np.array_split(np.arange(n), max(n // GROUP, 1))]
+        self.groups = [started(size) for size in sizes]
+
+    def step(self, z: np.ndarray) -> np.ndarray:
+        """Combined mean of the last pedestrian."""
+        x = np.zeros(N_STATES)
+        for k, (mean, cov, prob) in enumerate(self.groups):
+            batch = prob.shape[:-1]
+            each = (np.broadcast_to(z, (*batch, 2)), np.broadcast_to(R, (*batch, 2, 2))) if batch else (z, R)
+            *state, x = cycle(mean, cov, prob, *each)
+            self.groups[k] = tuple(state)
+        return np.atleast_2d(x)[-1]
+
+
+def imm_cycles(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Cycles of the IMM against filterpy's."""
+    n = arguments.pedestrians
+    fixes = np.cumsum(np.random.default_rng(0).normal(size=(300, 2)), axis=0)
+
+    oracle, mean_of_oracle = of_filterpy(), []
+
+    def filterpy_step(z: np.ndarray) -> None:
+        oracle.predict()
+        oracle.update(z)
+        mean_of_oracle.append(oracle.x.copy())
+
+    filterpy_s = fastest_s(filterpy_step, fixes)
+    rows = [["filterpy, IMMEstimator", f"{1e6 * filterpy_s:.1f}", 1, "-"]]
+    for name, filters, size in (
+        ("`pdr_filter.filter.imm.imm`, one pedestrian", Numpy(None), 1),
+        (f"`pdr_filter.filter.imm.imm`, {n} in groups of {GROUP}", Numpy(n), n),
+    ):
+        found: list[np.ndarray] = []
+        steps = fixes if size == 1 else fixes[:MANY_STEPS]
+        each_s = fastest_s(lambda z, f=filters, into=found: into.append(f.step(z)), steps) / size
+        apart = np.abs(np.array(found) - np.array(mean_of_oracle[: len(steps)])).max()
+        rows.append([name, f"{1e6 * each_s:.1f}", f"{filterpy_s / each_s:.0f}", f"{apart:.0e}"])
+    columns = ["filter", "µs a step and pedestrian", "times as fast", "largest difference"]
+    tables.write("imm_speed", columns, rows, "6 modes, 4 states, a position fix each step.")
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, recordings, pushed, calls, costs, day, imm_cycles, before=None, every=4, hours=24, pedestrians=10_000)

@@ -1,32 +1,22 @@
-"""HC, WC and IMM on people and sensors that the classifier has not seen: distances, probabilities, other evidence.
+"""HC, WC and IMM on people and sensors that the classifier has not seen: distances and probabilities.
 
-usage: python -m tests.benchmarks.weightings [PART ...] [--data ../shared/data] [--cache FOLDER]
+usage: python -m tests.benchmarks.weightings [--data ../shared/data] [--cache FOLDER]
 
 The steps, windows and lengths of the default recipe are the same for all weightings; the reference is the distance of
 these steps with the length of their true contexts. What differs is the error that is due to contexts. Steps outside of
 every label, and those in the still seconds of the joined walks, are left out.
 
-`real`: walks joined of recordings of one activity (`mixed_contexts.py`) and the recordings of Di Fronzo with their real
+Walks joined of recordings of one activity (`mixed_contexts.py`) and the recordings of Di Fronzo with their real
 changes, models trained without the people; terrain, a sensor on the leg that no model has seen; and level walking of
 tyrex, left out as a whole, and of every third walk of ubicomp13, which trains nothing. Distances of each weighting, and
 the probabilities behind them, also of the recordings of MotionSense with one activity each.
-
-`evidence`: log loss and distance with other evidence: floors, exponents, and a classifier that may be wrong about a
-person, for as long as the recording lasts.
-
-`prior`: error of the distance with each exponent of the prior, and of the exponent with the least error, beside that of
-HC, over the joined walks, Di Fronzo and MotionSense without the person. The other sets chose nothing.
-
-`simulated`: walks with exact distances, phone in the hand. The shipped model takes all that a simulated hand does for
-walking, which says nothing about weightings. So each walk gets the windows of one of the people above: for every
-stretch of a context, what the model that had not seen them said of theirs, in order from its start.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+import argparse
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -39,18 +29,14 @@ from pdr_filter.offline.training.context_sequences import UNKNOWN
 from pdr_filter.offline.training.cross_validation import DOUBTFUL, LabelledWindows, recordings_of
 from pdr_filter.recipes import default, with_context_model
 from pdr_filter.recipes.config import Config
-from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.simulate import Gait, Leg, simulate
 from pdr_filter.tracking.whole_recording import run_sensing
 from pdr_filter.values import CONTEXTS, FloatArray, IntArray, Step
 from pdr_filter.values.recording import Recording
-from tests.benchmarks.common import Tables, options, paths
+from tests.benchmarks.common import Tables, paths, run
 from tests.benchmarks.contexts_left_out import N_FOLDS as N_LEFT_OUT_FOLDS
 from tests.benchmarks.contexts_left_out import on_the_level, without
-from tests.benchmarks.kinds_of_people import ONE_KIND, Kinds, chain, kinds_that_are_wrong, kinds_that_say_nothing
 from tests.benchmarks.mixed_contexts import (
     LAG_STEPS,
-    N_WALKS,
     Event,
     cached,
     context_at,
@@ -78,30 +64,9 @@ class Walk:
     label: IntArray  # (K,) true context of each step
 
     @property
-    def windows(self) -> list[WindowContext]:
-        """In order."""
-        return [e for e in self.events if isinstance(e, WindowContext)]
-
-    @property
     def length_m(self) -> FloatArray:
         """Length of each step in each mode, (K, M); the default's modes are the contexts."""
         return np.array([self.config.model.lengths(e)[0] for e in self.events if isinstance(e, Step)])
-
-    @cached_property
-    def evidence(self) -> list[WindowContext | None]:
-        """The window that is new to the IMM at each step."""
-        tracker = self.config.with_weighting("imm").tracker
-        state, found = tracker.init(), list[WindowContext | None]()
-        for event in self.events:
-            before = state.used
-            if isinstance(event, WindowContext):
-                state, _ = tracker.on_window(state, event)
-            elif isinstance(event, Step):
-                state, _ = tracker.on_step(state, event)
-                found.append(None if state.used is before else state.used)
-            else:
-                state, _ = tracker.on_gap(state, event.duration_s)
-        return found
 
     @property
     def known_m(self) -> float:
@@ -231,19 +196,20 @@ def log_loss(prob: FloatArray, label: IntArray) -> FloatArray:
     return -np.log(np.maximum(prob[np.arange(len(label)), label], 1e-6))
 
 
-def real(tables: Tables, sets: Mapping[str, list[Walk]]) -> None:
+def walks(tables: Tables, arguments: argparse.Namespace) -> None:
     """Distances and probabilities of each weighting."""
+    sets = sets_of(arguments.data, arguments.cache)
     rows, of_prob, of_doubt = [], [], []
-    for name, walks in sets.items():
-        people = len({w.person for w in walks})
-        what = f"{name} ({len(walks)} of {people} {'person' if people == 1 else 'people'})"
-        known = np.array([w.known_m for w in walks])
+    for name, found_walks in sets.items():
+        people = len({w.person for w in found_walks})
+        what = f"{name} ({len(found_walks)} of {people} {'person' if people == 1 else 'people'})"
+        known = np.array([w.known_m for w in found_walks])
         moved = known > 0
-        for weighting, found in columns_of([distances_m(w) for w in walks]).items():
+        for weighting, found in columns_of([distances_m(w) for w in found_walks]).items():
             if name != "motionsense":
                 rows.append([what, weighting, *error_cells(np.array(found)[moved], known[moved])])
-        said = [probabilities(w) for w in walks]
-        y = np.concatenate([w.label for w in walks])
+        said = [probabilities(w) for w in found_walks]
+        y = np.concatenate([w.label for w in found_walks])
         for answer in said[0]:
             prob = np.concatenate([s[answer] for s in said])
             right = f"{np.mean(prob.argmax(axis=1) == y):.3f}"
@@ -261,176 +227,5 @@ def real(tables: Tables, sets: Mapping[str, list[Walk]]) -> None:
     tables.write("weightings_doubt", columns, of_doubt, about)
 
 
-# --- Other evidence --------------------------------------------------------------------------------------------------
-
-CHOICES: dict[str, tuple[float, float, Kinds]] = {
-    "online: exponent 1, floor 0.01": (1.0, 0.01, ONE_KIND),
-    "floor 0.05": (1.0, 0.05, ONE_KIND),
-    "floor 0.1": (1.0, 0.1, ONE_KIND),
-    "exponent 0.7": (0.7, 0.01, ONE_KIND),
-    "hindsight: exponent 0.5": (0.5, 0.01, ONE_KIND),
-    "exponent 0.3": (0.3, 0.01, ONE_KIND),
-    "nothing known of 1 person in 10": (1.0, 0.01, kinds_that_say_nothing(0.1)),
-    "walking of 1 in 25 half taken for stairs": (1.0, 0.01, kinds_that_are_wrong(0.02, 0.5)),
-    "walking of 1 in 25 taken for stairs": (1.0, 0.01, kinds_that_are_wrong(0.02, 0.9)),
-}
-
-
-def evidence(tables: Tables, sets: Mapping[str, list[Walk]]) -> None:
-    """Log loss of the filter and the smoother, and the distance in hindsight, with each choice."""
-    rows = []
-    for choice, (exponent, floor, kinds) in CHOICES.items():
-        cells = []
-        for walks in sets.values():
-            of_steps = [(w, *chain(w.config.model, w.evidence, exponent, floor, kinds)) for w in walks]
-            losses = [np.concatenate([log_loss(s[i], s[0].label) for s in of_steps]).mean() for i in (1, 2)]
-            moved = [(w, smoothed) for w, _, smoothed in of_steps if w.known_m > 0]
-            errors = [100 * ((p * w.length_m).sum() / w.known_m - 1) for w, p in moved]
-            cells.append(f"{losses[0]:.3f}, {losses[1]:.3f}, {np.sqrt(np.mean(np.square(errors))):.1f}")
-        rows.append([choice, *cells])
-        print(rows[-1], flush=True)
-    about = "Log loss at the steps, filtered and smoothed, and RMS error of the smoothed distance, %."
-    tables.write("weightings_evidence", ["evidence", *sets], rows, about)
-
-
-PRIOR_EXPONENTS = (0.0, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.6, 1.0)
-CHOSEN_ON = ("joined walks", "difronzo", "motionsense")
-
-
-def prior(tables: Tables, sets: Mapping[str, list[Walk]]) -> None:
-    """Distance of the IMM by the exponent of the prior, and of the one that is chosen without the person."""
-    moved = {name: [w for w in walks if w.known_m > 0] for name, walks in sets.items()}
-    errors = {name: np.array([errors_by_prior(w) for w in walks]) for name, walks in moved.items()}
-    of_hc = {
-        name: np.array([[tracked(w.events, w.config, "hc")[-1].walked_m / w.known_m - 1] for w in walks])
-        for name, walks in moved.items()
-    }
-
-    def chosen_without(person: str) -> int:
-        """The exponent with the least RMS error beside that of HC, mean of the sets."""
-        ratios: list[FloatArray] = []
-        for name in CHOSEN_ON:
-            others = np.array([w.person != person for w in moved[name]])
-            ratios.append(rms(errors[name][others]) / rms(of_hc[name][others]))
-        return int(np.mean(ratios, axis=0).argmin())
-
-    rows = [
-        [f"{k:.2f}", *(f"{100 * rms(e[:, i : i + 1])[0]:.1f}" for e in errors.values())]
-        for i, k in enumerate(PRIOR_EXPONENTS)
-    ]
-    nested: list[str] = []
-    for name, walks in moved.items():
-        own = [e[chosen_without(w.person)] for w, e in zip(walks, errors[name], strict=True)]
-        nested.append(f"{100 * rms(np.array(own)[:, None])[0]:.1f}" if name in CHOSEN_ON else "")
-    rows.append(["chosen without the person", *nested])
-    rows.append(["HC", *(f"{100 * rms(e)[0]:.1f}" for e in of_hc.values())])
-    chosen = sorted({PRIOR_EXPONENTS[chosen_without(w.person)] for name in CHOSEN_ON for w in moved[name]})
-    about = f"RMS error of the distance, %. Chosen without one person: {chosen[0]:.2f} to {chosen[-1]:.2f}."
-    tables.write("weightings_prior", ["exponent of the prior", *sets], rows, about)
-
-
-def errors_by_prior(walk: Walk) -> FloatArray:
-    """Relative error of the IMM's distance with each exponent, (E,)."""
-    found: list[float] = []
-    for exponent in PRIOR_EXPONENTS:
-        model = replace(walk.config.model, prior_exponent=exponent)
-        _, smoothed = chain(model, walk.evidence, model.evidence_exponent, model.evidence_floor, ONE_KIND)
-        found.append(float((smoothed * walk.length_m).sum()) / walk.known_m - 1)
-    return np.array(found)
-
-
-def rms(errors: FloatArray) -> FloatArray:
-    """Root mean square over the rows."""
-    return np.sqrt(np.mean(errors**2, axis=0))
-
-
-# --- Simulated walks -------------------------------------------------------------------------------------------------
-
-Change = Callable[[WindowContext], WindowContext]
-
-
-def contexts_of(real_walk: Walk, walk: Recording) -> Change:
-    """Windows with what a model that had not seen them said of somebody's real windows of the same context.
-
-    The one as long after the start of a stretch of the context, and again from its start at its end.
-    """
-    windows = real_walk.windows
-    truth = np.array([context_at(real_walk.recording, w.time_s - 1.0) for w in windows])
-
-    def change(window: WindowContext) -> WindowContext:
-        context, since_s = stretch(walk, window)
-        starts = [i for i in np.flatnonzero(truth == context) if i == 0 or truth[i - 1] != context]
-        # walking has three stretches: another one each time
-        start = starts[round(window.time_s - since_s) % len(starts)]
-        length = int(np.argmax(np.append(truth[start:] != context, True)))
-        said = windows[start + int(max(since_s, 0.0)) % length]
-        return replace(window, prob=said.prob, training_prior=said.training_prior)
-
-    return change
-
-
-def stretch(walk: Recording, window: WindowContext) -> tuple[int, float]:
-    """Context at the middle of a window, and the time since it began."""
-    labels = walk.truth.labels
-    middle_s = window.time_s - 1.0
-    k = min(int(np.searchsorted(labels["end_s"], middle_s, side="right")), len(labels) - 1)
-    first = k
-    while first and labels["context"][first - 1] == labels["context"][k]:
-        first -= 1
-    return CONTEXTS.index(str(labels["context"][k])), middle_s - float(labels["start_s"][first])
-
-
-def simulated_walk(seed: int) -> Recording:
-    """A person of the simulator's population on a walk through all contexts but sideways, in the hand."""
-    rng = np.random.default_rng(seed)
-    flights = [Leg("upstairs", distance_m=0.29 * rng.integers(12, 33)), Leg("downstairs", distance_m=0.29 * 20)]
-    middle = [*flights, Leg("running", distance_m=float(rng.uniform(30, 60)))]
-    legs = [Leg("stationary", duration_s=5.0)]
-    for i in rng.permutation(len(middle)):
-        legs += [
-            Leg("walking", distance_m=float(rng.uniform(25, 60)), turn_rad=float(rng.choice([-1, 1]) * np.pi / 2)),
-            middle[i],
-        ]
-    legs += [Leg("walking", distance_m=float(rng.uniform(25, 60))), Leg("stationary", duration_s=4.0)]
-    return simulate(legs, Gait.random(seed), seed=seed, name=f"simulated_{seed}")
-
-
-def simulated(tables: Tables, sets: Mapping[str, list[Walk]], n_walks: int = 24) -> None:
-    """Distances of simulated walks, by the shipped model and with the windows of real people."""
-    joined = sets["joined walks"]
-    found: dict[str, list[dict[str, float]]] = {}
-    true_m: list[float] = []
-    for seed in range(n_walks):
-        recording = simulated_walk(seed)
-        true_m.append(float(recording.truth.segments["distance_m"].sum()))
-        walk = walk_of(recording, "", default(recording.subject))
-        # another person each time, then another walk of theirs
-        change = contexts_of(joined[(N_WALKS * seed + seed // 12) % len(joined)], recording)
-        events = [change(e) if isinstance(e, WindowContext) else e for e in walk.events]
-        for name, each in (("real people", replace(walk, events=events)), ("the shipped model", walk)):
-            found.setdefault(name, []).append(distances_m(each) | {"contexts known": walk.known_m})
-    truth = np.array(true_m)
-    rows = []
-    for name, of_walks in found.items():
-        columns = columns_of(of_walks)
-        rows += [[f"windows of {name}", w, *error_cells(d, truth)] for w, d in columns.items()]
-        known = np.array(columns.pop("contexts known"))
-        if name == "real people":
-            rows += [["the same, against the true contexts", w, *error_cells(d, known)] for w, d in columns.items()]
-    about = f"{n_walks} simulated walks of {truth.min():.0f} to {truth.max():.0f} m."
-    tables.write("weightings_simulated", ["contexts from", "weighting", *ERRORS], rows, about)
-
-
-def main() -> None:
-    parts = {"real": real, "evidence": evidence, "prior": prior, "simulated": simulated}
-    parser = options(str(__doc__), *parts)
-    parser.add_argument("--cache", type=Path, default=None, help="keeps windows and models")
-    args = parser.parse_args()
-    tables = Tables.of(__spec__.name, args)
-    sets = sets_of(args.data, args.cache)
-    for part in args.parts:
-        parts[part](tables, sets)
-
-
 if __name__ == "__main__":
-    main()
+    run(__doc__, walks, cache=None)
