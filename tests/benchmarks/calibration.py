@@ -1,6 +1,6 @@
-"""Calibration on walks that it has not seen, coverage of its intervals, and what a few fixes teach: docs/benchmarks.md.
+"""Calibration on walks that it has not seen, and coverage of its intervals: docs/benchmarks.md.
 
-usage: python -m tests.benchmarks.calibration [halves] [left_out] [coverage] [fixes] [--data ../shared/data]
+usage: python -m tests.benchmarks.calibration [halves] [left_out] [coverage] [--data ../shared/data]
 
 halves    parameters from half of each person's segments, error on the other half: against no calibration, one scale for
           everybody, and the population
@@ -8,10 +8,6 @@ left_out  whole walks of five sites. humolire: straight legs between landmarks; 
           tyrex: walked lengths of stretches of 20 s along the path of a tracking system, lengths summed. Running,
           trolleys and a phone that is pointed around are left out.
 coverage  500 simulated calibrations: how often 95 % intervals have the truth; people with little data
-fixes     waypoints of the first third of the walks of humolire as fixes of 1 m, in a frame turned by what these fit
-          best, so that only the walk is judged. The height is taken as unknown. With learning, the log step scale and
-          the heading offset are states; without, the scale has no variance, so that fixes move positions only.
-          Figures for the last two thirds: straight legs by displacement, position error at the waypoints.
 """
 
 from __future__ import annotations
@@ -25,7 +21,6 @@ from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
 import pdr_filter as pdr
-from pdr_filter import evaluate
 from pdr_filter.filter.step_length.models import KimStepLength, WeinbergStepLength
 from pdr_filter.offline.calibration.estimation import Hierarchy, ParameterEstimate, estimate_parameters
 from pdr_filter.offline.calibration.fit import calibrate_segments
@@ -37,7 +32,7 @@ from pdr_filter.recipes.step_length_calibration import Calibration
 from pdr_filter.tracking.track import Track
 from pdr_filter.values import CONTEXTS, table
 from pdr_filter.values.recording import Recording, Truth
-from tests.benchmarks.common import Tables, bias_spread_rms, median_and, recordings, run
+from tests.benchmarks.common import Tables, bias_spread_rms, recordings, run
 
 FloatArray = NDArray[np.float64]
 N_SPLITS = 20
@@ -241,18 +236,6 @@ def theta_of(found: Calibration, subjects: tuple[str, ...]) -> FloatArray:
     return np.array([found.people[known.index(s)] if s in known else found.theta for s in subjects])
 
 
-def errors_of_the_rest(
-    recording: pdr.Recording, track: pdr.Track, turned_m: np.ndarray, first_s: float
-) -> tuple[float, float]:
-    """Distance error in per cent and position RMSE in m, both after the first third."""
-    points, legs = recording.truth.waypoints, recording.truth.segments
-    late, after = legs[legs.start_s > first_s], points.time_s > first_s
-    moved_m = evaluate.moved_m(track.time_s, track.position_m, late.start_s, late.end_s)
-    at_m = evaluate.positions_at(track.time_s, track.position_m, points.time_s[after])
-    distance = evaluate.percent_error(moved_m.sum(), late.distance_m.sum())
-    return float(distance), evaluate.position_rmse_m(at_m, turned_m[after])
-
-
 def left_out(tables: Tables, arguments: argparse.Namespace) -> None:
     """Every tenth of the walks (every one, if there are ten or fewer) from the others."""
     priors, rows = forms_of()["bounce"], []
@@ -275,38 +258,5 @@ def left_out(tables: Tables, arguments: argparse.Namespace) -> None:
     tables.write("calibration_left_out", columns, rows, about)
 
 
-# --- what fixes teach -----------------------------------------------------------------------------------------------
-
-
-def fixes(tables: Tables, arguments: argparse.Namespace) -> None:
-    """Fixes in the first third of the walks of humolire, errors on the rest."""
-    config = pdr.recipes.default()
-    stiff = config.with_model(noise=replace(config.model.noise, log_scale_std=1e-4))
-    found: dict[str, list[tuple[float, float]]] = {"no fixes": [], "fixes, scale not learnt": [], "fixes": []}
-    for recording in recordings(arguments.data, "humolire"):
-        points = recording.truth.waypoints
-        reference = np.column_stack([points.east_m, points.north_m])
-        first_s = float(points.time_s[0] + (points.time_s[-1] - points.time_s[0]) / 3)
-        alone = pdr.track(recording, config)
-        estimate = evaluate.positions_at(alone.time_s, alone.position_m, points.time_s)
-        use = np.asarray(points.time_s <= first_s)
-        turned_m = evaluate.fitted(reference, estimate, use)
-        cov_m2 = np.eye(2)
-        taught = [pdr.PositionFix(float(t), p, cov_m2) for t, p in zip(points.time_s[use], turned_m[use], strict=True)]
-        found["no fixes"].append(errors_of_the_rest(recording, alone, turned_m, first_s))
-        for name, used in (("fixes, scale not learnt", stiff), ("fixes", config)):
-            found[name].append(
-                errors_of_the_rest(recording, pdr.track(recording, used, fixes=taught), turned_m, first_s)
-            )
-    tables.write(
-        "fix_learning",
-        ["", "distance of the rest %: bias, spread, RMS", "position RMSE of the rest m: median, largest"],
-        [
-            [name, bias_spread_rms([d for d, _ in each]), median_and([p for _, p in each], 100)]
-            for name, each in found.items()
-        ],
-    )
-
-
 if __name__ == "__main__":
-    run(__doc__, halves, left_out, coverage, fixes)
+    run(__doc__, halves, left_out, coverage)

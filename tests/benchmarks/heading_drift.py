@@ -5,8 +5,8 @@ usage: python -m tests.benchmarks.heading_drift [--data ../shared/data]
 The error of a leg is its dead-reckoned direction (unit steps along the device's heading) less the direction between its
 ends; on tyrex a leg is a second of motion capture with more than 0.5 m, and the device's heading in it. One constant
 is taken off each recording, because how the phone lies in the hand is not known here. RMS is over the legs of a
-recording, weighted with their lengths; the slope is the median of pairs (Theil and Sen). Waypoints of ms_indoor are
-good to a metre or so: a leg of 10 m is uncertain by 6 degrees, a slope of a minute by 0.002 rad/s or more.
+recording, weighted with their lengths. Waypoints of ms_indoor are good to a metre or so: a leg of 10 m is uncertain by
+6 degrees.
 
 before   integral of the angular rate about the vertical, less the bias of vqf's rest detector (2 deg/s, 0.5 m/s2)
 twist    the twist of the attitude about the vertical, without bias
@@ -64,12 +64,6 @@ class Walk:
     @property
     def time_s(self) -> FloatArray:
         return np.concatenate([b.time_s for b in self.blocks])
-
-
-@dataclass(frozen=True)
-class Score:
-    rms_deg: float
-    slope_radps: float
 
 
 def legs_of(recording: pdr.Recording) -> list[Leg]:
@@ -148,7 +142,7 @@ def integrated(walk: Walk) -> FloatArray:
     return np.cumsum(np.concatenate(headings)) / 100
 
 
-def score(walk: Walk, heading_rad: FloatArray) -> Score | None:
+def score(walk: Walk, heading_rad: FloatArray) -> float | None:
     time_s, rows = walk.time_s, []
     for x in walk.legs:
         if walk.step_times_s is None:
@@ -158,20 +152,17 @@ def score(walk: Walk, heading_rad: FloatArray) -> Score | None:
             headings = np.interp(at - 0.25, time_s, heading_rad)  # in the middle of the step
         if len(headings) >= 3:
             off = np.angle(np.exp(1j * (headings - x.direction_rad)).sum())
-            rows.append((0.5 * (x.start_s + x.end_s), off, x.length_m))
+            rows.append((off, x.length_m))
     if len(rows) < 3:
         return None
-    at_s, off, length = np.array(rows).T
+    off, length = np.array(rows).T
     weight = length / length.sum()
     constant = np.angle((weight * np.exp(1j * off)).sum())
     error = np.unwrap(np.angle(np.exp(1j * (off - constant))))
-    i, j = np.triu_indices(len(at_s), 1)
-    apart = at_s[j] - at_s[i] > 0.2 * (at_s[-1] - at_s[0])
-    slope = np.median((error[j] - error[i])[apart] / (at_s[j] - at_s[i])[apart])
-    return Score(float(np.rad2deg(np.sqrt((weight * (error - weight @ error) ** 2).sum()))), float(slope))
+    return float(np.rad2deg(np.sqrt((weight * (error - weight @ error) ** 2).sum())))
 
 
-def scored(walk: Walk, heading_rad: FloatArray) -> Score:
+def scored(walk: Walk, heading_rad: FloatArray) -> float:
     result = score(walk, heading_rad)
     assert result is not None
     return result
@@ -183,7 +174,7 @@ def three(values: list[float]) -> str:
 
 def drift(tables: Tables, arguments: argparse.Namespace) -> None:
     """Errors of legs, and the drift in a room."""
-    found: dict[str, list[tuple[str, Score, Score, Score]]] = {}
+    found: dict[str, list[tuple[str, float, float, float]]] = {}
     for walk in walks(arguments.data):
         twist = scored(walk, estimated(walk, NO_BIAS, False))
         before = scored(walk, integrated(walk))
@@ -191,18 +182,12 @@ def drift(tables: Tables, arguments: argparse.Namespace) -> None:
         found.setdefault(walk.group, []).append((walk.name, before, twist, now))
     rows = []
     for group, scores in found.items():
-        columns = [three([s[k].rms_deg for s in scores]) for k in (1, 2, 3)]
-        worse = max(now.rms_deg - twist.rms_deg for _, _, twist, now in scores)
+        columns = [three([s[k] for s in scores]) for k in (1, 2, 3)]
+        worse = max(now - twist for _, _, twist, now in scores)
         rows.append([group, len(scores), *columns, f"{worse:.1f}"])
     columns = ["", "n", "before", "twist", "now", "largest loss, now against twist"]
     about = "RMS error of the direction of legs in degrees: median, mean, 90th percentile over recordings."
     tables.write("heading_drift", columns, rows, about)
-    rows = [
-        [name.rsplit("_", 1)[1], *(f"{60 * np.rad2deg(s.slope_radps):+.0f}" for s in scores)]
-        for name, *scores in found.get("tyrex", [])
-    ]
-    about = "Drift in degrees a minute, tyrex without magnets."
-    tables.write("heading_drift_room", ["scenario", "integral, rest bias", "twist", "twist less bias"], rows, about)
 
 
 if __name__ == "__main__":

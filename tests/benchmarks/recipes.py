@@ -367,18 +367,6 @@ def track_table(tables: Tables, records: Sequence[Scored], recipes: Sequence[str
     tables.write("recipes_tracks", [*columns, "distance %: bias, spread"], rows)
 
 
-def room_table(tables: Tables, records: Sequence[Scored], recipes: Sequence[str]) -> None:
-    """Errors of the distances of tyrex by scenario, those with magnets near the phone first."""
-    names = [r.name for r in records if (r.recipe, r.weighting, r.site) == (recipes[0], OWN, "tyrex")]
-    scenario = np.array([name.rsplit("_", 1)[1] for name in names])
-    scenarios = sorted(set(scenario))
-    rows = []
-    for recipe in recipes:
-        error = values_of(records, recipe, "tyrex", "room_percent")
-        rows.append([recipe, *(" ".join(f"{e:+.0f}" for e in error[scenario == s]) for s in scenarios)])
-    tables.write("recipes_room", ["recipe", *scenarios], rows, "Distance error in % of each recording.")
-
-
 def tables_of_recipes(tables: Tables, arguments: argparse.Namespace) -> None:
     """All tables."""
     files = [p for site in SITES for p in paths(arguments.data, site)[:: arguments.every]]
@@ -386,7 +374,7 @@ def tables_of_recipes(tables: Tables, arguments: argparse.Namespace) -> None:
     records = [r for found in Parallel(arguments.jobs)(jobs) for r in found]
     if arguments.every > 1 or tuple(arguments.recipes) != RECIPES:
         tables = Tables(tables.command, None)
-    for write in (weighting_tables, step_tables, track_table, room_table):
+    for write in (weighting_tables, step_tables, track_table):
         write(tables, records, arguments.recipes)
 
 

@@ -182,7 +182,7 @@ def costs(tables: Tables, arguments: argparse.Namespace) -> None:
     particles = config.with_plan(around(track), PositionFix(0.0, np.zeros(2), fix_cov))
     assert particles.on_plan is not None
     on_plan = [
-        (f"on a floor plan, {n:,} particles at most", REPL)
+        (f"on a floor plan, {n:,} particles at most", replace(particles, on_plan=replace(particles.on_plan, n_most=n)))
         for n in (4_000, particles.on_plan.n_most)
     ]
     climbing = replace(recording, barometer=Samples(time_s, 1000.0 + 0.01 * np.sin(0.1 * time_s)[:, None]))
