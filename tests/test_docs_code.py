@@ -229,6 +229,11 @@ def test_every_public_name_has_its_place_in_the_api_page() -> None:
     assert missing == []
 
 
+def test_the_citation_names_the_version_of_the_package() -> None:
+    (version,) = re.findall(r"^version: (\S+)$", (ROOT / "CITATION.cff").read_text("utf-8"), re.MULTILINE)
+    assert version == pdr.__version__
+
+
 def test_every_page_is_in_the_table_of_contents() -> None:
     listed = set(re.findall(r"^([\w/]+)$", PAGES["docs/index.md"], re.MULTILINE))
     pages = {str(Path(name).relative_to("docs").with_suffix("")) for name in PAGES if name.startswith("docs/")}

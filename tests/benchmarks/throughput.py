@@ -1,16 +1,11 @@
-# ruff: noqa: N803 - the letters of the equations
-"""How fast the whole pipeline is: recordings of all sets, a day in blocks, a block, its parts, and the IMM itself.
+"""How fast the whole pipeline is: recordings of all sets, a day in blocks, a block, and its parts.
 
-usage: python -m tests.benchmarks.throughput [recordings] [pushed] [calls] [costs] [day] [imm_cycles] [--before TREE]
-       [--every 4] [--hours 24] [--pedestrians 10000]
+usage: python -m tests.benchmarks.throughput [recordings] [pushed] [calls] [costs] [day] [--before TREE]
+       [--every 4] [--hours 24]
 
 The day is the embedded simulated walk repeated in time; costs are those of one real walk, a part of the filter left
 out or put in. `--before` is another checkout of the project: its recordings and pushed blocks are timed in turns with
 ours, ours twice, so that the two figures of one tree show what the machine adds. Times are of the processor, one core.
-
-imm_cycles: one cycle is mix, predict, update, mode probabilities, combine; 6 modes, 4 states, a position fix each step,
-against filterpy's IMMEstimator in the same run. Both filter the same numbers; the largest difference of the estimates
-is in the table, so that nobody compares a fast wrong answer with a slow right one.
 """
 
 from __future__ import annotations
@@ -29,10 +24,8 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from filterpy.kalman import IMMEstimator, KalmanFilter
 
 import pdr_filter as pdr
-from pdr_filter.filter.imm import imm
 from pdr_filter.filter.imm.modes import context_modes, context_transitions
 from pdr_filter.filter.step_length.models import bounce_fit
 from pdr_filter.recipes import default
@@ -269,101 +262,5 @@ def day(tables: Tables, arguments: argparse.Namespace) -> None:
     tables.write("throughput_day", columns, rows, f"Pushed in blocks of a minute, whose updates were let go; {load()}.")
 
 
-N_MODES, N_STATES = 6, 4
-GROUP = 500
-MANY_STEPS = 100
-H = np.eye(2, N_STATES)
-R = np.array([[4.0, 0.5], [0.5, 3.0]])
-M = np.full((N_MODES, N_MODES), 0.02) + 0.88 * np.eye(N_MODES)
-F = np.tile(np.eye(N_STATES), (N_MODES, 1, 1))
-F[:, 0, 2], F[:, 1, 3] = 0.3, np.linspace(0.2, 0.8, N_MODES)
-Q = np.stack([np.diag([0.01, 0.01, 1e-4, 1e-5]) * 2.0**k for k in range(N_MODES)])
-PRIOR = np.full(N_MODES, 1 / N_MODES)
-
-
-def started(n: int | None = None) -> tuple[np.ndarray, ...]:
-    """Means, covariances, mode probabilities of one pedestrian or of n."""
-    batch = () if n is None else (n, 1, 1)
-    mean, cov = np.zeros((N_MODES, N_STATES)), np.tile(np.eye(N_STATES), (N_MODES, 1, 1))
-    if not batch:
-        return mean, cov, PRIOR
-    return np.tile(mean, batch), np.tile(cov, (n, 1, 1, 1)), np.tile(PRIOR, (n, 1))
-
-
-def cycle(mean: np.ndarray, cov: np.ndarray, prob: np.ndarray, z: np.ndarray, R_: np.ndarray) -> tuple[np.ndarray, ...]:
-    """One step with its fix; the last is the combined mean."""
-    mean, cov, prob = imm.mix(mean, cov, prob, M)
-    mean, cov = imm.predict(mean, cov, F, Q)
-    mean, cov, log_likelihood, _ = imm.update(mean, cov, z, H, R_)
-    prob = imm.update_mode_prob(prob, log_likelihood)
-    return mean, cov, prob, imm.combine(mean, cov, prob)[0]
-
-
-def of_filterpy() -> IMMEstimator:
-    """The same problem on filterpy's classes."""
-    filters = []
-    for k in range(N_MODES):
-        kalman = KalmanFilter(dim_x=N_STATES, dim_z=2)
-        kalman.x, kalman.P = np.zeros(N_STATES), np.eye(N_STATES)
-        kalman.F, kalman.Q, kalman.H, kalman.R = F[k], Q[k], H, R
-        filters.append(kalman)
-    return IMMEstimator(filters, PRIOR.copy(), M)
-
-
-def fastest_s(run: Callable[[np.ndarray], object], fixes: np.ndarray) -> float:
-    """Time of the fastest step, the one that other work on the machine disturbed least."""
-    costs = []
-    for z in fixes:
-        begin = time.perf_counter()
-        run(z)
-        costs.append(time.perf_counter() - begin)
-    return min(costs)
-
-
-class Numpy:
-    """All pedestrians by `imm`, in groups that fit into the cache of a core; one pedestrian without a leading axis."""
-
-    def __init__(self, n: int | None) -> None:
-        sizes = [None] if n is None else [len(g) for g in np.array_split(np.arange(n), max(n // GROUP, 1))]
-        self.groups = [started(size) for size in sizes]
-
-    def step(self, z: np.ndarray) -> np.ndarray:
-        """Combined mean of the last pedestrian."""
-        x = np.zeros(N_STATES)
-        for k, (mean, cov, prob) in enumerate(self.groups):
-            batch = prob.shape[:-1]
-            each = (np.broadcast_to(z, (*batch, 2)), np.broadcast_to(R, (*batch, 2, 2))) if batch else (z, R)
-            *state, x = cycle(mean, cov, prob, *each)
-            self.groups[k] = tuple(state)
-        return np.atleast_2d(x)[-1]
-
-
-def imm_cycles(tables: Tables, arguments: argparse.Namespace) -> None:
-    """Cycles of the IMM against filterpy's."""
-    n = arguments.pedestrians
-    fixes = np.cumsum(np.random.default_rng(0).normal(size=(300, 2)), axis=0)
-
-    oracle, mean_of_oracle = of_filterpy(), []
-
-    def filterpy_step(z: np.ndarray) -> None:
-        oracle.predict()
-        oracle.update(z)
-        mean_of_oracle.append(oracle.x.copy())
-
-    filterpy_s = fastest_s(filterpy_step, fixes)
-    rows = [["filterpy, IMMEstimator", f"{1e6 * filterpy_s:.1f}", 1, "-"]]
-    for name, filters, size in (
-        ("`pdr_filter.filter.imm.imm`, one pedestrian", Numpy(None), 1),
-        (f"`pdr_filter.filter.imm.imm`, {n} in groups of {GROUP}", Numpy(n), n),
-    ):
-        found: list[np.ndarray] = []
-        steps = fixes if size == 1 else fixes[:MANY_STEPS]
-        each_s = fastest_s(lambda z, f=filters, into=found: into.append(f.step(z)), steps) / size
-        apart = np.abs(np.array(found) - np.array(mean_of_oracle[: len(steps)])).max()
-        rows.append([name, f"{1e6 * each_s:.1f}", f"{filterpy_s / each_s:.0f}", f"{apart:.0e}"])
-    columns = ["filter", "µs a step and pedestrian", "times as fast", "largest difference"]
-    tables.write("imm_speed", columns, rows, "6 modes, 4 states, a position fix each step.")
-
-
 if __name__ == "__main__":
-    run(__doc__, recordings, pushed, calls, costs, day, imm_cycles, before=None, every=4, hours=24, pedestrians=10_000)
+    run(__doc__, recordings, pushed, calls, costs, day, before=None, every=4, hours=24)
