@@ -142,12 +142,12 @@ class Tables:
 
         A file that differs in the day alone is left as it is: the same numbers have the same bytes.
         """
-        table = markdown_table(columns, rows)
-        print(f"\n{name}\n\n{table}", flush=True)
+        caption = f"*{about + ' ' if about else ''}`{self.command}`, {day or date.today()}.*"
+        text = f"{markdown_table(columns, rows)}\n{caption}\n"
+        print(f"\n{name}\n\n{text}", flush=True)
         if self.folder is None:
             return
-        caption = f"*{about + ' ' if about else ''}`{self.command}`, {day or date.today()}.*"
-        text, path = f"{table}\n{caption}\n", self.folder / f"{name}.md"
+        path = self.folder / f"{name}.md"
         self.folder.mkdir(parents=True, exist_ok=True)
         if not path.exists() or _DATE.sub("", path.read_text("utf-8")) != _DATE.sub("", text):
             path.write_text(text, encoding="utf-8")
