@@ -39,10 +39,10 @@ from pdr_filter.filter.imm.weighting import WEIGHTINGS
 from pdr_filter.tracking.whole_recording import run_sensing
 from pdr_filter.values import Step
 from tests.benchmarks.common import Tables, absolute_bias_spread, median_and, paths, run
-from tests.benchmarks.mixed_contexts import tracked
 from tests.benchmarks.peers.tables import EDGE_S, OUTSIDE_S, SWITCH_EDGE_S, WALKING, true_speed, walk_of
 from tests.benchmarks.peers.walks import GRID_S, Walk
 from tests.benchmarks.step_length import way_of_the_foot_m
+from tests.benchmarks.weightings import tracked
 
 FloatArray = NDArray[np.float64]
 Values = dict[str, float]

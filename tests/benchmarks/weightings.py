@@ -1,52 +1,493 @@
-"""HC, WC and IMM on people and sensors that the classifier has not seen: distances and probabilities.
+"""HC, WC and IMM on people and sensors that the classifier has not seen: windows, delays, distances, false stairs.
 
-usage: python -m tests.benchmarks.weightings [--data ../shared/data] [--cache FOLDER]
+usage: python -m tests.benchmarks.weightings [joined] [walks] [sites] [barometer] [--data DATA] [--cache FOLDER]
 
-The steps, windows and lengths of the default recipe are the same for all weightings; the reference is the distance of
-these steps with the length of their true contexts. What differs is the error that is due to contexts. Steps outside of
-every label, and those in the still seconds of the joined walks, are left out.
+joined: windows and delays of walks through several contexts. The changes of Di Fronzo's recordings are not labelled to
+the second, so recordings of one person of MotionSense (trouser pocket) are put one after the other: sitting, walking,
+upstairs, walking, downstairs, walking, running, standing. Each is turned so that its mean gravity agrees with the
+first's, and between two of them is a second of the same person's standing; nothing is cross-faded. Two such walks of
+each of 12 people. The model is the default's, trained in three folds without the four people that it is scored on; it
+runs in the default recipe, in blocks of a tenth of a second.
 
-Walks joined of recordings of one activity (`mixed_contexts.py`) and the recordings of Di Fronzo with their real
-changes, models trained without the people; terrain, a sensor on the leg that no model has seen; and level walking of
-tyrex, left out as a whole, and of every third walk of ubicomp13, which trains nothing. Distances of each weighting, and
-the probabilities behind them, also of the recordings of MotionSense with one activity each.
+walks: distances of each weighting, and the probabilities behind them. The steps, windows and lengths of the default
+recipe are the same for all weightings; the reference is the distance of these steps with the length of their true
+contexts. What differs is the error that is due to contexts. Steps outside of every label, and those in the still
+seconds of the joined walks, are left out. Besides the joined walks: the recordings of Di Fronzo with their real
+changes, models trained without the people; terrain, a sensor on the leg that no model has seen; level walking of tyrex,
+left out as a whole, and of every third walk of ubicomp13, which trains nothing; and MotionSense with one activity each.
+
+sites: level walking that is called stairs, at the steps and by how the phone is carried. Models of the training sets
+are trained without the whole set; the others are never trained on. With and without the guard of stairs.
+
+barometer: ipin2023 goes up and down stairs with the phone in the hand, ipin21 stays on one storey. Truth is the climb
+rate of the barometer about each step (4 s, not causal): above 0.1 m/s it is on stairs.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+import pickle
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 import pdr_filter as pdr
+from pdr_filter.classifiers.context_model import ContextModel
 from pdr_filter.evaluate.comparison import second_over_first
 from pdr_filter.filter.imm.imm import smoothed_mode_prob
+from pdr_filter.filter.imm.pedestrian_state import StepUpdate
+from pdr_filter.filter.imm.tracker import Tracker
 from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
+from pdr_filter.offline.training import context_training as contexts
 from pdr_filter.offline.training.context_sequences import UNKNOWN
-from pdr_filter.offline.training.cross_validation import DOUBTFUL, LabelledWindows, recordings_of
-from pdr_filter.recipes import default, with_context_model
+from pdr_filter.offline.training.context_training import PLANS, labelled_windows
+from pdr_filter.offline.training.cross_validation import DOUBTFUL, LabelledWindows, label_of, recordings_of
+from pdr_filter.offline.training.transition_training import contexts_at
+from pdr_filter.recipes import context_transitions, default, with_context_model
 from pdr_filter.recipes.config import Config
+from pdr_filter.sensing.contexts.context_stage import WindowContext
+from pdr_filter.sensing.contexts.learned_contexts import shipped_model
+from pdr_filter.sensing.features.barometer import ClimbRate
+from pdr_filter.sensing.front_end import Event, Gap
+from pdr_filter.tracking.filtering import finish, init, update
 from pdr_filter.tracking.whole_recording import run_sensing
-from pdr_filter.values import CONTEXTS, FloatArray, IntArray, Step
-from pdr_filter.values.recording import Recording
-from tests.benchmarks.common import Tables, paths, run
-from tests.benchmarks.contexts_left_out import N_FOLDS as N_LEFT_OUT_FOLDS
-from tests.benchmarks.contexts_left_out import on_the_level, without
-from tests.benchmarks.mixed_contexts import (
-    LAG_STEPS,
-    Event,
-    cached,
-    context_at,
-    tracked,
-    updates_of,
-    walks_left_out,
-    windows_of,
+from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, ImuBlock, IntArray, Samples, Step, TrackRows, table
+from pdr_filter.values.recording import Recording, Truth
+from tests.benchmarks.common import Tables, paths, recordings, run
+
+PLAN = PLANS[0]
+N_FOLDS, N_PEOPLE_FOLDS = 3, 4  # of the joined walks, and of people
+STILL_S = 1.0
+BLOCK_S = 0.1
+# Two seconds of walking: what a final step of HC and WC waits too.
+LAG_STEPS = 4
+STATIONARY, WALKING, UP, DOWN = (CONTEXTS.index(c) for c in ("stationary", "walking", "upstairs", "downstairs"))
+# Trial of each part in the two walks of a person, and how much of it, s; walking is cut at another place each time.
+N_WALKS = 2
+PARTS: tuple[tuple[tuple[str, str], float], ...] = (
+    (("sit_5", "sit_5"), 12.0),
+    (("wlk_7", "wlk_8"), 25.0),
+    (("ups_3", "ups_4"), 20.0),
+    (("wlk_8", "wlk_15"), 20.0),
+    (("dws_1", "dws_2"), 20.0),
+    (("wlk_15", "wlk_7"), 20.0),
+    (("jog_9", "jog_16"), 20.0),
+    (("std_6", "std_14"), 12.0),
 )
 
-WALKING = CONTEXTS.index("walking")
+
+# --- Models of people left out ---------------------------------------------------------------------------------------
+
+
+def cached(folder: Path | None, name: str, make: Callable[[], Any]) -> Any:
+    """What `make` gives, from a file of the cache folder if it is there."""
+    if folder is None:
+        return make()
+    path = folder / f"{name}.pkl"
+    if not path.is_file():
+        folder.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(pickle.dumps(make()))
+    return pickle.loads(path.read_bytes())  # our own
+
+
+def windows_of(data: Path) -> LabelledWindows:
+    """All windows that the default's model is made of."""
+    paths = recordings_of(data, PLAN.datasets)
+    return PLAN.of(labelled_windows(paths, feature_set=PLAN.feature_set))
+
+
+def model_without(windows: LabelledWindows, people: tuple[str, ...]) -> ContextModel:
+    """The default's model as `pdr-filter train` makes it, of all people but these."""
+    return replace(contexts.model_without(shipped_model(PLAN.name), PLAN, windows, people), name="left_out")
+
+
+# --- Mixed walks of real recordings ----------------------------------------------------------------------------------
+
+
+def folds_of(windows: LabelledWindows) -> list[tuple[str, ...]]:
+    """People of motionsense who are left out together."""
+    people = sorted(set(windows.person[windows.dataset == "motionsense"]))
+    return [tuple(people[k::N_FOLDS]) for k in range(N_FOLDS)]
+
+
+def walks_left_out(data: Path, cache: Path | None, windows: LabelledWindows) -> Iterator[tuple[Recording, str, Config]]:
+    """Joined walks of everybody, each with its person and the default with a model that has not seen them."""
+    for k, fold in enumerate(folds_of(windows)):
+        model: ContextModel = cached(cache, f"model_{k}", lambda fold=fold: model_without(windows, fold))
+        print(f"fold {k}: {', '.join(fold)} left out", flush=True)
+        for person in fold:
+            for number in range(N_WALKS):
+                walk = mixed_walk(data, "s" + person.split("/")[1][-2:], number)
+                yield walk, person, with_context_model(default(walk.subject), model)
+
+
+def mixed_walk(data: Path, person: str, number: int) -> Recording:
+    """Recordings of one person one after the other, a still second between them, labels of each."""
+
+    def trial(name: str) -> Recording:
+        return pdr.read(data / "motionsense" / f"motionsense_{person}_{name}.zip")
+
+    def labelled_right(names: tuple[str, str]) -> str:
+        other = (names[number], *names)
+        return next(name for name in other if f"motionsense_{person}_{name}" not in DOUBTFUL)
+
+    standing = trial("std_6")
+    force, rate, rows, clock = [], [], [], 0
+    for k, (names, length_s) in enumerate(PARTS):
+        recording = trial(labelled_right(names))
+        pieces = [] if k == 0 else [(*clip(standing, 10.0 + k, STILL_S), "stationary")]
+        # 4 s in: the phone has been put away by then
+        context = str(recording.truth.labels["context"][0])
+        pieces.append((*clip(recording, 4.0 + 3.0 * k * (context == "walking"), length_s), context))
+        for a, w, what in pieces:
+            down = force[0].mean(axis=0) if force else a.mean(axis=0)
+            turn = Rotation.align_vectors([down / np.linalg.norm(down)], [a.mean(axis=0)])[0]
+            force.append(turn.apply(a))
+            rate.append(turn.apply(w))
+            rows.append((clock, clock + len(a), what))
+            clock += len(a)
+    interval_s = float(np.median(np.diff(standing.accelerometer.time_s)))
+    time_s = interval_s * np.arange(clock)
+    start, end, context = zip(*rows, strict=True)
+    return Recording(
+        name=f"{person}_{number}",
+        accelerometer=Samples(time_s, np.concatenate(force)),
+        gyroscope=Samples(time_s, np.concatenate(rate)),
+        truth=Truth(
+            labels=table(
+                {
+                    "start_s": interval_s * np.array(start),
+                    "end_s": interval_s * np.array(end),
+                    "context": np.array(context),
+                    "carrying_mode": np.array(["pocket"] * len(rows)),
+                }
+            )
+        ),
+        meta=dict(standing.meta),
+    )
+
+
+def clip(recording: Recording, start_s: float, length_s: float) -> tuple[FloatArray, FloatArray]:
+    """Specific force and angular rate of a part; of a shorter recording what there is."""
+    assert recording.gyroscope is not None
+    time_s = recording.accelerometer.time_s
+    start_s = max(min(start_s, time_s[-1] - length_s), 0.0)
+    use = (time_s >= start_s) & (time_s < start_s + length_s)
+    rate = recording.gyroscope
+    interpolated = np.column_stack([np.interp(time_s[use], rate.time_s, rate.values[:, i]) for i in range(3)])
+    return recording.accelerometer.values[use], interpolated
+
+
+# --- What was said, and when -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Said:
+    """Of a walk: windows and steps with their probabilities and when they became known."""
+
+    walk: Recording
+    person: str
+    window_s: FloatArray  # (W,) ends
+    window_known_s: FloatArray
+    window_prob: FloatArray  # (W, C)
+    step_s: FloatArray  # (K,)
+    step_known_s: FloatArray
+    of_window: FloatArray  # (K, C) the window that each step used
+    filtered: FloatArray  # (K, C)
+    smoothed: FloatArray  # (K, C)
+
+    @property
+    def lagged(self) -> FloatArray:
+        """Of each step with the evidence of some more, (K, C)."""
+        return smoothed_mode_prob(self.filtered, context_transitions(), LAG_STEPS)
+
+    @property
+    def lagged_known_s(self) -> FloatArray:
+        """When that is known, (K,): with the step so many later, or with the last."""
+        return self.step_known_s[np.minimum(np.arange(len(self.step_s)) + LAG_STEPS, len(self.step_s) - 1)]
+
+
+def said_online(walk: Recording, person: str, config: Config) -> Said:
+    """Everything that the filter says, samples pushed in blocks of a tenth of a second, and the smoother after it."""
+    samples = pdr.merge_streams(walk)
+    state = init(config)
+    windows: list[tuple[float, Any]] = []
+    updates: list[tuple[float, Any]] = []
+    for block in blocks(samples):
+        state, output = update(config, state, block)
+        known_s = float(block.time_s[-1])
+        windows += [(known_s, w) for w in output.windows]
+        updates += [(known_s, u) for u in output.updates if u.is_final]
+    state, output = finish(config, state)
+    end_s = float(samples.time_s[-1])
+    updates += [(end_s, u) for u in output.updates if u.is_final]
+    smoothed = pdr.smooth(walk, config=config).track
+    assert len(smoothed.time_s) == len(updates)
+    return Said(
+        walk,
+        person,
+        np.array([w.time_s for _, w in windows]),
+        np.array([t for t, _ in windows]),
+        np.array([w.prob for _, w in windows]),
+        np.array([u.step.time_s for _, u in updates]),
+        np.array([t for t, _ in updates]),
+        np.array([u.context_prob for _, u in updates]),
+        np.array([u.mode_prob for _, u in updates]),
+        smoothed.mode_prob,
+    )
+
+
+def mean_of_five(prob: FloatArray) -> FloatArray:
+    """Mean probabilities (W, C) of each window with two before and two after it: what averaging alone is worth."""
+    return np.array([prob[max(k - 2, 0) : k + 3].mean(axis=0) for k in range(len(prob))])
+
+
+def blocks(samples: ImuBlock) -> Iterator[ImuBlock]:
+    """The samples in blocks of a tenth of a second."""
+    edges = np.searchsorted(samples.time_s, np.arange(BLOCK_S, samples.time_s[-1] + BLOCK_S, BLOCK_S))
+    for start, end in zip([0, *edges[:-1]], edges, strict=True):
+        if end > start:
+            use = slice(int(start), int(end))
+            yield ImuBlock(
+                samples.time_s[use],
+                samples.specific_force_mps2[use],
+                samples.angular_rate_radps[use],
+                samples.magnetic_field_ut[use],
+            )
+
+
+def context_at(walk: Recording, time_s: float) -> int:
+    """True context at a time, `UNKNOWN` outside every label and in the still seconds put in."""
+    for label in walk.truth.labels:
+        if label["start_s"] <= time_s < label["end_s"] and label["end_s"] - label["start_s"] > 2 * STILL_S:
+            return CONTEXTS.index(str(label["context"]))
+    return UNKNOWN
+
+
+def last_steps(said: Said) -> IntArray:
+    """The last step that used each window, (W,): in its last second; -1 where there is none."""
+    last = np.searchsorted(said.step_s, said.window_s) - 1
+    found = (last >= 0) & (said.step_s[np.maximum(last, 0)] >= said.window_s - 1.0)
+    return np.where(found, last, -1)
+
+
+def window_scores(tables: Tables, all_said: list[Said]) -> None:
+    """Accuracy over windows, clean or not, with and without those that have no step."""
+    rows = []
+    truth, clean, stepped, answers = (
+        [],
+        [],
+        [],
+        {"arg-max": [], "mean of 5": [], "filtered": [], "lagged": [], "smoothed": []},
+    )
+    person = []
+    for said in all_said:
+        last = last_steps(said)
+        truth += [context_at(said.walk, t - 1.0) for t in said.window_s]
+        clean += [label_of(said.walk, t - 2.0, t) is not None for t in said.window_s]
+        stepped += list(last >= 0)
+        person += [said.person] * len(last)
+        answers["arg-max"] += list(said.window_prob.argmax(axis=1))
+        answers["mean of 5"] += list(mean_of_five(said.window_prob).argmax(axis=1))
+        for name, prob in (
+            ("filtered", said.filtered),
+            ("lagged", said.lagged),
+            ("smoothed", said.smoothed),
+        ):
+            answers[name] += list(np.where(last >= 0, prob[last].argmax(axis=1), STATIONARY))
+    y, is_clean, has_step, who = np.array(truth), np.array(clean), np.array(stepped), np.array(person)
+    for name, use in (
+        ("inside one context, with a step", is_clean & has_step & (y >= 0)),
+        ("inside one context, all", is_clean & (y >= 0)),
+        ("also across a change, all", y >= 0),
+    ):
+        right = {answer: np.array(of) == y for answer, of in answers.items()}
+        for answer, ok in right.items():
+            recall = ", ".join(f"{ok[use & (y == c)].mean():.2f}" for c in np.unique(y[use]))
+            by_person = np.array([ok[use & (who == p)].mean() for p in np.unique(who)])
+            gain = by_person - np.array([right["arg-max"][use & (who == p)].mean() for p in np.unique(who)])
+            points = f"{100 * gain.mean():+.1f} ± {100 * gain.std(ddof=1) / np.sqrt(len(gain)):.1f}"
+            people = f"{np.sum(gain > 1e-9)}, {np.sum(gain < -1e-9)}"
+            rows.append([f"{name} (n = {use.sum()})", answer, f"{ok[use].mean():.3f}", recall, points, people])
+    columns = ["windows", "answer", "accuracy", "recall by context", "gain, points", "people better, worse"]
+    order = ", ".join(CONTEXTS[c] for c in np.unique(y[y >= 0]))
+    about = f"Recall in the order {order}; gain over the arg-max, mean of people."
+    tables.write("mixed_contexts_windows", columns, rows, about)
+
+
+def delays_s(said: Said, known_s: FloatArray, prob: FloatArray) -> dict[int, list[float]]:
+    """Time from each change to a moving context until it is named for a second on end; infinite if it never is."""
+    result: dict[int, list[float]] = {}
+    answer = prob.argmax(axis=1)
+    for label in said.walk.truth.labels[1:]:
+        context = CONTEXTS.index(str(label["context"]))
+        if context == STATIONARY:
+            continue
+        found = np.inf
+        for i in np.flatnonzero((known_s >= label["start_s"]) & (known_s < label["end_s"])):
+            if (answer[(known_s >= known_s[i]) & (known_s <= known_s[i] + 1.0 + BLOCK_S)] == context).all():
+                found = float(known_s[i] - label["start_s"])
+                break
+        result.setdefault(context, []).append(found)
+    return result
+
+
+def delays(tables: Tables, all_said: list[Said]) -> None:
+    """Median and ninth decile of the delays, by context."""
+    rows = []
+    for name, known, prob in (
+        ("arg-max", "window_known_s", "window_prob"),
+        ("filtered", "step_known_s", "filtered"),
+        ("lagged", "lagged_known_s", "lagged"),
+        ("arg-max of its step, by the step's own time", "step_s", "of_window"),
+        ("filtered, by the step's own time", "step_s", "filtered"),
+        ("smoothed, by the step's own time", "step_s", "smoothed"),
+    ):
+        found: dict[int, list[float]] = {}
+        for said in all_said:
+            for context, of_walk in delays_s(said, getattr(said, known), getattr(said, prob)).items():
+                found.setdefault(context, []).extend(of_walk)
+        every = [d for of_context in found.values() for d in of_context]
+        by_context = {"all": every, **{CONTEXTS[c]: d for c, d in sorted(found.items())}}
+        cells = [
+            f"{np.quantile(d, 0.5, method='higher'):.1f}, {np.quantile(d, 0.9, method='higher'):.1f}"
+            for d in by_context.values()
+        ]
+        rows.append([name, *cells, f"{np.isinf(every).sum()} of {len(every)}"])
+    columns = ["answer", *by_context, "never"]
+    tables.write("mixed_contexts_delays", columns, rows, "Seconds: median, 90 %; never found counts as infinite.")
+
+
+def tracked(events: list[Event], config: Config, weighting: str) -> list[StepUpdate]:
+    """Final steps of the events of a walk."""
+    tracker = config.with_weighting(weighting).tracker
+    return updates_of(tracker, events)
+
+
+def updates_of(tracker: Tracker[Any], events: list[Event]) -> list[StepUpdate]:
+    """Final steps that a tracker makes of the events of a walk."""
+    state, updates = tracker.init(), list[StepUpdate]()
+    for event in events:
+        if isinstance(event, WindowContext):
+            state, new = tracker.on_window(state, event)
+        elif isinstance(event, Gap):
+            state, new = tracker.on_gap(state, event.duration_s)
+        else:
+            state, new = tracker.on_step(state, event)
+        updates += [u for u in new if u.is_final]
+    return updates + [u for u in tracker.finish(state)[1] if u.is_final]
+
+
+def joined(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Both tables."""
+    windows: LabelledWindows = cached(arguments.cache, "windows", lambda: windows_of(arguments.data))
+    all_said = [said_online(*each) for each in walks_left_out(arguments.data, arguments.cache, windows)]
+    window_scores(tables, all_said)
+    delays(tables, all_said)
+
+
+STAIRS_MPS = 0.1
+# Those of level walking, with the field of the name that says how the phone is carried.
+SITES: dict[str, int] = {
+    "humolire": 0,
+    "ms_indoor": 0,
+    "tyrex": 2,
+    "oxiod": 1,
+    "ubicomp13": 3,
+    "ipol": 0,
+    "sisfall": -1,
+}
+
+
+def without(windows: LabelledWindows, people: list[str], cache: Path | None, name: str) -> ContextModel:
+    """The shipped model as it is without some people."""
+    return cached(cache, name, lambda: contexts.model_without(shipped_model("context"), PLAN, windows, people))
+
+
+def tracked_with(recording: Recording, model: ContextModel) -> tuple[Config, TrackRows]:
+    """The default's configuration with a model, and the track."""
+    config = with_context_model(default(recording.subject), model)
+    return config, pdr.track(recording, config=config)
+
+
+def sites(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Level walking called stairs."""
+    windows: LabelledWindows = cached(arguments.cache, "windows", lambda: windows_of(arguments.data))
+    rows = []
+    for site, part in SITES.items():
+        known = sorted({p for p in windows.person if p.startswith(f"{site}/")})
+        model = without(windows, known, arguments.cache, f"site_{site}") if known else shipped_model("context")
+        of_kind: dict[str, list[FloatArray]] = {}
+        for recording in recordings(arguments.data, site):
+            kind = kind_of(recording.name, part)
+            found = []
+            for each in (replace(model, stairs=None), model):
+                _, track = tracked_with(recording, each)
+                use = on_the_level(recording, track.time_s)
+                stairs = np.isin(track.mode_prob[use].argmax(axis=1), (UP, DOWN))
+                found += [stairs, track.mode_prob[use][:, [UP, DOWN]].sum(axis=1)]
+            of_kind.setdefault(kind, []).append(np.array(found, dtype=float))
+        for kind, parts in sorted(of_kind.items()):
+            figures = np.concatenate(parts, axis=1)
+            if figures.shape[1]:
+                cells = [f"{100 * v:.1f}" for v in figures.mean(axis=1)]
+                rows.append([f"{site} {kind}".strip(), figures.shape[1], ", ".join(cells[:2]), ", ".join(cells[2:])])
+    columns = ["set, placement", "steps", "no guard: called stairs %, mean probability %", "with the guard"]
+    tables.write("context_false_stairs", columns, rows, "The set left out as a whole where it is in training.")
+
+
+def kind_of(name: str, part: int) -> str:
+    """How the phone is carried, from the name of a recording."""
+    if part == 0:
+        return ""
+    pieces = name.split("_")
+    text = " ".join(pieces[part:]) if part > 0 else pieces[-1]
+    return "".join(c for c in text if not c.isdigit()).strip() if part != -1 else text[:3]
+
+
+def on_the_level(recording: Recording, time_s: FloatArray) -> BoolArray:
+    """Which steps are inside the walk, and not labelled as anything but walking."""
+    segments, labels = recording.truth.segments, recording.truth.labels
+    if recording.meta["dataset"] == "ubicomp13" and segments is not None:
+        return (time_s >= segments[0]["start_s"]) & (time_s <= segments[0]["end_s"])
+    if labels is None or not len(labels) or recording.meta["dataset"] == "sisfall":
+        return np.ones(len(time_s), dtype=bool)
+    return np.isin(contexts_at(recording, time_s), (WALKING, -1))
+
+
+def barometer(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Stairs in the hand, by barometer."""
+    rows = []
+    for site in ("ipin2023", "ipin21"):
+        for recording in recordings(arguments.data, site):
+            assert recording.barometer is not None
+            config = default(recording.subject)
+            climb = ClimbRate()
+            pressure = recording.barometer
+            _, climbs = climb.update(climb.init(), pressure.time_s, pressure.values[:, 0])
+            middle_s = np.array([c.time_s - climb.window_s / 2 for c in climbs])
+            live, later = pdr.track(recording, config=config), pdr.smooth(recording, config=config).track
+            rate_mps = np.interp(live.time_s, middle_s, [c.climb_rate_mps for c in climbs])
+            alone = pdr.track(replace(recording, barometer=None), config=config)
+            truth = np.where(rate_mps > STAIRS_MPS, UP, np.where(rate_mps < -STAIRS_MPS, DOWN, WALKING))
+            for answer, prob in (
+                ("without barometer", alone.mode_prob),
+                ("window", live.context_prob),
+                ("filtered", live.mode_prob),
+                ("smoothed", later.mode_prob),
+            ):
+                said = prob.argmax(axis=1)
+                cells = [f"{np.mean(said[truth == c] == c):.2f}" for c in (UP, DOWN)]
+                level = np.isin(said, (UP, DOWN))[truth == WALKING]
+                rows.append([f"{site} ({len(said)} steps)", answer, *cells, f"{level.mean():.2f}"])
+    columns = ["", "answer", "climbing called upstairs", "descending called downstairs", "level called stairs"]
+    tables.write("context_barometer", columns, rows, "Climb rates above 0.1 m/s, of the barometer about each step.")
+
+
 MIN_STEPS = 20  # a recording with fewer says little in per cent
 EVERY = 3
 WC_THRESHOLD = 0.8  # of Algorithm 2
@@ -92,16 +533,16 @@ def walk_of(recording: Recording, person: str, config: Config, is_level: bool = 
 
 
 def joined_walks(data: Path, cache: Path | None, windows: LabelledWindows) -> Iterator[Walk]:
-    """Those of `mixed_contexts.py`, with the same models."""
+    """The joined walks, with the models of `joined`."""
     for each in walks_left_out(data, cache, windows):
         yield walk_of(*each)
 
 
 def people_left_out(data: Path, cache: Path | None, windows: LabelledWindows, dataset: str) -> Iterator[Walk]:
-    """Recordings of a scored data set, with the models of `contexts_left_out.py`."""
+    """Recordings of a scored data set, with models of four folds of people."""
     of_set = [sorted({p for p in windows.person if p.startswith(f"{n}/")}) for n in ("motionsense", "difronzo")]
-    for k in range(N_LEFT_OUT_FOLDS):
-        fold = [p for everybody in of_set for p in everybody[k::N_LEFT_OUT_FOLDS]]
+    for k in range(N_PEOPLE_FOLDS):
+        fold = [p for everybody in of_set for p in everybody[k::N_PEOPLE_FOLDS]]
         model = without(windows, fold, cache, f"people_{k}")
         for path in recordings_of(data, (dataset,)):
             recording = pdr.read(path)
@@ -228,4 +669,4 @@ def walks(tables: Tables, arguments: argparse.Namespace) -> None:
 
 
 if __name__ == "__main__":
-    run(__doc__, walks, cache=None)
+    run(__doc__, joined, walks, sites, barometer, cache=None)
