@@ -9,9 +9,19 @@ import pytest
 
 from tests.data_folder import DATA
 
+_TESTS = Path(__file__).parent
+if not (_TESTS / "benchmarks").is_dir():  # in the sdist, which has no experiments
+    collect_ignore = [
+        "evaluate/test_evaluate_consistency.py",
+        "filter/imm/test_consistency.py",
+        "test_docs_code.py",
+        "test_peers_benchmark.py",
+        "test_soak.py",
+    ]
+
 # Tests that `make test` leaves to `make test-all` and CI: all that took more than about a second of one core, and those
 # of studies, training and pages in a browser, which together take long.
-SLOW = frozenset((Path(__file__).parent / "slow_tests.txt").read_text().split())
+SLOW = frozenset((_TESTS / "slow_tests.txt").read_text().split())
 
 
 @pytest.fixture(scope="session")

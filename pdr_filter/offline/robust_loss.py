@@ -24,7 +24,7 @@ DISTRUST = 3.0
 # jump, the estimation of the noise could go round in circles.
 _LAST_MU = 4.0
 # By how much mu changes in an iteration. The paper has 1.4 (section V); with 2 the same segments and fixes are left out
-# (docs/tables/smoothing_coverage.md, calibration_noise.md) in half the time.
+# (docs/tables/smoothing_coverage.md, and groups of people with 10 and 20 % of wrong segments) in half the time.
 GNC_FACTOR = 2.0
 _HUBER_ITERATIONS = 5  # a redescending loss needs a start that outliers did not choose
 

@@ -8,6 +8,9 @@ in the phone against what the gyroscope says, which is 1 if unit and axes of bot
 
 from __future__ import annotations
 
+import argparse
+import sys
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +20,7 @@ from pdr_filter.io.files.errors import RecordingError
 from pdr_filter.io.folders import recordings_in
 from pdr_filter.io.tables.column_values import constant_part, turning
 from pdr_filter.values import STANDARD_GRAVITY_MPS2
-from tests.benchmarks.common import DATA, Tables, options
+from tests.benchmarks.common import DATA, ROOT, Tables, run
 
 
 @dataclass(frozen=True)
@@ -102,18 +105,36 @@ def row_of(known: Known, folder: Path, with_steps: bool = True) -> Row:
     return Row("read", is_right, steps, f"{gravity:.2f}", "" if factor is None else f"{factor:.2f}")
 
 
-def main() -> None:
+def app_files(tables: Tables, arguments: argparse.Namespace) -> None:
     """One row for each file."""
-    parser = options(__doc__)
-    parser.add_argument("--files", type=Path, default=DATA.parent / "app_files")
-    args = parser.parse_args()
-    found = [row_of(known, args.files) for known in FILES]
+    found = [row_of(known, arguments.files) for known in FILES]
     rows = [row.cells(known) for row, known in zip(found, FILES, strict=True)]
     columns = ["file", "app", "what happens", "right", "steps", "walker's count", "gravity", "turning"]
     n_right = sum(row.is_right for row in found)
     about = f"{n_right} of {len(rows)} files are read or refused rightly."
-    Tables.of(__spec__.name, args).write("app_files", columns, rows, about)
+    tables.write("app_files", columns, rows, about)
+
+
+_LONGEST = 300
+
+
+def shown(sentence: str) -> str:
+    """A sentence as a cell, cut behind a word."""
+    words = sentence.partition("\n")[0].replace("|", "/")
+    return words if len(words) <= _LONGEST else f"{words[:_LONGEST].rpartition(' ')[0]} ..."
+
+
+def odd_tables(tables: Tables, arguments: argparse.Namespace) -> None:
+    """What the reader does with each kind of odd table and what it says."""
+    sys.path.insert(0, str(ROOT / "tests" / "io"))
+    from oddities import ODDITIES
+
+    rows: list[list[str]] = []
+    for oddity in ODDITIES:
+        with tempfile.TemporaryDirectory() as folder:
+            rows.append([oddity.kind, oddity.done, shown(oddity.sentence(oddity.write(Path(folder))))])
+    tables.write("oddities", ["kind of oddity", "what is done", "what is said"], rows)
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, app_files, odd_tables, files=DATA.parent / "app_files")

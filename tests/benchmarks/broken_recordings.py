@@ -9,6 +9,7 @@ sensors a watchdog.
 
 from __future__ import annotations
 
+import argparse
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -18,7 +19,7 @@ import numpy as np
 import pdr_filter as pdr
 from pdr_filter.values import Fix, FloatArray, PositionFix
 from pdr_filter.values.recording import Recording, Samples
-from tests.benchmarks.common import Tables, options
+from tests.benchmarks.common import Tables, run
 
 DAY_S, YEARS_S = 86400.0, 3 * 365 * 86400.0
 
@@ -170,9 +171,9 @@ def many_fixes() -> list[object]:
     return ["-", "-", f"{time.process_time() - begin_s:.1f} s"]
 
 
-def main() -> None:
-    args = options(str(__doc__)).parse_args()
-    recording = pdr.read(args.data / "humolire" / "humolire_user1_3r.zip")
+def faults(tables: Tables, arguments: argparse.Namespace) -> None:
+    """One walk with a fault each."""
+    recording = pdr.read(arguments.data / "humolire" / "humolire_user1_3r.zip")
     walk = Walk(recording, pdr.track(recording))
     rows: list[list[object]] = [
         ["no fault", "-", *walk.of(walk.track)],
@@ -213,9 +214,7 @@ def main() -> None:
         ["10,000 fixes at once", "155 s", *many_fixes()],
     ]
     columns = ["fault", "before", "steps", "off, m (standard deviation)", "said, or found"]
-    Tables.of("tests.benchmarks.broken_recordings", args).write(
-        "broken_recordings", columns, rows, "One walk of humolire with a fault each."
-    )
+    tables.write("broken_recordings", columns, rows, "One walk of humolire with a fault each.")
 
 
 def zero(values: FloatArray) -> None:
@@ -223,4 +222,4 @@ def zero(values: FloatArray) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, faults)

@@ -1,38 +1,38 @@
-"""What calibration is worth on real walks, whether its intervals hold, and what it costs: docs/benchmarks.md.
+"""Calibration on walks that it has not seen, and coverage of its intervals: docs/benchmarks.md.
 
-usage: python -m tests.benchmarks.calibration [noise] [halves] [measure] [coverage] [speed] [--data ../shared/data]
+usage: python -m tests.benchmarks.calibration [halves] [left_out] [coverage] [--data ../shared/data]
 
-noise     made-up people whose steps are 22 % longer than the prior says: the noise that is found in five layouts with 0
-          to 20 % wrong segments, and the step of a further person
 halves    parameters from half of each person's segments, error on the other half: against no calibration, one scale for
-          everybody, and the population; and humolire by walks (legs and totals)
-measure   fitted and scored by displacement against summed lengths
+          everybody, and the population
+left_out  whole walks of five sites. humolire: straight legs between landmarks; ms_indoor: between waypoints; oxiod and
+          tyrex: walked lengths of stretches of 20 s along the path of a tracking system, lengths summed. Running,
+          trolleys and a phone that is pointed around are left out.
 coverage  500 simulated calibrations: how often 95 % intervals have the truth; people with little data
-speed     15 people x 6 contexts x 33 segments; 10^3 to 10^6 segments, time and memory
 """
 
 from __future__ import annotations
 
-import resource
-import time
+import argparse
 from dataclasses import replace
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import butter, sosfiltfilt
 
 import pdr_filter as pdr
 from pdr_filter.filter.step_length.models import KimStepLength, WeinbergStepLength
 from pdr_filter.offline.calibration.estimation import Hierarchy, ParameterEstimate, estimate_parameters
-from pdr_filter.offline.calibration.model_forms import RECORDING_STD, hierarchy_of, solve_sums
+from pdr_filter.offline.calibration.fit import calibrate_segments
+from pdr_filter.offline.calibration.model_forms import forms_of, hierarchy_of, solve_sums, start_of
+from pdr_filter.offline.calibration.model_forms import lengths as lengths_of_people
 from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, eq12_priors, weak_prior
 from pdr_filter.offline.calibration.segments import Segment, SegmentSums, integrate, segments_of
-from pdr_filter.offline.robust_loss import LOSSES
+from pdr_filter.recipes.step_length_calibration import Calibration
 from pdr_filter.tracking.track import Track
-from pdr_filter.values import CONTEXTS
-from pdr_filter.values.recording import Recording
-from tests.benchmarks.common import Tables, bias_spread_rms, options, recordings
+from pdr_filter.values import CONTEXTS, table
+from pdr_filter.values.recording import Recording, Truth
+from tests.benchmarks.common import Tables, bias_spread_rms, recordings, run
 
 FloatArray = NDArray[np.float64]
 N_SPLITS = 20
@@ -46,9 +46,9 @@ def walks(data: Path, site: str) -> list[tuple[Recording, Track]]:
     return [(r, pdr.track(r)) for r in recordings(data, site)]
 
 
-def cut(found: list[tuple[Recording, Track]], measure: str = "displacement") -> list[Segment]:
+def cut(found: list[tuple[Recording, Track]]) -> list[Segment]:
     """All segments; each recording of ms_indoor, whose surveyors have no names, is of a person of its own."""
-    return [s for r, t in found for s in segments_of(r, t, measure=measure, subject=r.name)[0]]
+    return [s for r, t in found for s in segments_of(r, t, subject=r.name)[0]]
 
 
 def lengths(sums: SegmentSums, theta: FloatArray) -> FloatArray:
@@ -79,8 +79,9 @@ MODELS = {
 }
 
 
-def halves(tables: Tables, sites: dict[str, list[Segment]]) -> None:
+def halves(tables: Tables, arguments: argparse.Namespace) -> None:
     """Half of each person's segments against the other half."""
+    sites = {site: cut(walks(arguments.data, site)) for site in ("humolire", "ms_indoor")}
     segments = [s for site in sites.values() for s in site]
     place = np.array([name for name, own in sites.items() for _ in own])
     rows = []
@@ -116,103 +117,6 @@ def halves(tables: Tables, sites: dict[str, list[Segment]]) -> None:
     columns = ["model", "site", "people, segments", "no calibration", "one scale for all", "population", "own k"]
     about = f"{N_SPLITS} random halves of the segments of each person; bias, spread, RMS in % of those not used."
     tables.write("calibration_halves", columns, rows, about)
-
-
-def half_of_the_walks(tables: Tables, segments: list[Segment], others: list[Segment]) -> None:
-    """humolire: parameters from four of nine walks, legs and totals of the other five; all 126 choices."""
-    both = [*segments, *others]
-    rows = []
-    here = np.arange(len(both)) < len(segments)
-    picked: dict[tuple[int, ...], tuple[float, FloatArray]] = {}
-    for name, priors in MODELS.items():
-        models = {n: p.model for n, p in priors.items()}
-        sums = integrate(both, models, {n: p.mean for n, p in priors.items()})
-        uncalibrated = lengths(sums, np.concatenate([p.mean for p in priors.values()]))
-        own_walks = np.unique(sums.recording[here])
-        person = sums.subject[0]
-        errors: list[list[FloatArray]] = [[], [], [], []]
-        for chosen in combinations(own_walks.tolist(), 4):
-            training = here & np.isin(sums.recording, chosen)
-            alone = fitted(sums.rows(training), priors)
-            joint = fitted(sums.rows(training | ~here), priors).people[person]
-            scale = sums.distance_m[training].sum() / uncalibrated[training].sum()
-            own = lengths(sums, alone.people[person])
-            by = (uncalibrated, scale * uncalibrated, own, lengths(sums, joint))
-            for k, predicted in enumerate(by):
-                errors[k].append(of_others(sums, here & ~training, predicted))
-            left_out = float(np.square(alone.left_out_m / sums.distance_m[training] - 1).mean())
-            if chosen not in picked or left_out < picked[chosen][0]:
-                picked[chosen] = left_out, errors[2][-1]
-        cells = [" / ".join(f"{100 * v:.2f}" for v in np.sqrt(np.mean(e, axis=0))) for e in errors]
-        rows.append([name, *cells])
-    best = np.sqrt(np.mean([e for _, e in picked.values()], axis=0))
-    cells = ["", "", f"{100 * best[0]:.2f} / {100 * best[1]:.2f}", ""]
-    rows.append(["what predicts left-out segments best", *cells])
-    columns = ["model", "no calibration", "one scale", "own k", "own k, with the walks of ms_indoor"]
-    about = (
-        "humolire, k from 4 of the 9 walks, all 126 choices: RMS % of the legs / of the totals of the other 5 walks."
-    )
-    tables.write("calibration_walks", columns, rows, about)
-
-
-def of_others(sums: SegmentSums, test: NDArray[np.bool_], predicted: FloatArray) -> FloatArray:
-    """Mean square of the relative errors of legs and of totals of walks, (2,)."""
-    legs = predicted[test] / sums.distance_m[test] - 1
-    true, total = (np.bincount(sums.recording[test], v[test]) for v in (sums.distance_m, predicted))
-    return np.array([np.square(legs).mean(), np.square(total[true > 0] / true[true > 0] - 1).mean()])
-
-
-def one_corridor(tables: Tables, sites: dict[str, list[Segment]]) -> None:
-    """A person with one segment: the rest of the person's segments, against the population."""
-    segments = [s for site in sites.values() for s in site]
-    priors = with_model()
-    sums = integrate(segments, {n: p.model for n, p in priors.items()}, {n: p.mean for n, p in priors.items()})
-    rng = np.random.default_rng(2)
-    counts = np.bincount(sums.subject)
-    errors: dict[str, list[float]] = {"no calibration": [], "population": [], "own k": [], "the one segment alone": []}
-    uncalibrated = lengths(sums, np.concatenate([p.mean for p in priors.values()]))
-    for person in np.flatnonzero(counts > 3):
-        for first in rng.permutation(np.flatnonzero(sums.subject == person))[:5]:
-            training = (sums.subject != person) | (np.arange(len(sums)) == first)
-            test = (sums.subject == person) & ~training
-            found = fitted(sums.rows(training), priors)
-            population = lengths(sums, found.population)
-            alone = population * sums.distance_m[first] / population[first]
-            total = sums.distance_m[test].sum()
-            for name, predicted in zip(
-                errors, (uncalibrated, population, lengths(sums, found.people[person]), alone), strict=True
-            ):
-                errors[name].append(100 * (predicted[test].sum() / total - 1))
-    rows = [[name, len(values), bias_spread_rms(values)] for name, values in errors.items()]
-    columns = ["k from", "cases", "total of the person's other segments: bias, spread, RMS %"]
-    tables.write("calibration_one_segment", columns, rows)
-
-
-def measures(tables: Tables, found: dict[str, list[tuple[Recording, Track]]]) -> None:
-    """Displacement against summed lengths, each segment left out; humolire also between all its waypoints."""
-    corners = [
-        (replace(r, truth=replace(r.truth, segments=None)), t) for r, t in found["humolire"]
-    ]  # also legs that go round a corner
-    lines = []
-    rows = {"humolire, straight legs": found["humolire"], "humolire, all waypoints": corners}
-    rows["ms_indoor, waypoints"] = found["ms_indoor"]
-    for name, own in rows.items():
-        cells: list[tuple[float, float]] = []
-        for measure in ("displacement", "length"):
-            segments = cut(own, measure)
-            sums = integrate(
-                segments,
-                {n: p.model for n, p in DEFAULT_PRIORS.items()},
-                {n: p.mean for n, p in DEFAULT_PRIORS.items()},
-            )
-            e = fitted(sums, dict(DEFAULT_PRIORS))
-            k = e.people[:, 0 + 3].mean()  # walking comes after the three held parameters of standing
-            error = e.left_out_m / sums.distance_m - 1
-            cells.append((k, 100 * np.sqrt((error**2).mean())))
-        (k1, r1), (k2, r2) = cells
-        lines.append([name, len(segments), f"{k1:.4f}", f"{k2:.4f}", f"{r1:.1f}", f"{r2:.1f}"])
-    columns = ["segments", "n", "k: displacement", "k: lengths", "RMS %: displacement", "RMS %: lengths"]
-    tables.write("calibration_measures", columns, lines, "Each segment left out.")
 
 
 # --- simulated ------------------------------------------------------------------------------------------------------
@@ -257,68 +161,9 @@ def simulated(
     return sums, prior, population, people
 
 
-LAYOUTS = (12, 1), (30, 1), (100, 1), (12, 3), (12, 10)
-
-
-def unlike_the_prior(
-    rng: np.random.Generator, n_people: int, per_person: int, wrong: float, factor: float = 1.22
-) -> tuple[SegmentSums, Hierarchy, float]:
-    """Segments of about 12 m of the default model, people of two kinds; the usual prior, and the group's true k."""
-    prior = DEFAULT_PRIORS["walking"]
-    k = float(prior.mean[0])
-    own = factor * k + prior.between_std[0] * rng.choice([-1, 1], n_people)
-    n = n_people * per_person
-    person, recording = np.repeat(np.arange(n_people), per_person), np.arange(n) // max(per_person // 3, 1)
-    n_steps = rng.integers(12, 20, n).astype(float)
-    row = n_steps * rng.normal(2.27, 0.104, n)
-    distance = row * own[person] * (1 + rng.normal(0, RECORDING_STD, recording[-1] + 1)[recording])
-    distance += rng.normal(size=n) * np.sqrt(0.35**2 + n_steps * prior.step_std_m**2)
-    is_wrong = rng.random(n) < wrong
-    distance[is_wrong] *= rng.choice([0.5, 2.0], is_wrong.sum())
-    sums = SegmentSums(
-        regressors=np.stack([row, np.zeros(n)], axis=1)[:, :, None],
-        offset_m=np.zeros((n, 2)),
-        distance_m=distance,
-        anchor_std_m=np.full(n, 0.35),
-        n_steps=n_steps,
-        context=np.ones(n, dtype=np.int64),
-        subject=person,
-        recording=recording,
-        subjects=tuple(f"s{i}" for i in range(n_people)),
-        recordings=tuple(f"r{i}" for i in range(int(recording[-1]) + 1)),
-    )
-    return sums, hierarchy_of({"walking": prior}), factor * k
-
-
-def noise(tables: Tables, n_runs: int = 20) -> None:
-    """The noise found over the true one, and the error of the group's step."""
-    found, further = [], []
-    for loss in LOSSES:
-        for wrong in (0.0, 0.1, 0.2):
-            ratios, errors = [], []
-            for n_people, per_person in LAYOUTS:
-                rng = np.random.default_rng(6)
-                runs = []
-                for _ in range(n_runs):
-                    sums, prior, k = unlike_the_prior(rng, n_people, per_person, wrong)
-                    e = estimate_parameters(sums, prior, loss)
-                    runs.append((np.sqrt(e.noise_factor[1]), 100 * (e.population[0] / k - 1)))
-                ratio, error = np.array(runs).T
-                ratios.append(f"{ratio.mean():.2f}")
-                errors.append(f"{error.mean():+.1f}, {error.std():.1f}")
-            found.append([loss, f"{100 * wrong:.0f} %", *ratios])
-            further.append([loss, f"{100 * wrong:.0f} %", *errors])
-    layouts = [f"{s} x {n}" for s, n in LAYOUTS]
-    about, columns = f"{n_runs} made-up groups with steps 22 % longer than the prior's, ", ["loss", "wrong", *layouts]
-    of_noise = "people x segments; noise found over the true one (standard deviations)."
-    tables.write("calibration_noise", columns, found, about + of_noise)
-    of_step = "people x segments; error of the group's step in %: bias, spread."
-    tables.write("calibration_group", columns, further, about + of_step)
-
-
-def coverage(tables: Tables, n_runs: int = 500) -> None:
+def coverage(tables: Tables, arguments: argparse.Namespace) -> None:
     """How often 95 % intervals have the truth."""
-    rows = []
+    rows, n_runs = [], 500
     for n_people, per_person, outliers, loss in (
         (5, 12, 0.0, "gnc"),
         (5, 12, 0.0, "none"),
@@ -349,43 +194,69 @@ def coverage(tables: Tables, n_runs: int = 500) -> None:
     tables.write("calibration_coverage", [*columns, "the population's step, cm"], rows, about)
 
 
-def speed(tables: Tables) -> None:
-    """Time and memory."""
-    rng = np.random.default_rng(3)
-    estimate_parameters(*simulated(rng, 15, 33, contexts=6)[:2])  # loads what is loaded once
-    rows = []
-    for n in (1000, 10_000, 100_000, 1_000_000):
-        people = min(max(n // 200, 5), 5000)
-        sums, prior, _, _ = simulated(rng, people, n // people // 6, contexts=6)
-        began = time.process_time()
-        e = estimate_parameters(sums, prior)
-        seconds = time.process_time() - began
-        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-        figures = [f"{seconds:.2f}", e.n_iterations, f"{1e6 * seconds / len(sums):.1f}", f"{memory:.2f}"]
-        rows.append([len(sums), people, *figures])
-    columns = ["segments", "people", "s of processor", "iterations", "µs a segment", "peak memory GiB"]
-    tables.write("calibration_speed", columns, rows, "6 contexts, 18 parameters, all variances estimated.")
+def along_the_path(recording: Recording, track: Track) -> Recording:
+    """The recording with the walked lengths of stretches of 20 s as truth, from its continuous reference.
+
+    Below 0.7 Hz: a phone sways with the body, and a body with its steps. Stretches with a hole of more than 1.5 s, or
+    that were hardly walked, are left out.
+    """
+    path = recording.truth.position
+    assert path is not None
+    grid_s = np.arange(path.time_s[0], path.time_s[-1], 0.02)
+    places = np.column_stack([np.interp(grid_s, path.time_s, path[name]) for name in ("east_m", "north_m")])
+    smooth = sosfiltfilt(butter(2, 0.7 / 25, output="sos"), places, axis=0)
+    length_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(smooth, axis=0).T))])
+    edges_s = np.arange(max(path.time_s[0], track.time_s[0] - 0.5), min(path.time_s[-1], track.time_s[-1]), 20.0)
+    walked = np.diff(np.interp(edges_s, grid_s, length_m))
+    holes_s = path.time_s[1:][np.diff(path.time_s) > 1.5]
+    stretches = zip(edges_s[:-1], edges_s[1:], walked, strict=True)
+    good = [d > 3.0 and not ((holes_s > a) & (holes_s < b + 1.5)).any() for a, b, d in stretches]
+    columns = {"start_s": edges_s[:-1][good], "end_s": edges_s[1:][good], "distance_m": walked[good]}
+    segments = table(columns | {"n_steps": np.full(sum(good), np.nan)})
+    return replace(recording, truth=Truth(segments=segments))
 
 
-def main() -> None:
-    arguments = options(__doc__, "noise", "halves", "measure", "coverage", "speed").parse_args()
-    tables = Tables.of(__spec__.name, arguments)
-    if {"halves", "measure"} & set(arguments.parts):
-        found = {site: walks(arguments.data, site) for site in ("humolire", "ms_indoor")}
-        sites = {site: cut(own) for site, own in found.items()}
-        if "halves" in arguments.parts:
-            halves(tables, sites)
-            half_of_the_walks(tables, sites["humolire"], sites["ms_indoor"])
-            one_corridor(tables, sites)
-        if "measure" in arguments.parts:
-            measures(tables, found)
-    if "noise" in arguments.parts:
-        noise(tables)
-    if "coverage" in arguments.parts:
-        coverage(tables)
-    if "speed" in arguments.parts:
-        speed(tables)
+def five_sites(data: Path) -> dict[str, list[Segment]]:
+    """Walking of one person each in four of them, and of 95 in a mall."""
+    sites = {site: cut(walks(data, site)) for site in ("humolire", "ms_indoor")}
+    for name, site, pattern in (
+        ("oxiod, over a floor", "oxiod", "*floor1*.zip"),
+        ("oxiod, in a room", "oxiod", "*room_[hp]*.zip"),
+        ("tyrex", "tyrex", "*dist_[bfpst]*.zip"),
+    ):
+        found = [(r, pdr.track(r)) for r in recordings(data, site, pattern)]
+        cut_out = [s for r, t in found for s in segments_of(along_the_path(r, t), t, measure="length")[0]]
+        sites[name] = [replace(s, subject="one") for s in cut_out]
+    return sites
+
+
+def theta_of(found: Calibration, subjects: tuple[str, ...]) -> FloatArray:
+    """Parameters of people (S, P), the population's of those who were not calibrated."""
+    known = found.subject_ids
+    return np.array([found.people[known.index(s)] if s in known else found.theta for s in subjects])
+
+
+def left_out(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Every tenth of the walks (every one, if there are ten or fewer) from the others."""
+    priors, rows = forms_of()["bounce"], []
+    start = np.concatenate([p.mean for p in priors.values()])
+    for site, segments in five_sites(arguments.data).items():
+        names = list(dict.fromkeys(s.recording for s in segments))
+        walk = np.array([names.index(s.recording) for s in segments])
+        before_m, after_m = np.empty((2, len(segments)))
+        for k in np.unique(walk % 10):
+            test = np.flatnonzero(walk % 10 == k)
+            found = calibrate_segments([segments[i] for i in np.flatnonzero(walk % 10 != k)], priors)
+            own = integrate([segments[i] for i in test], found.models, start_of(priors))
+            after_m[test] = lengths_of_people(own, theta_of(found, own.subjects))
+            before_m[test] = lengths_of_people(own, np.tile(start, (len(own.subjects), 1)))
+        true_m = np.bincount(walk, [s.distance_m for s in segments])
+        before, after = (100 * (np.bincount(walk, m) / true_m - 1) for m in (before_m, after_m))
+        rows.append([site, len(names), bias_spread_rms(before), bias_spread_rms(after), f"{np.abs(after).max():.1f}"])
+    about = "Totals of walks left out, default form: bias, spread, RMS in %. In ms_indoor the others are other people."
+    columns = ["site", "walks", "no calibration", "from the other walks", "largest error"]
+    tables.write("calibration_left_out", columns, rows, about)
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, halves, left_out, coverage)

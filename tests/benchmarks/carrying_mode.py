@@ -11,6 +11,7 @@ published. The shipped models, or those of the folder.
 
 from __future__ import annotations
 
+import argparse
 from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +25,7 @@ from pdr_filter.offline.training.carrying_training import FEATURE_NAMES, MODES, 
 from pdr_filter.sensing.features import invariant
 from pdr_filter.sensing.features.feature_windows import FeatureWindows
 from pdr_filter.sensing.front_end import feature_windows
-from tests.benchmarks.common import ROOT, Tables, options, recordings
+from tests.benchmarks.common import ROOT, Tables, recordings, run
 
 
 def left_out(card: dict[str, Any]) -> list[list[str]]:
@@ -75,15 +76,13 @@ def placements(data: Path, model: ContextModel, has_gyroscope: bool) -> list[lis
     return rows
 
 
-def main() -> None:
-    parser = options(__doc__)
-    parser.add_argument("--models", type=Path, default=ROOT / "models")
-    args = parser.parse_args()
-    tables, recalls, places = Tables.of(__spec__.name, args), [], []
+def modes(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Both tables."""
+    recalls, places = [], []
     for plan in PLANS:
-        model = load_model(args.models / f"{plan.name}.npz")
+        model = load_model(arguments.models / f"{plan.name}.npz")
         recalls += left_out(model.card)
-        places += placements(args.data, model, plan.has_gyroscope)
+        places += placements(arguments.data, model, plan.has_gyroscope)
     columns = ["model", "left out", *MODES, "worst person", "log loss", "calibration error"]
     about = "Recall of each window, recall as followed through the recording (windows)."
     tables.write("carrying_mode", columns, recalls, about)
@@ -92,4 +91,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, modes, models=ROOT / "models")

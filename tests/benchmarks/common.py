@@ -1,4 +1,4 @@
-"""What the benchmarks share: options, recordings, and the files of docs/tables, from which the pages take every figure.
+"""The runner of the benchmarks: arguments, recordings, tables, and the time of each part.
 
 usage: python -m tests.benchmarks.common     copies the tables of README.md from docs/tables
 
@@ -11,10 +11,13 @@ from __future__ import annotations
 import argparse
 import os
 import re
-from collections.abc import Iterator, Sequence
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,19 +38,44 @@ _COPY = re.compile(r"(<!-- table (\w+) -->\n).*?(<!-- end of table -->)", re.DOT
 _DATE = re.compile(r"\d{4}-\d\d-\d\d")
 
 
-# --- options and recordings ------------------------------------------------------------------------------------------
+# --- the runner and recordings ----------------------------------------------------------------------------------------
 
 
-def options(doc: str, *parts: str) -> argparse.ArgumentParser:
-    """Parser of a benchmark: parts to run (all if none is named), `--data` and `--print`."""
-    parser = argparse.ArgumentParser(description=doc.splitlines()[0])
-    if parts:
-        parser.add_argument(
-            "parts", nargs="*", default=list(parts), help=f"of {', '.join(parts)}; all if none is named"
-        )
+def run(doc: str | None, *parts: Callable[[Tables, argparse.Namespace], None], **options: Any) -> None:
+    """Run the parts of a benchmark, all or those named on the command line, and report the time that each takes.
+
+    Parameters
+    ----------
+    doc : str
+        Docstring of the script; its first line is shown by `--help`.
+    *parts : callable
+        Functions of the tables to write and the arguments; the name of a function is the name of its part.
+    **options
+        Further options with their defaults, which have their types: `every=4` is `--every N`, an integer, a list takes
+        several values, and None is the default of a path.
+    """
+    by_name = {part.__name__: part for part in parts}
+    parser = argparse.ArgumentParser(description=(doc or "").splitlines()[0])
+    parser.add_argument("parts", nargs="*", help=f"of {', '.join(by_name)}; all if none is named")
     parser.add_argument("--data", type=Path, default=DATA, help="folder of the data sets, one folder each")
     parser.add_argument("--print", action="store_true", help="print the tables and write no file")
-    return parser
+    for name, default in options.items():
+        many = isinstance(default, list)
+        kind = Path if default is None else type(default[0] if many else default)
+        given: dict[str, Any] = (
+            {"action": "store_true"} if kind is bool else {"type": kind, "nargs": "+" if many else None}
+        )
+        parser.add_argument(f"--{name.replace('_', '-')}", default=default, help=f"default: {default}", **given)
+    arguments = parser.parse_args()
+    if unknown := set(arguments.parts) - set(by_name):
+        parser.error(f"no part {', '.join(sorted(unknown))}; parts are {', '.join(by_name)}")
+    spec = sys.modules["__main__"].__spec__
+    command = f"python -m {spec.name.removesuffix('.__main__') if spec else 'NAME'}"
+    tables = Tables(command, None if arguments.print else FOLDER)
+    for name in arguments.parts or by_name:
+        start = time.perf_counter()
+        by_name[name](tables, arguments)
+        print(f"{name}: {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
 
 
 def paths(data: Path, site: str, pattern: str = "*.zip") -> list[Path]:
@@ -107,11 +135,6 @@ class Tables:
     command: str
     folder: Path | None = FOLDER
 
-    @classmethod
-    def of(cls, module: str, arguments: argparse.Namespace) -> Tables:
-        """Those of a benchmark that was started as `python -m MODULE`."""
-        return cls(f"python -m {module}", None if arguments.print else FOLDER)
-
     def write(
         self, name: str, columns: Sequence[object], rows: Sequence[Sequence[object]], about: str = "", day: str = ""
     ) -> None:
@@ -119,12 +142,12 @@ class Tables:
 
         A file that differs in the day alone is left as it is: the same numbers have the same bytes.
         """
-        table = markdown_table(columns, rows)
-        print(f"\n{name}\n\n{table}", flush=True)
+        caption = f"*{about + ' ' if about else ''}`{self.command}`, {day or date.today()}.*"
+        text = f"{markdown_table(columns, rows)}\n{caption}\n"
+        print(f"\n{name}\n\n{text}", flush=True)
         if self.folder is None:
             return
-        caption = f"*{about + ' ' if about else ''}`{self.command}`, {day or date.today()}.*"
-        text, path = f"{table}\n{caption}\n", self.folder / f"{name}.md"
+        path = self.folder / f"{name}.md"
         self.folder.mkdir(parents=True, exist_ok=True)
         if not path.exists() or _DATE.sub("", path.read_text("utf-8")) != _DATE.sub("", text):
             path.write_text(text, encoding="utf-8")

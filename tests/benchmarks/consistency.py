@@ -1,7 +1,7 @@
 # ruff: noqa: N806 - the letters of the equations
 """Is the filter's covariance the size of its errors: on walks drawn from its own model, on real walks, over a day.
 
-usage: python -m tests.benchmarks.consistency [simulated] [real] [day] [--data ../shared/data]
+usage: python -m tests.benchmarks.consistency [simulated] [real] [whole_day] [--data ../shared/data]
 
 simulated: walks of mixed contexts, as `Step`s, `WindowContext`s and `PositionFix`es, drawn from what the default
 recipe's tracker assumes: contexts by its transitions, lengths by each mode's fit, the person's scale and the heading's
@@ -23,10 +23,10 @@ day: 24 hours of walking and rest, 60,000 steps: sizes of the state, and what th
 
 from __future__ import annotations
 
+import argparse
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 
 import numpy as np
 from scipy.stats import chi2
@@ -41,7 +41,7 @@ from pdr_filter.filter.imm.weighted_tracker import WeightedState, WeightedTracke
 from pdr_filter.filter.step_length.models import length_and_jacobian
 from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray, PositionFix, Step
-from tests.benchmarks.common import Tables, options, recordings
+from tests.benchmarks.common import Tables, recordings, run
 from tests.helpers import a_step as made_step
 
 EVEN_PRIOR = np.full(len(CONTEXTS), 1 / len(CONTEXTS))
@@ -283,7 +283,7 @@ def line(name: str, errors: Errors) -> list[str]:
     return [name, *cells, nis, str(errors.rejected), f"{errors.right.mean():.2f}"]
 
 
-def simulated(tables: Tables, n_walks: int = 200) -> None:
+def simulated(tables: Tables, arguments: argparse.Namespace) -> None:
     """Row by row further from the model."""
     exact, shipped = own_model(), pdr.recipes.default().model
     tempered = replace(exact, evidence_exponent=0.5, evidence_floor=shipped.evidence_floor)
@@ -292,6 +292,7 @@ def simulated(tables: Tables, n_walks: int = 200) -> None:
     of_detected = exact.transition_prob * detected
     rare = replace(exact, transition_prob=of_detected / of_detected.sum(axis=1, keepdims=True))
     alike = replace(exact, noise=replace(exact.noise, log_scale_std=0.01))
+    n_walks = 200
     low2, high2 = bounds(2, n_walks)
     low4, high4 = bounds(4, n_walks)
     about = (
@@ -369,12 +370,12 @@ def place_errors(track: pdr.Track, truth: Places, std_m: float) -> FloatArray:
     return nees[~truth.first]
 
 
-def real(tables: Tables, data: Path) -> None:
+def real(tables: Tables, arguments: argparse.Namespace) -> None:
     """Coverage by site: of the track alone, and of one that got the first places as fixes in the building's frame."""
     levels, rows, of_phones = chi2.ppf([0.5, 0.95], 2), [], {"no": [], "yes": []}
     for site, pattern, std_m in PLACES:
         alone, with_fixes = [], []
-        for recording in recordings(data, site, pattern):
+        for recording in recordings(arguments.data, site, pattern):
             truth = places_of(recording)
             config = pdr.recipes.for_recording("default", recording)
             track = pdr.track(recording, config)
@@ -466,7 +467,7 @@ def run_day(tracker: Tracker, n_steps: int, day_s: float) -> tuple[State, list[t
     return state, found, rejected
 
 
-def whole_day(tables: Tables) -> None:
+def whole_day(tables: Tables, arguments: argparse.Namespace) -> None:
     """Sizes of the first and last tenth, and the end."""
     rows = []
     for weighting in ("imm", "wc"):
@@ -488,13 +489,5 @@ def whole_day(tables: Tables) -> None:
     tables.write("consistency_day", columns, rows, "24 hours.")
 
 
-def main() -> None:
-    args = options(__doc__, "simulated", "real", "day").parse_args()
-    tables = Tables.of(__spec__.name, args)
-    run = {"simulated": simulated, "real": lambda to: real(to, args.data), "day": whole_day}
-    for part in args.parts:
-        run[part](tables)
-
-
 if __name__ == "__main__":
-    main()
+    run(__doc__, simulated, real, whole_day)

@@ -11,6 +11,7 @@ in training; ubicomp13 is never trained on.
 
 from __future__ import annotations
 
+import argparse
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -35,7 +36,7 @@ from pdr_filter.offline.training.context_training import (
 from pdr_filter.offline.training.cross_validation import LabelledWindows, recordings_of, score
 from pdr_filter.recipes.martinelli2018 import features as martinelli
 from pdr_filter.values import CONTEXTS, BoolArray, FloatArray
-from tests.benchmarks.common import Tables, options
+from tests.benchmarks.common import Tables, run
 
 WALKING = CONTEXTS.index("walking")
 SHIPPED = {plan.name: plan for plan in PLANS}
@@ -99,19 +100,17 @@ def draw(probs: dict[str, tuple[FloatArray, BoolArray]], path: Path) -> None:
     figure.savefig(path, metadata={"Date": None})
 
 
-def main() -> None:
-    parser = options(__doc__)
-    parser.add_argument("--figure", type=Path)
-    parser.add_argument("--only", nargs="*", help="rows of these names")
-    args = parser.parse_args()
+def contexts(tables: Tables, arguments: argparse.Namespace) -> None:
+    """One subject of MotionSense left out at a time."""
     datasets = sorted({d for plan in PLANS for d in plan.datasets} | {"ubicomp13"})
-    files = recordings_of(args.data, datasets)
+    only = arguments.only.split(",") if arguments.only else []
+    files = recordings_of(arguments.data, datasets)
     windows = {name: labelled_windows(files, feature_set=name) for name in sorted(FEATURE_SETS)}
 
     rows: dict[str, dict[str, Any]] = {}
     probs: dict[str, tuple[FloatArray, BoolArray]] = {}
     for name, plan in ROWS.items():
-        if args.only and name not in args.only:
+        if only and name not in only:
             continue
         w = windows[plan.feature_set]
         features = plan.features(w)
@@ -127,7 +126,7 @@ def main() -> None:
         prob[scored] = cross_calibrated(prob[scored], w.context[scored], w.person[scored], everybody)
         result = score(w.context[scored], prob[scored])
         correct = np.array(CONTEXTS)[prob.argmax(axis=1)] == w.context
-        pocket = in_pockets(args.data, w)
+        pocket = in_pockets(arguments.data, w)
         elsewhere = replace(everybody, temperature=temperature, slip=slip).probabilities(features[pocket])
         rows[name] = {
             "accuracy": result["accuracy"],
@@ -142,13 +141,12 @@ def main() -> None:
         probs[name] = prob[scored], correct[scored]
         print(name, {c: round(r, 3) for c, r in result["recall"].items()}, flush=True)
     columns = list(next(iter(rows.values())))
-    tables = Tables.of(__spec__.name, args)
     table = [[name, *(f"{row[c]:.3f}" for c in columns)] for name, row in rows.items()]
     about = "12 people of MotionSense, each left out; walking of ubicomp13 in trouser pockets."
-    replace(tables, folder=None if args.only else tables.folder).write("contexts", ["", *columns], table, about)
-    if args.figure:
-        draw({name: probs[name] for name in IN_FIGURE if name in probs}, args.figure)
+    replace(tables, folder=None if only else tables.folder).write("contexts", ["", *columns], table, about)
+    if arguments.figure:
+        draw({name: probs[name] for name in IN_FIGURE if name in probs}, arguments.figure)
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, contexts, figure=None, only="")

@@ -1,6 +1,6 @@
 """Walks with a floor plan: how near to the waypoints, how sure, and what a wrong plan does.
 
-usage: python -m tests.benchmarks.floor_plans [walks] [wrong] [seeds] [start] [radio] [leg] [--data ../shared/data]
+usage: python -m tests.benchmarks.floor_plans [whole] [wrong] [start] [radio] [--data ../shared/data]
 
 The waypoints of the first fifth of a walk are fixes of 0.5 m, the errors are those at all others, in the frame of the
 plan, not aligned. What staying in a room costs (`maps.crossing_costs`) was chosen on storey F1 of ms_indoor alone, how
@@ -13,6 +13,7 @@ with them.
 
 from __future__ import annotations
 
+import argparse
 import json
 import re
 import tempfile
@@ -27,10 +28,9 @@ from scipy.stats import chi2
 from shapely.affinity import rotate, translate
 
 import pdr_filter as pdr
-from pdr_filter.maps.crossing_costs import Terrain
 from pdr_filter.tracking.track import Track
 from pdr_filter.values import FloatArray
-from tests.benchmarks.common import Tables, median_and, options, paths
+from tests.benchmarks.common import Tables, median_and, paths, run
 from tests.benchmarks.radio import known_walks, left_out, map_of
 
 GROUPS = {
@@ -40,7 +40,6 @@ GROUPS = {
     "humolire": "humolire",
 }
 WAYPOINT_VAR_M2 = 1.0
-N_SEEDS = 20
 
 
 @dataclass(frozen=True)
@@ -112,12 +111,12 @@ def _coverage(nees: Sequence[FloatArray]) -> str:
     return ", ".join(f"{100 * np.mean(every < chi2.ppf(p, 2)):.0f}" for p in (0.5, 0.95))
 
 
-def compare(tables: Tables, data: Path) -> None:
-    """Dead reckoning, with the plan, and in hindsight: each group, and walk by walk."""
-    rows, each = [], []
+def whole(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Dead reckoning, with the plan, and smoothed: each group."""
+    rows = []
     for group, pattern in GROUPS.items():
         errors, nees, expected = [], [[], [], []], []
-        for walk in walks(data, pattern):
+        for walk in walks(arguments.data, pattern):
             plan = pdr.FloorPlan.read(walk.plan)
             tracks = (
                 pdr.track(walk.recording, walk.config, fixes=walk.fixes),
@@ -128,7 +127,6 @@ def compare(tables: Tables, data: Path) -> None:
             expected.append([_expected_worse(tracks[0], track) for track in tracks[1:]])
             for of_way, track in zip(nees, tracks, strict=True):
                 of_way.append(walk.nees(track))
-            each.append([walk.recording.name, len(walk.time_s) - walk.n_given, *(f"{e:.2f}" for e in errors[-1])])
         alone, kept, later = np.array(errors).T
         worse = [
             f"{100 * np.mean(e > 1.1 * alone):.0f} % ({100 * by_luck:.0f} %), {np.max(e / alone):.2f}"
@@ -142,8 +140,6 @@ def compare(tables: Tables, data: Path) -> None:
     about += "reckoning (expected at the end of walks that were lucky without, by the two covariances), and the "
     about += "largest ratio. Covered: % of waypoints in the 50 and 95 % ellipses."
     tables.write("floor_plans", columns, rows, about)
-    columns = ["walk", "waypoints", "dead reckoning", "with the plan", "in hindsight"]
-    tables.write("floor_plans_walks", columns, each, "RMSE in m.")
 
 
 def _changed(plan: Path, how: str, walk: Walk, folder: Path) -> pdr.FloorPlan:
@@ -169,7 +165,7 @@ def _changed(plan: Path, how: str, walk: Walk, folder: Path) -> pdr.FloorPlan:
     return pdr.FloorPlan.read(path)
 
 
-def wrong(tables: Tables, data: Path) -> None:
+def wrong(tables: Tables, arguments: argparse.Namespace) -> None:
     """Plans that are off."""
     rows = []
     with tempfile.TemporaryDirectory() as folder:
@@ -177,7 +173,7 @@ def wrong(tables: Tables, data: Path) -> None:
             row: list[object] = [how]
             for pattern in ("_f2_", "humolire"):
                 errors, n_said = [], 0
-                for walk in walks(data, pattern):
+                for walk in walks(arguments.data, pattern):
                     plan = _changed(walk.plan, how, walk, Path(folder))
                     track = pdr.track(walk.recording, walk.config, fixes=walk.fixes, plan=plan)
                     errors.append(walk.rmse_m(track))
@@ -189,39 +185,18 @@ def wrong(tables: Tables, data: Path) -> None:
     tables.write("floor_plans_wrong", columns, rows, about)
 
 
-def seeds(tables: Tables, data: Path) -> None:
-    """The same walks with other random numbers."""
-    rows = []
-    for group, pattern in (("ms_indoor, F2", "_f2_"), ("humolire", "humolire")):
-        errors = []
-        for walk in walks(data, pattern):
-            plan = pdr.FloorPlan.read(walk.plan)
-            configs = [walk.config.with_plan(plan, seed=seed) for seed in range(N_SEEDS)]
-            errors.append([walk.rmse_m(pdr.track(walk.recording, c, fixes=walk.fixes)) for c in configs])
-        medians, spread = np.median(errors, axis=0), np.std(errors, axis=1)
-        middle = np.median(medians)
-        rows.append(
-            [
-                *(group, len(errors), f"{middle:.2f}", f"{medians.min():.2f} to {medians.max():.2f}"),
-                *(f"{100 * np.std(medians) / middle:.1f} %", f"{np.median(spread):.2f}"),
-            ]
-        )
-    columns = ["walks", "n", "median RMSE", f"of {N_SEEDS} seeds", "their spread", "spread of one walk"]
-    tables.write("floor_plans_seeds", columns, rows, "In m; the spread is a standard deviation.")
-
-
-def start(tables: Tables, data: Path) -> None:
+def start(tables: Tables, arguments: argparse.Namespace) -> None:
     """Starts of which less is known; with Wi-Fi, the map is that of all other walks of the storey."""
     rows = []
-    mapped = {walk.recording.name: map_of(others) for walk, others in left_out(known_walks(data))}
+    mapped = {walk.recording.name: map_of(others) for walk, others in left_out(known_walks(arguments.data))}
     for group, pattern in (("humolire", "humolire"), ("ms_indoor, all storeys", "ms_indoor")):
         found: dict[str, list[tuple[float, bool, bool]]] = {}
-        for whole in walks(data, pattern):
-            if whole.time_s[-1] < 60.0:
+        for recorded in walks(arguments.data, pattern):
+            if recorded.time_s[-1] < 60.0:
                 continue
-            plan = pdr.FloorPlan.read(whole.plan)
+            plan = pdr.FloorPlan.read(recorded.plan)
             # the first waypoint is given, if any
-            walk = replace(whole, n_given=1)
+            walk = replace(recorded, n_given=1)
             first, way = walk.fixes[0], walk.place_m[1] - walk.place_m[0]
             heading = pdr.HeadingFix(first.time_s + 2.0, float(np.arctan2(*way)), 0.1)
             tries = {
@@ -261,22 +236,22 @@ def start(tables: Tables, data: Path) -> None:
     tables.write("floor_plans_start", columns, rows, about)
 
 
-def radio(tables: Tables, data: Path) -> None:
+def radio(tables: Tables, arguments: argparse.Namespace) -> None:
     """The first waypoint and the direction of the first leg: what the plan adds, and what a map of Wi-Fi.
 
     The map is that of all other walks of the storey.
     """
-    known = known_walks(data)
+    known = known_walks(arguments.data)
     mapped = {walk.recording.name: map_of(others) for walk, others in left_out(known)}
-    rows, each = [], []
+    rows = []
     for group, pattern in GROUPS.items():
         errors: list[list[float]] = []
-        for whole in walks(data, pattern):
-            if whole.recording.name not in mapped:
+        for recorded in walks(arguments.data, pattern):
+            if recorded.recording.name not in mapped:
                 continue
-            wifi = mapped[whole.recording.name].fixes(whole.recording)
-            grids = mapped[whole.recording.name].grids(whole.recording)
-            walk = replace(whole, n_given=1)
+            wifi = mapped[recorded.recording.name].fixes(recorded.recording)
+            grids = mapped[recorded.recording.name].grids(recorded.recording)
+            walk = replace(recorded, n_given=1)
             first, way = walk.fixes[0], walk.place_m[1] - walk.place_m[0]
             given = [first, pdr.HeadingFix(first.time_s + 2.0, float(np.arctan2(*way)), 0.1)]
             plan, recording, config = pdr.FloorPlan.read(walk.plan), walk.recording, walk.config
@@ -288,9 +263,6 @@ def radio(tables: Tables, data: Path) -> None:
                 pdr.smooth(recording, [*given, *wifi, *grids], config=config, plan=plan).track,
             )
             errors.append([walk.rmse_m(track) for track in tracks])
-            each.append(
-                [recording.name, len(walk.time_s) - 1, len(wifi), len(grids), *(f"{e:.2f}" for e in errors[-1])]
-            )
         if errors:
             alone = np.array(errors)[:, 0]
             row: list[object] = [group, len(alone), median_and(alone, 90)]
@@ -302,38 +274,7 @@ def radio(tables: Tables, data: Path) -> None:
     about = "RMSE in m at the waypoints after the first; given are the first one and the direction of the first leg."
     more = " Median, 90 % of walks (share worse than 1.1 times dead reckoning, largest ratio)."
     tables.write("floor_plans_radio", ["walks", "n", *names], rows, about + more)
-    tables.write("floor_plans_radio_walks", ["walk", "waypoints", "Wi-Fi fixes", "scans", *names], each, about)
-
-
-def leg(tables: Tables, data: Path) -> None:
-    """How often people choose a direction: on the storeys on which it was chosen, and on the others."""
-    rows = []
-    for leg_m in (3.0, 6.0, 12.0, 100.0):
-        row: list[object] = [f"{leg_m:g} m"]
-        for pattern in ("_(f1|b1)_", "_f[234]_", "humolire"):
-            errors = []
-            for walk in walks(data, pattern):
-                config = walk.config.with_plan(pdr.FloorPlan.read(walk.plan))
-                assert config.on_plan is not None
-                config = replace(config, on_plan=replace(config.on_plan, terrain=Terrain(leg_m=leg_m)))
-                alone = walk.rmse_m(pdr.track(walk.recording, walk.config, fixes=walk.fixes))
-                errors.append((alone, walk.rmse_m(pdr.track(walk.recording, config, fixes=walk.fixes))))
-            alone, kept = np.array(errors).T
-            row += [f"{np.median(kept):.2f}, {kept.mean():.2f}", f"{100 * np.mean(kept > 1.1 * alone):.0f} %"]
-        rows.append(row)
-    columns = ["a direction each", "F1 and B1 (chosen on)", "worse", "F2 to F4", "worse", "humolire", "worse"]
-    about = "RMSE in m: median, mean. Worse: share of walks with more than 1.1 times the error of dead reckoning."
-    tables.write("floor_plans_leg", columns, rows, about)
-
-
-def main() -> None:
-    """Write the tables that are named."""
-    parts = {"walks": compare, "wrong": wrong, "seeds": seeds, "start": start, "radio": radio, "leg": leg}
-    arguments = options(__doc__ or "", *parts).parse_args()
-    tables = Tables.of("tests.benchmarks.floor_plans", arguments)
-    for part in arguments.parts:
-        parts[part](tables, arguments.data)
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, whole, wrong, start, radio)

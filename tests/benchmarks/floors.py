@@ -1,6 +1,6 @@
-"""Heights and storeys: recordings with a barometer, simulated stairs, lifts and escalators, and what a climb rate adds.
+"""Heights and storeys: recordings with a barometer, simulated stairs, lifts and escalators.
 
-usage: python -m tests.benchmarks.floors [recordings] [simulated] [climb] [--data ../shared/data]
+usage: python -m tests.benchmarks.floors [recordings] [simulated] [--data ../shared/data]
 
 Noise and drift of the air are those of the one recording on a single storey (ipin21), all else comes from building
 codes and data sheets; the order of what is done was found on the one staircase that there is (ipin2023). Time counts
@@ -10,7 +10,8 @@ on. Heights of ipin2023 are its own barometer's, good to 0.3 m.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import argparse
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -19,13 +20,13 @@ import pdr_filter as pdr
 from pdr_filter.recipes import for_recording
 from pdr_filter.simulate import BAROMETER, Gait, Leg, SensorErrors, simulate
 from pdr_filter.tracking.track import Track
-from pdr_filter.values import CONTEXTS, FloatArray, Samples
+from pdr_filter.values import FloatArray, Samples
 from pdr_filter.values.recording import Recording
-from tests.benchmarks.common import Tables, options, recordings
+from tests.benchmarks.common import Tables, run
+from tests.benchmarks.common import recordings as recordings_of
 
 AROUND = (Leg("walking", distance_m=15.0), Leg("walking", distance_m=15.0, turn_rad=np.pi / 2))
 REST = Leg("stationary", duration_s=4.0)
-UPSTAIRS, DOWNSTAIRS = CONTEXTS.index("upstairs"), CONTEXTS.index("downstairs")
 
 
 def _flights(context: str) -> list[Leg]:
@@ -100,8 +101,9 @@ def _of_recording(recording: Recording) -> list[str]:
     ]
 
 
-def of_recordings(tables: Tables, data: Sequence[Recording]) -> None:
+def recordings(tables: Tables, arguments: argparse.Namespace) -> None:
     """Storeys and heights at the waypoints, with the barometer and without."""
+    data = [r for site in ("ipin2023", "ipin21") for r in recordings_of(arguments.data, site)]
     rows = [
         [name, has, *_of_recording(change(recording))]
         for recording in data
@@ -129,9 +131,9 @@ def _of_walk(recording: Recording, n_storeys: int) -> tuple[bool, float, float, 
     return found == wanted, float(right), float(np.sqrt((error_m**2).mean())), float(nees), len(found)
 
 
-def simulated(tables: Tables, n: int) -> None:
+def simulated(tables: Tables, arguments: argparse.Namespace) -> None:
     """People with a phone in the hand and in the pocket, by what they climb and what the phone measures."""
-    errors, rows = SensorErrors(barometer=BAROMETER), []
+    errors, rows, n = SensorErrors(barometer=BAROMETER), [], arguments.people
     kinds: dict[str, Callable[[Recording], Recording]] = {
         "10 Hz": _as_it_is,
         "a door": with_door,
@@ -158,59 +160,5 @@ def simulated(tables: Tables, n: int) -> None:
     tables.write("floors_simulated", columns, rows, about)
 
 
-def of_climb_rate(tables: Tables, data: Sequence[Recording], n: int) -> None:
-    """Probability of stairs at the steps on stairs and elsewhere, with the climb rate and without."""
-    rows: list[list[object]] = []
-    staircase = next(r for r in data if r.name.startswith("ipin2023"))
-    walks = {"ipin2023, between waypoints of two storeys, of one": [staircase]}
-    errors = SensorErrors(barometer=BAROMETER)
-    for mode in ("texting", "pocket"):
-        people = range(n)
-        walks[f"simulated, {mode}"] = [
-            simulate(WALKS["stairs"], Gait.random(k), mode, errors=errors, seed=k) for k in people
-        ]
-    for name, of_name in walks.items():
-        for has, change in (("yes", _as_it_is), ("no", without_barometer)):
-            shares: list[list[float]] = [[], [], []]
-            for walk in of_name:
-                track = pdr.track(change(walk), gnss="off")
-                direction = _climbs(walk, track.time_s)
-                best = track.mode_prob.argmax(axis=1)
-                shares[0] += list(best[direction > 0] == UPSTAIRS)
-                shares[1] += list(best[direction < 0] == DOWNSTAIRS)
-                shares[2] += list(np.isin(best[direction == 0], (UPSTAIRS, DOWNSTAIRS)))
-            rows.append([name, has, *(f"{np.mean(s):.3f} of {len(s)}" for s in shares)])
-    columns = ["walks", "climb rate", "upstairs found", "downstairs found", "level steps taken for stairs"]
-    about = "Between waypoints of two storeys half of the way of ipin2023 is landing."
-    tables.write("floors_climb_rate", columns, rows, about)
-
-
-def _climbs(recording: Recording, time_s: FloatArray) -> FloatArray:
-    """1 at the times of steps upstairs, -1 downstairs, 0 on level ground, NaN where it is not known."""
-    labels, points = recording.truth.labels, recording.truth.waypoints
-    if labels is not None:
-        sign = {"upstairs": 1.0, "downstairs": -1.0}
-        row = np.clip(np.searchsorted(labels.end_s, time_s), 0, len(labels) - 1)
-        return np.array([sign.get(str(labels.context[i]), 0.0) for i in row])
-    assert points is not None
-    row = np.searchsorted(points.time_s, time_s)
-    rises = np.diff(np.asarray(points.floor, dtype=float), prepend=np.nan, append=np.nan)
-    return np.sign(rises[row])
-
-
-def main() -> None:
-    parser = options(__doc__, "recordings", "simulated", "climb")
-    parser.add_argument("--people", type=int, default=10, help="of each simulated walk")
-    args = parser.parse_args()
-    tables = Tables.of(__spec__.name, args)
-    data = [r for site in ("ipin2023", "ipin21") for r in recordings(args.data, site)]
-    if "recordings" in args.parts:
-        of_recordings(tables, data)
-    if "simulated" in args.parts:
-        simulated(tables, args.people)
-    if "climb" in args.parts:
-        of_climb_rate(tables, data, args.people)
-
-
 if __name__ == "__main__":
-    main()
+    run(__doc__, recordings, simulated, people=10)

@@ -31,7 +31,7 @@ from collections import Counter
 from pathlib import Path
 
 from tests.benchmarks.app_files import FILES
-from tests.benchmarks.common import Tables, options
+from tests.benchmarks.common import Tables, run
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "io"))
 
@@ -146,21 +146,25 @@ def fuzz(form: str, inputs: int, seed: int, apps: Path) -> Counter[str]:
     return counts
 
 
-def main() -> None:
+def readers(tables: Tables, arguments: argparse.Namespace) -> None:
     """One row for each form."""
-    parser = options(__doc__)
-    parser.add_argument("--inputs", type=int, default=10_000)
-    parser.add_argument("--forms", default=",".join(ALL))
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--here", action="store_true", help=argparse.SUPPRESS)
-    args, rows = parser.parse_args(), []
-    for form in args.forms.split(","):
-        inputs = args.inputs // 3 if form in APPS else args.inputs
-        if args.here:
-            print(json.dumps(fuzz(form, args.inputs, args.seed, args.data.parent / "app_files")))
+    rows = []
+    for form in arguments.forms.split(","):
+        inputs = arguments.inputs // 3 if form in APPS else arguments.inputs
+        if arguments.here:
+            print(json.dumps(fuzz(form, arguments.inputs, arguments.seed, arguments.data.parent / "app_files")))
             return
-        command = [sys.executable, "-m", __spec__.name, "--here", "--forms", form, "--inputs", str(inputs)]
-        command += ["--seed", str(args.seed), "--data", str(args.data)]
+        command = [
+            sys.executable,
+            "-m",
+            "tests.benchmarks.fuzz_readers",
+            "--here",
+            "--forms",
+            form,
+            "--inputs",
+            str(inputs),
+        ]
+        command += ["--seed", str(arguments.seed), "--data", str(arguments.data)]
         ended = subprocess.run(command, check=False, stdout=subprocess.PIPE, text=True)
         if ended.returncode:
             rows.append([f"`{form}`", inputs, "", "", f"ended with code {ended.returncode}", "", ""])
@@ -169,11 +173,10 @@ def main() -> None:
         read, refused, slow, mib = (counts.pop(what, 0) for what in ("read", "refused", *MEASURED))
         print(form, read, refused, slow, f"{mib} MiB", dict(counts) or "", flush=True)
         rows.append([f"`{form}`", inputs, read, refused, sum(counts.values()), slow, f"{mib} MiB"])
-    tables = Tables.of(__spec__.name, args)
-    if args.forms != ",".join(ALL):
+    if arguments.forms != ",".join(ALL):
         tables = Tables(tables.command, None)
     tables.write("fuzz_readers", ["form", "inputs", "read", "refused", "failed", *MEASURED], rows)
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, readers, inputs=10_000, forms=",".join(ALL), seed=0, here=False)

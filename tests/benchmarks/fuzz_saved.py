@@ -19,7 +19,7 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from tests.benchmarks.common import Tables, options
+from tests.benchmarks.common import Tables, run
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -72,7 +72,7 @@ def results_of(form: str, inputs: int, seed: int) -> list[tuple[float, float, st
     """Of all inputs, whatever ends the process that tries them."""
     found: list[tuple[float, float, str]] = []
     while len(found) < inputs:
-        command = [sys.executable, "-m", __spec__.name, "--here", str(len(found)), "--forms", form]
+        command = [sys.executable, "-m", "tests.benchmarks.fuzz_saved", "--here", str(len(found)), "--forms", form]
         command += ["--inputs", str(inputs), "--seed", str(seed)]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as running:
             for line in running.stdout or ():
@@ -88,19 +88,14 @@ def results_of(form: str, inputs: int, seed: int) -> list[tuple[float, float, st
     return found
 
 
-def main() -> None:
+def saved(tables: Tables, arguments: argparse.Namespace) -> None:
     """One row for each form."""
-    parser = options(__doc__)
-    parser.add_argument("--inputs", type=int, default=2000, help="of each recipe; 5 times as many of other forms")
-    parser.add_argument("--forms", default=",".join(FORMS))
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--here", type=int, help=argparse.SUPPRESS)
-    args, rows = parser.parse_args(), []
-    if args.here is not None:
-        fuzz(args.forms, args.here, args.inputs, args.seed)
+    rows = []
+    if arguments.here >= 0:
+        fuzz(arguments.forms, arguments.here, arguments.inputs, arguments.seed)
         return
-    for form in args.forms.split(","):
-        results = results_of(form, args.inputs if form in FILTERS else 5 * args.inputs, args.seed)
+    for form in arguments.forms.split(","):
+        results = results_of(form, arguments.inputs if form in FILTERS else 5 * arguments.inputs, arguments.seed)
         counts = Counter(what for _, _, what in results)
         failed = len(results) - counts["worked"] - counts["refused"]
         slow = sum(used_s > SLOW_S for used_s, _, _ in results)
@@ -108,12 +103,11 @@ def main() -> None:
         longest, most = max(used_s for used_s, _, _ in results), max(used_mb for _, used_mb, _ in results)
         row = [f"`{form}`", len(results), counts["worked"], counts["refused"], failed, slow, large]
         rows.append([*row, f"{longest:.2f} s", f"{most:.0f} MB"])
-    tables = Tables.of(__spec__.name, args)
-    if args.forms != ",".join(FORMS):
+    if arguments.forms != ",".join(FORMS):
         tables = Tables(tables.command, None)
     columns = ["form", "inputs", "worked", "refused", "failed", "slower than 1 s", "above 500 MB", "longest", "most"]
     tables.write("fuzz_saved", columns, rows)
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, saved, inputs=2000, forms=",".join(FORMS), seed=0, here=-1)

@@ -13,8 +13,8 @@ of a phone against its own locations, and the same with those of the first third
 
 from __future__ import annotations
 
+import argparse
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from scipy.stats import chi2
@@ -26,7 +26,7 @@ from pdr_filter.recipes.step_length_calibration import typical_step_m
 from pdr_filter.simulate import Leg, SensorErrors, simulate
 from pdr_filter.simulate.population import random_person
 from pdr_filter.values.recording import Recording
-from tests.benchmarks.common import Tables, median_and, options, recordings
+from tests.benchmarks.common import DATA, Tables, median_and, recordings, run
 
 HERE, STD_M = pdr.Origin(48.137, 11.575), 5.0
 PHONES = {
@@ -189,17 +189,14 @@ def surveyed(recording: Recording) -> list[list[str]]:
     return rows
 
 
-def main() -> None:
-    parser = options(__doc__)
-    parser.add_argument("--walks", type=int, default=200)
-    parser.add_argument("--app-files", type=Path, default=Path("../shared/app_files"))
-    args = parser.parse_args()
-    tables, walks = Tables.of(__spec__.name, args), [walked(k) for k in range(args.walks)]
-    fewer = walks[: max(args.walks // 8, 1)]
+def locations(tables: Tables, arguments: argparse.Namespace) -> None:
+    """All tables."""
+    walks = [walked(k) for k in range(arguments.walks)]
+    fewer = walks[: max(arguments.walks // 8, 1)]
     tables.write(
         "gnss_phones",
         ["walk", "locations", "m from its own: median, 90 %", "after the first third", "std of the end m"],
-        [row for name, file in PHONES.items() for row in of_phone(name, pdr.read(args.app_files / file))],
+        [row for name, file in PHONES.items() for row in of_phone(name, pdr.read(arguments.app_files / file))],
     )
     tables.write(
         "gnss_recovery",
@@ -210,7 +207,7 @@ def main() -> None:
     tables.write(
         "gnss_lengths",
         ["people", "their steps differ by", "error of what is learnt", "what it claims", "within 2 %"],
-        [lengths(max(args.walks // 8, 1))],
+        [lengths(max(arguments.walks // 8, 1))],
         "RMS; ten minutes.",
     )
     tables.write(
@@ -221,14 +218,14 @@ def main() -> None:
             for T in (10.0, CORRELATION_S, 60.0)
             for share in (1.0, 1 / 3)
         ],
-        f"{args.walks} walks with T = {CORRELATION_S:.0f} s, {len(fewer)} with others.",
+        f"{arguments.walks} walks with T = {CORRELATION_S:.0f} s, {len(fewer)} with others.",
     )
     tables.write(
         "gnss_surveyed",
         ["ipin2023", "error m: median, largest"],
-        [row for recording in recordings(args.data, "ipin2023") for row in surveyed(recording)],
+        [row for recording in recordings(arguments.data, "ipin2023") for row in surveyed(recording)],
     )
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, locations, walks=200, app_files=DATA.parent / "app_files")

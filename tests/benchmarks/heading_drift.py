@@ -1,20 +1,16 @@
 """Heading alone: how far the direction of walking drifts, whatever the step lengths are.
 
-usage: python -m tests.benchmarks.heading_drift [--data ../shared/data] [--sources]
+usage: python -m tests.benchmarks.heading_drift [--data ../shared/data]
 
 The error of a leg is its dead-reckoned direction (unit steps along the device's heading) less the direction between its
 ends; on tyrex a leg is a second of motion capture with more than 0.5 m, and the device's heading in it. One constant
 is taken off each recording, because how the phone lies in the hand is not known here. RMS is over the legs of a
-recording, weighted with their lengths; the slope is the median of pairs (Theil and Sen). Waypoints of ms_indoor are
-good to a metre or so: a leg of 10 m is uncertain by 6 degrees, a slope of a minute by 0.002 rad/s or more.
+recording, weighted with their lengths. Waypoints of ms_indoor are good to a metre or so: a leg of 10 m is uncertain by
+6 degrees.
 
 before   integral of the angular rate about the vertical, less the bias of vqf's rest detector (2 deg/s, 0.5 m/s2)
 twist    the twist of the attitude about the vertical, without bias
 now      `AttitudeEstimator()`
-
-Artificial biases are added to the angular rate about the mean vertical of the recording, with both signs. The
-error of the estimate is against the slope of the recording without (turn) plus the added one, so it has the slope's own
-error in it; normalised means divided by `yaw_bias_std_radps`. With `--sources` each source of the bias alone too.
 
 What was chosen where: the scatter of still windows on motionsense (people who stand) and ubicomp13, the settings of
 straight walking and of the field on every second recording of ms_indoor (sorted by name), the probabilities of the
@@ -24,6 +20,7 @@ field. Axes of buildings are not in these figures (`pdr_filter.sensing.heading.c
 
 from __future__ import annotations
 
+import argparse
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -35,19 +32,12 @@ import pdr_filter as pdr
 from pdr_filter.sensing.attitude import AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
 from pdr_filter.sensing.gyroscope_bias import GyroBias
-from tests.benchmarks.common import Tables, options, paths
+from tests.benchmarks.common import Tables, paths, run
 
 FloatArray = NDArray[np.float64]
-ADDED_RADPS = (0.005, 0.02, 0.1)
 SLOW_M = 0.5
-OFF = {"still_gyr_radps": 0.0, "walking_acc_mps2": np.inf}
-SOURCES = {
-    "nothing": (GyroBias(**OFF), False),
-    "still windows": (GyroBias(walking_acc_mps2=np.inf), False),
-    "straight walking": (GyroBias(still_gyr_radps=0.0), False),
-    "field": (GyroBias(**OFF), True),
-    "all": (GyroBias(), True),
-}
+# The attitude without a learnt bias.
+NO_BIAS = GyroBias(still_gyr_radps=0.0, walking_acc_mps2=np.inf)
 
 
 @dataclass(frozen=True)
@@ -74,12 +64,6 @@ class Walk:
     @property
     def time_s(self) -> FloatArray:
         return np.concatenate([b.time_s for b in self.blocks])
-
-
-@dataclass(frozen=True)
-class Score:
-    rms_deg: float
-    slope_radps: float
 
 
 def legs_of(recording: pdr.Recording) -> list[Leg]:
@@ -125,35 +109,29 @@ def walks(data: Path) -> list[Walk]:
         walk = Walk(path.stem, group, blocks, legs, steps, np.array([0.0, 0.0, 1.0]))
         up = np.concatenate([b.specific_force_mps2 for b in blocks]).mean(axis=0)
         walk = replace(walk, up_sensor=up / np.linalg.norm(up))
-        if score(walk, estimated(walk, SOURCES["nothing"][0], False, 0.0)[0]) is not None:
+        if score(walk, estimated(walk, NO_BIAS, False)) is not None:
             result.append(walk)
     return result
 
 
-def biased(block: UniformBlock, up: FloatArray, added_radps: float, with_field: bool) -> UniformBlock:
-    """The block with a bias that turns the heading clockwise."""
-    known = block.magnetic_field_known & with_field
-    return replace(block, angular_rate_radps=block.angular_rate_radps - added_radps * up, magnetic_field_known=known)
-
-
-def estimated(walk: Walk, bias: GyroBias, with_field: bool, added_radps: float) -> tuple[FloatArray, float, float]:
-    """Headings, and at the end the drift (clockwise) that is taken off and its standard deviation."""
+def estimated(walk: Walk, bias: GyroBias, with_field: bool) -> FloatArray:
+    """Headings of the attitude."""
     estimator = AttitudeEstimator(bias=bias)
     state, headings = estimator.init(), []
     for block in walk.blocks:
         if headings and block.gap_before_s > 0:
             state = estimator.after_gap(state)
-        state, attitude = estimator.update(state, biased(block, walk.up_sensor, added_radps, with_field))
+        block = replace(block, magnetic_field_known=block.magnetic_field_known & with_field)
+        state, attitude = estimator.update(state, block)
         headings.append(attitude.device_heading_rad)
-    up, cov = attitude.up_sensor[-1], state.bias.bias_cov_radps2
-    return np.concatenate(headings), float(-up @ state.bias.bias_radps), float(np.sqrt(up @ cov @ up))
+    return np.concatenate(headings)
 
 
-def integrated(walk: Walk, added_radps: float) -> FloatArray:
+def integrated(walk: Walk) -> FloatArray:
     """Headings as they were before."""
     filt = VQF(0.01, tauAcc=3.0, motionBiasEstEnabled=False, restThGyr=2.0, restThAcc=0.5)
     headings = []
-    for block in (biased(b, walk.up_sensor, added_radps, False) for b in walk.blocks):
+    for block in walk.blocks:
         out = filt.updateBatch(
             np.ascontiguousarray(block.angular_rate_radps), np.ascontiguousarray(block.specific_force_mps2)
         )
@@ -164,7 +142,7 @@ def integrated(walk: Walk, added_radps: float) -> FloatArray:
     return np.cumsum(np.concatenate(headings)) / 100
 
 
-def score(walk: Walk, heading_rad: FloatArray) -> Score | None:
+def score(walk: Walk, heading_rad: FloatArray) -> float | None:
     time_s, rows = walk.time_s, []
     for x in walk.legs:
         if walk.step_times_s is None:
@@ -174,20 +152,17 @@ def score(walk: Walk, heading_rad: FloatArray) -> Score | None:
             headings = np.interp(at - 0.25, time_s, heading_rad)  # in the middle of the step
         if len(headings) >= 3:
             off = np.angle(np.exp(1j * (headings - x.direction_rad)).sum())
-            rows.append((0.5 * (x.start_s + x.end_s), off, x.length_m))
+            rows.append((off, x.length_m))
     if len(rows) < 3:
         return None
-    at_s, off, length = np.array(rows).T
+    off, length = np.array(rows).T
     weight = length / length.sum()
     constant = np.angle((weight * np.exp(1j * off)).sum())
     error = np.unwrap(np.angle(np.exp(1j * (off - constant))))
-    i, j = np.triu_indices(len(at_s), 1)
-    apart = at_s[j] - at_s[i] > 0.2 * (at_s[-1] - at_s[0])
-    slope = np.median((error[j] - error[i])[apart] / (at_s[j] - at_s[i])[apart])
-    return Score(float(np.rad2deg(np.sqrt((weight * (error - weight @ error) ** 2).sum()))), float(slope))
+    return float(np.rad2deg(np.sqrt((weight * (error - weight @ error) ** 2).sum())))
 
 
-def scored(walk: Walk, heading_rad: FloatArray) -> Score:
+def scored(walk: Walk, heading_rad: FloatArray) -> float:
     result = score(walk, heading_rad)
     assert result is not None
     return result
@@ -197,70 +172,23 @@ def three(values: list[float]) -> str:
     return f"{np.median(values):.1f}, {np.mean(values):.1f}, {np.quantile(values, 0.9):.1f}"
 
 
-def drift(tables: Tables, all_walks: list[Walk]) -> dict[str, Score]:
-    """Errors without added bias; the scores of the twist alone by recording."""
-    found: dict[str, list[tuple[str, Score, Score, Score]]] = {}
-    for walk in all_walks:
-        twist = scored(walk, estimated(walk, SOURCES["nothing"][0], False, 0.0)[0])
-        before = scored(walk, integrated(walk, 0.0))
-        now = scored(walk, estimated(walk, GyroBias(), True, 0.0)[0])
+def drift(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Errors of legs, and the drift in a room."""
+    found: dict[str, list[tuple[str, float, float, float]]] = {}
+    for walk in walks(arguments.data):
+        twist = scored(walk, estimated(walk, NO_BIAS, False))
+        before = scored(walk, integrated(walk))
+        now = scored(walk, estimated(walk, GyroBias(), True))
         found.setdefault(walk.group, []).append((walk.name, before, twist, now))
     rows = []
     for group, scores in found.items():
-        columns = [three([s[k].rms_deg for s in scores]) for k in (1, 2, 3)]
-        worse = max(now.rms_deg - twist.rms_deg for _, _, twist, now in scores)
+        columns = [three([s[k] for s in scores]) for k in (1, 2, 3)]
+        worse = max(now - twist for _, _, twist, now in scores)
         rows.append([group, len(scores), *columns, f"{worse:.1f}"])
     columns = ["", "n", "before", "twist", "now", "largest loss, now against twist"]
     about = "RMS error of the direction of legs in degrees: median, mean, 90th percentile over recordings."
     tables.write("heading_drift", columns, rows, about)
-    rows = [
-        [name.rsplit("_", 1)[1], *(f"{60 * np.rad2deg(s.slope_radps):+.0f}" for s in scores)]
-        for name, *scores in found.get("tyrex", [])
-    ]
-    about = "Drift in degrees a minute, tyrex without magnets."
-    tables.write("heading_drift_room", ["scenario", "integral, rest bias", "twist", "twist less bias"], rows, about)
-    return {name: twist for scores in found.values() for name, _, twist, _ in scores}
-
-
-def added_bias(tables: Tables, all_walks: list[Walk], twists: dict[str, Score], source: str) -> None:
-    bias, with_field = SOURCES[source]
-    rows = []
-    for size in ADDED_RADPS:
-        groups: dict[str, list[tuple[float, float, float, float]]] = {}
-        for walk in all_walks:
-            for added in (-size, size):
-                heading, drift_radps, std = estimated(walk, bias, with_field, added)
-                error = abs(drift_radps - twists[walk.name].slope_radps - added)
-                row = (scored(walk, integrated(walk, added)).rms_deg, scored(walk, heading).rms_deg, error, std)
-                groups.setdefault(walk.group, []).append(row)
-        for group, found in groups.items():
-            before, now, error, std = np.array(found).T
-            normalised = f"{np.median(error / std):.1f}, {np.sqrt(np.mean((error / std) ** 2)):.1f}"
-            figures = [f"{np.median(before):.0f}", f"{np.median(now):.1f}", f"{np.median(error):.4f}", normalised]
-            rows.append([size, group, len(found), *figures])
-    columns = [
-        "added rad/s",
-        "",
-        "n",
-        "RMS before, degrees",
-        "now",
-        "error of the bias rad/s",
-        "error / std: median, RMS",
-    ]
-    name = "heading_drift_added" + (f"_{source.replace(' ', '_')}" if source != "all" else "")
-    tables.write(name, columns, rows, f"Medians; bias learnt from: {source}.")
-
-
-def main() -> None:
-    parser = options(__doc__)
-    parser.add_argument("--sources", action="store_true", help="print each source of the bias alone")
-    args = parser.parse_args()
-    tables, found = Tables.of(__spec__.name, args), walks(args.data)
-    twists = drift(tables, found)
-    added_bias(tables, found, twists, "all")
-    for source in tuple(SOURCES)[1:-1] if args.sources else ():
-        added_bias(replace(tables, folder=None), found, twists, source)
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, drift)

@@ -9,13 +9,14 @@ more than 3 m between two steps that are less than 2 s apart.
 
 from __future__ import annotations
 
+import argparse
 from dataclasses import replace
 
 import numpy as np
 
 import pdr_filter as pdr
 from pdr_filter.simulate import Gait, Leg, SensorErrors, simulate
-from tests.benchmarks.common import Tables, options
+from tests.benchmarks.common import Tables, run
 
 CARRYING_MODES = ("pocket", "swinging", "calling", "texting")
 TURNS_RAD = (-1.57, 1.57, 0.8, -0.8, 3.1)
@@ -34,14 +35,11 @@ def walk(seed: int) -> pdr.Recording:
     return replace(simulate(legs, gait, CARRYING_MODES[seed % 4], seed=seed, errors=errors), magnetometer=None)
 
 
-def main() -> None:
-    """Write the table."""
-    parser = options(__doc__ or "")
-    parser.add_argument("--walks", type=int, default=60)
-    args = parser.parse_args()
+def jumps(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Simulated walks with large biases."""
     jumps, ends = list[tuple[float, float, float, float]](), list[tuple[float, float]]()
     n_with_jump = 0
-    for seed in range(args.walks):
+    for seed in range(arguments.walks):
         recording = walk(seed)
         track, truth = pdr.track(recording), recording.truth.position
         true_m = np.column_stack([np.interp(track.time_s, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
@@ -56,7 +54,7 @@ def main() -> None:
     before_m, after_m, nees_before, nees_after = np.array(jumps).reshape(-1, 4).T
     gain_m, (end_m, end_nees) = before_m - after_m, np.array(ends).T
     rows = [
-        ["walks, walks with a jump, jumps", f"{args.walks}, {n_with_jump}, {len(jumps)}"],
+        ["walks, walks with a jump, jumps", f"{arguments.walks}, {n_with_jump}, {len(jumps)}"],
         ["position error before and after a jump, mean", f"{before_m.mean():.1f} m, {after_m.mean():.1f} m"],
         ["gain, mean and its standard error", f"{gain_m.mean():.1f} m, {gain_m.std() / np.sqrt(len(jumps)):.1f} m"],
         ["NEES before and after a jump, mean (2 is exact)", f"{nees_before.mean():.1f}, {nees_after.mean():.1f}"],
@@ -64,8 +62,8 @@ def main() -> None:
         ["NEES at the end, mean and median", f"{end_nees.mean():.1f}, {np.median(end_nees):.1f}"],
     ]
     about = "Simulated walks with gyroscope biases far beyond the prior."
-    Tables.of(__spec__.name, args).write("heading_jumps", ["figure", "value"], rows, about)
+    tables.write("heading_jumps", ["figure", "value"], rows, about)
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, jumps, walks=60)

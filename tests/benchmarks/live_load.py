@@ -13,6 +13,7 @@ delay until a page in Chromium has drawn it. The page is drawn ten times a secon
 
 from __future__ import annotations
 
+import argparse
 import asyncio
 import json
 import os
@@ -29,7 +30,7 @@ from websockets.asyncio.client import connect
 import pdr_filter as pdr
 from pdr_filter.sensing.stream_merging import SENSORS
 from pdr_filter.values import FloatArray, Samples
-from tests.benchmarks.common import Tables, options
+from tests.benchmarks.common import Tables, run
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "live"))
@@ -157,7 +158,7 @@ def filter_ms(walk: pdr.Recording) -> float:
     return 1e3 * (time.process_time() - begun) / len(seconds)
 
 
-def load(
+def of_phones(
     phones: list[int], rate_hz: int, seconds: float, workers: int, bodies: list[bytes], walk: pdr.Recording
 ) -> list[list[str]]:
     """A row for each number of phones."""
@@ -190,47 +191,50 @@ def load(
     return rows
 
 
-def main() -> None:
-    parser = options(__doc__ or "", "load", "page")
-    parser.add_argument("--phones", type=int, nargs="+", default=[10, 50, 100, 150, 200])
-    parser.add_argument("--rates", type=int, nargs="+", default=[1, 5], help="messages a second")
-    parser.add_argument("--seconds", type=float, default=20.0)
-    parser.add_argument("--workers", type=int, default=2)
-    given = parser.parse_args()
-    walk = pdr.simulate.demo_walk()
-    bodies = {
+def bodies(arguments: argparse.Namespace, walk: pdr.Recording) -> dict[int, list[bytes]]:
+    """Messages of the app at each rate."""
+    return {
         rate_hz: [json.dumps(m).encode() for m in sensor_logger_messages(walk, _NAME, part_s=1.0 / rate_hz)]
-        for rate_hz in given.rates
+        for rate_hz in arguments.rates
     }
-    tables = Tables.of(__spec__.name, given)
-    machine = f"{given.workers} workers; {os.cpu_count()} cores, shared with"
-    if "load" in given.parts:
-        rows = [
-            row
-            for rate_hz in given.rates
-            for row in load(given.phones, rate_hz, given.seconds, given.workers, bodies[rate_hz], walk)
-        ]
-        columns = [
-            "phones",
-            "messages a second",
-            "in real time",
-            "cores used",
-            "ms of one core a second and phone",
-            "of the filter alone, then",
-            "answer p50 / p99, ms",
-            "told p50 / p99, ms",
-            "memory a phone, MB",
-        ]
-        tables.write("live_load", columns, rows, f"{machine} others (load {os.getloadavg()[0]:.0f}).")
-    if "page" in given.parts:
-        rows = []
-        for n in (1, 10):
-            drawn_ms = 1e3 * in_chromium(n, 3 * given.seconds, given.workers, bodies[given.rates[0]])
-            p50, p99 = np.percentile(drawn_ms, [50, 99])
-            rows.append([str(n), str(len(drawn_ms)), f"{p50:.0f}", f"{p99:.0f}"])
-        columns = ["phones", "n", "p50, ms", "p99, ms"]
-        tables.write("live_page", columns, rows, f"{machine} Chromium and others (load {os.getloadavg()[0]:.0f}).")
+
+
+def machine(arguments: argparse.Namespace) -> str:
+    return f"{arguments.workers} workers; {os.cpu_count()} cores, shared with"
+
+
+def load(tables: Tables, arguments: argparse.Namespace) -> None:
+    """How many phones a server filters."""
+    walk = pdr.simulate.demo_walk()
+    rows = [
+        row
+        for rate_hz, messages in bodies(arguments, walk).items()
+        for row in of_phones(arguments.phones, rate_hz, arguments.seconds, arguments.workers, messages, walk)
+    ]
+    columns = [
+        "phones",
+        "messages a second",
+        "in real time",
+        "cores used",
+        "ms of one core a second and phone",
+        "of the filter alone, then",
+        "answer p50 / p99, ms",
+        "told p50 / p99, ms",
+        "memory a phone, MB",
+    ]
+    tables.write("live_load", columns, rows, f"{machine(arguments)} others (load {os.getloadavg()[0]:.0f}).")
+
+
+def page(tables: Tables, arguments: argparse.Namespace) -> None:
+    """How late a page draws."""
+    rows, messages = [], bodies(arguments, pdr.simulate.demo_walk())[arguments.rates[0]]
+    for n in (1, 10):
+        drawn_ms = 1e3 * in_chromium(n, 3 * arguments.seconds, arguments.workers, messages)
+        p50, p99 = np.percentile(drawn_ms, [50, 99])
+        rows.append([str(n), str(len(drawn_ms)), f"{p50:.0f}", f"{p99:.0f}"])
+    about = f"{machine(arguments)} Chromium and others (load {os.getloadavg()[0]:.0f})."
+    tables.write("live_page", ["phones", "n", "p50, ms", "p99, ms"], rows, about)
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, load, page, phones=[10, 50, 100, 150, 200], rates=[1, 5], seconds=20.0, workers=2)

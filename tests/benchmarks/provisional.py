@@ -10,12 +10,13 @@ between predictors and has its own row. humolire: all nine, one person.
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 import numpy as np
 
 import pdr_filter as pdr
-from tests.benchmarks.common import Tables, median_and, options, paths
+from tests.benchmarks.common import Tables, median_and, paths, run
 
 _SAMPLES = 25
 _PAUSE_S, _EDGE_S = 1.5, 3.0
@@ -55,13 +56,13 @@ def errors(path: Path) -> list[tuple[str, float, float]]:
     return rows
 
 
-def main() -> None:
-    args = options(__doc__).parse_args()
-    walks = paths(args.data, "ms_indoor")[::3]
+def between_steps(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Errors at one time against the track accepted later."""
+    walks = paths(arguments.data, "ms_indoor")[::3]
     sets = {
         "ms_indoor, chosen on": walks[1::2],
         "ms_indoor, others": walks[0::2],
-        "humolire": paths(args.data, "humolire"),
+        "humolire": paths(arguments.data, "humolire"),
     }
     rows = []
     for name, files in sets.items():
@@ -71,8 +72,8 @@ def main() -> None:
             rows.append([name, len(files), where, len(shown), median_and(accepted, 90), median_and(shown, 90)])
     about = "Errors in m at one time against the track accepted later, median and 90th percentile."
     columns = ["recordings", "walks", "where", "n", "last accepted step", "`now()`"]
-    Tables.of(__spec__.name, args).write("provisional", columns, rows, about)
+    tables.write("provisional", columns, rows, about)
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, between_steps)

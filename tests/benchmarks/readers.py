@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.benchmarks.common import Tables, options
+from tests.benchmarks.common import Tables, run
 
 T0_NS = 1_787_923_304_123_456_789
 METADATA = "version,device name,platform,appVersion,sensors,sampleRateMs,standardisation\n3,P,android,1.64,,,false"
@@ -143,45 +143,38 @@ FORMATS = (
 )
 
 
-def main() -> None:
+def reading(tables: Tables, arguments: argparse.Namespace) -> None:
     """One row for each format."""
-    parser = options(__doc__)
-    parser.add_argument("--hours", type=float, default=4.0)
-    parser.add_argument("--rate", type=float, default=200.0)
-    parser.add_argument("--formats", default=",".join(FORMATS))
-    parser.add_argument("--read", type=Path, help=argparse.SUPPRESS)
-    args = parser.parse_args()
-    if args.read:
+    if arguments.read:
         from pdr_filter.io.formats import read
 
         begin, cpu = time.perf_counter(), time.process_time()
-        recording = read(args.read)
+        recording = read(arguments.read)
         wall_s, cpu_s = time.perf_counter() - begin, time.process_time() - cpu
         peak_gib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024**2
         rows = sum(len(samples) for samples in recording.streams.values())
         print(f"{rows / 1e6:.2f} million|{wall_s:.1f} s|{cpu_s:.1f} s|{peak_gib:.2f} GiB")
         return
-    n, found = round(args.hours * 3600 * args.rate), []
-    for name in args.formats.split(","):
+    n, found = round(arguments.hours * 3600 * arguments.rate), []
+    for name in arguments.formats.split(","):
         with tempfile.TemporaryDirectory() as folder:
             try:
-                path = write(name, Path(folder), n, args.rate)
+                path = write(name, Path(folder), n, arguments.rate)
             except ImportError as error:
                 print(f"{name:20s} not measured: {error}")
                 continue
             files = [path] if path.is_file() else list(path.iterdir())
             size = sum(file.stat().st_size for file in files) / 1024**2
-            command = [sys.executable, "-m", __spec__.name, "--read", str(path)]
+            command = [sys.executable, "-m", "tests.benchmarks.readers", "--read", str(path)]
             done = subprocess.run(command, check=True, capture_output=True, text=True)
             rows, *cost = done.stdout.strip().split("|")
             found.append([f"`{name}`", rows, f"{size:.0f} MiB", *cost])
             print(found[-1], flush=True)
-    tables = Tables.of(__spec__.name, args)
-    if args.formats != ",".join(FORMATS):
+    if arguments.formats != ",".join(FORMATS):
         tables = Tables(tables.command, None)
-    about = f"{args.hours:g} hours at {args.rate:g} Hz, accelerometer and gyroscope."
+    about = f"{arguments.hours:g} hours at {arguments.rate:g} Hz, accelerometer and gyroscope."
     tables.write("readers", ["format", "rows", "text", "wall", "processor", "largest memory"], found, about)
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, reading, hours=4.0, rate=200.0, formats=",".join(FORMATS), read=None)

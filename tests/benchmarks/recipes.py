@@ -22,6 +22,7 @@ The same command prints the same figures, but for the speed.
 
 from __future__ import annotations
 
+import argparse
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -37,11 +38,11 @@ from pdr_filter import evaluate
 from pdr_filter.filter.imm.weighting import WEIGHTINGS
 from pdr_filter.tracking.whole_recording import run_sensing
 from pdr_filter.values import Step
-from tests.benchmarks.common import Tables, absolute_bias_spread, median_and, options, paths
-from tests.benchmarks.fit_zhou import way_of_the_foot_m
-from tests.benchmarks.mixed_contexts import tracked
+from tests.benchmarks.common import Tables, absolute_bias_spread, median_and, paths, run
 from tests.benchmarks.peers.tables import EDGE_S, OUTSIDE_S, SWITCH_EDGE_S, WALKING, true_speed, walk_of
 from tests.benchmarks.peers.walks import GRID_S, Walk
+from tests.benchmarks.step_length import way_of_the_foot_m
+from tests.benchmarks.weightings import tracked
 
 FloatArray = NDArray[np.float64]
 Values = dict[str, float]
@@ -366,35 +367,18 @@ def track_table(tables: Tables, records: Sequence[Scored], recipes: Sequence[str
     tables.write("recipes_tracks", [*columns, "distance %: bias, spread"], rows)
 
 
-def room_table(tables: Tables, records: Sequence[Scored], recipes: Sequence[str]) -> None:
-    """Errors of the distances of tyrex by scenario, those with magnets near the phone first."""
-    names = [r.name for r in records if (r.recipe, r.weighting, r.site) == (recipes[0], OWN, "tyrex")]
-    scenario = np.array([name.rsplit("_", 1)[1] for name in names])
-    scenarios = sorted(set(scenario))
-    rows = []
-    for recipe in recipes:
-        error = values_of(records, recipe, "tyrex", "room_percent")
-        rows.append([recipe, *(" ".join(f"{e:+.0f}" for e in error[scenario == s]) for s in scenarios)])
-    tables.write("recipes_room", ["recipe", *scenarios], rows, "Distance error in % of each recording.")
-
-
-def main() -> None:
-    parser = options(__doc__)
-    parser.add_argument("--recipes", nargs="+", default=RECIPES, choices=RECIPES)
-    parser.add_argument("--every", type=int, default=1, help="take only every n-th recording of each site")
-    parser.add_argument("--jobs", type=int, default=2)
-    args = parser.parse_args()
-    files = [p for site in SITES for p in paths(args.data, site)[:: args.every]]
-    jobs = (delayed(scored)(path, args.recipes) for path in files)
-    records = [r for found in Parallel(args.jobs)(jobs) for r in found]
-    tables = Tables.of(__spec__.name, args)
-    if args.every > 1 or args.recipes != RECIPES:
+def tables_of_recipes(tables: Tables, arguments: argparse.Namespace) -> None:
+    """All tables."""
+    files = [p for site in SITES for p in paths(arguments.data, site)[:: arguments.every]]
+    jobs = (delayed(scored)(path, arguments.recipes) for path in files)
+    records = [r for found in Parallel(arguments.jobs)(jobs) for r in found]
+    if arguments.every > 1 or tuple(arguments.recipes) != RECIPES:
         tables = Tables(tables.command, None)
-    for write in (weighting_tables, step_tables, track_table, room_table):
-        write(tables, records, args.recipes)
+    for write in (weighting_tables, step_tables, track_table):
+        write(tables, records, arguments.recipes)
 
 
 if __name__ == "__main__":
     from tests.benchmarks import recipes as importable  # what other processes run must be found by its name
 
-    importable.main()
+    run(__doc__, importable.tables_of_recipes, recipes=list(RECIPES), every=1, jobs=2)

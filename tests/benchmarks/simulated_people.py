@@ -1,23 +1,18 @@
-"""Simulated people beside real ones: contexts, a tree that tells them apart, walking headings, honesty of the track.
+"""Simulated people beside real ones: contexts, and a tree that tells them apart.
 
-usage: python -m tests.benchmarks.simulated_people [contexts] [tracks] [--people 48] [--data ../shared/data] [--print]
+usage: python -m tests.benchmarks.simulated_people [--people 48] [--data ../shared/data] [--print]
 
 contexts: windows of simulated people, classified by the shipped context model, beside those of real people by the same
 plan without them: a fourth of the people of motionsense and difronzo at a time, the other sites one at a time. A
 decision tree of depth 5 is trained on the features of the context model to tell simulated windows from real ones, and
 tested on people left out, real and simulated; 0.5 is no difference. Its best feature is the one it uses most.
-
-tracks: walks of nine legs, 80 to 270 m, with corners, by the default recipe. The truth is turned into the frame of the
-track, whose north is where the person walks at first. NEES of the last position: 2 is right. "Direction known" and
-"length known" put the true walking direction or the true length in the place of each step's own and leave the rest; the
-ellipses stay. The second table has as many times four people and phones that are drawn wider than the filter takes
-them: lengths by 8 % where it takes 7, and the gyroscope's bias from its prior, a mixture, a fourth larger.
 """
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -33,11 +28,10 @@ from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.contexts.learned_contexts import shipped_model
 from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindows
 from pdr_filter.sensing.front_end import feature_windows
-from pdr_filter.sensing.gyroscope_bias import GyroBias
-from pdr_filter.simulate import Leg, SensorErrors, simulate
+from pdr_filter.simulate import Leg, simulate
 from pdr_filter.simulate.population import random_person
-from pdr_filter.values import BoolArray, FloatArray
-from tests.benchmarks.common import Tables, options
+from pdr_filter.values import BoolArray
+from tests.benchmarks.common import Tables, run
 
 TextArray = NDArray[np.str_]
 PLAN = {plan.name: plan for plan in PLANS}["context"]
@@ -130,11 +124,11 @@ def told_apart(real: LabelledWindows, made: LabelledWindows) -> tuple[float, str
     return float(roc_auc_score(y, prob, sample_weight=weight)), f"`{PLAN.feature_names[best]}` ({medians})"
 
 
-def contexts(tables: Tables, data: Path, n_people: int) -> None:
-    real, model = real_windows(data), shipped_model("context")
+def contexts(tables: Tables, arguments: argparse.Namespace) -> None:
+    real, model = real_windows(arguments.data), shipped_model("context")
     said, rows = left_out(real), list[list[object]]()
     for place in PLACES:
-        made = simulated_windows(place, n_people)
+        made = simulated_windows(place, arguments.people)
         made_said = np.array(PLAN.labels)[model.probabilities(made.features).argmax(axis=1)]
         for context in MOVING:
             own = made.context == context
@@ -150,130 +144,10 @@ def contexts(tables: Tables, data: Path, n_people: int) -> None:
                 cells += ["-", "-"]
             rows.append([place, context, *cells])
     columns = ["place", "context", "recall: simulated", "real, left out", "real people", "tree: AUC"]
-    about = f"{n_people} simulated people in each place. Recall of windows, mean over people; medians: real, simulated."
+    about = f"{arguments.people} simulated people in each place. Recall of windows, mean over people; "
+    about += "medians: real, simulated."
     tables.write("simulated_people", [*columns, "its best feature"], rows, about)
 
 
-# --- tracks ---------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """Of one walk."""
-
-    nees: FloatArray  # (3,) as it is, direction known, length known
-    error_m: float
-    distance: float  # relative error
-    lost_steps: float  # share
-    heading_rad: float  # median error of the walking direction
-    walking: float  # mean probability of walking
-
-
-LENGTH_STD, WIDER = 0.08, 1.25  # of the log length of people, and of the biases beside their prior
-
-
-def wider(gait: pdr.simulate.Gait, number: int) -> tuple[pdr.simulate.Gait, SensorErrors]:
-    """The same person with another length, and a phone with another bias."""
-    rng, prior, errors = np.random.default_rng([8, number]), GyroBias(), SensorErrors()
-    factor = float(np.exp(LENGTH_STD * rng.standard_normal()))
-    bias_std = WIDER * float(rng.choice(prior.prior_std_radps, p=prior.prior_prob))
-    return replace(gait, length_factor=factor), replace(errors, gyroscope=replace(errors.gyroscope, bias_std=bias_std))
-
-
-def walk_of(place: str, number: int, is_wider: bool) -> pdr.Recording:
-    """Somebody's walk of nine straight legs."""
-    gait, carrying = person_in(place, number)
-    gait, errors = wider(gait, number) if is_wider else (gait, SensorErrors())
-    rng, mode = np.random.default_rng([7, number]), PLACES[place][0]
-    legs = [Leg("stationary", duration_s=3.0), Leg("walking", distance_m=float(rng.uniform(10, 30)))]
-    for _ in range(8):
-        turn_rad = float(rng.choice([-1.0, 1.0])) * np.pi / 2
-        legs.append(Leg("walking", distance_m=float(rng.uniform(10, 30)), turn_rad=turn_rad))
-    return simulate(legs, gait, mode, errors=errors, seed=number, carrying={mode: carrying}, name=f"{mode}_{number}")
-
-
-def frame_rad(track: pdr.Track, at: FloatArray) -> float:
-    """True headings less those of the device in the first ten steps: the track's north is where that angle leads."""
-    moved = np.diff(at[:11], axis=0)
-    true = np.arctan2(moved[:, 0], moved[:, 1])
-    return float(np.angle(np.exp(1j * (true - np.asarray(track.steps.device_heading_rad)[1 : 1 + len(true)])).sum()))
-
-
-def outcome(walk: pdr.Recording) -> Outcome:
-    """Errors of the default recipe."""
-    track, truth = pdr.track(walk, pdr.recipes.for_recording("default", walk)), walk.truth.position
-    at = np.column_stack([np.interp(track.time_s, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
-    turn_rad = frame_rad(track, at)
-    c, s = np.cos(turn_rad), np.sin(turn_rad)
-    at = at @ np.array([[c, s], [-s, c]])
-    moved, own = (np.diff(np.vstack([[0.0, 0.0], p]), axis=0) for p in (at, track.position_m))
-    length, own_length = (np.linalg.norm(m, axis=1, keepdims=True) for m in (moved, own))
-    towards, own_towards = moved / np.maximum(length, 1e-6), own / np.maximum(own_length, 1e-6)
-    ends = np.stack([own.sum(axis=0), (own_length * towards).sum(axis=0), (length * own_towards).sum(axis=0)])
-    error = ends - at[-1]
-    off = np.arctan2(own_towards[:, 0], own_towards[:, 1]) - np.arctan2(towards[:, 0], towards[:, 1])
-    steps = walk.truth.steps.time_s
-    return Outcome(
-        nees=np.einsum("ka,kb,ab->k", error, error, np.linalg.inv(track.position_cov_m2[-1])),
-        error_m=float(np.linalg.norm(error[0])),
-        distance=float(own_length.sum() / length.sum() - 1),
-        lost_steps=1 - track.n_steps / len(steps),
-        heading_rad=float(np.median((off + np.pi) % (2 * np.pi) - np.pi)),
-        walking=float(track.context_prob[:, list(track.contexts).index("walking")].mean()),
-    )
-
-
-def tracks(tables: Tables, name: str, n_people: int, is_wider: bool) -> None:
-    rows: list[list[object]] = []
-    for place in PLACES:
-        found = [outcome(walk_of(place, number, is_wider)) for number in range(n_people)]
-        nees = np.array([o.nees for o in found])
-        both = [
-            f"{mean:.1f} ({median:.1f})"
-            for mean, median in zip(nees.mean(axis=0), np.median(nees, axis=0), strict=True)
-        ]
-        sure = nees[np.array([o.walking > 0.9 and o.lost_steps < 0.02 for o in found]), 0]
-        rest = f"{sure.mean():.1f} ({np.median(sure):.1f}), {len(sure)}" if len(sure) else "-"
-        distance = np.array([o.distance for o in found])
-        off = np.degrees(np.abs([o.heading_rad for o in found]))
-        rows.append(
-            [
-                *(
-                    place,
-                    f"{both[0]} ± {nees[:, 0].std() / np.sqrt(n_people):.1f}",
-                    *both[1:],
-                    rest,
-                    f"{np.median([o.error_m for o in found]):.1f}",
-                ),
-                f"{100 * distance.mean():+.1f}, {100 * distance.std():.1f}",
-                f"{100 * np.mean([o.lost_steps for o in found]):.1f}",
-                f"{np.median(off):.0f}, {np.percentile(off, 90):.0f}",
-                f"{np.mean([o.walking for o in found]):.2f}",
-            ]
-        )
-    columns = [
-        "place",
-        "NEES: mean (median) ± its error",
-        "direction known",
-        "length known",
-        "of walks well sensed, their number",
-    ]
-    columns += ["error m", "distance %: bias, spread", "steps lost %", "direction deg: median, 90 %", "P(walking)"]
-    about = f"{n_people} simulated people. Well sensed: walking for 0.9 of the steps, under 2 % of them lost."
-    tables.write(name, columns, rows, about)
-
-
-def main() -> None:
-    parser = options(str(__doc__), "contexts", "tracks")
-    parser.add_argument("--people", type=int, default=48)
-    args = parser.parse_args()
-    written = Tables.of(__spec__.name, args)
-    if "contexts" in args.parts:
-        contexts(written, args.data, args.people)
-    if "tracks" in args.parts:
-        tracks(written, "simulated_people_tracks", args.people, is_wider=False)
-        tracks(written, "simulated_people_wider", 4 * args.people, is_wider=True)
-
-
 if __name__ == "__main__":
-    main()
+    run(__doc__, contexts, people=48)

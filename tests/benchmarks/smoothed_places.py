@@ -10,6 +10,7 @@ routes 01 and 02.
 
 from __future__ import annotations
 
+import argparse
 import re
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 import pdr_filter as pdr
-from tests.benchmarks.common import Tables, median_and, options, paths
+from tests.benchmarks.common import Tables, median_and, paths, run
 
 FloatArray = NDArray[np.float64]
 GROUPS = {"all": r"trial", "routes 01, 02": r"trial0", "routes 21 to 23": r"trial2"}
@@ -58,10 +59,9 @@ def scored(path: Path) -> dict[str, tuple[float, float, FloatArray]] | None:
     return found
 
 
-def main() -> None:
-    """Write the table."""
-    args = options(__doc__ or "").parse_args()
-    walks = {path.stem: scored(path) for path in paths(args.data, "ipin2023")}
+def places(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Smoothed places of ipin2023."""
+    walks = {path.stem: scored(path) for path in paths(arguments.data, "ipin2023")}
     rows = list[list[str]]()
     for group, pattern in GROUPS.items():
         chosen = [found for name, found in walks.items() if found is not None and re.search(pattern, name)]
@@ -74,8 +74,8 @@ def main() -> None:
             rows.append([*row, "", "", ""][:6])
     columns = ["walks", "estimate", "position m: median, 90 %", "shape m: median, 90 %", "in 50 %", "in 95 %"]
     about = "ipin2023. The errors of locations were described on routes 01 and 02."
-    Tables.of(__spec__.name, args).write("smoothed_places", columns, rows, about)
+    tables.write("smoothed_places", columns, rows, about)
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, places)

@@ -19,6 +19,7 @@ that tells of something more, such as another rejected fix.
 
 from __future__ import annotations
 
+import argparse
 import os
 import re
 from collections.abc import Iterator, Sequence
@@ -34,7 +35,7 @@ from pdr_filter import evaluate
 from pdr_filter.filter.imm.pedestrian_state import StepUpdate
 from pdr_filter.tracking.warnings import notes_of
 from pdr_filter.values import BoolArray, FloatArray, ImuBlock, PositionFix
-from tests.benchmarks.common import Tables, options
+from tests.benchmarks.common import Tables, run
 from tests.benchmarks.placements import Walk, walks
 
 G = np.array([0.0, 0.0, 9.81])
@@ -285,12 +286,9 @@ def soak(found: Sequence[Walk], hours: float, seed: int) -> list[Tally]:
     raise AssertionError("stretches never end")
 
 
-def main() -> None:
-    parser = options(str(__doc__))
-    parser.add_argument("--hours", type=float, default=48.0)
-    parser.add_argument("--seed", type=int, default=0)
-    args = parser.parse_args()
-    hours = soak(list(walks(args.data)), args.hours, args.seed)
+def days(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Hours on one filter, six in a row of the table."""
+    hours = soak(list(walks(arguments.data)), arguments.hours, arguments.seed)
     rows: list[list[object]] = []
     for start in range(0, len(hours), 6):
         some = hours[start : start + 6]
@@ -324,8 +322,8 @@ def main() -> None:
         "beyond 99 %, unsaid",
         "with wrong fixes",
     ]
-    Tables.of("tests.benchmarks.soak", args).write("soak", columns, rows, "One filter, see the script.")
+    tables.write("soak", columns, rows, "One filter, see the script.")
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, days, hours=48.0, seed=0)

@@ -24,6 +24,7 @@ each person's strides differ; and the principal ways in which they do, of all pe
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -39,8 +40,7 @@ from pdr_filter.sensing.conditioning import Conditioner, merge_streams
 from pdr_filter.simulate.gait import CONTEXT_GAITS, walking_law
 from pdr_filter.simulate.strides import N_CHANNELS, N_HARMONICS, PEOPLE_SPREAD, ComplexArray, Strides, write
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, IntArray
-from tests.benchmarks.common import Tables, options, recordings
-from tests.benchmarks.stride_neighbours import halfway, sizes_of_oxford, towards_sizes
+from tests.benchmarks.common import Tables, recordings, run
 
 RATE_HZ = 100.0
 N_PHASES = 64
@@ -337,41 +337,6 @@ def _ways(group: Sequence[Stretch], level: FloatArray) -> tuple[ComplexArray, Fl
     return (real + 1j * imaginary).reshape(shape), np.sqrt(rest[0] + rest[1]).reshape(shape[1:])
 
 
-def main() -> None:
-    args = options(__doc__).parse_args()
-    groups: dict[tuple[str, str], list[Stretch]] = {}
-    for stretch in stretches(args.data):
-        groups.setdefault((stretch.place, stretch.context), []).append(stretch)
-    # Walking first: its feet and sides are those of the other contexts, its scatter bounds that of single persons, who
-    # turned all the time in a room.
-    order = sorted(groups, key=lambda k: (k[1] != "walking", k[0] not in ("pocket", "texting"), k))
-    reference: dict[str, ComplexArray] = {}
-    level: dict[str, FloatArray] = {}
-    found: dict[tuple[str, str], Strides] = {}
-    rows: list[list[object]] = []
-    for place, context in order:
-        group = groups[place, context]
-        known = reference.get("pocket") if "pocket" in place else None
-        start = group[0].harmonics.mean(axis=0) if known is None else known
-        group, mean = aligned(group, start)
-        if context == "walking":
-            if place == "pocket" and mean[0, 3].real < 0:  # the phone's own foot lands at phase 0: its thigh is ahead
-                group, mean = [replace(s, harmonics=other_foot(s.harmonics)) for s in group], other_foot(mean)
-            reference[place] = mean
-        table = measured(group, level.get("pocket" if "pocket" in place else "texting", np.full(2, np.inf)))
-        rows.append(_row(place, context, of_people(group), table))
-        if (place, context) == ("swinging", "walking"):
-            table = towards_sizes(table, sizes_of_oxford(args.data, "*swinging*"))
-        if (place, context) == ("back_pocket", "walking"):
-            table = halfway(table, found["pocket", context])
-        if context == "walking":
-            level.setdefault(place, np.median(table.level, axis=0))
-        found[place, context] = table
-    Tables.of(__spec__.name, args).write("measured_strides", COLUMNS, rows, ABOUT)
-    if not args.print:
-        write(found)
-
-
 COLUMNS = (
     *("place", "context", "people", "steps/s", "up 2, 1, 4", "forward 1, 2", "right 1, 2", "pitch 1, 2"),
     *("roll 1", "yaw 1", "scatter of strides: up 2, pitch 1"),
@@ -399,5 +364,86 @@ def _row(place: str, context: str, group: Sequence[Stretch], table: Strides) -> 
     return [place, context, len(table.people), f"{np.median(hz):.2f}{spread}", *cells, scatter]
 
 
+# --- where few people were measured ----------------------------------------------------------------------------------
+
+N_SIZED = 10  # harmonics of a swinging hand that are not noise
+
+
+def halfway(table: Strides, people: Strides) -> Strides:
+    """People of another place, each halfway to the one who was measured here."""
+    return replace(people, people=0.5 * (people.people + table.people))
+
+
+def towards_sizes(table: Strides, size: FloatArray) -> Strides:
+    """One person's table with forces (N_SIZED, 2), vertical and horizontal, halfway to those of somebody else."""
+    own = np.abs(table.people[0, :N_SIZED])
+    factor = np.ones(table.people.shape[1:])
+    factor[:N_SIZED, 2] = np.sqrt(size[:, 0] / own[:, 2])
+    factor[:N_SIZED, :2] = np.sqrt(size[:, 1] / np.linalg.norm(own[:, :2], axis=1))[:, None]
+    return table.scaled(factor)
+
+
+def sizes_of_oxford(data: Path, pattern: str) -> FloatArray:
+    """Vertical and horizontal amplitudes (N_SIZED, 2) of the mean stride between foot contacts, in parts of the
+    vertical one at step frequency; the mean over recordings."""
+    found: list[FloatArray] = []
+    for recording in recordings(data, "oxford", pattern):
+        assert recording.truth.steps is not None
+        samples, contact_s = recording.accelerometer, np.asarray(recording.truth.steps.time_s)
+        time_s = np.arange(samples.time_s[0], samples.time_s[-1], 1 / RATE_HZ)
+        force = np.column_stack([np.interp(time_s, samples.time_s, c) for c in samples.values.T])
+        up = sosfiltfilt(butter(2, 0.3, fs=RATE_HZ, output="sos"), force, axis=0)
+        up /= np.linalg.norm(up, axis=1, keepdims=True)
+        vertical = (force * up).sum(axis=1)
+        across = np.linalg.svd(up.mean(axis=0)[None])[2][1:]
+        signals = np.column_stack([vertical, (force - vertical[:, None] * up) @ across.T])
+        stride_s = 2 * np.median(np.diff(contact_s))
+        harmonics: list[ComplexArray] = []
+        for start_s, end_s in zip(contact_s[:-2:2], contact_s[2::2], strict=True):
+            if abs(end_s - start_s - stride_s) < 0.12 * stride_s:
+                at_s = np.linspace(start_s, end_s, N_PHASES + 1)
+                course = np.column_stack([np.interp(at_s, time_s, c) for c in signals.T])
+                course -= (course[-1] - course[0]) * np.arange(N_PHASES + 1)[:, None] / N_PHASES
+                harmonics.append(np.fft.fft(course[:-1], axis=0)[1 : N_SIZED + 1])
+        size = np.abs(np.mean(harmonics, axis=0))
+        found.append(np.column_stack([size[:, 0], np.hypot(size[:, 1], size[:, 2])]) / size[1, 0])
+    return np.mean(found, axis=0)
+
+
+def strides(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Harmonics of the strides of real people, and the file of the simulator."""
+    groups: dict[tuple[str, str], list[Stretch]] = {}
+    for stretch in stretches(arguments.data):
+        groups.setdefault((stretch.place, stretch.context), []).append(stretch)
+    # Walking first: its feet and sides are those of the other contexts, its scatter bounds that of single persons, who
+    # turned all the time in a room.
+    order = sorted(groups, key=lambda k: (k[1] != "walking", k[0] not in ("pocket", "texting"), k))
+    reference: dict[str, ComplexArray] = {}
+    level: dict[str, FloatArray] = {}
+    found: dict[tuple[str, str], Strides] = {}
+    rows: list[list[object]] = []
+    for place, context in order:
+        group = groups[place, context]
+        known = reference.get("pocket") if "pocket" in place else None
+        start = group[0].harmonics.mean(axis=0) if known is None else known
+        group, mean = aligned(group, start)
+        if context == "walking":
+            if place == "pocket" and mean[0, 3].real < 0:  # the phone's own foot lands at phase 0: its thigh is ahead
+                group, mean = [replace(s, harmonics=other_foot(s.harmonics)) for s in group], other_foot(mean)
+            reference[place] = mean
+        table = measured(group, level.get("pocket" if "pocket" in place else "texting", np.full(2, np.inf)))
+        rows.append(_row(place, context, of_people(group), table))
+        if (place, context) == ("swinging", "walking"):
+            table = towards_sizes(table, sizes_of_oxford(arguments.data, "*swinging*"))
+        if (place, context) == ("back_pocket", "walking"):
+            table = halfway(table, found["pocket", context])
+        if context == "walking":
+            level.setdefault(place, np.median(table.level, axis=0))
+        found[place, context] = table
+    tables.write("measured_strides", COLUMNS, rows, ABOUT)
+    if not arguments.print:
+        write(found)
+
+
 if __name__ == "__main__":
-    main()
+    run(__doc__, strides)

@@ -1,12 +1,11 @@
-"""How fast the whole pipeline is: recordings of all sets, their stages, an hour, a day in blocks, a block, a start.
+"""How fast the whole pipeline is: recordings of all sets, a day in blocks, a block, and its parts.
 
-usage: python -m tests.benchmarks.throughput [recordings] [stages] [pushed] [calls] [hour] [costs] [day] [start]
-       [--before TREE] [--every 4]
+usage: python -m tests.benchmarks.throughput [recordings] [pushed] [calls] [costs] [day] [--before TREE]
+       [--every 4] [--hours 24]
 
-The hour is the embedded simulated walk repeated in time; costs are those of one real walk, a part of the filter left
-out or put in. `--before` is another checkout of the project: its recordings, stages, pushed blocks and starts are timed
-in turns with ours, ours twice, so that the two figures of one tree show what the machine adds. Times are of the
-processor, one core.
+The day is the embedded simulated walk repeated in time; costs are those of one real walk, a part of the filter left
+out or put in. `--before` is another checkout of the project: its recordings and pushed blocks are timed in turns with
+ours, ours twice, so that the two figures of one tree show what the machine adds. Times are of the processor, one core.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ import resource
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -30,9 +29,8 @@ import pdr_filter as pdr
 from pdr_filter.filter.imm.modes import context_modes, context_transitions
 from pdr_filter.filter.step_length.models import bounce_fit
 from pdr_filter.recipes import default
-from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindows
 from pdr_filter.values import PositionFix, Samples
-from tests.benchmarks.common import ROOT, Tables, options, paths
+from tests.benchmarks.common import ROOT, Tables, paths, run
 from tests.maps.made_up import box, feature, line, write
 
 SITES = ("humolire", "ms_indoor", "oxiod", "ubicomp13", "tyrex", "oxford", "ipol", "motionsense", "ipin2023")
@@ -50,50 +48,6 @@ for path in sys.argv[1:]:
     found.append((recording.duration_s, best))
 print(json.dumps(found))
 """
-# The stages of the default, by the class of each, and of a step what follows them.
-_OF_STAGES = """
-import importlib, json, sys, time
-import pdr_filter as pdr
-
-STAGES = {
-    "conditioner": "sensing.conditioning.Conditioner.step",
-    "attitude and bias": "sensing.attitude.AttitudeEstimator.step",
-    "features of windows": "sensing.features.windows.FeatureWindows.step",
-    "contexts, features included": "sensing.contexts.learned.LearnedContexts.step",
-    "step detector": "sensing.steps.adaptive.AdaptiveStepDetector.step",
-    "gate": "sensing.steps.gate.StepGate.step",
-    "walking heading": "sensing.heading.walking_heading.WalkingHeading.step",
-    "sensing in all": "sensing.front_end.Sensing.step",
-    "tracker, steps": "filter.imm_tracker.ImmTracker.on_step",
-    "tracker, fixes": "filter.imm_tracker.ImmTracker.on_fix",
-}
-taken = dict.fromkeys(STAGES, 0.0)
-
-def timed(function, name):
-    def run(*arguments):
-        start = time.process_time()
-        result = function(*arguments)
-        taken[name] += time.process_time() - start
-        return result
-    return run
-
-recordings = [pdr.read(path) for path in sys.argv[1:]]
-pdr.track(recordings[0])
-for name, place in STAGES.items():
-    module, owner, method = place.rsplit(".", 2)
-    owner = getattr(importlib.import_module("pdr_filter." + module), owner)
-    setattr(owner, method, timed(getattr(owner, method), name))
-best = []
-for _ in range(3):
-    taken.update(dict.fromkeys(taken, 0.0))
-    start = time.process_time()
-    for recording in recordings:
-        pdr.track(recording)
-    best.append([time.process_time() - start, *taken.values()])
-least = [min(times) for times in zip(*best)]
-seconds = sum(recording.duration_s for recording in recordings)
-print(json.dumps([["pdr.track in all", *taken], [1e3 * t / seconds for t in least]]))
-"""
 _OF_PUSHED = """
 import json, sys, time
 import pdr_filter as pdr
@@ -109,13 +63,6 @@ for _ in range(3):
     runs.append(cost)
 least = sorted(min(costs) for costs in zip(*runs))
 print(json.dumps([sum(least) / len(least), least[len(least) // 2], least[int(0.99 * len(least))]]))
-"""
-_OF_START = """
-import json, sys, time
-start = time.perf_counter(), time.process_time()
-import pdr_filter
-pdr_filter.OnlineFilter()
-print(json.dumps((time.perf_counter() - start[0], time.process_time() - start[1])))
 """
 
 
@@ -147,13 +94,15 @@ def trees(before: Path | None) -> dict[str, Path]:
     return {"now": ROOT} if before is None else {"before": before, "now": ROOT, "now, again": ROOT}
 
 
-def of_recordings(tables: Tables, args: argparse.Namespace) -> None:
+def recordings(tables: Tables, arguments: argparse.Namespace) -> None:
     """Times real time of real recordings with all their sensors, for each set."""
     rows: list[list[str]] = []
-    every: dict[str, list[np.ndarray]] = {name: [] for name in trees(args.before)}
+    every: dict[str, list[np.ndarray]] = {name: [] for name in trees(arguments.before)}
     for site in SITES:
-        chosen = [str(path) for path in paths(args.data, site)[:: args.every]]
-        times = {name: np.array(in_tree(tree, _OF_RECORDINGS, *chosen)) for name, tree in trees(args.before).items()}
+        chosen = [str(path) for path in paths(arguments.data, site)[:: arguments.every]]
+        times = {
+            name: np.array(in_tree(tree, _OF_RECORDINGS, *chosen)) for name, tree in trees(arguments.before).items()
+        }
         for name, found in times.items():
             every[name].append(found)
         rows.append([site, str(len(chosen)), *(f"{(t[:, 0] / t[:, 1]).mean():.0f}" for t in times.values())])
@@ -165,28 +114,11 @@ def of_recordings(tables: Tables, args: argparse.Namespace) -> None:
     tables.write("throughput_recordings", ["set", "recordings", *all_of], rows, about)
 
 
-def of_stages(tables: Tables, args: argparse.Namespace) -> None:
-    """Cost of each stage on one recording of each set."""
-    chosen = [str(found[len(found) // 2]) for site in SITES if (found := paths(args.data, site))]
-    runs = {name: [] for name in trees(args.before)}
-    for _ in range(3):
-        for name, tree in trees(args.before).items():
-            stages, taken = in_tree(tree, _OF_STAGES, *chosen)
-            runs[name].append(taken)
-    least = [np.min(taken, axis=0) for taken in runs.values()]
-    rows = [[stage, *(f"{of_tree[i]:.3f}" for of_tree in least)] for i, stage in enumerate(stages)]
-    about = (
-        f"ms a second of data, {len(chosen)} recordings, one of each set; the least of nine runs, in turns, one core, "
-        f"{load()}."
-    )
-    tables.write("throughput_stages", ["stage", *runs], rows, about)
-
-
-def of_pushed(tables: Tables, args: argparse.Namespace) -> None:
+def pushed(tables: Tables, arguments: argparse.Namespace) -> None:
     """Blocks of 0.1 s of a real walk with all its sensors."""
-    path, runs = str(paths(args.data, "oxiod")[2]), {name: [] for name in trees(args.before)}
+    path, runs = str(paths(arguments.data, "oxiod")[2]), {name: [] for name in trees(arguments.before)}
     for _ in range(3):
-        for name, tree in trees(args.before).items():
+        for name, tree in trees(arguments.before).items():
             runs[name].append(in_tree(tree, _OF_PUSHED, path))
     rows = [[name, *(f"{v:.2f} ms" for v in np.min(taken, axis=0))] for name, taken in runs.items()]
     about = (
@@ -214,54 +146,6 @@ def long_walk(hours: float) -> pdr.Recording:
     )
 
 
-def features_s(recording: pdr.Recording) -> tuple[float, int]:
-    """Time of all features of a recording, the signals given, and the number of windows."""
-    sensing, stage = default().sensing, FeatureWindows(features=ATTITUDE_FREE)
-    _, uniform = sensing.conditioner.update(sensing.conditioner.init(), pdr.merge_streams(recording))
-    state, parts = sensing.attitude.init(), []
-    for part in uniform:
-        state, attitude = sensing.attitude.update(state, part)
-        parts.append((part, attitude))
-    start, n, windows = time.process_time(), 0, stage.init()
-    for part, attitude in parts:
-        windows, found = stage.update(windows, part, attitude)
-        n += len(found)
-    return time.process_time() - start, n
-
-
-def pushed_ms(block: pdr.ImuBlock, n_samples: int = 10, most: int = 60_000) -> np.ndarray:
-    """Cost of each pushed block, ms."""
-    online, cost = pdr.OnlineFilter(), []
-    for i in range(0, min(len(block.time_s), most), n_samples):
-        part = slice(i, i + n_samples)
-        start = time.process_time()
-        online.push(block.time_s[part], block.specific_force_mps2[part], block.angular_rate_radps[part])
-        cost.append(1e3 * (time.process_time() - start))
-    return np.array(cost)
-
-
-def of_an_hour(tables: Tables, args: argparse.Namespace) -> None:
-    """The simulated hour, a pushed block, a saved filter."""
-    recording, rows = long_walk(args.hours), []
-    pdr.track(pdr.simulate.demo_walk())  # loads models, fills caches
-    for weighting in ("imm", "wc", "hc"):
-        best = best_s(lambda w=weighting: pdr.track(recording, weighting=w))
-        times, n_steps = recording.duration_s / best, pdr.track(recording, weighting=weighting).n_steps
-        rows.append([f"an hour, `{weighting}`, {n_steps} steps", f"{best:.1f} s, {times:.0f} times real time"])
-    best, n_windows = min(features_s(recording) for _ in range(3))
-    rows.append([f"{len(ATTITUDE_FREE.names)} features of its {n_windows} windows", f"{best:.2f} s"])
-    block = pdr.merge_streams(recording)
-    cost = np.min([pushed_ms(block) for _ in range(3)], axis=0)
-    high = np.percentile(cost, 99)
-    rows.append(["one pushed block of 0.1 s", f"mean {np.mean(cost):.2f} ms, 99th percentile {high:.1f} ms"])
-    online = pdr.OnlineFilter()
-    online.push(block.time_s[:3000], block.specific_force_mps2[:3000], block.angular_rate_radps[:3000])
-    blob = online.save()
-    loaded_ms = 1e3 * best_s(lambda: pdr.OnlineFilter.load(blob))
-    rows.append(["a saved filter, models included", f"{len(blob) / 1e3:.0f} kB, loaded in {loaded_ms:.0f} ms"])
-    tables.write("throughput", ["what", "result"], rows, f"One core, {load()}.")
-
-
 def around(track: pdr.Track) -> pdr.FloorPlan:
     """A hall that holds a track, with four walls in it."""
     corners = np.array([track.position_m.min(axis=0) - 10.0, track.position_m.max(axis=0) + 10.0])
@@ -272,9 +156,9 @@ def around(track: pdr.Track) -> pdr.FloorPlan:
         return pdr.FloorPlan.read(write(Path(folder) / "hall.geojson", features))
 
 
-def of_parts(tables: Tables, args: argparse.Namespace) -> None:
+def costs(tables: Tables, arguments: argparse.Namespace) -> None:
     """A real walk with parts of the filter left out or put in."""
-    recording = pdr.read(args.data / "oxiod" / "oxiod_anon_floor1_handheld1.zip")
+    recording = pdr.read(arguments.data / "oxiod" / "oxiod_anon_floor1_handheld1.zip")
     track = pdr.track(recording)
     n_steps = track.n_steps
     config, fix_cov = default(recording.subject), 9.0 * np.eye(2)
@@ -327,9 +211,9 @@ def of_parts(tables: Tables, args: argparse.Namespace) -> None:
     tables.write("throughput_parts", ["what", "ms a second", "ms a step more", "times real time"], rows, about)
 
 
-def of_calls(tables: Tables, args: argparse.Namespace) -> None:
+def calls(tables: Tables, arguments: argparse.Namespace) -> None:
     """A minute of a real walk, pushed in larger and smaller pieces, merged and as its sensors come."""
-    block = pdr.merge_streams(pdr.read(args.data / "oxiod" / "oxiod_anon_floor1_handheld1.zip"))
+    block = pdr.merge_streams(pdr.read(arguments.data / "oxiod" / "oxiod_anon_floor1_handheld1.zip"))
     n = int(np.searchsorted(block.time_s, block.time_s[0] + 60.0))
 
     def merged(samples: int) -> None:
@@ -356,11 +240,11 @@ def of_calls(tables: Tables, args: argparse.Namespace) -> None:
     tables.write("throughput_calls", columns, rows, about)
 
 
-def of_a_day(tables: Tables, args: argparse.Namespace) -> None:
+def day(tables: Tables, arguments: argparse.Namespace) -> None:
     """A day in blocks of a minute: whether its cost is that of its length, and its memory that of an hour."""
     block, online, rows = pdr.merge_streams(long_walk(1.0)), pdr.OnlineFilter(), []
     period_s, used_s, n_steps = float(block.time_s[-1]) + 0.01, 0.0, 0
-    for hour in range(args.day_hours):
+    for hour in range(arguments.hours):
         for i in range(0, len(block.time_s), 6000):
             part = slice(i, i + 6000)
             time_s = block.time_s[part] + hour * period_s
@@ -378,40 +262,5 @@ def of_a_day(tables: Tables, args: argparse.Namespace) -> None:
     tables.write("throughput_day", columns, rows, f"Pushed in blocks of a minute, whose updates were let go; {load()}.")
 
 
-def of_start(tables: Tables, args: argparse.Namespace) -> None:
-    """From the first import to the first filter."""
-    found = {name: [] for name in trees(args.before)}
-    for _ in range(7):
-        for name, tree in trees(args.before).items():
-            found[name].append(in_tree(tree, _OF_START))
-    rows = [[name, *(f"{v:.2f} s" for v in np.min(taken, axis=0))] for name, taken in found.items()]
-    about = "`import pdr_filter; pdr_filter.OnlineFilter()` in a fresh interpreter; the least of seven, in turns."
-    tables.write("throughput_start", ["", "from start to end", "processor time"], rows, about)
-
-
-PARTS: dict[str, Callable[[Tables, argparse.Namespace], None]] = {
-    "recordings": of_recordings,
-    "stages": of_stages,
-    "pushed": of_pushed,
-    "calls": of_calls,
-    "hour": of_an_hour,
-    "costs": of_parts,
-    "day": of_a_day,
-    "start": of_start,
-}
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    parser = options(__doc__, *PARTS)
-    parser.add_argument("--hours", type=float, default=1.0)
-    parser.add_argument("--day-hours", type=int, default=24)
-    parser.add_argument("--every", type=int, default=4, help="take every so many-th recording of a set")
-    parser.add_argument("--before", type=Path, help="another checkout to compare with")
-    args = parser.parse_args(arguments)
-    tables = Tables.of(__spec__.name, args)
-    for part in args.parts:
-        PARTS[part](tables, args)
-
-
 if __name__ == "__main__":
-    main()
+    run(__doc__, recordings, pushed, calls, costs, day, before=None, every=4, hours=24)

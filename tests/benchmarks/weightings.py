@@ -1,66 +1,493 @@
-"""HC, WC and IMM on people and sensors that the classifier has not seen: distances, probabilities, other evidence.
+"""HC, WC and IMM on people and sensors that the classifier has not seen: windows, delays, distances, false stairs.
 
-usage: python -m tests.benchmarks.weightings [PART ...] [--data ../shared/data] [--cache FOLDER]
+usage: python -m tests.benchmarks.weightings [joined] [walks] [sites] [barometer] [--data DATA] [--cache FOLDER]
 
-The steps, windows and lengths of the default recipe are the same for all weightings; the reference is the distance of
-these steps with the length of their true contexts. What differs is the error that is due to contexts. Steps outside of
-every label, and those in the still seconds of the joined walks, are left out.
+joined: windows and delays of walks through several contexts. The changes of Di Fronzo's recordings are not labelled to
+the second, so recordings of one person of MotionSense (trouser pocket) are put one after the other: sitting, walking,
+upstairs, walking, downstairs, walking, running, standing. Each is turned so that its mean gravity agrees with the
+first's, and between two of them is a second of the same person's standing; nothing is cross-faded. Two such walks of
+each of 12 people. The model is the default's, trained in three folds without the four people that it is scored on; it
+runs in the default recipe, in blocks of a tenth of a second.
 
-`real`: walks joined of recordings of one activity (`mixed_contexts.py`) and the recordings of Di Fronzo with their real
-changes, models trained without the people; terrain, a sensor on the leg that no model has seen; and level walking of
-tyrex, left out as a whole, and of every third walk of ubicomp13, which trains nothing. Distances of each weighting, and
-the probabilities behind them, also of the recordings of MotionSense with one activity each.
+walks: distances of each weighting, and the probabilities behind them. The steps, windows and lengths of the default
+recipe are the same for all weightings; the reference is the distance of these steps with the length of their true
+contexts. What differs is the error that is due to contexts. Steps outside of every label, and those in the still
+seconds of the joined walks, are left out. Besides the joined walks: the recordings of Di Fronzo with their real
+changes, models trained without the people; terrain, a sensor on the leg that no model has seen; level walking of tyrex,
+left out as a whole, and of every third walk of ubicomp13, which trains nothing; and MotionSense with one activity each.
 
-`evidence`: log loss and distance with other evidence: floors, exponents, and a classifier that may be wrong about a
-person, for as long as the recording lasts.
+sites: level walking that is called stairs, at the steps and by how the phone is carried. Models of the training sets
+are trained without the whole set; the others are never trained on. With and without the guard of stairs.
 
-`prior`: error of the distance with each exponent of the prior, and of the exponent with the least error, beside that of
-HC, over the joined walks, Di Fronzo and MotionSense without the person. The other sets chose nothing.
-
-`simulated`: walks with exact distances, phone in the hand. The shipped model takes all that a simulated hand does for
-walking, which says nothing about weightings. So each walk gets the windows of one of the people above: for every
-stretch of a context, what the model that had not seen them said of theirs, in order from its start.
+barometer: ipin2023 goes up and down stairs with the phone in the hand, ipin21 stays on one storey. Truth is the climb
+rate of the barometer about each step (4 s, not causal): above 0.1 m/s it is on stairs.
 """
 
 from __future__ import annotations
 
+import argparse
+import pickle
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 import pdr_filter as pdr
+from pdr_filter.classifiers.context_model import ContextModel
 from pdr_filter.evaluate.comparison import second_over_first
 from pdr_filter.filter.imm.imm import smoothed_mode_prob
+from pdr_filter.filter.imm.pedestrian_state import StepUpdate
+from pdr_filter.filter.imm.tracker import Tracker
 from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
+from pdr_filter.offline.training import context_training as contexts
 from pdr_filter.offline.training.context_sequences import UNKNOWN
-from pdr_filter.offline.training.cross_validation import DOUBTFUL, LabelledWindows, recordings_of
-from pdr_filter.recipes import default, with_context_model
+from pdr_filter.offline.training.context_training import PLANS, labelled_windows
+from pdr_filter.offline.training.cross_validation import DOUBTFUL, LabelledWindows, label_of, recordings_of
+from pdr_filter.offline.training.transition_training import contexts_at
+from pdr_filter.recipes import context_transitions, default, with_context_model
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.simulate import Gait, Leg, simulate
+from pdr_filter.sensing.contexts.learned_contexts import shipped_model
+from pdr_filter.sensing.features.barometer import ClimbRate
+from pdr_filter.sensing.front_end import Event, Gap
+from pdr_filter.tracking.filtering import finish, init, update
 from pdr_filter.tracking.whole_recording import run_sensing
-from pdr_filter.values import CONTEXTS, FloatArray, IntArray, Step
-from pdr_filter.values.recording import Recording
-from tests.benchmarks.common import Tables, options, paths
-from tests.benchmarks.contexts_left_out import N_FOLDS as N_LEFT_OUT_FOLDS
-from tests.benchmarks.contexts_left_out import on_the_level, without
-from tests.benchmarks.kinds_of_people import ONE_KIND, Kinds, chain, kinds_that_are_wrong, kinds_that_say_nothing
-from tests.benchmarks.mixed_contexts import (
-    LAG_STEPS,
-    N_WALKS,
-    Event,
-    cached,
-    context_at,
-    tracked,
-    updates_of,
-    walks_left_out,
-    windows_of,
+from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, ImuBlock, IntArray, Samples, Step, TrackRows, table
+from pdr_filter.values.recording import Recording, Truth
+from tests.benchmarks.common import Tables, paths, recordings, run
+
+PLAN = PLANS[0]
+N_FOLDS, N_PEOPLE_FOLDS = 3, 4  # of the joined walks, and of people
+STILL_S = 1.0
+BLOCK_S = 0.1
+# Two seconds of walking: what a final step of HC and WC waits too.
+LAG_STEPS = 4
+STATIONARY, WALKING, UP, DOWN = (CONTEXTS.index(c) for c in ("stationary", "walking", "upstairs", "downstairs"))
+# Trial of each part in the two walks of a person, and how much of it, s; walking is cut at another place each time.
+N_WALKS = 2
+PARTS: tuple[tuple[tuple[str, str], float], ...] = (
+    (("sit_5", "sit_5"), 12.0),
+    (("wlk_7", "wlk_8"), 25.0),
+    (("ups_3", "ups_4"), 20.0),
+    (("wlk_8", "wlk_15"), 20.0),
+    (("dws_1", "dws_2"), 20.0),
+    (("wlk_15", "wlk_7"), 20.0),
+    (("jog_9", "jog_16"), 20.0),
+    (("std_6", "std_14"), 12.0),
 )
 
-WALKING = CONTEXTS.index("walking")
+
+# --- Models of people left out ---------------------------------------------------------------------------------------
+
+
+def cached(folder: Path | None, name: str, make: Callable[[], Any]) -> Any:
+    """What `make` gives, from a file of the cache folder if it is there."""
+    if folder is None:
+        return make()
+    path = folder / f"{name}.pkl"
+    if not path.is_file():
+        folder.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(pickle.dumps(make()))
+    return pickle.loads(path.read_bytes())  # our own
+
+
+def windows_of(data: Path) -> LabelledWindows:
+    """All windows that the default's model is made of."""
+    paths = recordings_of(data, PLAN.datasets)
+    return PLAN.of(labelled_windows(paths, feature_set=PLAN.feature_set))
+
+
+def model_without(windows: LabelledWindows, people: tuple[str, ...]) -> ContextModel:
+    """The default's model as `pdr-filter train` makes it, of all people but these."""
+    return replace(contexts.model_without(shipped_model(PLAN.name), PLAN, windows, people), name="left_out")
+
+
+# --- Mixed walks of real recordings ----------------------------------------------------------------------------------
+
+
+def folds_of(windows: LabelledWindows) -> list[tuple[str, ...]]:
+    """People of motionsense who are left out together."""
+    people = sorted(set(windows.person[windows.dataset == "motionsense"]))
+    return [tuple(people[k::N_FOLDS]) for k in range(N_FOLDS)]
+
+
+def walks_left_out(data: Path, cache: Path | None, windows: LabelledWindows) -> Iterator[tuple[Recording, str, Config]]:
+    """Joined walks of everybody, each with its person and the default with a model that has not seen them."""
+    for k, fold in enumerate(folds_of(windows)):
+        model: ContextModel = cached(cache, f"model_{k}", lambda fold=fold: model_without(windows, fold))
+        print(f"fold {k}: {', '.join(fold)} left out", flush=True)
+        for person in fold:
+            for number in range(N_WALKS):
+                walk = mixed_walk(data, "s" + person.split("/")[1][-2:], number)
+                yield walk, person, with_context_model(default(walk.subject), model)
+
+
+def mixed_walk(data: Path, person: str, number: int) -> Recording:
+    """Recordings of one person one after the other, a still second between them, labels of each."""
+
+    def trial(name: str) -> Recording:
+        return pdr.read(data / "motionsense" / f"motionsense_{person}_{name}.zip")
+
+    def labelled_right(names: tuple[str, str]) -> str:
+        other = (names[number], *names)
+        return next(name for name in other if f"motionsense_{person}_{name}" not in DOUBTFUL)
+
+    standing = trial("std_6")
+    force, rate, rows, clock = [], [], [], 0
+    for k, (names, length_s) in enumerate(PARTS):
+        recording = trial(labelled_right(names))
+        pieces = [] if k == 0 else [(*clip(standing, 10.0 + k, STILL_S), "stationary")]
+        # 4 s in: the phone has been put away by then
+        context = str(recording.truth.labels["context"][0])
+        pieces.append((*clip(recording, 4.0 + 3.0 * k * (context == "walking"), length_s), context))
+        for a, w, what in pieces:
+            down = force[0].mean(axis=0) if force else a.mean(axis=0)
+            turn = Rotation.align_vectors([down / np.linalg.norm(down)], [a.mean(axis=0)])[0]
+            force.append(turn.apply(a))
+            rate.append(turn.apply(w))
+            rows.append((clock, clock + len(a), what))
+            clock += len(a)
+    interval_s = float(np.median(np.diff(standing.accelerometer.time_s)))
+    time_s = interval_s * np.arange(clock)
+    start, end, context = zip(*rows, strict=True)
+    return Recording(
+        name=f"{person}_{number}",
+        accelerometer=Samples(time_s, np.concatenate(force)),
+        gyroscope=Samples(time_s, np.concatenate(rate)),
+        truth=Truth(
+            labels=table(
+                {
+                    "start_s": interval_s * np.array(start),
+                    "end_s": interval_s * np.array(end),
+                    "context": np.array(context),
+                    "carrying_mode": np.array(["pocket"] * len(rows)),
+                }
+            )
+        ),
+        meta=dict(standing.meta),
+    )
+
+
+def clip(recording: Recording, start_s: float, length_s: float) -> tuple[FloatArray, FloatArray]:
+    """Specific force and angular rate of a part; of a shorter recording what there is."""
+    assert recording.gyroscope is not None
+    time_s = recording.accelerometer.time_s
+    start_s = max(min(start_s, time_s[-1] - length_s), 0.0)
+    use = (time_s >= start_s) & (time_s < start_s + length_s)
+    rate = recording.gyroscope
+    interpolated = np.column_stack([np.interp(time_s[use], rate.time_s, rate.values[:, i]) for i in range(3)])
+    return recording.accelerometer.values[use], interpolated
+
+
+# --- What was said, and when -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Said:
+    """Of a walk: windows and steps with their probabilities and when they became known."""
+
+    walk: Recording
+    person: str
+    window_s: FloatArray  # (W,) ends
+    window_known_s: FloatArray
+    window_prob: FloatArray  # (W, C)
+    step_s: FloatArray  # (K,)
+    step_known_s: FloatArray
+    of_window: FloatArray  # (K, C) the window that each step used
+    filtered: FloatArray  # (K, C)
+    smoothed: FloatArray  # (K, C)
+
+    @property
+    def lagged(self) -> FloatArray:
+        """Of each step with the evidence of some more, (K, C)."""
+        return smoothed_mode_prob(self.filtered, context_transitions(), LAG_STEPS)
+
+    @property
+    def lagged_known_s(self) -> FloatArray:
+        """When that is known, (K,): with the step so many later, or with the last."""
+        return self.step_known_s[np.minimum(np.arange(len(self.step_s)) + LAG_STEPS, len(self.step_s) - 1)]
+
+
+def said_online(walk: Recording, person: str, config: Config) -> Said:
+    """Everything that the filter says, samples pushed in blocks of a tenth of a second, and the smoother after it."""
+    samples = pdr.merge_streams(walk)
+    state = init(config)
+    windows: list[tuple[float, Any]] = []
+    updates: list[tuple[float, Any]] = []
+    for block in blocks(samples):
+        state, output = update(config, state, block)
+        known_s = float(block.time_s[-1])
+        windows += [(known_s, w) for w in output.windows]
+        updates += [(known_s, u) for u in output.updates if u.is_final]
+    state, output = finish(config, state)
+    end_s = float(samples.time_s[-1])
+    updates += [(end_s, u) for u in output.updates if u.is_final]
+    smoothed = pdr.smooth(walk, config=config).track
+    assert len(smoothed.time_s) == len(updates)
+    return Said(
+        walk,
+        person,
+        np.array([w.time_s for _, w in windows]),
+        np.array([t for t, _ in windows]),
+        np.array([w.prob for _, w in windows]),
+        np.array([u.step.time_s for _, u in updates]),
+        np.array([t for t, _ in updates]),
+        np.array([u.context_prob for _, u in updates]),
+        np.array([u.mode_prob for _, u in updates]),
+        smoothed.mode_prob,
+    )
+
+
+def mean_of_five(prob: FloatArray) -> FloatArray:
+    """Mean probabilities (W, C) of each window with two before and two after it: what averaging alone is worth."""
+    return np.array([prob[max(k - 2, 0) : k + 3].mean(axis=0) for k in range(len(prob))])
+
+
+def blocks(samples: ImuBlock) -> Iterator[ImuBlock]:
+    """The samples in blocks of a tenth of a second."""
+    edges = np.searchsorted(samples.time_s, np.arange(BLOCK_S, samples.time_s[-1] + BLOCK_S, BLOCK_S))
+    for start, end in zip([0, *edges[:-1]], edges, strict=True):
+        if end > start:
+            use = slice(int(start), int(end))
+            yield ImuBlock(
+                samples.time_s[use],
+                samples.specific_force_mps2[use],
+                samples.angular_rate_radps[use],
+                samples.magnetic_field_ut[use],
+            )
+
+
+def context_at(walk: Recording, time_s: float) -> int:
+    """True context at a time, `UNKNOWN` outside every label and in the still seconds put in."""
+    for label in walk.truth.labels:
+        if label["start_s"] <= time_s < label["end_s"] and label["end_s"] - label["start_s"] > 2 * STILL_S:
+            return CONTEXTS.index(str(label["context"]))
+    return UNKNOWN
+
+
+def last_steps(said: Said) -> IntArray:
+    """The last step that used each window, (W,): in its last second; -1 where there is none."""
+    last = np.searchsorted(said.step_s, said.window_s) - 1
+    found = (last >= 0) & (said.step_s[np.maximum(last, 0)] >= said.window_s - 1.0)
+    return np.where(found, last, -1)
+
+
+def window_scores(tables: Tables, all_said: list[Said]) -> None:
+    """Accuracy over windows, clean or not, with and without those that have no step."""
+    rows = []
+    truth, clean, stepped, answers = (
+        [],
+        [],
+        [],
+        {"arg-max": [], "mean of 5": [], "filtered": [], "lagged": [], "smoothed": []},
+    )
+    person = []
+    for said in all_said:
+        last = last_steps(said)
+        truth += [context_at(said.walk, t - 1.0) for t in said.window_s]
+        clean += [label_of(said.walk, t - 2.0, t) is not None for t in said.window_s]
+        stepped += list(last >= 0)
+        person += [said.person] * len(last)
+        answers["arg-max"] += list(said.window_prob.argmax(axis=1))
+        answers["mean of 5"] += list(mean_of_five(said.window_prob).argmax(axis=1))
+        for name, prob in (
+            ("filtered", said.filtered),
+            ("lagged", said.lagged),
+            ("smoothed", said.smoothed),
+        ):
+            answers[name] += list(np.where(last >= 0, prob[last].argmax(axis=1), STATIONARY))
+    y, is_clean, has_step, who = np.array(truth), np.array(clean), np.array(stepped), np.array(person)
+    for name, use in (
+        ("inside one context, with a step", is_clean & has_step & (y >= 0)),
+        ("inside one context, all", is_clean & (y >= 0)),
+        ("also across a change, all", y >= 0),
+    ):
+        right = {answer: np.array(of) == y for answer, of in answers.items()}
+        for answer, ok in right.items():
+            recall = ", ".join(f"{ok[use & (y == c)].mean():.2f}" for c in np.unique(y[use]))
+            by_person = np.array([ok[use & (who == p)].mean() for p in np.unique(who)])
+            gain = by_person - np.array([right["arg-max"][use & (who == p)].mean() for p in np.unique(who)])
+            points = f"{100 * gain.mean():+.1f} ± {100 * gain.std(ddof=1) / np.sqrt(len(gain)):.1f}"
+            people = f"{np.sum(gain > 1e-9)}, {np.sum(gain < -1e-9)}"
+            rows.append([f"{name} (n = {use.sum()})", answer, f"{ok[use].mean():.3f}", recall, points, people])
+    columns = ["windows", "answer", "accuracy", "recall by context", "gain, points", "people better, worse"]
+    order = ", ".join(CONTEXTS[c] for c in np.unique(y[y >= 0]))
+    about = f"Recall in the order {order}; gain over the arg-max, mean of people."
+    tables.write("mixed_contexts_windows", columns, rows, about)
+
+
+def delays_s(said: Said, known_s: FloatArray, prob: FloatArray) -> dict[int, list[float]]:
+    """Time from each change to a moving context until it is named for a second on end; infinite if it never is."""
+    result: dict[int, list[float]] = {}
+    answer = prob.argmax(axis=1)
+    for label in said.walk.truth.labels[1:]:
+        context = CONTEXTS.index(str(label["context"]))
+        if context == STATIONARY:
+            continue
+        found = np.inf
+        for i in np.flatnonzero((known_s >= label["start_s"]) & (known_s < label["end_s"])):
+            if (answer[(known_s >= known_s[i]) & (known_s <= known_s[i] + 1.0 + BLOCK_S)] == context).all():
+                found = float(known_s[i] - label["start_s"])
+                break
+        result.setdefault(context, []).append(found)
+    return result
+
+
+def delays(tables: Tables, all_said: list[Said]) -> None:
+    """Median and ninth decile of the delays, by context."""
+    rows = []
+    for name, known, prob in (
+        ("arg-max", "window_known_s", "window_prob"),
+        ("filtered", "step_known_s", "filtered"),
+        ("lagged", "lagged_known_s", "lagged"),
+        ("arg-max of its step, by the step's own time", "step_s", "of_window"),
+        ("filtered, by the step's own time", "step_s", "filtered"),
+        ("smoothed, by the step's own time", "step_s", "smoothed"),
+    ):
+        found: dict[int, list[float]] = {}
+        for said in all_said:
+            for context, of_walk in delays_s(said, getattr(said, known), getattr(said, prob)).items():
+                found.setdefault(context, []).extend(of_walk)
+        every = [d for of_context in found.values() for d in of_context]
+        by_context = {"all": every, **{CONTEXTS[c]: d for c, d in sorted(found.items())}}
+        cells = [
+            f"{np.quantile(d, 0.5, method='higher'):.1f}, {np.quantile(d, 0.9, method='higher'):.1f}"
+            for d in by_context.values()
+        ]
+        rows.append([name, *cells, f"{np.isinf(every).sum()} of {len(every)}"])
+    columns = ["answer", *by_context, "never"]
+    tables.write("mixed_contexts_delays", columns, rows, "Seconds: median, 90 %; never found counts as infinite.")
+
+
+def tracked(events: list[Event], config: Config, weighting: str) -> list[StepUpdate]:
+    """Final steps of the events of a walk."""
+    tracker = config.with_weighting(weighting).tracker
+    return updates_of(tracker, events)
+
+
+def updates_of(tracker: Tracker[Any], events: list[Event]) -> list[StepUpdate]:
+    """Final steps that a tracker makes of the events of a walk."""
+    state, updates = tracker.init(), list[StepUpdate]()
+    for event in events:
+        if isinstance(event, WindowContext):
+            state, new = tracker.on_window(state, event)
+        elif isinstance(event, Gap):
+            state, new = tracker.on_gap(state, event.duration_s)
+        else:
+            state, new = tracker.on_step(state, event)
+        updates += [u for u in new if u.is_final]
+    return updates + [u for u in tracker.finish(state)[1] if u.is_final]
+
+
+def joined(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Both tables."""
+    windows: LabelledWindows = cached(arguments.cache, "windows", lambda: windows_of(arguments.data))
+    all_said = [said_online(*each) for each in walks_left_out(arguments.data, arguments.cache, windows)]
+    window_scores(tables, all_said)
+    delays(tables, all_said)
+
+
+STAIRS_MPS = 0.1
+# Those of level walking, with the field of the name that says how the phone is carried.
+SITES: dict[str, int] = {
+    "humolire": 0,
+    "ms_indoor": 0,
+    "tyrex": 2,
+    "oxiod": 1,
+    "ubicomp13": 3,
+    "ipol": 0,
+    "sisfall": -1,
+}
+
+
+def without(windows: LabelledWindows, people: list[str], cache: Path | None, name: str) -> ContextModel:
+    """The shipped model as it is without some people."""
+    return cached(cache, name, lambda: contexts.model_without(shipped_model("context"), PLAN, windows, people))
+
+
+def tracked_with(recording: Recording, model: ContextModel) -> tuple[Config, TrackRows]:
+    """The default's configuration with a model, and the track."""
+    config = with_context_model(default(recording.subject), model)
+    return config, pdr.track(recording, config=config)
+
+
+def sites(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Level walking called stairs."""
+    windows: LabelledWindows = cached(arguments.cache, "windows", lambda: windows_of(arguments.data))
+    rows = []
+    for site, part in SITES.items():
+        known = sorted({p for p in windows.person if p.startswith(f"{site}/")})
+        model = without(windows, known, arguments.cache, f"site_{site}") if known else shipped_model("context")
+        of_kind: dict[str, list[FloatArray]] = {}
+        for recording in recordings(arguments.data, site):
+            kind = kind_of(recording.name, part)
+            found = []
+            for each in (replace(model, stairs=None), model):
+                _, track = tracked_with(recording, each)
+                use = on_the_level(recording, track.time_s)
+                stairs = np.isin(track.mode_prob[use].argmax(axis=1), (UP, DOWN))
+                found += [stairs, track.mode_prob[use][:, [UP, DOWN]].sum(axis=1)]
+            of_kind.setdefault(kind, []).append(np.array(found, dtype=float))
+        for kind, parts in sorted(of_kind.items()):
+            figures = np.concatenate(parts, axis=1)
+            if figures.shape[1]:
+                cells = [f"{100 * v:.1f}" for v in figures.mean(axis=1)]
+                rows.append([f"{site} {kind}".strip(), figures.shape[1], ", ".join(cells[:2]), ", ".join(cells[2:])])
+    columns = ["set, placement", "steps", "no guard: called stairs %, mean probability %", "with the guard"]
+    tables.write("context_false_stairs", columns, rows, "The set left out as a whole where it is in training.")
+
+
+def kind_of(name: str, part: int) -> str:
+    """How the phone is carried, from the name of a recording."""
+    if part == 0:
+        return ""
+    pieces = name.split("_")
+    text = " ".join(pieces[part:]) if part > 0 else pieces[-1]
+    return "".join(c for c in text if not c.isdigit()).strip() if part != -1 else text[:3]
+
+
+def on_the_level(recording: Recording, time_s: FloatArray) -> BoolArray:
+    """Which steps are inside the walk, and not labelled as anything but walking."""
+    segments, labels = recording.truth.segments, recording.truth.labels
+    if recording.meta["dataset"] == "ubicomp13" and segments is not None:
+        return (time_s >= segments[0]["start_s"]) & (time_s <= segments[0]["end_s"])
+    if labels is None or not len(labels) or recording.meta["dataset"] == "sisfall":
+        return np.ones(len(time_s), dtype=bool)
+    return np.isin(contexts_at(recording, time_s), (WALKING, -1))
+
+
+def barometer(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Stairs in the hand, by barometer."""
+    rows = []
+    for site in ("ipin2023", "ipin21"):
+        for recording in recordings(arguments.data, site):
+            assert recording.barometer is not None
+            config = default(recording.subject)
+            climb = ClimbRate()
+            pressure = recording.barometer
+            _, climbs = climb.update(climb.init(), pressure.time_s, pressure.values[:, 0])
+            middle_s = np.array([c.time_s - climb.window_s / 2 for c in climbs])
+            live, later = pdr.track(recording, config=config), pdr.smooth(recording, config=config).track
+            rate_mps = np.interp(live.time_s, middle_s, [c.climb_rate_mps for c in climbs])
+            alone = pdr.track(replace(recording, barometer=None), config=config)
+            truth = np.where(rate_mps > STAIRS_MPS, UP, np.where(rate_mps < -STAIRS_MPS, DOWN, WALKING))
+            for answer, prob in (
+                ("without barometer", alone.mode_prob),
+                ("window", live.context_prob),
+                ("filtered", live.mode_prob),
+                ("smoothed", later.mode_prob),
+            ):
+                said = prob.argmax(axis=1)
+                cells = [f"{np.mean(said[truth == c] == c):.2f}" for c in (UP, DOWN)]
+                level = np.isin(said, (UP, DOWN))[truth == WALKING]
+                rows.append([f"{site} ({len(said)} steps)", answer, *cells, f"{level.mean():.2f}"])
+    columns = ["", "answer", "climbing called upstairs", "descending called downstairs", "level called stairs"]
+    tables.write("context_barometer", columns, rows, "Climb rates above 0.1 m/s, of the barometer about each step.")
+
+
 MIN_STEPS = 20  # a recording with fewer says little in per cent
 EVERY = 3
 WC_THRESHOLD = 0.8  # of Algorithm 2
@@ -78,30 +505,9 @@ class Walk:
     label: IntArray  # (K,) true context of each step
 
     @property
-    def windows(self) -> list[WindowContext]:
-        """In order."""
-        return [e for e in self.events if isinstance(e, WindowContext)]
-
-    @property
     def length_m(self) -> FloatArray:
         """Length of each step in each mode, (K, M); the default's modes are the contexts."""
         return np.array([self.config.model.lengths(e)[0] for e in self.events if isinstance(e, Step)])
-
-    @cached_property
-    def evidence(self) -> list[WindowContext | None]:
-        """The window that is new to the IMM at each step."""
-        tracker = self.config.with_weighting("imm").tracker
-        state, found = tracker.init(), list[WindowContext | None]()
-        for event in self.events:
-            before = state.used
-            if isinstance(event, WindowContext):
-                state, _ = tracker.on_window(state, event)
-            elif isinstance(event, Step):
-                state, _ = tracker.on_step(state, event)
-                found.append(None if state.used is before else state.used)
-            else:
-                state, _ = tracker.on_gap(state, event.duration_s)
-        return found
 
     @property
     def known_m(self) -> float:
@@ -127,16 +533,16 @@ def walk_of(recording: Recording, person: str, config: Config, is_level: bool = 
 
 
 def joined_walks(data: Path, cache: Path | None, windows: LabelledWindows) -> Iterator[Walk]:
-    """Those of `mixed_contexts.py`, with the same models."""
+    """The joined walks, with the models of `joined`."""
     for each in walks_left_out(data, cache, windows):
         yield walk_of(*each)
 
 
 def people_left_out(data: Path, cache: Path | None, windows: LabelledWindows, dataset: str) -> Iterator[Walk]:
-    """Recordings of a scored data set, with the models of `contexts_left_out.py`."""
+    """Recordings of a scored data set, with models of four folds of people."""
     of_set = [sorted({p for p in windows.person if p.startswith(f"{n}/")}) for n in ("motionsense", "difronzo")]
-    for k in range(N_LEFT_OUT_FOLDS):
-        fold = [p for everybody in of_set for p in everybody[k::N_LEFT_OUT_FOLDS]]
+    for k in range(N_PEOPLE_FOLDS):
+        fold = [p for everybody in of_set for p in everybody[k::N_PEOPLE_FOLDS]]
         model = without(windows, fold, cache, f"people_{k}")
         for path in recordings_of(data, (dataset,)):
             recording = pdr.read(path)
@@ -231,19 +637,20 @@ def log_loss(prob: FloatArray, label: IntArray) -> FloatArray:
     return -np.log(np.maximum(prob[np.arange(len(label)), label], 1e-6))
 
 
-def real(tables: Tables, sets: Mapping[str, list[Walk]]) -> None:
+def walks(tables: Tables, arguments: argparse.Namespace) -> None:
     """Distances and probabilities of each weighting."""
+    sets = sets_of(arguments.data, arguments.cache)
     rows, of_prob, of_doubt = [], [], []
-    for name, walks in sets.items():
-        people = len({w.person for w in walks})
-        what = f"{name} ({len(walks)} of {people} {'person' if people == 1 else 'people'})"
-        known = np.array([w.known_m for w in walks])
+    for name, found_walks in sets.items():
+        people = len({w.person for w in found_walks})
+        what = f"{name} ({len(found_walks)} of {people} {'person' if people == 1 else 'people'})"
+        known = np.array([w.known_m for w in found_walks])
         moved = known > 0
-        for weighting, found in columns_of([distances_m(w) for w in walks]).items():
+        for weighting, found in columns_of([distances_m(w) for w in found_walks]).items():
             if name != "motionsense":
                 rows.append([what, weighting, *error_cells(np.array(found)[moved], known[moved])])
-        said = [probabilities(w) for w in walks]
-        y = np.concatenate([w.label for w in walks])
+        said = [probabilities(w) for w in found_walks]
+        y = np.concatenate([w.label for w in found_walks])
         for answer in said[0]:
             prob = np.concatenate([s[answer] for s in said])
             right = f"{np.mean(prob.argmax(axis=1) == y):.3f}"
@@ -261,176 +668,5 @@ def real(tables: Tables, sets: Mapping[str, list[Walk]]) -> None:
     tables.write("weightings_doubt", columns, of_doubt, about)
 
 
-# --- Other evidence --------------------------------------------------------------------------------------------------
-
-CHOICES: dict[str, tuple[float, float, Kinds]] = {
-    "online: exponent 1, floor 0.01": (1.0, 0.01, ONE_KIND),
-    "floor 0.05": (1.0, 0.05, ONE_KIND),
-    "floor 0.1": (1.0, 0.1, ONE_KIND),
-    "exponent 0.7": (0.7, 0.01, ONE_KIND),
-    "hindsight: exponent 0.5": (0.5, 0.01, ONE_KIND),
-    "exponent 0.3": (0.3, 0.01, ONE_KIND),
-    "nothing known of 1 person in 10": (1.0, 0.01, kinds_that_say_nothing(0.1)),
-    "walking of 1 in 25 half taken for stairs": (1.0, 0.01, kinds_that_are_wrong(0.02, 0.5)),
-    "walking of 1 in 25 taken for stairs": (1.0, 0.01, kinds_that_are_wrong(0.02, 0.9)),
-}
-
-
-def evidence(tables: Tables, sets: Mapping[str, list[Walk]]) -> None:
-    """Log loss of the filter and the smoother, and the distance in hindsight, with each choice."""
-    rows = []
-    for choice, (exponent, floor, kinds) in CHOICES.items():
-        cells = []
-        for walks in sets.values():
-            of_steps = [(w, *chain(w.config.model, w.evidence, exponent, floor, kinds)) for w in walks]
-            losses = [np.concatenate([log_loss(s[i], s[0].label) for s in of_steps]).mean() for i in (1, 2)]
-            moved = [(w, smoothed) for w, _, smoothed in of_steps if w.known_m > 0]
-            errors = [100 * ((p * w.length_m).sum() / w.known_m - 1) for w, p in moved]
-            cells.append(f"{losses[0]:.3f}, {losses[1]:.3f}, {np.sqrt(np.mean(np.square(errors))):.1f}")
-        rows.append([choice, *cells])
-        print(rows[-1], flush=True)
-    about = "Log loss at the steps, filtered and smoothed, and RMS error of the smoothed distance, %."
-    tables.write("weightings_evidence", ["evidence", *sets], rows, about)
-
-
-PRIOR_EXPONENTS = (0.0, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.6, 1.0)
-CHOSEN_ON = ("joined walks", "difronzo", "motionsense")
-
-
-def prior(tables: Tables, sets: Mapping[str, list[Walk]]) -> None:
-    """Distance of the IMM by the exponent of the prior, and of the one that is chosen without the person."""
-    moved = {name: [w for w in walks if w.known_m > 0] for name, walks in sets.items()}
-    errors = {name: np.array([errors_by_prior(w) for w in walks]) for name, walks in moved.items()}
-    of_hc = {
-        name: np.array([[tracked(w.events, w.config, "hc")[-1].walked_m / w.known_m - 1] for w in walks])
-        for name, walks in moved.items()
-    }
-
-    def chosen_without(person: str) -> int:
-        """The exponent with the least RMS error beside that of HC, mean of the sets."""
-        ratios: list[FloatArray] = []
-        for name in CHOSEN_ON:
-            others = np.array([w.person != person for w in moved[name]])
-            ratios.append(rms(errors[name][others]) / rms(of_hc[name][others]))
-        return int(np.mean(ratios, axis=0).argmin())
-
-    rows = [
-        [f"{k:.2f}", *(f"{100 * rms(e[:, i : i + 1])[0]:.1f}" for e in errors.values())]
-        for i, k in enumerate(PRIOR_EXPONENTS)
-    ]
-    nested: list[str] = []
-    for name, walks in moved.items():
-        own = [e[chosen_without(w.person)] for w, e in zip(walks, errors[name], strict=True)]
-        nested.append(f"{100 * rms(np.array(own)[:, None])[0]:.1f}" if name in CHOSEN_ON else "")
-    rows.append(["chosen without the person", *nested])
-    rows.append(["HC", *(f"{100 * rms(e)[0]:.1f}" for e in of_hc.values())])
-    chosen = sorted({PRIOR_EXPONENTS[chosen_without(w.person)] for name in CHOSEN_ON for w in moved[name]})
-    about = f"RMS error of the distance, %. Chosen without one person: {chosen[0]:.2f} to {chosen[-1]:.2f}."
-    tables.write("weightings_prior", ["exponent of the prior", *sets], rows, about)
-
-
-def errors_by_prior(walk: Walk) -> FloatArray:
-    """Relative error of the IMM's distance with each exponent, (E,)."""
-    found: list[float] = []
-    for exponent in PRIOR_EXPONENTS:
-        model = replace(walk.config.model, prior_exponent=exponent)
-        _, smoothed = chain(model, walk.evidence, model.evidence_exponent, model.evidence_floor, ONE_KIND)
-        found.append(float((smoothed * walk.length_m).sum()) / walk.known_m - 1)
-    return np.array(found)
-
-
-def rms(errors: FloatArray) -> FloatArray:
-    """Root mean square over the rows."""
-    return np.sqrt(np.mean(errors**2, axis=0))
-
-
-# --- Simulated walks -------------------------------------------------------------------------------------------------
-
-Change = Callable[[WindowContext], WindowContext]
-
-
-def contexts_of(real_walk: Walk, walk: Recording) -> Change:
-    """Windows with what a model that had not seen them said of somebody's real windows of the same context.
-
-    The one as long after the start of a stretch of the context, and again from its start at its end.
-    """
-    windows = real_walk.windows
-    truth = np.array([context_at(real_walk.recording, w.time_s - 1.0) for w in windows])
-
-    def change(window: WindowContext) -> WindowContext:
-        context, since_s = stretch(walk, window)
-        starts = [i for i in np.flatnonzero(truth == context) if i == 0 or truth[i - 1] != context]
-        # walking has three stretches: another one each time
-        start = starts[round(window.time_s - since_s) % len(starts)]
-        length = int(np.argmax(np.append(truth[start:] != context, True)))
-        said = windows[start + int(max(since_s, 0.0)) % length]
-        return replace(window, prob=said.prob, training_prior=said.training_prior)
-
-    return change
-
-
-def stretch(walk: Recording, window: WindowContext) -> tuple[int, float]:
-    """Context at the middle of a window, and the time since it began."""
-    labels = walk.truth.labels
-    middle_s = window.time_s - 1.0
-    k = min(int(np.searchsorted(labels["end_s"], middle_s, side="right")), len(labels) - 1)
-    first = k
-    while first and labels["context"][first - 1] == labels["context"][k]:
-        first -= 1
-    return CONTEXTS.index(str(labels["context"][k])), middle_s - float(labels["start_s"][first])
-
-
-def simulated_walk(seed: int) -> Recording:
-    """A person of the simulator's population on a walk through all contexts but sideways, in the hand."""
-    rng = np.random.default_rng(seed)
-    flights = [Leg("upstairs", distance_m=0.29 * rng.integers(12, 33)), Leg("downstairs", distance_m=0.29 * 20)]
-    middle = [*flights, Leg("running", distance_m=float(rng.uniform(30, 60)))]
-    legs = [Leg("stationary", duration_s=5.0)]
-    for i in rng.permutation(len(middle)):
-        legs += [
-            Leg("walking", distance_m=float(rng.uniform(25, 60)), turn_rad=float(rng.choice([-1, 1]) * np.pi / 2)),
-            middle[i],
-        ]
-    legs += [Leg("walking", distance_m=float(rng.uniform(25, 60))), Leg("stationary", duration_s=4.0)]
-    return simulate(legs, Gait.random(seed), seed=seed, name=f"simulated_{seed}")
-
-
-def simulated(tables: Tables, sets: Mapping[str, list[Walk]], n_walks: int = 24) -> None:
-    """Distances of simulated walks, by the shipped model and with the windows of real people."""
-    joined = sets["joined walks"]
-    found: dict[str, list[dict[str, float]]] = {}
-    true_m: list[float] = []
-    for seed in range(n_walks):
-        recording = simulated_walk(seed)
-        true_m.append(float(recording.truth.segments["distance_m"].sum()))
-        walk = walk_of(recording, "", default(recording.subject))
-        # another person each time, then another walk of theirs
-        change = contexts_of(joined[(N_WALKS * seed + seed // 12) % len(joined)], recording)
-        events = [change(e) if isinstance(e, WindowContext) else e for e in walk.events]
-        for name, each in (("real people", replace(walk, events=events)), ("the shipped model", walk)):
-            found.setdefault(name, []).append(distances_m(each) | {"contexts known": walk.known_m})
-    truth = np.array(true_m)
-    rows = []
-    for name, of_walks in found.items():
-        columns = columns_of(of_walks)
-        rows += [[f"windows of {name}", w, *error_cells(d, truth)] for w, d in columns.items()]
-        known = np.array(columns.pop("contexts known"))
-        if name == "real people":
-            rows += [["the same, against the true contexts", w, *error_cells(d, known)] for w, d in columns.items()]
-    about = f"{n_walks} simulated walks of {truth.min():.0f} to {truth.max():.0f} m."
-    tables.write("weightings_simulated", ["contexts from", "weighting", *ERRORS], rows, about)
-
-
-def main() -> None:
-    parts = {"real": real, "evidence": evidence, "prior": prior, "simulated": simulated}
-    parser = options(str(__doc__), *parts)
-    parser.add_argument("--cache", type=Path, default=None, help="keeps windows and models")
-    args = parser.parse_args()
-    tables = Tables.of(__spec__.name, args)
-    sets = sets_of(args.data, args.cache)
-    for part in args.parts:
-        parts[part](tables, sets)
-
-
 if __name__ == "__main__":
-    main()
+    run(__doc__, joined, walks, sites, barometer, cache=None)

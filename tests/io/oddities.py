@@ -1,6 +1,6 @@
 """Odd tables, one for each kind: its files, what the reader does with them, and words of what it says.
 
-The table of docs/formats.md is made from these by tests/benchmarks/oddities.py.
+The table of docs/formats.md is made from these by tests/benchmarks/app_files.py.
 """
 
 from __future__ import annotations

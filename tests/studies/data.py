@@ -1,16 +1,21 @@
-"""Recordings of a study: a folder of data sets, one folder each, with zip files of the own format."""
+"""Recordings of the studies, and tables with the figures of a paper beside ours."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from pdr_filter.evaluate.steps import StepScores
+from pdr_filter.evaluate.tables import markdown
 from pdr_filter.io.formats import read
 from pdr_filter.values import FloatArray
 from pdr_filter.values.recording import Recording
+from tests.benchmarks.common import Tables
+
+NAN = float("nan")
 
 # Height of somebody of whom it is not known: between the means of women and men, as in the recipes.
 HEIGHT_M = 1.70
@@ -61,3 +66,26 @@ def even_way(recording: Recording, every_s: float) -> tuple[FloatArray, FloatArr
 def with_subject(recording: Recording, **known: object) -> Recording:
     """The recording of a person of whom this is known too, such as `id`."""
     return replace(recording, meta={**recording.meta, "subject": {**recording.meta["subject"], **known}})
+
+
+def prefixed(who: str, names: Iterable[str], values: Iterable[object], unit: str = "") -> dict[str, object]:
+    """Cells of a row, "WHO NAME UNIT" for each name, such as "paper walking %"."""
+    return {f"{who} {name}{unit}": value for name, value in zip(names, values, strict=True)}
+
+
+def together(scores: Sequence[StepScores]) -> StepScores:
+    """The scores of several walks as if they were one."""
+    return StepScores(*(sum(getattr(s, name) for s in scores) for name in ("n_true", "n_found", "n_matched")))
+
+
+def by_count(n_true: int, n_found: int) -> StepScores:
+    """Of counts alone: what is over-counted in one place and missed in another is not seen."""
+    return StepScores(n_true, n_found, min(n_true, n_found))
+
+
+def paper_table(
+    tables: Tables, name: str, title: str, rows: Sequence[Mapping[str, object]], data: str, digits: int = 1
+) -> None:
+    """Write a table of a paper: rows with equal columns, numbers with so many digits, a dash for NaN."""
+    columns, _, *cells = ([c.strip() for c in line[1:-1].split("|")] for line in markdown(rows, digits).splitlines())
+    tables.write(name, columns, cells, f"{title}. {data[0].upper()}{data[1:]}.")

@@ -21,7 +21,7 @@ SPEED_CHANGE_MPS_PER_SQRT_S = 0.1
 # The scatter is a running mean over about twenty steps, as all that is usual for a person.
 _SCATTER_DECAY = 0.95
 # Share of the scatter that the steps around have too: chosen on the five placements of tyrex, one person in a room of
-# motion capture, among 0, 0.5, 0.7 and 1 (tests/benchmarks/walking_speed.py).
+# motion capture, among 0, 0.5, 0.7 and 1 (tests/benchmarks/placements.py).
 _LASTING_SHARE = 0.5
 
 

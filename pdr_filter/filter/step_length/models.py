@@ -426,7 +426,7 @@ def static_fit(height_m: float, gender: str | None = None) -> StepLengthFit:
 
 
 # Of `BounceStepLength`: fitted to the distances of 174 recordings at five sites, each with the same weight (humolire,
-# ms_indoor, oxiod, tyrex, ipol; tests/benchmarks/step_length_sites.py), which gives 0.336 to 0.339 as r takes A of two
+# ms_indoor, oxiod, tyrex, ipol; tests/benchmarks/step_length.py), which gives 0.336 to 0.339 as r takes A of two
 # steps or of one. Its standard deviation is the spread of sites, 4 %, over the root of five. Single steps scatter by
 # 0.06 m about the model with the phone in the hand, by 0.12 m in a trouser pocket.
 _BOUNCE_K, _BOUNCE_K_STD, _BOUNCE_RESIDUAL_STD_M = 0.34, 0.006, 0.08

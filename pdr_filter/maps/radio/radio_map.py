@@ -28,7 +28,8 @@ _FEWEST = 5
 # has a width, and the sharpest fixes of walks left out are wrong by so much more (chosen with `signal_field.EVIDENCE`).
 _OWN_VAR_M2 = 6.0
 # Two scans of one place err alike until the walker has left what the map does not tell apart: for 12 s where they are
-# 5 m wide, for 20 s where 8 m (docs/tables/radio_alike.md). Wider ones are taken to go on like that.
+# 5 m wide, for 20 s where 8 m (correlation of the errors of pairs of scans on storey F1 of `ms_indoor`). Wider ones are
+# taken to go on like that.
 _CORRELATION_S_PER_M = 2.4
 # More often than this share of that time fixes would hardly say more, and those that show the turn of a track are few.
 _INTERVAL_SHARE = 0.5

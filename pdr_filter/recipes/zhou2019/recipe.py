@@ -13,7 +13,7 @@ from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.values import Note
 from pdr_filter.values.recording import Subject
 
-# Eq. 14 (M7): fitted by tests/benchmarks/fit_zhou.py, because the paper prints no parameters.
+# Eq. 14 (M7): fitted by tests/benchmarks/step_length.py, because the paper prints no parameters.
 # Carried: legs of two sites; on a foot: the way of the foot in 24 trials, of which those left out scatter by 16 %.
 _CARRIED_LENGTHS = (
     StepLengthFit(ZhouWalkingStepLength(), np.array([-0.690, -3.159, 4.351, -0.0084]), np.zeros((4, 4)), 0.10),

@@ -22,7 +22,7 @@ Where the numbers come from:
   w and b are the logistic regression on the rounded ones (mean log loss + 0.0005 sum_i w_i^2), rounded. Which eight
   features was decided by log loss on people and sets left out, without people 7 to 13.
 
-On the seven other people of the same data (7 to 13; tests/benchmarks/irregular_motion.py) it finds 0.89 of irregular
+On the seven other people of the same data (7 to 13) it finds 0.89 of irregular
 windows at 1 % false alarms with gyroscope (90 % interval 0.78 to 0.95) and 0.80 (0.69 to 0.94) without; at p > 0.5 it
 finds 0.93 and 0.91 at 2.4 % and 3.6 % false alarms.
 

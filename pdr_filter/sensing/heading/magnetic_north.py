@@ -8,9 +8,9 @@ m that of the Earth, R the rotation from the sensor to that frame, b what iron i
 (hard iron), e the disturbances of the place. A linear regression over the way finds m and b together: who turns shows
 b, and before he does the prior of b is the doubt of m. In a building e may turn single readings by a right angle, and
 averages out all the same, because it is another one every few metres; how much is left follows from its scatter. So
-nothing is gated by size or dip of the field: they hardly show which readings point north
-(tests/benchmarks/absolute_heading.py). The field counts where somebody steps: all the samples in one place are one
-witness.
+nothing is gated by size or dip of the field, which hardly show which readings point north: in ms_indoor the headings
+of single steps scatter by 11 to 13 degrees at any distance from the model of the Earth's field. The field counts where
+somebody steps: all the samples in one place are one witness.
 """
 
 from __future__ import annotations

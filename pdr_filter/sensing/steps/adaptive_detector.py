@@ -1,7 +1,8 @@
 """Steps as local maxima of a wavelet transform whose scale follows the power of the motion: the default detector.
 
 People step faster where they step harder, whoever walks and wherever the phone is: f = 1.43 R^0.31 within 11 %, R the
-rms of |specific force| around the step, m/s2, f in Hz (tests/benchmarks/steps.py).
+rms of |specific force| around the step, m/s2, f in Hz (a regression over 106 recordings of ubicomp13, oxford and of
+runs of motionsense, each with the same weight).
 
 1. R(t): standard deviation of the low-passed |f| from `before_s` before to `after_s` after t. The hat's frequency is
    1.37 R(t)^0.3. Soft running breaks that law, by 0.6, but there |f| is nearly one sine, whose frequency shows: with

@@ -1,7 +1,7 @@
 """Evidence of walking around the contact of a step: four features of the specific force, and what they say together.
 
 The features of many steps are computed together, each with the bits that it has alone. Their times run with the steps:
-`slowness` stretches them for a slow walker. tests/benchmarks/step_gate.py fits the weights.
+`slowness` stretches them for a slow walker. tests/benchmarks/steps.py fits the weights.
 """
 
 from __future__ import annotations

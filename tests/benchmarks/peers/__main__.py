@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import platform
 import warnings
@@ -11,7 +12,7 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 from tests.benchmarks import rvm_speed
-from tests.benchmarks.common import Tables, options
+from tests.benchmarks.common import Tables, run
 
 from . import of_filterpy, of_mobgap, of_skdh, ours, tables, textbook
 from .harness import outcome
@@ -46,12 +47,9 @@ def processor() -> str:
     return f"{names[0] if names else platform.processor() or platform.machine()}, {os.cpu_count()} cores"
 
 
-def main() -> None:
-    parser = options(__doc__)
-    parser.add_argument("--sites", nargs="*", choices=QUESTIONS, default=list(QUESTIONS))
-    parser.add_argument("--every", type=int, default=1, help="only every n-th recording, for all methods alike")
-    arguments = parser.parse_args()
-    files = Tables("python -m tests.benchmarks.peers", None if arguments.every > 1 else Tables.of("", arguments).folder)
+def compare(tables_: Tables, arguments: argparse.Namespace) -> None:
+    """All tables, of all methods."""
+    files = Tables(tables_.command, None if arguments.every > 1 else tables_.folder)
     warnings.simplefilter("ignore")
     files.write(
         "peers_environment",
@@ -64,7 +62,7 @@ def main() -> None:
     )
     files.write("peers_filter", *of_filterpy.filters())
     with threadpool_limits(limits=1):
-        rvm_speed.against_fastrvm(files)
+        rvm_speed.fastrvm(files, arguments)
 
     by_site = {}
     for site in arguments.sites:
@@ -77,4 +75,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, compare, sites=list(QUESTIONS), every=1)

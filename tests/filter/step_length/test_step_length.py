@@ -318,7 +318,7 @@ def test_an_unknown_height_is_the_usual_one() -> None:
 
 
 def test_a_known_height_makes_lengths_surer_but_not_twice_as_sure() -> None:
-    """Of people left out with their site: docs/tables/step_length_sites*.md."""
+    """Of people left out with their site: docs/tables/step_length_sites.md for a known height."""
     assert 0.5 * scale_std(None) < scale_std(1.8) < 0.8 * scale_std(None)
 
 

@@ -197,7 +197,7 @@ def test_how_the_phone_lies_in_the_hand_does_not_matter(seed: int) -> None:
 def test_people_whom_the_fit_has_not_seen(
     data_dir: Path, with_gyroscope: bool, least_auc: float, least_recall: float
 ) -> None:
-    """The figures of the module's docstring, with a margin; tests/benchmarks/irregular_motion.py prints them all."""
+    """The figures of the module's docstring, with a margin."""
     irregular: list[float] = []
     gait: list[float] = []
     for person in range(7, 14):
