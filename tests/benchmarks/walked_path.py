@@ -11,6 +11,7 @@ Cost: an hour of simulated walking; the time of one call of `path()` in its end,
 
 from __future__ import annotations
 
+import argparse
 import re
 import time
 from dataclasses import replace
@@ -25,7 +26,7 @@ from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.walked_path import walked_path
 from pdr_filter.tracking.whole_recording import asked_run, collected, outputs
 from pdr_filter.values import read_only
-from tests.benchmarks.common import Tables, median_and, options, paths
+from tests.benchmarks.common import Tables, median_and, paths, run
 
 FloatArray = NDArray[np.float64]
 _NOT_GIVEN = dict.fromkeys(
@@ -81,8 +82,9 @@ def errors_m(path: Path, gnss: str | None) -> dict[str, float] | None:
     return found
 
 
-def accuracy(data: Path) -> list[list[str]]:
-    """Rows of the table of errors."""
+def accuracy(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Write the table of errors."""
+    data: Path = arguments.data
     every_third = paths(data, "ms_indoor")[::3]
     oxiod = [path for path in paths(data, "oxiod") if "trolley" not in path.stem]
     groups = (
@@ -95,11 +97,13 @@ def accuracy(data: Path) -> list[list[str]]:
     for name, chosen, gnss in groups:
         walks = [found for path in chosen if (found := errors_m(path, gnss)) is not None]
         rows.append([f"{name} ({len(walks)})", *(median_and([w[e] for w in walks], 90) for e in walks[0])])
-    return rows
+    columns = ["walks", "online m: median, 90 %", "`path()` in the end m", "smoothed m"]
+    tables.write("walked_path", columns, rows, "Median errors of the points of each walk.")
 
 
-def cost() -> list[list[str]]:
-    """Rows of the table of times."""
+def cost(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Write the table of times."""
+    del arguments  # it needs no data
     sides = [Leg("walking", distance_m=80.0, turn_rad=np.pi / 2)] * 58
     samples = pdr.merge_streams(simulate(sides, seed=0))
     online, last_s = pdr.OnlineFilter(), float(samples.time_s[-1])
@@ -116,20 +120,10 @@ def cost() -> list[list[str]]:
         path_ms.append(1e3 * (time.perf_counter() - begun))
     one_ms, push_ms = float(np.median(path_ms)), float(np.median(second_ms[-600:]))
     times = [f"{last_s / 60:.0f} min", str(len(path)), f"{push_ms:.1f}", f"{one_ms:.1f}", f"{one_ms / push_ms:.2f}"]
-    return [[*times, f"{len(online.save()) / 1e6:.1f}"]]
-
-
-def main() -> None:
-    """Write the tables."""
-    args = options(__doc__ or "", "accuracy", "cost").parse_args()
-    tables = Tables.of(__spec__.name, args)
-    if "accuracy" in args.parts:
-        columns = ["walks", "online m: median, 90 %", "`path()` in the end m", "smoothed m"]
-        tables.write("walked_path", columns, accuracy(args.data), "Median errors of the points of each walk.")
-    if "cost" in args.parts:
-        columns = ["walk", "rows", "pushing a second ms", "`path()` ms", "ratio", "saved filter MB"]
-        tables.write("walked_path_cost", columns, cost(), "Medians on one core.")
+    row = [*times, f"{len(online.save()) / 1e6:.1f}"]
+    columns = ["walk", "rows", "pushing a second ms", "`path()` ms", "ratio", "saved filter MB"]
+    tables.write("walked_path_cost", columns, [row], "Medians on one core.")
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, accuracy, cost)
