@@ -13,7 +13,6 @@ from .io.formats import read as read
 from .maps.floor_plan import FloorPlan as FloorPlan
 from .maps.radio.radio_map import RadioMap as RadioMap
 from .offline.calibration.fit import calibrate as calibrate
-from .offline.smoothing.fixed_lag import FixedLagSmoother as FixedLagSmoother
 from .offline.smoothing.smooth import smooth as smooth
 from .offline.smoothing.smoothed import Smoothed as Smoothed
 from .recipes.config import Config as Config

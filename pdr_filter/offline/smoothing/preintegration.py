@@ -297,8 +297,3 @@ def bridge(intervals: Intervals, node_mean: FloatArray, joint_cov: FloatArray) -
     ends = np.concatenate([F_ak - G @ F_ab[i], G], axis=-1)
     cov = ends @ joint_cov[i] @ ends.swapaxes(-1, -2) + Q_ak - G @ Phi @ Q_ak
     return mean, 0.5 * (cov + cov.swapaxes(-1, -2))
-
-
-def joined(parts: Sequence[Increments]) -> Increments:
-    """Increments of several stretches in a row."""
-    return Increments(*(read_only(np.concatenate([getattr(p, n) for p in parts])) for n in Increments.__slots__))

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pdr_filter.filter.imm.motion_model import LOG_SCALE, MAX_HEADING_VARIANCE, N_STATES, Mode
+from pdr_filter.filter.imm.motion_model import LOG_SCALE, MAX_HEADING_VARIANCE, Mode
 from pdr_filter.offline.smoothing.location_errors import NO_ERRORS, Errors, errors_of, own_share
 from pdr_filter.offline.smoothing.observations import KnownHeading, LoopClosure, Observations
 from pdr_filter.offline.smoothing.preintegration import MIN_STATE_VAR, Increments, Intervals, preintegrate
@@ -24,11 +24,10 @@ MIN_HEADING_LENGTH_M = 1.0  # a heading of a corridor says nothing about somebod
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservedPositions:
-    """Where anchor `node` is, or where it is from a place that follows anchor `other`."""
+    """Where anchor `node` is, on the map or from anchor `other`."""
 
     node: IntArray  # (F,)
     other: IntArray  # (F,) -1: the position is one of the map
-    follow: FloatArray  # (F, 2, 4) derivative of that place by the state at `other`: of the anchor itself (I, 0)
     ahead_m: FloatArray  # (F, 2) part of the step from the anchor to the observation, before heading offset and scale
     position_m: FloatArray  # (F, 2)
     whiten: FloatArray  # (F, 2, 2) inverse of the lower Cholesky factor of the covariance
@@ -121,16 +120,6 @@ class Problem:
         return np.concatenate([np.ones(len(self.positions)), walked.astype(float), np.ones(len(self.states))])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Return:
-    """At `time_s` the pedestrian is at a place of before the problem: place_m + by_start (x_0 - start_mean)."""
-
-    time_s: float
-    place_m: FloatArray  # (2,)
-    by_start: FloatArray  # (2, 4)
-    cov_m2: FloatArray  # (2, 2) of the rest
-
-
 def start_covariance(position_std_m: float, heading_std_rad: float, log_scale_var: float) -> FloatArray:
     """What is known before the first step, (4, 4)."""
     cov = np.diag(np.square([position_std_m, position_std_m, heading_std_rad, 0.0]))
@@ -148,12 +137,11 @@ def pose_problem(
     *,
     anchor_interval_s: float,
     wanted: Sequence[int] = (),
-    returns: Sequence[Return] = (),
     states: ObservedStates = NO_STATES,
 ) -> Problem:
     """The problem with an anchor where an observation or a change of the heading offset needs one, or is `wanted`.
 
-    Its positions are the fixes, the locations, the loop closures and the returns, in this order. Correlated fixes must
+    Its positions are the fixes, the locations, and the loop closures, in this order. Correlated fixes must
     be in the order of time and at different contacts (`by_contact`). `states` and `offsets` are at numbers of steps.
     """
     fixes = (*observed.positions, *observed.locations)
@@ -161,7 +149,6 @@ def pose_problem(
     contacts = _Contacts(
         [nearest_contact(steps, f.time_s) for f in fixes],
         [(nearest_contact(steps, c.first_s), nearest_contact(steps, c.second_s)) for c in observed.loop_closures],
-        [nearest_contact(steps, r.time_s) for r in returns],
         [(nearest_contact(steps, h.start_s)[0], nearest_contact(steps, h.end_s)[0]) for h in observed.known_headings],
     )
     nodes = choose_nodes(steps, [*wanted, *contacts.steps(), *states.node.tolist()], anchor_interval_s)
@@ -173,7 +160,7 @@ def pose_problem(
         preintegrate(steps, nodes),
         start_mean,
         start_cov,
-        _positions(contacts, numbers, fixes, is_location, observed.loop_closures, returns, start_mean),
+        _positions(contacts, numbers, fixes, is_location, observed.loop_closures),
         _directions(contacts, numbers, steps, observed.known_headings),
         _at_anchors(steps, nodes, offsets),
         frame_std_rad,
@@ -191,12 +178,11 @@ class _Contacts(NamedTuple):
 
     fixes: list[_Contact]
     loops: list[tuple[_Contact, _Contact]]
-    returns: list[_Contact]
     headings: list[tuple[int, int]]
 
     def steps(self) -> list[int]:
         """Numbers of steps that need an anchor."""
-        single = [*self.fixes, *self.returns, *(contact for pair in self.loops for contact in pair)]
+        single = [*self.fixes, *(contact for pair in self.loops for contact in pair)]
         return [i for i, _, _ in single] + [i for pair in self.headings for i in pair]
 
 
@@ -206,28 +192,22 @@ def _positions(
     fixes: Sequence[PositionFix],
     is_location: BoolArray,
     loop_closures: Sequence[LoopClosure],
-    returns: Sequence[Return],
-    start_mean: FloatArray,
 ) -> ObservedPositions:
-    """Return fixes, loop closures and returns as observed positions, in this order."""
-    at, loops, back = contacts.fixes, contacts.loops, contacts.returns
+    """Return fixes and loop closures as observed positions, in this order."""
+    at, loops = contacts.fixes, contacts.loops
     own_shares = [own_share(f, is_one) for f, is_one in zip(fixes, is_location.tolist(), strict=True)]
     fix_cov_m2 = [
         own * f.cov_m2 + max(extra, _BEST_FIX_M**2 - own * float(np.linalg.eigvalsh(f.cov_m2)[0])) * np.eye(2)
         for f, own, (_, _, extra) in zip(fixes, own_shares, at, strict=True)
     ]
     loop_cov_m2 = [(c.std_m**2 + a[2] + b[2]) * np.eye(2) for c, (a, b) in zip(loop_closures, loops, strict=True)]
-    return_cov_m2 = [r.cov_m2 + extra * np.eye(2) for r, (_, _, extra) in zip(returns, back, strict=True)]
-    none, itself = [np.zeros(2)] * len(loops), [np.eye(2, N_STATES)] * (len(at) + len(loops))
-    cov_m2 = np.array(fix_cov_m2 + loop_cov_m2 + return_cov_m2).reshape(-1, 2, 2)
+    none = [np.zeros(2)] * len(loops)
+    cov_m2 = np.array(fix_cov_m2 + loop_cov_m2).reshape(-1, 2, 2)
     return ObservedPositions(
-        node=numbers([i for i, _, _ in at] + [b[0] for _, b in loops] + [i for i, _, _ in back]),
-        other=np.concatenate([np.full(len(at), -1), numbers([a[0] for a, _ in loops]), np.zeros(len(back), dtype=int)]),
-        follow=np.array(itself + [r.by_start for r in returns]).reshape(-1, 2, N_STATES),
-        ahead_m=np.array([d for _, d, _ in at] + none + [d for _, d, _ in back]).reshape(-1, 2),
-        position_m=np.array(
-            [f.position_m for f in fixes] + none + [r.place_m - r.by_start @ start_mean for r in returns]
-        ).reshape(-1, 2),
+        node=numbers([i for i, _, _ in at] + [b[0] for _, b in loops]),
+        other=np.concatenate([np.full(len(at), -1), numbers([a[0] for a, _ in loops])]),
+        ahead_m=np.array([d for _, d, _ in at] + none).reshape(-1, 2),
+        position_m=np.array([f.position_m for f in fixes] + none).reshape(-1, 2),
         whiten=read_only(np.linalg.inv(np.linalg.cholesky(cov_m2))),
     )
 

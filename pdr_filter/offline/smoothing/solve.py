@@ -23,6 +23,7 @@ from pdr_filter.offline.smoothing.problem import (
 from pdr_filter.values import BoolArray, FloatArray, IntArray, read_only, wrap_angle
 
 _POSITION = slice(EAST, EAST + 2)
+_OF_POSITION = np.eye(2, N_STATES)
 # A wrong fix bends the track to the anchors around it and not as far as this many.
 _NEIGHBOURS = 30
 
@@ -60,22 +61,6 @@ def solve(problem: Problem) -> Solution:
         if after is None:
             return Solution(mean[: problem.n_nodes, :N_STATES], joint_cov, frame_rad, nis, weight, converged, mean)
         weight = after
-
-
-def filtered_at(
-    problem: Problem, found: Solution, node: int
-) -> tuple[FloatArray, FloatArray, list[tuple[FloatArray, FloatArray]]]:
-    """Mean (4,) and covariance (4, 4) at an anchor of all that was before it and at it, linearised at the solution.
-
-    And mean (4,) and joint covariance (8, 8), with that anchor, of each of those before it. For problems without
-    directions and offsets.
-    """
-    rows = linearised(problem, found.states, found.frame_rad, found.weight)
-    tree = eliminated([r.chosen((r.a <= node) & (r.b <= node)) for r in rows])
-    change = tree.optimize()
-    before = [(found.mean[j] + change.at(j), cov_of(tree, [j, node])) for j in range(node)]
-    cov = before[-1][1][-N_STATES:, -N_STATES:] if before else cov_of(tree, [node])
-    return found.mean[node] + change.at(node), 0.5 * (cov + cov.T), before
 
 
 def _initial_guess(problem: Problem) -> tuple[FloatArray, float, FloatArray]:
@@ -289,8 +274,7 @@ def _position_residuals(problem: Problem, mean: FloatArray) -> tuple[FloatArray,
     positions, errors = problem.positions, problem.errors
     at, relative = mean[positions.node, :N_STATES], positions.other >= 0
     moved = np.einsum("nab,nb->na", turned(at[:, HEADING_OFFSET], at[:, LOG_SCALE]), positions.ahead_m)
-    followed = np.einsum("nab,nb->na", positions.follow, mean[positions.other, :N_STATES])
-    origin = np.where(relative[:, None], followed, 0.0)
+    origin = np.where(relative[:, None], mean[positions.other, :2], 0.0)
     error = at[:, :2] + moved - origin - positions.position_m
     if len(errors):
         error[errors.position] += np.einsum("nab,nb->na", errors.by, mean[problem.n_nodes :])
@@ -298,7 +282,7 @@ def _position_residuals(problem: Problem, mean: FloatArray) -> tuple[FloatArray,
     H[:, :, _POSITION] = np.eye(2)
     H[:, :, HEADING_OFFSET] = moved @ TURN.T
     H[:, :, LOG_SCALE] = moved
-    by_other = -(positions.whiten @ positions.follow)
+    by_other = -(positions.whiten @ _OF_POSITION)
     return np.einsum("nab,nb->na", positions.whiten, error), positions.whiten @ H, by_other
 
 
@@ -396,15 +380,8 @@ def _relaxed_positions(problem: Problem) -> tuple[FloatArray, FloatArray, FloatA
     H = np.zeros((len(positions), 2, N_STATES))
     H[:, :, _POSITION] = np.eye(2)
     H[:, :, 2:] = _linear(positions.ahead_m)
-    # What follows theta and s of the start follows z through d(theta, s) / dz; only returns do.
-    z = _vector(problem.start_mean)
-    follow = positions.follow.copy()
-    follow[:, :, 2:] = positions.follow[:, :, 2:] @ np.array([[-z[1], z[0]], [z[0], z[1]]]) / (z @ z)
-    known = np.concatenate([problem.start_mean[_POSITION], z])
-    shift = positions.follow @ problem.start_mean - follow @ known
-    is_relative = (positions.other >= 0)[:, None]
-    target = np.einsum("nab,nb->na", positions.whiten, positions.position_m + np.where(is_relative, shift, 0.0))
-    return positions.whiten @ H, -(positions.whiten @ follow), target
+    target = np.einsum("nab,nb->na", positions.whiten, positions.position_m)
+    return positions.whiten @ H, -(positions.whiten @ _OF_POSITION), target
 
 
 def _vector(state: FloatArray) -> FloatArray:

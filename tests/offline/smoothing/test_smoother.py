@@ -17,7 +17,7 @@ from pdr_filter.offline.smoothing.observations import (
     Observations,
     waypoint_fixes,
 )
-from pdr_filter.offline.smoothing.preintegration import bridge, frame, joined
+from pdr_filter.offline.smoothing.preintegration import Increments, bridge, frame
 from pdr_filter.offline.smoothing.problem import NO_OFFSETS, ObservedOffsets, Problem, pose_problem
 from pdr_filter.offline.smoothing.smooth import smooth
 from pdr_filter.offline.smoothing.solve import linearised, solve
@@ -219,7 +219,8 @@ def test_a_loop_closure_alone_brings_the_ends_together() -> None:
         displacement_m=open_mean[[19], :2] - open_mean[[199], :2] + [3.0, -2.0],
         cov_m2=1e-2 * np.eye(2)[None],
     )
-    looped = replace(walk, steps=joined([walk.steps, home]))
+    both = (np.concatenate([getattr(part, name) for part in (walk.steps, home)]) for name in Increments.__slots__)
+    looped = replace(walk, steps=Increments(*both))
     mean, cov = solved(problem_of(looped, [], loops=(LoopClosure(10.0, float(home.time_s[0]), 0.1),), **known))
     assert np.linalg.norm(mean[200, :2] - mean[19, :2]) < 0.3
     assert np.trace(cov[150, :2, :2]) < 0.8 * np.trace(open_cov[150, :2, :2])
