@@ -40,9 +40,6 @@ MAX_TEXT_ROWS = 24 * 3600
 MAX_TABLES = 100  # experiments of phyphox have some ten
 MAX_ARRAY_ROWS = 24 * 3600 * 200  # a day at 200 Hz: hdf5 is read into memory at once
 HEAD_ROWS = 200  # the first rows of a sensor show when the recording began
-# A JSON object of a sensor has some hundred bytes: one ends within the last bytes of any piece of an array.
-TAIL_BYTES = 65_536
-CUTS_TRIED = 4  # places to cut a piece of JSON; more would let a damaged file take long
 # Texts of a file that are kept in the meta data of a recording: how many, and characters of each.
 MAX_ANNOTATIONS = 1000
 MAX_SENTENCES = 50

@@ -137,7 +137,9 @@ def test_what_is_cut_off_is_left_out_with_a_note(tmp_path: Path) -> None:
         (tmp_path / "walk.json").write_text(text)
         recording = read(tmp_path / "walk.json")
         assert len(recording.accelerometer) == len(TIME_S) - 1
-        assert any("cut off" in note for note in recording.notes)
+        assert any(f"cut off behind {len(TIME_S) - 1:,} objects" in note for note in recording.notes)
+    (tmp_path / "walk.json").write_text(json.dumps(sensorlog())[:-1])  # behind the last object
+    assert any(f"cut off behind {len(TIME_S):,} objects" in note for note in read(tmp_path / "walk.json").notes)
 
 
 def test_json_of_something_else_is_refused_with_what_was_seen(tmp_path: Path) -> None:

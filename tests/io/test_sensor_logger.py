@@ -329,8 +329,13 @@ def test_a_missing_column_is_refused_with_its_name(tmp_path: Path) -> None:
 
 def test_json_that_is_cut_off_is_refused(tmp_path: Path) -> None:
     text = sensor_logger_json(sensor_logger_files(WALK))
-    (tmp_path / "w.json").write_text(text[: len(text) // 2])
-    assert "cut off" in refusal(tmp_path / "w.json")
+    for end in (
+        len(text) // 2,
+        text.index("},{", len(text) // 2) + 1,
+        -1,
+    ):  # in an object, behind one, behind all
+        (tmp_path / "w.json").write_text(text[:end])
+        assert "cut off behind" in refusal(tmp_path / "w.json")
 
 
 def test_json_with_a_brace_in_a_text_is_read(tmp_path: Path) -> None:
@@ -352,7 +357,6 @@ def of_json(path: Path, text: str) -> Recording:
 
 @pytest.mark.parametrize("layout", ["with spaces", "by time", "other order of keys", "numbers", "one object differs"])
 def test_json_in_another_layout_gives_the_same_bits(tmp_path: Path, layout: str) -> None:
-    """The app's own layout is read as a table; whatever is not exactly so is parsed object by object."""
     compact = {"separators": (",", ":")}
     objects = json_objects()
     expected = of_json(tmp_path / "w.json", json.dumps(objects, **compact))

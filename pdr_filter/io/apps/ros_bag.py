@@ -1,6 +1,7 @@
 """ROS 2 bags with `sensor_msgs/Imu`: MCAP files (`pip install "pdr_filter[ros]"`), SQLite files, folders of them.
 
 Messages are CDR, of which these types have a fixed layout behind the name of their frame (docs of common_interfaces).
+They are decoded here: rosbags needs a folder on the disk, unpacks chunks of any size and takes three times as long.
 By REP 145 an accelerometer reads +9.81 upwards at rest, as on Android; a magnetic field is in T, a pressure in Pa.
 """
 

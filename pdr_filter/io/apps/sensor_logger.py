@@ -12,12 +12,11 @@ import contextlib
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from itertools import chain
+from itertools import islice
 from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from pdr_filter.io.apps.sensor_logger_json import objects_by_sensor
 from pdr_filter.io.apps.sensor_logger_other import database_tables, is_push, messages_of, push_tables
 from pdr_filter.io.assemble import Parsed
 from pdr_filter.io.checks import up_cosine
@@ -25,6 +24,7 @@ from pdr_filter.io.files.archive import Members, open_members
 from pdr_filter.io.files.errors import RecordingError
 from pdr_filter.io.files.sqlite_file import SQLITE
 from pdr_filter.io.tables.app_dialects import said_platform
+from pdr_filter.io.tables.json_tables import ROWS_AT_ONCE, Row, objects_in, table_of_rows
 from pdr_filter.io.tables.table_streams import interpolated
 from pdr_filter.io.tables.text_table import (
     NumberTable,
@@ -309,25 +309,37 @@ def _member(names: Sequence[str], sensor: str, members: Members) -> str:
 
 
 def _read_json(members: Members, name: str) -> _Export:
-    """The objects of a JSON file."""
-    export = _Export()
+    """The objects of a JSON file, each with the name of its sensor; numbers are texts in it."""
+    export, where = _Export(), members.where(name)
+    if not next(members.pieces(name), b"").lstrip().startswith(b"["):
+        raise RecordingError(f"{where}: not an array of objects; export JSON from Sensor Logger again")
+    rows: dict[str, list[Row]] = {sensor: [] for sensor in COLUMNS}
     parts: dict[str, list[NumberTable]] = {}
     begun_ns: dict[str, int | None] = {}
-    for groups in objects_by_sensor(members, name):
-        for item in chain(*(groups[key].items() for key in ("Metadata", "metadata") if key in groups)):
+    annotations = [["time", "text"]]
+
+    def parse(sensor: str) -> None:
+        found = rows[sensor]
+        if sensor not in parts:
+            first = ((str(row.get("time", "")), str(row.get("seconds_elapsed", ""))) for row in found)
+            begun_ns[sensor] = _begun_ns(islice(first, limits.HEAD_ROWS))
+        table = table_of_rows(found, COLUMNS[sensor], f"{where}, {sensor}", export.notes)
+        parts.setdefault(sensor, []).append(table)
+        found.clear()
+
+    for item in objects_in(members.pieces(name), where):
+        sensor = str(item.get("sensor"))
+        if sensor in rows:
+            rows[sensor].append(item)
+            if len(rows[sensor]) >= ROWS_AT_ONCE:
+                parse(sensor)
+        elif sensor.lower() == "metadata":
             export.metadata = {key: str(value) for key, value in item.items()}
-        if "Annotation" in groups and len(export.annotations) < limits.MAX_ANNOTATIONS:
-            keys = ["time", "text"]
-            rows = ([str(item.get(key, "")) for key in keys] for item in groups["Annotation"].items())
-            export.annotations += _annotations([keys, *rows])
-        for sensor, columns in COLUMNS.items():
-            if sensor not in groups:
-                continue
-            if sensor not in begun_ns:
-                first = groups[sensor].items(limits.HEAD_ROWS)
-                begun_ns[sensor] = _begun_ns((str(r.get("time", "")), str(r.get("seconds_elapsed", ""))) for r in first)
-            table = groups[sensor].table(columns, f"{members.where(name)}, {sensor}", export.notes)
-            parts.setdefault(sensor, []).append(table)
+        elif sensor == "Annotation" and len(annotations) <= limits.MAX_ANNOTATIONS:
+            annotations.append([str(item.get(key, "")) for key in annotations[0]])
+    for sensor in (sensor for sensor, found in rows.items() if found):
+        parse(sensor)
+    export.annotations = _annotations(annotations)
     export.sensors = {
         sensor: _without_stale(concatenated(found), begun_ns[sensor], sensor, export.notes)
         for sensor, found in parts.items()

@@ -7,16 +7,15 @@ arrive in any order; a file of them is an array, one message, or one after the o
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from typing import Any, cast
 
 import numpy as np
 
-from pdr_filter.io.apps.sensor_logger_json import Objects
 from pdr_filter.io.files.archive import Members
 from pdr_filter.io.files.errors import RecordingError
 from pdr_filter.io.files.sqlite_file import open_database
+from pdr_filter.io.tables.json_tables import objects_in, table_of_rows
 from pdr_filter.io.tables.text_table import NumberTable
 from pdr_filter.values import limits
 
@@ -31,22 +30,11 @@ def is_push(head: bytes) -> bool:
 
 def messages_of(members: Members, name: str) -> dict[str, list[Message]]:
     """The messages of each session, in the order in which they were sent."""
-    where = members.where(name)
-    text = members.whole(name, limits.MAX_WHOLE_BYTES).decode("utf-8-sig", "replace")
-    decoder, at = json.JSONDecoder(), 0
-    found: list[Message] = []
-    while at < len(text):
-        if text[at] in " \r\n\t,":
-            at += 1
-            continue
-        try:
-            value, at = decoder.raw_decode(text, at)
-        except (ValueError, RecursionError) as error:
-            raise RecordingError(f"{where}: the JSON is damaged or cut off ({error}); save it again") from error
-        values = cast("list[Any]", value) if isinstance(value, list) else [value]
-        found += [cast("Message", v) for v in values if isinstance(v, dict) and isinstance(v.get("payload"), list)]
+    content = members.whole(name, limits.MAX_WHOLE_BYTES)
     sessions: dict[str, list[Message]] = {}
-    for message in found:
+    for message in objects_in([content], members.where(name)):
+        if not isinstance(message.get("payload"), list):
+            continue
         session = "".join(c for c in str(message.get("sessionId")) if c.isalnum() or c in "-_")[: limits.MAX_NAME_CHARS]
         sessions.setdefault(session, []).append(message)
     return {session: sorted(messages, key=_number_of) for session, messages in sessions.items()}
@@ -73,7 +61,7 @@ def push_tables(members: Members, name: str, columns: Columns) -> dict[str, Numb
         rows.setdefault(sensor, []).append({**of_columns, "time": item.get("time")})
     tables: dict[str, NumberTable] = {}
     for sensor, found in rows.items():
-        table = Objects(found).table(columns[sensor], f"{where}, {sensor}", [])
+        table = table_of_rows(found, columns[sensor], f"{where}, {sensor}", [])
         order = np.argsort(table.whole, kind="stable")
         tables[sensor] = NumberTable(table.whole[order], table.values[order])
     return tables
@@ -92,9 +80,9 @@ def database_tables(
             sensor = known.get(table.lower())
             if sensor is not None and {"time", *columns[sensor]} <= set(found):
                 names = ("time", *columns[sensor])
-                rows = Objects([dict(zip(names, row, strict=True)) for row in database.rows(table, names)], names)
-                sensors[sensor] = rows.table(columns[sensor], f"{where}, {sensor}", notes)
-                if n_timeless := len(rows.parsed) - len(sensors[sensor]):
+                rows = [dict(zip(names, row, strict=True)) for row in database.rows(table, names)]
+                sensors[sensor] = table_of_rows(rows, columns[sensor], f"{where}, {sensor}", notes)
+                if n_timeless := len(rows) - len(sensors[sensor]):
                     notes.append(f"{table}: {n_timeless} rows without a time left out")
             elif table.lower() == "metadata" and found:
                 for row in database.rows(table, found)[:1]:

@@ -26,9 +26,10 @@ from pdr_filter.io.tables.column_names import (
 )
 from pdr_filter.io.tables.json_tables import SUFFIXES, json_fields, json_sheets, looks_like
 from pdr_filter.io.tables.matlab import is_matlab, matlab_sheets
+from pdr_filter.io.tables.sheet import Sheet
 from pdr_filter.io.tables.spreadsheet import is_spreadsheet, spreadsheet_sheets
-from pdr_filter.io.tables.table_streams import SheetData, fill
-from pdr_filter.io.tables.text_sheets import Sheet, TextSheet, text_sheet, text_sheets
+from pdr_filter.io.tables.table_streams import fill
+from pdr_filter.io.tables.text_sheets import TextRows, by_text, text_sheet, text_sheets
 from pdr_filter.io.tables.text_table import UNKNOWN
 from pdr_filter.values import limits
 from pdr_filter.values.recording import Recording
@@ -68,7 +69,7 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
         used = [
             {p for group in groups if group.sheet == i for p in (*group.places, group.time)} for i in range(len(sheets))
         ]
-        data = [SheetData(sheet, places, parsed.notes) for sheet, places in zip(sheets, used, strict=True)]
+        sheets = [sheet.using(places, parsed.notes) for sheet, places in zip(sheets, used, strict=True)]
         shown = "\n".join([*(f"{s.about}\n{','.join(s.fields)}" for s in sheets), *members.names[:100]])
         dialect = dialect_of(shown)
         if dialect is None or dialect.sign is None:
@@ -78,8 +79,8 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
                     f"{where}: its metadata say {said}, and platform is {platform}; leave platform out"
                 )
             platform = platform or said or None
-        found = guess(data, groups, dialect, platform, where)
-        fill(parsed, found.mapping, data)
+        found = guess(sheets, groups, dialect, platform, where)
+        fill(parsed, found.mapping, sheets)
         parsed.source = found.source
         read_experiment(members, parsed)
     parsed.found += found.evidence
@@ -111,14 +112,12 @@ def read_mapped(path: Path, mapping: Mapping, source: str = "generic CSV") -> Re
     parsed = Parsed(path, source)
     with open_members(path) as members:
         sheets = sheets_of(members, mapping.separator or None, parsed.notes)
-        if mapping.decimal:
-            sheets = [replace(s, decimal=mapping.decimal) if isinstance(s, TextSheet) else s for s in sheets]
+        if decimal := mapping.decimal:
+            texts = {s: replace(s.parse, decimal=decimal) for s in sheets if isinstance(s.parse, TextRows)}
+            sheets = [replace(s, parse=texts.get(s, s.parse)) for s in sheets]
         names = {name for stream in mapping.streams for name in (stream.time, *stream.columns)}
-        data = [
-            SheetData(sheet, {i for i, name in enumerate(sheet.fields) if name in names}, parsed.notes)
-            for sheet in sheets
-        ]
-        fill(parsed, mapping, data)
+        used = [{i for i, name in enumerate(sheet.fields) if name in names} for sheet in sheets]
+        fill(parsed, mapping, [sheet.using(places, parsed.notes) for sheet, places in zip(sheets, used, strict=True)])
     for stream in mapping.streams:
         columns = ", ".join(stream.columns)
         unit = stream.unit or "unit as it is"
@@ -169,12 +168,12 @@ def _named_values(head: bytes) -> str:
     )
 
 
-def _check_one_device(sheet: TextSheet) -> None:
+def _check_one_device(sheet: Sheet) -> None:
     """RecordingError where a column says that the rows are of several devices."""
     for i, name in enumerate(sheet.fields):
         if letters(name) not in _DEVICES:
             continue
-        values = dict.fromkeys(text for part in sheet.by_text(i) if (text := part.name.strip()) not in ("", *UNKNOWN))
+        values = dict.fromkeys(text for part in by_text(sheet, i) if (text := part.name.strip()) not in ("", *UNKNOWN))
         if len(values) > 1 and not any(quantity_of_file(value)[0] for value in values):
             raise RecordingError(
                 f"{sheet.where}: column {name!r} has {len(values)} values ({', '.join(values)[:100]}), so the rows are "
@@ -182,12 +181,12 @@ def _check_one_device(sheet: TextSheet) -> None:
             )
 
 
-def _by_sensor(sheet: TextSheet) -> Sequence[TextSheet]:
+def _by_sensor(sheet: Sheet) -> Sequence[Sheet]:
     """A table with a row for each sample of any sensor, whose name is in a column, as a table for each sensor."""
     column = next((i for i, text in sheet.texts.items() if quantity_of_file(text)[0] in VECTORS), None)
     if column is None:
         column = next((i for i, name in enumerate(sheet.fields) if "".join(words_of(name)) in _TYPES), None)
-    parts = [] if column is None else sheet.by_text(column)
+    parts = [] if column is None else by_text(sheet, column)
     if all(part.name.strip() in SENSOR_CODES for part in parts):
         parts = [replace(part, name=SENSOR_CODES[part.name.strip()]) for part in parts]
     is_split = any(quantity_of_file(part.name)[0] in (ACCELERATION, LINEAR) for part in parts)
@@ -203,7 +202,7 @@ def _nothing(sheets: Sequence[Sheet], path: Path) -> str:
     """Why tables without a sensor that is known cannot be read, and the mapping to write."""
     sheet = sheets[0]
     if all(name.startswith("column ") for name in sheet.fields):
-        head = next(iter(sheet.blocks()), b"")[:4096] if isinstance(sheet, TextSheet) else b""
+        head = next(sheet.parse.blocks(), b"")[:4096] if isinstance(sheet.parse, TextRows) else b""
         numbers = "its first line has numbers; write a line with the names of the columns above it"
         return _named_values(head) or numbers
     time, time_unit, force, unit = columns_by_content(sheet)

@@ -25,7 +25,7 @@ from pdr_filter.io.tables.column_names import (
     quantity_of_file,
     time_unit_of,
 )
-from pdr_filter.io.tables.text_sheets import Sheet
+from pdr_filter.io.tables.sheet import Sheet
 
 _AXES = ("x", "y", "z")
 _ANGLES = ("roll", "pitch", "yaw")
@@ -91,7 +91,7 @@ def _group(
 def _without_names(sheet: Sheet, times: list[int]) -> tuple[list[Column], list[int]]:
     """Columns by their order: the time, then the axes of the sensor that the name of the file says."""
     quantity, _ = quantity_of_file(sheet.name)
-    numbers = [i for i in range(len(sheet.fields)) if i not in getattr(sheet, "texts", ())]
+    numbers = [i for i in range(len(sheet.fields)) if i not in sheet.texts]
     times = times or numbers[:1]
     axes = _AXES if quantity in VECTORS else ("",)
     after = [i for i in numbers if i > times[0]][: len(axes)] if times else []

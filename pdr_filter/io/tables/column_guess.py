@@ -31,8 +31,8 @@ from pdr_filter.io.tables.column_names import (
     column_of,
 )
 from pdr_filter.io.tables.column_values import at_times, constant_part, turning
-from pdr_filter.io.tables.table_streams import SheetData, is_new_place
-from pdr_filter.io.tables.text_sheets import Sheet
+from pdr_filter.io.tables.sheet import Sheet
+from pdr_filter.io.tables.table_streams import is_new_place
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, limits
 
 # Share of the constant part in the norm of an acceleration: gravity outweighs the motion of walking.
@@ -77,7 +77,7 @@ class _Stream:
     """A group with its values."""
 
     group: Group
-    data: SheetData
+    sheet: Sheet
     time_unit: str
     time_s: FloatArray  # on the clock of the table
     values: FloatArray
@@ -92,13 +92,13 @@ class _Stream:
 
 
 def guess(
-    data: Sequence[SheetData], groups: Sequence[Group], dialect: Dialect | None, platform: str | None, where: str
+    sheets: Sequence[Sheet], groups: Sequence[Group], dialect: Dialect | None, platform: str | None, where: str
 ) -> Guess:
     """The mapping of these tables; RecordingError without an acceleration with gravity, or if its sign is not known."""
     app = "" if dialect is None else dialect.app
     result = Guess(Mapping(()), source=f"table of {app}" if app else "table")
-    rate_hz = _rate_of_rows(data, groups, dialect, where)
-    streams = [_stream(group, data[group.sheet], dialect, rate_hz) for group in groups]
+    rate_hz = _rate_of_rows(sheets, groups, dialect, where)
+    streams = [_stream(group, sheets[group.sheet], dialect, rate_hz) for group in groups]
     streams = [s for s in streams if len(s.values)]
     forces = _forces(streams, dialect, result, where)
     streams = [_as_rate(s, forces) for s in streams]
@@ -110,32 +110,32 @@ def guess(
         if fitting:
             near = max(
                 fitting,
-                key=lambda s: (_is_of_earth(s), s.group.preference, s.data is forces[0].data, len(s.values)),
+                key=lambda s: (_is_of_earth(s), s.group.preference, s.sheet is forces[0].sheet, len(s.values)),
             )
-            if quantity == "location" and near.data is forces[0].data and _common_s(near, forces[0]) <= 0:
+            if quantity == "location" and near.sheet is forces[0].sheet and _common_s(near, forces[0]) <= 0:
                 # A clock that began elsewhere: what counts is when the rows of the table have another place.
                 near = _stream(
                     replace(near.group, time=forces[0].group.time, time_unit=forces[0].time_unit),
-                    near.data,
+                    near.sheet,
                     None,
                     rate_hz,
                 )
             chosen.append(_with_unit(near, force, time_s, result))
-    left_out = sorted({s.data.sheet.name for s in streams} - {s.data.sheet.name for s in chosen})
+    left_out = sorted({s.sheet.name for s in streams} - {s.sheet.name for s in chosen})
     if left_out:
         result.notes.append(f"left out: {', '.join(left_out)[:200]}")
     sign = _sign(dialect, platform, forces, result, where)
-    many = len(data) > 1
+    many = len(sheets) > 1
     result.mapping = Mapping(
         tuple(
             StreamMap(
                 stream="accelerometer" if s in forces and len(forces) == 1 else s.group.quantity,
-                columns=tuple(s.data.sheet.fields[p] if p >= 0 else "" for p in s.group.places),
+                columns=tuple(s.sheet.fields[p] if p >= 0 else "" for p in s.group.places),
                 unit=_NAMES.get(s.unit, s.unit),
                 sign=sign if s in forces else 1,
-                time="" if s.group.time is None else s.data.sheet.fields[s.group.time],
-                time_unit="date" if s.group.time in s.data.sheet.dates else s.time_unit,
-                file=s.data.sheet.name if many else "",
+                time="" if s.group.time is None else s.sheet.fields[s.group.time],
+                time_unit="date" if s.group.time in s.sheet.dates else s.time_unit,
+                file=s.sheet.name if many else "",
             )
             for s in chosen
         ),
@@ -147,10 +147,10 @@ def guess(
 
 def columns_by_content(sheet: Sheet) -> tuple[str, str, Sequence[str], str]:
     """Time and accelerometer of a table as its values show them, each with its unit; "?" where they show none."""
-    numbers = [i for i in range(len(sheet.fields)) if i not in sheet.dates and i not in getattr(sheet, "texts", ())]
+    numbers = [i for i in range(len(sheet.fields)) if i not in sheet.dates and i not in sheet.texts]
     time, time_unit = next(((sheet.fields[i], "date") for i in sheet.dates), ("?", "s"))
     with suppress(RecordingError):
-        values = sheet.table(numbers, None, []).values
+        values = sheet.parse(numbers, None, []).values
         increasing = [k for k in range(len(numbers)) if len(values) > 1 and (np.diff(values[:, k]) > 0).all()]
         per_tick = {k: (len(values) - 1) / np.ptp(values[:, k]) for k in increasing}
         # A count of the rows increases, too.
@@ -169,13 +169,13 @@ def columns_by_content(sheet: Sheet) -> tuple[str, str, Sequence[str], str]:
     return time, time_unit, ["?"] * 3, "m/s2"
 
 
-def _rate_of_rows(data: Sequence[SheetData], groups: Sequence[Group], dialect: Dialect | None, where: str) -> float:
+def _rate_of_rows(sheets: Sequence[Sheet], groups: Sequence[Group], dialect: Dialect | None, where: str) -> float:
     """The rate of tables without a time; zero if all have one."""
     if all(group.time is not None for group in groups):
         return 0.0
-    if dialect is not None and (period_ms := dialect.period_of(data[groups[0].sheet].sheet.about)):
+    if dialect is not None and (period_ms := dialect.period_of(sheets[groups[0].sheet].about)):
         return 1000 / period_ms
-    names = ", ".join(data[groups[0].sheet].sheet.fields)[:200]
+    names = ", ".join(sheets[groups[0].sheet].fields)[:200]
     app = f"this looks like {dialect.app}, but there is" if dialect else "there is"
     raise RecordingError(
         f"{where}: {app} no column of times (columns: {names}); export it with times, or give column or rate: "
@@ -183,16 +183,16 @@ def _rate_of_rows(data: Sequence[SheetData], groups: Sequence[Group], dialect: D
     )
 
 
-def _stream(group: Group, data: SheetData, dialect: Dialect | None, rate_hz: float) -> _Stream:
-    ticks, values = data.stream(group.places, group.time)
+def _stream(group: Group, sheet: Sheet, dialect: Dialect | None, rate_hz: float) -> _Stream:
+    ticks, values = sheet.stream(group.places, group.time)
     declared = group.unit
     if not declared and dialect is not None:
         declared = dialect.units.get(group.quantity, "")
-    is_time_declared = bool(group.time is None or group.time_unit or group.time in data.sheet.dates)
+    is_time_declared = bool(group.time is None or group.time_unit or group.time in sheet.dates)
     if group.time is None:
         unit, time_s = "s", ticks.astype(np.float64) / rate_hz
     else:
-        is_date = group.time in data.sheet.dates
+        is_date = group.time in sheet.dates
         unit = "ns" if is_date else group.time_unit or _time_unit(np.asarray(ticks, dtype=np.float64))
         time_s = ticks.astype(np.float64) * TIME_UNITS[unit]
     known = np.isfinite(time_s)
@@ -202,7 +202,7 @@ def _stream(group: Group, data: SheetData, dialect: Dialect | None, rate_hz: flo
         time_s, values = time_s[known], values[known]
     has_constant = group.quantity in (ACCELERATION, LINEAR, GRAVITY, ROTATION)
     constant = constant_part(time_s, values) if has_constant else math.nan
-    return _Stream(group, data, unit, time_s, values, bool(declared), declared, is_time_declared, constant)
+    return _Stream(group, sheet, unit, time_s, values, bool(declared), declared, is_time_declared, constant)
 
 
 def _time_unit(ticks: FloatArray) -> str:
@@ -224,8 +224,8 @@ def _forces(streams: Sequence[_Stream], dialect: Dialect | None, result: Guess, 
     found = [_with_force_unit(s) for s in streams if s.group.quantity in (ACCELERATION, LINEAR, GRAVITY)]
     if not found:
         others = ", ".join(sorted({s.group.quantity for s in streams})) or "none"
-        used = {(s.data.sheet.name, p) for s in streams for p in (*s.group.places, s.group.time)}
-        sheets = {s.data.sheet.name: s.data.sheet.fields for s in streams}
+        used = {(s.sheet.name, p) for s in streams for p in (*s.group.places, s.group.time)}
+        sheets = {s.sheet.name: s.sheet.fields for s in streams}
         left = [name for sheet, fields in sheets.items() for p, name in enumerate(fields) if (sheet, p) not in used]
         rest = [name for name in left if column_of(0, name).unit in ("", *UNITS[ACCELERATION])]
         is_there = ", ".join(rest)[:200]

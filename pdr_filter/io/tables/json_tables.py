@@ -8,22 +8,23 @@ from __future__ import annotations
 
 import codecs
 import json
+import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from itertools import chain
 from typing import Any, cast
 
 import numpy as np
 
-from pdr_filter.io.apps.sensor_logger_json import floats
 from pdr_filter.io.files.archive import Members
 from pdr_filter.io.files.errors import RecordingError
 from pdr_filter.io.tables.column_names import VECTORS, quantity_of_file
 from pdr_filter.io.tables.dates import is_date, nanoseconds_of, without_midnights
-from pdr_filter.io.tables.text_sheets import LARGEST_FLOAT_WHOLE, ArraySheet
-from pdr_filter.io.tables.text_table import refuse_far_times, whole_number
-from pdr_filter.values import FloatArray, IntArray, limits
+from pdr_filter.io.tables.sheet import Sheet
+from pdr_filter.io.tables.text_sheets import LARGEST_FLOAT_WHOLE
+from pdr_filter.io.tables.text_table import NumberTable, finite, refuse_far_times, to_number, whole_number
+from pdr_filter.values import FloatArray, IntArray, how_many, limits
 
 SUFFIXES = (".json", ".jsonl", ".ndjson")
 _BETWEEN = re.compile(r"[\s,\[\]\x1e]*")
@@ -31,8 +32,9 @@ _BEGIN = re.compile(rb"\s*(\{|\[\s*([\[{\]\"\d.-]|null|$))")  # brackets around 
 _SENSOR = ("sensor", "sensorType", "type", "name")  # keys whose value says of which sensor a row is
 _PLAIN = ("values", "value", "data", "payload", "fields")  # keys that do not name their content
 _AXES = ("x", "y", "z")
-_ROWS_AT_ONCE = 10_000
+ROWS_AT_ONCE = 10_000  # so that no more are in memory as objects
 _MAX_DEPTH = 5
+_WHOLE = re.compile(r"[0-9]{1,19}(,[0-9]{1,19})*+")
 
 Row = dict[str, Any]
 
@@ -42,61 +44,76 @@ def looks_like(head: bytes) -> bool:
     return _BEGIN.match(head.removeprefix(codecs.BOM_UTF8)) is not None
 
 
-def json_sheets(members: Members, name: str, notes: list[str] | None = None) -> list[ArraySheet]:
+def json_sheets(members: Members, name: str, notes: list[str] | None = None) -> list[Sheet]:
     """The tables in a text of JSON; RecordingError if it is damaged."""
     where = members.where(name)
     tables: dict[str, _Columns] = {}
-    try:
-        for item in _objects(members.pieces(name), where, notes):
-            for sensor, rows in _rows_of(item):
-                if len(tables) >= limits.MAX_TABLES and sensor not in tables:
-                    raise RecordingError(f"{where}: more than {limits.MAX_TABLES} tables; export one recording")
-                tables.setdefault(sensor, _Columns(where)).add(rows)
-    except (RecursionError, UnicodeDecodeError) as error:
-        raise RecordingError(f"{where}: the JSON is damaged ({error}); export it again") from error
+    for item in objects_in(members.pieces(name), where, notes):
+        for sensor, rows in _rows_of(item):
+            if len(tables) >= limits.MAX_TABLES and sensor not in tables:
+                raise RecordingError(f"{where}: more than {limits.MAX_TABLES} tables; export one recording")
+            tables.setdefault(sensor, _Columns(where)).add(rows)
     stem = name.rpartition("/")[2].partition(".")[0]
     return [sheet for sensor, table in tables.items() if (sheet := table.sheet(sensor or stem)) is not None]
 
 
-def json_fields(members: Members, name: str) -> list[ArraySheet]:
+def json_fields(members: Members, name: str) -> list[Sheet]:
     """The tables in a text of JSON without their values: of its first objects, or of its only one."""
     head, found = members.head(name), dict[str, dict[str, None]]()
     for pieces in ([head], members.pieces(name)):
-        with suppress(RecordingError, RecursionError, UnicodeDecodeError):
-            for item in _objects(pieces, members.where(name), None):
+        with suppress(RecordingError):
+            for item in objects_in(pieces, members.where(name)):
                 for sensor, rows in _rows_of(item):
                     found.setdefault(sensor, {}).update(dict.fromkeys(rows if isinstance(rows, dict) else rows[0]))
         if found or len(head) < limits.HEAD_BYTES:
             break
-    return [ArraySheet(sensor, members.where(name), tuple(fields), ()) for sensor, fields in found.items()]
+    return [
+        Sheet.of_columns(sensor, members.where(name), dict.fromkeys(fields, np.empty(0)))
+        for sensor, fields in found.items()
+    ]
 
 
-def _objects(pieces: Iterable[bytes], where: str, notes: list[str] | None) -> Iterator[Row]:
-    """Yield the objects of a text. An object that is cut off at the end is skipped."""
+def objects_in(pieces: Iterable[bytes], where: str, notes: list[str] | None = None) -> Iterator[Row]:
+    """Objects of a text, in an array or one behind the other.
+
+    An end that is cut off is left out with a note; RecordingError without `notes`, or if nothing is before it.
+    """
     decoder, utf_8 = json.JSONDecoder(), codecs.getincrementaldecoder("utf-8")()
-    text, n_found, wanted = "", 0, 0
-    for piece in chain(pieces, [None]):
-        text += utf_8.decode(piece or b"", piece is None).removeprefix("\ufeff" if not n_found else "")
-        if len(text) < wanted and piece is not None:
-            continue
-        at = cast("re.Match[str]", _BETWEEN.match(text)).end()
-        while at < len(text):
-            try:
-                value, end = decoder.raw_decode(text, at)
-            except ValueError:
-                break
-            if isinstance(value, dict):
-                n_found += 1
-                yield cast("Row", value)
-            at = cast("re.Match[str]", _BETWEEN.match(text, end)).end()
-        text = text[at:]
-        wanted = 2 * len(text)  # an object that is longer than a piece is not tried again for every one
-        if len(text) > limits.MAX_WHOLE_BYTES:
-            raise RecordingError(f"{where}: an object of more than {limits.MAX_WHOLE_BYTES} characters; export CSV")
-    if text and not n_found:
-        raise RecordingError(f"{where}: the JSON is damaged or cut off; export it again")
-    if text and notes is not None:
-        notes.append(f"{where}: the JSON is damaged or cut off behind {n_found} objects; the rest was left out")
+    text, n_found, n_open, wanted = "", 0, 0, 0
+    try:
+        for piece in chain(pieces, [None]):
+            text += utf_8.decode(piece or b"", piece is None).removeprefix("\ufeff" if not n_found else "")
+            if len(text) < wanted and piece is not None:
+                continue
+            end = 0
+            while True:
+                at = end + 1
+                if not text.startswith(",{", end):  # as between most objects; a search takes longer
+                    between = cast("re.Match[str]", _BETWEEN.match(text, end))[0]
+                    n_open += between.count("[") - between.count("]")
+                    at = end + len(between)
+                    if at == len(text):
+                        break
+                try:
+                    value, end = decoder.raw_decode(text, at)
+                except ValueError:
+                    break
+                if isinstance(value, dict):
+                    n_found += 1
+                    yield value
+            text = text[at:]
+            wanted = 2 * len(text)  # an object that is longer than a piece is not tried again for every one
+            if len(text) > limits.MAX_WHOLE_BYTES:
+                raise RecordingError(f"{where}: an object of more than {limits.MAX_WHOLE_BYTES} characters; export CSV")
+    except (RecursionError, UnicodeDecodeError) as error:
+        raise RecordingError(f"{where}: the JSON is damaged ({error}); export it again") from error
+    if not text and n_open <= 0:
+        return
+    behind = f" behind {how_many(n_found, 'object')}" if n_found else ""
+    words = f"{where}: the JSON is damaged or cut off{behind}"
+    if notes is None or not n_found:
+        raise RecordingError(f"{words}; export it again")
+    notes.append(f"{words}; the rest was left out")
 
 
 def _rows_of(item: Row, name: str = "", depth: int = 0) -> Iterator[tuple[str, list[Row] | dict[str, list[Any]]]]:
@@ -161,10 +178,10 @@ class _Columns:
             self._keep({key: [*column, *[None] * (n - len(column))] for key, column in rows.items()}, n)
             return
         self._rows += rows
-        if len(self._rows) >= _ROWS_AT_ONCE:
+        if len(self._rows) >= ROWS_AT_ONCE:
             self._keep_rows()
 
-    def sheet(self, name: str) -> ArraySheet | None:
+    def sheet(self, name: str) -> Sheet | None:
         """The table; None without a column of numbers."""
         self._keep_rows()
         columns: dict[str, FloatArray | IntArray] = {}
@@ -180,10 +197,9 @@ class _Columns:
                 column.astype(float) if whole is None else without_midnights(whole) if kind == "date" else whole
             )
             places[kind].append(i)
-        dates, exact = frozenset(places["date"]), frozenset(places["exact"])
-        return (
-            ArraySheet(name, self._where, tuple(columns), (*columns.values(),), "", dates, exact) if columns else None
-        )
+        if not columns:
+            return None
+        return Sheet.of_columns(name, self._where, columns, {*places["date"]}, {*places["exact"]})
 
     def _keep_rows(self) -> None:
         if self._rows:
@@ -205,14 +221,13 @@ _Column = tuple[FloatArray | IntArray, str]  # values, and whether they are date
 def _column(values: list[Any], where: str) -> _Column | None:
     """The numbers or dates of a column, NaN where there is none; None of texts."""
     first = next((value for value in values if value not in (None, "", "null")), None)
-    whole: list[int | None] | None = None
     try:
         if isinstance(first, str) and is_date(first):
             kind, whole = "date", [nanoseconds_of(v) if isinstance(v, str) and is_date(v) else None for v in values]
         elif str(first)[:20].isdecimal() and int(str(first)[:20]) > LARGEST_FLOAT_WHOLE:
-            kind, whole = "exact", [whole_number("" if v is None else str(v)) for v in values]
+            kind, whole = "exact", _wholes(["" if v is None else str(v) for v in values])
         else:
-            return np.array(floats(values), dtype=np.float64), ""
+            return np.array(_floats(values), dtype=np.float64), ""
         if None in whole:  # NaN says so; what a float loses of nanoseconds is less than any clock's jitter
             return np.array([np.nan if v is None else float(v) for v in whole]), ""
         ticks = np.array(whole, dtype=np.int64)
@@ -220,3 +235,47 @@ def _column(values: list[Any], where: str) -> _Column | None:
         return None
     refuse_far_times(ticks, where)
     return ticks, kind
+
+
+def table_of_rows(rows: Sequence[Row], columns: Sequence[str], where: str, notes: list[str]) -> NumberTable:
+    """The key `time` of objects as whole numbers, and these as floats; rows without a time are left out."""
+    if rows and (missing := [key for key in ("time", *columns) if key not in rows[0]]):
+        found = ", ".join(map(str, rows[0]))[:120]
+        raise RecordingError(f"{where}: no key {missing[0]!r} (found: {found}); export again")
+    try:
+        times = _wholes([str(row["time"]) for row in rows])
+        if None in times:
+            rows = [row for row, time in zip(rows, times, strict=True) if time is not None]
+        whole = np.array([time for time in times if time is not None], dtype=np.int64)
+        values = np.empty((len(rows), len(columns)))
+        for i, key in enumerate(columns):
+            values[:, i] = _floats([row.get(key) for row in rows])
+    except (ValueError, TypeError, KeyError, OverflowError) as error:
+        raise RecordingError(f"{where}: not a number ({str(error)[:60]}); export it again") from error
+    refuse_far_times(whole, where)
+    return NumberTable(whole, finite(values, where, notes))
+
+
+def _wholes(texts: list[str]) -> list[int | None]:
+    """Whole numbers, None of an empty text; ValueError for anything else."""
+    return [*map(int if _WHOLE.fullmatch(",".join(texts)) else whole_number, texts)]
+
+
+def _floats(column: list[Any]) -> list[float]:
+    """Numbers, or texts of numbers; NaN where there is none. ValueError for anything else."""
+    kinds = set(map(type, column))
+    if kinds <= {int, float} or (kinds == {str} and "_" not in "".join(column)):  # Python would read 1_0 as ten
+        with suppress(ValueError):
+            return list(map(float, column))
+    return list(map(_float, column))
+
+
+def _float(value: Any) -> float:
+    if value is None:
+        return math.nan
+    if type(value) in (int, float):
+        return float(value)
+    number = to_number(value) if isinstance(value, str) else None
+    if number is None:
+        raise ValueError(repr(value))
+    return number

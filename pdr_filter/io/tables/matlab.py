@@ -1,8 +1,9 @@
 """MATLAB files of version 5: tables of time (timetable), as MATLAB Mobile saves them, and plain columns.
 
 Layout after "MAT-File Format" (The MathWorks). Objects such as a timetable are in a part of the file that is not
-described there: a list of values, and tables that say which object has which of them as a property. It is read from its
-bytes here, because what a file claims must be checked before anything of that size is made.
+described there: a list of values, and tables that say which object has which of them as a property. The bytes are read
+here because libraries are less strict (docs/contributing.md): SciPy, on which pymatreader is built, ends the process at
+deeply nested cells and does not decode timetables, and SciPy and mat-io unpack whatever a variable claims.
 """
 
 from __future__ import annotations
@@ -10,14 +11,15 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
 
 from pdr_filter.io.files.archive import Members
 from pdr_filter.io.files.errors import RecordingError
-from pdr_filter.io.tables.text_sheets import ArraySheet, unlike
+from pdr_filter.io.tables.sheet import Sheet
+from pdr_filter.io.tables.text_sheets import unlike
 from pdr_filter.values import FloatArray, IntArray, limits
 
 _HEAD = b"MATLAB 5.0 MAT-file"
@@ -37,7 +39,7 @@ def is_matlab(head: bytes) -> bool:
     return head.startswith((_HEAD, _HEAD_OF_7_3))
 
 
-def matlab_sheets(members: Members, name: str) -> list[ArraySheet]:
+def matlab_sheets(members: Members, name: str) -> list[Sheet]:
     """The tables in a MATLAB file."""
     where = members.where(name)
     content = members.whole(name, limits.MAX_UNPACKED_BYTES)
@@ -87,9 +89,9 @@ class _File:
             else:
                 self.variables[found[0]] = found[1]
 
-    def sheets(self, where: str) -> list[ArraySheet]:
+    def sheets(self, where: str) -> list[Sheet]:
         """A table of each timetable, and one of all columns of the same length."""
-        found: list[ArraySheet] = []
+        found: list[Sheet] = []
         plain: dict[int, dict[str, FloatArray]] = {}
         for name, value in list(self.variables.items())[: limits.MAX_TABLES]:
             if isinstance(value, _Opaque) and value.kind == "timetable":
@@ -102,7 +104,7 @@ class _File:
                 plain.setdefault(n, {}).update(zip(names, array.T, strict=False))
         for n, columns in plain.items():
             if n >= limits.MIN_SAMPLES and columns:
-                found.append(ArraySheet("variables", where, tuple(columns), tuple(columns.values())))
+                found.append(Sheet.of_columns("variables", where, columns))
         if not found:
             raise RecordingError(
                 f"{where}: no table in this MATLAB file (variables: {', '.join(self.variables)[:160] or 'none'}); "
@@ -110,7 +112,7 @@ class _File:
             )
         return found
 
-    def _timetable(self, name: str, value: _Opaque, where: str) -> ArraySheet:
+    def _timetable(self, name: str, value: _Opaque, where: str) -> Sheet:
         properties = self._properties(value.number)
         content = cast("dict[str, Any]", properties.get("any", properties))
         names, columns = content["varNames"], content["data"]
@@ -124,8 +126,8 @@ class _File:
         arrays = [np.asarray(column, dtype=float).ravel() for column in columns]
         if any(len(array) != len(ns) for array in arrays) or len(names) != len(arrays):
             raise ValueError("columns of other lengths than the times")
-        fields = unlike(["Timestamp", *map(str, names)])
-        return ArraySheet(name, where, fields, (ns, *arrays), "MATLAB Mobile", frozenset({0}))
+        columns = dict(zip(unlike(["Timestamp", *map(str, names)]), (ns, *arrays), strict=True))
+        return replace(Sheet.of_columns(name, where, columns, dates={0}), about="MATLAB Mobile")
 
     # ------------------------------------------------------------------------------------------- objects
 

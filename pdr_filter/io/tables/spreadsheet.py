@@ -13,7 +13,8 @@ from typing import Any
 
 from pdr_filter.io.files.archive import Members
 from pdr_filter.io.files.errors import RecordingError
-from pdr_filter.io.tables.text_sheets import TextSheet, text_sheet
+from pdr_filter.io.tables.sheet import Sheet
+from pdr_filter.io.tables.text_sheets import text_sheet
 from pdr_filter.values import limits
 
 _WORKBOOK = "xl/workbook.xml"
@@ -33,7 +34,7 @@ def is_spreadsheet(members: Members, name: str = "") -> bool:
     return members.head(name or members.names[0], 8) == _OLD
 
 
-def spreadsheet_sheets(members: Members) -> list[TextSheet]:
+def spreadsheet_sheets(members: Members) -> list[Sheet]:
     """The tables in a spreadsheet."""
     path = members.path
     if importlib.util.find_spec("python_calamine") is None:
@@ -73,7 +74,7 @@ def _check_claims(members: Members) -> None:
             )
 
 
-def _sheet(members: Members, name: str, rows: list[list[Any]]) -> TextSheet | None:
+def _sheet(members: Members, name: str, rows: list[list[Any]]) -> Sheet | None:
     """Table in a sheet, read like the text that the sheet would be as CSV; None if there is none."""
     lines = ("\t".join(_BREAKS.sub(" ", "" if isinstance(v, bool) else str(v)) for v in row) for row in rows)
     content = "".join(f"{line}\n" for line in lines).encode()

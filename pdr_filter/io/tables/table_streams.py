@@ -2,63 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence, Set
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 
 import numpy as np
 
 from pdr_filter.io.assemble import Parsed
 from pdr_filter.io.files.errors import RecordingError
 from pdr_filter.io.tables.column_mapping import Mapping, StreamMap
-from pdr_filter.io.tables.column_names import ANGLES, GRAVITY, LINEAR, TIME_UNITS, nanoseconds_of
+from pdr_filter.io.tables.column_names import ANGLES, GRAVITY, LINEAR, TIME_UNITS
 from pdr_filter.io.tables.column_values import at_times
-from pdr_filter.io.tables.text_sheets import Sheet
-from pdr_filter.io.tables.text_table import NumberTable
+from pdr_filter.io.tables.sheet import Sheet
 from pdr_filter.values import BoolArray, FloatArray, IntArray
 
 # Gravity is interpolated to the times of the accelerometer; within this it turns by less than a step's swing.
 GRAVITY_GAP_S = 0.3
 
 
-@dataclass
-class SheetData:
-    """A sheet with the columns of it that are used; each is parsed once for each column of exact times."""
-
-    sheet: Sheet
-    places: Set[int | None]  # negative or None for a missing column
-    notes: list[str]
-    _numbers: list[int] = field(default_factory=list[int])  # the columns to parse as numbers
-    _parsed: dict[int | None, NumberTable] = field(default_factory=dict[int | None, NumberTable])
-
-    def __post_init__(self) -> None:
-        used = {place for place in self.places if place is not None and place >= 0}
-        beside = {place for p in used if (place := nanoseconds_of(self.sheet.fields, p)) is not None}
-        self._numbers = sorted((used | beside) - self.sheet.dates)
-
-    def stream(self, places: Sequence[int], time: int | None) -> tuple[IntArray | FloatArray, FloatArray]:
-        """Times (N,) and values (N, d) of the rows with a value; NaN for a place that is not there (-1).
-
-        Times are whole numbers if only these hold them, and numbers of rows if there is no column of times. Sensors of
-        different rates in one table leave fields empty.
-        """
-        exact = time if time is not None and time in self.sheet.dates | self.sheet.exact else None
-        numbers = self._numbers
-        if exact not in self._parsed:
-            self._parsed[exact] = self.sheet.table(numbers, exact, self.notes)
-        table = self._parsed[exact]
-        unknown = np.full(len(table), np.nan)
-        values = np.array([table.values[:, numbers.index(p)] if p in numbers else unknown for p in places]).T
-        if time is None:
-            ticks = np.arange(len(values))
-        elif (nanoseconds := nanoseconds_of(self.sheet.fields, time)) is not None:
-            ticks = table.values[:, [numbers.index(time), numbers.index(nanoseconds)]] @ [1.0, 1e-9]
-        else:
-            ticks = table.whole if exact is not None else table.values[:, numbers.index(time)]
-        known = ~np.isnan(values).all(axis=1)
-        return (ticks, values) if known.all() else (ticks[known], values[known])
-
-
-def fill(parsed: Parsed, mapping: Mapping, data: Sequence[SheetData]) -> None:
+def fill(parsed: Parsed, mapping: Mapping, sheets: Sequence[Sheet]) -> None:
     """Fill `parsed` with the streams of a mapping and with the properties of their times."""
     times = sorted(
         {f"{stream.time.removeprefix('column ')} ({stream.time_unit})" for stream in mapping.streams if stream.time}
@@ -70,10 +30,10 @@ def fill(parsed: Parsed, mapping: Mapping, data: Sequence[SheetData]) -> None:
         parsed.requested_hz = {"accelerometer": mapping.rate_hz}
     found: dict[str, tuple[IntArray | FloatArray, float, FloatArray]] = {}
     for stream in mapping.streams:
-        at = _sheet_of(stream, mapping, data)
-        time = _place(stream.time, at.sheet, mapping) if stream.time else None
-        places = [_place(name, at.sheet, mapping) if name else -1 for name in stream.columns]
-        ticks, values = at.stream(places, time)
+        sheet = _sheet_of(stream, mapping, sheets)
+        time = _place(stream.time, sheet, mapping) if stream.time else None
+        places = [_place(name, sheet, mapping) if name else -1 for name in stream.columns]
+        ticks, values = sheet.stream(places, time)
         if stream.stream == "location":
             is_new = is_new_place(values)
             ticks, values = ticks[is_new], values[is_new]
@@ -145,15 +105,15 @@ def _seconds(ticks: IntArray | FloatArray, unit_s: float, zero: float, zero_unit
     return ticks.astype(np.float64) * unit_s - float(zero) * zero_unit_s
 
 
-def _sheet_of(stream: StreamMap, mapping: Mapping, data: Sequence[SheetData]) -> SheetData:
+def _sheet_of(stream: StreamMap, mapping: Mapping, sheets: Sequence[Sheet]) -> Sheet:
     if not stream.file:
-        if len(data) == 1:
-            return data[0]
-        fitting = [d for d in data if set(stream.columns) - {""} <= set(d.sheet.fields)]
+        if len(sheets) == 1:
+            return sheets[0]
+        fitting = [s for s in sheets if set(stream.columns) - {""} <= set(s.fields)]
     else:
-        fitting = [d for d in data if d.sheet.name == stream.file]
+        fitting = [s for s in sheets if s.name == stream.file]
     if len(fitting) != 1:
-        names = ", ".join(d.sheet.name for d in data[:10])
+        names = ", ".join(s.name for s in sheets[:10])
         raise RecordingError(
             f"{mapping.where}: [{stream.stream}] file = {stream.file!r} fits {len(fitting)} tables; name one of {names}"
         )

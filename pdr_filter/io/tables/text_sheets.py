@@ -1,4 +1,4 @@
-"""Tables as they are found: where the header of a text is, what separates its fields, which column is a date.
+"""Tables in texts: where the header of a text is, what separates its fields, which column is a date.
 
 A text may begin with blank lines, `sep=;`, comments or lines about the device. Its table begins where lines of numbers
 begin; the line above them, if it has as many fields, names the columns.
@@ -18,8 +18,9 @@ from pdr_filter.io.files.archive import Members
 from pdr_filter.io.files.errors import RecordingError
 from pdr_filter.io.tables.column_names import column_of, is_time, is_unit
 from pdr_filter.io.tables.dates import as_nanoseconds, column_nanoseconds, is_date, without_midnights
-from pdr_filter.io.tables.text_table import Layout, NumberTable, concatenated, finite, header_fields, parse_blocks
-from pdr_filter.values import FloatArray, IntArray, limits
+from pdr_filter.io.tables.sheet import Sheet
+from pdr_filter.io.tables.text_table import Layout, NumberTable, concatenated, header_fields, parse_blocks
+from pdr_filter.values import limits
 
 _SEPARATORS = (",", ";", "\t", "|", " ")
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?|nan|NaN|null|None|#?N/?A|-?inf|-?Infinity")
@@ -27,7 +28,7 @@ _WHOLE = re.compile(r"[+-]?\d+")
 _LINES_TRIED = 40  # the first line of numbers among them begins the table
 _LINES_COMPARED = 8
 # Some apps and spreadsheets write a header in the code page of the phone; numbers are the same in all of them. The
-# first in which most names are known is taken.
+# first in which most names are known is taken. charset-normalizer takes half of such headers for another language.
 _CODE_PAGES = ("latin-1", "cp1251", "gbk", "shift_jis", "big5", "euc_kr")
 _MOST_SENSORS = 40  # sensors in a file with one row for each sample of any sensor
 # A whole number from here on would lose digits as a float: nanoseconds and microseconds since 1970.
@@ -35,43 +36,19 @@ LARGEST_FLOAT_WHOLE = 2**53
 
 
 @dataclass(frozen=True, slots=True)
-class ArraySheet:
-    """A table whose columns are in memory: floats, or int64 nanoseconds."""
+class TextRows:
+    """Rows of a table in a text."""
 
-    name: str  # name of the sheet or variable
     where: str  # for messages
     fields: tuple[str, ...]
-    columns: tuple[FloatArray | IntArray, ...]
-    about: str = ""  # text above the table
-    dates: frozenset[int] = frozenset()  # columns of dates and clock times, in whole nanoseconds
-    exact: frozenset[int] = frozenset()  # columns that only whole numbers hold
-
-    def table(self, numbers: Sequence[int], whole: int | None, notes: list[str]) -> NumberTable:
-        """These columns as floats, and one as whole numbers."""
-        n = len(self.columns[0])
-        ticks = np.zeros(n, np.int64) if whole is None else self.columns[whole].astype(np.int64)
-        values = [self.columns[i].astype(np.float64) for i in numbers]
-        return NumberTable(ticks, finite(np.column_stack(values) if values else np.empty((n, 0)), self.where, notes))
-
-
-@dataclass(frozen=True, slots=True)
-class TextSheet:
-    """A table in a text, whose rows are parsed when they are asked for."""
-
-    name: str  # name of the file without folder and suffix
-    where: str  # for messages
-    fields: tuple[str, ...]
-    about: str  # the lines above the table
-    dates: frozenset[int]  # columns of dates and clock times, which `table` gives in whole nanoseconds
-    exact: frozenset[int]  # columns that only whole numbers hold
+    dates: frozenset[int]  # columns of dates and clock times
     separator: str
     decimal: str
     n_before: int  # lines before the first row
     blocks: Callable[[], Iterator[bytes]] = field(repr=False)
-    texts: dict[int, str] = field(default_factory=dict[int, str])  # texts of the first row by column
     only: tuple[int, str] | None = None  # a column and its text in the selected rows
 
-    def table(self, numbers: Sequence[int], whole: int | None, notes: list[str]) -> NumberTable:
+    def __call__(self, numbers: Sequence[int], whole: int | None, notes: list[str]) -> NumberTable:
         """These columns as floats, and one as whole numbers."""
         names = tuple(self.fields[i] for i in numbers)
         layout = Layout(tuple(numbers), whole, self.separator, self.decimal, names)
@@ -129,22 +106,25 @@ class TextSheet:
         """The pattern of a row before a column."""
         return rb"(?m)^(?:[^\n" + self._mark + rb"]*" + self._mark + b"){%d}" % column
 
-    def by_text(self, column: int) -> list[TextSheet]:
-        """A sheet for each text of a column, called like it; this one if there are more than a phone has sensors."""
+    def texts_of(self, column: int) -> list[str]:
+        """Texts of a column, each once; none if there are more than a phone has sensors."""
         pattern = self._up_to(column) + rb'"?([^\n"' + self._mark + rb"]*)"
         texts: dict[bytes, None] = {}
         for rows in self._rows():
             texts |= dict.fromkeys(re.findall(pattern, rows))
             if len(texts) > _MOST_SENSORS:
-                return [self]
-        names = [text.decode("utf-8", "replace") for text in texts if text]
-        return [replace(self, name=name, only=(column, name)) for name in names]
+                return []
+        return [text.decode("utf-8", "replace") for text in texts if text]
 
 
-Sheet = ArraySheet | TextSheet
+def by_text(sheet: Sheet, column: int) -> list[Sheet]:
+    """Sheets of a text, one for each text of a column and called like it; none if there are too many."""
+    if not isinstance(rows := sheet.parse, TextRows):
+        return []
+    return [replace(sheet, name=name, parse=replace(rows, only=(column, name))) for name in rows.texts_of(column)]
 
 
-def text_sheets(members: Members, member: str, separator: str | None = None) -> list[TextSheet]:
+def text_sheets(members: Members, member: str, separator: str | None = None) -> list[Sheet]:
     """The tables in a text, of which there are several where its first name begins another line of names."""
     header = members.head(member).removeprefix(b"\xef\xbb\xbf").partition(b"\n")[0].strip()
     if header.startswith(b'"') and (first := re.match(rb'"[^"\d]*"', header)):
@@ -179,7 +159,7 @@ def _table_at(members: Members, member: str, first: bytes, n: int) -> Iterator[b
 
 def text_sheet(
     members: Members, member: str, separator: str | None = None, blocks: Callable[[], Iterator[bytes]] | None = None
-) -> TextSheet | None:
+) -> Sheet | None:
     """The table in a text, or in some blocks of it; None if it holds none."""
     head = members.head(member) if blocks is None else next(blocks(), b"")[: limits.HEAD_BYTES]
     if b"\x00" in head[:4096]:
@@ -197,18 +177,18 @@ def text_sheet(
         raise RecordingError(f"{members.where(member)}: {len(row)} columns, over {limits.MAX_COLUMNS}; export fewer")
     before = [line for i, line in enumerate(lines[: found.first]) if i != found.at_header and line.strip()]
     stem = member.rpartition("/")[2].rpartition(".")[0] or member
-    return TextSheet(
+    where, fields = members.where(member), unlike(named or [""] * len(row))
+    dates = frozenset(i for i, text in enumerate(row) if is_date(text))
+    blocks = blocks or (lambda: members.blocks(member))
+    return Sheet(
         name=stem,
-        where=members.where(member),
-        fields=unlike(named or [""] * len(row)),
+        where=where,
+        fields=fields,
+        parse=TextRows(where, fields, dates, found.separator, found.decimal, found.first, blocks),
         about="\n".join(before),
-        dates=frozenset(i for i, text in enumerate(row) if is_date(text)),
+        dates=dates,
         exact=frozenset(i for i, text in enumerate(row) if text.isdecimal() and int(text[:40]) > LARGEST_FLOAT_WHOLE),
         texts={i: text for i, text in enumerate(row) if text and not _is_value(text)},
-        separator=found.separator,
-        decimal=found.decimal,
-        n_before=found.first,
-        blocks=blocks or (lambda: members.blocks(member)),
     )
 
 

@@ -189,8 +189,7 @@ def parse_lines(lines: Sequence[str], layout: Layout) -> NumberTable:
     """Parse lines that have a number in every picked field; ValueError if one has not."""
     columns = [*([] if layout.whole is None else [layout.whole]), *layout.picked]
     kinds = [(f"f{i}", np.int64 if column == layout.whole and i == 0 else float) for i, column in enumerate(columns)]
-    quote, kind = '"' if layout.separator != '"' else None, np.dtype(kinds)
-    rows = np.loadtxt(lines, kind, None, layout.separator, usecols=columns, ndmin=1, quotechar=quote)
+    rows = np.loadtxt(lines, np.dtype(kinds), None, layout.separator, usecols=columns, ndmin=1, quotechar='"')
     values = np.empty((len(rows), len(layout.picked)), order="F")
     for i in range(len(layout.picked)):
         values[:, i] = rows[f"f{len(columns) - len(layout.picked) + i}"]

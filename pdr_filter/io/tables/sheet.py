@@ -1,0 +1,83 @@
+"""One type for a table of any file: texts, spreadsheets, MATLAB files, JSON.
+
+Readers of files find the names of the columns and which of them hold times. Quantities, units, signs and clocks are
+guessed afterwards, from this type alone (`column_groups`, `column_guess`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence, Set
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from pdr_filter.io.tables.column_names import nanoseconds_of
+from pdr_filter.io.tables.text_table import NumberTable, finite
+from pdr_filter.values import FloatArray, IntArray
+
+# The columns at these places as floats, and one as whole numbers; notes are added to the list.
+Parse = Callable[[Sequence[int], int | None, list[str]], NumberTable]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sheet:
+    """A table: names of its columns, which of them are times, and its rows, which are parsed when used."""
+
+    name: str  # of the file without folder and suffix, of the sheet, variable or sensor
+    where: str  # for messages
+    fields: tuple[str, ...]
+    parse: Parse
+    about: str = ""  # text above the table
+    dates: frozenset[int] = frozenset()  # columns of dates and clock times, parsed as whole nanoseconds
+    exact: frozenset[int] = frozenset()  # columns that only whole numbers hold
+    texts: Mapping[int, str] = field(default_factory=dict[int, str])  # texts of the first row by column
+    used: Set[int] = frozenset()  # columns that are parsed together
+    notes: list[str] = field(default_factory=list[str])
+    _parsed: dict[int | None, NumberTable] = field(default_factory=dict[int | None, NumberTable], init=False)
+
+    @classmethod
+    def of_columns(
+        cls,
+        name: str,
+        where: str,
+        columns: Mapping[str, FloatArray | IntArray],
+        dates: Set[int] = frozenset(),
+        exact: Set[int] = frozenset(),
+    ) -> Sheet:
+        """Sheet of columns in memory; those of `dates` and `exact` are int64."""
+
+        def parse(numbers: Sequence[int], whole: int | None, notes: list[str]) -> NumberTable:
+            arrays = [*columns.values()]
+            values = np.column_stack([np.empty((len(arrays[0]), 0)), *(arrays[i].astype(float) for i in numbers)])
+            ticks = np.zeros(len(values)) if whole is None else arrays[whole]
+            return NumberTable(ticks.astype(np.int64), finite(values, where, notes))
+
+        return cls(name, where, tuple(columns), parse, dates=frozenset(dates), exact=frozenset(exact))
+
+    def using(self, places: Set[int | None], notes: list[str]) -> Sheet:
+        """Return a copy that parses these columns together, and adds to the notes; places may be negative or None."""
+        used = {place for place in places if place is not None and place >= 0}
+        beside = {place for p in used if (place := nanoseconds_of(self.fields, p)) is not None}
+        return replace(self, used=(used | beside) - self.dates, notes=notes)
+
+    def stream(self, places: Sequence[int], time: int | None) -> tuple[IntArray | FloatArray, FloatArray]:
+        """Times (N,) and values (N, d) of the rows with a value; NaN for a place that is not there (-1).
+
+        Times are whole numbers if only these hold them, and numbers of rows if there is no column of times. Sensors of
+        different rates in one table leave fields empty. The rows are parsed once for each column of exact times.
+        """
+        exact = time if time is not None and time in self.dates | self.exact else None
+        numbers = sorted(self.used)
+        if exact not in self._parsed:
+            self._parsed[exact] = self.parse(numbers, exact, self.notes)
+        table = self._parsed[exact]
+        unknown = np.full(len(table), np.nan)
+        values = np.array([table.values[:, numbers.index(p)] if p in numbers else unknown for p in places]).T
+        if time is None:
+            ticks = np.arange(len(values))
+        elif (nanoseconds := nanoseconds_of(self.fields, time)) is not None:
+            ticks = table.values[:, [numbers.index(time), numbers.index(nanoseconds)]] @ [1.0, 1e-9]
+        else:
+            ticks = table.whole if exact is not None else table.values[:, numbers.index(time)]
+        known = ~np.isnan(values).all(axis=1)
+        return (ticks, values) if known.all() else (ticks[known], values[known])
