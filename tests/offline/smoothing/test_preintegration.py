@@ -86,7 +86,7 @@ def test_an_increment_is_the_step_of_the_filter(from_rest: bool) -> None:
     length_m, length_var_m2 = np.array([0.7]), model.own_var_m2(step, np.array([0.7]))
     directions = Directions.of([mode])
     drift_cov = predict_heading(np.zeros((1, 4, 4)), step, step.duration_s, directions, noise)
-    _, mean, added_cov = advance(
+    _, mean, added_cov, _ = advance(
         np.zeros((1, 4)), np.zeros((1, 4, 4)), step, length_m, length_var_m2, directions, noise
     )
     np.testing.assert_allclose(found.displacement_m[0], mean[0, :2])
