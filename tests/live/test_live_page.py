@@ -137,6 +137,8 @@ def test_the_page_shows_nothing_of_another_phone_and_tells_the_state_of_each(wal
         assert browser.words("#state") == "Waiting: 2 s of samples are needed, 0.5 s are there."
         assert [browser.words(s) for s in ("#where", "#gaps", "#notes", "#rates")] == ["", "", "", ""]
         assert browser.value("document.getElementById('charts').hidden")
+        headings = "[...document.querySelectorAll('h2, caption')].filter(e => e.offsetHeight).map(e => e.textContent)"
+        assert browser.value(headings) == ["Download"]
         browser.shot(tmp_path / "empty.png")
 
         select(browser, "ended")
@@ -165,6 +167,8 @@ def test_the_page_shows_nothing_of_another_phone_and_tells_the_state_of_each(wal
         browser.ask("Emulation.setDeviceMetricsOverride", width=400, height=900, deviceScaleFactor=1, mobile=False)
         browser.until("[...document.querySelectorAll('.uplot')].every(e => e.getBoundingClientRect().right <= 400)")
         assert browser.value("document.documentElement.scrollWidth") == 400
+        bottom = browser.value("document.getElementById('state').getBoundingClientRect().bottom")
+        assert 0 < bottom <= browser.value("document.getElementById('map').getBoundingClientRect().top")
         browser.shot(tmp_path / "narrow.png")
         # a page that is opened later knows for how long the phone has been silent
         browser.open(server.address)
