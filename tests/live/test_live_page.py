@@ -122,6 +122,7 @@ def test_the_page_shows_nothing_of_another_phone_and_tells_the_state_of_each(wal
         select(browser, "phone 8b59 · ")  # and the time at which its session began
         browser.until("Number(document.getElementById('n_steps').textContent) > 60")
         assert "ahead and" in browser.words("#where")
+        assert "the person's height is not known" in browser.words("#notes")
         assert "right" in browser.words("#heading") or "left" in browser.words("#heading")
         assert browser.value("getComputedStyle(document.querySelector('#map .north')).display") == "none"
         browser.shot(tmp_path / "walking.png")
@@ -290,6 +291,9 @@ def test_a_browser_that_has_motion_sends_it(server: Server, tmp_path: Path) -> N
         browser.open(f"{server.address}/phone")
         browser.click("#start")
         browser.until("document.getElementById('connection').textContent === 'connected'")
+        browser.value("running.socket.send('{')")
+        browser.until("document.getElementById('said').textContent.startsWith('not JSON')")
+        assert browser.value("document.getElementById('said').className") == "wrong"
         browser.value("""
             new Promise(done => {
               let n = 0;
