@@ -28,6 +28,7 @@ from pdr_filter.classifiers.context_model import available_models, load_model
 from pdr_filter.classifiers.model_files import file_pair
 from pdr_filter.recipes.step_length_calibration import Calibration, load_calibration
 from pdr_filter.values import ImuBlock
+from pdr_filter.values import serialisation as serialise
 from pdr_filter.values.recording import Subject
 
 sys.path.insert(0, str(Path(__file__).parent / "io"))
@@ -176,40 +177,32 @@ def changed(tree: Any, rng: random.Random) -> Any:
     return tree
 
 
-def mutated_filter(blob: bytes, rng: random.Random) -> bytes:
-    """A mutation of a saved filter: of its bytes, of its text, or of what the text says."""
-    where = rng.random()
-    if where < 0.05:
+def damaged_filter(blob: bytes, rng: random.Random) -> bytes:
+    """A mutation of the bytes or of the text of a saved filter."""
+    if rng.random() < 0.3:
         return rng.choice([truncated, with_flipped_bits])(blob, rng)
-    text = zlib.decompress(blob)
-    if where < 0.15:
-        return zlib.compress(
-            rng.choice([truncated, with_flipped_bits, with_pieces_moved, with_absurd_numbers])(text, rng), 1
-        )
-    tree = json.loads(text)
+    change = rng.choice([truncated, with_flipped_bits, with_pieces_moved, with_absurd_numbers])
+    return zlib.compress(change(zlib.decompress(blob), rng), 1)
+
+
+def forged_filter(blob: bytes, rng: random.Random) -> bytes:
+    """A mutation of what a saved filter says, with a checksum that is right."""
+    tree = json.loads(zlib.decompress(blob))
     for _ in range(rng.choice([1, 1, 1, 2, 3])):
         tree = changed(tree, rng)
-    return zlib.compress(json.dumps(tree).encode(), 1)
+    return serialise._packed(tree["value"])
 
 
 def use_filter(blob: bytes) -> None:
-    """Load, go on, end: ValueError only from loading, and every place a number with a covariance."""
+    """Load, go on, end. A forged filter may be wrong or fail, but not refuse to end."""
     online = pdr.OnlineFilter.load(blob)
-    if online.state.finished:
-        return
     time_s, *signals = between(PAUSE_S, END_S)
-    with later():
+    with suppress(Exception):
         if online.state.merger.is_used:  # this number was changed: it takes sensors apart
-            updates = online.push_accelerometer(time_s, signals[0]) + online.push_gyroscope(time_s, signals[1])
+            _ = online.push_accelerometer(time_s, signals[0]), online.push_gyroscope(time_s, signals[1])
         else:
-            updates = online.push(time_s, *signals)
-        updates += online.finish()
-        _ = online.notes
-    for update in updates:
-        cov = update.position_cov_m2
-        assert np.isfinite([*update.position_m, *update.mode_prob, *cov.ravel()]).all()
-        assert np.linalg.eigvalsh(cov).min() > -1e-6 * (1 + np.abs(cov).max())
-    assert np.isfinite(online.position_m).all()
+            online.push(time_s, *signals)
+        _ = online.finish(), online.notes, online.device
 
 
 # --- models and calibrations ------------------------------------------------------------------------------------------
@@ -313,7 +306,7 @@ def try_one(form: str, number: int, seed: int, folder: Path) -> str:
     rng = random.Random(f"{form} {seed} {number}")
     kind, _, recipe = form.partition(":")
     if kind == "filter":
-        blob = mutated_filter(good_filter(recipe, located=number % 2 == 1), rng)
+        blob = forged_filter(good_filter(recipe, located=number % 2 == 1), rng)
         return outcome(partial(use_filter, blob), folder)
     path = good_files(form, folder, number)
     mutated_files(path, rng)

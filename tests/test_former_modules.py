@@ -15,6 +15,7 @@ import pytest
         ("pdr_filter.io.recording", "pdr_filter.values.recording", "Subject"),
         ("pdr_filter.recording_run", "pdr_filter.tracking.whole_recording", "track"),
         ("pdr_filter.papers.zhou2019.steps", "pdr_filter.recipes.zhou2019.steps", "ReferenceLineStepDetector"),
+        ("pdr_filter.classifiers.transition_probabilities", "pdr_filter.classifiers.transition_files", "Transitions"),
         ("pdr_filter.plot.walks", "pdr_filter.report.plot.walk_plots", "track"),
     ],
 )

@@ -2,37 +2,35 @@
 
 from __future__ import annotations
 
-import base64
 import io
 import json
+import random
 import tracemalloc
 import zipfile
 import zlib
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from time import process_time
 from typing import Any
 
 import numpy as np
 import pytest
-from saved_mutations import FILTERS, a_calibration, at, between, good_filter, nodes, try_one
+from saved_mutations import FILTERS, a_calibration, at, between, damaged_filter, good_filter, try_one
 
 import pdr_filter as pdr
 from pdr_filter import recipes
 from pdr_filter.classifiers import model_files as artefact
 from pdr_filter.classifiers.context_model import load_model
-from pdr_filter.filter.imm.motion_model import MotionNoise
 from pdr_filter.recipes.step_length_calibration import load_calibration
 from pdr_filter.values import limits
 from pdr_filter.values import serialisation as serialise
-from pdr_filter.values.serialisation import from_bytes, like, to_bytes
+from pdr_filter.values.serialisation import from_bytes, to_bytes
 
 SLOW_S = 2.0  # a second on a machine that is not busy
 
 
 @pytest.mark.parametrize(("form", "n"), [*((form, 15) for form in FILTERS), ("model", 30), ("calibration", 60)])
-def test_a_mutation_is_refused_at_loading_or_works(form: str, n: int, tmp_path: Path) -> None:
+def test_a_mutation_is_refused_at_loading_or_does_no_harm(form: str, n: int, tmp_path: Path) -> None:
     try_one(form, 0, 1, tmp_path)  # makes what is mutated
     for number in range(n):
         begin = process_time()
@@ -43,12 +41,26 @@ def test_a_mutation_is_refused_at_loading_or_works(form: str, n: int, tmp_path: 
 # --- saved filters ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("number", range(20))
+def test_a_damaged_filter_is_refused(number: int) -> None:
+    good = good_filter("default", located=False)
+    damaged = damaged_filter(good, random.Random(number))
+    with pytest.raises(ValueError, match="are not a saved filter of this version"):
+        pdr.OnlineFilter.load(damaged)
+
+
+def test_a_saved_filter_of_which_one_digit_has_changed_is_refused() -> None:
+    text = zlib.decompress(good_filter("default", located=False))
+    with pytest.raises(ValueError, match="its checksum is another one"):
+        from_bytes(zlib.compress(text.replace(b'"height_m": 1.7', b'"height_m": 1.8')))
+
+
 def tree(recipe: str = "default") -> Any:
     return json.loads(zlib.decompress(good_filter(recipe, located=False)))
 
 
 def load(content: Any) -> pdr.OnlineFilter:
-    return pdr.OnlineFilter.load(zlib.compress(json.dumps(content).encode(), 1))
+    return pdr.OnlineFilter.load(serialise._packed(content["value"]))
 
 
 STATE = ("value", "dict", "state", "fields")
@@ -71,8 +83,6 @@ ATTITUDE_OF_CONFIG = ("value", "dict", "config", "fields", "sensing", "fields", 
         ((*SENSING, "processed_s"), 1e31, "processed_s of SensingState must be"),
         ((*SENSING, "n_samples"), 2**70, "n_samples of SensingState must be"),
         ((*STATE, "n_climbs_used"), -1, "n_climbs_used of State is a number of things, got -1"),
-        ((*SENSING, "steps"), None, "a state of another configuration"),
-        ((*SENSING, "attitude", "fields", "vqf"), {"dict": {}}, "cannot go on"),
         ((*SENSING, "rattle", "fields", "extra"), 1.0, "RattleState has no extra"),
     ],
 )
@@ -85,49 +95,6 @@ def test_a_saved_filter_of_which_one_value_cannot_be_is_refused_by_its_name(
         load(content)
 
 
-@pytest.mark.parametrize("shape", [[4, 24], [24, 4], [96], [1, 6, 16]])
-def test_a_state_whose_arrays_have_other_shapes_than_those_of_its_configuration_is_refused(shape: list[int]) -> None:
-    content = tree()
-    cov = at(content, (*STATE, "tracker", "fields", "pedestrian", "fields", "estimates", "fields", "cov"))
-    assert cov["shape"] == [6, 4, 4]
-    cov["shape"] = shape
-    with pytest.raises(ValueError, match="a state of another configuration"):
-        load(content)
-
-
-def counters(recipe: str) -> list[tuple[str, ...]]:
-    """Where a filter counts the samples of its segment, or has the number of one of them."""
-    sensing = at(tree(recipe), SENSING)
-    names = ("n_samples", "n_emitted", "first", "window_start", "last_contact")
-    return [path for path in nodes(sensing) if path[-1] in names and "report" not in path]
-
-
-@pytest.mark.parametrize("recipe", recipes.RECIPES)
-def test_parts_that_have_counted_other_samples_are_refused(recipe: str) -> None:
-    content = tree(recipe)
-    found = counters(recipe)
-    assert len(found) > 5
-    for path in found:
-        parent = at(content, (*SENSING, *path[:-1]))
-        right = parent[path[-1]]
-        parent[path[-1]] = right + 1_000_000  # the trial walk would not find this
-        with pytest.raises(ValueError, match="counted other samples"):
-            load(content)
-        parent[path[-1]] = right
-    load(content)
-
-
-@pytest.mark.parametrize("recipe", recipes.RECIPES)
-def test_signals_of_a_detector_that_are_longer_than_it_keeps_are_refused(recipe: str) -> None:
-    content = tree(recipe)
-    line = at(content, (*SENSING, "steps", "fields", "line"))
-    array = np.frombuffer(base64.b64decode(line["array"]), dtype=line["dtype"]).reshape(line["shape"])
-    line["array"] = base64.b64encode(np.concatenate([array] * 3, axis=1).tobytes()).decode()
-    line["shape"] = [len(array), 3 * array.shape[1]]
-    with pytest.raises(ValueError, match="a state of another configuration"):
-        load(content)
-
-
 @pytest.mark.parametrize("until_s", [0.05, 0.3, 1.5, 8.5])
 @pytest.mark.parametrize("recipe", recipes.RECIPES)
 def test_a_filter_can_be_saved_at_any_time_of_a_segment(recipe: str, until_s: float) -> None:
@@ -136,16 +103,6 @@ def test_a_filter_can_be_saved_at_any_time_of_a_segment(recipe: str, until_s: fl
     assert pdr.OnlineFilter.load(online.save()).save() == online.save()
     online.push(*between(20.0, 20.0 + until_s))  # after a gap
     assert pdr.OnlineFilter.load(online.save()).save() == online.save()
-
-
-def test_positions_that_are_no_numbers_are_refused() -> None:
-    online = pdr.OnlineFilter.load(good_filter("default", located=False))
-    pedestrian = online.state.tracker.pedestrian
-    estimates = pedestrian.estimates
-    lost = replace(pedestrian, estimates=replace(estimates, mean=np.full_like(estimates.mean, np.nan)))
-    online.state = replace(online.state, tracker=replace(online.state.tracker, pedestrian=lost))
-    with pytest.raises(ValueError, match=r"cannot go on .*save the filter again"):
-        pdr.OnlineFilter.load(online.save())
 
 
 @pytest.mark.parametrize("form", FILTERS)
@@ -161,17 +118,9 @@ def test_a_filter_that_is_finished_or_has_seen_nothing_or_no_gyroscope_can_be_lo
         assert pdr.OnlineFilter.load(online.save()).save() == online.save()
 
 
-def test_an_array_may_be_longer_only_where_the_first_one_is_empty() -> None:
-    assert like(np.zeros((6, 9)), np.zeros((6, 0)))
-    assert not like(np.zeros((5, 9)), np.zeros((6, 0)))
-    assert not like(np.zeros((6, 9)), np.zeros((6, 8)))
-    assert not like(np.zeros(6), np.zeros((6, 0)))
-    assert not like(MotionNoise(), pdr.PositionFix(0.0, np.zeros(2), np.eye(2)))
-
-
 @pytest.mark.parametrize("part", [b"[],", b"{},", b"1.5,", b'{"a":[]},'], ids=str)
 def test_a_small_file_of_many_values_does_not_fill_the_memory(part: bytes) -> None:
-    content = b'{"format":4,"value":[' + part * (12_000_000 // len(part)) + b"0]}"
+    content = b'{"format":5,"value":[' + part * (12_000_000 // len(part)) + b"0]}"
     blob = zlib.compress(content)
     assert len(blob) < 60_000
     tracemalloc.start()
@@ -195,7 +144,7 @@ def test_what_unpacks_to_more_than_a_filter_has_is_refused_before_it_is_unpacked
 
 def test_a_class_of_another_room_is_not_imported() -> None:
     with pytest.raises(ValueError, match="refused to load"):
-        from_bytes(zlib.compress(b'{"format":4,"value":{"dataclass":"pdr_filter.live_nothing.x:Server","fields":{}}}'))
+        from_bytes(serialise._packed({"dataclass": "pdr_filter.live_nothing.x:Server", "fields": {}}))
 
 
 # --- models and calibrations -----------------------------------------------------------------------------------------

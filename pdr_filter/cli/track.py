@@ -84,7 +84,7 @@ class Method:
         """What model and transitions change of a recipe; what cannot be used is refused before a file is read."""
         from pdr_filter import recipes
         from pdr_filter.classifiers.context_model import load_model
-        from pdr_filter.classifiers.transition_probabilities import load_transitions
+        from pdr_filter.classifiers.transition_files import load_transitions
 
         recipes.check_name(self.recipe)
         origin_deg(self.origin)

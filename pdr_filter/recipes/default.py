@@ -11,11 +11,12 @@ from types import MappingProxyType
 import numpy as np
 
 from pdr_filter.classifiers.context_model import ContextModel
-from pdr_filter.classifiers.transition_probabilities import Transitions, load_transitions
+from pdr_filter.classifiers.transition_files import Transitions, load_transitions
 from pdr_filter.filter.imm.imm_tracker import ImmTracker
-from pdr_filter.filter.imm.modes import context_modes, context_transitions, height_notes
+from pdr_filter.filter.imm.modes import context_modes, height_notes
 from pdr_filter.filter.imm.motion_model import MotionNoise
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
+from pdr_filter.filter.imm.transition_probabilities import context_transitions
 from pdr_filter.filter.step_length.models import bounce_fit, scale_std
 from pdr_filter.recipes.config import Config
 from pdr_filter.recipes.guo2018.recipe import guo2018 as guo2018

@@ -142,10 +142,6 @@ class ConditionerState:
     units: UnitsState
     report: IntakeReport
 
-    def fits(self, n_samples: int) -> bool:
-        """Whether the segment of later stages can have so many samples; none of a new one has left yet."""
-        return self.n_emitted in (0, n_samples)
-
     def notes(self) -> tuple[str, ...]:
         """What is odd about the samples, in plain words."""
         return (*self.units.notes(), *self.report.notes())

@@ -36,10 +36,6 @@ class RattleState:
     moving_s: int = 0  # in runs that were long enough
     seen_s: int = 0
 
-    def fits(self, n_samples: int) -> bool:
-        """Whether a segment of so many samples can leave this."""
-        return self.n_samples == n_samples and all(number < n_samples for number, _ in self.steps)
-
 
 @dataclass(frozen=True, slots=True)
 class Rattle:

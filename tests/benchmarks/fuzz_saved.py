@@ -2,10 +2,11 @@
 
 usage: python -m tests.benchmarks.fuzz_saved [--inputs 2000] [--forms filter:default,model,...] [--seed 0]
 
-A saved filter that is loaded is given ten seconds of a walk and finished, a model classifies windows, a calibration
-gives everybody's step lengths, a radio map finds a walk, messages of phones become the samples of a session. No other
-file may be opened meanwhile. Inputs are tried in a process of their own, so that a crash of a C library would be seen;
-it goes on behind an input that ends it or at which it hangs. Memory is the peak above that before the input (Linux).
+A saved filter with a forged checksum is given ten seconds of a walk and finished, and may fail at that. A model
+classifies windows, a calibration gives everybody's step lengths, a radio map finds a walk, messages of phones become
+the samples of a session. No other file may be opened meanwhile. Inputs are tried in a process of their own, so that a
+crash of a C library would be seen; it goes on behind an input that ends it or at which it hangs. Memory is the peak
+above that before the input (Linux).
 """
 
 from __future__ import annotations

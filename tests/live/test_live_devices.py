@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import time
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -336,8 +337,11 @@ def test_a_session_that_cannot_be_tracked_is_shown_with_the_reason(walk: Recordi
     assert waiting == "2 s of samples are needed, 0.5 s are there"
 
 
-def test_what_an_untracked_phone_sends_is_recorded_and_can_be_read(walk: Recording, tmp_path: Path) -> None:
-    messages = sensor_logger_messages(walk, ios=True)
+@pytest.mark.parametrize(("n", "state"), [(2, "waits"), (None, "refused")])
+def test_what_an_untracked_phone_sends_is_recorded_and_can_be_read(
+    walk: Recording, tmp_path: Path, n: int | None, state: str
+) -> None:
+    messages = sensor_logger_messages(walk, ios=True)[:n]
     devices = Devices(Settings(), tmp_path, lambda _: None)
     for number, body in enumerate(encoded(messages)):
         with contextlib.suppress(SessionError):
@@ -346,9 +350,12 @@ def test_what_an_untracked_phone_sends_is_recorded_and_can_be_read(walk: Recordi
             devices = Devices(Settings(), tmp_path, lambda _: None)
     devices.close()
     (session,) = devices.sessions.values()
+    assert session.about()[state]
     recording = pdr.read(session.recorder.folder, platform="ios")
-    np.testing.assert_allclose(recording.accelerometer.values, walk.accelerometer.values, atol=1e-12)
-    assert len(recording.gyroscope) == len(walk.gyroscope)
+    n_rows = Counter(sample["name"] for message in messages for sample in message["payload"])
+    expected = walk.accelerometer.values[: n_rows["gravity"]]
+    np.testing.assert_allclose(recording.accelerometer.values, expected, atol=1e-12)
+    assert len(recording.gyroscope) == n_rows["gyroscope"]
     (name,) = exported(session.recorder.folder)
     assert name == "messages.json"
 

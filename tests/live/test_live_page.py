@@ -122,6 +122,7 @@ def test_the_page_shows_nothing_of_another_phone_and_tells_the_state_of_each(wal
         select(browser, "phone 8b59 · ")  # and the time at which its session began
         browser.until("Number(document.getElementById('n_steps').textContent) > 60")
         assert "ahead and" in browser.words("#where")
+        assert "the person's height is not known" in browser.words("#notes")
         assert "right" in browser.words("#heading") or "left" in browser.words("#heading")
         assert browser.value("getComputedStyle(document.querySelector('#map .north')).display") == "none"
         browser.shot(tmp_path / "walking.png")
@@ -137,6 +138,8 @@ def test_the_page_shows_nothing_of_another_phone_and_tells_the_state_of_each(wal
         assert browser.words("#state") == "Waiting: 2 s of samples are needed, 0.5 s are there."
         assert [browser.words(s) for s in ("#where", "#gaps", "#notes", "#rates")] == ["", "", "", ""]
         assert browser.value("document.getElementById('charts').hidden")
+        headings = "[...document.querySelectorAll('h2, caption')].filter(e => e.offsetHeight).map(e => e.textContent)"
+        assert browser.value(headings) == ["Download"]
         browser.shot(tmp_path / "empty.png")
 
         select(browser, "ended")
@@ -165,6 +168,8 @@ def test_the_page_shows_nothing_of_another_phone_and_tells_the_state_of_each(wal
         browser.ask("Emulation.setDeviceMetricsOverride", width=400, height=900, deviceScaleFactor=1, mobile=False)
         browser.until("[...document.querySelectorAll('.uplot')].every(e => e.getBoundingClientRect().right <= 400)")
         assert browser.value("document.documentElement.scrollWidth") == 400
+        bottom = browser.value("document.getElementById('state').getBoundingClientRect().bottom")
+        assert 0 < bottom <= browser.value("document.getElementById('map').getBoundingClientRect().top")
         browser.shot(tmp_path / "narrow.png")
         # a page that is opened later knows for how long the phone has been silent
         browser.open(server.address)
@@ -286,6 +291,9 @@ def test_a_browser_that_has_motion_sends_it(server: Server, tmp_path: Path) -> N
         browser.open(f"{server.address}/phone")
         browser.click("#start")
         browser.until("document.getElementById('connection').textContent === 'connected'")
+        browser.value("running.socket.send('{')")
+        browser.until("document.getElementById('said').textContent.startsWith('not JSON')")
+        assert browser.value("document.getElementById('said').className") == "wrong"
         browser.value("""
             new Promise(done => {
               let n = 0;

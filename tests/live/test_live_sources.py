@@ -8,7 +8,7 @@ import shutil
 import socket
 import subprocess
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -177,33 +177,42 @@ def test_phyphox_and_sensor_server_give_the_track_of_the_walk(walk: Recording, t
     assert "RemoteDisconnected" in "".join(server.said)
 
 
-def test_a_broker_passes_on_what_phones_publish_while_others_are_not_there(walk: Recording, tmp_path: Path) -> None:
+@contextmanager
+def broker_and_server(folder: Path, *options: str) -> Iterator[tuple[Server, Callable[[str], None]]]:
+    """A server that hears a broker, and a function that publishes a message over WebSocket as a phone does."""
     if not BROKER:
         if os.environ.get("CI") == "true":
             pytest.fail("CI needs mosquitto, which .ci/run installs")
         pytest.skip("no mosquitto on this machine")
     import paho.mqtt.client as mqtt
 
-    messages = sensor_logger_messages(walk, "over mqtt")
-    absent = ("--phyphox", "127.0.0.1:9", "--sensorserver", "127.0.0.1:9")
-    record = tmp_path / "record"
     with (
-        broker(tmp_path) as (tcp, websocket),
-        Server("--record", str(record), "--mqtt", f"mqtt://127.0.0.1:{tcp}/phones/+", *absent) as server,
+        broker(folder) as (tcp, websocket),
+        Server(*options, "--mqtt", f"mqtt://127.0.0.1:{tcp}/phones/+") as server,
     ):
         client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2, transport="websockets")
         client.connect("127.0.0.1", websocket)
         client.loop_start()
 
+        def publish(content: str) -> None:
+            client.publish("phones/one", content).wait_for_publish(5)
+
         def subscribed() -> bool:
             """QoS 0 keeps nothing for those who are not there."""
-            for message in sensor_logger_messages(walk, "probe")[:8]:
-                client.publish("phones/one", json.dumps(message))
+            publish('{"device": "probe", "session": "s", "samples": {"gyroscope": [[0, 1, 2, 3]]}}')
             return bool(server.http.get("/sessions").json()["sessions"])
 
         until(subscribed)
-        for message in messages:
-            client.publish("phones/one", json.dumps(message)).wait_for_publish(5)
+        yield server, publish
+        client.loop_stop()
+
+
+def test_a_broker_passes_on_what_phones_publish_while_others_are_not_there(walk: Recording, tmp_path: Path) -> None:
+    absent = ("--phyphox", "127.0.0.1:9", "--sensorserver", "127.0.0.1:9")
+    record = tmp_path / "record"
+    with broker_and_server(tmp_path, "--record", str(record), *absent) as (server, publish):
+        for message in sensor_logger_messages(walk, "over mqtt"):
+            publish(json.dumps(message))
         n_steps = pdr.track(replace(walk, meta={})).n_steps
 
         def whole() -> dict[str, Any] | None:
@@ -211,9 +220,21 @@ def test_a_broker_passes_on_what_phones_publish_while_others_are_not_there(walk:
             return found if found and len(found["path"]) >= n_steps - 8 else None
 
         track = until(whole, _LONGEST_S)
-        client.loop_stop()
     check(walk, record, track)
     assert "".join(server.said).count("trying again") == 2  # of the phones that are not there, once each
+
+
+def test_the_reason_why_a_message_of_a_broker_is_refused_is_told_once(walk: Recording, tmp_path: Path) -> None:
+    with broker_and_server(tmp_path) as (server, publish):
+        publish("no message")
+        publish("no message")
+        for message in sensor_logger_messages(walk, "unsigned", ios=True)[:8]:
+            publish(json.dumps(message))
+        until(lambda: server.tracks().get("unsigned", {}).get("refused"), _LONGEST_S)
+    told = [line for line in server.said if "--mqtt: " in line]
+    assert len(told) == 2
+    assert "not JSON" in told[0]
+    assert "iOS and Android have opposite signs" in told[1]
 
 
 def test_a_broker_over_websocket_is_refused_with_what_to_give_instead() -> None:

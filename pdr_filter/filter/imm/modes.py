@@ -1,4 +1,4 @@
-"""The modes of the filter that recipes share: one for each context, with its step length, and how they follow."""
+"""Modes of the filter that recipes share: one for each context, with its step length."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 
 from pdr_filter.filter.imm.motion_model import Mode
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
+from pdr_filter.filter.imm.transition_probabilities import context_transitions
 from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
 from pdr_filter.filter.imm.weighting import HC
 from pdr_filter.filter.step_length.models import (
@@ -15,7 +16,7 @@ from pdr_filter.filter.step_length.models import (
     known_length,
     scale_std,
 )
-from pdr_filter.values import CONTEXTS, FloatArray, Note
+from pdr_filter.values import CONTEXTS, Note
 from pdr_filter.values.recording import Subject
 
 # Stairs advance by one tread a step: 0.29 m up, and 0.43 m down where people skip the landing's end (Martinelli et al.
@@ -56,42 +57,6 @@ def context_modes(walking: StepLengthFit, running: StepLengthFit = _RUNNING) -> 
     # Which side a side step goes to is not observable from the features; to the right is the convention.
     offsets, heading_std = {"sideways": np.pi / 2}, {"running": _RUNNING_HEADING_STD_RAD}
     return tuple(Mode(c, c, lengths[c], offsets.get(c, 0.0), heading_std.get(c, 0.1)) for c in CONTEXTS)
-
-
-# Mean stays in steps. Level walking and stairs are of the labels of the terrain data set (four people, 140 flights in
-# 140 minutes; part of the "Lower Limb Prostheses Environmental Context Dataset", IEEE DataPort): flights of 6.6 s up
-# and 5.8 s down at 1.9 steps a second, level stretches of 33 s at 1.7. The others are set by hand: standing five false
-# steps, sideways ten, running fifty.
-_STAY_STEPS: dict[str, float] = {
-    "stationary": 5.0,
-    "walking": 55.0,
-    "upstairs": 12.0,
-    "downstairs": 11.0,
-    "sideways": 10.0,
-    "running": 50.0,
-}
-# Where walking leads to: in the same labels as often up as down; the rest is shared by what they do not hold.
-_AFTER_WALKING: dict[str, float] = {
-    "stationary": 0.1,
-    "upstairs": 0.35,
-    "downstairs": 0.35,
-    "sideways": 0.1,
-    "running": 0.1,
-}
-
-
-def context_transitions() -> FloatArray:
-    """Transition matrix between the contexts for one step, rows from.
-
-    Nine of ten ways out of every other context lead to walking (in the terrain labels all do), the tenth to any of the
-    others alike, so that walking is the most frequent context by far, as in life and unlike in training sets.
-    """
-    rows = np.zeros((len(CONTEXTS), len(CONTEXTS)))
-    for i, context in enumerate(CONTEXTS):
-        leave = 1 / _STAY_STEPS[context]
-        to = _AFTER_WALKING if context == "walking" else {c: 0.9 if c == "walking" else 0.1 / 4 for c in CONTEXTS}
-        rows[i] = [1 - leave if c == context else leave * to[c] for c in CONTEXTS]
-    return rows
 
 
 def one_hot_tracker(modes: tuple[Mode, ...]) -> WeightedTracker:

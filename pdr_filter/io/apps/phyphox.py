@@ -1,4 +1,8 @@
-"""phyphox (iOS, Android): the clock, the pauses and the phone, which it writes beside its tables.
+"""phyphox (iOS, Android): wall clock, pauses and phone, which the app writes into the folder `meta` beside its tables.
+
+The reader of a whole export is `io.tables.any_table.read_table`: it finds the columns by their headers, takes units
+and sign from the dialect `phyphox` of `io.tables.app_dialects`, and calls `read_experiment` for the folder `meta`.
+`live.sources.Phyphox` reads from a phone whose remote access is on.
 
 Layout after the app's export code (github.com/phyphox/phyphox-android, DataExport.java). Time is in seconds of the
 experiment, which stands still while it is paused.

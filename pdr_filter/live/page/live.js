@@ -86,14 +86,14 @@ function list() {
   select.value = shown;
   for (const id of ["way", "numbers"]) byId(id).hidden = !shown;
   byId("empty").hidden = Boolean(shown);
-  if (!shown) byId("charts").hidden = true;
+  if (!shown) for (const id of ["charts", "state"]) byId(id).hidden = true;
   draw();
 }
 
 const text = (id, words) => { if (byId(id).textContent !== words) byId(id).textContent = words; };
 const largest = probabilities => {
   const known = Object.entries(probabilities).filter(([, p]) => p !== null).sort((a, b) => b[1] - a[1]);
-  return known.length ? `${known[0][0]} ${Math.round(100 * known[0][1])} %` : "–";
+  return known.length ? `${known[0][0]} ${Math.round(100 * known[0][1])}\u00a0%` : "–";
 };
 
 // Without magnetometer or location the first heading takes the place of north.

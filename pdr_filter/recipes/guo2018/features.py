@@ -85,10 +85,6 @@ class MotionLevelState:
     n_samples: int  # seen so far in this segment
     delay_line: FloatArray  # (6, L - 1) specific force, its square, squared angular rate, samples without angular rate
 
-    def fits(self, n_samples: int) -> bool:
-        """Whether a segment of so many samples can leave this."""
-        return self.n_samples == n_samples
-
 
 @dataclass(frozen=True)
 class MotionLevel:

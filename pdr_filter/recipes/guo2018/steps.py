@@ -46,11 +46,6 @@ class PoseStepState(DetectorState):
     recent: FloatArray  # (6, <= L + 1) the four filtered signals, whether somebody walks, row of the pose's signal
     last_peak: float  # number of the sample, and a part, of the last accepted maximum; -inf before
 
-    def fits(self, n_samples: int) -> bool:
-        """Whether a segment of so many samples can leave this."""
-        parts_fit = super().fits(n_samples) and self.level.fits(n_samples)
-        return parts_fit and self.recent.shape[1] <= n_samples and self.last_peak < n_samples
-
 
 @dataclass(frozen=True)
 class PoseStepDetector(StepDetector[PoseStepState]):

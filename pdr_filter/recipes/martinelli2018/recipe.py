@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdr_filter.filter.imm.modes import context_modes, context_transitions
+from pdr_filter.filter.imm.modes import context_modes
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
+from pdr_filter.filter.imm.transition_probabilities import context_transitions
 from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
 from pdr_filter.filter.step_length.models import FrequencyVarianceStepLength, StepLengthFit
 from pdr_filter.recipes.config import Config

@@ -126,10 +126,6 @@ class MotionWindowState:
     delay_line: FloatArray  # (2, L - 1) filtered norms, for the moving mean
     buffer: WindowBuffer  # of norms less their moving mean, |omega|, angular rate known
 
-    def fits(self, n_samples: int) -> bool:
-        """Whether a segment of so many samples can leave this."""
-        return self.n_samples == n_samples and self.buffer.fits(n_samples)
-
 
 @dataclass(frozen=True)
 class MotionWindows(SlidingWindows[MotionWindowState, MotionWindow]):

@@ -55,10 +55,6 @@ class NormMinimaState(DetectorState):
     last: FloatArray  # (6,) last specific force and angular rate
     troughs: tuple[Trough, Trough]  # of |f| and |omega|
 
-    def fits(self, n_samples: int) -> bool:
-        """Whether a segment of so many samples can leave this."""
-        return super().fits(n_samples) and all(max(each.sample, each.before) < n_samples for each in self.troughs)
-
 
 @dataclass(frozen=True)
 class NormMinimaStepDetector(StepDetector[NormMinimaState]):

@@ -188,11 +188,6 @@ class TianContextsState:
     reported_mode: int  # -1 before the first
     n_silent: int  # samples since the last report
 
-    def fits(self, n_samples: int) -> bool:
-        """Whether a segment of so many samples can leave this."""
-        counted = self.n_samples == n_samples and self.last_contact < n_samples
-        return counted and self.detector.fits(n_samples)
-
 
 @dataclass(frozen=True)
 class TianContexts:

@@ -71,10 +71,6 @@ class OffsetCompensationState:
     last_duration_s: float = _NAN
     last_time_s: float = _NAN
 
-    def fits(self, n_samples: int) -> bool:
-        """Whether a segment of so many samples can leave this."""
-        return self.n_samples == n_samples and self.recent.shape[1] <= n_samples
-
 
 @dataclass(frozen=True)
 class OffsetCompensation:

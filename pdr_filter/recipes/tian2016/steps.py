@@ -117,10 +117,6 @@ class TianDetectorState(DetectorState):
     transition_start: int  # number of its first sample; -1 outside
     step_hz: float  # frequency of the last step; zero for the first from rest
 
-    def fits(self, n_samples: int) -> bool:
-        """Whether a segment of so many samples can leave this."""
-        return super().fits(n_samples) and self.transition_start < n_samples
-
 
 @dataclass(frozen=True)
 class TianStepDetector(StepDetector[TianDetectorState]):

@@ -74,10 +74,6 @@ class BehaviourState:
     delay_line: FloatArray  # (L - 1,) acceleration; empty before the first sample
     buffer: WindowBuffer  # of filtered acceleration
 
-    def fits(self, n_samples: int) -> bool:
-        """Whether a segment of so many samples can leave this."""
-        return self.buffer.fits(n_samples - len(self.waiting))
-
 
 @dataclass(frozen=True)
 class BehaviourWindows(SlidingWindows[BehaviourState, BehaviourWindow]):

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from pdr_filter.filter.imm.modes import context_modes, one_hot_tracker
-from pdr_filter.filter.step_length.models import KimStepLength, StepLengthFit, ZhouWalkingStepLength
+from pdr_filter.filter.step_length.models import StepLengthFit
 from pdr_filter.recipes.config import Config
 from pdr_filter.recipes.zhou2019 import contexts as behaviours
 from pdr_filter.recipes.zhou2019 import steps as reference_lines
+from pdr_filter.recipes.zhou2019.step_length import M6, M7
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.values import Note
 from pdr_filter.values.recording import Subject
@@ -16,12 +17,12 @@ from pdr_filter.values.recording import Subject
 # Eq. 14 (M7): fitted by tests/benchmarks/step_length.py, because the paper prints no parameters.
 # Carried: legs of two sites; on a foot: the way of the foot in 24 trials, of which those left out scatter by 16 %.
 _CARRIED_LENGTHS = (
-    StepLengthFit(ZhouWalkingStepLength(), np.array([-0.690, -3.159, 4.351, -0.0084]), np.zeros((4, 4)), 0.10),
-    StepLengthFit(KimStepLength(), np.array([0.552]), np.zeros((1, 1)), 0.10),
+    StepLengthFit(M7(), np.array([-0.690, -3.159, 4.351, -0.0084]), np.zeros((4, 4)), 0.10),
+    StepLengthFit(M6(), np.array([0.552]), np.zeros((1, 1)), 0.10),
 )
 _FOOT_LENGTHS = (
-    StepLengthFit(ZhouWalkingStepLength(), np.array([-5.226, -6.963, 12.361, 0.0273]), np.zeros((4, 4)), 0.15),
-    StepLengthFit(KimStepLength(), np.array([0.389]), np.zeros((1, 1)), 0.15),
+    StepLengthFit(M7(), np.array([-5.226, -6.963, 12.361, 0.0273]), np.zeros((4, 4)), 0.15),
+    StepLengthFit(M6(), np.array([0.389]), np.zeros((1, 1)), 0.15),
 )
 
 

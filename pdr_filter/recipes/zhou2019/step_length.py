@@ -1,4 +1,9 @@
-"""Step-length models M1 to M7 of Zhou et al. 2019, by their names in the paper."""
+"""Step-length models M1 to M7 of Zhou et al. 2019, each with its equation in the paper.
+
+L is the length of a step in m, f the step frequency in Hz, h the body height in m, and a = |f| - g, in m/s2 over the
+samples of the step. k, k0, k1 and so on are the parameters theta of a `StepLengthFit`. The paper prints no values:
+`recipe` has those of M7, and `pdr_filter.calibrate` fits those of any model to known distances.
+"""
 
 from pdr_filter.filter.step_length.models import (
     FrequencyStepLength,
@@ -10,10 +15,10 @@ from pdr_filter.filter.step_length.models import (
     ZhouWalkingStepLength,
 )
 
-M1 = FrequencyStepLength  # eq. 7
-M2 = FrequencyVarianceStepLength  # eq. 8
-M3 = PeriodPeakStepLength  # eq. 9
-M4 = MagnitudeRangeStepLength  # eq. 10
-M5 = TianStepLength  # eq. 11
-M6 = KimStepLength  # eq. 12
-M7 = ZhouWalkingStepLength  # eq. 14, the walking half; the running half is M6
+M1 = FrequencyStepLength  # eq. 7: L = k0 + k1 f
+M2 = FrequencyVarianceStepLength  # eq. 8: L = k0 + k1 f + k2 var(a)
+M3 = PeriodPeakStepLength  # eq. 9: L = k0 + k1 / f + k2 max(a)
+M4 = MagnitudeRangeStepLength  # eq. 10: L = k (max(a) - min(a))^(1/4)
+M5 = TianStepLength  # eq. 11: L = k h sqrt(f)
+M6 = KimStepLength  # eq. 12: L = k (mean |a|)^(1/3)
+M7 = ZhouWalkingStepLength  # eq. 14, walking: L = k0 + k1 / f + k2 / sqrt(f) + k3 max(a); running: M6

@@ -72,10 +72,6 @@ class ReferenceLineState(DetectorState):
     lines: ReferenceLines = ReferenceLines()
     last_event: float = -np.inf  # sample of the last event that was given
 
-    def fits(self, n_samples: int) -> bool:
-        """Whether a segment of so many samples can leave this."""
-        return super().fits(n_samples) and 0 <= n_samples - self.window_start <= self.buffer.shape[1] <= n_samples
-
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceLineStepDetector(StepDetector[ReferenceLineState]):

@@ -30,10 +30,6 @@ class WindowBuffer:
     first: int  # number of the first sample in the buffer
     rows: FloatArray  # (1 + R, B) time and signals
 
-    def fits(self, n_samples: int) -> bool:
-        """Whether a segment of so many samples can leave this."""
-        return self.first + self.rows.shape[1] == n_samples
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DescribedWindow:

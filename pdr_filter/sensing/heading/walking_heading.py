@@ -139,10 +139,6 @@ class WalkingHeadingState:
     direction_up: Vector  # mean up direction of that stride
     formers: tuple[Former, ...]  # the last three
 
-    def fits(self, n_samples: int) -> bool:
-        """Whether a segment of so many samples can leave this."""
-        return self.n_samples == n_samples and self.signals.shape[1] <= n_samples
-
 
 @dataclass(frozen=True)
 class WalkingHeading:

@@ -36,10 +36,6 @@ class DetectorState:
     log: StepLogState
     line: FloatArray  # (R, L) its last signals; zeros before the first sample
 
-    def fits(self, n_samples: int) -> bool:
-        """Whether a segment of so many samples can leave this."""
-        return self.log.fits(n_samples)
-
 
 S = TypeVar("S", bound=DetectorState)
 

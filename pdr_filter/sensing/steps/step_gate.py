@@ -70,10 +70,6 @@ class StepGateState:
     run_s: tuple[float, float] = (-math.inf, -math.inf)  # first and last contact of accepted steps without a pause
     is_bout: bool = False  # that they are a bout
 
-    def fits(self, n_samples: int) -> bool:
-        """Whether a segment of so many samples can leave this."""
-        return self.n_samples == n_samples and all(number < n_samples for number, _ in self.waiting)
-
 
 @dataclass(frozen=True)
 class StepGate:

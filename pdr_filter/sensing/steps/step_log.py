@@ -46,10 +46,6 @@ class StepLogState:
     last_duration_s: float
     last_amplitude_mps2: float  # of the last step; 0 if it was longer than usual
 
-    def fits(self, n_samples: int) -> bool:
-        """Whether a segment of so many samples can leave this."""
-        return self.n_samples == n_samples and self.signals.shape[1] <= n_samples and self.last_contact < n_samples
-
 
 # What is usual for somebody is the mean of about the last twenty steps.
 USUAL_DECAY = 0.95

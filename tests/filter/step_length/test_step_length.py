@@ -42,6 +42,7 @@ from pdr_filter.recipes import default
 from pdr_filter.recipes.guo2018.recipe import chen_fit
 from pdr_filter.recipes.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.recipes.tian2016.recipe import recipe_fit, tian_fit
+from pdr_filter.recipes.zhou2019 import step_length as zhou2019
 from pdr_filter.sensing.steps.step_detector import unknown_contexts
 from pdr_filter.sensing.steps.step_log import amplitude as amplitude_of
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, Step
@@ -127,6 +128,21 @@ def test_every_model_gives_the_value_of_its_equation() -> None:
         (length_of(ChenStepLength(1.85), step, 0.4, 0.2, 1.1), (0.7 + 0.04 + 0.2 * 0.21 * 1.85 / 1.75) * 1.1),
         (length_of(ZhouWalkingStepLength(), step, 0.2, 0.4, 0.1, 0.05), 0.2 + 0.4 / 2 + 0.1 / 2**0.5 + 0.05 * peak),
         (length_of(BounceStepLength(height_m=1.8), step_of(amplitude=1.6), 0.3), 0.54 * 1.6**0.25),
+    ]:
+        assert length == pytest.approx(value, rel=1e-12)
+
+
+def test_the_models_of_zhou_et_al_have_the_equations_of_the_numbers_in_the_paper() -> None:
+    step = step_of(frequency_hz=2.0, variance=4.0, magnitude=(7.0, 15.0), mean_abs=8.0)
+    peak = 15.0 - STANDARD_GRAVITY_MPS2
+    for length, value in [
+        (length_of(zhou2019.M1(), step, 0.3, 0.2), 0.3 + 0.2 * 2),
+        (length_of(zhou2019.M2(), step, 0.3, 0.2, 0.01), 0.3 + 0.2 * 2 + 0.01 * 4),
+        (length_of(zhou2019.M3(), step, 0.3, 0.4, 0.05), 0.3 + 0.4 / 2 + 0.05 * peak),
+        (length_of(zhou2019.M4(), step, 0.4), 0.4 * (15 - 7) ** 0.25),
+        (length_of(zhou2019.M5(1.8), step, 0.3), 0.3 * 1.8 * 2**0.5),
+        (length_of(zhou2019.M6(), step, 0.35), 0.35 * 8 ** (1 / 3)),
+        (length_of(zhou2019.M7(), step, 0.2, 0.4, 0.1, 0.05), 0.2 + 0.4 / 2 + 0.1 / 2**0.5 + 0.05 * peak),
     ]:
         assert length == pytest.approx(value, rel=1e-12)
 

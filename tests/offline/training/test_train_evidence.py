@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 import pdr_filter as pdr
 from pdr_filter.classifiers.context_model import ContextModel, load_model
-from pdr_filter.classifiers.transition_probabilities import Transitions, load_transitions
+from pdr_filter.classifiers.transition_files import Transitions, load_transitions
 from pdr_filter.cli.app import app
 from pdr_filter.io.files.own_format import write_recording
 from pdr_filter.offline.training import carrying_training as train_carrying

@@ -1,7 +1,7 @@
-"""How contexts follow each other and how much a window counts: what the filter needs besides a classifier, in a file.
+"""Files of transition probabilities and of the exponents of evidence: what a filter needs besides a classifier.
 
-`pdr_filter.offline.training.transition_training` estimates both from recordings; `recipes.with_transitions` gives them
-to a filter.
+`filter.imm.transition_probabilities` has the matrix of the default filter. `offline.training.transition_training`
+estimates another one from recordings, and `recipes.with_transitions` gives it to a filter.
 """
 
 from __future__ import annotations
