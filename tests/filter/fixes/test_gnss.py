@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pymap3d
 import pytest
-from helpers import cut_randomly
+from helpers import cut_randomly, pushed
 from scipy.stats import chi2
 
 import pdr_filter as pdr
@@ -315,21 +315,18 @@ def test_a_hundred_locations_that_are_off_together_are_not_a_hundred_witnesses(b
 @pytest.mark.parametrize("seed", [1, 2])
 def test_an_app_gets_the_same_bits_however_samples_and_locations_arrive(walk: Recording, seed: int) -> None:
     whole = pdr.track(walk, recipes.default())
-    online, updates = pdr.OnlineFilter(recipes.default().in_world_frame()), []
     location, sent = walk.location, 0
+
+    def push_locations(online: pdr.OnlineFilter, until_s: float) -> None:
+        nonlocal sent
+        new = slice(sent, sent := int(np.searchsorted(location.time_s, until_s)))
+        latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values[new].T
+        online.push_location(location.time_s[new], latitude_deg, longitude_deg, accuracy_m, altitude_m)
+
+    online = pdr.OnlineFilter(recipes.default().in_world_frame())
     assert online.origin is None
-    for block in cut_randomly(pdr.merge_streams(walk), seed):
-        until = int(np.searchsorted(location.time_s, block.time_s[-1])) if len(block.time_s) else sent
-        latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values[sent:until].T
-        online.push_location(location.time_s[sent:until], latitude_deg, longitude_deg, accuracy_m, altitude_m)
-        sent = until
-        updates += online.push(
-            block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut
-        )
-        online = pdr.OnlineFilter.load(online.save())
-    latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values[sent:].T
-    online.push_location(location.time_s[sent:], latitude_deg, longitude_deg, accuracy_m, altitude_m)
-    updates += online.finish()
+    blocks = cut_randomly(pdr.merge_streams(walk), seed)
+    online, updates = pushed(online, blocks, push_locations, n_resumed=6)
     frame = online.state.tracker.pedestrian.frame
     told = [u.position_m if u.of_start is None else frame.world(u.of_start).position_m for u in updates]
     np.testing.assert_array_equal(told, whole.position_m)
