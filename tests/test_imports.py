@@ -99,6 +99,7 @@ WHEN_CALLED = {
 }
 
 
+@cache
 def imports_of_modules(types: bool = False, only_at_import: bool = False) -> dict[str, set[str]]:
     """Modules that each module of the package imports, both named without the package.
 
