@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from itertools import pairwise
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+import pdr_filter as pdr
 from pdr_filter.filter.imm.imm_tracker import ImmTracker
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.pedestrian_state import StepUpdate
@@ -57,6 +58,32 @@ def cut_randomly(block: ImuBlock, seed: int, mean_length: int = 40) -> list[ImuB
     rng = np.random.default_rng(seed)
     n = len(block.time_s)
     return cut(block, list(rng.integers(0, n + 1, size=max(n // mean_length, 1))))
+
+
+def pushed(
+    online: pdr.OnlineFilter,
+    blocks: Sequence[ImuBlock],
+    before: Callable[[pdr.OnlineFilter, float], None] | None = None,
+    n_resumed: int = 0,
+) -> tuple[pdr.OnlineFilter, list[pdr.StepUpdate]]:
+    """The finished filter and all its updates.
+
+    `before` may push other things that were measured until the end of a block; its last call is for all that is left.
+    The filter is saved and loaded after `n_resumed` of the blocks: each time costs as much as half a minute of samples.
+    """
+    resumed_at = set(np.linspace(len(blocks) - 1, 0, n_resumed, dtype=int).tolist())
+    updates: list[pdr.StepUpdate] = []
+    for k, block in enumerate(blocks):
+        if before and len(block.time_s):
+            before(online, float(block.time_s[-1]))
+        updates += online.push(
+            block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut
+        )
+        if k in resumed_at:
+            online = pdr.OnlineFilter.load(online.save())
+    if before:
+        before(online, np.inf)
+    return online, [*updates, *online.finish()]
 
 
 def condition(conditioner: Conditioner, blocks: Sequence[ImuBlock]) -> tuple[ConditionerState, list[UniformBlock]]:

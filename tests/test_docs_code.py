@@ -5,12 +5,11 @@ from __future__ import annotations
 import importlib
 import inspect
 import json
-import os
 import re
-import subprocess
-import sys
+import shlex
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ import pytest
 import typer.main
 from heard import heard_along
 from helpers import cut_randomly
+from typer.testing import CliRunner
 
 import pdr_filter as pdr
 from pdr_filter.cli.app import app
@@ -127,7 +127,9 @@ WITH_COMMANDS = [name for name, text in PAGES.items() if any("[" not in b for b 
 
 
 @pytest.mark.parametrize("page", WITH_COMMANDS)
-def test_the_commands_of_a_page_run_as_they_are_typed(page: str, recording: pdr.Recording, tmp_path: Path) -> None:
+def test_the_commands_of_a_page_run_as_they_are_typed(
+    page: str, recording: pdr.Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     mine = replace(recording, truth=Truth())  # of which a reader's phone knows nothing
     mine.save(tmp_path / "walk.zip")
     recording.save(tmp_path / "surveyed" / "walk.zip")
@@ -135,15 +137,11 @@ def test_the_commands_of_a_page_run_as_they_are_typed(page: str, recording: pdr.
     (tmp_path / "fixes.csv").write_text("time_s,east_m,north_m\n4,0,0\n20,1,20\n30,10,25\n", encoding="utf-8")
     (tmp_path / "loops.csv").write_text("first_s,second_s,std_m\n3.0,6.0,10\n", encoding="utf-8")
     (tmp_path / "building.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": BUILDING}), "utf-8")
-    command = tmp_path / "bin" / "pdr-filter"
-    command.parent.mkdir()
-    command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -c "from pdr_filter.cli.app import main; main()" "$@"\n')
-    command.chmod(0o755)
-    path = {"PATH": f"{command.parent}{os.pathsep}{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
+    monkeypatch.chdir(tmp_path)
     for block in BLOCK.findall(PAGES[page]):
-        shell = ["sh", "-e", "-c", block]
-        done = subprocess.run(shell, cwd=tmp_path, env=os.environ | path, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
+        for line in block.splitlines():  # each names the one command: no shell and no process of its own is needed
+            done = CliRunner().invoke(app, shlex.split(line, comments=True)[1:])
+            assert done.exit_code == 0, done.stderr
     for name in re.findall(r"# .*?((?:results|local|smoothed)/\S+)", PAGES[page]):
         assert (tmp_path / name).is_file()
 
@@ -257,6 +255,11 @@ def test_the_page_of_benchmarks_leads_to_every_page_with_a_table() -> None:
     links = set(re.findall(r"\]\(([\w/]+\.md)", PAGES["docs/benchmarks.md"]))
     with_tables = {page.removeprefix("docs/") for page, text in PAGES.items() if tables_of(text)}
     assert with_tables - {"README.md", "benchmarks.md"} <= links
+
+
+@cache
+def source_of_benchmarks() -> str:
+    return "".join(p.read_text("utf-8") for p in (ROOT / "tests" / "benchmarks").rglob("*.py"))
 
 
 @pytest.mark.parametrize("name", TABLES)

@@ -8,26 +8,26 @@ import sys
 
 import pytest
 
+FORMER = {
+    "pdr_filter.io.recording": ("pdr_filter.values.recording", "Subject"),
+    "pdr_filter.recording_run": ("pdr_filter.tracking.whole_recording", "track"),
+    "pdr_filter.papers.zhou2019.steps": ("pdr_filter.recipes.zhou2019.steps", "ReferenceLineStepDetector"),
+    "pdr_filter.classifiers.transition_probabilities": ("pdr_filter.classifiers.transition_files", "Transitions"),
+    "pdr_filter.plot.walks": ("pdr_filter.report.plot.walk_plots", "track"),
+}
 
-@pytest.mark.parametrize(
-    ("former", "present", "name"),
-    [
-        ("pdr_filter.io.recording", "pdr_filter.values.recording", "Subject"),
-        ("pdr_filter.recording_run", "pdr_filter.tracking.whole_recording", "track"),
-        ("pdr_filter.papers.zhou2019.steps", "pdr_filter.recipes.zhou2019.steps", "ReferenceLineStepDetector"),
-        ("pdr_filter.classifiers.transition_probabilities", "pdr_filter.classifiers.transition_files", "Transitions"),
-        ("pdr_filter.plot.walks", "pdr_filter.report.plot.walk_plots", "track"),
-    ],
-)
-def test_a_former_module_has_the_names_of_the_present_one(former: str, present: str, name: str) -> None:
+
+def test_a_former_module_has_the_names_of_the_present_one() -> None:
+    """In a fresh interpreter, which has loaded neither of them."""
     code = (
         "import importlib, warnings\n"
-        "with warnings.catch_warnings(record=True) as caught:\n"
-        "    warnings.simplefilter('always')\n"
-        f"    old = importlib.import_module('{former}')\n"
-        f"assert old.{name} is importlib.import_module('{present}').{name}\n"
-        f"assert '{former} is now {present}' in [str(w.message) for w in caught], caught\n"
-        "assert {w.category for w in caught} == {DeprecationWarning}"
+        f"for former, (present, name) in {FORMER}.items():\n"
+        "    with warnings.catch_warnings(record=True) as caught:\n"
+        "        warnings.simplefilter('always')\n"
+        "        old = importlib.import_module(former)\n"
+        "    assert getattr(old, name) is getattr(importlib.import_module(present), name), former\n"
+        "    assert f'{former} is now {present}' in [str(w.message) for w in caught], (former, caught)\n"
+        "    assert {w.category for w in caught} == {DeprecationWarning}, (former, caught)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -6,19 +6,21 @@ import ast
 import importlib
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 
-def loaded_by(statement: str) -> set[str]:
+@cache
+def loaded_by(statement: str) -> frozenset[str]:
     """Modules that a statement loads in a fresh interpreter.
 
     From sys.modules: `-X importtime` does not list what importlib.import_module loads, as the package does.
     """
     code = f"{statement}\nimport sys; print(*sys.modules, file=sys.stderr)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    return set(done.stderr.split())
+    return frozenset(done.stderr.split())
 
 
 def test_the_list_of_loaded_modules_is_not_empty() -> None:
@@ -97,6 +99,7 @@ WHEN_CALLED = {
 }
 
 
+@cache
 def imports_of_modules(types: bool = False, only_at_import: bool = False) -> dict[str, set[str]]:
     """Modules that each module of the package imports, both named without the package.
 

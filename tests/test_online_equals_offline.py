@@ -94,12 +94,14 @@ def assert_same_updates(actual: Sequence[pdr.StepUpdate], expected: Sequence[pdr
 # --- chunking -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("weighting", WEIGHTINGS)
-@pytest.mark.parametrize("seed", [0, 1])
-def test_the_simulated_walk_gives_the_same_bits_however_it_arrives(demo: Recording, weighting: str, seed: int) -> None:
+# The front end, where blocks matter most, is the same for all weightings: only one of them gets tiny blocks.
+@pytest.mark.parametrize(("weighting", "mean_length"), [("imm", 7), ("imm", 40), ("wc", 40), ("hc", 40)])
+def test_the_simulated_walk_gives_the_same_bits_however_it_arrives(
+    demo: Recording, weighting: str, mean_length: int
+) -> None:
     track = tracked(demo, weighting=weighting)
     assert track.n_steps > 190
-    blocks = cut_randomly(pdr.merge_streams(demo), seed, mean_length=[40, 7][seed])
+    blocks = cut_randomly(pdr.merge_streams(demo), seed=mean_length, mean_length=mean_length)
     online = online_filter(weighting)
     assert_updates_are_the_track(stream(online, blocks), track)
     assert online.notes == track.notes
@@ -107,8 +109,9 @@ def test_the_simulated_walk_gives_the_same_bits_however_it_arrives(demo: Recordi
 
 
 @pytest.mark.recordings
-@pytest.mark.parametrize("weighting", WEIGHTINGS)
-@pytest.mark.parametrize("name", REAL)
+@pytest.mark.parametrize(
+    ("name", "weighting"), [*zip(REAL, WEIGHTINGS, strict=True), (REAL[1], "imm"), (REAL[2], "imm")]
+)
 def test_real_recordings_give_the_same_bits_however_they_arrive(data_dir: Path, name: str, weighting: str) -> None:
     recording = pdr.read(data_dir / name)
     blocks = cut_randomly(pdr.merge_streams(recording), seed=len(name))

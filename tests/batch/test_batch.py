@@ -37,7 +37,7 @@ def walks(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("walks")
     whole = pdr.simulate.demo_walk()
     for i in range(N):
-        end_s = 24.0 + 8.0 * i
+        end_s = 20.0 + 4.0 * i
         cut = {
             name: pdr.Samples(stream.time_s[stream.time_s < end_s], stream.values[stream.time_s < end_s])
             for name, stream in whole.streams.items()
@@ -47,7 +47,7 @@ def walks(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_rows_are_those_of_one_by_one_to_the_last_bit(walks: Path, tmp_path: Path) -> None:
-    rows = batch.track(walks, jobs=2, out=tmp_path / "tracks.csv")
+    rows = batch.track(walks, out=tmp_path / "tracks.csv")
     assert [Path(row.path).name for row in rows] == [f"walk_{i}.zip" for i in range(N)]
     for row in rows:
         recording = pdr.read(row.path)
@@ -80,7 +80,7 @@ def test_the_table_holds_the_bits_of_the_rows(walks: Path, tmp_path: Path) -> No
 def test_failures_stand_beside_the_successes_with_their_reason(walks: Path, tmp_path: Path) -> None:
     broken, missing = tmp_path / "broken, 'a' \"b\".zip", tmp_path / "missing.zip"
     broken.write_text("this is no zip file")
-    rows = batch.track([broken, walks / "walk_0.zip", missing], jobs=2, out=tmp_path / "out" / "tracks.csv")
+    rows = batch.track([broken, walks / "walk_0.zip", missing], out=tmp_path / "out" / "tracks.csv")
     assert [row.status for row in rows] == ["failed", "done", "failed"]
     assert all(row.reason and row.n_steps is None and "\n" not in row.reason for row in (rows[0], rows[2]))
     assert rows[1].reason == ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 from typer.testing import CliRunner, Result
 
 import pdr_filter as pdr
@@ -19,6 +20,13 @@ def one_line(text: str) -> str:
     """The only line of a message; no traceback."""
     (line,) = text.strip().splitlines()
     return line
+
+
+def short_walk() -> pdr.Recording:
+    """Half a minute round a square of seven metres, which is tracked and drawn in a third of the time of the demo."""
+    legs = [pdr.simulate.Leg("walking", distance_m=7.0, turn_rad=turn) for turn in (0.0, *[np.pi / 2] * 3)]
+    still = pdr.simulate.Leg("stationary", duration_s=4.0)
+    return pdr.simulate.simulate([still, *legs], pdr.simulate.Gait(height_m=1.86), "pocket", name="short_walk")
 
 
 def demo_file(folder: Path) -> Path:

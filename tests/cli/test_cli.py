@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands import demo_file, one_line, run
+from commands import one_line, run, short_walk
 from typer.testing import CliRunner
 
 import pdr_filter as pdr
@@ -24,7 +24,7 @@ MODELS = Path(__file__).resolve().parents[2] / "models"
 
 @pytest.fixture(scope="module")
 def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return demo_file(tmp_path_factory.mktemp("walks"))
+    return short_walk().save(tmp_path_factory.mktemp("walks") / "short_walk.zip")
 
 
 @pytest.fixture
@@ -47,7 +47,7 @@ def on_a_terminal(*arguments: object) -> str:
 def hostile(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of walks whose texts clear the terminal or are too long for a file name, and a broken one."""
     folder = tmp_path_factory.mktemp("hostile")
-    walk = pdr.simulate.demo_walk()
+    walk = short_walk()
     labels = walk.truth.labels
     assert labels is not None
     odd = labels.astype([(n, "U20" if n in ("context", "carrying_mode") else "f8") for n in labels.dtype.names or ()])
@@ -82,7 +82,7 @@ def test_a_name_too_long_for_a_file_is_shortened_and_all_files_are_written(hosti
 def test_one_bad_file_does_not_stop_the_others_and_is_listed(walk: Path, broken: Path) -> None:
     result = run("track", broken, walk)
     assert result.exit_code == 1
-    assert "demo_walk" in result.stdout
+    assert "short_walk" in result.stdout
     assert "1 of 2 files failed" in result.stderr
     assert str(broken) in result.stderr
 
@@ -117,7 +117,7 @@ def test_a_file_that_does_not_exist_is_named(tmp_path: Path) -> None:
         (["--heading", "nan"], "--heading must be degrees clockwise from north"),
         (["--heading", "4000"], "--heading must be degrees clockwise from north"),
         (["--export", "shp"], "csv, geojson, gpx, kml, parquet, tum, got 'shp'"),
-        (["--export", "csv,gpx"], "demo_walk: --export gpx needs a place on Earth"),
+        (["--export", "csv,gpx"], "short_walk: --export gpx needs a place on Earth"),
         (["--origin", "43.77,11.25", "--gnss", "filter"], "has no location"),
     ],
 )
@@ -147,7 +147,7 @@ def test_info_tells_sensors_units_and_truth(walk: Path) -> None:
 def test_info_json_is_one_object_a_line(walk: Path, broken: Path) -> None:
     result = run("info", "--json", walk, broken)
     good, bad = (json.loads(line) for line in result.stdout.splitlines())
-    assert good["name"] == "demo_walk"
+    assert good["name"] == "short_walk"
     assert [s["name"] for s in good["streams"]] == ["accelerometer", "gyroscope", "magnetometer"]
     assert set(bad) == {"name", "error"}
     assert result.exit_code == 1
@@ -179,7 +179,7 @@ def test_compare_has_recipes_the_truth_a_page_of_all_and_json(walk: Path, tmp_pa
         assert row["rmse_m"] == pytest.approx(pdr.evaluate.position_rmse_m(at_m, reference_m, "all"))
     (page,) = tmp_path.glob("*.compare.html")
     text = page.read_text()
-    assert "demo_walk, susi2013" in text and "demo_walk, default" in text
+    assert "short_walk, susi2013" in text and "short_walk, default" in text
     again = run("compare", walk, *recipes, "--out", tmp_path)
     assert "replaced" in again.stderr and "off the truth" not in again.stdout
     table = run("compare", walk, *recipes, "--truth")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import demo_file, one_line, run
+from commands import one_line, run, short_walk
 from heard import round_a_block, walk_with_wifi
 
 import pdr_filter as pdr
@@ -24,7 +24,7 @@ MODELS = Path(__file__).resolve().parents[2] / "models"
 
 @pytest.fixture(scope="module")
 def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return demo_file(tmp_path_factory.mktemp("walks"))
+    return short_walk().save(tmp_path_factory.mktemp("walks") / "short_walk.zip")
 
 
 @pytest.fixture
@@ -57,7 +57,7 @@ def test_track_json_is_one_object_a_line_and_nothing_else_on_stdout(walk: Path, 
 def test_track_prints_one_row_for_each_file(walk: Path) -> None:
     result = run("track", walk, walk)
     summary = pdr.smooth(pdr.read(walk)).track.summary()
-    rows = [line for line in result.stdout.splitlines() if "demo_walk" in line and "demo_walk:" not in line]
+    rows = [line for line in result.stdout.splitlines() if "short_walk" in line and "short_walk:" not in line]
     assert result.exit_code == 0
     assert len(rows) == 2
     for value in (str(summary["n_steps"]), f"{summary['distance_m']:.1f} m", f"{summary['end_east_m']:.1f} m"):
@@ -65,7 +65,7 @@ def test_track_prints_one_row_for_each_file(walk: Path) -> None:
 
 
 def test_notes_stand_below_the_table_and_with_json_in_the_object(tmp_path: Path) -> None:
-    recording = replace(pdr.simulate.demo_walk(), gyroscope=None, name="no_gyroscope")
+    recording = replace(short_walk(), gyroscope=None, name="no_gyroscope")
     file = write_recording(recording, tmp_path / "no_gyroscope.zip")
     assert "no gyroscope" in run("track", file).stdout
     with_json = run("track", "--json", file)
@@ -84,12 +84,12 @@ def test_online_is_what_a_phone_knew_at_each_step_and_the_smoothed_walk_is_shown
 
 def test_a_report_shows_the_smoothed_walk_first_and_the_online_track_one_click_away(walk: Path, tmp_path: Path) -> None:
     assert run("track", walk, "--report", "--out", tmp_path).exit_code == 0
-    page = (tmp_path / "demo_walk.html").read_text()
-    assert page.index("demo_walk, smoothed") < page.index("demo_walk, online")
+    page = (tmp_path / "short_walk.html").read_text()
+    assert page.index("short_walk, smoothed") < page.index("short_walk, online")
     assert page.count('name="track"') == 2
     assert "The smoothed track is the best estimate from the whole recording; the online track is what" in page
     assert run("track", walk, "--report", "--online", "--out", tmp_path / "online").exit_code == 0
-    alone = (tmp_path / "online" / "demo_walk.html").read_text()
+    alone = (tmp_path / "online" / "short_walk.html").read_text()
     assert 'name="track"' not in alone
     assert "Online: each position is what a phone knew when the step was made." in alone
 
@@ -127,14 +127,16 @@ def test_the_model_replaces_the_one_for_windows_with_gyroscope(walk: Path) -> No
 
 def test_out_gets_a_table_and_a_picture_and_with_an_origin_a_map_file(walk: Path, tmp_path: Path) -> None:
     assert run("track", walk, "--out", tmp_path / "plain").exit_code == 0
-    assert {p.name for p in (tmp_path / "plain").iterdir()} == {"demo_walk.csv", "demo_walk.png"}
+    assert {p.name for p in (tmp_path / "plain").iterdir()} == {"short_walk.csv", "short_walk.png"}
     assert run("track", walk, "--out", tmp_path / "placed", "--origin", "43.77,-11.25").exit_code == 0
-    line = json.loads((tmp_path / "placed" / "demo_walk.geojson").read_text())["features"][0]["geometry"]["coordinates"]
-    assert line[0][:2] == pytest.approx([-11.25, 43.77])  # and a height: the walk has stairs
+    line = json.loads((tmp_path / "placed" / "short_walk.geojson").read_text())["features"][0]["geometry"][
+        "coordinates"
+    ]
+    assert line[0][:2] == pytest.approx([-11.25, 43.77])
 
 
 def test_a_located_walk_gets_its_map_file_unless_its_locations_are_off(tmp_path: Path) -> None:
-    walk = pdr.simulate.demo_walk()
+    walk = short_walk()
     time_s = np.arange(1.0, walk.duration_s, 4.0)
     values = np.tile([43.77, 11.25, 50.0, 30.0], (len(time_s), 1))
     file = replace(walk, location=pdr.Samples(time_s, values)).save(tmp_path / "located.zip")
@@ -153,7 +155,7 @@ def test_a_place_and_a_heading_that_are_given_are_those_of_the_track(walk: Path,
     expected = pdr.smooth(pdr.read(walk), origin=(-43.77, 11.25), heading_rad=-np.pi / 2).track
     assert json.loads(result.stdout) == expected.summary()
     assert json.loads(result.stdout)["frame"] == "north"
-    assert (tmp_path / "demo_walk.geojson").read_bytes() == expected.to_geojson(tmp_path / "a").read_bytes()
+    assert (tmp_path / "short_walk.geojson").read_bytes() == expected.to_geojson(tmp_path / "a").read_bytes()
 
 
 def test_north_of_the_magnetometer_turns_a_walk_whose_place_is_given(walk: Path) -> None:
@@ -170,25 +172,25 @@ def test_files_are_exported_once_whether_asked_with_commas_or_again(walk: Path, 
     options = ["--export", "csv, geojson,GPX", "--export", "kml,tum", "--export", "csv", "--origin", "43.77,11.25"]
     assert run("track", walk, walk, *options, "--out", tmp_path).exit_code == 0
     names = {path.name for path in tmp_path.iterdir()}
-    assert names == {f"{name}.{kind}" for name in ("demo_walk", "demo_walk_2") for kind in [*kinds, "png"]}
+    assert names == {f"{name}.{kind}" for name in ("short_walk", "short_walk_2") for kind in [*kinds, "png"]}
     track = pdr.smooth(pdr.read(walk), origin=(43.77, 11.25)).track
     for kind in kinds:
         written = getattr(track, f"to_{kind}")(tmp_path / "expected")
-        assert written.read_bytes() == (tmp_path / f"demo_walk.{kind}").read_bytes()
+        assert written.read_bytes() == (tmp_path / f"short_walk.{kind}").read_bytes()
 
 
 def test_a_map_that_is_asked_for_without_a_place_is_a_local_one_and_others_are_refused(
     walk: Path, tmp_path: Path
 ) -> None:
     assert run("track", walk, "--export", "geojson", "--out", tmp_path).exit_code == 0
-    assert {p.name for p in tmp_path.iterdir()} == {"demo_walk.csv", "demo_walk.png", "demo_walk.local.geojson"}
+    assert {p.name for p in tmp_path.iterdir()} == {"short_walk.csv", "short_walk.png", "short_walk.local.geojson"}
     refused = run("track", walk, "--export", "kml,gpx", "--out", tmp_path / "no")
     assert (refused.exit_code, "--origin LAT,LON" in one_line(refused.stderr)) == (2, True)
     assert not (tmp_path / "no").exists()
 
 
 def test_points_of_gpx_have_the_time_at_which_they_were_walked_if_the_file_says_it(tmp_path: Path) -> None:
-    recording = pdr.simulate.demo_walk()
+    recording = short_walk()
     for name, value in (("epoch_s", 1.7e9), ("epoch_ms", 1_700_000_000_000), ("epoch_ns", 1_700_000_000 * 10**9)):
         timed = replace(recording, name=name, meta={**recording.meta, name: value})
         assert timed.epoch_s == pytest.approx(1.7e9, abs=1e-3)
@@ -316,6 +318,6 @@ def test_a_radio_map_that_cannot_be_used_is_refused_before_a_file_is_read(mapped
     assert (missing.exit_code, "none.json: no such file" in one_line(missing.stderr)) == (2, True)
     many = run("track", mapped / "known", "--jobs", "2", "--out", tmp_path, "--radio", tmp_path / "none.json")
     assert (many.exit_code, "without --radio" in one_line(many.stderr)) == (2, True)
-    without = run("radio", write_recording(pdr.simulate.demo_walk(), tmp_path / "w.zip"), "--out", tmp_path / "m")
+    without = run("radio", write_recording(short_walk(), tmp_path / "w.zip"), "--out", tmp_path / "m")
     assert (without.exit_code, "no walk has Wi-Fi scans" in one_line(without.stderr)) == (2, True)
     assert not (tmp_path / "m.json").exists()

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from helpers import cut_randomly, sensed
+from helpers import cut_randomly, pushed, sensed
 
 import pdr_filter as pdr
 from pdr_filter import recipes
@@ -88,14 +88,8 @@ def test_every_recipe_gives_the_same_track_however_samples_arrive(name: str) -> 
     )
     config = recipes.for_recording(name, walk)
     whole = pdr.track(walk, config)
-    online, updates = pdr.OnlineFilter(config), []
-    for i, block in enumerate(cut_randomly(pdr.merge_streams(walk), 7)):
-        updates += online.push(
-            block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut
-        )
-        if i % 5 == 2:
-            online = pdr.OnlineFilter.load(online.save())
-    final = [u for u in [*updates, *online.finish()] if u.is_final]
+    _, updates = pushed(pdr.OnlineFilter(config), cut_randomly(pdr.merge_streams(walk), 7), n_resumed=5)
+    final = [u for u in updates if u.is_final]
     np.testing.assert_array_equal([u.position_m for u in final], whole.position_m)
     np.testing.assert_array_equal([u.step.time_s for u in final], whole.time_s)
     assert whole.n_steps > 20

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import cut_randomly
+from helpers import cut_randomly, pushed
 
 import pdr_filter as pdr
 from pdr_filter import recipes
@@ -101,10 +101,7 @@ def test_an_app_knows_it_as_a_recording_does(walk: Recording, track: pdr.Track) 
     latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values.T
     online.push_location(location.time_s, latitude_deg, longitude_deg, accuracy_m, altitude_m)
     online.push_pressure(barometer.time_s, barometer.values[:, 0])
-    for block in cut_randomly(pdr.merge_streams(walk), 2):
-        online.push(block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut)
-        online = pdr.OnlineFilter.load(online.save())
-    online.finish()
+    online, _ = pushed(online, cut_randomly(pdr.merge_streams(walk), 2), n_resumed=4)
     assert track.origin is not None
     assert online.origin is not None
     assert online.origin.height_m == pytest.approx(track.origin.height_m, abs=1e-9)

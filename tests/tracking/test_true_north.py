@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from helpers import cut_randomly
+from helpers import cut_randomly, pushed
 from scipy.spatial.transform import Rotation
 
 import pdr_filter as pdr
@@ -225,17 +225,10 @@ def test_a_known_heading_wins(walk: Recording) -> None:
 def test_an_app_gets_the_same_bits_however_samples_arrive_and_after_a_break(walk: Recording, seed: int) -> None:
     fixes = [fix_at(walk, 5.0), fix_at(walk, 9.0, 3.0)]
     track = pdr.track(walk, config_of(walk), fixes=fixes)
-    online, updates = pdr.OnlineFilter(config_of(walk)), []
+    online = pdr.OnlineFilter(config_of(walk))
     for fix in fixes:
         online.add_fix(fix)
-    blocks = cut_randomly(merge_streams(walk), seed)
-    for k, block in enumerate(blocks):
-        updates += online.push(
-            block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut
-        )
-        if k == len(blocks) // 2:
-            online = pdr.OnlineFilter.load(online.save())
-    updates += online.finish()
+    _, updates = pushed(online, cut_randomly(merge_streams(walk), seed), n_resumed=2)
     np.testing.assert_array_equal([u.step.north_rad for u in updates], track.steps.north_rad)
     np.testing.assert_array_equal([u.step.north_std_rad for u in updates], track.steps.north_std_rad)
     np.testing.assert_array_equal(updates[-1].position_m, track.position_m[-1])

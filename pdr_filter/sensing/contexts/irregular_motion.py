@@ -88,7 +88,8 @@ class IrregularGate:
             raise ValueError(f"feature {bad} is NaN: leave such windows out")
         of_logit, of_stillness = features[..., : len(self.mean)], features[..., len(self.mean) :]
         z = np.minimum(np.maximum((of_logit - self.mean) / self.scale, -_LIMIT), _LIMIT)
-        log_odds = self.intercept + (self.weight * z).sum(axis=-1)
+        # One addition after the other: the order of `np.sum`, and so the last bit, depends on the number of windows.
+        log_odds = self.intercept + sum(np.moveaxis(self.weight * z, -1, 0))
         is_still = (of_stillness < self.still_below).all(axis=-1)
         return np.where(is_still, 0.0, 1.0 / (1.0 + np.exp(-log_odds)))
 

@@ -66,13 +66,15 @@ class SensedWalk:
         truth = self.recording.truth.position
         return np.stack([np.interp(time_s, truth.time_s, truth[name]) for name in ("east_m", "north_m")], axis=-1)
 
-    def tracked(self, fixes: Sequence[Fix], config: Config | None = None) -> Tracked:
-        """The track with fixes, in the world frame if no other configuration is given."""
+    def tracked(self, fixes: Sequence[Fix], config: Config | None = None, until_s: float = np.inf) -> Tracked:
+        """The track with fixes until a time, in the world frame if no other configuration is given."""
         config = config or self.world
         tracker, waiting = config.tracker, sorted(fixes, key=lambda fix: due_s(config, fix))
         state, used, rows = tracker.init(), 0, []
         outcomes: list[FixOutcome] = []
         for known_s, event in [*self.events, (np.inf, None)]:
+            if known_s > until_s:
+                break
             while used < len(waiting) and due_s(config, waiting[used]) <= known_s:
                 state, outcome, _ = tracker.on_fix(state, waiting[used])
                 outcomes.append(outcome)
@@ -87,7 +89,7 @@ class SensedWalk:
                 break
             rows += [(u.step.time_s, u.position_m, u.position_cov_m2) for u in updates if u.is_final]
         times, places, covs = (np.array(column) for column in zip(*rows, strict=True))
-        return Tracked(times, places, covs, tuple(waiting), tuple(outcomes), state.pedestrian)
+        return Tracked(times, places, covs, tuple(waiting[:used]), tuple(outcomes), state.pedestrian)
 
     def errors_m(self, track: Tracked) -> FloatArray:
         """Distance of each step from the truth, (K,)."""

@@ -7,7 +7,7 @@ from time import process_time
 
 import numpy as np
 import pytest
-from helpers import cut_randomly
+from helpers import cut_randomly, pushed
 from scipy.special import logsumexp, softmax
 from scipy.stats import chi2, invgamma, multivariate_normal
 
@@ -216,15 +216,10 @@ def test_blocks_and_saving_change_no_bit_of_a_track_with_fixes_of_all_kinds(walk
     ]
     config = recipes.default().in_world_frame()
     whole = pdr.track(walk, config, fixes=fixes)
-    online, updates = pdr.OnlineFilter(config), []
+    online = pdr.OnlineFilter(config)
     for fix in fixes:
         online.add_fix(fix)
-    for block in cut_randomly(pdr.merge_streams(walk), 5):
-        updates += online.push(
-            block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut
-        )
-        online = pdr.OnlineFilter.load(online.save())
-    updates += online.finish()
+    online, updates = pushed(online, cut_randomly(pdr.merge_streams(walk), 5), n_resumed=10)
     frame = online.state.tracker.pedestrian.frame
     assert frame.alignment is not None
     # offline the steps from before the turn was settled are brought along

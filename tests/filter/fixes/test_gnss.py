@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pymap3d
 import pytest
-from helpers import cut_randomly
+from helpers import cut_randomly, pushed
 from scipy.stats import chi2
 
 import pdr_filter as pdr
@@ -72,6 +72,18 @@ def located(walk: Recording, until_s: float = np.inf, noise_m: float = 3.0) -> R
 @pytest.fixture(scope="module")
 def walk(bare: Recording) -> Recording:
     return located(bare)
+
+
+@pytest.fixture(scope="module")
+def found(walk: Recording) -> pdr.Track:
+    """The track of the walk with its locations."""
+    return pdr.track(walk)
+
+
+@pytest.fixture(scope="module")
+def alone(bare: Recording) -> pdr.Track:
+    """Dead reckoning without a place."""
+    return pdr.track(bare)
 
 
 def in_frame_of_here(track: pdr.Track) -> np.ndarray:
@@ -209,15 +221,15 @@ def test_a_track_with_locations_lies_where_the_person_walked(walk: Recording, we
 
 
 def test_the_origin_says_how_far_the_track_was_turned_and_how_well_that_and_its_place_were_known(
-    bare: Recording, walk: Recording
+    bare: Recording, found: pdr.Track, alone: pdr.Track
 ) -> None:
-    known = pdr.track(walk).origin
+    known = found.origin
     assert abs(np.angle(np.exp(1j * (known.turn_rad - TURN_RAD)))) < 3.0 * known.turn_std_rad < 0.8
     assert 0.0 < known.position_std_m < 6.0 / RADIUS_68
     # dead reckoning that is turned with it goes where the person walked
-    alone = pdr.track(bare).placed(known)
-    along_m = alone.position_m[-1] - alone.start_position_m
-    true_m = truth_m(bare, alone.time_s[[-1]])[0] - truth_m(bare, np.zeros(1))[0]
+    placed = alone.placed(known)
+    along_m = placed.position_m[-1] - placed.start_position_m
+    true_m = truth_m(bare, placed.time_s[[-1]])[0] - truth_m(bare, np.zeros(1))[0]
     assert np.linalg.norm(along_m - true_m) < 3.0 * known.turn_std_rad * np.linalg.norm(true_m)
 
 
@@ -238,8 +250,7 @@ def test_when_the_locations_stop_the_track_goes_on_in_the_world(bare: Recording)
     assert nees.max() < chi2.isf(1e-3, 2)
 
 
-def test_without_locations_or_with_them_off_not_a_bit_changes(bare: Recording, walk: Recording) -> None:
-    alone = pdr.track(bare)
+def test_without_locations_or_with_them_off_not_a_bit_changes(walk: Recording, alone: pdr.Track) -> None:
     off = pdr.track(walk, gnss="off")
     for track in (off, pdr.track(walk, config=recipes.for_recording("default", walk), gnss="off")):
         np.testing.assert_array_equal(track.position_m, alone.position_m)
@@ -249,10 +260,12 @@ def test_without_locations_or_with_them_off_not_a_bit_changes(bare: Recording, w
         assert track.notes == alone.notes
 
 
-def test_locations_that_say_nothing_leave_the_track_where_it_was_and_are_told(bare: Recording, walk: Recording) -> None:
+def test_locations_that_say_nothing_leave_the_track_where_it_was_and_are_told(
+    walk: Recording, alone: pdr.Track
+) -> None:
     values = walk.location.values.copy()
     values[:, 3] = -1.0
-    alone, track = pdr.track(bare), pdr.track(replace(walk, location=Samples(walk.location.time_s, values)))
+    track = pdr.track(replace(walk, location=Samples(walk.location.time_s, values)))
     np.testing.assert_array_equal(track.position_m, alone.position_m)
     np.testing.assert_array_equal(track.position_cov_m2, alone.position_cov_m2)
     assert (track.origin, track.frame) == (None, "start")
@@ -260,14 +273,13 @@ def test_locations_that_say_nothing_leave_the_track_where_it_was_and_are_told(ba
     assert any(f"{n} of {n} locations are not used" in note for note in track.notes)
 
 
-def test_jumps_of_a_kilometre_are_rejected(walk: Recording) -> None:
-    good = pdr.track(walk)
-    values, wrong_s = walk.location.values.copy(), [good.fixes[k].time_s for k in (4, 6)]
+def test_jumps_of_a_kilometre_are_rejected(walk: Recording, found: pdr.Track) -> None:
+    values, wrong_s = walk.location.values.copy(), [found.fixes[k].time_s for k in (4, 6)]
     values[np.isin(walk.location.time_s, wrong_s), 0] += 0.009
     track = pdr.track(replace(walk, location=Samples(walk.location.time_s, values)))
     rejected = [fix.time_s for fix in track.fixes if fix.outcome == "rejected"]
     assert rejected == wrong_s
-    assert np.linalg.norm(track.position_m - good.position_m, axis=1).max() < 6.0
+    assert np.linalg.norm(track.position_m - found.position_m, axis=1).max() < 6.0
 
 
 def test_locations_in_another_order_are_those_that_go_forward(walk: Recording) -> None:
@@ -315,21 +327,18 @@ def test_a_hundred_locations_that_are_off_together_are_not_a_hundred_witnesses(b
 @pytest.mark.parametrize("seed", [1, 2])
 def test_an_app_gets_the_same_bits_however_samples_and_locations_arrive(walk: Recording, seed: int) -> None:
     whole = pdr.track(walk, recipes.default())
-    online, updates = pdr.OnlineFilter(recipes.default().in_world_frame()), []
     location, sent = walk.location, 0
+
+    def push_locations(online: pdr.OnlineFilter, until_s: float) -> None:
+        nonlocal sent
+        new = slice(sent, sent := int(np.searchsorted(location.time_s, until_s)))
+        latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values[new].T
+        online.push_location(location.time_s[new], latitude_deg, longitude_deg, accuracy_m, altitude_m)
+
+    online = pdr.OnlineFilter(recipes.default().in_world_frame())
     assert online.origin is None
-    for block in cut_randomly(pdr.merge_streams(walk), seed):
-        until = int(np.searchsorted(location.time_s, block.time_s[-1])) if len(block.time_s) else sent
-        latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values[sent:until].T
-        online.push_location(location.time_s[sent:until], latitude_deg, longitude_deg, accuracy_m, altitude_m)
-        sent = until
-        updates += online.push(
-            block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut
-        )
-        online = pdr.OnlineFilter.load(online.save())
-    latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values[sent:].T
-    online.push_location(location.time_s[sent:], latitude_deg, longitude_deg, accuracy_m, altitude_m)
-    updates += online.finish()
+    blocks = cut_randomly(pdr.merge_streams(walk), seed)
+    online, updates = pushed(online, blocks, push_locations, n_resumed=6)
     frame = online.state.tracker.pedestrian.frame
     told = [u.position_m if u.of_start is None else frame.world(u.of_start).position_m for u in updates]
     np.testing.assert_array_equal(told, whole.position_m)
@@ -377,11 +386,11 @@ def test_outliers_do_not_turn_an_aligned_track(walk: Recording) -> None:
 @pytest.mark.parametrize("gnss", ["filter", "align"])
 @pytest.mark.parametrize("n", [1, 2])
 def test_one_or_two_locations_place_a_track_of_any_kind_and_say_that_north_is_open(
-    bare: Recording, n: int, gnss: str
+    bare: Recording, alone: pdr.Track, n: int, gnss: str
 ) -> None:
     time_s = np.array([20.0, 31.0])[:n]
     recording = replace(bare, location=rows(time_s, truth_m(bare, time_s) + np.array([2.0, -1.0])))
-    track, alone = pdr.track(recording, gnss=gnss), pdr.track(bare)
+    track = pdr.track(recording, gnss=gnss)
     side = [np.linalg.norm(t.position_m[-1] - t.position_m[0]) for t in (track, alone)]
     assert side[0] == pytest.approx(side[1], rel=1e-9)
     error = in_frame_of_here(track) - truth_m(bare, track.time_s)
@@ -390,10 +399,9 @@ def test_one_or_two_locations_place_a_track_of_any_kind_and_say_that_north_is_op
     assert any("do not settle which way the track lies" in note for note in track.notes)
 
 
-def test_locations_that_say_nothing_align_nothing(bare: Recording, walk: Recording) -> None:
+def test_locations_that_say_nothing_align_nothing(walk: Recording, alone: pdr.Track) -> None:
     values = walk.location.values.copy()
     values[:, 3] = np.nan
-    alone = pdr.track(bare)
     track = pdr.track(replace(walk, location=Samples(walk.location.time_s, values)), gnss="align")
     np.testing.assert_array_equal(track.position_m, alone.position_m)
     assert (track.origin, track.frame, track.fixes) == (None, "start", ())
@@ -437,9 +445,9 @@ def test_an_app_that_pushes_what_cannot_be_used_is_told_the_remedy() -> None:
 
 
 def test_map_files_of_a_located_track_need_no_origin_and_others_say_what_is_missing(
-    bare: Recording, walk: Recording, tmp_path: Path
+    found: pdr.Track, alone: pdr.Track, tmp_path: Path
 ) -> None:
-    track = pdr.track(walk)
+    track = found
     feature = json.loads(track.to_geojson(tmp_path / "a.geojson").read_text())["features"][0]
     longitude_deg, latitude_deg = np.array(feature["geometry"]["coordinates"])[1:, :2].T
     np.testing.assert_allclose(latitude_deg, track.latitude_deg, atol=1e-8)
@@ -448,7 +456,6 @@ def test_map_files_of_a_located_track_need_no_origin_and_others_say_what_is_miss
     assert "first location" in feature["properties"]["about"]
     assert f'lat="{track.latitude_deg[-1]:.9f}"' in track.to_gpx(tmp_path / "a.gpx").read_text()
     assert track.summary()["end_latitude_deg"] == pytest.approx(track.latitude_deg[-1], abs=1e-7)
-    alone = pdr.track(bare)
     for write in (alone.to_geojson, alone.to_gpx, alone.to_kml):
         with pytest.raises(ValueError, match=r"no location says where .* origin=\(latitude_deg, longitude_deg\)"):
             write(tmp_path / "b")

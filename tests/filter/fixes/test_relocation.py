@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import cut_randomly
+from helpers import cut_randomly, pushed
 from scipy.stats import chi2
 
 import pdr_filter as pdr
@@ -178,16 +178,11 @@ def test_blocks_and_saving_change_no_bit_of_a_track_that_is_moved(walk: Recordin
     fixes, config = fixes_of(walk, displaced(120.0)), recipes.default().in_world_frame()
     whole = pdr.track(walk, config, fixes=fixes)
     assert "moved" in outcomes(whole)
-    online, updates = pdr.OnlineFilter(config), []
+    online = pdr.OnlineFilter(config)
     for fix in fixes:
         online.add_fix(fix)
-    for k, block in enumerate(cut_randomly(pdr.merge_streams(walk), 2, mean_length=400)):
-        updates += online.push(
-            block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut
-        )
-        if k % 6 == 0:
-            online = pdr.OnlineFilter.load(online.save())
-    updates += online.finish()
+    blocks = cut_randomly(pdr.merge_streams(walk), 2, mean_length=400)
+    online, updates = pushed(online, blocks, n_resumed=8)
     later = [u for u in updates if u.of_start is None]
     np.testing.assert_array_equal([u.position_m for u in later], whole.position_m[-len(later) :])
     assert online.notes == tuple(note for note in whole.notes if note not in walk.notes)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import cut_randomly
+from helpers import cut_randomly, pushed
 
 import pdr_filter as pdr
 from pdr_filter.filter.height.floor_detection import FloorState, Level, learnt, storeys_up
@@ -314,19 +314,17 @@ def test_heights_do_not_depend_on_how_samples_and_pressure_arrive(stairs: Record
     config = pdr.recipes.default(recording.subject).with_weighting(weighting)
     whole = pdr.track(recording, config)
     rng = np.random.default_rng(4)
-    online, updates, given = pdr.OnlineFilter(config), [], 0
-    for block in blocks_of(recording, 2):
-        upto = int(np.searchsorted(time_s, block.time_s[-1], side="right")) if len(block.time_s) else given
-        for part in np.split(np.arange(given, max(upto, given)), np.sort(rng.integers(0, 5, 2))):
+    given = 0
+
+    def push_pressure(online: pdr.OnlineFilter, until_s: float) -> None:
+        nonlocal given
+        upto = max(given, int(np.searchsorted(time_s, until_s, side="right")))
+        for part in np.split(np.arange(given, upto), np.sort(rng.integers(0, 5, 2))):
             online.push_pressure(time_s[part], pressure[part])
-        given = max(given, upto)
-        updates += online.push(
-            block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut
-        )
-        if rng.random() < 0.05:
-            online = pdr.OnlineFilter.load(online.save())
-    online.push_pressure(time_s[given:], pressure[given:])
-    updates = [u for u in [*updates, *online.finish()] if u.is_final]
+        given = upto
+
+    online, updates = pushed(pdr.OnlineFilter(config), blocks_of(recording, 2), push_pressure, n_resumed=4)
+    updates = [u for u in updates if u.is_final]
     np.testing.assert_array_equal([u.height_m for u in updates], whole.height_m)
     np.testing.assert_array_equal([u.height_std_m for u in updates], whole.height_std_m)
     np.testing.assert_array_equal([u.floor for u in updates], whole.floor)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import cut_randomly
+from helpers import cut_randomly, pushed
 from scipy.stats import chi2
 
 import pdr_filter as pdr
@@ -107,14 +107,8 @@ def test_a_turn_that_is_open_again_does_not_depend_on_how_samples_are_cut(walk: 
         for fix in fixes_of(walk):
             online.add_fix(fix)
         block = pdr.merge_streams(walk)
-        updates = []
-        for part in [block] if seed is None else cut_randomly(block, seed):
-            updates += online.push(
-                part.time_s, part.specific_force_mps2, part.angular_rate_radps, part.magnetic_field_ut
-            )
-            if seed == 2:
-                online = pdr.OnlineFilter.load(online.save()) if len(updates) % 50 == 7 else online
-        updates += online.finish()
+        blocks = [block] if seed is None else cut_randomly(block, seed)
+        _, updates = pushed(online, blocks, n_resumed=5 if seed == 2 else 0)
         tracks.append(np.array([u.position_m for u in updates]).tobytes())
     assert tracks[0] == tracks[1] == tracks[2]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import cut_randomly
+from helpers import cut_randomly, pushed
 from typer.testing import CliRunner
 
 import pdr_filter as pdr
@@ -158,10 +158,7 @@ def test_an_app_learns_the_same_of_its_person(first: Recording, learnt: pdr.Pers
     online = pdr.OnlineFilter(recipes.default(first.subject).with_magnetic_north(here.declination_rad()))
     assert online.person is None
     online.push_location(first.location.time_s, *first.location.values.T[[0, 1, 3]])
-    for block in cut_randomly(pdr.merge_streams(first), 3, mean_length=700):
-        online.push(block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut)
-    online = pdr.OnlineFilter.load(online.save())
-    online.finish()
+    online, _ = pushed(online, cut_randomly(pdr.merge_streams(first), 3, mean_length=700), n_resumed=1)
     assert online.person == learnt
 
 

@@ -50,7 +50,7 @@ def test_another_handling_before_the_walk_changes_nothing_after_it(change: dict[
 def test_the_smoothed_track_of_a_handled_phone_is_as_far_off_as_it_says(bias: float) -> None:
     """Positions less that of the walk's begin, in the frame of its first leg, against their covariances."""
     squares = list[float]()
-    for seed in range(16):
+    for seed in range(8):
         walk = handled_walk(seed + 50, bias_std_radps=bias)
         smoothed = pdr.smooth(walk).track
         truth = walk.truth.position
@@ -66,7 +66,7 @@ def test_the_smoothed_track_of_a_handled_phone_is_as_far_off_as_it_says(bias: fl
         rotation = np.array([[c, -s], [s, c]])
         end_cov = rotation @ smoothed.position_cov_m2[-1] @ rotation.T
         squares.append(float(error[-1] @ np.linalg.solve(end_cov, error[-1])))
-    # The upper limit is the 97.5 % quantile for two degrees of freedom and 16 walks. Most phones have a better
+    # The upper limit is the 97.5 % quantile for two degrees of freedom and 8 walks. Most phones have a better
     # gyroscope than the tail of the prior, and the frame of the first leg removes a part of the error.
     assert 0.2 < np.mean(squares) < chi2.isf(0.025, 2 * len(squares)) / len(squares)
 

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +15,6 @@ from pdr_filter.sensing.attitude import AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
 from pdr_filter.sensing.steps.step_detector import ContextBlock, unknown_contexts
 from pdr_filter.values import CARRYING_MODES, STANDARD_GRAVITY_MPS2, Step
-from pdr_filter.values import serialisation as serialise
 
 DETECTOR = PoseStepDetector()
 
@@ -56,12 +54,6 @@ def noisy_walk(seed: int, n: int = 1500) -> UniformBlock:
     known = np.ones(n, dtype=bool)
     known[700:800] = False
     return replace(block, specific_force_mps2=force, angular_rate_known=known)
-
-
-def all_modes(n: int) -> ContextBlock:
-    """Every carrying mode for a while, unknown between."""
-    mode = np.repeat([0, 1, 2, -1, 3, 4, 2], -(-n // 7))[:n]
-    return ContextBlock(np.full(n, 1), mode)
 
 
 def detect(
@@ -173,33 +165,6 @@ def test_the_last_step_before_the_end_is_given_when_the_segment_is_closed() -> N
 
 
 # --- invariance -----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_the_steps_do_not_depend_on_how_the_samples_arrive(seed: int) -> None:
-    block, told = noisy_walk(seed), all_modes(1500)
-    edges = [0, *sorted(set(np.random.default_rng(seed).integers(1, 1500, 60).tolist())), 1500]
-    pieces = cut_uniform(block, edges[1:-1])
-    cut = [ContextBlock(told.context[a:b], told.carrying_mode[a:b]) for a, b in itertools.pairwise(edges)]
-    state, whole = detect([block], [told])
-    state_cut, found = detect(pieces, cut)
-    assert len(whole) > 15
-    assert [(n, s) for n, s in found] == whole
-    assert DETECTOR.finish(state_cut) == DETECTOR.finish(state)
-
-
-def test_a_state_saved_on_the_way_goes_on_with_the_same_bits() -> None:
-    block, told = noisy_walk(5), all_modes(1500)
-    pieces = cut_uniform(block, [640])
-    cut = [
-        ContextBlock(told.context[:640], told.carrying_mode[:640]),
-        ContextBlock(told.context[640:], told.carrying_mode[640:]),
-    ]
-    _, whole = detect([block], [told])
-    state, found = detect(pieces[:1], cut[:1])
-    state = serialise.from_bytes(serialise.to_bytes(state))
-    _, more = DETECTOR.update(state, pieces[1], flat_attitude(pieces[1].specific_force_mps2[:, 2]), cut[1])
-    assert [*found, *more] == whole
 
 
 def test_in_a_pocket_it_does_not_matter_how_the_phone_lies() -> None:

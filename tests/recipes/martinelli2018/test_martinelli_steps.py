@@ -1,14 +1,11 @@
 from __future__ import annotations
 
-from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
 import pytest
 import pywt
-from helpers import bumps, cut_uniform, flat_attitude, imu, sensed, uniform_block, walk_of_bumps
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from helpers import bumps, flat_attitude, imu, sensed, uniform_block, walk_of_bumps
 from scipy.signal import butter, sosfilt
 
 from pdr_filter.io.formats import read
@@ -220,48 +217,6 @@ def test_at_the_end_the_last_steps_are_found_at_their_times(
     assert (np.diff(every) > 0).all()
     assert all(s.time_s <= s.detected_time_s == block.time_s[-1] for _, s in last)
     np.testing.assert_allclose([s.duration_s for _, s in last][:1], 1 / frequency_hz, atol=0.03)
-
-
-def test_finishing_before_the_first_sample_finds_nothing() -> None:
-    detector = WaveletStepDetector()
-    assert detector.finish(detector.init()) == []
-
-
-# --- invariance -----------------------------------------------------------------------------------------------------
-
-
-@settings(max_examples=25, deadline=None)
-@given(edges=st.lists(st.integers(0, 1500), max_size=80), seed=st.integers(0, 1000))
-def test_steps_do_not_depend_on_how_samples_arrive(edges: list[int], seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    detector = WaveletStepDetector()
-    _, magnitude = walk_of_bumps(rng.uniform(1.2, 2.2), rng.uniform(4, 15))
-    magnitude = magnitude + rng.normal(size=len(magnitude))
-    block = uniform_block(magnitude)
-    state, whole = detect(detector, [block])
-    cut_state, pieces = detect(detector, cut_uniform(block, edges))
-    assert len(whole) > 15
-    assert [(i, astuple(s)) for i, s in pieces] == [(i, astuple(s)) for i, s in whole]
-    assert detector.finish(cut_state) == detector.finish(state)
-
-
-def test_a_shift_of_the_time_base_shifts_the_contacts() -> None:
-    _, magnitude = walk_of_bumps(1.8, 4.0)
-    early = detect(WaveletStepDetector(), [uniform_block(magnitude)])[1]
-    late = detect(WaveletStepDetector(), [uniform_block(magnitude, start_s=1024.0)])[1]
-    np.testing.assert_allclose(times_s(late), times_s(early) + 1024.0, atol=1e-9)
-
-
-def test_finishing_changes_nothing_for_a_filter_that_goes_on() -> None:
-    detector = WaveletStepDetector()
-    _, magnitude = walk_of_bumps(1.8, 4.0)
-    first, second = cut_uniform(uniform_block(magnitude), [900])
-    state, _ = detect(detector, [first])
-    attitude, modes = flat_attitude(magnitude[900:]), unknown_contexts(len(second.time_s))
-    expected = detector.update(state, second, attitude, modes)[1]
-    detector.finish(state)
-    assert detector.update(state, second, attitude, modes)[1] == expected
-    assert len(expected) > 5
 
 
 # --- real recordings ------------------------------------------------------------------------------------------------

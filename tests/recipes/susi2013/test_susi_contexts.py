@@ -25,7 +25,6 @@ from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import CARRYING_MODES, CONTEXTS
 from pdr_filter.values.recording import Recording
-from pdr_filter.values.serialisation import from_bytes, to_bytes
 
 WALKING, STATIONARY = CONTEXTS.index("walking"), CONTEXTS.index("stationary")
 SWINGING = CARRYING_MODES.index("swinging")
@@ -241,18 +240,6 @@ def swinging_noise(n: int = 900) -> UniformBlock:
     return block_of(force, rate)
 
 
-@settings(max_examples=20, deadline=None)
-@given(edges=st.lists(st.integers(0, 900), max_size=60))
-def test_what_is_said_does_not_depend_on_how_samples_arrive(edges: list[int]) -> None:
-    block = swinging_noise()
-    whole, pieces = assessed([block]), assessed(cut_uniform(block, edges))
-    assert [last for last, _ in pieces] == [last for last, _ in whole]
-    for (_, a), (_, b) in zip(pieces, whole, strict=True):
-        np.testing.assert_array_equal(a.prob, b.prob)
-        np.testing.assert_array_equal(a.carrying_prob, b.carrying_prob)
-        assert (a.time_s, a.irregular_prob, a.model) == (b.time_s, b.irregular_prob, b.model)
-
-
 def test_the_values_that_the_tree_tests_are_the_same_bits_sample_by_sample() -> None:
     stage, block = MotionWindows(), swinging_noise(520)
     results = []
@@ -263,17 +250,6 @@ def test_the_values_that_the_tree_tests_are_the_same_bits_sample_by_sample() -> 
             found += windows
         results.append(np.array([tree_features(w) for _, w in found]))
     np.testing.assert_array_equal(*results)
-
-
-def test_a_saved_stage_goes_on_as_if_nothing_had_happened() -> None:
-    stage, block = MotionModes(), swinging_noise()
-    first, second = cut_uniform(block, [437])
-    state, _ = stage.update(stage.init(), first, flat_attitude(first.specific_force_mps2[:, 2]))
-    attitude = flat_attitude(second.specific_force_mps2[:, 2])
-    _, expected = stage.update(state, second, attitude)
-    _, resumed = from_bytes(to_bytes(stage)).update(from_bytes(to_bytes(state)), second, attitude)
-    assert len(expected) > 2
-    assert [(i, w.time_s, w.prob.tolist()) for i, w in resumed] == [(i, w.time_s, w.prob.tolist()) for i, w in expected]
 
 
 def test_how_the_device_is_turned_in_the_hand_does_not_matter() -> None:

@@ -1,14 +1,10 @@
 from __future__ import annotations
 
-from dataclasses import astuple
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers import cut_uniform, flat_attitude, sensed, uniform_block
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.signal import butter, sosfilt, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
@@ -21,7 +17,6 @@ from pdr_filter.sensing.steps.step_detector import ContextBlock, unknown_context
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, Step
 from pdr_filter.values.recording import Recording
-from pdr_filter.values.serialisation import from_bytes, to_bytes
 
 WALKING, STATIONARY = CONTEXTS.index("walking"), CONTEXTS.index("stationary")
 SWINGING, TEXTING = CARRYING_MODES.index("swinging"), CARRYING_MODES.index("texting")
@@ -213,11 +208,6 @@ def test_at_the_end_the_last_steps_are_found_at_their_times(carrying_mode: int, 
     assert all(s.time_s <= s.detected_time_s == block.time_s[-1] for _, s in last)
 
 
-def test_finishing_before_the_first_sample_finds_nothing() -> None:
-    detector = NormMinimaStepDetector()
-    assert detector.finish(detector.init()) == []
-
-
 @pytest.mark.parametrize("low_pass_hz", [0.0, 50.0])
 def test_a_cutoff_that_no_filter_has_is_refused(low_pass_hz: float) -> None:
     with pytest.raises(ValueError, match=r"low_pass_hz.* must be"):
@@ -237,44 +227,6 @@ def noisy_walk(seed: int) -> tuple[UniformBlock, ContextBlock]:
     return block, ContextBlock(np.full(n, WALKING), np.where(np.arange(n) // 350 % 2 == 0, SWINGING, TEXTING))
 
 
-def cut_modes(contexts: ContextBlock, blocks: list[UniformBlock]) -> list[ContextBlock]:
-    edges = np.cumsum([0, *(len(b.time_s) for b in blocks)])
-    return [ContextBlock(contexts.context[a:b], contexts.carrying_mode[a:b]) for a, b in pairwise(edges)]
-
-
-@settings(max_examples=25, deadline=None)
-@given(edges=st.lists(st.integers(0, 1500), max_size=80), seed=st.integers(0, 1000))
-def test_steps_do_not_depend_on_how_samples_arrive(edges: list[int], seed: int) -> None:
-    block, modes = noisy_walk(seed)
-    blocks = cut_uniform(block, edges)
-    state, whole = detect([block], [modes])
-    cut_state, pieces = detect(blocks, cut_modes(modes, blocks))
-    assert len(whole) > 12
-    assert [(i, astuple(s)) for i, s in pieces] == [(i, astuple(s)) for i, s in whole]
-    assert NormMinimaStepDetector().finish(cut_state) == NormMinimaStepDetector().finish(state)
-
-
-def test_sample_by_sample_gives_the_same_bits_as_the_whole() -> None:
-    block, modes = noisy_walk(5)
-    blocks = cut_uniform(block, range(len(block.time_s)))
-    assert detect(blocks, cut_modes(modes, blocks))[1] == detect([block], [modes])[1]
-
-
-def test_a_saved_detector_goes_on_as_if_nothing_had_happened() -> None:
-    block, modes = noisy_walk(7)
-    blocks = cut_uniform(block, [903])
-    of_first, of_second = cut_modes(modes, blocks)
-    state, _ = detect(blocks[:1], [of_first])
-    attitude = flat_attitude(blocks[1].specific_force_mps2[:, 2])
-    detector = NormMinimaStepDetector()
-    _, expected = detector.update(state, blocks[1], attitude, of_second)
-    _, resumed = from_bytes(to_bytes(detector)).update(from_bytes(to_bytes(state)), blocks[1], attitude, of_second)
-    assert len(expected) > 3
-    assert resumed == expected
-    detector.finish(state)
-    assert detector.update(state, blocks[1], attitude, of_second)[1] == expected
-
-
 def test_how_the_device_is_turned_in_the_hand_does_not_matter() -> None:
     block, modes = noisy_walk(9)
     turn = Rotation.from_euler("xyz", [0.4, -1.1, 2.0])
@@ -285,21 +237,6 @@ def test_how_the_device_is_turned_in_the_hand_does_not_matter() -> None:
     detector = NormMinimaStepDetector()
     found = times_s(detector.update(detector.init(), block, attitude, modes)[1])
     np.testing.assert_allclose(found, expected, atol=1e-9)
-
-
-def test_a_shift_of_the_time_base_shifts_the_contacts() -> None:
-    block, modes = noisy_walk(11)
-    later = UniformBlock(
-        block.time_s + 1024.0,
-        block.specific_force_mps2,
-        block.angular_rate_radps,
-        block.angular_rate_known,
-        block.magnetic_field_ut,
-        block.magnetic_field_known,
-        block.gap_before_s,
-    )
-    shifted, expected = times_s(detect([later], [modes])[1]), times_s(detect([block], [modes])[1])
-    np.testing.assert_allclose(shifted, expected + 1024.0, atol=1e-9)
 
 
 # --- with the motion modes: simulated and real walks ----------------------------------------------------------------

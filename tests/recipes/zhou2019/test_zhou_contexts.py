@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import cut_uniform, flat_attitude, uniform_block
+from helpers import flat_attitude, uniform_block
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -23,7 +23,6 @@ from pdr_filter.recipes.zhou2019.features import BehaviourWindows
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
 from pdr_filter.sensing.contexts.context_stage import WindowContext, WindowStageState
 from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2
-from pdr_filter.values.serialisation import from_bytes, to_bytes
 
 G = STANDARD_GRAVITY_MPS2
 # Every condition has its own feature: variance 5, DC component 10, energy 7 for walking; 1 and 2 for irregular swing.
@@ -163,27 +162,6 @@ def test_a_window_comes_every_second_with_its_last_sample_and_the_time_of_its_mo
 # --- blocks, gaps, saving -------------------------------------------------------------------------------------------
 
 MIXED = uniform_block(np.concatenate([at_rest(5), shaking(5, 8.0), at_rest(4), shaking(5, 9.0, 11.0)]))
-
-
-def as_rows(found: list[tuple[int, WindowContext]]) -> list[tuple[object, ...]]:
-    return [(i, c.time_s, c.prob.tobytes(), c.irregular_prob) for i, c in found]
-
-
-@settings(max_examples=20, deadline=None)
-@given(edges=st.lists(st.integers(0, 1899), max_size=60))
-def test_behaviours_do_not_depend_on_how_samples_arrive(edges: list[int]) -> None:
-    stage = BehaviourStage(thresholds=ANY)
-    assert as_rows(run(stage, cut_uniform(MIXED, edges))[1]) == as_rows(run(stage, [MIXED])[1])
-
-
-@pytest.mark.parametrize("at", [50, 430, 777, 1200])
-def test_a_stage_that_is_saved_and_loaded_goes_on_as_if_nothing_had_been(at: int) -> None:
-    stage = BehaviourStage(thresholds=ANY)
-    first, second = cut_uniform(MIXED, [at])
-    state, before = run(stage, [first])
-    loaded = from_bytes(to_bytes(stage))
-    _, after = run(loaded, [second], from_bytes(to_bytes(state)))
-    assert as_rows(before + after) == as_rows(run(stage, [MIXED])[1])
 
 
 def test_how_the_sensor_is_mounted_does_not_matter() -> None:

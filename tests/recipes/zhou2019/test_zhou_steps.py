@@ -26,7 +26,7 @@ from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_str
 from pdr_filter.sensing.steps.step_detector import ContextBlock
 from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2, Step, Table
 from pdr_filter.values.recording import Recording
-from pdr_filter.values.serialisation import from_bytes, to_bytes
+from pdr_filter.values.serialisation import to_bytes
 
 G = STANDARD_GRAVITY_MPS2
 STATIONARY, WALKING, RUNNING, UNKNOWN = *(CONTEXTS.index(c) for c in ("stationary", "walking", "running")), -1
@@ -245,24 +245,6 @@ def test_steps_do_not_depend_on_how_samples_arrive(edges: list[int], detector: R
     whole = detect(detector, [block], CONTEXT_OF_WALK)[1]
     assert rows(detect(detector, cut_uniform(block, edges), CONTEXT_OF_WALK)[1]) == rows(whole)
     assert len(whole) > 5
-
-
-def test_sample_by_sample_gives_the_same_bits_as_the_whole() -> None:
-    block = uniform_block(WALK)
-    whole = detect(CARRIED, [block], CONTEXT_OF_WALK)[1]
-    assert rows(detect(CARRIED, cut_uniform(block, range(2400)), CONTEXT_OF_WALK)[1]) == rows(whole)
-
-
-@pytest.mark.parametrize("at", [30, 700, 903, 1811])
-def test_a_detector_that_is_saved_and_loaded_goes_on_as_if_nothing_had_been(at: int) -> None:
-    first, second = cut_uniform(uniform_block(WALK), [at])
-    state, before = detect(CARRIED, [first], CONTEXT_OF_WALK[:at], finish=False)
-    loaded, state = from_bytes(to_bytes(CARRIED)), from_bytes(to_bytes(state))
-    assert loaded == CARRIED
-    attitude = flat_attitude(second.specific_force_mps2[:, 2])
-    modes = ContextBlock(CONTEXT_OF_WALK[at:], np.full(2400 - at, UNKNOWN))
-    state, after = loaded.update(state, second, attitude, modes)
-    assert rows(before + after + loaded.finish(state)) == rows(detect(CARRIED, WALK, CONTEXT_OF_WALK)[1])
 
 
 def test_the_end_gives_the_steps_of_the_window_that_it_cuts_short() -> None:

@@ -1,13 +1,10 @@
 from __future__ import annotations
 
-from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import bumps, cut_uniform, flat_attitude, imu, sensed, uniform_block, walk_of_bumps
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from helpers import bumps, flat_attitude, imu, sensed, uniform_block, walk_of_bumps
 
 from pdr_filter.io.formats import read
 from pdr_filter.sensing.conditioning import UniformBlock, merge_streams
@@ -20,7 +17,6 @@ from pdr_filter.sensing.steps.adaptive_detector import (
 )
 from pdr_filter.sensing.steps.step_detector import unknown_contexts
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Step
-from pdr_filter.values import serialisation as serialise
 from pdr_filter.values.recording import Recording
 
 DETECTOR = AdaptiveStepDetector()
@@ -225,56 +221,6 @@ def test_at_the_end_the_last_steps_are_found_at_their_times(
     assert (np.diff(every) > 0).all()
     assert_one_step_at_each(contacts_s, every, 0.08)
     assert all(s.time_s <= s.detected_time_s == block.time_s[-1] for _, s in last)
-
-
-def test_finishing_before_the_first_sample_finds_nothing() -> None:
-    assert DETECTOR.finish(DETECTOR.init()) == []
-
-
-# --- invariance -----------------------------------------------------------------------------------------------------
-
-
-@settings(max_examples=25, deadline=None)
-@given(edges=st.lists(st.integers(0, 1500), max_size=80), seed=st.integers(0, 1000))
-def test_steps_do_not_depend_on_how_samples_arrive(edges: list[int], seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    _, magnitude = walk_of_bumps(rng.uniform(0.8, 2.2), rng.uniform(2, 15))
-    block = uniform_block(magnitude + rng.normal(size=len(magnitude)))
-    state, whole = detect([block])
-    cut_state, pieces = detect(cut_uniform(block, edges))
-    assert len(whole) > 15
-    assert [(i, astuple(s)) for i, s in pieces] == [(i, astuple(s)) for i, s in whole]
-    assert DETECTOR.finish(cut_state) == DETECTOR.finish(state)
-
-
-@pytest.mark.parametrize("at", [1, 500, 1033])
-def test_a_saved_and_loaded_state_goes_on_the_same(at: int) -> None:
-    _, magnitude = walk_of_bumps(1.8, 4.0)
-    block = uniform_block(magnitude)
-    first, second = cut_uniform(block, [at])
-    state, found = detect([first])
-    state = serialise.from_bytes(serialise.to_bytes(state))
-    attitude = flat_attitude(second.specific_force_mps2[:, 2])
-    _, later = DETECTOR.update(state, second, attitude, unknown_contexts(len(second.time_s)))
-    assert [*found, *later] == detect([block])[1]
-
-
-def test_a_shift_of_the_time_base_shifts_the_contacts() -> None:
-    _, magnitude = walk_of_bumps(1.8, 4.0)
-    early = detect([uniform_block(magnitude)])[1]
-    late = detect([uniform_block(magnitude, start_s=1024.0)])[1]
-    np.testing.assert_allclose(times_s(late), times_s(early) + 1024.0, atol=1e-9)
-
-
-def test_finishing_changes_nothing_for_a_filter_that_goes_on() -> None:
-    _, magnitude = walk_of_bumps(1.8, 4.0)
-    first, second = cut_uniform(uniform_block(magnitude), [900])
-    state, _ = detect([first])
-    attitude, modes = flat_attitude(magnitude[900:]), unknown_contexts(len(second.time_s))
-    expected = DETECTOR.update(state, second, attitude, modes)[1]
-    DETECTOR.finish(state)
-    assert DETECTOR.update(state, second, attitude, modes)[1] == expected
-    assert len(expected) > 3
 
 
 # --- real recordings ------------------------------------------------------------------------------------------------
