@@ -20,19 +20,11 @@ from scipy.signal import find_peaks, firwin
 from pdr_filter.evaluate.distance import percent_error
 from pdr_filter.evaluate.steps import StepScores, best_offset_s, step_scores
 from pdr_filter.evaluate.tracks import moved_m
-from pdr_filter.filter.step_length.models import (
-    FrequencyStepLength,
-    FrequencyVarianceStepLength,
-    KimStepLength,
-    LinearStepLengthModel,
-    MagnitudeRangeStepLength,
-    PeriodPeakStepLength,
-    TianStepLength,
-    ZhouWalkingStepLength,
-)
+from pdr_filter.filter.step_length.models import LinearStepLengthModel
 from pdr_filter.offline.calibration.segments import Segment, segments_of, step_contexts
 from pdr_filter.recipes import for_recording
 from pdr_filter.recipes.config import Config
+from pdr_filter.recipes.zhou2019.step_length import M1, M2, M3, M4, M5, M6, M7
 from pdr_filter.recipes.zhou2019.steps import CARRIED, FOOT, EventSearch, ReferenceLineStepDetector, dominant_period_s
 from pdr_filter.sensing.conditioning import Conditioner, merge_streams
 from pdr_filter.sensing.steps.step_log import specific_force_magnitude
@@ -213,13 +205,13 @@ def followed(recording: Recording) -> Followed:
 
 # By the height of the person, which only M5 uses.
 _LINEAR: Mapping[str, Callable[[float], LinearStepLengthModel]] = {
-    "M1": lambda height_m: FrequencyStepLength(),
-    "M2": lambda height_m: FrequencyVarianceStepLength(),
-    "M3": lambda height_m: PeriodPeakStepLength(),
-    "M4": lambda height_m: MagnitudeRangeStepLength(),
-    "M5": TianStepLength,
-    "M6": lambda height_m: KimStepLength(),
-    "M7": lambda height_m: ZhouWalkingStepLength(),
+    "M1": lambda height_m: M1(),
+    "M2": lambda height_m: M2(),
+    "M3": lambda height_m: M3(),
+    "M4": lambda height_m: M4(),
+    "M5": M5,
+    "M6": lambda height_m: M6(),
+    "M7": lambda height_m: M7(),
 }
 MODELS = tuple(_LINEAR)
 _RUNNING = CONTEXTS.index("running")
@@ -242,7 +234,7 @@ class Walk:
 
     def sums(self, model: str) -> FloatArray:
         """Sum of the regressors (p,): distance = sums @ theta. M7 has one more, of its running half."""
-        walking, running = _LINEAR[model](self.height_m or HEIGHT_M), KimStepLength()
+        walking, running = _LINEAR[model](self.height_m or HEIGHT_M), M6()
         has_two = model == "M7"
         n = walking.n_params
         total = np.zeros(n + (running.n_params if has_two else 0))

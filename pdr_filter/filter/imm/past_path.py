@@ -219,10 +219,13 @@ class PastPath:
 
     def settled(self) -> PastPath:
         """The path whose steps all follow the present state."""
-        return replace(self, earlier=self._steps(), events=()) if self.events else self
+        if not self.events:
+            return self
+        back, last = self._last()
+        return replace(self, earlier=self.earlier.rebased(back).joined(last), events=())
 
-    def _steps(self) -> PastSteps:
-        """All steps as they follow the present state."""
+    def _last(self) -> tuple[Back, PastSteps]:
+        """How the state before the last events follows the present one, and the steps since then as they follow it."""
         steps = [event for event in self.events if isinstance(event, WalkedStep)]
         over_steps = iter(_over_steps(steps) if steps else ())
         backs = [next(over_steps) if isinstance(event, WalkedStep) else event for event in self.events]
@@ -231,8 +234,7 @@ class PastPath:
             if isinstance(event, WalkedStep):
                 after_steps.append(back)
             back = over.then(back)
-        earlier = self.earlier.rebased(back)
-        return earlier.joined(_behind(steps, after_steps[::-1])) if steps else earlier
+        return back, _behind(steps, after_steps[::-1]) if steps else NO_STEPS
 
     def with_shared(
         self, before: FloatArray, shared_m2: FloatArray, after: FloatArray, time_s: float, here_m: FloatArray
@@ -286,9 +288,14 @@ class PastPath:
         self, cov: FloatArray, shared_m2: FloatArray, here_m: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Times (N,), places (2, N) and covariances (3, N) of all steps, given those of x (4, 4) and its place."""
-        steps = self._steps() if self.events else self.earlier
-        shared_m2 = self._share(shared_m2, here_m) * _squares(self._since_shared_m(steps.time_s, steps.place_m))
-        return steps.time_s, steps.place_m, steps.cov_m2(cov) + shared_m2
+        (back, last), earlier = self._last(), self.earlier
+        cov_m2 = back.scale * earlier.own_cov_m2
+        cov_m2 += _propagated(earlier.by_state, back.left + back.gain @ cov @ back.gain.T)
+        time_s = np.concatenate([earlier.time_s, last.time_s])
+        place_m = np.concatenate([earlier.moved_m(back.moved), last.place_m], axis=-1)
+        cov_m2 = np.concatenate([cov_m2, last.cov_m2(cov)], axis=-1)
+        shared_m2 = self._share(shared_m2, here_m) * _squares(self._since_shared_m(time_s, place_m))
+        return time_s, place_m, cov_m2 + shared_m2
 
     def _share(self, shared_m2: FloatArray, here_m: FloatArray) -> float:
         """Largest variance, for each square metre, of an error along the way that is part of `shared_m2` (2, 2)."""
