@@ -236,9 +236,11 @@ def _with_first_pass(
     The second value is the device as the first pass found it if the configuration has its bias, else None.
 
     Strides show a walking direction better at the end of a place of the phone than at its start, and the axes of a
-    building show the bias only after some corners. The second pass has both from the first step. The covariance of the
-    bias counts double, because the second pass sees the same samples. Without axes the bias is not used: straight
-    walking that is seen twice is taken for straighter than it is, and costs as often as it gains.
+    building show the bias only after some corners. The second pass has both from the first step. Where it has another
+    bias, the directions come from one more pass with that bias: the heading of a device that is turned over depends on
+    it by any angle. The covariance of the bias counts double, because the second pass sees the same samples. Without
+    axes the bias is not used: straight walking that is seen twice is taken for straighter than it is, and costs as
+    often as it gains.
     """
     if "gyroscope" not in recording.streams:
         return config, None
@@ -246,13 +248,16 @@ def _with_first_pass(
     steps = [event for event in events if isinstance(event, Step)]
     if not steps:
         return config, None
-    device, heading = config.sensing.device(state), config.sensing.heading
+    device, known_device = config.sensing.device(state), None
+    if config.sensing.attitude.bias.device is None and steps[-1].on_axes:
+        config, known_device = config.with_device(Device(device.bias_radps, 2.0 * device.bias_cov_radps2)), device
+        _, events = run_sensing(config.sensing, recording)
+        steps = [event for event in events if isinstance(event, Step)]
+    heading = config.sensing.heading
     if isinstance(heading, WalkingHeading):
         heading = replace(heading, known_places=known_places(step_table(steps)))
         config = replace(config, sensing=replace(config.sensing, heading=heading))
-    if config.sensing.attitude.bias.device is not None or not steps[-1].on_axes:
-        return config, None
-    return config.with_device(Device(device.bias_radps, 2.0 * device.bias_cov_radps2)), device
+    return config, known_device
 
 
 def _on_plan(found: OnPlanHindsight, observed: Observations) -> Smoothed:

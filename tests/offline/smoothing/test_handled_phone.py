@@ -14,6 +14,7 @@ from scipy.stats import chi2
 
 import pdr_filter as pdr
 from pdr_filter.simulate import Leg, SensorErrors, simulate
+from pdr_filter.values.rigid_fit import rigid_fit
 
 
 def aligned(reference: np.ndarray, places: np.ndarray) -> np.ndarray:
@@ -114,3 +115,13 @@ def test_tracks_of_real_recordings_can_be_walked(data_dir: Path, name: str) -> N
     assert max(smoothed.step_length_m.max(), moved_m.max()) < 1.8
     assert smoothed.distance_m == pytest.approx(online.distance_m, rel=0.15)
     assert not len(jumps_m(online))
+
+
+def test_a_bias_of_the_first_pass_does_not_turn_the_walk_after_the_phone_was_handled(data_dir: Path) -> None:
+    """The heading of a device that is turned over depends on its bias, and so do walking directions."""
+    recording = pdr.read(data_dir / "ipin2023" / "ipin2023_anon_trial22_rep01.zip")
+    track, points = pdr.smooth(recording, gnss="off", north="magnetic").track, recording.truth.waypoints
+    at_m = np.column_stack([np.interp(points.time_s, track.time_s, axis) for axis in track.position_m.T])
+    true_m = np.column_stack([points.east_m, points.north_m])
+    rotation, _ = rigid_fit(at_m, true_m)
+    assert abs(np.arctan2(rotation[1, 0], rotation[0, 0])) < 0.35
