@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from pdr_filter.live.messages import FORCE, GRAVITY, LINEAR, RAW, Message, SensorRows
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Samples, limits, replace
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Samples, limits, replace_unchecked
 
 PRELUDE_S = 2.0
 # A phone without acceleration is told so; sensors of one phone start within a second or two.
@@ -99,7 +99,7 @@ def take(
     """
     state, is_repeated = _counted(state, held, message)
     if is_repeated:
-        return replace(state, n_repeated=state.n_repeated + 1), list(held), []
+        return replace_unchecked(state, n_repeated=state.n_repeated + 1), list(held), []
     waiting = [*held, message]
     if state.kind is None:
         kind = _kind(waiting, platform)
@@ -107,7 +107,7 @@ def take(
             if _is_too_much(waiting):
                 raise SessionError(f"still no track after {len(waiting)} messages: {kind}")
             return state, waiting, []
-        state = replace(state, kind=kind)
+        state = replace_unchecked(state, kind=kind)
     return _released(state, waiting)
 
 
@@ -117,7 +117,7 @@ def finish(state: Assembly, held: Sequence[Message], platform: str) -> tuple[Ass
         kind = _kind(held, platform, is_last=True)
         if isinstance(kind, str):
             return state, [], []
-        state = replace(state, kind=kind)
+        state = replace_unchecked(state, kind=kind)
     return release(state, held)
 
 
@@ -142,7 +142,7 @@ def _counted(state: Assembly, held: Sequence[Message], message: Message) -> tupl
     if number is None:
         digest = hashlib.sha256(message.source).hexdigest()[:16]
         is_repeated = bool(message.source) and digest in state.recent
-        return replace(state, recent=(*state.recent, digest)[-_N_RECENT:]), is_repeated
+        return replace_unchecked(state, recent=(*state.recent, digest)[-_N_RECENT:]), is_repeated
     if any(first <= number <= last for first, last in state.given_up):
         raise LateError(
             f"message {number} is too late: it was given up after {_WAIT_S:g} s of later samples, and the track went "
@@ -150,7 +150,7 @@ def _counted(state: Assembly, held: Sequence[Message], message: Message) -> tupl
         )
     if number < state.next_number and _is_newer(state, message):
         # an app that was started again counts from zero
-        return replace(state, next_number=number, hole_s=np.nan), False
+        return replace_unchecked(state, next_number=number, hole_s=np.nan), False
     return state, number < state.next_number or any(m.number == number for m in held)
 
 
@@ -182,14 +182,16 @@ def _released(
             # a backlog that is coming in makes the hole smaller, and the wait begins again
             newest_s = max(_span_s(state, m)[1] for m in counted)
             if has_moved or np.isnan(state.hole_s):
-                state = replace(state, hole_s=newest_s if has_moved else _span_s(state, counted[0])[0])
+                state = replace_unchecked(state, hole_s=newest_s if has_moved else _span_s(state, counted[0])[0])
             is_due = newest_s - state.hole_s > _WAIT_S
             if not (is_last or is_due or _is_too_much(counted)):
                 break
             hole = (state.next_number, first - 1)
-            state = replace(state, n_lost=state.n_lost + n_missing, given_up=(*state.given_up, hole)[-_N_HOLES:])
+            state = replace_unchecked(
+                state, n_lost=state.n_lost + n_missing, given_up=(*state.given_up, hole)[-_N_HOLES:]
+            )
         message, has_moved = counted.pop(0), True
-        state = replace(state, next_number=_number(message) + 1, hole_s=np.nan)
+        state = replace_unchecked(state, next_number=_number(message) + 1, hole_s=np.nan)
         state, samples = _samples(state, message)
         ready.append(samples)
     if is_last and len(state.linear_s):
@@ -221,7 +223,7 @@ def _samples(state: Assembly, message: Message) -> tuple[Assembly, Streams]:
     ready |= {name: found[name] for name in ("gyroscope", "magnetometer", "barometer", "location") if name in found}
     moving_s = times_s.get(kind.force, _NONE)
     if len(moving_s):
-        state = replace(state, last_s=max(state.last_s, _latest_s(moving_s)))
+        state = replace_unchecked(state, last_s=max(state.last_s, _latest_s(moving_s)))
     return state, {name: rows for name, rows in ready.items() if len(rows)}
 
 
@@ -265,7 +267,7 @@ def _on_one_clock(state: Assembly, message: Message, kind: Kind) -> tuple[Assemb
         times_s[name] = np.concatenate([time_s[:after], time_s[after:] + back_s])
     at_s = float(force_s[i] + back_s)
     set_backs = (*state.set_backs, (at_s, back_s))[-_N_HOLES:]
-    return replace(state, ahead_s=state.ahead_s + back_s, set_backs=set_backs), times_s
+    return replace_unchecked(state, ahead_s=state.ahead_s + back_s, set_backs=set_backs), times_s
 
 
 def _set_back(last_s: float, time_s: FloatArray, least_s: float) -> tuple[int, float]:
@@ -290,7 +292,7 @@ def _with_gravity(
     force = values[ready] + _at_times(gravity_s, known, linear_s[ready])
     begin_s = min([newest_s, *linear_s[~ready]]) - 2 * _GRAVITY_GAP_S
     later = gravity_s >= begin_s
-    state = replace(
+    state = replace_unchecked(
         state, linear_s=linear_s[~ready], linear=values[~ready], gravity_s=gravity_s[later], gravity=known[later]
     )
     finite = np.isfinite(force).all(axis=1)

@@ -19,7 +19,7 @@ from vqf import VQF
 
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.gyroscope_bias import BiasWindow, GyroBias, GyroBiasState
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, check_numbers, replace
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, check_numbers, replace_unchecked
 
 # The device turns about up by what a rotation that leaves gravity's tilt alone would: against an attitude tilted by
 # theta an error of the tilt enters the heading times tan(theta / 2), 0.6 at 60 degrees. Then a new one is needed.
@@ -105,7 +105,7 @@ class AttitudeEstimator:
         """State that forgets the smoothed gravity, because the device may have been turned, and keeps the bias."""
         if state.vqf is None:
             return state
-        return replace(
+        return replace_unchecked(
             state,
             # vqf starts its low-pass afresh from NaN, exactly as at the first sample
             vqf={**state.vqf, "accLpState": self._initial["accLpState"]},
@@ -132,7 +132,7 @@ class AttitudeEstimator:
             lengths.append(end - first)
             state = self._turn(state, estimator, rows[first:end])
             if end - begin == self._window_samples:
-                state = replace(state, bias=self.bias.update(state.bias, _bias_window(rows[begin:end])))
+                state = replace_unchecked(state, bias=self.bias.update(state.bias, _bias_window(rows[begin:end])))
                 begin = end
             first = end
         new = rows[len(state.window) :]
@@ -152,7 +152,7 @@ class AttitudeEstimator:
             heading_lost_var_rad2=lost_var_rad2,
             quat=quat,
         )
-        return replace(state, vqf=estimator.state, window=rows[begin:].copy()), attitude
+        return replace_unchecked(state, vqf=estimator.state, window=rows[begin:].copy()), attitude
 
     def _turn(self, state: AttitudeState, estimator: Any, rows: FloatArray) -> AttitudeState:
         """State after samples of one window, whose attitudes and headings are filled in."""
@@ -183,7 +183,9 @@ class AttitudeEstimator:
         turned = rows[:, _RATE_KNOWN] * (turned - 2 * np.pi * np.rint(turned / (2 * np.pi)))
         turned[0] += state.device_heading_rad
         rows[:, _HEADING] = heading_rad = turned.cumsum()
-        return replace(state, device_heading_rad=float(heading_rad[-1]), reference_quat=reference, twist_rad=twist_rad)
+        return replace_unchecked(
+            state, device_heading_rad=float(heading_rad[-1]), reference_quat=reference, twist_rad=twist_rad
+        )
 
 
 def _rows(waiting: FloatArray, block: UniformBlock) -> FloatArray:

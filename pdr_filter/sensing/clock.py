@@ -16,7 +16,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from pdr_filter.values import Fix, FloatArray, IntArray, Samples, Standstill, replace
+from pdr_filter.values import Fix, FloatArray, IntArray, Samples, Standstill, replace_unchecked
 from pdr_filter.values.recording import Recording
 
 # So many samples in a row that contradict the clock are right.
@@ -55,7 +55,7 @@ def follow(clock: ClockState, rows: FloatArray, max_gap_s: float) -> tuple[Clock
             if len(in_order) == _RUN_ROWS or start == len(rows):
                 continue
         clock, out, dropped, jumps = _believe(clock, rows[start], max_gap_s)
-        clock = replace(clock, n_deaf=0 if out else clock.n_deaf + 1)
+        clock = replace_unchecked(clock, n_deaf=0 if out else clock.n_deaf + 1)
         accepted += [row[None] for row in out]
         n_dropped, n_jumps, start = n_dropped + dropped, n_jumps + jumps, start + 1
     return clock, accepted[-1] if len(accepted) == 2 else np.concatenate(accepted), n_dropped, n_jumps
@@ -69,7 +69,7 @@ def _in_order(clock: ClockState, rows: FloatArray, max_gap_s: float) -> tuple[Cl
     # the very first sample has nothing to be far ahead of
     (stops,) = (~((steps_s > 0) & ((steps_s <= max_gap_s) | np.isinf(steps_s)))).nonzero()
     moved = moved[: stops[0]] if len(stops) else moved
-    return (replace(clock, last_s=float(moved[-1, 0]), n_deaf=0) if len(moved) else clock), moved
+    return (replace_unchecked(clock, last_s=float(moved[-1, 0]), n_deaf=0) if len(moved) else clock), moved
 
 
 def _believe(clock: ClockState, row: FloatArray, max_gap_s: float) -> tuple[ClockState, list[FloatArray], int, int]:
@@ -79,28 +79,28 @@ def _believe(clock: ClockState, row: FloatArray, max_gap_s: float) -> tuple[Cloc
     time_s = float(moved[0])
     if time_s <= clock.last_s:
         return _behind(clock, time_s, max_gap_s)
-    clock = replace(clock, behind_s=-np.inf, moving=False, n_behind=0)
+    clock = replace_unchecked(clock, behind_s=-np.inf, moving=False, n_behind=0)
     if not clock.held:
         if time_s - clock.last_s <= max_gap_s or np.isinf(clock.last_s):
-            return replace(clock, last_s=time_s), [moved], 0, 0
-        return replace(clock, held=(moved,)), [], 0, 0
+            return replace_unchecked(clock, last_s=time_s), [moved], 0, 0
+        return replace_unchecked(clock, held=(moved,)), [], 0, 0
     first_s, latest_s = float(clock.held[0][0]), float(clock.held[-1][0])
     if time_s < first_s:
         # the clock is where it was: what is held was a glitch
         n_held = len(clock.held)
-        clock, out, dropped, jumps = _believe(replace(clock, held=()), row, max_gap_s)
+        clock, out, dropped, jumps = _believe(replace_unchecked(clock, held=()), row, max_gap_s)
         return clock, out, dropped + n_held, jumps + 1
     if time_s <= latest_s:
         return clock, [], 1, 0
     held = (*clock.held, moved)
     if first_s - clock.last_s > _PLAIN_GAP_S and len(held) < CLOCK_RESET_SAMPLES:
-        return replace(clock, held=held), [], 0, 0
-    return replace(clock, held=(), last_s=time_s), list(held), 0, 0
+        return replace_unchecked(clock, held=held), [], 0, 0
+    return replace_unchecked(clock, held=(), last_s=time_s), list(held), 0, 0
 
 
 def _behind(clock: ClockState, time_s: float, max_gap_s: float) -> tuple[ClockState, list[FloatArray], int, int]:
     """After a row that is not after the last one: it is dropped, and the clock set back if there were many."""
-    clock = replace(
+    clock = replace_unchecked(
         clock, behind_s=time_s, moving=clock.moving or time_s > clock.behind_s > -np.inf, n_behind=clock.n_behind + 1
     )
     if clock.n_behind < CLOCK_RESET_SAMPLES or not clock.moving:

@@ -16,7 +16,16 @@ import numpy as np
 from pdr_filter.sensing.clock import ClockState, follow, one_clock
 from pdr_filter.sensing.stuck_sensors import WatchdogState, watch, watchdog
 from pdr_filter.sensing.unit_check import UnitsState, look, units
-from pdr_filter.values import BoolArray, FloatArray, ImuBlock, Samples, check_numbers, how_many, how_often, replace
+from pdr_filter.values import (
+    BoolArray,
+    FloatArray,
+    ImuBlock,
+    Samples,
+    check_numbers,
+    how_many,
+    how_often,
+    replace_unchecked,
+)
 from pdr_filter.values.recording import Recording
 
 # Columns of the rows that wait in the state: time, specific force, angular rate, magnetic field, and the age of the
@@ -203,7 +212,7 @@ class Conditioner:
             if len(part) == 0:
                 continue
             if len(state.rows) == 0:
-                state = replace(state, segment_start_s=part[0, 0])
+                state = replace_unchecked(state, segment_start_s=part[0, 0])
             elif part[0, 0] - state.rows[-1, 0] > self.max_gap_s:
                 state, output = self.finish(state)
                 outputs += output
@@ -231,7 +240,7 @@ class Conditioner:
         rows[:, _RATE], rows[:, _RATE_AGE], last_rate = _hold(rows[:, 0], motion[:, 3:], state.last_rate)
         rows[:, _FIELD], rows[:, _FIELD_AGE], last_field = _hold(rows[:, 0], followed[:, _FIELD], state.last_field)
         old = state.report
-        report = replace(
+        report = replace_unchecked(
             old,
             n_received=old.n_received + len(raw),
             n_not_finite=old.n_not_finite + n_not_finite,
@@ -245,10 +254,10 @@ class Conditioner:
         )
         if len(rows):
             first = rows[0, 0] if np.isnan(old.first_time_s) else old.first_time_s
-            report = replace(report, first_time_s=float(first), last_time_s=float(rows[-1, 0]))
+            report = replace_unchecked(report, first_time_s=float(first), last_time_s=float(rows[-1, 0]))
         seen = look(state.units, followed[:, 0], followed[:, _MOTION])
         kept_state = {"clock": clock, "watchdog": watched, "units": seen, "report": report}
-        return replace(state, last_rate=last_rate, last_field=last_field, **kept_state), rows
+        return replace_unchecked(state, last_rate=last_rate, last_field=last_field, **kept_state), rows
 
     def _start_segment(self, state: ConditionerState, part: FloatArray) -> ConditionerState:
         # The gap is counted from the end of what was emitted. If nothing of the old segment was, the gap before it is
@@ -256,13 +265,13 @@ class Conditioner:
         emitted_until_s = state.segment_start_s + state.n_emitted / self.rate_hz
         gap_s = float(part[0, 0] - emitted_until_s)
         unreported = state.gap_before_s if state.n_emitted == 0 else 0.0
-        report = replace(
+        report = replace_unchecked(
             state.report,
             n_gaps=state.report.n_gaps + 1,
             longest_gap_s=max(state.report.longest_gap_s, gap_s),
             lost_s=state.report.lost_s + gap_s,
         )
-        return replace(
+        return replace_unchecked(
             state,
             rows=np.empty((0, _N_COLUMNS)),
             segment_start_s=float(part[0, 0]),
@@ -282,7 +291,7 @@ class Conditioner:
             last -= 1
         n_complete = last // hop_samples * hop_samples
         if n_complete <= state.n_emitted:
-            return replace(state, rows=rows), []
+            return replace_unchecked(state, rows=rows), []
         index = np.arange(state.n_emitted, n_complete + 1)
         grid = state.segment_start_s + index / self.rate_hz
         means = _interval_means(rows[:, 0], rows[:, 1:10], grid)
@@ -300,12 +309,12 @@ class Conditioner:
             gap_before_s=state.gap_before_s if state.n_emitted == 0 else 0.0,
         )
         first_needed = max(int(np.searchsorted(rows[:, 0], grid[-1], side="right")) - 1, 0)
-        report = replace(
+        report = replace_unchecked(
             state.report,
             n_emitted=state.report.n_emitted + len(rate_known),
             n_without_rate=state.report.n_without_rate + int((~rate_known).sum()),
         )
-        new = replace(state, rows=rows[first_needed:], n_emitted=n_complete, report=report)
+        new = replace_unchecked(state, rows=rows[first_needed:], n_emitted=n_complete, report=report)
         return new, [output]
 
 

@@ -23,7 +23,7 @@ from pdr_filter.sensing.steps.contact_time_smoothing import EvenSteps
 from pdr_filter.sensing.steps.step_detector import ContextBlock, StepDetector
 from pdr_filter.sensing.steps.step_gate import StepGate
 from pdr_filter.sensing.vehicle_vibration import Rattle, RattleState
-from pdr_filter.values import FloatArray, ImuBlock, IntArray, Step, replace
+from pdr_filter.values import FloatArray, ImuBlock, IntArray, Step, replace_unchecked
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,12 +137,12 @@ class Sensing:
     def update(self, state: SensingState, block: ImuBlock) -> tuple[SensingState, list[tuple[float, Event]]]:
         """New state, and the events with the time at which each became known."""
         conditioner, uniform = self.conditioner.update(state.conditioner, block)
-        return self._take(replace(state, conditioner=conditioner), uniform)
+        return self._take(replace_unchecked(state, conditioner=conditioner), uniform)
 
     def finish(self, state: SensingState) -> tuple[SensingState, list[tuple[float, Event]]]:
         """New state when the recording has ended, and the events that were still waiting for samples."""
         conditioner, uniform = self.conditioner.finish(state.conditioner)
-        state, events = self._take(replace(state, conditioner=conditioner), uniform)
+        state, events = self._take(replace_unchecked(state, conditioner=conditioner), uniform)
         return state, [*events, *self._close_segment(state)[1]]
 
     def _take(
@@ -210,20 +210,20 @@ class Sensing:
         steps = self.steps.finish(state.steps)
         if self.gate:
             gate, steps = self.gate.close(state.gate, steps)
-            state = replace(state, gate=gate)
+            state = replace_unchecked(state, gate=gate)
         if self.heading:
             heading, steps = self.heading.finish(state.heading, steps)
-            state = replace(state, heading=heading)
+            state = replace_unchecked(state, heading=heading)
         if self.north:
             north, steps = self.north.finish(state.north, steps)
-            state = replace(state, north=north)
+            state = replace_unchecked(state, north=north)
         if self.even:
             even, steps = self.even.update(state.even, steps)
-            state = replace(state, even=even)
+            state = replace_unchecked(state, even=even)
         return state, [(state.processed_s, step) for _, step in steps]
 
     def _after_gap(self, state: SensingState) -> SensingState:
-        return replace(
+        return replace_unchecked(
             state,
             attitude=self.attitude.after_gap(state.attitude),
             contexts=self.contexts.after_gap(state.contexts) if self.contexts else None,

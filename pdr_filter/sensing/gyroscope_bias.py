@@ -36,7 +36,7 @@ import numpy as np
 
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.heading.heading_offset import UNKNOWN_VAR_RAD2
-from pdr_filter.values import FloatArray, check_numbers, read_only, replace
+from pdr_filter.values import FloatArray, check_numbers, read_only, replace_unchecked
 
 # State of each Kalman filter: bias about x, y, z of the sensor in rad/s; direction of the magnetic field in the
 # attitude's frame, and by how much the corrected heading is too large, in rad, clockwise.
@@ -226,7 +226,7 @@ class GyroBias:
 
     def after_gap(self, state: GyroBiasState) -> GyroBiasState:
         """State that keeps the bias and forgets what the windows before a time without samples were."""
-        return replace(state, n_still=0, walk=None, field=None, field_tracked=False, n_field_outliers=0)
+        return replace_unchecked(state, n_still=0, walk=None, field=None, field_tracked=False, n_field_outliers=0)
 
     def update(self, state: GyroBiasState, window: BiasWindow) -> GyroBiasState:
         """State after one more window, whose heading was corrected with the bias of the state before."""
@@ -248,7 +248,7 @@ class GyroBias:
         before = self._measure_walk((state.mean, state.cov, state.log_weight), state.walk)
         _, predicted_var_rad2 = _direction(_predict(self, before, window.up_sensor, correction_rad))
         lost_rad2 = max(predicted_var_rad2 - state.heading_error_var_rad2, 0.0)
-        return replace(
+        return replace_unchecked(
             state,
             mean=mean,
             cov=cov,
@@ -309,11 +309,11 @@ class GyroBias:
             return bank, StraightWalk((window.heading_rad,), (measured_rad,), window.up_sensor, 0)
         late = (*walk.heading_rad, window.heading_rad)[-2:]
         if walk.n_to_skip > 0:
-            return bank, replace(walk, heading_rad=late, n_to_skip=walk.n_to_skip - 1)
-        walk = replace(walk, heading_rad=late, measured_rad=(*walk.measured_rad, measured_rad))
+            return bank, replace_unchecked(walk, heading_rad=late, n_to_skip=walk.n_to_skip - 1)
+        walk = replace_unchecked(walk, heading_rad=late, measured_rad=(*walk.measured_rad, measured_rad))
         if len(walk.measured_rad) >= round(self.straight_s[1] / self.window_s) + 2:
             bank = self._measure_walk(bank, walk)
-            walk = replace(walk, measured_rad=(), n_to_skip=round(self.straight_again_s / self.window_s))
+            walk = replace_unchecked(walk, measured_rad=(), n_to_skip=round(self.straight_again_s / self.window_s))
         return bank, walk
 
     def _measure_walk(self, bank: _Bank, walk: StraightWalk | None) -> _Bank:

@@ -22,7 +22,7 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 
 from pdr_filter.sensing.conditioning import at_times
-from pdr_filter.values import FloatArray, ImuBlock, check_numbers, replace
+from pdr_filter.values import FloatArray, ImuBlock, check_numbers, replace_unchecked
 from pdr_filter.values.limits import GAP_INTERVALS
 
 Sensor = Literal["accelerometer", "gyroscope", "magnetometer", "barometer"]
@@ -139,7 +139,7 @@ class StreamMerger:
         # a clock that stands still comes no further, but its samples may not wait without end
         if all(s < self.bunch_s for s in further_s) and len(force.rows) <= _MAX_ROWS:
             return state, _NOTHING
-        state = replace(state, looked_s=tuple(stream.last_s for stream in state.streams))
+        state = replace_unchecked(state, looked_s=tuple(stream.last_s for stream in state.streams))
         before_s = state.released_s if np.isfinite(state.released_s) else float(force.rows[:1, 0].sum())
         n_whole = self._n_whole(force, len(force.rows), before_s)
         frontier_s = float(force.rows[n_whole - 1, 0]) if n_whole else state.released_s
@@ -183,7 +183,7 @@ class StreamMerger:
         elif (intervals_s < 0).any():
             rows = rows[np.argsort(rows[:, 0], kind="stable")]
         n_over = 0 if sensor == "accelerometer" else max(len(rows) - _MAX_ROWS, 0)
-        stream = replace(
+        stream = replace_unchecked(
             stream,
             rows=rows[n_over:],
             recent_s=np.concatenate([stream.recent_s, timed[:, 0]])[-_RATE_SAMPLES:],
@@ -198,12 +198,12 @@ class StreamMerger:
         if not is_late.any():
             if len(rows):
                 first_s = float(rows[:, 0].min()) if np.isnan(state.first_s) else state.first_s
-                state = replace(state, first_s=first_s, late_s=_NO_LATE)
+                state = replace_unchecked(state, first_s=first_s, late_s=_NO_LATE)
             return state, rows
         for i, (time_s, late) in enumerate(zip(rows[:, 0].tolist(), is_late.tolist(), strict=True)):
             begin_s, end_s = state.late_s
             late_s = (float(np.fmin(begin_s, time_s)), float(np.fmax(end_s, time_s))) if late else _NO_LATE
-            state = replace(state, late_s=late_s)
+            state = replace_unchecked(state, late_s=late_s)
             if late_s[1] - late_s[0] > _SET_BACK_S:
                 return self._in_time(self._afresh(state), rows[i:])
         return state, rows[~is_late]
@@ -211,7 +211,7 @@ class StreamMerger:
     def _afresh(self, state: MergerState) -> MergerState:
         """State in which nothing waits, and all that has been counted."""
         begun = zip(self.init().streams, state.streams, strict=True)
-        kept = (replace(new, n_received=s.n_received, n_late=s.n_late) for new, s in begun)
+        kept = (replace_unchecked(new, n_received=s.n_received, n_late=s.n_late) for new, s in begun)
         return MergerState(tuple(kept))
 
     def _n_whole(self, stream: StreamState, n: int, before_s: float, others_s: float = -np.inf) -> int:
@@ -256,16 +256,16 @@ class StreamMerger:
         )
         block = ImuBlock(time_s, leaving[:, 1:], rate, field_ut)
         if n:
-            state = replace(state, released_s=float(time_s[-1]))
-            state = _with(state, "accelerometer", replace(force, rows=left))
+            state = replace_unchecked(state, released_s=float(time_s[-1]))
+            state = _with(state, "accelerometer", replace_unchecked(force, rows=left))
             for sensor in ("gyroscope", "magnetometer"):
                 stream = state.stream(sensor)
                 # the two before are needed: what comes after the last sample is held by both
                 first = max(int(np.searchsorted(stream.rows[:, 0], state.released_s, side="right")) - 2, 0)
-                state = _with(state, sensor, replace(stream, rows=stream.rows[first:]))
+                state = _with(state, sensor, replace_unchecked(stream, rows=stream.rows[first:]))
         if len(out):
-            state = replace(state, pressure_s=float(out[-1, 0]))
-            state = _with(state, "barometer", replace(pressure, rows=pressure.rows[due - 1 :]))
+            state = replace_unchecked(state, pressure_s=float(out[-1, 0]))
+            state = _with(state, "barometer", replace_unchecked(pressure, rows=pressure.rows[due - 1 :]))
         return state, Merged(out[:, 0], out[:, 1], block)
 
 
@@ -276,4 +276,4 @@ _NOTHING = Merged(np.empty(0), np.empty(0), ImuBlock(np.empty(0), *np.empty((3, 
 def _with(state: MergerState, sensor: Sensor, stream: StreamState) -> MergerState:
     """State with another stream."""
     at = SENSORS.index(sensor)
-    return replace(state, streams=(*state.streams[:at], stream, *state.streams[at + 1 :]))
+    return replace_unchecked(state, streams=(*state.streams[:at], stream, *state.streams[at + 1 :]))

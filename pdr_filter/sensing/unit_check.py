@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_filter.values import FloatArray, median, replace
+from pdr_filter.values import FloatArray, median, replace_unchecked
 from pdr_filter.values.plausibility import wrong_angular_rate, wrong_specific_force
 
 # A window is whole after both.
@@ -73,7 +73,7 @@ def look(state: UnitsState, time_s: FloatArray, motion: FloatArray) -> UnitsStat
     while len(rows) - start >= _WINDOW_ROWS and times_s[-1] - times_s[start] >= _WINDOW_S:
         end = max(int(times_s.searchsorted(times_s[start] + _WINDOW_S)) + 1, start + _WINDOW_ROWS)
         state, start = _judged(state, rows[start:end]), end
-    return replace(state, rows=rows[start:])
+    return replace_unchecked(state, rows=rows[start:])
 
 
 def _judged(state: UnitsState, rows: FloatArray) -> UnitsState:
@@ -83,7 +83,7 @@ def _judged(state: UnitsState, rows: FloatArray) -> UnitsState:
     wrong_force = wrong_specific_force(median(force))
     wrong_rate = wrong_angular_rate(median(known)) if len(known) else ""
     down = float(z.sum()) < _DOWN_COSINE * float(force.sum())
-    return replace(
+    return replace_unchecked(
         state,
         n=state.n + 1,
         n_wrong_force=state.n_wrong_force + bool(wrong_force),

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.values import FloatArray, Step, check_numbers, replace
+from pdr_filter.values import FloatArray, Step, check_numbers, replace_unchecked
 
 _JITTER_HZ = 50.0
 # The first steps of a bout become known up to 4 s after their contacts, and a contact ends a step of a second.
@@ -74,7 +74,7 @@ class Rattle:
         magnitude = np.concatenate([state.rest, np.sqrt(x * x + y * y + z * z)])
         n = round(self.rate_hz)
         first, n_whole = state.n_samples // n, len(magnitude) // n
-        state = replace(
+        state = replace_unchecked(
             state,
             n_samples=state.n_samples + len(block.time_s),
             start_s=float(block.time_s[0]) if state.n_samples == 0 else state.start_s,
@@ -85,9 +85,9 @@ class Rattle:
         for second, jitter_mps2 in enumerate(jitters_mps2):
             waiting_mps2 = (*state.waiting_mps2, jitter_mps2)
             until = bisect_left(found, ((first + second + 1) * n,), lo=n_known)
-            state = replace(state, waiting_mps2=waiting_mps2, steps=(*state.steps, *found[n_known:until]))
+            state = replace_unchecked(state, waiting_mps2=waiting_mps2, steps=(*state.steps, *found[n_known:until]))
             state, n_known = self._judge(state, first + second), until
-        return replace(state, steps=(*state.steps, *found[n_known:]))
+        return replace_unchecked(state, steps=(*state.steps, *found[n_known:]))
 
     def _judge(self, state: RattleState, second: int) -> RattleState:
         """State when a second is over: the one some seconds earlier has all its steps."""
@@ -99,7 +99,7 @@ class Rattle:
         walks = any(number < known and time_s < begin_s + 1.0 + _STEP_S for number, time_s in recent)
         run_s = state.run_s + 1 if jitter_mps2 > self.min_jitter_mps2 and not walks else 0
         moving_s = self.min_run_s if run_s == self.min_run_s else int(run_s > self.min_run_s)
-        return replace(
+        return replace_unchecked(
             state,
             waiting_mps2=tuple(waiting_mps2),
             steps=recent,

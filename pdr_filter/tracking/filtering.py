@@ -39,7 +39,7 @@ from pdr_filter.values import (
     SpeedFix,
     Standstill,
     received_s,
-    replace,
+    replace_unchecked,
 )
 
 # How old a fix of an app may be: the remembered steps (`pedestrian_state.TRAIL_STEPS`) are half a minute of walking,
@@ -106,9 +106,9 @@ def init(config: Config) -> State:
     if on_plan is None:
         return state
     if on_plan.start is not None:
-        state = replace(state, height=height.with_floor(state.height, on_plan.start.floor))
+        state = replace_unchecked(state, height=height.with_floor(state.height, on_plan.start.floor))
     # locations are then in the frame of the plan
-    return replace(state, locations=LocationState(origin=on_plan.plan.origin), particles=on_plan.init())
+    return replace_unchecked(state, locations=LocationState(origin=on_plan.plan.origin), particles=on_plan.init())
 
 
 def update(config: Config, state: State, block: ImuBlock) -> tuple[State, Output]:
@@ -121,7 +121,7 @@ def update(config: Config, state: State, block: ImuBlock) -> tuple[State, Output
     whole = Output()
     for part in parts(block):
         sensing, events = config.sensing.update(state.sensing, part)
-        state, output = _process(config, replace(state, sensing=sensing), events)
+        state, output = _process(config, replace_unchecked(state, sensing=sensing), events)
         whole.extend(output)
     return state, whole
 
@@ -133,7 +133,7 @@ def arrive(
     if state.finished:
         raise ValueError("the filter is finished: start a new one for further samples")
     merger, merged = config.merger.together(state.merger, samples)
-    return _with_merged(config, replace(state, merger=merger), merged)
+    return _with_merged(config, replace_unchecked(state, merger=merger), merged)
 
 
 def _with_merged(config: Config, state: State, merged: Merged) -> tuple[State, Output]:
@@ -163,7 +163,7 @@ def add_pressure(config: Config, state: State, time_s: FloatArray, pressure_hpa:
     barometer, climbs = config.climb_rate.update(state.barometer, time_s + state.clock_offset_s, pressure_hpa)
     all_climbs = (*state.climbs, *climbs)
     n_lost = max(len(all_climbs) - MAX_CLIMBS, 0)
-    return replace(
+    return replace_unchecked(
         state,
         barometer=barometer,
         climbs=all_climbs[n_lost:],
@@ -188,7 +188,7 @@ def add_location(
     )
     if locations.origin is not None:
         state = add_places(state, locations.origin, time_s, latitude_deg, longitude_deg, accuracy_m)
-    return add_fixes(config, replace(state, locations=locations), fixes)
+    return add_fixes(config, replace_unchecked(state, locations=locations), fixes)
 
 
 # Locations that may still show a hill: steps and pressures are known some seconds late, and heights look back by as
@@ -208,7 +208,7 @@ def add_places(
     last_s = float(state.places[-1, 0]) if len(state.places) else -np.inf
     new = good_places(origin, time_s, latitude_deg, longitude_deg, accuracy_m, last_s)
     is_old = state.places[:, 0] < state.sensing.processed_s - _PLACES_S
-    return replace(state, places=np.concatenate([state.places[~is_old], new]))
+    return replace_unchecked(state, places=np.concatenate([state.places[~is_old], new]))
 
 
 def add_fixes(config: Config, state: State, fixes: Sequence[Fix]) -> State:
@@ -216,7 +216,7 @@ def add_fixes(config: Config, state: State, fixes: Sequence[Fix]) -> State:
     waiting = list(state.waiting_fixes)
     for fix in fixes:
         insort(waiting, fix, key=lambda f: due_s(config, f))
-    return replace(state, waiting_fixes=tuple(waiting))
+    return replace_unchecked(state, waiting_fixes=tuple(waiting))
 
 
 def present_position(config: Config, state: State) -> tuple[FloatArray, FloatArray]:
@@ -252,19 +252,19 @@ def finish(config: Config, state: State) -> tuple[State, Output]:
     if state.finished:
         return state, Output()
     merger, merged = config.merger.finish(state.merger)
-    state, output = _with_merged(config, replace(state, merger=merger), merged)
+    state, output = _with_merged(config, replace_unchecked(state, merger=merger), merged)
     sensing, events = config.sensing.finish(state.sensing)
-    state, late = _process(config, replace(state, sensing=sensing), events)
+    state, late = _process(config, replace_unchecked(state, sensing=sensing), events)
     output.extend(late)
     tracker, last = config.tracker.finish(state.tracker)
     end_s = state.sensing.processed_s
     state = _with_steps(config, state, end_s, last, output)
     state = _with_pressure(config, state, np.inf, output)
     height_state, passages = height.finish(state.height)
-    state = _with_passages(config, replace(state, height=height_state), passages, output)
+    state = _with_passages(config, replace_unchecked(state, height=height_state), passages, output)
     due_fixes = [f for f in state.waiting_fixes if received_s(f) <= end_s]
     later_fixes = [f for f in state.waiting_fixes if received_s(f) > end_s]
-    state = replace(state, tracker=tracker, waiting_fixes=tuple(later_fixes), finished=True)
+    state = replace_unchecked(state, tracker=tracker, waiting_fixes=tuple(later_fixes), finished=True)
     for fix in due_fixes:
         state, result = _use_fix(config, state, fix, end_s)
         output.fixes.append(result)
@@ -286,27 +286,29 @@ def _process(config: Config, state: State, events: list[tuple[float, Event]]) ->
             context = next(contexts)
             output.windows.append(context)
             tracker, updates = config.tracker.on_window(state.tracker, context)
-            state = replace(state, tracker=tracker, height=height_state, seen=state.seen.plus(context), window=context)
+            state = replace_unchecked(
+                state, tracker=tracker, height=height_state, seen=state.seen.plus(context), window=context
+            )
         elif isinstance(event, Gap):
             tracker, updates = config.tracker.on_gap(state.tracker, event.duration_s)
             if config.on_plan is not None:
                 particles = config.on_plan.on_gap(state.particles, event.duration_s, config.model)
-                state = replace(state, particles=particles)
-            state = replace(state, tracker=tracker, last_update=None)
+                state = replace_unchecked(state, particles=particles)
+            state = replace_unchecked(state, tracker=tracker, last_update=None)
         else:
             tracker, updates = config.tracker.on_step(state.tracker, event)
             walked_m = sum(u.step_length_m for u in updates if u.is_final)
             moved_m = moved_by_heading_m(state.tracker.pedestrian, tracker.pedestrian, walked_m)
             heading_std_rad = math.sqrt(tracker.pedestrian.estimates.heading_var_rad2)
             walked = state.walked.plus(event, heading_std_rad, moved_m)
-            state = replace(state, tracker=tracker, walked=walked)
+            state = replace_unchecked(state, tracker=tracker, walked=walked)
         state = _with_steps(config, state, known_s, updates, output)
     state, used = _use_due_fixes(config, state, state.sensing.processed_s)
     output.fixes.extend(used)
     state = _with_pressure(config, state, state.sensing.processed_s, output)
     n_past = max(bisect_right(state.climbs, state.sensing.processed_s, key=attrgetter("time_s")) - 1, 0)
     n_past = min(n_past, state.n_climbs_used)
-    return replace(state, climbs=state.climbs[n_past:], n_climbs_used=state.n_climbs_used - n_past), output
+    return replace_unchecked(state, climbs=state.climbs[n_past:], n_climbs_used=state.n_climbs_used - n_past), output
 
 
 def _with_pressure(config: Config, state: State, until_s: float, output: Output) -> State:
@@ -318,7 +320,7 @@ def _with_pressure(config: Config, state: State, until_s: float, output: Output)
         climb = state.climbs[state.n_climbs_used]
         place = place_at(state.places, climb.time_s)
         height_state, passages = height.on_pressure(state.height, climb, config.model, place)
-        state = replace(state, height=height_state, n_climbs_used=state.n_climbs_used + 1)
+        state = replace_unchecked(state, height=height_state, n_climbs_used=state.n_climbs_used + 1)
         state = _with_passages(config, state, passages, output)
     return state
 
@@ -329,7 +331,7 @@ def _with_passages(config: Config, state: State, passages: Sequence[FloorPassage
     if config.on_plan is not None:
         for passage in passages:
             particles = config.on_plan.on_passage(state.particles, passage, state.tracker.pedestrian, config.model)
-            state = replace(state, particles=particles)
+            state = replace_unchecked(state, particles=particles)
     return state
 
 
@@ -346,7 +348,7 @@ def _with_steps(config: Config, state: State, known_s: float, updates: Sequence[
             state = _with_passages(config, state, passages, output)
         else:
             height_at_step = height_state.known
-        update = replace(
+        update = replace_unchecked(
             update,
             height_m=height_at_step.height_m,
             height_std_m=height_at_step.height_std_m,
@@ -354,18 +356,18 @@ def _with_steps(config: Config, state: State, known_s: float, updates: Sequence[
         )
         if config.on_plan is not None and update.is_final:
             particles = config.on_plan.on_step(state.particles, update, state.tracker.pedestrian, config.model)
-            state = replace(state, particles=particles)
+            state = replace_unchecked(state, particles=particles)
             reckoned = update.position_m, update.position_cov_m2
             update = _on_plan(update, config.on_plan.place(state.particles, reckoned))
         output.updates.append(update)
-    return replace(state, height=height_state, last_update=output.updates[-1]) if updates else state
+    return replace_unchecked(state, height=height_state, last_update=output.updates[-1]) if updates else state
 
 
 def _on_plan(update: StepUpdate, place: OnPlan | None) -> StepUpdate:
     """A step where the particles on a plan are, if there are some."""
     if place is None:
         return update
-    return replace(
+    return replace_unchecked(
         update,
         on_plan=place,
         position_m=place.position_m,
@@ -380,7 +382,7 @@ def _use_due_fixes(config: Config, state: State, until_s: float) -> tuple[State,
         return state, []
     n_due = bisect_right(state.waiting_fixes, until_s, key=lambda f: due_s(config, f))
     used, due = list[FixResult](), state.waiting_fixes[:n_due]
-    state = replace(state, waiting_fixes=state.waiting_fixes[n_due:])
+    state = replace_unchecked(state, waiting_fixes=state.waiting_fixes[n_due:])
     for fix in due:
         state, result = _use_fix(config, state, fix, until_s)
         used.append(result)
@@ -403,19 +405,19 @@ def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[Stat
         outcome, nis = "rejected", np.inf
     else:
         tracker, outcome, nis = config.tracker.on_fix(state.tracker, fix)
-        state = replace(state, tracker=tracker)
+        state = replace_unchecked(state, tracker=tracker)
         if isinstance(fix, PositionFix):
-            state = replace(state, rides=state.rides.plus(fix, tracker.pedestrian.steps.trail[:, TRAIL_TIME]))
+            state = replace_unchecked(state, rides=state.rides.plus(fix, tracker.pedestrian.steps.trail[:, TRAIL_TIME]))
         if config.on_plan is not None:
             floor = state.height.known.floors.floor
             particles = config.on_plan.on_fix(state.particles, fix, outcome, tracker.pedestrian, config.model, floor)
             if isinstance(fix, GridFix) and particles is not state.particles:
                 outcome = "used"
-            state = replace(state, particles=particles)
+            state = replace_unchecked(state, particles=particles)
     if isinstance(fix, PositionFix | GridFix) and outcome not in ("rejected", "frozen"):
-        state = replace(state, height=height.with_fix(state.height, fix))
+        state = replace_unchecked(state, height=height.with_fix(state.height, fix))
     result = FixResult.of(fix, now_s, outcome, nis)
-    state = replace(
+    state = replace_unchecked(
         state,
         last_fixes=(*state.last_fixes, result)[-_N_LAST_FIXES:],
         n_rejected_fixes=state.n_rejected_fixes + (outcome == "rejected"),

@@ -48,7 +48,7 @@ from pdr_filter.values.origin import DECLINATION_STD_RAD, Origin
 from pdr_filter.values.plan import Plan
 from pdr_filter.values.plan_estimate import Cluster, OnPlan
 from pdr_filter.values.plurals import how_many, how_often
-from pdr_filter.values.replace import replace
+from pdr_filter.values.replace import replace_unchecked
 from pdr_filter.values.rigid_fit import rigid_fit
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, ImuBlock, Samples
 from pdr_filter.values.schema import check_declared, check_whole
@@ -125,7 +125,7 @@ __all__ = [
     "received_s",
     "repeated_cov_m2",
     "repetition",
-    "replace",
+    "replace_unchecked",
     "rigid_fit",
     "step_table",
     "steps_of",

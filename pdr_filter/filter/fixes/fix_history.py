@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from pdr_filter.filter.fixes.relocation import Doubt
 from pdr_filter.filter.fixes.repeated_fixes import SeenPlace
-from pdr_filter.values import N_BEFORE, FloatArray, PositionFix, Standstill, read_only, replace
+from pdr_filter.values import N_BEFORE, FloatArray, PositionFix, Standstill, read_only, replace_unchecked
 
 MAX_STANDSTILLS = 16
 
@@ -39,12 +39,12 @@ class FixHistory:
         # ways that a gap has hidden stay hidden: after it the first fix counts as one more of those before
         since_gap = tuple(used for used in self.used if used.track_m is not None)
         used = UsedFix(fix, None if track_m is None else read_only(track_m))
-        return replace(self, used=(*since_gap, used)[-N_BEFORE:])
+        return replace_unchecked(self, used=(*since_gap, used)[-N_BEFORE:])
 
     def with_standstill(self, standstill: Standstill) -> FixHistory:
         """Return the history with one more standstill."""
         standstills = (*self.standstills, (standstill.time_s, standstill.end_s))[-MAX_STANDSTILLS:]
-        return replace(self, standstills=standstills)
+        return replace_unchecked(self, standstills=standstills)
 
     def is_standing(self, time_s: float) -> bool:
         """True if a standstill covers this time."""
@@ -52,11 +52,15 @@ class FixHistory:
 
     def moved(self, positions: Callable[[FloatArray], FloatArray]) -> FixHistory:
         """Return the history with the places of the track moved by a function of positions (..., 2)."""
-        used = (u if u.track_m is None else replace(u, track_m=read_only(positions(u.track_m))) for u in self.used)
-        seen = None if self.seen is None else replace(self.seen, track_m=read_only(positions(self.seen.track_m)))
-        return replace(self, doubt=self.doubt.moved(positions), used=tuple(used), seen=seen)
+        used = (
+            u if u.track_m is None else replace_unchecked(u, track_m=read_only(positions(u.track_m))) for u in self.used
+        )
+        seen = (
+            None if self.seen is None else replace_unchecked(self.seen, track_m=read_only(positions(self.seen.track_m)))
+        )
+        return replace_unchecked(self, doubt=self.doubt.moved(positions), used=tuple(used), seen=seen)
 
     def after_gap(self) -> FixHistory:
         """Return the history after a time without samples, in which the pedestrian may have gone anywhere."""
-        used = tuple(replace(u, track_m=None) for u in self.used)
-        return replace(self, used=used, seen=self.seen if self.seen and self.seen.is_frozen else None)
+        used = tuple(replace_unchecked(u, track_m=None) for u in self.used)
+        return replace_unchecked(self, used=used, seen=self.seen if self.seen and self.seen.is_frozen else None)

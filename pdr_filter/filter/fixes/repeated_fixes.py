@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_filter.values import FloatArray, PositionFix, read_only, replace
+from pdr_filter.values import FloatArray, PositionFix, read_only, replace_unchecked
 
 # Displacement over walked distance of dead reckoning since a position was new, from which its repetition is wrong. A
 # closed walk that returns to a surveyed point ends nearer to it: its heading would have to be off by tens of degrees.
@@ -36,7 +36,7 @@ def seen_after(previous: SeenPlace | None, fix: PositionFix, track_m: FloatArray
         return SeenPlace(fix.position_m, read_only(track_m), walked_m)
     moved_m = float(np.linalg.norm(track_m - previous.track_m))
     far_m = max(_MIN_MOVED_M, fix.var_m2**0.5, _MOVED_SHARE * (walked_m - previous.walked_m))
-    return replace(previous, is_frozen=True) if moved_m > far_m else previous
+    return replace_unchecked(previous, is_frozen=True) if moved_m > far_m else previous
 
 
 def frozen_fixes(

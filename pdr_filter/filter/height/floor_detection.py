@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from pdr_filter.values import FloorPassage, HowClimbed, replace
+from pdr_filter.values import FloorPassage, HowClimbed, replace_unchecked
 
 # The one height that makes one storey of all from 2.6 to 5.5 m, the limits being half of it and one and a half with
 # the same to spare: their geometric mean.
@@ -135,16 +135,16 @@ def followed(
     at, climbs = storeys_up(state.levels, climbed_m), p_stairs + p_ride > 0.5
     floor = round(at) if climbs or abs(at - state.floor) > 0.5 + _CLEARLY else state.floor
     floor_since_s = state.floor_since_s if floor == state.floor else now_s
-    climbing = state.climbing if place is not None else replace(state.climbing, place=None)
+    climbing = state.climbing if place is not None else replace_unchecked(state.climbing, place=None)
     if floor != climbing.from_floor and climbing.is_hill(place, climbed_m):
         back = _left(now_s, climbing.from_floor, climbing.from_m, place)
         since_s = state.floor_since_s if state.floor == back.from_floor else now_s
-        state = replace(state, floor=back.from_floor, floor_since_s=since_s, climbing=back, passages=())
+        state = replace_unchecked(state, floor=back.from_floor, floor_since_s=since_s, climbing=back, passages=())
         return state, climbed_m - climbing.from_m
     if climbs:
         is_on_stairs = p_stairs > p_ride
         elapsed_s = elapsed_s if elapsed_s < _BLIND_S else 0.0
-        climbing = replace(
+        climbing = replace_unchecked(
             climbing,
             n_steps=climbing.n_steps + n_steps,
             stairs_s=climbing.stairs_s + is_on_stairs * elapsed_s,
@@ -153,7 +153,7 @@ def followed(
         return FloorState(floor, floor_since_s, state.levels, climbing), 0.0
     since_s = now_s if math.isnan(state.level_since_s) else state.level_since_s
     is_back = floor == climbing.from_floor
-    state = replace(
+    state = replace_unchecked(
         state,
         floor=floor,
         floor_since_s=floor_since_s,
@@ -169,7 +169,7 @@ def followed(
 def finished(state: FloorState, now_s: float, climbed_m: float) -> FloorState:
     """State at the end: who has come to another storey has arrived."""
     is_same = state.floor == state.climbing.from_floor
-    return replace(state, passages=()) if is_same else _arrived(state, now_s, climbed_m, None)
+    return replace_unchecked(state, passages=()) if is_same else _arrived(state, now_s, climbed_m, None)
 
 
 def _left(now_s: float, floor: int, climbed_m: float, place: Place | None) -> Climbing:
@@ -180,7 +180,7 @@ def _arrived(state: FloorState, now_s: float, climbed_m: float, place: Place | N
     way, level_s = state.climbing, now_s if np.isnan(state.level_since_s) else state.level_since_s
     end_s = max(level_s, state.floor_since_s)
     passage = FloorPassage(way.start_s, end_s, way.from_floor, state.floor, way.how(climbed_m))
-    return replace(state, climbing=_left(now_s, state.floor, climbed_m, place), passages=(passage,))
+    return replace_unchecked(state, climbing=_left(now_s, state.floor, climbed_m, place), passages=(passage,))
 
 
 def known_level(state: FloorState, now_s: float) -> Level | None:
@@ -195,21 +195,21 @@ def learnt(state: FloorState, now_s: float, climbed_m: float, std_m: float) -> F
     if state.is_used or not _stays(state, now_s, NEW_STAY_S):
         return state
     if any(abs(climbed_m - level.climbed_m) < LEAST_STOREY_M for level in state.levels):
-        return replace(state, is_used=True)
+        return replace_unchecked(state, is_used=True)
     return with_level(state, Level(state.floor, climbed_m, float(np.hypot(std_m, LEVEL_STD_M))))
 
 
 def with_level(state: FloorState, level: Level) -> FloorState:
     """State in which a storey is known to be at a level."""
     others = [other for other in state.levels if other.floor != level.floor]
-    return replace(state, levels=tuple(sorted([*others, level], key=lambda e: e.floor)), is_used=True)
+    return replace_unchecked(state, levels=tuple(sorted([*others, level], key=lambda e: e.floor)), is_used=True)
 
 
 def fixed(state: FloorState, up: int) -> FloorState:
     """State in which all storeys are numbered by so many more."""
-    levels = tuple(replace(level, floor=level.floor + up) for level in state.levels)
-    climbing = replace(state.climbing, from_floor=state.climbing.from_floor + up)
-    return replace(state, floor=state.floor + up, levels=levels, climbing=climbing)
+    levels = tuple(replace_unchecked(level, floor=level.floor + up) for level in state.levels)
+    climbing = replace_unchecked(state.climbing, from_floor=state.climbing.from_floor + up)
+    return replace_unchecked(state, floor=state.floor + up, levels=levels, climbing=climbing)
 
 
 def _stays(state: FloorState, now_s: float, stay_s: float) -> bool:

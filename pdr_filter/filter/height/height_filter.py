@@ -45,7 +45,7 @@ from pdr_filter.values import (
     Origin,
     PositionFix,
     repetition,
-    replace,
+    replace_unchecked,
 )
 
 # No lift and hardly an escalator takes longer; a cabin, a train and a cable car do.
@@ -176,8 +176,8 @@ def on_window(state: HeightState, window: WindowContext, log_evidence: FloatArra
     """State with a window and, where there is a barometer, its `window_log_evidence` (7,)."""
     if log_evidence is not None and state.recent:
         log_evidence = state.log_evidence + log_evidence
-        return replace(state, stairs_unknown_share=window.stairs_unknown_share, log_evidence=log_evidence)
-    return replace(state, stairs_unknown_share=window.stairs_unknown_share)
+        return replace_unchecked(state, stairs_unknown_share=window.stairs_unknown_share, log_evidence=log_evidence)
+    return replace_unchecked(state, stairs_unknown_share=window.stairs_unknown_share)
 
 
 def on_pressure(
@@ -192,8 +192,8 @@ def on_pressure(
     recent = (*state.recent, second)
     n_final = sum(s.climb.time_s < climb.time_s - LATE_S for s in state.recent)
     passages = [p for later_second in recent[1 : n_final + 1] for p in later_second.before.floors.passages]
-    without_evidence = replace(state, log_evidence=np.zeros(N_MODES), n_steps=0)
-    return replace(without_evidence, known=height, recent=recent[n_final:]), tuple(passages)
+    without_evidence = replace_unchecked(state, log_evidence=np.zeros(N_MODES), n_steps=0)
+    return replace_unchecked(without_evidence, known=height, recent=recent[n_final:]), tuple(passages)
 
 
 def on_step(
@@ -213,20 +213,20 @@ def on_step(
     elapsed_s = min(max(step_s - state.step_s, 0.0), 2.0) if math.isfinite(state.step_s) else 0.5
     if state.recent and now_s - state.known.pressure_s < PRESSURE_AGE_S and state.known.calm_in_s == 0:
         if step_s > state.known.pressure_s:
-            return replace(state, step_s=step_s, n_steps=state.n_steps + 1), state.known, ()
+            return replace_unchecked(state, step_s=step_s, n_steps=state.n_steps + 1), state.known, ()
         i = next(i for i, s in enumerate(state.recent) if step_s <= s.climb.time_s)
-        seconds = [*state.recent[:i], replace(state.recent[i], n_steps=state.recent[i].n_steps + 1)]
+        seconds = [*state.recent[:i], replace_unchecked(state.recent[i], n_steps=state.recent[i].n_steps + 1)]
         for later_second in state.recent[i + 1 :]:
-            seconds.append(replace(later_second, before=_after(seconds[-1], model)))
+            seconds.append(replace_unchecked(later_second, before=_after(seconds[-1], model)))
         height = _after(seconds[-1], model)
         height_at_step = seconds[i + 1].before if i + 1 < len(seconds) else height
-        return replace(state, step_s=step_s, known=height, recent=tuple(seconds)), height_at_step, ()
+        return replace_unchecked(state, step_s=step_s, known=height, recent=tuple(seconds)), height_at_step, ()
     passages = tuple(p for later_second in state.recent[1:] for p in later_second.before.floors.passages)
     if state.recent:
         passages += state.known.floors.passages
     unseen_var = (_UNSEEN_SLOPE_M**2 + state.stairs_unknown_share * _UNSEEN_STAIRS_M**2) * elapsed_s
     height = _climbed(state.known, step_s, elapsed_s, up_prob, down_prob, unseen_var, place)
-    state = replace(state, step_s=step_s, known=height, recent=(), log_evidence=np.zeros(N_MODES), n_steps=0)
+    state = replace_unchecked(state, step_s=step_s, known=height, recent=(), log_evidence=np.zeros(N_MODES), n_steps=0)
     return state, height, passages + height.floors.passages
 
 
@@ -237,17 +237,17 @@ def with_fix(state: HeightState, fix: PositionFix | GridFix) -> HeightState:
     if isinstance(fix, GridFix) or fix.altitude_m is None:
         return state
     altitude = state.start_altitude.with_fix(fix, state.known.height_m, state.known.height_var_m2)
-    return replace(state, start_altitude=altitude)
+    return replace_unchecked(state, start_altitude=altitude)
 
 
 def with_floor(state: HeightState, floor: int) -> HeightState:
     """State that is known to be on a storey of this number now."""
 
     def named(height: Known) -> Known:
-        return replace(height, floors=fixed(height.floors, floor - state.known.floors.floor))
+        return replace_unchecked(height, floors=fixed(height.floors, floor - state.known.floors.floor))
 
-    recent = tuple(replace(second, before=named(second.before)) for second in state.recent)
-    return replace(state, known=named(state.known), recent=recent)
+    recent = tuple(replace_unchecked(second, before=named(second.before)) for second in state.recent)
+    return replace_unchecked(state, known=named(state.known), recent=recent)
 
 
 def finish(state: HeightState) -> tuple[HeightState, tuple[FloorPassage, ...]]:
@@ -257,7 +257,10 @@ def finish(state: HeightState) -> tuple[HeightState, tuple[FloorPassage, ...]]:
         passages += state.known.floors.passages
     times = [t for t in (state.step_s, state.known.pressure_s) if np.isfinite(t)]
     last = finished(state.known.floors, max(times, default=0.0), state.known.climbed_m)
-    return replace(state, known=replace(state.known, floors=last), recent=()), (*passages, *last.passages)
+    return replace_unchecked(state, known=replace_unchecked(state.known, floors=last), recent=()), (
+        *passages,
+        *last.passages,
+    )
 
 
 def notes(state: HeightState) -> list[Note]:
@@ -274,7 +277,7 @@ def _after(second: Second, model: PedestrianModel) -> Known:
     previous, climb, n_steps = second.before, second.climb, second.n_steps
     if previous.calm_in_s > 0:
         calm_in_s = CALM_S if abs(climb.climb_rate_mps) > CALM_MPS else previous.calm_in_s - 1.0
-        return replace(previous, pressure_s=climb.time_s, calm_in_s=max(calm_in_s, 0.0))
+        return replace_unchecked(previous, pressure_s=climb.time_s, calm_in_s=max(calm_in_s, 0.0))
     elapsed_s = climb.time_s - previous.pressure_s
     if not elapsed_s > 0:  # the first, or a clock that was set back
         elapsed_s = 1.0
@@ -338,7 +341,7 @@ def _climbed(
     if slope_m != 0.0:
         moments = vertical.as_slope(moments, slope_m)
         now = vertical.combined(moments)
-    return replace(
+    return replace_unchecked(
         previous,
         moments=moments,
         climbed_m=now.climbed_m,
@@ -352,7 +355,7 @@ def _in_vehicle(previous: Known, now_s: float, moments: FloatArray, before_m: fl
     """What is known when a ride was none: the height is that before it, and nothing of the air."""
     moments = vertical.with_air_unknown(moments, before_m)
     estimate, floor = vertical.combined(moments), previous.floors.climbing.from_floor
-    return replace(
+    return replace_unchecked(
         previous,
         moments=moments,
         climbed_m=estimate.climbed_m,
@@ -361,7 +364,7 @@ def _in_vehicle(previous: Known, now_s: float, moments: FloatArray, before_m: fl
         pressure_s=now_s,
         ride=None,
         calm_in_s=CALM_S,
-        floors=replace(previous.floors, floor=floor, climbing=Climbing(now_s, floor, before_m), passages=()),
+        floors=replace_unchecked(previous.floors, floor=floor, climbing=Climbing(now_s, floor, before_m), passages=()),
     )
 
 

@@ -23,7 +23,7 @@ from pdr_filter.filter.imm.pedestrian_state import (
 from pdr_filter.filter.imm.recent_windows import RecentWindows, n_after, window_before, with_window
 from pdr_filter.filter.imm.step_history import Walked
 from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, replace
+from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, replace_unchecked
 
 # Evidence of a known standstill against every mode that moves: a hundred thousand to one, because a window that is sure
 # of walking says a hundred to one for it (`evidence_floor`), and the step itself seven to one.
@@ -62,7 +62,7 @@ class ImmTracker:
         """New state; a window makes no step known."""
         windows = with_window(state.windows, window)
         n_unused = state.n_unused + (windows is not state.windows)
-        return replace(state, windows=windows, n_unused=n_unused), ()
+        return replace_unchecked(state, windows=windows, n_unused=n_unused), ()
 
     def on_step(self, state: ImmState, step: Step) -> tuple[ImmState, tuple[StepUpdate, ...]]:
         """Return the new state and the update of this step: one cycle of the IMM estimator.
@@ -74,10 +74,12 @@ class ImmTracker:
         model, imm = self.model, self.arithmetic
         previous = with_open_turn(state.pedestrian)
         mixed = self._mixed(previous.estimates)
-        turned, drifted_cov = with_heading(replace(previous, estimates=mixed), step, model.directions, model.noise)
+        turned, drifted_cov = with_heading(
+            replace_unchecked(previous, estimates=mixed), step, model.directions, model.noise
+        )
         lengths = model.lengths(step)
         ahead = self._ahead(turned.estimates, step, lengths)
-        predicted = replace(
+        predicted = replace_unchecked(
             turned.estimates, mean=ahead.mean, cov=ahead.cov, walked_m=mixed.walked_m + ahead.motion.length_m
         )
         window = window_before(state.windows, step.time_s)
@@ -87,17 +89,19 @@ class ImmTracker:
 
         walked = self._walked(step, lengths, ahead.motion, prob, combined[0])
         event = WalkedStep.of(step.time_s, mixed, drifted_cov, turned.estimates, ahead, combined[0])
-        updated = with_step(replace(turned, estimates=replace(predicted, prob=prob)), step, walked, combined, event)
+        updated = with_step(
+            replace_unchecked(turned, estimates=replace_unchecked(predicted, prob=prob)), step, walked, combined, event
+        )
         context_prob = model.context_prob(prob) if window is None else window.prob
         update = step_update(previous, updated, step, walked, combined, context_prob, prob)
-        return replace(state, pedestrian=updated), (update,)
+        return replace_unchecked(state, pedestrian=updated), (update,)
 
     def _mixed(self, estimates: Estimates) -> Estimates:
         """Mixed estimates and predicted mode probabilities, before the next step."""
         transition_prob = self.model.transition_prob
         mean, cov, prob = self.arithmetic.mix(estimates.mean, estimates.cov, estimates.prob, transition_prob)
         walked_m = mixed_values(estimates.walked_m, estimates.prob, transition_prob)
-        return replace(estimates, mean=mean, cov=cov, prob=prob, walked_m=walked_m)
+        return replace_unchecked(estimates, mean=mean, cov=cov, prob=prob, walked_m=walked_m)
 
     def _ahead(self, estimates: Estimates, step: Step, lengths: ModeLengths) -> Advance:
         """Displacement of each mode, and the means and covariances after it."""
@@ -112,7 +116,7 @@ class ImmTracker:
         if window is not None and (state.used is None or window.time_s > state.used.time_s):
             n_later = n_after(state.windows, window)
             evidence = evidence + self.model.evidence.of(window, state.used, state.n_unused - n_later)
-            state = replace(state, used=window, n_unused=n_later)
+            state = replace_unchecked(state, used=window, n_unused=n_later)
         if state.pedestrian.fixes.is_standing(step.time_s):
             evidence = evidence - _STANDSTILL_LOG_EVIDENCE * self.model.moves
         return state, evidence
@@ -130,13 +134,13 @@ class ImmTracker:
 
     def on_gap(self, state: ImmState, gap_s: float) -> tuple[ImmState, tuple[StepUpdate, ...]]:
         """New state after a time without samples: windows start afresh, positions and headings are less known."""
-        return replace(state, pedestrian=over_gap(state.pedestrian, gap_s, self.model.noise), windows=()), ()
+        return replace_unchecked(state, pedestrian=over_gap(state.pedestrian, gap_s, self.model.noise), windows=()), ()
 
     def on_fix(self, state: ImmState, fix: Fix) -> tuple[ImmState, FixOutcome, float]:
         """New state after a fix, what became of it, and its normalised innovation squared; see `use_fix`."""
         offset_rad = self.model.directions.heading_offset_rad
         pedestrian, outcome, nis = use_fix(self.model, self.arithmetic, state.pedestrian, offset_rad, fix)
-        return replace(state, pedestrian=pedestrian), outcome, nis
+        return replace_unchecked(state, pedestrian=pedestrian), outcome, nis
 
     def finish(self, state: ImmState) -> tuple[ImmState, tuple[StepUpdate, ...]]:
         """New state when no further window will come: no step waits."""

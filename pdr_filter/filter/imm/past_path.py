@@ -23,7 +23,7 @@ import numpy as np
 from pdr_filter.filter.fixes.alignment import Alignment
 from pdr_filter.filter.imm.estimates import Estimates
 from pdr_filter.filter.imm.motion_model import EAST, HEADING_OFFSET, N_STATES, NORTH, Advance
-from pdr_filter.values import FloatArray, replace
+from pdr_filter.values import FloatArray, replace_unchecked
 
 # Events that are worked out together.
 _BLOCK = 32
@@ -74,7 +74,7 @@ class Back:
 
     def learnt(self, moved: FloatArray) -> Back:
         """The same after corrections (..., 4) of x'."""
-        return replace(self, moved=self.moved + _times(self.gain, moved))
+        return replace_unchecked(self, moved=self.moved + _times(self.gain, moved))
 
 
 _STAYED = Back(np.eye(N_STATES), np.zeros((N_STATES, N_STATES)), np.zeros(N_STATES))
@@ -205,8 +205,8 @@ class PastPath:
     def with_event(self, event: WalkedStep | Back) -> PastPath:
         """The path with one more event."""
         if abs(event.turned_rad) > _LARGE_TURN_RAD:
-            return replace(self.settled(), events=(event,)).settled()
-        path = replace(self, events=(*self.events, event))
+            return replace_unchecked(self.settled(), events=(event,)).settled()
+        path = replace_unchecked(self, events=(*self.events, event))
         return path.settled() if len(path.events) >= _BLOCK else path
 
     def predicted(self, before: FloatArray, after: FloatArray) -> PastPath:
@@ -215,14 +215,14 @@ class PastPath:
 
     def corrected(self, moved: FloatArray, scale: float) -> PastPath:
         """The path after a correction (4,) of the present state that scales the variances of all errors."""
-        return self.with_event(replace(_STAYED, moved=moved, scale=scale))
+        return self.with_event(replace_unchecked(_STAYED, moved=moved, scale=scale))
 
     def settled(self) -> PastPath:
         """The path whose steps all follow the present state."""
         if not self.events:
             return self
         back, last = self._last()
-        return replace(self, earlier=self.earlier.rebased(back).joined(last), events=())
+        return replace_unchecked(self, earlier=self.earlier.rebased(back).joined(last), events=())
 
     def _last(self) -> tuple[Back, PastSteps]:
         """How the state before the last events follows the present one, and the steps since then as they follow it."""
@@ -244,7 +244,7 @@ class PastPath:
         They grow with the way from where they began to add up, which is `here_m` (2,) from now on.
         """
         if np.trace(shared_m2) < _LEAST_SHARED * np.trace(before[:2, :2]):
-            return replace(self.predicted(before, after), shared_from_s=time_s, shared_from_m=here_m)
+            return replace_unchecked(self.predicted(before, after), shared_from_s=time_s, shared_from_m=here_m)
         path, way_m, share = self.settled(), here_m - self.shared_from_m, self._share(shared_m2, here_m)
         steps = path.earlier
         since_m = self._since_shared_m(steps.time_s, steps.place_m)
@@ -252,14 +252,14 @@ class PastPath:
         cross[:, :2] += share * since_m[:, None] * way_m[:, None]
         cov_m2 = steps.cov_m2(before) + share * _squares(since_m)
         earlier = steps.following(steps.place_m, cov_m2, cross, after)
-        return replace(path, earlier=earlier, shared_from_s=time_s, shared_from_m=here_m)
+        return replace_unchecked(path, earlier=earlier, shared_from_s=time_s, shared_from_m=here_m)
 
     def detached(self, cov: FloatArray, time_s: float, here_m: FloatArray) -> PastPath:
         """The path of which nothing later is learnt, as after a lost heading; `cov` (4, 4) is that of x."""
         path = self.settled()
         steps = path.earlier
-        fixed = replace(steps, by_state=np.zeros_like(steps.by_state), own_cov_m2=steps.cov_m2(cov))
-        return replace(path, earlier=fixed, since_s=time_s, shared_from_s=time_s, shared_from_m=here_m)
+        fixed = replace_unchecked(steps, by_state=np.zeros_like(steps.by_state), own_cov_m2=steps.cov_m2(cov))
+        return replace_unchecked(path, earlier=fixed, since_s=time_s, shared_from_s=time_s, shared_from_m=here_m)
 
     def turned(self, alignment: Alignment, before: FloatArray, after: FloatArray, here_m: FloatArray) -> PastPath:
         """The path in another frame, with the covariances (4, 4) of x there before and after, and the present place.
@@ -282,7 +282,7 @@ class PastPath:
         cross += alignment.angle_var_rad2 * by_angle[:, None] * of_state[:, None] + alignment.centre_var_m2 * _OF_PLACE
         present = present.following(place_m, cov_m2, cross, after)
         from_m = alignment.positions(self.shared_from_m)
-        return replace(path, earlier=past.joined(present), shared_from_m=from_m)
+        return replace_unchecked(path, earlier=past.joined(present), shared_from_m=from_m)
 
     def places(
         self, cov: FloatArray, shared_m2: FloatArray, here_m: FloatArray

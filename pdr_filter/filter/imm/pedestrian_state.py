@@ -41,7 +41,7 @@ from pdr_filter.values import (
     as_plain,
     frozen,
     read_only,
-    replace,
+    replace_unchecked,
     wrap_angle,
 )
 
@@ -84,7 +84,7 @@ class StepUpdate:
         if self.of_start is None:
             return self
         place = frame.world(self.of_start)
-        return replace(
+        return replace_unchecked(
             self,
             position_m=read_only(place.position_m),
             position_cov_m2=read_only(place.cov_m2),
@@ -153,7 +153,9 @@ def with_heading(
             zero, cov = HeadingZero(offset_rad, step.time_s), expect_first_direction(cov, step.walking_heading_std_rad)
         else:
             mean, cov = update_heading(mean, cov, step, zero.offset_rad)
-    return replace(state, estimates=replace(estimates, mean=mean, cov=cov), heading_zero=zero), drifted_cov
+    return replace_unchecked(
+        state, estimates=replace_unchecked(estimates, mean=mean, cov=cov), heading_zero=zero
+    ), drifted_cov
 
 
 def with_step(
@@ -166,9 +168,9 @@ def with_step(
     """
     x, P = combined
     consider_error_m = state.estimates.consider_error_m + _consider_error_m(walked, P)
-    return replace(
+    return replace_unchecked(
         state,
-        estimates=replace(state.estimates, consider_error_m=consider_error_m),
+        estimates=replace_unchecked(state.estimates, consider_error_m=consider_error_m),
         frame=_with_compass(state.frame, step, float(x[HEADING_OFFSET])),
         steps=state.steps.plus(step, walked, x, P),
         path=state.path.with_event(event),
@@ -200,9 +202,9 @@ def over_gap(state: PedestrianState, gap_s: float, noise: MotionNoise) -> Pedest
 
     The gap's own growth stands for the time since the last step.
     """
-    estimates = replace(state.estimates, cov=grow_over_gap(state.estimates.cov, gap_s, noise))
+    estimates = replace_unchecked(state.estimates, cov=grow_over_gap(state.estimates.cov, gap_s, noise))
     P = state.estimates.combined[1]
-    return replace(
+    return replace_unchecked(
         state,
         estimates=estimates,
         steps=state.steps.after_gap(gap_s),
@@ -241,11 +243,11 @@ def with_open_turn(state: PedestrianState) -> PedestrianState:
     mean[:, :LOG_SCALE] = x[:LOG_SCALE]
     cov[:, :LOG_SCALE] = cov[:, :, :LOG_SCALE] = 0.0
     no_error_m = np.zeros_like(estimates.consider_error_m)
-    return replace(
+    return replace_unchecked(
         state,
-        estimates=replace(estimates, mean=mean, cov=cov, consider_error_m=no_error_m),
+        estimates=replace_unchecked(estimates, mean=mean, cov=cov, consider_error_m=no_error_m),
         frame=frame.opened((turning_point,), float(P[HEADING_OFFSET, HEADING_OFFSET]), steps.n_final),
-        fixes=replace(state.fixes, doubt=Doubt(), used=()),
+        fixes=replace_unchecked(state.fixes, doubt=Doubt(), used=()),
         path=state.path.detached(P, time_s, x[:2].copy()),
     )
 
@@ -255,9 +257,9 @@ def in_other_frame(state: PedestrianState, alignment: Alignment) -> PedestrianSt
     estimates = state.estimates
     mean, cov = moved(estimates.mean, estimates.cov, alignment)
     consider_error_m = estimates.consider_error_m @ alignment.rotation.T
-    turned = replace(estimates, mean=mean, cov=cov, consider_error_m=consider_error_m)
+    turned = replace_unchecked(estimates, mean=mean, cov=cov, consider_error_m=consider_error_m)
     x, turned_P = turned.combined
-    return replace(
+    return replace_unchecked(
         with_moved_past(state, alignment.positions),
         estimates=turned,
         path=state.path.turned(alignment, estimates.combined[1], turned_P, x[:2]),
@@ -268,13 +270,13 @@ def in_other_frame(state: PedestrianState, alignment: Alignment) -> PedestrianSt
 
 def with_moved_past(state: PedestrianState, positions: Callable[[FloatArray], FloatArray]) -> PedestrianState:
     """State with the remembered places of the track moved by a function of positions (..., 2)."""
-    return replace(state, steps=state.steps.moved(positions), fixes=state.fixes.moved(positions))
+    return replace_unchecked(state, steps=state.steps.moved(positions), fixes=state.fixes.moved(positions))
 
 
 def with_detached_path(state: PedestrianState) -> PedestrianState:
     """State whose present place is learnt afresh: the path until now stays as it is."""
     x, P = state.estimates.combined
-    return replace(state, path=state.path.detached(P, state.steps.end_s, x[:2].copy()))
+    return replace_unchecked(state, path=state.path.detached(P, state.steps.end_s, x[:2].copy()))
 
 
 def step_update(

@@ -10,7 +10,7 @@ import numpy as np
 
 from pdr_filter.filter.imm.motion_model import EAST, LOG_SCALE, NORTH
 from pdr_filter.filter.imm.walking_speed import WalkingSpeed, after_step
-from pdr_filter.values import FloatArray, Step, replace
+from pdr_filter.values import FloatArray, Step, replace_unchecked
 
 # Final steps that are remembered for late fixes: a minute at four steps a second, which is how late a fix may be
 # (`filtering.MAX_FIX_AGE_S`).
@@ -59,13 +59,13 @@ class StepHistory:
 
     def after_gap(self, gap_s: float) -> StepHistory:
         """Return the history after a time without samples."""
-        return replace(self, last_s=math.nan, gap_s=self.gap_s + gap_s, speed=None)
+        return replace_unchecked(self, last_s=math.nan, gap_s=self.gap_s + gap_s, speed=None)
 
     def moved(self, positions: Callable[[FloatArray], FloatArray]) -> StepHistory:
         """Return the history with its places moved by a function of positions (..., 2)."""
         trail = self.trail.copy()
         trail[:, TRAIL_POSITION] = positions(self.trail[:, TRAIL_POSITION])
-        return replace(self, trail=trail)
+        return replace_unchecked(self, trail=trail)
 
     def at(self, time_s: float) -> FloatArray | None:
         """East, north and device heading (3,) at a time; None before the first step, or from before the trail."""

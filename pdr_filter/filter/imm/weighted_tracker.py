@@ -36,7 +36,7 @@ from pdr_filter.filter.imm.recent_windows import (
 from pdr_filter.filter.imm.step_history import Walked
 from pdr_filter.filter.imm.weighting import HC, context_weights
 from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, check_numbers, replace
+from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, check_numbers, replace_unchecked
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,11 +78,11 @@ class WeightedTracker:
 
     def on_window(self, state: WeightedState, window: WindowContext) -> tuple[WeightedState, tuple[StepUpdate, ...]]:
         """New state, and the steps that this window made final."""
-        return self._settle(replace(state, windows=with_window(state.windows, window)), force=False)
+        return self._settle(replace_unchecked(state, windows=with_window(state.windows, window)), force=False)
 
     def on_step(self, state: WeightedState, step: Step) -> tuple[WeightedState, tuple[StepUpdate, ...]]:
         """Return the new state, the steps that became final, and a provisional update of this step."""
-        state = replace(state, pending=(*state.pending, step))
+        state = replace_unchecked(state, pending=(*state.pending, step))
         state, final = self._settle(state, force=False)
         provisional_state, provisional = state, tuple[StepUpdate, ...]()
         while provisional_state.pending:
@@ -93,12 +93,14 @@ class WeightedTracker:
     def on_gap(self, state: WeightedState, gap_s: float) -> tuple[WeightedState, tuple[StepUpdate, ...]]:
         """New state after a time without samples: waiting steps are final, windows start afresh."""
         state, final = self._settle(state, force=True)
-        return replace(state, pedestrian=over_gap(state.pedestrian, gap_s, self.model.noise), windows=()), final
+        return replace_unchecked(
+            state, pedestrian=over_gap(state.pedestrian, gap_s, self.model.noise), windows=()
+        ), final
 
     def on_fix(self, state: WeightedState, fix: Fix) -> tuple[WeightedState, FixOutcome, float]:
         """New state after a fix, what became of it, and its normalised innovation squared; see `use_fix`."""
         pedestrian, outcome, nis = use_fix(self.model, NumpyImm(), state.pedestrian, np.zeros(1), fix)
-        return replace(state, pedestrian=pedestrian), outcome, nis
+        return replace_unchecked(state, pedestrian=pedestrian), outcome, nis
 
     def finish(self, state: WeightedState) -> tuple[WeightedState, tuple[StepUpdate, ...]]:
         """New state with every waiting step final: no further window will come."""
@@ -128,13 +130,13 @@ class WeightedTracker:
         turned, drifted_cov = with_heading(previous, step, directions, model.noise)
         ahead, walked = self._ahead(turned.estimates, step, weights, directions)
         walked_m = previous.estimates.walked_m + ahead.motion.length_m
-        predicted = replace(turned.estimates, mean=ahead.mean, cov=ahead.cov, walked_m=walked_m)
+        predicted = replace_unchecked(turned.estimates, mean=ahead.mean, cov=ahead.cov, walked_m=walked_m)
         combined = predicted.mean[0], predicted.cov[0]
         event = WalkedStep.of(step.time_s, previous.estimates, drifted_cov, turned.estimates, ahead, combined[0])
-        updated = with_step(replace(turned, estimates=predicted), step, walked, combined, event)
+        updated = with_step(replace_unchecked(turned, estimates=predicted), step, walked, combined, event)
         update = step_update(previous, updated, step, walked, combined, context_prob, weights, is_final)
         mode_prob = weights if is_final else state.mode_prob
-        return replace(state, pedestrian=updated, pending=state.pending[1:], mode_prob=mode_prob), update
+        return replace_unchecked(state, pedestrian=updated, pending=state.pending[1:], mode_prob=mode_prob), update
 
     def _weights(self, state: WeightedState, step: Step, is_final: bool) -> tuple[FloatArray, FloatArray]:
         """Context probabilities (C,) and weights of the modes (M,) of a step.

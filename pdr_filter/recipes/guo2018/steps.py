@@ -25,7 +25,7 @@ from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.signal_filters import butterworth, filtered, phase_delay_s
 from pdr_filter.sensing.steps.step_detector import ContextBlock, DetectorState, StepDetector, local_maxima, vertex
 from pdr_filter.sensing.steps.step_log import specific_force_magnitude
-from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray, IntArray, Step, check_numbers, replace
+from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray, IntArray, Step, check_numbers, replace_unchecked
 
 _TEXTING, _CALLING, _POCKET, _SWINGING = range(4)  # rows of the signals: eq. 3, 4, 5 and 6
 # The signal of each carrying mode, and last of an unknown one, which index -1 finds.
@@ -135,7 +135,7 @@ class PoseStepDetector(StepDetector[PoseStepState]):
         is_walking = (lowest < level) & (level < self.max_level)
         row = signal_rows(contexts.carrying_mode, block.angular_rate_known)
         signals = np.vstack([feature_signals(block), is_walking.astype(float), row.astype(float)])
-        return replace(state, level=level_state), signals
+        return replace_unchecked(state, level=level_state), signals
 
     def _detect(
         self, state: PoseStepState, line: FloatArray, first: int
@@ -144,7 +144,7 @@ class PoseStepDetector(StepDetector[PoseStepState]):
         low_passed, zi = filtered(self._sos, new[:4], state.zi)
         line = np.concatenate([state.recent, np.vstack([low_passed, new[4:]])], axis=1)
         first -= state.recent.shape[1]  # number of the line's first sample
-        state = replace(state, zi=zi)
+        state = replace_unchecked(state, zi=zi)
         steps: list[tuple[int, Step]] = []
         # Each sample is judged once, when the one after it is known.
         for index in self._maxima(line, max(state.recent.shape[1] - 1, 1)):
@@ -155,7 +155,7 @@ class PoseStepDetector(StepDetector[PoseStepState]):
             state, step = self._accept(state, line[row, index - 1 : index + 2], first + index)
             if step is not None:
                 steps.append((first + index + 1, step))
-        return replace(state, recent=line[:, -self._n_statistics - 1 :].copy()), steps
+        return replace_unchecked(state, recent=line[:, -self._n_statistics - 1 :].copy()), steps
 
     def _maxima(self, line: FloatArray, start: int) -> list[int]:
         """Samples of a line, from a start on, that are local maxima of their pose's signal while somebody walks."""
@@ -177,7 +177,7 @@ class PoseStepDetector(StepDetector[PoseStepState]):
         if not self._log.can_end(state.log, whole):
             return state, None
         log, step = self._log.add(state.log, whole, sample + 1, contact - whole)
-        return replace(state, log=log, last_peak=at), step
+        return replace_unchecked(state, log=log, last_peak=at), step
 
 
 def feature_signals(block: UniformBlock) -> FloatArray:

@@ -20,7 +20,7 @@ from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.signal_filters import butterworth, low_pass_kernel, with_unit_gain
 from pdr_filter.sensing.steps.step_detector import ContextBlock, ResponseState, ResponseStepDetector
 from pdr_filter.sensing.steps.step_log import specific_force_magnitude
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, check_numbers, replace
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, check_numbers, replace_unchecked
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +107,7 @@ class WaveletStepDetector(ResponseStepDetector[WaveletDetectorState]):
         from scipy.signal import sosfilt
 
         power, power_zi = sosfilt(self._power_sos, (magnitude - STANDARD_GRAVITY_MPS2) ** 2, zi=state.power_zi)
-        return replace(state, power_zi=power_zi), np.stack([magnitude, power])
+        return replace_unchecked(state, power_zi=power_zi), np.stack([magnitude, power])
 
     def _response(self, line: FloatArray) -> FloatArray:
         # Every output is one dot product of the kernel's length, so cutting the signal elsewhere changes no bit.
@@ -123,7 +123,7 @@ class WaveletStepDetector(ResponseStepDetector[WaveletDetectorState]):
         level = 0.0 if new_bout else state.peak_level_mps2
         if interval_s < self.min_interval_s or response < self.relative_peak * level:
             return None
-        return replace(state, peak_level_mps2=response if new_bout else 0.7 * level + 0.3 * response)
+        return replace_unchecked(state, peak_level_mps2=response if new_bout else 0.7 * level + 0.3 * response)
 
 
 def wavelet_kernel(wavelet: str, frequency_hz: float, rate_hz: float) -> FloatArray:

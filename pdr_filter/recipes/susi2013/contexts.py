@@ -34,7 +34,7 @@ import numpy as np
 
 from pdr_filter.recipes.susi2013.features import NAMES, MotionWindow, MotionWindows, MotionWindowState
 from pdr_filter.sensing.contexts.context_stage import WindowContext, WindowStage, known_context
-from pdr_filter.values import FloatArray, check_numbers, check_transition_prob, replace
+from pdr_filter.values import FloatArray, check_numbers, check_transition_prob, replace_unchecked
 
 MODES: tuple[str, ...] = ("static", "arm_at_rest", "swinging", "irregular")
 TREE_FEATURES: tuple[str, ...] = (
@@ -161,4 +161,4 @@ class MotionModes(WindowStage[MotionWindowState, MotionWindow, None]):
         swinging = p["swinging"] / walking if walking > 0.5 else 0.25
         carrying = {"swinging": swinging, **dict.fromkeys(_AT_REST, (1 - swinging) / len(_AT_REST))}
         known = known_context(window.time_s, context, carrying, _CONTEXTS, tree.name)
-        return memory, replace(known, irregular_prob=p["irregular"])
+        return memory, replace_unchecked(known, irregular_prob=p["irregular"])

@@ -26,7 +26,7 @@ from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.signal_filters import butterworth, phase_delay_s
 from pdr_filter.sensing.steps.step_detector import ContextBlock, DetectorState, StepDetector
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, BoolArray, FloatArray, Step, check_numbers, replace
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, BoolArray, FloatArray, Step, check_numbers, replace_unchecked
 
 _STATIONARY, _SWINGING = CONTEXTS.index("stationary"), CARRYING_MODES.index("swinging")
 # Step frequency at which the first minimum of a walk, which has none before it, is delayed.
@@ -139,7 +139,7 @@ class NormMinimaStepDetector(StepDetector[NormMinimaState]):
         norms, zi = filtered_norms(self._sos, components, state.zi)
         known = np.stack([block.angular_rate_known, contexts.context, contexts.carrying_mode]).astype(float)
         signals = np.vstack([norms, np.ones(norms.shape[1]), known])
-        return replace(state, zi=zi, last=components[:, -1].copy()), signals
+        return replace_unchecked(state, zi=zi, last=components[:, -1].copy()), signals
 
     def _before(self, signals: FloatArray) -> FloatArray:
         """Where there is no sample all rows are zero."""
@@ -170,7 +170,7 @@ class NormMinimaStepDetector(StepDetector[NormMinimaState]):
             trough, ended = self._follow(state.troughs[norm], first - half, middle[norm], high, low, chosen)
             troughs.append(trough)
             minima += [(known + half, norm, each) for known, each in ended]
-        state = replace(state, troughs=(troughs[_FORCE], troughs[_RATE]))
+        state = replace_unchecked(state, troughs=(troughs[_FORCE], troughs[_RATE]))
         steps: list[tuple[int, Step]] = []
         for known, norm, trough in sorted(minima, key=lambda m: m[:2]):
             state, step = self._accept(state, known, norm, trough)
@@ -207,7 +207,7 @@ class NormMinimaStepDetector(StepDetector[NormMinimaState]):
                 trough = Trough(before=trough.sample)
             if high[i]:
                 if not trough.armed:
-                    trough = replace(trough, armed=True)
+                    trough = replace_unchecked(trough, armed=True)
             elif low[i] and trough.armed and (trough.sample < 0 or value < trough.value):
                 trough = Trough(True, sample, value, bool(chosen[i]), trough.before)
         return trough, ended
@@ -233,4 +233,4 @@ class NormMinimaStepDetector(StepDetector[NormMinimaState]):
         if self._log.time_s(state.log, contact) - state.log.last_contact_s < self.min_interval_s:
             return state, None
         log, step = self._log.add(state.log, whole, known, contact - whole)
-        return replace(state, log=log), step
+        return replace_unchecked(state, log=log), step

@@ -27,7 +27,7 @@ from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.contexts.context_stage import WindowContext, known_context
 from pdr_filter.sensing.steps.step_detector import ContextBlock
-from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray, IntArray, check_numbers, replace
+from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray, IntArray, check_numbers, replace_unchecked
 
 _CARRYING_MODE: Mapping[int, str] = {HOLDING: "texting", SWING: "swinging", POCKET: "pocket"}
 
@@ -103,7 +103,7 @@ class CarryingMachine:
                 if stop < n and rate_known[stop]:
                     # the sample that shows the motion is still of the mode before, as in Table I
                     modes[i : stop + 1] = state.mode
-                    state = replace(_in_mode(state.mode), mode=TRANS)
+                    state = replace_unchecked(_in_mode(state.mode), mode=TRANS)
                     i = stop + 1
                 else:
                     modes[i:stop] = state.mode
@@ -115,7 +115,7 @@ class CarryingMachine:
             if state.mode != TRANS:
                 stop = _first(rate_known, i, stop)
             modes[i:stop] = state.mode
-            state = replace(
+            state = replace_unchecked(
                 state,
                 n_window=state.n_window + stop - i,
                 n_held=state.n_held + int((held if state.mode == TRANS else screen_up)[i:stop].sum()),
@@ -229,7 +229,7 @@ class TianContexts:
     def after_gap(self, state: TianContextsState) -> TianContextsState:
         """State at the start of a new segment: the mode lasts, a transition is over, nobody is known to walk."""
         mode = state.machine.mode_before
-        return replace(self.init(), machine=_in_mode(mode))
+        return replace_unchecked(self.init(), machine=_in_mode(mode))
 
     def update(
         self, state: TianContextsState, block: UniformBlock, attitude: AttitudeBlock
@@ -260,7 +260,9 @@ class TianContexts:
                 # a change is of its own sample, all else of the samples since the last report
                 n_described = 1 if changed[i] else n_silent
                 start_s = window.time_s - (n_described - 0.5) / self.rate_hz
-                reports.append((state.n_samples + i, replace(window, start_s=start_s, hop_s=n_silent / self.rate_hz)))
+                reports.append(
+                    (state.n_samples + i, replace_unchecked(window, start_s=start_s, hop_s=n_silent / self.rate_hz))
+                )
                 n_silent = 0
         state = TianContextsState(
             machine=machine,

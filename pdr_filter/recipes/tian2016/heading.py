@@ -18,7 +18,7 @@ from pdr_filter.recipes.tian2016.steps import HOLDING, POCKET, SWING, TRANS, Car
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.steps.step_detector import ContextBlock
-from pdr_filter.values import FloatArray, Step, check_numbers, circular_mean, replace, wrap_angle
+from pdr_filter.values import FloatArray, Step, check_numbers, circular_mean, replace_unchecked, wrap_angle
 
 # Standard deviation of an angle of which nothing is known: uniform over the circle.
 _ANY_ANGLE_RAD = float(np.pi / np.sqrt(3.0))
@@ -117,7 +117,7 @@ class OffsetCompensation:
 
     def after_gap(self, state: OffsetCompensationState) -> OffsetCompensationState:
         """State after a time without samples: only the zero of the viewing direction lasts."""
-        return replace(self.init(), viewing_zero_rad=state.viewing_zero_rad)
+        return replace_unchecked(self.init(), viewing_zero_rad=state.viewing_zero_rad)
 
     def update(
         self,
@@ -131,14 +131,14 @@ class OffsetCompensation:
         carried, states = self._carried.update(state.carried, contexts.carrying_mode)
         turned = wrap_angle(viewing_direction(block.specific_force_mps2, attitude) - attitude.device_heading_rad)
         new = np.stack([block.time_s, states.astype(float), turned])
-        state = replace(
+        state = replace_unchecked(
             state,
             carried=carried,
             n_samples=state.n_samples + len(states),
             recent=np.concatenate([state.recent, new], axis=1),
         )
         state, steps = self.finish(state, steps)
-        return replace(state, recent=state.recent[:, -round(_MEMORY_S * self.rate_hz) :]), steps
+        return replace_unchecked(state, recent=state.recent[:, -round(_MEMORY_S * self.rate_hz) :]), steps
 
     def finish(
         self, state: OffsetCompensationState, steps: list[tuple[int, Step]]
@@ -158,24 +158,24 @@ class OffsetCompensation:
         mode = int(samples[1, -1]) if samples.shape[1] else state.mode
         if step.heading_unknown_s > 0.5 * step.duration_s:
             # a baseline or an offset is of no use to a heading that stood still meanwhile
-            return replace(self._forget(state), direction_rad=_NAN, baseline_rad=_NAN), step
+            return replace_unchecked(self._forget(state), direction_rad=_NAN, baseline_rad=_NAN), step
         if mode == TRANS:
             # filled in: the yaw is of the hand that moves the phone
-            return replace(state, moving=True), self._directed(step, state.direction_rad, moved=True)
+            return replace_unchecked(state, moving=True), self._directed(step, state.direction_rad, moved=True)
         moved = state.moving or mode != state.mode
         if mode != state.mode:
-            state = replace(self._forget(state), mode=mode, baseline_rad=state.direction_rad)
-        state = replace(state, n_since=state.n_since + 1, moving=False)
+            state = replace_unchecked(self._forget(state), mode=mode, baseline_rad=state.direction_rad)
+        state = replace_unchecked(state, n_since=state.n_since + 1, moving=False)
         if mode == HOLDING:
             direction_rad = step.device_heading_rad
             if samples.shape[1]:
                 turned_rad = average_angle(samples[2])
                 if np.isnan(state.viewing_zero_rad):
-                    state = replace(state, viewing_zero_rad=turned_rad)
+                    state = replace_unchecked(state, viewing_zero_rad=turned_rad)
                 direction_rad += float(wrap_angle(turned_rad - state.viewing_zero_rad))
         else:
             state, direction_rad = self._compensated(state, step)
-        state = replace(
+        state = replace_unchecked(
             state,
             direction_rad=direction_rad,
             last_heading_rad=step.device_heading_rad,
@@ -186,7 +186,7 @@ class OffsetCompensation:
 
     def _forget(self, state: OffsetCompensationState) -> OffsetCompensationState:
         """Without offset, before any training."""
-        return replace(state, n_since=0, training_rad=np.empty(0), offset_rad=_NAN, last_heading_rad=_NAN)
+        return replace_unchecked(state, n_since=0, training_rad=np.empty(0), offset_rad=_NAN, last_heading_rad=_NAN)
 
     def _compensated(self, state: OffsetCompensationState, step: Step) -> tuple[OffsetCompensationState, float]:
         """New state and the direction of a step in a swinging hand or in a pocket (Table V)."""
@@ -205,12 +205,12 @@ class OffsetCompensation:
         in_training = state.n_since - n_omit
         # in a pocket every second step ends a pair
         if in_training > 0 and (state.mode == SWING or in_training % 2 == 0):
-            state = replace(state, training_rad=np.append(state.training_rad, heading_rad))
+            state = replace_unchecked(state, training_rad=np.append(state.training_rad, heading_rad))
         if state.n_since >= n_trained:
             offset_rad = float(wrap_angle(average_angle(state.training_rad) - state.baseline_rad))
             # the offset in the turn that continues the baseline, so that directions are not wrapped either
             offset_rad += 2 * np.pi * round((heading_rad - offset_rad - state.baseline_rad) / (2 * np.pi))
-            state = replace(state, offset_rad=offset_rad)
+            state = replace_unchecked(state, offset_rad=offset_rad)
         return state, state.baseline_rad
 
     def _samples_of(self, state: OffsetCompensationState, number: int, step: Step) -> FloatArray:
@@ -224,7 +224,7 @@ class OffsetCompensation:
     def _directed(self, step: Step, direction_rad: float, moved: bool) -> Step:
         """The step with its direction, if there is one; nothing is known of how a phone was moved meanwhile."""
         known = not np.isnan(direction_rad)
-        return replace(
+        return replace_unchecked(
             step,
             walking_heading_rad=direction_rad if known else 0.0,
             walking_heading_std_rad=self.direction_std_rad if known else np.inf,

@@ -31,7 +31,7 @@ from pdr_filter.values import (
     IntArray,
     Step,
     check_numbers,
-    replace,
+    replace_unchecked,
 )
 
 # The states of the paper's machine; the first three are also the rows of `step_signals`.
@@ -190,7 +190,7 @@ class TianStepDetector(StepDetector[TianDetectorState]):
         raw = step_signals(block.specific_force_mps2, attitude.up_sensor)
         carried, states = self._carried.update(state.carried, contexts.carrying_mode)
         signals, zi = filtered(self._low_pass_sos, raw, state.low_pass_zi)
-        return replace(state, carried=carried, low_pass_zi=zi), np.vstack([signals, states.astype(float)])
+        return replace_unchecked(state, carried=carried, low_pass_zi=zi), np.vstack([signals, states.astype(float)])
 
     def _continued(self, state: TianDetectorState) -> FloatArray:
         """The signals go on straight, in the same mode: a transition that has not ended is not filled in."""
@@ -246,7 +246,7 @@ class TianStepDetector(StepDetector[TianDetectorState]):
             at_s = self._log.time_s(state.log, sample)
             since_s = at_s - state.log.last_contact_s
             hz = state.step_hz if since_s <= self.max_interval_s else 0.0
-            return replace(state, transition_start=sample, step_hz=hz), []
+            return replace_unchecked(state, transition_start=sample, step_hz=hz), []
         if mode == TRANS or state.transition_start < 0:
             return state, []
         n_steps = n_filled_in((sample - state.transition_start) / self.rate_hz, state.step_hz)
@@ -257,8 +257,8 @@ class TianStepDetector(StepDetector[TianDetectorState]):
             log, step = self._log.add(log, int(at), known, at - int(at))
             # their length is that of the frequency which gave their number (section III-D)
             hz = state.step_hz
-            steps.append(replace(step, duration_s=1.0 / hz, frequency_hz=hz, from_rest=False))
-        return replace(state, log=log, transition_start=-1), steps
+            steps.append(replace_unchecked(step, duration_s=1.0 / hz, frequency_hz=hz, from_rest=False))
+        return replace_unchecked(state, log=log, transition_start=-1), steps
 
     def _accept(
         self, state: TianDetectorState, peak: FloatArray, sample: int, known: int
@@ -275,7 +275,7 @@ class TianStepDetector(StepDetector[TianDetectorState]):
         log, step = self._log.add(state.log, contact, known, at - contact)
         # of the first step from rest, and of it alone, no frequency is known: it is zero (section III-C)
         step_hz = 0.0 if first_of_bout else step.frequency_hz
-        return replace(state, log=log, step_hz=step_hz), replace(step, from_rest=first_of_bout)
+        return replace_unchecked(state, log=log, step_hz=step_hz), replace_unchecked(step, from_rest=first_of_bout)
 
 
 def n_filled_in(transition_s: float, step_frequency_hz: float) -> int:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 from pdr_filter.recipes.zhou2019.features import BehaviourState, BehaviourWindow, BehaviourWindows
 from pdr_filter.sensing.contexts.context_stage import WindowContext, WindowStage, known_context
-from pdr_filter.values import FloatArray, check_numbers, replace
+from pdr_filter.values import FloatArray, check_numbers, replace_unchecked
 
 BEHAVIOURS: tuple[str, ...] = ("standing", "walking", "running", "irregular")
 # In irregular swing nobody moves.
@@ -124,4 +124,4 @@ class BehaviourStage(WindowStage[BehaviourState, BehaviourWindow, BehaviourMemor
 def context_of(behaviour: str, time_s: float) -> WindowContext:
     """The context of a behaviour, of the window that ends at a time."""
     known = known_context(time_s, {_CONTEXT_OF[behaviour]: 1.0}, {}, _CONTEXTS_KNOWN, _NAME)
-    return replace(known, irregular_prob=float(behaviour == "irregular"))
+    return replace_unchecked(known, irregular_prob=float(behaviour == "irregular"))

@@ -28,7 +28,7 @@ from pdr_filter.sensing.features.sliding_windows import (
 )
 from pdr_filter.sensing.signal_filters import low_pass_kernel
 from pdr_filter.sensing.steps.step_log import specific_force_magnitude
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, replace
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, replace_unchecked
 
 NAMES: tuple[str, ...] = ("variance", "dc_component", "energy")
 
@@ -125,7 +125,7 @@ class BehaviourWindows(SlidingWindows[BehaviourState, BehaviourWindow]):
 
     def after_gap(self, state: BehaviourState) -> BehaviourState:
         """State at the start of a segment that keeps the bias: nobody stands still after every gap."""
-        return replace(self.init(), bias_mps2=state.bias_mps2)
+        return replace_unchecked(self.init(), bias_mps2=state.bias_mps2)
 
     def update(
         self, state: BehaviourState, block: UniformBlock, attitude: AttitudeBlock
@@ -135,7 +135,7 @@ class BehaviourWindows(SlidingWindows[BehaviourState, BehaviourWindow]):
         bias = state.bias_mps2
         if bias is None:
             if len(rows) < self.static_samples:
-                return replace(state, waiting=rows), []
+                return replace_unchecked(state, waiting=rows), []
             bias = self._bias(np.ascontiguousarray(rows[: self.static_samples, 1:]))
         a = acceleration(rows[:, 1:], bias)
         # What was before the first sample is taken to be like it: a zero there would look like a blow.

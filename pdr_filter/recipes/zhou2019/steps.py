@@ -23,7 +23,7 @@ from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.signal_filters import low_pass_kernel
 from pdr_filter.sensing.steps.step_detector import ContextBlock, DetectorState, StepDetector, local_maxima
 from pdr_filter.sensing.steps.step_log import specific_force_magnitude
-from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2, FloatArray, Step, check_numbers, replace
+from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2, FloatArray, Step, check_numbers, replace_unchecked
 
 _STATIONARY, _RUNNING = CONTEXTS.index("stationary"), CONTEXTS.index("running")
 # Spectrum lines 0.1 Hz apart: half a sample of a period of 0.7 s, far below what its width allows.
@@ -175,13 +175,13 @@ class ReferenceLineStepDetector(StepDetector[ReferenceLineState]):
         filtered = [np.convolve(line[0], taps, mode="valid") for taps in self._taps]
         new = np.stack([*filtered, line[1, self._n_line :]])
         n_samples = first + new.shape[1]
-        state = replace(state, buffer=np.concatenate([state.buffer, new], axis=1))
+        state = replace_unchecked(state, buffer=np.concatenate([state.buffer, new], axis=1))
         steps: list[tuple[int, Step]] = []
         while state.window_start + _window_samples(state.period_s, self.rate_hz) <= n_samples:
             state, found = self._window(state, n_samples - state.buffer.shape[1])
             steps += found
         n_kept = n_samples - state.window_start + self._spectrum_samples
-        return replace(state, buffer=state.buffer[:, -n_kept:]), steps
+        return replace_unchecked(state, buffer=state.buffer[:, -n_kept:]), steps
 
     def _window(self, state: ReferenceLineState, first: int) -> tuple[ReferenceLineState, list[tuple[int, Step]]]:
         """A complete window of the buffer from `first` on: its lines, events, and the length of the next."""
@@ -194,14 +194,16 @@ class ReferenceLineStepDetector(StepDetector[ReferenceLineState]):
         lines = self._place(state.lines, samples, float(past.mean()), search)
         lines, ends = self._cross(lines, state.buffer[int(state.is_running), begin:end], state)
         events = np.array([[e - self._delay_samples, state.period_s] for e in ends]).reshape(-1, 2)
-        state = replace(state, lines=lines, waiting=np.concatenate([state.waiting, events]))
+        state = replace_unchecked(state, lines=lines, waiting=np.concatenate([state.waiting, events]))
         context = round(state.buffer[2, end - 1])
         state, steps = self._release(state, context == _STATIONARY, window_end - 1)
         is_running = context == _RUNNING
         before = np.ascontiguousarray(state.buffer[int(is_running), max(end - self._spectrum_samples, 0) : end])
         period_s = dominant_period_s(before, self.running if is_running else self.walking, self.rate_hz)
         return (
-            replace(state, window_start=window_end, period_s=period_s or state.period_s, is_running=is_running),
+            replace_unchecked(
+                state, window_start=window_end, period_s=period_s or state.period_s, is_running=is_running
+            ),
             steps,
         )
 
@@ -219,7 +221,7 @@ class ReferenceLineStepDetector(StepDetector[ReferenceLineState]):
         if len(minima) and large is not None:
             new = small_line_mps2(float(minima.min()), large, self.min_line_part)
             small = 0.5 * (new + small) if small is not None and new < small else new
-        return replace(lines, large_mps2=large, small_mps2=small)
+        return replace_unchecked(lines, large_mps2=large, small_mps2=small)
 
     def _cross(
         self, lines: ReferenceLines, window: FloatArray, state: ReferenceLineState
@@ -254,7 +256,7 @@ class ReferenceLineStepDetector(StepDetector[ReferenceLineState]):
         """Steps of the events that wait, if somebody walks or may; those that waited too long are dropped."""
         if is_still:
             oldest = known + 1 - self._delay_samples - self.hold_s * self.rate_hz
-            return replace(state, waiting=state.waiting[state.waiting[:, 0] >= oldest]), []
+            return replace_unchecked(state, waiting=state.waiting[state.waiting[:, 0] >= oldest]), []
         steps: list[tuple[int, Step]] = []
         for event, period_s in state.waiting.tolist():
             interval = event - state.last_event
@@ -263,8 +265,8 @@ class ReferenceLineStepDetector(StepDetector[ReferenceLineState]):
             for k in reversed(range(self.steps_per_event)):
                 state, step = self._contact(state, event - k * interval / self.steps_per_event, known)
                 steps += [] if step is None else [(known, step)]
-            state = replace(state, last_event=event)
-        return replace(state, waiting=np.empty((0, 2))), steps
+            state = replace_unchecked(state, last_event=event)
+        return replace_unchecked(state, waiting=np.empty((0, 2))), steps
 
     def _contact(self, state: ReferenceLineState, sample: float, known: int) -> tuple[ReferenceLineState, Step | None]:
         """The step that a contact ends; None if there is no signal of it."""
@@ -272,7 +274,7 @@ class ReferenceLineStepDetector(StepDetector[ReferenceLineState]):
         if not self._log.can_end(state.log, contact):
             return state, None
         log, step = self._log.add(state.log, contact, known, sample - contact)
-        return replace(state, log=log), step
+        return replace_unchecked(state, log=log), step
 
 
 def small_line_mps2(minimum_mps2: float, large_mps2: float, min_line_part: float = 0.0) -> float:

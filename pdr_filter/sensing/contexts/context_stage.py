@@ -18,7 +18,16 @@ from pdr_filter.sensing.contexts.irregular_motion import GATE, GATE_ACCELEROMETE
 from pdr_filter.sensing.features.barometer import Climb, climb_log_evidence
 from pdr_filter.sensing.features.feature_windows import FeatureWindow
 from pdr_filter.sensing.features.sliding_windows import SlidingWindows, W, X
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, IntArray, check_numbers, frozen, read_only, replace
+from pdr_filter.values import (
+    CARRYING_MODES,
+    CONTEXTS,
+    FloatArray,
+    IntArray,
+    check_numbers,
+    frozen,
+    read_only,
+    replace_unchecked,
+)
 
 # Half a minute to a minute between changes of the carrying mode, at a window a second.
 CARRYING_STAY_PROB = 0.98
@@ -149,7 +158,7 @@ class WindowStage(ABC, Generic[W, X, M]):
             return WindowStageState(windows, state.memory), []
         memory, contexts = self.assess_all(state.memory, [window for _, window in found])
         return WindowStageState(windows, memory), [
-            (last, replace(context, start_s=window.start_s, hop_s=self.windows.hop_s))
+            (last, replace_unchecked(context, start_s=window.start_s, hop_s=self.windows.hop_s))
             for (last, window), context in zip(found, contexts, strict=True)
         ]
 
@@ -296,7 +305,7 @@ def with_climbs(windows: Sequence[WindowContext], climbs: Sequence[Climb | None]
     told = np.array([to_be_told_apart(window.prob, window.stairs_unknown_share) for window, _ in both])
     prob = iter(update_prob(told, climb_log_evidence(rates_mps, std_mps)))
     return [
-        window if climb is None else replace(window, prob=next(prob), climb_rate_mps=climb.climb_rate_mps)
+        window if climb is None else replace_unchecked(window, prob=next(prob), climb_rate_mps=climb.climb_rate_mps)
         for window, climb in zip(windows, climbs, strict=True)
     ]
 
@@ -333,7 +342,7 @@ def with_cadence(window: WindowContext, frequency_hz: float) -> WindowContext:
     if window.unknown_share == 0.0:
         return window
     guess = update_prob(window.training_prior, cadence_log_evidence(frequency_hz))
-    return replace(window, prob=window.prob + window.unknown_share * (guess - window.training_prior))
+    return replace_unchecked(window, prob=window.prob + window.unknown_share * (guess - window.training_prior))
 
 
 def update_prob(prob: FloatArray, log_evidence: FloatArray) -> FloatArray:

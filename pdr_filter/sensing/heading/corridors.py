@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_filter.values import FloatArray, check_numbers, replace, wrap_angle
+from pdr_filter.values import FloatArray, check_numbers, replace_unchecked, wrap_angle
 
 _DRIFT, _RATE, _AXIS, _SCALE = range(4)
 _RIGHT_ANGLE = 0.5 * math.pi
@@ -124,7 +124,7 @@ class Corridors:
         mean[:] = state.mean
         mean[:, [_DRIFT, _AXIS]] = 0.0
         cov[:, _RATE, _RATE] = state.cov[:, _RATE, _RATE]
-        return replace(fresh, log_weight=state.log_weight)
+        return replace_unchecked(fresh, log_weight=state.log_weight)
 
     def update(self, state: CorridorState, time_s: float, heading_rad: float) -> CorridorState:
         """State after a step in a direction; headings have any number of turns."""
@@ -135,9 +135,9 @@ class Corridors:
         recent = (*near, (time_s, heading_rad))
         headings = [h for _, h in recent]
         if len(recent) < self.n_straight or max(headings) - min(headings) > self.straight_rad:
-            return replace(state, bank=bank, recent=recent, turned_rad=turned_rad)
+            return replace_unchecked(state, bank=bank, recent=recent, turned_rad=turned_rad)
         last_leg_rad = state.leg_rad
-        state = replace(state, bank=bank, recent=recent, turned_rad=turned_rad, leg_rad=heading_rad)
+        state = replace_unchecked(state, bank=bank, recent=recent, turned_rad=turned_rad, leg_rad=heading_rad)
         if math.isnan(last_leg_rad):
             mean, cov = state.mean, state.cov
             mean[:, _AXIS] = heading_rad - mean[:, _DRIFT]
@@ -211,7 +211,7 @@ class Corridors:
         else:
             # as much less than a leg as its variance is more, twice because half of its steps are the same error
             log_weight = state.log_weight + min(2.0 * (self.leg_std_rad / self.step_std_rad) ** 2, 1.0) * log_any
-        return replace(
+        return replace_unchecked(
             state,
             bank=state.bank + by[:, :, None] * gain[:, None, :],
             log_weight=log_weight - _log_sum(log_weight),

@@ -23,7 +23,7 @@ import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.values import FloatArray, Step, replace
+from pdr_filter.values import FloatArray, Step, replace_unchecked
 from pdr_filter.values.quaternions import rotation_matrix
 
 # Mean readings are over half a second, about a step.
@@ -113,10 +113,10 @@ class MagneticNorth:
         new_readings = _readings(whole[is_known], ends_s[is_known])
         samples = samples[len(samples) // size * size :]
         readings = np.concatenate([state.readings, new_readings])
-        state = replace(state, samples=samples, readings=readings)
+        state = replace_unchecked(state, samples=samples, readings=readings)
         state, steps = self.finish(state, steps)
         recent = state.readings[:, _TIME] > block.time_s[-1] - _MAX_LATENCY_S
-        return replace(state, readings=state.readings[recent]), steps
+        return replace_unchecked(state, readings=state.readings[recent]), steps
 
     def finish(
         self, state: MagneticNorthState, steps: list[tuple[int, Step]]
@@ -126,13 +126,15 @@ class MagneticNorth:
         times: list[float] = state.readings[:, _TIME].tolist()
         for number, step in steps:
             state = self._at_step(state, step, times)
-            result.append((number, replace(step, north_rad=state.north_rad, north_std_rad=state.north_std_rad)))
+            result.append(
+                (number, replace_unchecked(step, north_rad=state.north_rad, north_std_rad=state.north_std_rad))
+            )
         return state, result
 
     def _at_step(self, state: MagneticNorthState, step: Step, times: list[float]) -> MagneticNorthState:
         """State with the readings of a step, whose times are given."""
         if step.heading_unknown_s > 0:  # and with it what was north in the attitude's frame
-            state = replace(self.init(), samples=state.samples, readings=state.readings, used_s=state.used_s)
+            state = replace_unchecked(self.init(), samples=state.samples, readings=state.readings, used_s=state.used_s)
         first = bisect_right(times, max(step.time_s - step.duration_s, state.used_s))
         end = bisect_right(times, step.time_s)
         if end > first:
@@ -145,7 +147,7 @@ class MagneticNorth:
         stay = math.exp((state.used_s - used_s) / self.memory_s)
         squares = stay * state.squares + (weight @ readings[:, _SQUARES]).reshape(7, 7)
         n, n_fresh = stay * state.n + float(weight.sum()), state.n_fresh + len(readings)
-        return replace(state, n=n, squares=squares, used_s=used_s, n_fresh=n_fresh)
+        return replace_unchecked(state, n=n, squares=squares, used_s=used_s, n_fresh=n_fresh)
 
     def _solved(self, state: MagneticNorthState) -> MagneticNorthState:
         """The regression with the variance of e so far, from whose residuals follows that of the next one.
@@ -173,7 +175,9 @@ class MagneticNorth:
         across_ut2 = cosine**2 * ee - 2.0 * cosine * sine * en + sine**2 * nn
         var = across_ut2 / max(east * east + north * north, 1e-6) + self.declination_std_rad**2
         north_rad, std_rad = psi - self.declination_rad, math.sqrt(var)
-        return replace(state, variance_ut2=variance_ut2, n_fresh=0, north_rad=north_rad, north_std_rad=std_rad)
+        return replace_unchecked(
+            state, variance_ut2=variance_ut2, n_fresh=0, north_rad=north_rad, north_std_rad=std_rad
+        )
 
 
 def _readings(samples: FloatArray, time_s: FloatArray) -> FloatArray:

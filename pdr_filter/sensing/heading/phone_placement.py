@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from pdr_filter.sensing.heading.stride_harmonics import Stride
 from pdr_filter.sensing.heading.vectors import Vector
-from pdr_filter.values import CARRYING_MODES, check_numbers, replace
+from pdr_filter.values import CARRYING_MODES, check_numbers, replace_unchecked
 
 _SWINGING = CARRYING_MODES.index("swinging")
 _MAY_SWING = (-1, _SWINGING, CARRYING_MODES.index("pocket"))
@@ -90,7 +90,7 @@ class StrideAgreement:
         (aa, bb, cc), (p, q, r), (a, b, c) = place.squares, place.powers, stride.vectors
         new_p, new_q, new_r = stride.powers
         share = 1.0 / min(float(n_strides), _POWER_STRIDES)
-        return replace(
+        return replace_unchecked(
             place,
             n_strides=n_strides,
             vectors=(

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from pdr_filter.sensing.heading.heading_offset import UNKNOWN_VAR_RAD2
-from pdr_filter.values import HeadingDrift, Step, replace, wrap_angle
+from pdr_filter.values import HeadingDrift, Step, replace_unchecked, wrap_angle
 
 # With a standard deviation above one radian a heading is unknown, and says nothing on a circle.
 _UNKNOWN_VAR_RAD2 = 1.0
@@ -50,13 +50,15 @@ class Reported:
             return self
         lost = min(self.lost_var_rad2 + lost_var_rad2, _MAX_LOST_VAR_RAD2)
         var = self.var_rad2 + lost_var_rad2
-        return replace(self, lost_var_rad2=lost, var_rad2=var if math.isinf(var) else min(var, UNKNOWN_VAR_RAD2))
+        return replace_unchecked(
+            self, lost_var_rad2=lost, var_rad2=var if math.isinf(var) else min(var, UNKNOWN_VAR_RAD2)
+        )
 
     def at_step(self, step: Step, drift: HeadingDrift, yaw_bias_std_radps: float) -> Reported:
         """What the filter still knows at a step with this bias, before more is reported."""
         elapsed_s = step.duration_s if math.isnan(self.time_s) else step.time_s - self.time_s
         wandered_var, lost_var = drift.variances_rad2(elapsed_s, step.heading_unknown_s, yaw_bias_std_radps)
-        drifted = replace(self, var_rad2=self.var_rad2 + wandered_var, time_s=step.time_s)
+        drifted = replace_unchecked(self, var_rad2=self.var_rad2 + wandered_var, time_s=step.time_s)
         return drifted.after_loss(lost_var)
 
     def with_report(
@@ -74,8 +76,10 @@ class Reported:
         """
         var_rad2 += self.lost_var_rad2
         if math.isinf(self.var_rad2):
-            first = replace(self, offset_rad=shown.offset_rad - error_rad, var_rad2=var_rad2)
-            first = replace(first, shown_rad=shown.offset_rad, shown_var_rad2=shown.var_rad2, error_rad=error_rad)
+            first = replace_unchecked(self, offset_rad=shown.offset_rad - error_rad, var_rad2=var_rad2)
+            first = replace_unchecked(
+                first, shown_rad=shown.offset_rad, shown_var_rad2=shown.var_rad2, error_rad=error_rad
+            )
             return first, _heading(step, first.offset_rad, var_rad2, 0.0)
         before_var = min(self.var_rad2 + change_std_rad**2, UNKNOWN_VAR_RAD2)
         shown_rad = float(wrap_angle(shown.offset_rad - self.shown_rad))
@@ -93,9 +97,11 @@ class Reported:
         added_std_rad = math.sqrt(max(before_var - self.var_rad2, 0.0))
         is_unknown = var_rad2 > _UNKNOWN_VAR_RAD2 and change_std_rad == 0
         if gain < _MIN_GAIN or is_unknown:
-            return replace(self, var_rad2=max(before_var, self.var_rad2)), {"offset_change_std_rad": added_std_rad}
+            return replace_unchecked(self, var_rad2=max(before_var, self.var_rad2)), {
+                "offset_change_std_rad": added_std_rad
+            }
         innovation_rad = min(max(away_rad / gain, -_MAX_INNOVATION_RAD), _MAX_INNOVATION_RAD)
-        reported = replace(
+        reported = replace_unchecked(
             self,
             offset_rad=self.offset_rad + gain * innovation_rad,
             var_rad2=var_rad2,

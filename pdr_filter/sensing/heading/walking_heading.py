@@ -46,7 +46,7 @@ from pdr_filter.values import (
     Step,
     Table,
     check_numbers,
-    replace,
+    replace_unchecked,
     wrap_angle,
 )
 
@@ -233,7 +233,7 @@ class WalkingHeading:
         """
         signals = np.empty((_N_ROWS, 0))
         state = self._without_axes(state)
-        return replace(
+        return replace_unchecked(
             state, n_samples=0, signals=signals, contacts_s=(), walking_rad=math.nan, walking_s=math.nan, formers=()
         )
 
@@ -250,7 +250,7 @@ class WalkingHeading:
         if n_before == 0:
             gap_s = block.gap_before_s if math.isfinite(block.gap_before_s) else 0.0
             reported = state.reported.after_loss(float(self.drift.unmeasured_rad2(gap_s)))
-            state = replace(state, start_s=float(block.time_s[0]), reported=reported)
+            state = replace_unchecked(state, start_s=float(block.time_s[0]), reported=reported)
         n_old, n_new = state.signals.shape[1], len(block.time_s)
         signals = np.empty((_N_ROWS, n_old + n_new))
         signals[:, :n_old], rows = state.signals, signals[:, n_old:]
@@ -263,12 +263,12 @@ class WalkingHeading:
             rows[_LOST_VAR] = attitude.heading_lost_var_rad2
         else:
             rows[_ERROR:] = 0.0
-        state = replace(state, n_samples=n_before + n_new, signals=signals)
+        state = replace_unchecked(state, n_samples=n_before + n_new, signals=signals)
         indices = [number - n_before for number, _ in steps]
         state, result = self._annotated(
             state, steps, contexts.context[indices].tolist(), contexts.carrying_mode[indices].tolist()
         )
-        return replace(state, signals=state.signals[:, -self._n_kept :]), result
+        return replace_unchecked(state, signals=state.signals[:, -self._n_kept :]), result
 
     def finish(
         self, state: WalkingHeadingState, steps: list[tuple[int, Step]]
@@ -302,8 +302,8 @@ class WalkingHeading:
         result: list[tuple[int, Step]] = []
         for (number, step), stride, mode in zip(steps, strides, carrying_modes, strict=True):
             state, changes = self._annotate(state, step, self._bias_error(state, step.time_s, number), stride, mode)
-            result.append((number, replace(step, **changes) if changes else step))
-        return replace(state, contacts_s=contacts_s[-2:]), result
+            result.append((number, replace_unchecked(step, **changes) if changes else step))
+        return replace_unchecked(state, contacts_s=contacts_s[-2:]), result
 
     def _annotate(
         self,
@@ -321,23 +321,25 @@ class WalkingHeading:
         loss = self._loss(state, step, bias_error[2] - state.lost_var_rad2)
         reported = state.reported.at_step(step, self.drift, loss.get("yaw_bias_std_radps", step.yaw_bias_std_radps))
         of_bias_rad, of_bias_var_rad2, lost_var_rad2 = bias_error
-        state = replace(state, of_bias_rad=of_bias_rad, of_bias_var_rad2=of_bias_var_rad2, lost_var_rad2=lost_var_rad2)
+        state = replace_unchecked(
+            state, of_bias_rad=of_bias_rad, of_bias_var_rad2=of_bias_var_rad2, lost_var_rad2=lost_var_rad2
+        )
         if stride is None and state.place is None:
-            return replace(state, reported=reported), loss
+            return replace_unchecked(state, reported=reported), loss
         if stride is None:
             # a bias that was found while the pedestrian stood turns the first step already, not the first stride
             heard = dict[str, float]()
             if step.heading_unknown_s == 0:
                 error_rad, var_rad2 = self._error(state, state.shown.var_rad2 + of_bias_var_rad2)
                 reported, heard = reported.with_report(step, self._reportable(state), error_rad, var_rad2, 0.0)
-            return replace(state, reported=reported), loss | heard | _shown(state)
+            return replace_unchecked(state, reported=reported), loss | heard | _shown(state)
         stride = stride.about(stride.axis if state.up is None else carry_axis(state.axis, state.up, stride.up))
         offset, formers, place, change_std_rad = self._settle(state, stride, step.time_s, carrying_mode)
         known_place = self._known(step.time_s)
         if known_place is not None and (change_std_rad > 0 or state.place is None):
             offset = offset.seen(OF_AXIS, cmath.rect(1.0, known_place.shown_rad), known_place.var_rad2)
         may_read = place.carrying_mode == _TEXTING or (place.carrying_mode < 0 and stride.up[2] > 0.5)
-        place = self.strides.learn(replace(place, n_read=place.n_read + may_read), stride, step.duration_s)
+        place = self.strides.learn(replace_unchecked(place, n_read=place.n_read + may_read), stride, step.duration_s)
         elapsed_s = step.duration_s if math.isnan(state.walking_s) else step.time_s - state.walking_s
         offset, shown, trust = self._believe(place, offset, stride, elapsed_s)
         shown = self._with_axis(place, shown, stride, trust) if known_place is None else offset
@@ -346,7 +348,7 @@ class WalkingHeading:
         walking_rad = stride.device_heading_rad + offset_rad
         if change_std_rad > 0 or step.heading_unknown_s > 0:
             state = self._without_axes(state)
-        state = replace(
+        state = replace_unchecked(
             state,
             up=stride.up,
             axis=stride.axis,
@@ -364,7 +366,7 @@ class WalkingHeading:
         error_rad, var_rad2 = self._error(state, shown.var_rad2 + of_bias_var_rad2)
         reported, heard = reported.with_report(step, self._reportable(state), error_rad, var_rad2, change_std_rad)
         shown_too = _shown(state, on_axes=self.corridors.is_sure(state.corridors))
-        return replace(state, reported=reported), loss | heard | shown_too
+        return replace_unchecked(state, reported=reported), loss | heard | shown_too
 
     def _reportable(self, state: WalkingHeadingState) -> Shown:
         return Shown(state.shown.offset_rad, state.shown.var_rad2, self.corridors.probability(state.corridors))
@@ -406,7 +408,7 @@ class WalkingHeading:
 
     def _without_axes(self, state: WalkingHeadingState) -> WalkingHeadingState:
         """State that looks for axes anew, because headings do not follow on those before; what they showed is kept."""
-        return replace(
+        return replace_unchecked(
             state,
             corridors=self.corridors.restart(state.corridors),
             error_rad=self._error(state, 0.0)[0],
@@ -466,7 +468,7 @@ class WalkingHeading:
         label = place_before.carrying_mode if is_old or carrying_mode < 0 else carrying_mode
         if not is_moved:
             up = unit(combined(1.0 - 1.0 / _UP_STRIDES, place_before.up, 1.0 / _UP_STRIDES, stride.up))
-            return state.offset, formers, replace(place_before, up=up, carrying_mode=label), 0.0
+            return state.offset, formers, replace_unchecked(place_before, up=up, carrying_mode=label), 0.0
         # What is said of the mode is of windows that ended before the phone was moved.
         place = Placement(time_s, -1, carrying_mode, stride.up)
         offset = state.shown

@@ -32,7 +32,7 @@ from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.signal_filters import low_pass_kernel, running_sums, with_unit_gain
 from pdr_filter.sensing.steps.step_detector import ContextBlock, ResponseState, ResponseStepDetector
 from pdr_filter.sensing.steps.step_log import specific_force_magnitude
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, read_only, replace
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, read_only, replace_unchecked
 
 # Frequencies of the bank, a factor of 1.15 apart: 0.6 to 4.9 Hz. Power shows no lower and no higher ones.
 _BANK_HZ: FloatArray = np.asarray(0.6 * 1.15 ** np.arange(16), dtype=float)
@@ -208,7 +208,7 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
         periods = self.min_running_interval if frequency_hz >= self.running_hz else self.min_interval
         if interval_s < periods / frequency_hz:
             return None
-        return replace(state, rhythm=_with_step(rhythm, interval_s, new_bout))
+        return replace_unchecked(state, rhythm=_with_step(rhythm, interval_s, new_bout))
 
     def _is_expected(self, rhythm: Rhythm, interval_s: float) -> bool:
         if rhythm.n_intervals < 2 or interval_s <= 0:

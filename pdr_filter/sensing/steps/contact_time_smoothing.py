@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
 
-from pdr_filter.values import Step, replace
+from pdr_filter.values import Step, replace_unchecked
 
 # Intervals that differ by more are not left and right: a step is missing or a pause lies between.
 _MAX_RATIO = 1.8
@@ -63,7 +63,7 @@ class EvenSteps:
 def _halves(step: Step) -> tuple[Step, Step]:
     """The two steps, with the person's usual bounce; what was learnt of the direction is known after both."""
     half_s, quarter_rad = 0.5 * step.duration_s, 0.25 * step.heading_change_rad
-    both = replace(
+    both = replace_unchecked(
         step,
         duration_s=half_s,
         frequency_hz=1.0 / half_s,
@@ -72,7 +72,7 @@ def _halves(step: Step) -> tuple[Step, Step]:
         stride_amplitude_mps2=step.usual_amplitude_mps2,
         is_two=False,
     )
-    first = replace(
+    first = replace_unchecked(
         both,
         time_s=step.time_s - half_s,
         device_heading_rad=step.device_heading_rad - quarter_rad,
@@ -81,7 +81,7 @@ def _halves(step: Step) -> tuple[Step, Step]:
         heading_unknown_s=0.0,
         north_std_rad=inf,
     )
-    second = replace(
+    second = replace_unchecked(
         both,
         device_heading_rad=step.device_heading_rad + quarter_rad,
         walking_heading_rad=step.walking_heading_rad + quarter_rad,
@@ -109,4 +109,4 @@ def _moved(step: Step, before: EvenStepsState, shift_s: float) -> Step:
     begins_s = step.time_s - step.duration_s
     follows = bool(before.contacts_s) and abs(begins_s - before.contacts_s[-1]) < 1e-6
     duration_s = step.duration_s + shift_s - (before.shift_s if follows else 0.0)
-    return replace(step, time_s=step.time_s + shift_s, duration_s=duration_s, frequency_hz=1.0 / duration_s)
+    return replace_unchecked(step, time_s=step.time_s + shift_s, duration_s=duration_s, frequency_hz=1.0 / duration_s)

@@ -12,7 +12,7 @@ import numpy as np
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.steps.step_log import StepLog, StepLogState, StepSpan
-from pdr_filter.values import BoolArray, FloatArray, IntArray, Step, check_numbers, replace
+from pdr_filter.values import BoolArray, FloatArray, IntArray, Step, check_numbers, replace_unchecked
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,12 +105,12 @@ class StepDetector(ABC, Generic[S]):
     ) -> tuple[S, list[tuple[int, Step]]]:
         """New state and the steps that became known, each with the number of the sample that revealed it."""
         first = state.log.n_samples
-        state = replace(state, log=self._log.extend(state.log, block, attitude))
+        state = replace_unchecked(state, log=self._log.extend(state.log, block, attitude))
         state, signals = self._signals(state, block, attitude, contexts)
         if first == 0:
-            state = replace(state, line=self._before(signals))
+            state = replace_unchecked(state, line=self._before(signals))
         state, steps = self._advance(state, signals, first)
-        return replace(state, log=self._log.trim(state.log)), steps
+        return replace_unchecked(state, log=self._log.trim(state.log)), steps
 
     def finish(self, state: S) -> list[tuple[int, Step]]:
         """Steps whose detection would have needed more samples, when a gap or the end comes."""
@@ -119,12 +119,12 @@ class StepDetector(ABC, Generic[S]):
             return []
         last_s = self._log.time_s(state.log, end - 1)
         _, steps = self._advance(state, self._continued(state), end)
-        return [(end - 1, replace(s, detected_time_s=last_s)) for _, s in steps if s.time_s <= last_s]
+        return [(end - 1, replace_unchecked(s, detected_time_s=last_s)) for _, s in steps if s.time_s <= last_s]
 
     def _advance(self, state: S, signals: FloatArray, first: int) -> tuple[S, list[tuple[int, Step]]]:
         line = np.concatenate([state.line, signals], axis=1)
         state, steps = self._detect(state, line, first)
-        return replace(state, line=line[:, signals.shape[1] :].copy()), steps
+        return replace_unchecked(state, line=line[:, signals.shape[1] :].copy()), steps
 
 
 # Samples whose response is made at once: what is needed for it fits into a cache.
@@ -182,7 +182,7 @@ class ResponseStepDetector(StepDetector[R]):
                 numbers.append(first + i)
                 spans.append(span)
         log, steps = self._log.describe(state.log, spans)
-        return replace(state, log=log, response=response[:, -2:]), list(zip(numbers, steps, strict=True))
+        return replace_unchecked(state, log=log, response=response[:, -2:]), list(zip(numbers, steps, strict=True))
 
     def _step_at(self, state: R, values: FloatArray, known: int) -> tuple[R, StepSpan | None]:
         """The step that a local maximum of the response, the middle of (K, 3), ends, if it ends one."""
@@ -196,7 +196,7 @@ class ResponseStepDetector(StepDetector[R]):
         if accepted is None:
             return state, None
         log, span = self._log.end_step(state.log, contact, known, fraction)
-        return replace(accepted, log=log), span
+        return replace_unchecked(accepted, log=log), span
 
 
 def local_maxima(values: FloatArray) -> BoolArray:

@@ -38,7 +38,7 @@ from pdr_filter.sensing.steps.walking_evidence import (
     evidence_features,
     slowness,
 )
-from pdr_filter.values import FloatArray, Step, check_numbers, replace
+from pdr_filter.values import FloatArray, Step, check_numbers, replace_unchecked
 
 # A step may become known so long after its contact and still find its window whole.
 _MAX_KNOWN_AFTER_S = 4.0
@@ -163,7 +163,7 @@ class StepGate:
         samples = np.concatenate([state.rest, block.specific_force_mps2])
         n = self._samples_per_row
         whole = samples[: len(samples) // n * n]
-        state = replace(
+        state = replace_unchecked(
             state,
             start_s=float(block.time_s[0]) if state.n_samples == 0 else state.start_s,
             n_samples=state.n_samples + len(block.time_s),
@@ -179,7 +179,7 @@ class StepGate:
                 break
             numbers.append(number)
         state, released = self._judge(state, numbers)
-        return replace(state, rows=state.rows[-self._n_rows_kept :]), released
+        return replace_unchecked(state, rows=state.rows[-self._n_rows_kept :]), released
 
     def close(
         self, state: StepGateState, steps: Sequence[tuple[int, Step]]
@@ -189,11 +189,11 @@ class StepGate:
         `steps` are what the detector's `finish` gave. A bout goes on after a short gap, the belief in walking fades
         with time.
         """
-        state = replace(state, waiting=(*state.waiting, *steps))
+        state = replace_unchecked(state, waiting=(*state.waiting, *steps))
         state, released = self._judge(state, [state.n_samples - 1] * len(state.waiting))
         # Steps that are no bout yet are given up: what the gap holds is unknown.
         after = StepGateState(state.walking_prob, state.judged_s)
-        return (replace(after, run_s=state.run_s, is_bout=True) if state.is_bout else after), released
+        return (replace_unchecked(after, run_s=state.run_s, is_bout=True) if state.is_bout else after), released
 
     def _row(self, state: StepGateState, step: Step) -> int:
         """Number of the row that a contact is in."""
@@ -206,17 +206,17 @@ class StepGate:
         steps = [step for _, step in state.waiting[: len(numbers)]]
         contacts_s = (*state.contacts_s, *(step.time_s for step in steps))
         intervals_s = [self._intervals_s(contacts_s[: i + 1]) for i in range(len(state.contacts_s), len(contacts_s))]
-        state = replace(state, waiting=state.waiting[len(numbers) :], contacts_s=contacts_s[-4:])
+        state = replace_unchecked(state, waiting=state.waiting[len(numbers) :], contacts_s=contacts_s[-4:])
         released: list[tuple[int, Step]] = []
         log_odds = self._log_odds(state, steps, numbers, intervals_s)
         for step, number, of_step, intervals in zip(steps, numbers, log_odds, intervals_s, strict=True):
             ratio = math.exp(min(max(self.evidence_weight * of_step, -self.max_log_ratio), self.max_log_ratio))
             prob = _posterior(self._prob_after(state.walking_prob, step.time_s - state.judged_s), ratio)
             held = (*state.held, JudgedStep(step, prob, ratio, slowness(intervals)))
-            state = replace(state, walking_prob=prob, judged_s=step.time_s, held=held)
+            state = replace_unchecked(state, walking_prob=prob, judged_s=step.time_s, held=held)
             state, passed = self._accept(state, step.time_s) if prob > 0.5 else (self._without_old(state), [])
             now_s = state.start_s + number / self.rate_hz
-            released += [(number, replace(s, detected_time_s=max(now_s, s.detected_time_s))) for s in passed]
+            released += [(number, replace_unchecked(s, detected_time_s=max(now_s, s.detected_time_s))) for s in passed]
         return state, released
 
     def _intervals_s(self, contacts_s: Sequence[float]) -> list[float]:
@@ -252,15 +252,15 @@ class StepGate:
         continues = contact_s - state.run_s[1] <= self.max_interval_s
         run_s = (state.run_s[0] if continues else contact_s, contact_s)
         if continues and state.is_bout:
-            return replace(state, run_s=run_s, held=()), [judged.step for judged in state.held]
-        state = replace(state, run_s=run_s, is_bout=False)
+            return replace_unchecked(state, run_s=run_s, held=()), [judged.step for judged in state.held]
+        state = replace_unchecked(state, run_s=run_s, is_bout=False)
         first, n_walking = self._run(state)
         if n_walking < self.min_steps:
             return self._without_old(state), []
         for _ in range(self.n_fill):
             interval_s = state.held[first].step.time_s - state.held[first - 1].step.time_s
             first -= first > 0 and interval_s <= self.fill_interval_s * state.held[-1].slowness
-        return replace(state, held=(), is_bout=True), [judged.step for judged in state.held[first:]]
+        return replace_unchecked(state, held=(), is_bout=True), [judged.step for judged in state.held[first:]]
 
     def _run(self, state: StepGateState) -> tuple[int, int]:
         """First held step of the run, with what belongs to its beginning, and how many from there are walking."""
@@ -282,7 +282,7 @@ class StepGate:
         if not state.is_bout and begin_s - state.run_s[1] <= self.max_interval_s:
             begin_s = state.run_s[0]
         max_edge_s = self.max_edge_s * state.held[-1].slowness
-        return replace(state, held=tuple(j for j in state.held if begin_s - j.step.time_s <= max_edge_s))
+        return replace_unchecked(state, held=tuple(j for j in state.held if begin_s - j.step.time_s <= max_edge_s))
 
     @property
     def _walking_share(self) -> float:

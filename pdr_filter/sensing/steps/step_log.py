@@ -11,7 +11,7 @@ import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Step, replace
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Step, replace_unchecked
 
 # Rows of the signals: time, magnitude, vertical, device heading, samples without angular rate so far, std of the yaw
 # bias.
@@ -90,11 +90,11 @@ class StepLog:
             unknown_before + np.cumsum(~block.angular_rate_known),
         )
         new[_BIAS_STD] = bias_std if len(bias_std) else 0.0
-        return replace(state, n_samples=state.n_samples + len(magnitude), signals=signals)
+        return replace_unchecked(state, n_samples=state.n_samples + len(magnitude), signals=signals)
 
     def trim(self, state: StepLogState) -> StepLogState:
         """State without the signals that no later contact can need."""
-        return replace(state, signals=state.signals[:, -self._n_kept :])
+        return replace_unchecked(state, signals=state.signals[:, -self._n_kept :])
 
     def first_sample(self, state: StepLogState) -> int:
         """Number of the oldest sample that is remembered: contacts must be later."""
@@ -142,7 +142,7 @@ class StepLog:
             columns=(max(start - first, 0), contact - first),
             is_first=is_first,
         )
-        return replace(state, last_contact=contact, last_contact_s=contact_s, last_unknown=unknown), span
+        return replace_unchecked(state, last_contact=contact, last_contact_s=contact_s, last_unknown=unknown), span
 
     def describe(self, state: StepLogState, spans: Sequence[StepSpan]) -> tuple[StepLogState, list[Step]]:
         """New state and steps, from their samples and what is usual for this person, each step itself included."""
@@ -169,7 +169,7 @@ class StepLog:
             own_mps2 = step.vertical_amplitude_mps2
             goes_on = before_mps2 > 0 and not is_long
             steps.append(
-                replace(
+                replace_unchecked(
                     step,
                     turn_rate_radps=turn_rate_radps,
                     stride_amplitude_mps2=0.5 * (before_mps2 + own_mps2) if goes_on else own_mps2,
@@ -180,7 +180,7 @@ class StepLog:
                 )
             )
             before_mps2 = 0.0 if is_long else own_mps2
-        state = replace(
+        state = replace_unchecked(
             state,
             last_turn_rad=turn_rad,
             last_duration_s=before_s,
