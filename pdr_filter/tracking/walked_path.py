@@ -1,4 +1,4 @@
-"""The whole path of a filter as it is estimated at this moment, for an app that draws it."""
+"""The estimated path of the whole walk so far, for an app that draws it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pdr_filter.values.uncertainty import worst_std_m
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WalkedPath:
-    """Where a walk led, as everything that is known by now says: one row for each step, and one for the present.
+    """Estimated path of a walk so far: one row for each step, and one for the present.
 
     Past rows are smoothed: a fix, a heading or a context that came later has moved them, too. They differ from the
     positions that were reported at the time. A filter remembers 8192 steps, an hour of walking, and of a longer

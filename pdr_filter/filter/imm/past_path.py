@@ -1,4 +1,4 @@
-"""Where past steps were, as all that came later says: a smoother that runs forward with the filter.
+"""Past positions given all later measurements: a smoother that runs forward with the filter.
 
 With x the present state (east, north, heading offset, log scale), each past position is p = place + B (x - mean) + e,
 with an error e that has no part in x. That is exact for a linear filter:
@@ -32,7 +32,7 @@ _BLOCK = 32
 _LARGE_TURN_RAD = 0.1
 # Steps that are remembered, an hour of walking at two steps a second; of more, the older ones at even intervals.
 MAX_STEPS = 8192
-# Where a state is known exactly, its covariance cannot be inverted: a hundredth of a millimetre, squared.
+# Added to covariances before inversion, for states that are known exactly: 0.01 mm, squared.
 _LEAST_VAR = 1e-10
 _LEAST = _LEAST_VAR * np.eye(N_STATES)
 _OF_PLACE = np.eye(2, N_STATES)[:, :, None]
@@ -51,7 +51,7 @@ class Back:
 
     gain: FloatArray  # (..., 4, 4) G
     left: FloatArray  # (..., 4, 4) P - G P' G', the covariance of the error
-    moved: FloatArray  # (..., 4) what was learnt of x on the way to x'
+    moved: FloatArray  # (..., 4) correction of x between x and x'
     scale: float = 1.0
 
     @property
@@ -73,7 +73,7 @@ class Back:
         return Back(gain @ later.gain, left, moved, self.scale * later.scale)
 
     def learnt(self, moved: FloatArray) -> Back:
-        """The same after corrections (..., 4) of x'."""
+        """Relation after corrections (..., 4) of x'."""
         return replace_unchecked(self, moved=self.moved + _times(self.gain, moved))
 
 
@@ -179,12 +179,12 @@ class PastSteps:
         return place_m
 
     def rebased(self, back: Back) -> PastSteps:
-        """The same as they follow a later state."""
+        """Steps related to a later state."""
         own_cov_m2 = back.scale * self.own_cov_m2 + _propagated(self.by_state, back.left)
         return PastSteps(self.time_s, self.moved_m(back.moved), back.gain.T @ self.by_state, own_cov_m2)
 
     def following(self, place_m: FloatArray, cov_m2: FloatArray, cross: FloatArray, state_cov: FloatArray) -> PastSteps:
-        """The same at places (2, N) with covariances (3, N), and (2, 4, N) with a state of covariance (4, 4)."""
+        """Steps at places (2, N) with covariances (3, N) and cross covariances (2, 4, N) with a state (4, 4)."""
         by = np.linalg.inv(state_cov + _LEAST) @ cross
         return PastSteps(self.time_s, place_m, by, cov_m2 - _products(by, cross))
 

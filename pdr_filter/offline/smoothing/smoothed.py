@@ -1,4 +1,4 @@
-"""The result of smoothing: the track, what was estimated with it, and what became of each observation."""
+"""The result of smoothing: track, estimated offsets and scales, and the use of each observation."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ HERE_STD_M = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Smoothed:
-    """The track in hindsight, and what was learnt on the way.
+    """The smoothed track, and what was estimated with it.
 
     Where there were fixes, positions are in their frame and headings clockwise from its north; where there were none,
     they are those of the filter, from the start and the first heading.
@@ -116,7 +116,7 @@ def fix_results(observed: Observations, observations: Table, used: Used, end_s: 
 def notes_of_solution(
     track: Track, found: Solution, observations: Table, observed: Observations, used: Used
 ) -> list[str]:
-    """What a user should know of the solution, in words."""
+    """Warnings about the solution, in words."""
     notes: list[str] = []
     for kind in _KINDS:
         rows = (observations.kind == kind) & (observations.weight < 0.5) & ~np.isnan(observations.nis)
