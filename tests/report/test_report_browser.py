@@ -236,7 +236,7 @@ def test_several_tracks_are_chosen_from_and_each_has_its_own_words(
     assert palette.ORANGE.upper() in colours_of(browser, "#map")  # the other beside it
     with_plan = way(browser)
     browser.click("[name=plan]")
-    assert not is_same(way(browser), with_plan)
+    assert (way(browser) != with_plan).any(axis=2).mean() > 0.1  # the floor of the plan has a pale colour
     browser.click("[name=track][value='1']")
     assert "Only the other has this" in browser.words("body")
     assert shown(browser)["step"].startswith(f"{track.n_steps} ")
