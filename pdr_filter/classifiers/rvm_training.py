@@ -5,7 +5,8 @@ s_m and quality q_m of its basis function (Faul and Tipping 2002; Tipping and Fa
 Maximisation for Sparse Bayesian Models", AISTATS), and is highest at alpha_m = s_m^2 / (q_m^2 - s_m) if q_m^2 > s_m,
 else at infinity (delete the function). Where Tipping and Faul take one such action and refresh the posterior, here one
 pass takes many, and is tried again with less if it lowers the evidence. docs/methods/rvm.md has the equations and says
-what else differs. The posterior is Laplace's approximation for any log-concave likelihood.
+what else differs. The posterior is Laplace's approximation for any log-concave likelihood. `classifiers.rvm` has the
+classifiers that call it.
 """
 
 from __future__ import annotations

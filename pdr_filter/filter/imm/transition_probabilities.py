@@ -1,4 +1,4 @@
-"""Transition probabilities between the contexts from one step to the next: the matrix of the default filter.
+"""Transition probabilities between the contexts from one step to the next: the matrix of all recipes without their own.
 
 `offline.training.transition_training` estimates a matrix from labelled recordings, and `classifiers.transition_files`
 saves it.
@@ -22,7 +22,7 @@ _STAY_STEPS: dict[str, float] = {
     "sideways": 10.0,
     "running": 50.0,
 }
-# Where walking leads to: in the same labels as often up as down; the rest is shared by what they do not hold.
+# Contexts after walking. The same labels have as many steps upstairs as downstairs; the others share the rest.
 _AFTER_WALKING: dict[str, float] = {
     "stationary": 0.1,
     "upstairs": 0.35,
@@ -33,7 +33,9 @@ _AFTER_WALKING: dict[str, float] = {
 
 
 def context_transitions() -> FloatArray:
-    """Transition matrix between the contexts for one step, rows from.
+    """Transition matrix (C, C) of one step, from the context of the row to that of the column.
+
+    The modes of the filter have one context each (`filter.imm.modes`).
 
     Nine of ten ways out of every other context lead to walking (in the terrain labels all do), the tenth to any of the
     others alike, so that walking is the most frequent context by far, as in life and unlike in training sets.
