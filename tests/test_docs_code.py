@@ -195,7 +195,7 @@ def test_names_of_the_package_that_a_page_gives_exist(page: str) -> None:
     text = re.sub(r"^```python\n.*?^```$", "", PAGES[page], flags=re.MULTILINE | re.DOTALL)  # which is run
     for name in re.findall(r"[`~ ]((?:pdr|pdr_filter)(?:\.[A-Za-z_]\w*)+)", text):
         if not name.endswith((".zip", ".NAME")):
-            resolved(name)
+            assert resolved(name) is not None, name
 
 
 def test_a_name_that_does_not_exist_is_noticed() -> None:

@@ -139,14 +139,13 @@ def place_at(places: FloatArray, time_s: float) -> tuple[float, float] | None:
     return None if time_s - t > _PRESENT_S or math.isnan(east_m) else (east_m, north_m)
 
 
-def independent(fixes: Sequence[PositionFix], before: Sequence[PositionFix] = ()) -> tuple[PositionFix, ...]:
+def independent(fixes: Sequence[PositionFix]) -> tuple[PositionFix, ...]:
     """Fixes in the given order for what takes their errors for independent, such as `pdr_filter.smooth`.
 
-    The covariance of each has that of the fixes before in it (`values.repeated_cov_m2`), of which some may have been
-    used already.
+    The covariance of each has that of the fixes before in it (`values.repeated_cov_m2`).
     """
     independent_fixes = list(fixes)
-    last = [fix for fix in before if fix.correlation_s > 0]
+    last = list[PositionFix]()
     for k in sorted(range(len(independent_fixes)), key=lambda k: fixes[k].time_s):
         fix = fixes[k]
         if fix.correlation_s > 0:

@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pdr_filter.filter.fixes.alignment import Alignment
+from pdr_filter.filter.imm import imm
 from pdr_filter.filter.imm.estimates import Estimates
 from pdr_filter.filter.imm.motion_model import EAST, HEADING_OFFSET, N_STATES, NORTH, Advance
 from pdr_filter.values import FloatArray, replace_unchecked
@@ -121,24 +122,16 @@ def _over_steps(steps: Sequence[WalkedStep]) -> list[Back]:
     (_, updated, prob, mean, cov, drifted_cov, turned_mean, turned_cov, ahead_mean, ahead_cov, by_state) = (
         np.array([getattr(step, name) for step in steps]) for name in WalkedStep.__dataclass_fields__
     )
-    x, P = _combined(prob, mean, cov)
-    turned_x, turned_P = _combined(prob, turned_mean, turned_cov)
-    ahead_x, ahead_P = _combined(prob, ahead_mean, ahead_cov)
+    x, P = imm.combine(mean, cov, prob)
+    turned_x, turned_P = imm.combine(turned_mean, turned_cov, prob)
+    ahead_x, ahead_P = imm.combine(ahead_mean, ahead_cov, prob)
     weights = prob[..., None, None]
     cross = (weights * (turned_cov @ by_state.swapaxes(-1, -2))).sum(axis=1)
     spread = (turned_mean - turned_x[:, None]) * prob[..., None]
     cross += spread.swapaxes(-1, -2) @ (ahead_mean - ahead_x[:, None])
-    drift = Back.over(P, P, _combined(prob, mean, drifted_cov)[1]).learnt(turned_x - x)
+    drift = Back.over(P, P, imm.combine(mean, drifted_cov, prob)[1]).learnt(turned_x - x)
     back = drift.then(Back.over(turned_P, cross, ahead_P).learnt(updated - ahead_x))
     return [Back(*each) for each in zip(back.gain, back.left, back.moved, strict=True)]
-
-
-def _combined(prob: FloatArray, mean: FloatArray, cov: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Means (K, 4) and covariances (K, 4, 4) of mixtures of F filters, as `imm.combine` of many."""
-    x = (prob[:, None] @ mean)[:, 0]
-    spread = mean - x[:, None]
-    within = (prob[..., None, None] * cov).sum(axis=1)
-    return x, within + (prob[..., None] * spread).swapaxes(-1, -2) @ spread
 
 
 @dataclass(frozen=True, eq=False)

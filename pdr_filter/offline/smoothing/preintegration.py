@@ -74,14 +74,13 @@ def increments(
     modes: Sequence[Mode],
     noise: MotionNoise,
     gap_before_s: FloatArray,
-    previous_s: float | None = None,
 ) -> tuple[Increments, float]:
     """Increments of detected steps, and the variance of the log scale that the fits of the modes leave.
 
     The displacement is the mean over the modes, sum_m mu_m L_m u(psi + o_m), with the covariance of the mixture. The
     covariance of a fit's parameters is an error that all steps share: it is returned as the mean of J cov J' / L^2,
-    with several parameters an approximation. `mode_prob` is (K, M), `gap_before_s` (K,) the time without samples before
-    each step, and `previous_s` the contact of the step before the first one, if there was one.
+    with several parameters an approximation. `mode_prob` is (K, M), and `gap_before_s` (K,) the time without samples
+    before each step.
     """
     n = len(steps)
     lengths = StepLengths(tuple(m.step_length for m in modes))
@@ -108,7 +107,7 @@ def increments(
         + np.einsum("km,kma,kmb->kab", mode_prob, apart, apart)
         + (mode_prob @ directions.extra_var_m2)[:, None, None] * np.eye(2)
     )
-    elapsed_s = _elapsed_s(steps, gap_before_s, previous_s)
+    elapsed_s = _elapsed_s(steps, gap_before_s)
     drift_var, unknown_var = noise.heading_drift.variances_rad2(
         elapsed_s,
         np.asarray(steps.heading_unknown_s),
@@ -132,11 +131,10 @@ def increments(
     return walking, float(shared_var.sum(axis=1).mean()) if n else 0.0
 
 
-def _elapsed_s(steps: Table, gap_before_s: FloatArray, previous_s: float | None) -> FloatArray:
+def _elapsed_s(steps: Table, gap_before_s: FloatArray) -> FloatArray:
     """Time since the step before, (K,); of the first step and after a gap its own duration."""
     time_s, duration_s = np.asarray(steps.time_s), np.asarray(steps.duration_s)
-    first_s = duration_s[:1] if previous_s is None else time_s[:1] - previous_s
-    elapsed_s = np.concatenate([first_s, np.diff(time_s)])
+    elapsed_s = np.concatenate([duration_s[:1], np.diff(time_s)])
     return np.maximum(np.where(gap_before_s > 0, duration_s, elapsed_s), 0.0)
 
 

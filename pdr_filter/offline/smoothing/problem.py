@@ -136,10 +136,9 @@ def pose_problem(
     frame_std_rad: float = 1.0,
     *,
     anchor_interval_s: float,
-    wanted: Sequence[int] = (),
     states: ObservedStates = NO_STATES,
 ) -> Problem:
-    """The problem with an anchor where an observation or a change of the heading offset needs one, or is `wanted`.
+    """The problem with an anchor where an observation or a change of the heading offset needs one.
 
     Its positions are the fixes, the locations, and the loop closures, in this order. Correlated fixes must
     be in the order of time and at different contacts (`by_contact`). `states` and `offsets` are at numbers of steps.
@@ -151,7 +150,7 @@ def pose_problem(
         [(nearest_contact(steps, c.first_s), nearest_contact(steps, c.second_s)) for c in observed.loop_closures],
         [(nearest_contact(steps, h.start_s)[0], nearest_contact(steps, h.end_s)[0]) for h in observed.known_headings],
     )
-    nodes = choose_nodes(steps, [*wanted, *contacts.steps(), *states.node.tolist()], anchor_interval_s)
+    nodes = choose_nodes(steps, [*contacts.steps(), *states.node.tolist()], anchor_interval_s)
 
     def numbers(contacts: list[int]) -> IntArray:
         return np.searchsorted(nodes, np.array(contacts, dtype=np.int64))
