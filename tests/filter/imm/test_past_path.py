@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -58,11 +60,14 @@ def walked(n: int, measured_at: tuple[int, ...]) -> tuple[PastPath, Joint]:
         F, Q, d = motion(rng), random_cov(rng, 0.1), np.array([0.3, 0.6, 0.0, 0.0])
         x, P = joint.mean[-4:], joint.cov[-4:, -4:]
         joint.predict(F, Q, d)
-        path = path.with_event(a_step(float(k), x, P, F, joint.mean[-4:], joint.cov[-4:, -4:]))
+        before = joint.mean[-4:]
+        step = a_step(float(k), x, P, F, before, joint.cov[-4:, -4:])
         if k in measured_at:
-            before = joint.mean[-4:]
             joint.update(joint.mean[-4:-2] + rng.normal(size=2), 0.5)
-            path = path.corrected(joint.mean[-4:] - before, 1.0)
+        if k % 2:  # a fix after the step
+            path = path.with_event(step).corrected(joint.mean[-4:] - before, 1.0)
+        else:  # evidence that belongs to the step
+            path = path.with_event(replace(step, updated_mean=joint.mean[-4:]))
     return path, joint
 
 
@@ -132,8 +137,10 @@ def test_a_late_fix_scales_the_errors_of_all_steps_before_it() -> None:
     path, joint = walked(50, ())
     P = joint.cov[-4:, -4:]
     before = path.places(P, np.zeros((2, 2)), np.zeros(2))[2]
-    after = path.corrected(np.zeros(4), 3.0).places(3.0 * P, np.zeros((2, 2)), np.zeros(2))[2]
-    np.testing.assert_allclose(after, 3.0 * before, rtol=1e-7)
+    scaled = path.corrected(np.zeros(4), 3.0)
+    for later in (scaled, scaled.settled()):
+        after = later.places(3.0 * P, np.zeros((2, 2)), np.zeros(2))[2]
+        np.testing.assert_allclose(after, 3.0 * before, rtol=1e-7)
 
 
 def test_memory_is_bounded_and_the_past_is_thinned_evenly() -> None:
