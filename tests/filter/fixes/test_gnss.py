@@ -468,3 +468,14 @@ def test_what_calibration_and_gnss_know_of_accuracy_is_one_number() -> None:
     from pdr_filter.offline.calibration import segments
 
     assert segments.RADIUS_68 is gnss.RADIUS_68
+
+
+def test_poor_locations_rotate_and_shift_a_short_walk_and_do_not_bend_it(bare: Recording) -> None:
+    """Distances between all positions are those of dead reckoning, as long as its errors are smaller than theirs."""
+    time_s = np.arange(1.3, bare.duration_s)
+    errors_m = np.random.default_rng(5).normal(scale=3.0, size=(len(time_s), 2))
+    poor = rows(time_s, truth_m(bare, time_s) + errors_m, 13.0)
+    located, alone = pdr.track(replace(bare, location=poor)), pdr.track(bare)
+    assert {fix.outcome for fix in located.fixes} == {"placed", "turned"}
+    apart_m = [np.linalg.norm(t.position_m[:, None] - t.position_m, axis=2) for t in (located, alone)]
+    np.testing.assert_allclose(*apart_m, atol=1e-6)
