@@ -369,8 +369,9 @@ def _smoothed(
     along = _second_order(moved, cov[:, HEADING_OFFSET, HEADING_OFFSET], anchored)
     position_cov = cov[:, :2, :2] + along[:, :, None] * along[:, None, :]
     observations = observation_table(observed, used.row, found)
+    scale_std = float(np.sqrt(problem.start_cov[LOG_SCALE, LOG_SCALE]))
     start_m = read_only(found.mean[0, :2] if used.has_places else np.zeros(2))
-    notes = (*track.notes, *used.notes, *notes_of_solution(track, found, observations, observed, used))
+    notes = (*track.notes, *used.notes, *notes_of_solution(track, found, observations, observed, used, scale_std))
     smoothed = replace(
         track,
         position_m=read_only(position),

@@ -9,6 +9,7 @@ import numpy as np
 
 from pdr_filter.filter.imm.motion_model import (
     HEADING_OFFSET,
+    LOG_SCALE,
 )
 from pdr_filter.offline.smoothing.observations import (
     FloorChange,
@@ -114,9 +115,14 @@ def fix_results(observed: Observations, observations: Table, used: Used, end_s: 
 
 
 def notes_of_solution(
-    track: Track, found: Solution, observations: Table, observed: Observations, used: Used
+    track: Track,
+    found: Solution,
+    observations: Table,
+    observed: Observations,
+    used: Used,
+    prior_log_scale_std: float,
 ) -> list[str]:
-    """Warnings about the solution, in words."""
+    """Warnings about the solution, in words. The standard deviation is that of the log scale before any fix."""
     notes: list[str] = []
     for kind in _KINDS:
         rows = (observations.kind == kind) & (observations.weight < 0.5) & ~np.isnan(observations.nis)
@@ -140,6 +146,14 @@ def notes_of_solution(
         notes.append("the fixes do not settle which way the walk went: its north is the most probable one")
     if used.knows_north and (found.weight[-used.n_north :] < 0.5).any():
         notes.append("north of the magnetic field contradicts everything else that is known of the walk: not used")
+    log_scale = float(found.mean[:, LOG_SCALE].mean())
+    if n_good and abs(log_scale) > 2.0 * prior_log_scale_std:
+        longer = "longer" if log_scale > 0 else "shorter"
+        notes.append(
+            f"the fixes make the steps {abs(np.expm1(log_scale)):.0%} {longer} than the step-length model has them, "
+            f"{abs(log_scale) / prior_log_scale_std:.1f} standard deviations: compare with the walk smoothed without "
+            'them (gnss="off" for locations)'
+        )
     unknown_s = float(np.asarray(track.steps.heading_unknown_s).sum())
     if unknown_s > 1.0:
         notes.append(f"no angular rate for {unknown_s:.0f} s: directions there come from the fixes around them alone")

@@ -3,6 +3,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from helpers import a_step
 
 import pdr_filter as pdr
@@ -128,3 +129,13 @@ def test_with_a_weighted_step_length_hindsight_is_that_of_one_filter() -> None:
     np.testing.assert_array_equal(smoothed.mode_prob, forward.mode_prob)
     assert np.trace(smoothed.position_cov_m2.mean(axis=0)) < np.trace(forward.position_cov_m2.mean(axis=0))
     assert np.square(errors_m(walk, smoothed)).mean() < np.square(errors_m(walk, forward)).mean()
+
+
+@pytest.mark.parametrize(("drawn_together", "is_noted"), [(1.0, False), (0.6, True)])
+def test_fixes_that_make_steps_much_shorter_than_the_model_are_noted(drawn_together: float, is_noted: bool) -> None:
+    walk = simulate([Leg("walking", distance_m=40.0), Leg("walking", distance_m=30.0, turn_rad=1.5)], seed=3)
+    track = pdr.track(walk)
+    times, places = track.time_s[::4], track.position_m[::4]
+    fixes = [PositionFix(float(t), drawn_together * p, 4.0 * np.eye(2)) for t, p in zip(times, places, strict=True)]
+    notes = pdr.smooth(walk, fixes).notes
+    assert any("shorter than the step-length model" in note for note in notes) == is_noted
