@@ -72,7 +72,7 @@ class Server:
         """The workers."""
         listed = Path(f"/proc/{self.pid}/task/{self.pid}/children").read_text().split()
         names = {int(pid): Path(f"/proc/{pid}/cmdline").read_bytes() for pid in listed}
-        return [pid for pid, name in names.items() if b"spawn_main" in name]
+        return [pid for pid, name in names.items() if b"worker_process" in name]
 
     def end(self) -> int:
         """End it as Ctrl+C does."""
