@@ -64,6 +64,7 @@ from pdr_filter.values import (
     repetition,
     wrap_angle,
 )
+from pdr_filter.values.mixtures import log_sum, softmax
 
 # Side of the cells in which particles are counted for their number: metres, and a twelfth of a circle.
 _COUNT_M, _COUNT_RAD = 1.0, math.pi / 6
@@ -487,9 +488,7 @@ def _weighed(state: ParticleState, log_weight: FloatArray) -> tuple[ParticleStat
     """State with log weights (N,) on top, and the logarithm of the mean weight that these were."""
     with np.errstate(divide="ignore"):
         total = np.log(state.weight) + log_weight
-    top = float(total.max())
-    weight = np.exp(total - top)
-    return replace(state, weight=weight / weight.sum()), top + math.log(float(weight.sum()))
+    return replace(state, weight=softmax(total)), log_sum(total)
 
 
 def _n_effective(state: ParticleState) -> float:

@@ -23,6 +23,7 @@ import numpy as np
 from filterpy.kalman import IMMEstimator, KalmanFilter
 
 from pdr_filter.values import FloatArray
+from pdr_filter.values.mixtures import softmax
 
 
 class MendedIMMEstimator(IMMEstimator):  # filterpy has no types
@@ -47,8 +48,7 @@ class MendedIMMEstimator(IMMEstimator):  # filterpy has no types
         with np.errstate(divide="ignore"):
             log_posterior = np.log(self.mu) + log_likelihood
         if np.isfinite(log_posterior.max()):
-            relative = np.exp(log_posterior - log_posterior.max())
-            self.mu = relative / relative.sum()
+            self.mu = softmax(log_posterior)
         self._compute_state_estimate()
         self.x_post, self.P_post = self.x.copy(), self.P.copy()
 
@@ -88,7 +88,7 @@ def update(
 
 
 def update_mode_prob(predicted_mode_prob: FloatArray, log_likelihood: FloatArray) -> FloatArray:
-    """As `pdr_filter.filter.imm.imm.update_mode_prob`."""
+    """As `pdr_filter.values.mixtures.posterior_prob`."""
     n_modes = len(predicted_mode_prob)
     if n_modes == 1:
         return predicted_mode_prob
@@ -98,7 +98,7 @@ def update_mode_prob(predicted_mode_prob: FloatArray, log_likelihood: FloatArray
 
 
 def combine(mean: FloatArray, cov: FloatArray, mode_prob: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """As `pdr_filter.filter.imm.imm.combine`."""
+    """As `pdr_filter.values.mixtures.combine`."""
     if len(mean) == 1:
         return mean[0], cov[0]
     imm = estimator(mean, cov, mode_prob, np.eye(len(mean)))
