@@ -64,6 +64,7 @@ from pdr_filter.values import (
     repetition,
     wrap_angle,
 )
+from pdr_filter.values.interpolation import interpolated
 from pdr_filter.values.mixtures import log_sum, softmax
 
 # Side of the cells in which particles are counted for their number: metres, and a twelfth of a circle.
@@ -264,7 +265,7 @@ class ParticleFilter:
             return self._from_tracker(state, pedestrian, ground, rng, 0.0)
         if len(state.weight) == 0:
             return state
-        x, then = state.particles, [np.interp(fix.time_s, state.way[:, 0], state.way[:, k]) for k in (1, 2, 3)]
+        x, then = state.particles, interpolated(fix.time_s, state.way[:, 0], state.way[:, 1:4])
         if isinstance(fix, HeadingFix):
             error = wrap_angle(fix.walking_heading_rad - then[2] - x[:, OFFSET])
             state, _ = _weighed(state, -0.5 * (error / fix.std_rad) ** 2)
@@ -293,7 +294,7 @@ class ParticleFilter:
         if passage.how != "lift" or ground is None or len(state.weight) == 0 or len(state.way) == 0:
             return state
         rng, state = self._random(state)
-        then_m = np.array([np.interp(passage.end_s, state.way[:, 0], state.way[:, k]) for k in (1, 2)])
+        then_m = interpolated(passage.end_s, state.way[:, 0], state.way[:, 1:3])
         out_m = backwards(state.particles, state.way[-1, 1:3] - then_m)
         state, _ = _weighed(state, -ground.lift_costs(out_m))
         state = replace(state, parent=np.arange(len(state.weight)))

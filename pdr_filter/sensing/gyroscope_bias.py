@@ -37,7 +37,7 @@ import numpy as np
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.heading.heading_offset import UNKNOWN_VAR_RAD2
 from pdr_filter.values import FloatArray, check_numbers, read_only, replace_unchecked
-from pdr_filter.values.mixtures import combine, possible_outlier, softmax
+from pdr_filter.values.mixtures import combine, possible_outlier
 
 # State of each Kalman filter: bias about x, y, z of the sensor in rad/s; direction of the magnetic field in the
 # attitude's frame, and by how much the corrected heading is too large, in rad, clockwise.
@@ -485,7 +485,8 @@ def _wrapped(angle_rad: FloatArray | float, period_rad: float) -> FloatArray:
 def _mixture(bank: _Bank) -> tuple[FloatArray, FloatArray]:
     """Mean (5,) and covariance (5, 5) over the bank."""
     mean, cov, log_weight = bank
-    return combine(mean, cov, softmax(log_weight))
+    weight = np.exp(log_weight)
+    return combine(mean, cov, weight / np.add.reduce(weight))
 
 
 def _direction(bank: _Bank) -> tuple[float, float]:

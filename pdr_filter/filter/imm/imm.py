@@ -152,11 +152,11 @@ class ImmArithmetic(Protocol):
         """As `update`."""
         ...
 
-    def update_mode_prob(self, predicted_mode_prob: FloatArray, log_likelihood: FloatArray) -> FloatArray:
+    def update_mode_prob(self, prior_prob: FloatArray, log_likelihood: FloatArray) -> FloatArray:
         """As `values.mixtures.posterior_prob`."""
         ...
 
-    def combine(self, mean: FloatArray, cov: FloatArray, mode_prob: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def combine(self, mean: FloatArray, cov: FloatArray, prob: FloatArray) -> tuple[FloatArray, FloatArray]:
         """As `values.mixtures.combine`."""
         ...
 
