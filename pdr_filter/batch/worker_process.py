@@ -46,6 +46,7 @@ class WorkerProcess:
         threads = {} if n_threads is None else dict.fromkeys(_THREADS, str(n_threads))
         self._environment = {**threads, **os.environ}
         self._process: subprocess.Popen[bytes] | None = None
+        self._is_closed = False
 
     def ask(self, request: Any) -> Any:
         """Return the answer to a request; LostError if the process ends before. One call at a time."""
@@ -55,6 +56,9 @@ class WorkerProcess:
             pipe, environment = subprocess.PIPE, self._environment
             self._process = subprocess.Popen([sys.executable, "-c", command], stdin=pipe, stdout=pipe, env=environment)
             pieces.insert(0, self._begin)
+        if self._is_closed:  # in the meantime, by another thread
+            self._end()
+            raise LostError("process was closed")
         to, answers = cast(Any, self._process.stdin), cast(Any, self._process.stdout)
         try:
             for piece in pieces:
@@ -62,9 +66,14 @@ class WorkerProcess:
             to.flush()
             return pickle.load(answers)
         except (OSError, EOFError, pickle.UnpicklingError) as error:
-            raise LostError(f"process died (exit code {self.kill()})") from error
+            raise LostError(f"process died (exit code {self._end()})") from error
 
-    def kill(self) -> int | None:
+    def close(self) -> None:
+        """End the process for good, from any thread."""
+        self._is_closed = True
+        self._end()
+
+    def _end(self) -> int | None:
         """End the process; return its exit code."""
         process, self._process = self._process, None
         if process is None:

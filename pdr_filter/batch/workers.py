@@ -106,7 +106,7 @@ def _on_processes(work: Callable[[T], R], items: Sequence[T], jobs: int) -> Iter
     finally:
         todo.clear()
         for worker in workers:
-            worker.kill()
+            worker.close()
 
 
 def _on_cluster(work: Callable[[T], R], items: Sequence[T], scheduler: str) -> Iterator[tuple[int, R | Failure]]:

@@ -73,7 +73,7 @@ class Process:
     async def close(self) -> None:
         """Save everything and end the process."""
         await self.ask([Save()])
-        self._process.kill()
+        self._process.close()
 
 
 @dataclass(slots=True, eq=False)

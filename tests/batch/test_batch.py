@@ -590,9 +590,9 @@ def test_results_that_are_closed_early_end_their_processes_and_start_none_again(
         assert running.stdout is not None
         assert int(running.stdout.readline())
         deadline = time.monotonic() + 20
-        n_idle = 0
+        n_idle, children = 0, list[list[str]]()
         while n_idle < 10:  # half a second without a process
-            assert time.monotonic() < deadline, "processes go on"
+            assert time.monotonic() < deadline, children
             children = [c.read_text().split() for c in Path(f"/proc/{running.pid}/task").glob("*/children")]
             n_idle = 0 if any(children) else n_idle + 1
             time.sleep(0.05)
