@@ -43,6 +43,11 @@ def test_the_first_online_filter_loads_neither_scipy_nor_what_only_other_recipes
     assert loaded.isdisjoint({"scipy", "pywt", "sklearn"})
 
 
+@pytest.mark.parametrize("module", ["scipy", "vqf", "pdr_filter.filter", "pdr_filter.sensing", "pdr_filter.tracking"])
+def test_the_live_server_leaves_the_filter_to_its_workers_and_does_not_load(module: str) -> None:
+    assert module not in loaded_by("import pdr_filter.live.hub")
+
+
 @pytest.mark.parametrize("module", ["gtsam", "matplotlib", "sklearn", "scipy", "vqf", "pymap3d"])
 def test_the_help_of_the_command_does_not_load(module: str) -> None:
     statement = (

@@ -1,9 +1,9 @@
-"""Many recordings, on several processes or a Dask cluster."""
+"""Many recordings, on several processes or a Dask cluster.
 
-from pdr_filter.batch.batch_calibration import calibrate
-from pdr_filter.batch.progress import Progress
-from pdr_filter.batch.result_table import Row, Task, read_table
-from pdr_filter.batch.run import track
-from pdr_filter.batch.workers import Failure, each
+The public names are those of `__init__.pyi`. Each is loaded when it is first used: the live server needs the worker
+processes of this package and not the filter.
+"""
 
-__all__ = ["Failure", "Progress", "Row", "Task", "calibrate", "each", "read_table", "track"]
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import IO, Any
 
-from pdr_filter.batch.workers import reason_of
+from pdr_filter.batch.worker_process import reason_of
 from pdr_filter.io.files.safe_files import whole_file
 from pdr_filter.io.files.track_writers import pandas_for_parquet
 from pdr_filter.tracking.track import Track

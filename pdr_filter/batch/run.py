@@ -12,7 +12,8 @@ from typing import cast, get_args
 
 from pdr_filter.batch.progress import Clock, Progress
 from pdr_filter.batch.result_table import Row, Task, failed_row, opened, row_of, tables, write_parquet
-from pdr_filter.batch.workers import check_format, each, reason_of
+from pdr_filter.batch.worker_process import reason_of
+from pdr_filter.batch.workers import check_format, each
 from pdr_filter.filter.imm.weighting import WEIGHTINGS
 from pdr_filter.io.folders import recordings_of
 from pdr_filter.io.formats import read

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import os
-import pickle
-import signal
-import subprocess
-import sys
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from queue import Empty, SimpleQueue
+from functools import partial
+from queue import SimpleQueue
 from threading import Thread
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
+from pdr_filter.batch.worker_process import LostError, WorkerProcess, dask_errors, reason_of
 from pdr_filter.io.formats import FORMATS
 
 T = TypeVar("T")
 R = TypeVar("R")
 
-_MAX_REASON = 500
 _CONNECT_S = 20.0
 
 
@@ -47,7 +44,7 @@ def each(
         yield from _on_cluster(work, items, scheduler)
     elif jobs == 1:
         for i, item in enumerate(items):
-            yield _guarded(work, i, item)
+            yield i, _guarded(work, item)
     else:
         yield from _on_processes(work, items, jobs)
 
@@ -58,54 +55,44 @@ def check_format(file_format: str | None) -> None:
         raise ValueError(f"format is {file_format!r}; known are {', '.join(FORMATS)}")
 
 
-def reason_of(error: BaseException) -> str:
-    """What is wrong, in one line; the kind of error too unless its message was written for people."""
-    text = " ".join(str(error).split())
-    if not isinstance(error, ValueError) or not text:
-        text = f"{type(error).__name__}: {text}".rstrip(": ")
-    return text if len(text) <= _MAX_REASON else text[: _MAX_REASON - 3] + "..."
-
-
-def _guarded(work: Callable[[T], R], i: int, item: T) -> tuple[int, R | Failure]:
+def _guarded(work: Callable[[T], R], item: T) -> R | Failure:
     try:
-        return i, work(item)
+        return work(item)
     except Exception as error:
-        return i, Failure(reason_of(error))
+        return Failure(reason_of(error))
 
 
 def _on_processes(work: Callable[[T], R], items: Sequence[T], jobs: int) -> Iterator[tuple[int, R | Failure]]:
-    """One thread for each process, which it gives one item after the other: so it is known what a process died of.
+    """One thread for each process, which gives it one item after the other: so a death has a known item.
 
-    What was being done is done again in the end, alone: many large items at once are no failure, a second death is.
+    An item whose process died is tried again at the end, alone: several large items at once can exhaust the memory.
     """
     from joblib import cpu_count
 
     n_cores = int(cpu_count())
     n = min(n_cores if jobs == -1 else jobs, len(items))
-    todo, results = SimpleQueue[int](), SimpleQueue[tuple[int, Any]]()
-    for i in range(len(items)):
-        todo.put(i)
+    todo, results = deque(range(len(items))), SimpleQueue[tuple[int, Any]]()
     if getattr(work, "__module__", "") == "__main__":
         raise ValueError(f"{work!r} runs in other processes: put it into a module that they can import")
-    begin = pickle.dumps(work)
-    workers = [_BatchWorker(begin, max(n_cores // n, 1)) for _ in range(n)]
+    workers = [WorkerProcess(partial, _guarded, work, n_threads=max(n_cores // n, 1)) for _ in range(n)]
 
-    def run(worker: _BatchWorker) -> None:
-        with suppress(Empty):
+    def run(worker: WorkerProcess) -> None:
+        with suppress(IndexError):
             while True:
-                i = todo.get_nowait()
+                i = todo.popleft()
                 try:
-                    results.put(worker.done(i, items[i]))
-                except BaseException as error:  # whatever it is, somebody waits for this item
+                    results.put((i, worker.ask(items[i])))
+                except BaseException as error:  # of any kind: the loop below waits for this item
                     results.put((i, error))
 
     died: list[int] = []
     try:
         for worker in workers:
+            # A daemon, because the program must be able to end in the middle of an item.
             Thread(target=run, args=(worker,), daemon=True).start()
         for _ in items:
             i, result = results.get()
-            if isinstance(result, _DeathError):
+            if isinstance(result, LostError):
                 died.append(i)
             elif isinstance(result, BaseException):
                 raise result
@@ -113,103 +100,29 @@ def _on_processes(work: Callable[[T], R], items: Sequence[T], jobs: int) -> Iter
                 yield i, result
         for i in died:
             try:
-                yield workers[0].done(i, items[i])
-            except _DeathError as error:
-                yield i, Failure(f"its process died ({error}): too large, or it crashes it")
+                yield i, workers[0].ask(items[i])
+            except LostError as error:
+                yield i, Failure(f"its {error}: too large, or it crashes it")
     finally:
+        todo.clear()
         for worker in workers:
-            worker.kill()
-
-
-class _DeathError(Exception):
-    """A process has ended in the middle of an item."""
-
-
-class _BatchWorker:
-    """A process for one item after the other, started when it is needed, and again after its death.
-
-    Each end sees the death of the other as the end of a pipe that nobody else holds. There is no lock to be left
-    behind, and nothing to wait for.
-    """
-
-    def __init__(self, begin: bytes, n_threads: int) -> None:
-        self._begin = begin
-        self._environment = {**dict.fromkeys(_THREADS, str(n_threads)), **os.environ}
-        self._process: subprocess.Popen[bytes] | None = None
-
-    def done(self, i: int, item: Any) -> Any:
-        """What `_guarded` makes of an item; `_DeathError` if the process ends before."""
-        if self._process is None:
-            command = f"import sys; sys.path[:] = {sys.path!r}; from pdr_filter.batch.workers import serve; serve()"
-            pipe, environment = subprocess.PIPE, self._environment
-            self._process = subprocess.Popen([sys.executable, "-c", command], stdin=pipe, stdout=pipe, env=environment)
-            pieces = (self._begin, pickle.dumps((i, item)))
-        else:
-            pieces = (pickle.dumps((i, item)),)
-        to, answers = cast(Any, self._process.stdin), cast(Any, self._process.stdout)
-        try:
-            for piece in pieces:
-                pickle.dump(piece, to)
-            to.flush()
-            return pickle.load(answers)
-        except (OSError, EOFError, pickle.UnpicklingError) as error:
-            raise _DeathError(f"exit code {self.kill()}") from error
-
-    def kill(self) -> int | None:
-        """End the process; its exit code."""
-        process, self._process = self._process, None
-        if process is None:
-            return None
-        with process:
-            process.kill()
-        return process.returncode
-
-
-# Processes share the cores: numerical libraries of each take their part, as joblib has it.
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
-
-
-def serve() -> None:
-    """Loop of a process: a function, and then items, from standard input; what came of each to standard output."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # of the terminal: whoever started this process ends it
-    sources, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
-    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-    os.dup2(2, 1)  # what the work prints is no answer
-    pieces = SimpleQueue[bytes]()
-
-    def read() -> None:
-        try:
-            while True:
-                pieces.put(pickle.load(sources))
-        finally:  # whoever wanted the work is gone
-            os._exit(1)
-
-    Thread(target=read, daemon=True).start()
-    work = pickle.loads(pieces.get())
-    while True:
-        i, item = pickle.loads(pieces.get())
-        pickle.dump(_guarded(work, i, item), answers)
-        answers.flush()
+            worker.close()
 
 
 def _on_cluster(work: Callable[[T], R], items: Sequence[T], scheduler: str) -> Iterator[tuple[int, R | Failure]]:
-    try:
+    with dask_errors(scheduler):
         from distributed import Client, KilledWorker, as_completed
-    except ImportError as error:
-        raise ValueError("a scheduler needs Dask: pip install 'dask[distributed]'") from error
-    try:
+
         client: Any = Client(scheduler, timeout=_CONNECT_S, set_as_default=False)
-    except (OSError, TimeoutError, ValueError) as error:
-        raise ValueError(f"no Dask scheduler at {scheduler}: {reason_of(error)}") from error
     with client:
         # Not pure: Dask would otherwise give the result of an earlier call for the same path.
-        futures: list[Any] = [client.submit(_guarded, work, i, item, pure=False) for i, item in enumerate(items)]
+        futures: list[Any] = [client.submit(_guarded, work, item, pure=False) for item in items]
         number = {future.key: i for i, future in enumerate(futures)}
         finished: Any = as_completed(futures, with_results=True, raise_errors=False, loop=client.loop)
         for future, result in finished:
             i = number.pop(future.key)
             if future.status == "finished":
-                yield i, result[1]
+                yield i, result
             elif isinstance(error := _exception(result), KilledWorker):
                 # Dask gives up on what four workers in a row did not survive: not bad luck any more.
                 yield i, Failure("the workers that had it died: too large, or it crashes them")

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdr_filter.classifiers.softmax import softmax
 from pdr_filter.classifiers.trees import NO_CHILD, TreeMachine, Trees
 from pdr_filter.values import FloatArray
+from pdr_filter.values.mixtures import softmax
 
 if TYPE_CHECKING:
     from sklearn.ensemble import HistGradientBoostingClassifier

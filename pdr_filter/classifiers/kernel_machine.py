@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdr_filter.classifiers.base_classifier import Machine, row_by_row
-from pdr_filter.classifiers.softmax import softmax
 from pdr_filter.values import FloatArray, IntArray
+from pdr_filter.values.mixtures import softmax
 
 KERNELS = ("rbf", "linear")
 LINKS = ("sigmoid", "softmax")

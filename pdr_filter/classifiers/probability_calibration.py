@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.classifiers.softmax import softmax
 from pdr_filter.values import BoolArray, FloatArray, IntArray
+from pdr_filter.values.mixtures import softmax
 
 
 def tempered(prob: FloatArray, temperature: float) -> FloatArray:
@@ -28,15 +28,15 @@ def fit_temperature(prob: FloatArray, label: IntArray) -> float:
 
     The probabilities must be of people whom the classifier has not seen; of its own people it would find T = 1 or less.
     """
-    from scipy.optimize import minimize_scalar  # here, because who only classifies does not fit
+    # here, because a program that only classifies does not fit
+    from scipy.optimize import minimize_scalar
+    from scipy.special import log_softmax
 
     log_prob = np.log(np.maximum(prob, 1e-300))
 
     def log_loss(log_temperature: float) -> float:
-        scaled = log_prob / np.exp(log_temperature)
-        scaled -= scaled.max(axis=1, keepdims=True)
-        total = np.log(np.exp(scaled).sum(axis=1))
-        return float(-(scaled[np.arange(len(label)), label] - total).mean())
+        scaled = log_softmax(log_prob / np.exp(log_temperature), axis=1)
+        return float(-scaled[np.arange(len(label)), label].mean())
 
     found: Any = minimize_scalar(log_loss, bounds=(np.log(0.2), np.log(5.0)), method="bounded")
     return float(np.exp(found.x))

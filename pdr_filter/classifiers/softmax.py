@@ -8,12 +8,7 @@ import numpy as np
 
 from pdr_filter.classifiers.base_classifier import Machine
 from pdr_filter.values import FloatArray
-
-
-def softmax(logit: FloatArray) -> FloatArray:
-    """exp(t_k) / sum_j exp(t_j) over the last axis, without overflow."""
-    relative = np.exp(logit - logit.max(axis=-1, keepdims=True))
-    return relative / relative.sum(axis=-1, keepdims=True)
+from pdr_filter.values.mixtures import softmax
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pdr_filter.values import BoolArray, FloatArray, rigid_fit, wrap_angle
+from pdr_filter.values.interpolation import interpolated
 
 Alignment = Literal["none", "origin", "first", "all"]
 
@@ -28,10 +29,10 @@ def positions_at(
     track is in the frame of fixes or of a plan. There it is until the first time that is asked for, or the first step
     if that is earlier. After its last step it stays. Steps (K,), (K, 2) ascend in time.
     """
-    at = np.asarray(at_s, dtype=float)
+    at = np.atleast_1d(np.asarray(at_s, dtype=float))
     way_m = np.vstack([np.asarray(start_position_m, dtype=float), np.reshape(position_m, (-1, 2))])
     time = np.concatenate([[np.fmin.reduce(at, initial=np.min(time_s, initial=np.inf)) - 1e-3], time_s])
-    return np.column_stack([np.interp(at, time, way_m[:, k]) for k in (0, 1)])
+    return interpolated(at, time, way_m)
 
 
 def moved_m(

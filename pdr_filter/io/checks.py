@@ -69,8 +69,9 @@ def up_cosine(accelerometer: Samples, attitude: Samples) -> float:
     at_s, quaternion = attitude.time_s[known][order], attitude.values[known][order]
     index = np.minimum(np.searchsorted(at_s, accelerometer.time_s), len(at_s) - 1)
     near = np.abs(at_s[index] - accelerometer.time_s) < 0.3
-    up_sensor = rotation_matrix(quaternion[index])[:, 2]
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        unit = quaternion[index] / np.linalg.norm(quaternion[index], axis=1, keepdims=True)
+        up_sensor = rotation_matrix(unit)[:, 2]
         force = accelerometer.values
         cosine = (force * up_sensor).sum(axis=1) / np.sqrt(np.square(force).sum(axis=1))
     cosine = cosine[near & np.isfinite(cosine)]

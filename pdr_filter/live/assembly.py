@@ -15,8 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from pdr_filter.io.checks import up_cosine
 from pdr_filter.live.messages import FORCE, GRAVITY, LINEAR, RAW, Message, SensorRows
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Samples, limits, replace_unchecked
+from pdr_filter.values.interpolation import interpolated_near
 
 PRELUDE_S = 2.0
 # A phone without acceleration is told so; sensors of one phone start within a second or two.
@@ -28,8 +30,6 @@ _MAX_HELD_BYTES = 25 * 1024**2
 # Smaller overlaps of two messages are sensors that are read late. A set-back within a message needs as many samples
 # after it, because a single old sample is one that the phone remembered.
 _SET_BACK_S, _SET_BACK_SAMPLES = 1.0, 10
-# Gravity is interpolated to the times of the accelerometer as in the files of the same app, `io.apps.sensor_logger`.
-_GRAVITY_GAP_S = 0.3
 _GRAVITY_WAIT_S = 1.0
 # A value from longer before the first specific force is one that the phone remembered.
 _STALE_S = 60.0
@@ -289,8 +289,8 @@ def _with_gravity(
     if len(linear_s):
         newest_s = np.inf if is_last else max(newest_s, float(linear_s[-1]) - _GRAVITY_WAIT_S)
     ready = linear_s <= newest_s
-    force = values[ready] + _at_times(gravity_s, known, linear_s[ready])
-    begin_s = min([newest_s, *linear_s[~ready]]) - 2 * _GRAVITY_GAP_S
+    force = values[ready] + interpolated_near(linear_s[ready], gravity_s, known, limits.GRAVITY_GAP_S)
+    begin_s = min([newest_s, *linear_s[~ready]]) - 2 * limits.GRAVITY_GAP_S
     later = gravity_s >= begin_s
     state = replace_unchecked(
         state, linear_s=linear_s[~ready], linear=values[~ready], gravity_s=gravity_s[later], gravity=known[later]
@@ -303,17 +303,6 @@ def _appended(time_s: FloatArray, values: FloatArray, rows: Samples | None) -> t
     if rows is None:
         return time_s, values
     return np.concatenate([time_s, rows.time_s]), np.concatenate([values, rows.values])
-
-
-def _at_times(known_s: FloatArray, known: FloatArray, at_s: FloatArray) -> FloatArray:
-    """Values interpolated linearly, NaN where nothing is near."""
-    if len(known_s) == 0:
-        return np.full((len(at_s), 3), np.nan)
-    values = np.column_stack([np.interp(at_s, known_s, known[:, i]) for i in range(3)])
-    right = np.clip(np.searchsorted(known_s, at_s), 0, len(known_s) - 1)
-    left = np.maximum(right - 1, 0)
-    gap_s = np.minimum(np.abs(known_s[right] - at_s), np.abs(known_s[left] - at_s))
-    return np.where(gap_s[:, None] <= _GRAVITY_GAP_S, values, np.nan)
 
 
 def seconds(rows: SensorRows, zero_ns: int) -> FloatArray:
@@ -405,7 +394,8 @@ def _scale(force: str, first: Mapping[str, SensorRows | None], platform: str) ->
     if force == RAW and limits.G_RANGE[0] <= size <= limits.G_RANGE[1]:
         return -STANDARD_GRAVITY_MPS2, "g, so iOS: sign turned"
     attitude = first["attitude"]
-    up = np.nan if attitude is None else _up_cosine(rows, attitude)
+    zero = 0 if rows.time.dtype.kind == "f" else int(rows.time[0])
+    up = np.nan if attitude is None else up_cosine(*(Samples(seconds(r, zero), r.values) for r in (rows, attitude)))
     if up > limits.UP_COSINE_DOUBTFUL:
         return unit, "sign as it is, by the phone's own attitude"
     if up < limits.UP_COSINE_WRONG_SIGN:
@@ -416,13 +406,3 @@ def _scale(force: str, first: Mapping[str, SensorRows | None], platform: str) ->
         "iOS and Android have opposite signs, and nothing says which phone this is; switch on Orientation in the app, "
         "or start the server with --platform ios or --platform android"
     )
-
-
-def _up_cosine(force: SensorRows, attitude: SensorRows) -> float:
-    """Mean cosine between specific force, turned into the world by the nearest attitude, and up."""
-    at = np.clip(np.searchsorted(attitude.time, force.time), 0, len(attitude.time) - 1)
-    w, x, y, z = attitude.values[at].T
-    up = np.column_stack([2 * (x * z - w * y), 2 * (y * z + w * x), w**2 - x**2 - y**2 + z**2])
-    norm = np.linalg.norm(force.values, axis=1) * np.linalg.norm(up, axis=1)
-    cosine = (force.values * up).sum(axis=1) / np.where(norm > 0, norm, np.nan)
-    return float(np.nanmean(cosine)) if np.isfinite(cosine).any() else np.nan

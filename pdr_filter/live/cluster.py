@@ -13,9 +13,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from pdr_filter.batch.worker_process import LostError, dask_errors
 from pdr_filter.live.parts import Part, Request, Said, Save
 from pdr_filter.live.settings import Settings
-from pdr_filter.live.workers import LostError
 
 _CONNECT_S = 20.0
 # A worker whose machine has lost its power breaks no connection.
@@ -33,16 +33,12 @@ class DaskCluster:
 
     async def connect(self) -> None:
         """Return when the scheduler has answered; ValueError if it does not."""
-        try:
+        with dask_errors(self._scheduler):
             from distributed import Client
-        except ImportError as error:
-            raise ValueError("a scheduler needs Dask: pip install 'dask[distributed]'") from error
-        # an actor finds its way by the client that is the default
-        made: Any = Client(self._scheduler, asynchronous=True, direct_to_workers=True, timeout=_CONNECT_S)
-        try:
+
+            # an actor finds its way by the client that is the default
+            made: Any = Client(self._scheduler, asynchronous=True, direct_to_workers=True, timeout=_CONNECT_S)
             self._client = await made
-        except (OSError, TimeoutError, ValueError) as error:
-            raise ValueError(f"no Dask scheduler at {self._scheduler}: {error}") from error
 
     async def start(self, part: int, n_parts: int) -> Actor:
         """Start a share at one of the workers, in turn."""
@@ -79,7 +75,7 @@ class Actor:
 
     def __init__(self, future: Any, actor: Any, address: str) -> None:
         self._future = future  # the actor lives as long as this reference
-        self._actor, self.place = actor, address
+        self._actor, self._address = actor, address
 
     async def ask(self, requests: Sequence[Request]) -> list[Said]:
         """Return an answer to each request; LostError if the worker is gone."""
@@ -92,14 +88,14 @@ class Actor:
                 break
         if not asked.done():
             asked.cancel()
-            raise LostError(f"{self.place} is gone")
+            raise LostError(f"{self._address} is gone")
         return asked.result()
 
     async def _asked(self, requests: Sequence[Request]) -> list[Said]:
         try:
             return await self._actor.answer(list(requests))
         except Exception as error:  # a lost worker raises many kinds
-            raise LostError(f"{self.place} is gone: {error}") from error
+            raise LostError(f"{self._address} is gone: {error}") from error
 
     async def close(self) -> None:
         """Save everything and end the actor."""

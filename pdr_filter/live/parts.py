@@ -6,10 +6,8 @@ It answers requests in their order, and returns events for pages with the answer
 from __future__ import annotations
 
 import json
-import signal
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -136,13 +134,8 @@ def _refusal(error: Exception) -> Answer:
     return Answer(status, {"error": str(error)})
 
 
-def serve(connection: Connection, settings: Settings, folder: Path, part: int, n_parts: int) -> None:
-    """Answer requests from a connection until its other end is closed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal sends it to all processes, and the server ends this one
-    devices = Part(settings, folder, part, n_parts)
-    try:
-        connection.send([])  # ready
-        while True:
-            connection.send(devices.answer(connection.recv()))
-    except (EOFError, OSError):
-        devices.answer([Save()])
+def answers_of_part(
+    settings: Settings, folder: Path, part: int, n_parts: int
+) -> Callable[[Sequence[Request]], list[Said]]:
+    """Return the function with which a process answers the requests for a part, which it loads."""
+    return Part(settings, folder, part, n_parts).answer

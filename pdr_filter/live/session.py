@@ -30,6 +30,7 @@ from pdr_filter.tracking.georeferencing import live_config
 from pdr_filter.tracking.online import OnlineFilter
 from pdr_filter.values import FixResult, PositionFix, Samples, limits
 from pdr_filter.values import serialisation as serialise
+from pdr_filter.values.interpolation import interpolated
 from pdr_filter.values.recording import Recording
 from pdr_filter.values.sanitise import file_name
 
@@ -334,9 +335,9 @@ class DeviceSession:
         rows = np.column_stack([path.time_s, path.position_m])[: path.n_steps]
         if not len(rows) or not self._drawn:
             return []
-        time_s, *drawn_m = np.array(self._drawn).T
-        off_m = [np.interp(time_s, rows[:, 0], rows[:, k + 1]) - drawn_m[k] for k in (0, 1)]
-        if np.hypot(*off_m).max() <= _CORRECTED_M:
+        drawn = np.array(self._drawn)
+        off_m = interpolated(drawn[:, 0], rows[:, 0], rows[:, 1:]) - drawn[:, 1:]
+        if np.hypot(*off_m.T).max() <= _CORRECTED_M:
             return []
         self._drawn = rows.tolist()
         return [self._drawn_path()]

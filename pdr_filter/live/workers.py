@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import multiprocessing
 import time
 from collections import deque
 from collections.abc import Awaitable, Callable, Sequence
@@ -18,9 +17,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Protocol
 
-from pdr_filter.live.parts import Answer, Request, Said, Take, Tick, Whole, serve
+from pdr_filter.batch.worker_process import LostError, WorkerProcess
+from pdr_filter.live.parts import Answer, Request, Said, Save, Take, Tick, Whole, answers_of_part
 from pdr_filter.live.settings import Event, Settings, part_of
 
 # Requests that wait for one worker at most: a second of 200 phones that send five times a second.
@@ -37,22 +37,11 @@ _LONGEST_WAIT_S = 30.0
 # Phones wait for an answer as long as a worker takes to start; most apps give up after half a minute.
 _PATIENCE_S = 10.0
 
-
-T = TypeVar("T")
 _LOG = logging.getLogger(__name__)
-
-
-class LostError(ConnectionError):
-    """Process or actor that has died, or does not answer."""
 
 
 class Share(Protocol):
     """Share of the devices, in a process or an actor."""
-
-    @property
-    def place(self) -> str:
-        """Name of the process or the machine."""
-        ...
 
     async def ask(self, requests: Sequence[Request]) -> list[Said]:
         """Return an answer to each request; LostError if the share is gone. One call at a time."""
@@ -67,44 +56,24 @@ class Process:
     """Share in a process of this machine."""
 
     def __init__(self, settings: Settings, folder: Path, part: int, n_parts: int) -> None:
-        context = multiprocessing.get_context("spawn")
-        self._connection, theirs = context.Pipe()
-        self._process = context.Process(target=serve, args=(theirs, settings, folder, part, n_parts), daemon=True)
-        self._process.start()
-        theirs.close()
+        self._process = WorkerProcess(answers_of_part, settings, folder, part, n_parts)
         self._thread = ThreadPoolExecutor(1)  # not the shared pool, in which other calls may block
 
     @classmethod
     async def start(cls, settings: Settings, folder: Path, part: int, n_parts: int) -> Process:
         """Return a new process that is ready for requests."""
         made = cls(settings, folder, part, n_parts)
-        await made._done(made._connection.recv)
+        await made.ask([])
         return made
-
-    @property
-    def place(self) -> str:
-        """Name of the process."""
-        return f"process {self._process.pid}"
 
     async def ask(self, requests: Sequence[Request]) -> list[Said]:
         """Return an answer to each request; LostError if the process is gone."""
-
-        def exchanged() -> list[Said]:
-            self._connection.send(requests)
-            return self._connection.recv()
-
-        return await self._done(exchanged)
+        return await asyncio.get_running_loop().run_in_executor(self._thread, self._process.ask, requests)
 
     async def close(self) -> None:
-        """Let the process save everything and end."""
-        self._connection.close()
-        await asyncio.get_running_loop().run_in_executor(self._thread, self._process.join, _START_S)
-
-    async def _done(self, work: Callable[[], T]) -> T:
-        try:
-            return await asyncio.get_running_loop().run_in_executor(self._thread, work)
-        except (EOFError, OSError) as error:
-            raise LostError(f"{self.place} is gone") from error
+        """Save everything and end the process."""
+        await self.ask([Save()])
+        self._process.close()
 
 
 @dataclass(slots=True, eq=False)

@@ -64,6 +64,8 @@ from pdr_filter.values import (
     repetition,
     wrap_angle,
 )
+from pdr_filter.values.interpolation import interpolated
+from pdr_filter.values.mixtures import log_sum, softmax
 
 # Side of the cells in which particles are counted for their number: metres, and a twelfth of a circle.
 _COUNT_M, _COUNT_RAD = 1.0, math.pi / 6
@@ -263,7 +265,7 @@ class ParticleFilter:
             return self._from_tracker(state, pedestrian, ground, rng, 0.0)
         if len(state.weight) == 0:
             return state
-        x, then = state.particles, [np.interp(fix.time_s, state.way[:, 0], state.way[:, k]) for k in (1, 2, 3)]
+        x, then = state.particles, interpolated(fix.time_s, state.way[:, 0], state.way[:, 1:4])
         if isinstance(fix, HeadingFix):
             error = wrap_angle(fix.walking_heading_rad - then[2] - x[:, OFFSET])
             state, _ = _weighed(state, -0.5 * (error / fix.std_rad) ** 2)
@@ -292,7 +294,7 @@ class ParticleFilter:
         if passage.how != "lift" or ground is None or len(state.weight) == 0 or len(state.way) == 0:
             return state
         rng, state = self._random(state)
-        then_m = np.array([np.interp(passage.end_s, state.way[:, 0], state.way[:, k]) for k in (1, 2)])
+        then_m = interpolated(passage.end_s, state.way[:, 0], state.way[:, 1:3])
         out_m = backwards(state.particles, state.way[-1, 1:3] - then_m)
         state, _ = _weighed(state, -ground.lift_costs(out_m))
         state = replace(state, parent=np.arange(len(state.weight)))
@@ -487,9 +489,7 @@ def _weighed(state: ParticleState, log_weight: FloatArray) -> tuple[ParticleStat
     """State with log weights (N,) on top, and the logarithm of the mean weight that these were."""
     with np.errstate(divide="ignore"):
         total = np.log(state.weight) + log_weight
-    top = float(total.max())
-    weight = np.exp(total - top)
-    return replace(state, weight=weight / weight.sum()), top + math.log(float(weight.sum()))
+    return replace(state, weight=softmax(total)), log_sum(total)
 
 
 def _n_effective(state: ParticleState) -> float:

@@ -17,6 +17,7 @@ from pdr_filter.report import palette
 from pdr_filter.report.geometry import ellipse_axes, ellipse_rows, places_at, storeys_of, window_starts
 from pdr_filter.tracking.trust_report import FARTHEST_M
 from pdr_filter.values import BoolArray, FloatArray, IntArray, TrackRows, rigid_fit
+from pdr_filter.values.interpolation import interpolated
 from pdr_filter.values.recording import Recording
 
 # Rows of all tracks of a page together: 120 bytes a step and 25 a window or a point make less than 1.3 MB.
@@ -185,7 +186,7 @@ def _truth(track: TrackRows, recording: Recording, shown: IntArray) -> dict[str,
     rows = _every(len(time_s), _MAX_POINTS)
     found: dict[str, Any] = {"truth": _points(way_m[rows]) | {"points": position is None}}
     if position is not None:
-        true_m = np.column_stack([np.interp(track.time_s[shown], time_s, way_m[:, k]) for k in (0, 1)])
+        true_m = interpolated(track.time_s[shown], time_s, way_m)
         found["from_truth"] = _column(np.linalg.norm(track.position_m[shown] - true_m, axis=1), 2)
     return found
 
@@ -194,7 +195,7 @@ def _positions_at(track: TrackRows, shown: IntArray, at_s: FloatArray) -> FloatA
     """Where the shown steps are at any times, (T, 2)."""
     time_s = np.append(track.start_time_s, track.time_s[shown])
     way_m = np.vstack([track.start_position_m, track.position_m[shown]])
-    return np.column_stack([np.interp(at_s, time_s, way_m[:, k]) for k in (0, 1)])
+    return interpolated(at_s, time_s, way_m)
 
 
 def _locations(track: TrackRows, recording: Recording) -> dict[str, Any]:

@@ -37,6 +37,7 @@ import numpy as np
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.heading.heading_offset import UNKNOWN_VAR_RAD2
 from pdr_filter.values import FloatArray, check_numbers, read_only, replace_unchecked
+from pdr_filter.values.mixtures import combine, possible_outlier
 
 # State of each Kalman filter: bias about x, y, z of the sensor in rad/s; direction of the magnetic field in the
 # attitude's frame, and by how much the corrected heading is too large, in rad, clockwise.
@@ -401,19 +402,17 @@ def _update(
 ) -> tuple[_Bank, float]:
     """The bank after a measurement of a number h x, (5,), and the probability that it is no outlier.
 
-    Innovations are (M,). With g = P h, S = h' g + `variance`, y / S = d and the probability w of an inlier:
-    x = x + w d g; P = P + w ((1 - w) d^2 - 1 / S) g g'.
+    Innovations are (M,). g = P h, S = h' g + `variance` (`values.mixtures.possible_outlier`).
     """
     mean, cov, log_weight = bank
     g = cov @ h
     S = g.dot(h) + variance
     shift = innovation / S
     log_in = math.log1p(-outlier_prob) - 0.5 * (np.log(S) + innovation * shift)
-    log_both = np.logaddexp(log_in, math.log(outlier_prob) + outlier_log_density)
-    inlier = np.exp(log_in - log_both)
-    mean = mean + (inlier * shift)[:, None] * g
-    learnt = inlier * ((1.0 - inlier) * shift * shift - 1.0 / S)
-    cov = cov + (learnt[:, None] * g)[:, :, None] * g[:, None, :]
+    log_out = math.log(outlier_prob) + outlier_log_density
+    log_both, inlier, by_mean, by_cov = possible_outlier(log_in, log_out, shift, S)
+    mean = mean + by_mean[:, None] * g
+    cov = cov + (by_cov[:, None] * g)[:, :, None] * g[:, None, :]
     log_weight = _relative(log_weight + log_both)
     weight = np.exp(log_weight)
     return (mean, cov, log_weight), float(weight.dot(inlier)) / float(np.add.reduce(weight))
@@ -487,11 +486,7 @@ def _mixture(bank: _Bank) -> tuple[FloatArray, FloatArray]:
     """Mean (5,) and covariance (5, 5) over the bank."""
     mean, cov, log_weight = bank
     weight = np.exp(log_weight)
-    weight = weight / np.add.reduce(weight)
-    of_all = weight.dot(mean)
-    away = mean - of_all
-    within = weight.dot(cov.reshape(len(cov), -1)).reshape(_N_STATES, _N_STATES)
-    return of_all, within + (weight[:, None] * away).T.dot(away)
+    return combine(mean, cov, weight / np.add.reduce(weight))
 
 
 def _direction(bank: _Bank) -> tuple[float, float]:

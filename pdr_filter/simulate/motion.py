@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from pdr_filter.simulate.gait import CONTEXT_GAITS, FORCE_POWER, Gait, Leg, StepPlan, nominal_step
 from pdr_filter.simulate.strides import FORCE, N_HARMONICS, TURN, Strides, of_person, usual_force_mps2, waveform
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray
+from pdr_filter.values.interpolation import interpolated
 
 GRID_HZ = 1000.0
 # The grid begins and ends this much outside the walk, so that every sensor's clock may.
@@ -104,7 +105,7 @@ class Motion:
 
     def body_at(self, time_s: FloatArray) -> FloatArray:
         """Body: east, north, height of the ground, (N, 3)."""
-        return np.stack([np.interp(time_s, self.grid_s, column) for column in self.body_position_m.T], axis=1)
+        return interpolated(time_s, self.grid_s, self.body_position_m)
 
 
 def _about(axis: str, angle_rad: FloatArray) -> Rotation:

@@ -17,6 +17,7 @@ from pdr_filter.filter.height.height_filter import HeightState
 from pdr_filter.filter.imm.pedestrian_state import StepUpdate
 from pdr_filter.tracking.filtering import Output, State
 from pdr_filter.values import FixOutcome, FixResult, FloatArray, PositionFix, Samples, read_only
+from pdr_filter.values.interpolation import interpolated
 from pdr_filter.values.recording import Recording
 
 # Locations that turn and shift a track: of more, as many at even intervals. The effort grows with their fourth power.
@@ -45,9 +46,8 @@ class Way:
 
     def at(self, time_s: float) -> tuple[FloatArray, float]:
         """Position (2,) and variance at a time."""
-        values = np.column_stack([self.position_m, self.walked_var_m2])
-        east_m, north_m, var_m2 = (float(np.interp(time_s, self.time_s, values[:, k])) for k in range(3))
-        return read_only(np.array([east_m, north_m])), var_m2
+        place = interpolated(time_s, self.time_s, np.column_stack([self.position_m, self.walked_var_m2]))
+        return read_only(place[:2]), float(place[2])
 
     def own_var_m2(self, agreeing: Sequence[PairedPoint]) -> FloatArray:
         """Variance (K,) that each step's own way adds to the error of an alignment by pairs.

@@ -50,6 +50,8 @@ MAX_TEXT_CHARS = 500
 GAP_S = 0.3
 # A slow sensor (1 Hz GNSS) has a gap only where samples are missing, so where an interval is this many usual ones.
 GAP_INTERVALS = 2.5
+# Gravity is interpolated to the times of the accelerometer; within this it turns by less than a step's swing.
+GRAVITY_GAP_S = 0.3
 
 # Nothing measured is larger; up to here squares and sums of squares stay finite.
 LARGEST_VALUE = 1e30

@@ -573,6 +573,34 @@ def test_workers_end_with_the_process_that_started_them_in_the_middle_of_their_w
         time.sleep(0.05)
 
 
+CLOSED_EARLY = """
+import jobs, time
+from pdr_filter import batch
+results = batch.each(jobs.pid_after, [0.01, 300.0, 0.01, 300.0], jobs=2)
+print(next(results)[1], flush=True)
+results.close()
+time.sleep(300)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs the lists of processes of Linux")
+def test_results_that_are_closed_early_end_their_processes_and_start_none_again() -> None:
+    running = script(CLOSED_EARLY)
+    try:
+        assert running.stdout is not None
+        assert int(running.stdout.readline())
+        deadline = time.monotonic() + 20
+        n_idle, children = 0, list[list[str]]()
+        while n_idle < 10:  # half a second without a process
+            assert time.monotonic() < deadline, children
+            children = [c.read_text().split() for c in Path(f"/proc/{running.pid}/task").glob("*/children")]
+            n_idle = 0 if any(children) else n_idle + 1
+            time.sleep(0.05)
+    finally:
+        running.kill()
+        running.wait()
+
+
 def test_what_the_work_prints_and_raises_does_not_disturb_the_results(capfd: pytest.CaptureFixture[str]) -> None:
     assert dict(batch.each(print, ["loud", "louder"], jobs=2)) == {0: None, 1: None}
     assert sorted(capfd.readouterr().err.split()) == ["loud", "louder"]

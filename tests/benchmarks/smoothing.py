@@ -65,12 +65,6 @@ def coverage(tables: Tables, arguments: argparse.Namespace) -> None:
     tables.write("smoothing_coverage", [*columns, "good fixes lost"], rows, "300 simulated walks a row.")
 
 
-def at_times(track: pdr.Track, start_m: np.ndarray, times: np.ndarray) -> np.ndarray:
-    time_s = np.concatenate([[min(times[0], track.time_s[0]) - 1e-3], track.time_s])
-    position = np.vstack([start_m, track.position_m])
-    return np.column_stack([np.interp(times, time_s, position[:, k]) for k in (0, 1)])
-
-
 def real(tables: Tables, arguments: argparse.Namespace) -> None:
     walks = list(recordings(arguments.data, "humolire"))
     columns: dict[str, dict[str, str]] = {}
@@ -84,7 +78,7 @@ def real(tables: Tables, arguments: argparse.Namespace) -> None:
             times, places = np.array([p.time_s for p in points]), np.array([p.position_m for p in points])
             other = np.arange(len(points)) % 3 > 0
             alone = pdr.track(recording)
-            estimate_m = at_times(alone, np.zeros(2), times)
+            estimate_m = evaluate.positions_at(alone.time_s, alone.position_m, times)
             turned = evaluate.fitted(places, estimate_m, ~other)
             bad = rng.choice(np.flatnonzero(~other)) if wild else -1
             angle = rng.uniform(0, 2 * np.pi)
@@ -102,13 +96,19 @@ def real(tables: Tables, arguments: argparse.Namespace) -> None:
                 "this smoother": (result.track, result.start_position_m, places),
             }
             for name, (track, start_m, reference) in tracks.items():
-                error = at_times(track, start_m, times) - reference
+                error = evaluate.positions_at(track.time_s, track.position_m, times, start_m) - reference
                 rows.setdefault(name, []).append(float(np.sqrt(np.square(error[other]).sum(axis=1).mean())))
                 legs = recording.truth.segments
-                ends = [at_times(track, start_m, np.asarray(t)) for t in (legs.start_s, legs.end_s)]
+                ends = [
+                    evaluate.positions_at(track.time_s, track.position_m, t, start_m)
+                    for t in (legs.start_s, legs.end_s)
+                ]
                 length = np.linalg.norm(ends[1] - ends[0], axis=1)
                 walked.setdefault(name, []).append(100 * float(length.sum() / legs.distance_m.sum() - 1))
-            error = at_times(result.track, result.start_position_m, times) - places
+            error = (
+                evaluate.positions_at(result.track.time_s, result.track.position_m, times, result.start_position_m)
+                - places
+            )
             nearest = np.clip(np.searchsorted(result.track.time_s, times), 0, result.track.n_steps - 1)
             cov = result.track.position_cov_m2[nearest] + 0.3**2 * np.eye(2)  # clicks are good to a third of a metre
             covered.append(np.einsum("ka,kab,kb->k", error, np.linalg.inv(cov), error)[other] < 5.991)

@@ -70,9 +70,10 @@ class Server:
     @property
     def children(self) -> list[int]:
         """The workers."""
-        listed = Path(f"/proc/{self.pid}/task/{self.pid}/children").read_text().split()
+        threads = Path(f"/proc/{self.pid}/task").glob("*/children")  # each lists the processes that it has started
+        listed = [pid for thread in threads for pid in thread.read_text().split()]
         names = {int(pid): Path(f"/proc/{pid}/cmdline").read_bytes() for pid in listed}
-        return [pid for pid, name in names.items() if b"spawn_main" in name]
+        return [pid for pid, name in names.items() if b"worker_process" in name]
 
     def end(self) -> int:
         """End it as Ctrl+C does."""

@@ -184,9 +184,3 @@ def test_values_that_the_phone_remembered_are_left_out(walk: Recording) -> None:
     _, expected = assembled(sensor_logger_messages(walk)[:20])
     for name in found:
         np.testing.assert_array_equal(found[name], expected[name])
-
-
-def test_gravity_is_unknown_where_none_is_near() -> None:
-    known = np.array([[0.0, 0.0, 9.0], [0.0, 0.0, 10.0], [0.0, 0.0, 10.0]])
-    found = assembly._at_times(np.array([0.0, 0.2, 5.0]), known, np.array([0.1, 0.45, 2.0, 4.8]))
-    np.testing.assert_allclose(found[:, 2], [9.5, 10.0, np.nan, 10.0])

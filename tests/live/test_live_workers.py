@@ -5,15 +5,14 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Sequence
 
+from pdr_filter.batch.worker_process import LostError
 from pdr_filter.live.messages import Message
 from pdr_filter.live.parts import Answer, Request, Said, Take
-from pdr_filter.live.workers import LostError, Workers
+from pdr_filter.live.workers import Workers
 
 
 class Mortal:
     """A share that a message can kill, and that keeps what it has taken elsewhere."""
-
-    place = "here"
 
     def __init__(self, taken: list[bytes], shares: list[Mortal]) -> None:
         self.taken = taken

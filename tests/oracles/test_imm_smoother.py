@@ -8,6 +8,7 @@ from filterpy.kalman import KalmanFilter
 from scipy.stats import multivariate_normal
 
 from pdr_filter.filter.imm import imm
+from pdr_filter.values import mixtures
 from tests.oracles.imm_smoother import ModeEstimates, Transition, smooth_imm
 
 H = np.array([[1.0, 0.0]])
@@ -27,7 +28,7 @@ def forward(
             mean, cov = imm.predict(origin, mixed_cov, F, Q)
             transitions.append(Transition(M, origin, mean, F, Q))
         mean, cov, log_likelihood, _ = imm.update(mean, cov, np.array([z]), H, R)
-        prob = imm.update_mode_prob(prob, log_likelihood)
+        prob = mixtures.posterior_prob(prob, log_likelihood)
         filtered.append(ModeEstimates(mean, cov, prob))
     return filtered, transitions
 
@@ -93,7 +94,7 @@ def test_modes_that_move_alike_are_smoothed_as_by_forward_and_backward(seed: int
         if k:
             prob = prob @ M
             transitions.append(Transition(M, np.zeros((3, 1)), np.zeros((3, 1)), still, still))
-        prob = imm.update_mode_prob(prob, log_likelihood)
+        prob = mixtures.posterior_prob(prob, log_likelihood)
         filtered.append(ModeEstimates(np.zeros((3, 1)), still, prob))
     alpha, beta = [prior * np.exp(evidence[0])], [np.ones(3)]
     for log_likelihood in evidence[1:]:

@@ -24,6 +24,7 @@ from numpy.random import Generator
 from pdr_filter.filter.fixes.alignment import Alignment, Place, turned_cov
 from pdr_filter.filter.imm.motion_model import MAX_HEADING_VARIANCE
 from pdr_filter.values import ComplexArray, FloatArray, error_correlation, read_only, wrap_angle
+from pdr_filter.values.mixtures import softmax
 
 # A density this narrow (one standard deviation, 15 degrees) is a rotation: the filter refines it linearly.
 MAX_ANGLE_STD_RAD = 0.26
@@ -258,8 +259,8 @@ def _open_turn(fit: _Fit) -> OpenTurn:
     of_pairs, power = fit.squares - fit.of_north, 0.5 * (_FREE + 2 * len(fit.pairs) - 2)
     least = float(of_pairs.min())
     too_small = max(n_free(fit.pairs) - least, 0.0)  # errors are not smaller than they are said to be
-    prob = _normalised_exp(-0.5 * fit.of_north - power * np.log(_FREE + too_small + of_pairs))
-    normal_prob = _normalised_exp(-0.5 * fit.squares)
+    prob = softmax(-0.5 * fit.of_north - power * np.log(_FREE + too_small + of_pairs))
+    normal_prob = softmax(-0.5 * fit.squares)
     return OpenTurn(prob, normal_prob, *_centres(fit), scatter(least, n_free(fit.pairs)) * fit.shift_var_m2)
 
 
@@ -280,10 +281,6 @@ def scatter(squares: float, n_errors: int, n_before: int = 0) -> float:
     `n_before` errors were as large as they are said to be.
     """
     return max((_FREE + n_before + squares) / (_FREE + n_before + n_errors), 1.0)
-
-
-def _normalised_exp(log_prob: FloatArray) -> FloatArray:
-    return _normalised(np.exp(log_prob - log_prob.max()))
 
 
 def _normalised(prob: FloatArray) -> FloatArray:

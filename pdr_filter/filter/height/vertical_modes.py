@@ -24,6 +24,7 @@ import numpy as np
 
 from pdr_filter.sensing.features.barometer import RISER_M
 from pdr_filter.values import FloatArray, read_only
+from pdr_filter.values.mixtures import softmax
 
 _ONE, _CLIMBED, _RATE, _SLOPED, _AIR = range(5)
 LEVEL, SLOPE, UP, DOWN, LIFT, JUMP, DRIFT = range(7)
@@ -157,8 +158,8 @@ def after_second(
     if n_steps == 0:
         log_likelihood[UP : DOWN + 1] += _NO_STEP_ON_STAIRS
     log_posterior = np.log(prob) + log_likelihood
-    relative = np.exp(np.maximum(log_posterior - log_posterior.max(), _LEAST_LOG_PROB))
-    return updated * (relative / np.add.reduce(relative))[:, None, None]
+    prob = softmax(np.maximum(log_posterior - log_posterior.max(), _LEAST_LOG_PROB))
+    return updated * prob[:, None, None]
 
 
 def after_step(moments: FloatArray, rise_m: float, climbed_var_m2: float, sloped_var_m2: float) -> FloatArray:

@@ -23,6 +23,7 @@ import numpy as np
 from filterpy.kalman import IMMEstimator, KalmanFilter
 
 from pdr_filter.values import FloatArray
+from pdr_filter.values.mixtures import softmax
 
 
 class MendedIMMEstimator(IMMEstimator):  # filterpy has no types
@@ -47,8 +48,7 @@ class MendedIMMEstimator(IMMEstimator):  # filterpy has no types
         with np.errstate(divide="ignore"):
             log_posterior = np.log(self.mu) + log_likelihood
         if np.isfinite(log_posterior.max()):
-            relative = np.exp(log_posterior - log_posterior.max())
-            self.mu = relative / relative.sum()
+            self.mu = softmax(log_posterior)
         self._compute_state_estimate()
         self.x_post, self.P_post = self.x.copy(), self.P.copy()
 
@@ -87,21 +87,21 @@ def update(
     return *_estimates(filters), log_likelihood, np.array([float(kalman.mahalanobis) ** 2 for kalman in filters])
 
 
-def update_mode_prob(predicted_mode_prob: FloatArray, log_likelihood: FloatArray) -> FloatArray:
-    """As `pdr_filter.filter.imm.imm.update_mode_prob`."""
-    n_modes = len(predicted_mode_prob)
+def update_mode_prob(prior_prob: FloatArray, log_likelihood: FloatArray) -> FloatArray:
+    """As `pdr_filter.values.mixtures.posterior_prob`."""
+    n_modes = len(prior_prob)
     if n_modes == 1:
-        return predicted_mode_prob
-    imm = estimator(np.zeros((n_modes, 1)), np.zeros((n_modes, 1, 1)), predicted_mode_prob, np.eye(n_modes))
+        return prior_prob
+    imm = estimator(np.zeros((n_modes, 1)), np.zeros((n_modes, 1, 1)), prior_prob, np.eye(n_modes))
     imm.weigh(log_likelihood)
     return imm.mu
 
 
-def combine(mean: FloatArray, cov: FloatArray, mode_prob: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """As `pdr_filter.filter.imm.imm.combine`."""
+def combine(mean: FloatArray, cov: FloatArray, prob: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """As `pdr_filter.values.mixtures.combine`."""
     if len(mean) == 1:
         return mean[0], cov[0]
-    imm = estimator(mean, cov, mode_prob, np.eye(len(mean)))
+    imm = estimator(mean, cov, prob, np.eye(len(mean)))
     return imm.x, imm.P
 
 

@@ -8,13 +8,13 @@ interacting multiple model algorithm for systems with Markovian switching coeffi
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from pdr_filter.values import FloatArray, check_transition_prob
+from pdr_filter.values.mixtures import combine, posterior_prob, product
 
 _LOG_2_PI = float(np.log(2 * np.pi))
 
@@ -30,9 +30,9 @@ def mix(
     """
     *batch, n_modes, n = mean.shape
     from_source, predicted = _mixing_weights(mode_prob, transition_prob)
-    mixed_mean = _product(from_source, mean)
+    mixed_mean = product(from_source, mean)
     spread = mean[..., None, :, :] - mixed_mean[..., :, None, :]  # (..., j, i, n)
-    mixed_cov = _product(from_source, cov.reshape(*batch, n_modes, n * n)).reshape(cov.shape)
+    mixed_cov = product(from_source, cov.reshape(*batch, n_modes, n * n)).reshape(cov.shape)
     mixed_cov += (spread * from_source[..., None]).swapaxes(-1, -2) @ spread
     return mixed_mean, mixed_cov, predicted
 
@@ -101,25 +101,6 @@ def _inverse(S: FloatArray) -> tuple[FloatArray, FloatArray]:
     return adjugate / det[..., None, None], np.log(det)
 
 
-def update_mode_prob(predicted_mode_prob: FloatArray, log_likelihood: FloatArray) -> FloatArray:
-    """Posterior mode probabilities, shape (..., M). A mode with prior zero stays at zero.
-
-    Evidence that is not a number, or that rules out every mode, says nothing: the prediction is returned.
-    """
-    with np.errstate(divide="ignore"):
-        log_posterior = np.log(predicted_mode_prob) + log_likelihood
-    highest = np.maximum.reduce(log_posterior, axis=-1, keepdims=True)  # NaN if any is
-    if all(map(math.isfinite, highest.ravel().tolist())):
-        relative = np.exp(log_posterior - highest)
-        return relative / np.add.reduce(relative, axis=-1, keepdims=True)
-    is_finite = np.isfinite(highest)
-    if not is_finite.any():
-        return predicted_mode_prob
-    above = log_posterior - np.where(is_finite, highest, 0.0)
-    relative = np.exp(above, where=is_finite, out=np.ones_like(above))
-    return np.where(is_finite, relative / relative.sum(axis=-1, keepdims=True), predicted_mode_prob)
-
-
 def smoothed_mode_prob(mode_prob: FloatArray, transition_prob: FloatArray, lag: int | None = None) -> FloatArray:
     """Mode probabilities (K, M) of each step with the evidence of later ones, from the filtered ones (K, M).
 
@@ -156,24 +137,6 @@ def _one_step_back(filtered: FloatArray, later: FloatArray, transition_prob: Flo
     return np.where(total > 0, smoothed / np.where(total > 0, total, 1.0), filtered)
 
 
-def combine(mean: FloatArray, cov: FloatArray, mode_prob: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Moment-matched mean (..., n) and covariance (..., n, n).
-
-    x = sum mu_j x_j;  P = sum mu_j (P_j + (x_j - x)(x_j - x)').
-    """
-    *batch, n_modes, n = mean.shape
-    weights = mode_prob[..., None, :]
-    combined = _product(weights, mean)  # (..., 1, n)
-    spread = mean - combined
-    within = _product(weights, cov.reshape(*batch, n_modes, n * n)).reshape(*batch, n, n)
-    return combined[..., 0, :], within + _product((mode_prob[..., None] * spread).swapaxes(-1, -2), spread)
-
-
-def _product(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Products of matrices (..., k, l) and (..., l, m); of one pair in a third of the time that `@` takes."""
-    return a.dot(b) if a.ndim == 2 else a @ b
-
-
 class ImmArithmetic(Protocol):
     """Whose arithmetic a tracker uses; the results are those of the functions here."""
 
@@ -189,12 +152,12 @@ class ImmArithmetic(Protocol):
         """As `update`."""
         ...
 
-    def update_mode_prob(self, predicted_mode_prob: FloatArray, log_likelihood: FloatArray) -> FloatArray:
-        """As `update_mode_prob`."""
+    def update_mode_prob(self, prior_prob: FloatArray, log_likelihood: FloatArray) -> FloatArray:
+        """As `values.mixtures.posterior_prob`."""
         ...
 
-    def combine(self, mean: FloatArray, cov: FloatArray, mode_prob: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """As `combine`."""
+    def combine(self, mean: FloatArray, cov: FloatArray, prob: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """As `values.mixtures.combine`."""
         ...
 
 
@@ -204,5 +167,5 @@ class NumpyImm:
 
     mix = staticmethod(mix)
     update = staticmethod(update)
-    update_mode_prob = staticmethod(update_mode_prob)
+    update_mode_prob = staticmethod(posterior_prob)
     combine = staticmethod(combine)

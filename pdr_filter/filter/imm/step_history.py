@@ -11,6 +11,7 @@ import numpy as np
 from pdr_filter.filter.imm.motion_model import EAST, LOG_SCALE, NORTH
 from pdr_filter.filter.imm.walking_speed import WalkingSpeed, after_step
 from pdr_filter.values import FloatArray, Step, replace_unchecked
+from pdr_filter.values.interpolation import interpolated
 
 # Final steps that are remembered for late fixes: a minute at four steps a second, which is how late a fix may be
 # (`filtering.MAX_FIX_AGE_S`).
@@ -72,4 +73,4 @@ class StepHistory:
         trail = self.trail
         if len(trail) == 0 or (time_s < trail[0, TRAIL_TIME] and len(trail) == TRAIL_STEPS):
             return None
-        return np.array([np.interp(time_s, trail[:, TRAIL_TIME], trail[:, k]) for k in range(1, TRAIL_HEADING + 1)])
+        return interpolated(time_s, trail[:, TRAIL_TIME], trail[:, 1 : TRAIL_HEADING + 1])

@@ -25,7 +25,6 @@ from pdr_filter.io.files.errors import RecordingError
 from pdr_filter.io.files.sqlite_file import SQLITE
 from pdr_filter.io.tables.app_dialects import said_platform
 from pdr_filter.io.tables.json_tables import ROWS_AT_ONCE, Row, objects_in, table_of_rows
-from pdr_filter.io.tables.table_streams import interpolated
 from pdr_filter.io.tables.text_table import (
     NumberTable,
     TextTable,
@@ -36,6 +35,7 @@ from pdr_filter.io.tables.text_table import (
     whole_number,
 )
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, IntArray, Samples, limits
+from pdr_filter.values.interpolation import interpolated_near
 from pdr_filter.values.recording import Recording
 
 COLUMNS: dict[str, tuple[str, ...]] = {
@@ -226,7 +226,7 @@ def _at_times(sensor: NumberTable, time_ns: IntArray) -> FloatArray:
     """Values interpolated linearly, NaN where the sensor has a hole."""
     zero_ns = int(sensor.whole.min()) if len(sensor) else 0
     at_s, known_s = ((ns - zero_ns).astype(np.float64) * 1e-9 for ns in (time_ns, sensor.whole))
-    return interpolated(at_s, known_s, sensor.values)
+    return interpolated_near(at_s, known_s, sensor.values, limits.GRAVITY_GAP_S)
 
 
 def _requested_hz(export: _Export) -> dict[str, float]:

@@ -30,10 +30,11 @@ from pdr_filter.io.tables.column_names import (
     UNITS,
     column_of,
 )
-from pdr_filter.io.tables.column_values import at_times, constant_part, turning
+from pdr_filter.io.tables.column_values import constant_part, turning
 from pdr_filter.io.tables.sheet import Sheet
 from pdr_filter.io.tables.table_streams import is_new_place
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, limits
+from pdr_filter.values.interpolation import interpolated
 
 # Share of the constant part in the norm of an acceleration: gravity outweighs the motion of walking.
 _GRAVITY_SHARE = 0.6
@@ -344,7 +345,7 @@ def _force(forces: Sequence[_Stream]) -> FloatArray:
     at_s = forces[0].time_s
     same = [np.array_equal(s.time_s, at_s) for s in forces]
     values = [
-        s.values if is_same else at_times(at_s, s.time_s, s.values) for s, is_same in zip(forces, same, strict=True)
+        s.values if is_same else interpolated(at_s, s.time_s, s.values) for s, is_same in zip(forces, same, strict=True)
     ]
     return np.asarray(sum(s.factor * v for s, v in zip(forces, values, strict=True)))
 

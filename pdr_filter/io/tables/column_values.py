@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pdr_filter.values import FloatArray
+from pdr_filter.values.interpolation import interpolated
 
 # Walking turns the phone by some ten degrees within a step and back; over this time gravity stays and steps cancel.
 WINDOW_S = 2.0
@@ -47,8 +48,8 @@ def turning(time_s: FloatArray, force: FloatArray, rate_time_s: FloatArray, rate
         return None
     step_s = 0.02
     grid_s = np.arange(begin, min(end, begin + 600.0), step_s)
-    u = _smoothed(at_times(grid_s, time_s, force), round(TURN_S / step_s))
-    w = _smoothed(at_times(grid_s, rate_time_s, rate), round(TURN_S / step_s))
+    u = _smoothed(interpolated(grid_s, time_s, force), round(TURN_S / step_s))
+    w = _smoothed(interpolated(grid_s, rate_time_s, rate), round(TURN_S / step_s))
     norm = np.linalg.norm(u, axis=1, keepdims=True)
     u = u / np.where(norm > 0, norm, 1.0)
     lag = round(TURN_S / step_s)
@@ -61,14 +62,6 @@ def turning(time_s: FloatArray, force: FloatArray, rate_time_s: FloatArray, rate
     correlation = float((turned * expected).sum(axis=1).mean()) / (angle_rad * expected_rad)
     # Both have noise: the ratio of their sizes is pulled to neither side, as a regression would be.
     return np.sign(correlation) * angle_rad / expected_rad if abs(correlation) > LEAST_CORRELATION else None
-
-
-def at_times(at_s: FloatArray, time_s: FloatArray, values: FloatArray) -> FloatArray:
-    """Values (M, d), interpolated linearly; before the first and after the last time those of that time."""
-    if (time_s[1:] < time_s[:-1]).any():
-        order = np.argsort(time_s, kind="stable")
-        time_s, values = time_s[order], values[order]
-    return np.column_stack([np.interp(at_s, time_s, column) for column in values.T])
 
 
 def _complete(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -10,12 +10,9 @@ from pdr_filter.io.assemble import Parsed
 from pdr_filter.io.files.errors import RecordingError
 from pdr_filter.io.tables.column_mapping import Mapping, StreamMap
 from pdr_filter.io.tables.column_names import ANGLES, GRAVITY, LINEAR, TIME_UNITS
-from pdr_filter.io.tables.column_values import at_times
 from pdr_filter.io.tables.sheet import Sheet
-from pdr_filter.values import BoolArray, FloatArray, IntArray
-
-# Gravity is interpolated to the times of the accelerometer; within this it turns by less than a step's swing.
-GRAVITY_GAP_S = 0.3
+from pdr_filter.values import BoolArray, FloatArray, IntArray, limits
+from pdr_filter.values.interpolation import interpolated_near
 
 
 def fill(parsed: Parsed, mapping: Mapping, sheets: Sequence[Sheet]) -> None:
@@ -72,19 +69,6 @@ def is_new_place(values: FloatArray) -> BoolArray:
     return changes & ~np.isnan(values[:, :2]).any(axis=1) & (values[:, :2] != 0).any(axis=1)
 
 
-def interpolated(time_s: FloatArray, known_s: FloatArray, values: FloatArray) -> FloatArray:
-    """Values interpolated linearly, NaN where there is none within `GRAVITY_GAP_S`."""
-    if len(known_s) == 0 or len(time_s) == 0:
-        return np.full((len(time_s), values.shape[1]), np.nan)
-    result = at_times(time_s, known_s, values)
-    known_s = np.sort(known_s)
-    right = np.clip(np.searchsorted(known_s, time_s), 0, len(known_s) - 1)
-    left = np.maximum(right - 1, 0)
-    far = np.minimum(np.abs(known_s[right] - time_s), np.abs(known_s[left] - time_s)) > GRAVITY_GAP_S
-    result[far] = np.nan
-    return result
-
-
 def _summed(
     linear: tuple[IntArray | FloatArray, float, FloatArray], gravity: tuple[IntArray | FloatArray, float, FloatArray]
 ) -> tuple[IntArray | FloatArray, float, FloatArray]:
@@ -95,7 +79,8 @@ def _summed(
     if np.array_equal(at_s, known_s):
         return linear[0], linear[1], linear[2] + gravity[2]
     known = ~np.isnan(known_s)
-    return linear[0], linear[1], linear[2] + interpolated(at_s, known_s[known], gravity[2][known])
+    gravity_there = interpolated_near(at_s, known_s[known], gravity[2][known], limits.GRAVITY_GAP_S)
+    return linear[0], linear[1], linear[2] + gravity_there
 
 
 def _seconds(ticks: IntArray | FloatArray, unit_s: float, zero: float, zero_unit_s: float) -> FloatArray:

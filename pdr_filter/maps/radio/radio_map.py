@@ -17,6 +17,7 @@ from pdr_filter.classifiers.model_files import Arrays, ArtefactFormat, file_pair
 from pdr_filter.maps.radio.signal_field import CELL_M, Field, fingerprints
 from pdr_filter.tracking.track import Track
 from pdr_filter.values import FloatArray, GridFix, IntArray, PositionFix, Wifi, WifiScan, read_only
+from pdr_filter.values.interpolation import interpolated
 from pdr_filter.values.recording import MissingSensorError, Recording
 from pdr_filter.version import __version__
 
@@ -264,7 +265,7 @@ def _place(track: Track, scan: WifiScan) -> FloatArray | None:
         return None
     time_s = np.concatenate([[min(track.start_time_s, track.time_s[0])], track.time_s])
     position_m = np.vstack([track.start_position_m, track.position_m])
-    return np.array([np.interp(scan.time_s, time_s, axis) for axis in position_m.T])
+    return interpolated(scan.time_s, time_s, position_m)
 
 
 def _assemble(description: Mapping[str, Any], arrays: Arrays) -> RadioMap:

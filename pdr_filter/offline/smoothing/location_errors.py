@@ -133,8 +133,13 @@ def by_contact(fixes: Sequence[PositionFix], contacts: IntArray) -> tuple[tuple[
 def _joined(fixes: Sequence[PositionFix]) -> PositionFix:
     if len(fixes) == 1:
         return fixes[0]
-    information = np.linalg.inv([f.cov_m2 for f in fixes])
-    mean_cov = np.linalg.inv(information.sum(axis=0))
-    place_m = mean_cov @ np.einsum("nab,nb->a", information, np.array([f.position_m for f in fixes]))
+    place_m, mean_cov = mean_place(fixes)
     middle = fixes[len(fixes) // 2]
     return replace(middle, position_m=place_m, cov_m2=len(fixes) * 0.5 * (mean_cov + mean_cov.T))
+
+
+def mean_place(fixes: Sequence[PositionFix]) -> tuple[FloatArray, FloatArray]:
+    """Mean (2,) of fixes weighted by their information, and its covariance (2, 2) if their errors are independent."""
+    information = np.linalg.inv(np.array([f.cov_m2 for f in fixes]))
+    cov = np.linalg.inv(information.sum(axis=0))
+    return cov @ np.einsum("nab,nb->a", information, np.array([f.position_m for f in fixes])), cov

@@ -11,6 +11,7 @@ from pdr_filter.filter.imm.motion_model import (
     HEADING_OFFSET,
     LOG_SCALE,
 )
+from pdr_filter.offline.smoothing.location_errors import mean_place
 from pdr_filter.offline.smoothing.observations import (
     FloorChange,
     Observations,
@@ -172,12 +173,7 @@ def floors_at_steps(track: Track, floor_changes: Sequence[FloorChange]) -> Float
 
 def without_steps(track: Track, observed: Observations, fixes: Sequence[PositionFix]) -> Smoothed:
     """Nobody walked: the place is the weighted mean of the fixes."""
-    if fixes:
-        information = np.linalg.inv(np.array([f.cov_m2 for f in fixes]))
-        cov = np.linalg.inv(information.sum(axis=0))
-        place = cov @ np.einsum("nab,nb->a", information, np.array([f.position_m for f in fixes]))
-    else:
-        place, cov = np.zeros(2), HERE_STD_M**2 * np.eye(2)
+    place, cov = mean_place(fixes) if fixes else (np.zeros(2), HERE_STD_M**2 * np.eye(2))
     none = read_only(np.zeros(0))
     return Smoothed(
         track=replace(track, is_smoothed=True),

@@ -12,6 +12,7 @@ import numpy as np
 
 from pdr_filter.offline.training.cross_validation import TextArray
 from pdr_filter.values import BoolArray, FloatArray, IntArray, check_transition_prob, read_only
+from pdr_filter.values.mixtures import reweighted
 
 UNKNOWN = -1  # a context that is not known: it is neither stayed in nor left
 # A tenth is finer than the log loss is known: next to the optimum it changes in the third decimal.
@@ -142,9 +143,7 @@ def filter_windows(
     for k in range(len(log_prob)):
         predicted = (even if starts[k] else p) @ transition_prob
         log_evidence = by_evidence * (log_prob[k] - by_prior * log_prior[k])
-        p = predicted * np.exp(log_evidence - log_evidence.max(axis=-1, keepdims=True))
-        p /= p.sum(axis=-1, keepdims=True)
-        result[k] = p
+        p = result[k] = reweighted(predicted, log_evidence)
     return result
 
 

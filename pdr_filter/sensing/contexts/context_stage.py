@@ -28,6 +28,7 @@ from pdr_filter.values import (
     read_only,
     replace_unchecked,
 )
+from pdr_filter.values.mixtures import reweighted
 
 # Half a minute to a minute between changes of the carrying mode, at a window a second.
 CARRYING_STAY_PROB = 0.98
@@ -303,7 +304,7 @@ def with_climbs(windows: Sequence[WindowContext], climbs: Sequence[Climb | None]
         return list(windows)
     rates_mps, std_mps = np.array([(climb.climb_rate_mps, climb.std_mps) for _, climb in both]).T
     told = np.array([to_be_told_apart(window.prob, window.stairs_unknown_share) for window, _ in both])
-    prob = iter(update_prob(told, climb_log_evidence(rates_mps, std_mps)))
+    prob = iter(reweighted(told, climb_log_evidence(rates_mps, std_mps)))
     return [
         window if climb is None else replace_unchecked(window, prob=next(prob), climb_rate_mps=climb.climb_rate_mps)
         for window, climb in zip(windows, climbs, strict=True)
@@ -341,14 +342,8 @@ def with_cadence(window: WindowContext, frequency_hz: float) -> WindowContext:
     """
     if window.unknown_share == 0.0:
         return window
-    guess = update_prob(window.training_prior, cadence_log_evidence(frequency_hz))
+    guess = reweighted(window.training_prior, cadence_log_evidence(frequency_hz))
     return replace_unchecked(window, prob=window.prob + window.unknown_share * (guess - window.training_prior))
-
-
-def update_prob(prob: FloatArray, log_evidence: FloatArray) -> FloatArray:
-    """p_k ~ p_k exp(e_k), shape (..., K); what is impossible stays impossible."""
-    relative = prob * np.exp(log_evidence - log_evidence.max(axis=-1, keepdims=True))
-    return relative / relative.sum(axis=-1, keepdims=True)
 
 
 @lru_cache

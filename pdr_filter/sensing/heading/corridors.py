@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdr_filter.values import FloatArray, check_numbers, replace_unchecked, wrap_angle
+from pdr_filter.values.mixtures import log_sum, possible_outlier
 
 _DRIFT, _RATE, _AXIS, _SCALE = range(4)
 _RIGHT_ANGLE = 0.5 * math.pi
@@ -196,25 +197,21 @@ class Corridors:
         away = away - _RIGHT_ANGLE * np.rint(away / _RIGHT_ANGLE)
         variance = spread + self.step_std_rad**2
         log_in = self._log_likelihood(away, variance)
-        log_any = np.logaddexp(log_in, self._log_outlier)
-        inlier = np.exp(log_in - log_any)
-        shift = away / variance
         by = np.empty_like(seen)
-        by[:, 0] = inlier * shift
-        # what is learnt is taken, and the doubt whether it is an outlier is added
-        np.multiply((inlier * ((1.0 - inlier) * shift * shift - 1.0 / variance))[:, None], gain, out=by[:, 1:])
+        log_any, _, by[:, 0], by_cov = possible_outlier(log_in, self._log_outlier, away / variance, variance)
+        np.multiply(by_cov[:, None], gain, out=by[:, 1:])
         log_odds = state.log_odds
         if is_new:
             of_leg = np.logaddexp(self._log_likelihood(away, spread + self.leg_std_rad**2), self._log_outlier)
             log_weight = state.log_weight + of_leg
-            log_odds += _log_sum(log_weight) + math.log(_RIGHT_ANGLE)
+            log_odds += log_sum(log_weight) + math.log(_RIGHT_ANGLE)
         else:
             # as much less than a leg as its variance is more, twice because half of its steps are the same error
             log_weight = state.log_weight + min(2.0 * (self.leg_std_rad / self.step_std_rad) ** 2, 1.0) * log_any
         return replace_unchecked(
             state,
             bank=state.bank + by[:, :, None] * gain[:, None, :],
-            log_weight=log_weight - _log_sum(log_weight),
+            log_weight=log_weight - log_sum(log_weight),
             log_odds=log_odds,
         )
 
@@ -232,8 +229,3 @@ def _moments(state: CorridorState, means: FloatArray, variances: FloatArray, bes
     mean = float(weight.dot(means))
     away = means - mean
     return mean, float(weight.dot(variances + away * away)) + besides
-
-
-def _log_sum(log_weight: FloatArray) -> float:
-    largest = float(np.maximum.reduce(log_weight))
-    return largest + math.log(float(np.add.reduce(np.exp(log_weight - largest))))

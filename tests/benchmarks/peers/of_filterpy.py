@@ -14,6 +14,7 @@ import numpy as np
 from filterpy.kalman import IMMEstimator, KalmanFilter
 
 from pdr_filter.filter.imm import imm
+from pdr_filter.values import mixtures
 
 from .harness import Table
 from .walks import FloatArray
@@ -43,7 +44,7 @@ def cycle(mean: np.ndarray, cov: np.ndarray, prob: np.ndarray, z: np.ndarray, R_
     mean, cov, prob = imm.mix(mean, cov, prob, M)
     mean, cov = imm.predict(mean, cov, F, Q)
     mean, cov, log_likelihood, _ = imm.update(mean, cov, z, H, R_)
-    prob = imm.update_mode_prob(prob, log_likelihood)
+    prob = mixtures.posterior_prob(prob, log_likelihood)
     return mean, cov, prob, imm.combine(mean, cov, prob)[0]
 
 

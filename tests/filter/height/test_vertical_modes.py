@@ -8,7 +8,7 @@ import pytest
 from pdr_filter.filter.height import vertical_modes as vertical
 from pdr_filter.filter.height.vertical_modes import DOWN, DRIFT, JUMP, LIFT, N_MODES, SLOPE, UP
 from pdr_filter.filter.imm import imm
-from pdr_filter.values import FloatArray
+from pdr_filter.values import FloatArray, mixtures
 
 CLIMBED, RATE, SLOPED, AIR = range(4)
 RISER_M = 0.17
@@ -75,7 +75,7 @@ def test_a_second_is_that_of_an_imm_of_means_and_covariances(elapsed_s: float, n
     log_likelihood[LIFT] += math.log(1.0 - 0.5 * slower)
     if n_steps == 0:
         log_likelihood[[UP, DOWN]] += math.log(0.2)
-    posterior = imm.update_mode_prob(prior, log_likelihood + evidence)
+    posterior = mixtures.posterior_prob(prior, log_likelihood + evidence)
 
     np.testing.assert_allclose(after[:, 0, 0], posterior, rtol=1e-6)
     np.testing.assert_allclose(after[:, 0, 1:] / posterior[:, None], x, rtol=1e-6, atol=1e-7)

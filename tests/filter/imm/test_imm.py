@@ -11,14 +11,13 @@ from scipy.stats import multivariate_normal
 
 from pdr_filter.filter.imm.imm import (
     check_transition_prob,
-    combine,
     mix,
     mixed_values,
     predict,
     smoothed_mode_prob,
     update,
-    update_mode_prob,
 )
+from pdr_filter.values.mixtures import combine, posterior_prob
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -73,7 +72,7 @@ def test_a_hundred_steps_agree_with_filterpy(n_modes: int) -> None:
         mean, cov, mode_prob = mix(mean, cov, mode_prob, M)
         mean, cov = predict(mean, cov, np.tile(F, (n_modes, 1, 1)), Q)
         mean, cov, log_likelihood, _ = update(mean, cov, z, H, R)
-        mode_prob = update_mode_prob(mode_prob, log_likelihood)
+        mode_prob = posterior_prob(mode_prob, log_likelihood)
         x, P = combine(mean, cov, mode_prob)
         oracle.predict()
         oracle.update(z)
@@ -141,7 +140,7 @@ def test_two_modes_without_evidence_decay_to_the_stationary_probabilities_in_clo
     mean, cov = np.zeros((2, 1)), np.ones((2, 1, 1))
     for k in range(1, 20):
         mean, cov, prob = mix(mean, cov, prob, M)
-        prob = update_mode_prob(prob, np.zeros(2))
+        prob = posterior_prob(prob, np.zeros(2))
         expected = b / (a + b) + (1 - b / (a + b)) * (1 - a - b) ** k
         np.testing.assert_allclose(prob, [expected, 1 - expected], atol=1e-12)
 
@@ -150,47 +149,6 @@ def test_the_transition_matrix_is_read_from_row_to_column() -> None:
     M = np.array([[0.6, 0.4], [0.0, 1.0]])  # mode 1 is never left
     _, _, predicted = mix(np.zeros((2, 1)), np.ones((2, 1, 1)), np.array([0.5, 0.5]), M)
     np.testing.assert_allclose(predicted, [0.3, 0.7])
-
-
-def test_mode_probabilities_follow_bayes() -> None:
-    prob = update_mode_prob(np.array([0.5, 0.3, 0.2]), np.log([0.1, 0.2, 0.4]))
-    np.testing.assert_allclose(prob, np.array([0.05, 0.06, 0.08]) / 0.19)
-
-
-@given(seed=SEEDS, offset=st.sampled_from([0.0, -1e6, 1e6, 3.0]))
-def test_equal_log_likelihoods_leave_mode_probabilities_unchanged(seed: int, offset: float) -> None:
-    prior = np.random.default_rng(seed).dirichlet(np.ones(5))
-    np.testing.assert_allclose(update_mode_prob(prior, np.full(5, offset)), prior, atol=1e-9)
-
-
-@given(seed=SEEDS, offset=st.sampled_from([-1e6, -1e4, 1e6]))
-def test_only_differences_of_log_likelihoods_matter(seed: int, offset: float) -> None:
-    rng = np.random.default_rng(seed)
-    prior, log_likelihood = rng.dirichlet(np.ones(4)), 10 * rng.normal(size=4)
-    shifted = update_mode_prob(prior, log_likelihood + offset)
-    np.testing.assert_allclose(shifted, update_mode_prob(prior, log_likelihood), atol=1e-8)
-    assert shifted.sum() == pytest.approx(1.0)
-
-
-def test_a_mode_of_probability_zero_stays_at_zero_without_a_warning() -> None:
-    prob = update_mode_prob(np.array([0.0, 0.4, 0.6]), np.array([50.0, -1.0, -1.0]))
-    np.testing.assert_allclose(prob, [0.0, 0.4, 0.6])
-    assert prob[0] == 0.0
-
-
-@pytest.mark.parametrize(
-    "log_likelihood",
-    [np.array([np.nan, 0.0]), np.full(2, np.nan), np.full(2, -np.inf), np.array([np.inf, 0.0])],
-    ids=["one nan", "all nan", "all impossible", "infinite"],
-)
-def test_evidence_that_says_nothing_leaves_the_prediction(log_likelihood: np.ndarray) -> None:
-    prior = np.array([0.7, 0.3])
-    np.testing.assert_array_equal(update_mode_prob(prior, log_likelihood), prior)
-
-
-def test_evidence_against_the_only_possible_mode_leaves_the_prediction() -> None:
-    prior = np.array([1.0, 0.0])
-    np.testing.assert_array_equal(update_mode_prob(prior, np.array([-np.inf, 0.0])), prior)
 
 
 # --- mixing and combining -------------------------------------------------------------------------------------------
@@ -232,12 +190,6 @@ def test_mixing_keeps_the_combined_mean_and_covariance(seed: int, n_modes: int) 
     np.testing.assert_allclose(after[1], before[1], atol=1e-10)
 
 
-def test_combining_gives_the_moments_of_the_mixture() -> None:
-    x, P = combine(np.array([[0.0], [2.0]]), np.array([[[1.0]], [[3.0]]]), np.array([0.25, 0.75]))
-    assert x == pytest.approx([1.5])
-    assert P[0, 0] == pytest.approx(0.25 * (1 + 1.5**2) + 0.75 * (3 + 0.5**2))
-
-
 @settings(max_examples=30, deadline=None)
 @given(seed=SEEDS)
 def test_naming_the_modes_in_another_order_changes_nothing_else(seed: int) -> None:
@@ -275,7 +227,7 @@ def test_no_function_modifies_its_input() -> None:
     copies = [a.copy() for a in (mean, cov, prob, M)]
     mix(mean, cov, prob, M)
     update(mean, cov, np.ones(2), H, R)
-    update_mode_prob(prob, np.array([1.0, np.nan, 2.0]))
+    posterior_prob(prob, np.array([1.0, np.nan, 2.0]))
     combine(mean, cov, prob)
     for array, copy in zip((mean, cov, prob, M), copies, strict=True):
         np.testing.assert_array_equal(array, copy)
@@ -322,19 +274,13 @@ def test_many_pedestrians_at_once_are_filtered_as_if_each_were_alone(seed: int, 
         mean, cov, prob = mix(mean, cov, prob, M)
         mean, cov = predict(mean, cov, F_, Q)
         mean, cov, log_likelihood, nis = update(mean, cov, z, H_, R_)
-        prob = update_mode_prob(prob, log_likelihood)
+        prob = posterior_prob(prob, log_likelihood)
         return [mean, cov, prob, nis, *combine(mean, cov, prob)]
 
     together = cycle(mean, cov, prob, z, R_)
     for k in range(n_pedestrians):
         for all_of_them, alone in zip(together, cycle(mean[k], cov[k], prob[k], z[k], R_[k]), strict=True):
             np.testing.assert_allclose(all_of_them[k], alone, atol=1e-10)
-
-
-def test_evidence_that_says_nothing_of_one_pedestrian_is_still_used_for_the_others() -> None:
-    prob = np.array([[0.3, 0.7], [0.3, 0.7], [1.0, 0.0]])
-    evidence = np.array([[np.nan, 0.0], [np.log(7.0), np.log(3.0)], [-np.inf, 0.0]])
-    np.testing.assert_allclose(update_mode_prob(prob, evidence), [[0.3, 0.7], [0.5, 0.5], [1.0, 0.0]])
 
 
 def test_smoothed_mode_probabilities_are_those_of_the_exact_forward_backward_algorithm() -> None:

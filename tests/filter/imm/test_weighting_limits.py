@@ -23,7 +23,6 @@ from helpers import a_step, even_transitions, updates_of
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from pdr_filter.filter.imm import imm
 from pdr_filter.filter.imm.imm_tracker import ImmState, ImmTracker
 from pdr_filter.filter.imm.motion_model import Mode
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
@@ -32,7 +31,7 @@ from pdr_filter.filter.imm.weighted_tracker import WeightedState, WeightedTracke
 from pdr_filter.filter.imm.weighting import HC, context_weights, weighted_distances
 from pdr_filter.filter.step_length.models import FrequencyVarianceStepLength, StepLengthFit
 from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.values import CONTEXTS, PositionFix, Step
+from pdr_filter.values import CONTEXTS, PositionFix, Step, mixtures
 
 N = len(CONTEXTS)
 SEEDS = st.integers(0, 2**32 - 1)
@@ -258,7 +257,7 @@ def test_no_evidence_makes_mode_probabilities_nan_or_brings_back_a_mode_without_
     prior[:n_zero] = 0.0
     prior /= prior.sum()
     with np.errstate(over="ignore"):
-        found = imm.update_mode_prob(prior, np.array(log_likelihood))
+        found = mixtures.posterior_prob(prior, np.array(log_likelihood))
     assert np.isfinite(found).all()
     assert (found[:n_zero] == 0).all()
     assert found.sum() == pytest.approx(1.0)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pdr_filter.filter.imm.imm import check_transition_prob, update_mode_prob
+from pdr_filter.filter.imm.imm import check_transition_prob
 from pdr_filter.filter.imm.weighting import context_log_evidence
 from pdr_filter.offline.training.context_sequences import (
     UNKNOWN,
@@ -23,6 +23,7 @@ from pdr_filter.offline.training.context_sequences import (
 )
 from pdr_filter.recipes import context_transitions
 from pdr_filter.values import CONTEXTS
+from pdr_filter.values.mixtures import posterior_prob
 
 CHAIN = np.array([[0.90, 0.07, 0.03], [0.02, 0.95, 0.03], [0.10, 0.10, 0.80]])
 
@@ -122,7 +123,7 @@ def test_filtered_windows_are_those_of_the_filters_own_functions() -> None:
     for k in range(100):
         p = np.full(3, 1 / 3) if k == 50 else p
         evidence = context_log_evidence(windows.prob[k], windows.training_prior[k], 0.5, 0.01, 0.25)
-        p = update_mode_prob(p @ CHAIN, evidence)
+        p = posterior_prob(p @ CHAIN, evidence)
         expected.append(p)
     np.testing.assert_allclose(filter_windows(windows, CHAIN, 0.5, 0.25, 0.01), expected, atol=1e-12)
 

@@ -1,0 +1,125 @@
+"""Worker process that answers one request at a time, for batches of recordings and for the live server."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from queue import SimpleQueue
+from threading import Thread
+from typing import Any, cast
+
+Answering = Callable[[Any], Any]
+
+_MAX_REASON = 500
+# Numerical libraries would otherwise start as many threads in each process as there are cores.
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
+
+
+class LostError(ConnectionError):
+    """Worker that has died, or does not answer."""
+
+
+class WorkerProcess:
+    """Process that answers each request with the function `make(*arguments)`, which is called in the process.
+
+    The first request starts the process, and the first one after its death starts it again. The process does not
+    import the main module of its parent, so scripts need no guard. Each end sees the death of the other as the end of
+    a pipe that no other process holds, so a kill at any moment leaves no lock behind.
+
+    Parameters
+    ----------
+    make : callable
+        Function that the process can import by name.
+    arguments
+        Arguments of `make`.
+    n_threads : int, optional
+        Threads of the numerical libraries, unless the environment has set them.
+    """
+
+    def __init__(self, make: Callable[..., Answering], *arguments: Any, n_threads: int | None = None) -> None:
+        self._begin = pickle.dumps((make, arguments))
+        threads = {} if n_threads is None else dict.fromkeys(_THREADS, str(n_threads))
+        self._environment = {**threads, **os.environ}
+        self._process: subprocess.Popen[bytes] | None = None
+        self._is_closed = False
+
+    def ask(self, request: Any) -> Any:
+        """Return the answer to a request; LostError if the process ends before. One call at a time."""
+        pieces = [pickle.dumps(request)]
+        if self._process is None:
+            command = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import serve; serve()"
+            pipe, environment = subprocess.PIPE, self._environment
+            self._process = subprocess.Popen([sys.executable, "-c", command], stdin=pipe, stdout=pipe, env=environment)
+            pieces.insert(0, self._begin)
+        if self._is_closed:  # in the meantime, by another thread
+            self._end()
+            raise LostError("process was closed")
+        to, answers = cast(Any, self._process.stdin), cast(Any, self._process.stdout)
+        try:
+            for piece in pieces:
+                pickle.dump(piece, to)
+            to.flush()
+            return pickle.load(answers)
+        except (OSError, EOFError, pickle.UnpicklingError) as error:
+            raise LostError(f"process died (exit code {self._end()})") from error
+
+    def close(self) -> None:
+        """End the process for good, from any thread."""
+        self._is_closed = True
+        self._end()
+
+    def _end(self) -> int | None:
+        """End the process; return its exit code."""
+        process, self._process = self._process, None
+        if process is None:
+            return None
+        with process:
+            process.kill()
+        return process.returncode
+
+
+def serve() -> None:
+    """Run the loop of a worker process: requests from standard input, answers to standard output."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal sends it to all processes; the parent ends this one
+    sources, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    os.dup2(2, 1)  # printed text must not mix with the answers
+    pieces = SimpleQueue[bytes]()
+
+    def read() -> None:
+        try:
+            while True:
+                pieces.put(pickle.load(sources))
+        finally:  # the parent has ended, and no other process waits for the answer
+            os._exit(1)
+
+    Thread(target=read, daemon=True).start()
+    make, arguments = pickle.loads(pieces.get())
+    answer = make(*arguments)
+    while True:
+        pickle.dump(answer(pickle.loads(pieces.get())), answers)
+        answers.flush()
+
+
+@contextmanager
+def dask_errors(scheduler: str) -> Iterator[None]:
+    """Raise ValueError with a remedy where Dask is not installed or the scheduler does not answer."""
+    try:
+        yield
+    except ImportError as error:
+        raise ValueError("a scheduler needs Dask: pip install 'dask[distributed]'") from error
+    except (OSError, TimeoutError, ValueError) as error:
+        raise ValueError(f"no Dask scheduler at {scheduler}: {reason_of(error)}") from error
+
+
+def reason_of(error: BaseException) -> str:
+    """Return the message of an error in one line, with the kind of error unless it is a ValueError with a message."""
+    text = " ".join(str(error).split())
+    if not isinstance(error, ValueError) or not text:
+        text = f"{type(error).__name__}: {text}".rstrip(": ")
+    return text if len(text) <= _MAX_REASON else text[: _MAX_REASON - 3] + "..."
