@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import cast, get_args
+from typing import cast
 
 from pdr_filter.batch.progress import Clock, Progress
 from pdr_filter.batch.result_table import Row, Task, failed_row, opened, row_of, tables, write_parquet
@@ -17,9 +17,9 @@ from pdr_filter.filter.imm.weighting import WEIGHTINGS
 from pdr_filter.io.folders import recordings_of
 from pdr_filter.io.formats import read
 from pdr_filter.recipes import check_name, for_recording
-from pdr_filter.recipes.step_length_calibration import load_calibration
+from pdr_filter.recipes.step_length_calibration import read_person
 from pdr_filter.tracking import whole_recording as recording_run
-from pdr_filter.tracking.georeferencing import GnssUse
+from pdr_filter.values.placement import GnssUse, check_gnss
 from pdr_filter.values.recording import check_height
 
 
@@ -49,7 +49,8 @@ def track(
     paths
         Recordings; a folder that is not a recording stands for all recordings in it.
     recipe, weighting, file_format, height_m, calibration, gnss
-        As in `pdr_filter.track`; a recipe is made for each recording's person and placement.
+        As in `pdr_filter.track`; a recipe is made for each recording's person and placement. `calibration` may also
+        be the file of a person, and is not written.
     out : path
         CSV file with the columns `COLUMNS`. With the suffix .parquet the rows grow in the CSV file beside it and are
         written as parquet in the end, which needs pandas and pyarrow.
@@ -109,7 +110,7 @@ def track_one(task: Task) -> Row:
             recording,
             config,
             task.weighting or None,
-            calibration=task.calibration or None,
+            person=task.calibration or None,
             gnss=cast(GnssUse, task.gnss) if task.gnss else None,
         )
     except Exception as error:  # whatever a file provokes belongs beside the successes, not in place of them
@@ -148,7 +149,6 @@ def _check(
     check_format(file_format)
     if height_m is not None:
         check_height(height_m)
-    if gnss is not None and gnss not in get_args(GnssUse):
-        raise ValueError(f"gnss must be one of {get_args(GnssUse)}, got {gnss!r}")
+    check_gnss(gnss)
     if calibration is not None:
-        load_calibration(calibration)
+        read_person(calibration)
