@@ -19,8 +19,8 @@ from pdr_filter.io.formats import read
 from pdr_filter.recipes import check_name, for_recording
 from pdr_filter.recipes.step_length_calibration import read_person
 from pdr_filter.tracking import whole_recording as recording_run
-from pdr_filter.values.placement import GnssUse, check_gnss
 from pdr_filter.values.recording import check_height
+from pdr_filter.values.track_placement import GnssUse, check_gnss
 
 
 def track(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdr_filter.classifiers.base_classifier import Machine
-from pdr_filter.values import FloatArray
+from pdr_filter.values import FloatArray, check_array
 
 
 def softmax(logit: FloatArray) -> FloatArray:
@@ -30,8 +30,8 @@ class SoftmaxRegression(Machine):
             raise ValueError(
                 f"weights must be (K, F) with K > 1 and intercept (K,), got {shape}, {self.intercept.shape}"
             )
-        if not (np.isfinite(self.weights).all() and np.isfinite(self.intercept).all()):
-            raise ValueError("weights and intercept must be finite")
+        for name in ("weights", "intercept"):
+            check_array(name, getattr(self, name))
 
     @property
     def n_features(self) -> int:

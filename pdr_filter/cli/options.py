@@ -7,12 +7,12 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, get_args, get_type_hints
 
 import typer
 
 from pdr_filter.values import Plan
-from pdr_filter.values.placement import GnssUse, NorthUse, Placement, texts
+from pdr_filter.values.track_placement import GnssUse, NorthUse, TrackPlacement, texts
 
 Files = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings, or folders of them.")]
 Format = Annotated[
@@ -48,10 +48,13 @@ Scheduler = Annotated[str | None, typer.Option(help="The same on a Dask cluster,
 
 @dataclass(frozen=True, slots=True)
 class PlacementOptions:
-    """Place, north and floor plan of a track: `pdr_filter.values.placement.Placement` in words of a command line."""
+    """Place, north and floor plan of a track: `TrackPlacement` in words of a command line."""
 
     gnss: Gnss = None
-    north: Annotated[NorthUse | None, typer.Option(help=_TEXT.get("north"))] = None
+    north: Annotated[
+        NorthUse | None,
+        typer.Option(metavar="SOURCE", help=f"{_TEXT.get('north')} One of {', '.join(get_args(NorthUse))}."),
+    ] = None
     origin: Annotated[str | None, typer.Option(metavar="LAT,LON", help=_TEXT.get("origin"))] = None
     heading: Annotated[str | None, typer.Option(metavar="DEG", help=_TEXT.get("heading_rad"))] = None
     plan: Annotated[Path | None, typer.Option(metavar="GEOJSON", help=_TEXT.get("plan"))] = None
@@ -65,7 +68,7 @@ class PlacementOptions:
 
     def arguments(self) -> dict[str, Any]:
         """The arguments of `pdr_filter.track` and `pdr_filter.smooth`; ValueError for options that cannot be used."""
-        placement = Placement(
+        placement = TrackPlacement(
             gnss=self.gnss,
             origin=_origin_deg(self.origin),
             heading_rad=_heading_rad(self.heading),

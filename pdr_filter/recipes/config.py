@@ -21,7 +21,7 @@ from pdr_filter.sensing.heading.magnetic_north import MagneticNorth
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading
 from pdr_filter.sensing.stream_merging import StreamMerger
 from pdr_filter.values import DECLINATION_STD_RAD, Note, Plan, PositionFix
-from pdr_filter.values.placement import Placement
+from pdr_filter.values.track_placement import TrackPlacement
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +120,7 @@ class Config:
         placed = self if start is None else self.in_world_frame()
         return replace(placed, on_plan=ParticleFilter.of(plan, start, seed))
 
-    def placed(self, placement: Placement) -> Config:
+    def placed(self, placement: TrackPlacement) -> Config:
         """Return the configuration on the floor plan of a placement, if it has one."""
         return self if placement.plan is None else self.with_plan(placement.plan, placement.start)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from itertools import pairwise
 from os import PathLike
@@ -22,10 +21,10 @@ from pdr_filter.values import (
     FloatArray,
     Note,
     Table,
+    check_array,
     check_columns,
     check_cov,
     how_many,
-    limits,
     pickled,
     read_only,
     table,
@@ -374,8 +373,7 @@ class Calibration:
 def _check_numbers(calibration: Calibration) -> None:
     """Numbers that a filter can use: what one person's parameters are is known, however people differ."""
     for name in ("theta", "people"):
-        if not np.isfinite(getattr(calibration, name)).all():
-            raise ValueError(f"{name} must be finite, got {getattr(calibration, name)}")
+        check_array(name, getattr(calibration, name))
     for name in ("theta_cov", "people_cov"):
         check_cov(getattr(calibration, name), name)
     if not (np.diagonal(calibration.between_cov) >= 0).all():
@@ -437,17 +435,11 @@ def load_calibration(path: Calibration | str | Path) -> Calibration:
 
 def read_person(person: Person | Calibration | str | Path) -> Person | Calibration:
     """A person, or a calibration that knows one, from what was saved of either; ValueError names the file."""
-    # Only when called: recipes open no files.
-    from pdr_filter.io.files.safe_files import read_json
-
     if isinstance(person, Person | Calibration):
         return person
     if not isinstance(person, str | PathLike):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise ValueError(f"person must be a Person, a Calibration, or the path of a saved one, got {person!r}")
-    kind = None
-    with suppress(Exception):  # the reader of a person says what is wrong
-        kind = read_json(file_pair(person)[0], limits.MAX_DESCRIPTION_BYTES)["kind"]
-    return load_calibration(person) if kind == FORMAT.kind else Person.load(person)
+    return load_calibration(person) if FORMAT.is_at(person) else Person.load(person)
 
 
 def with_steps_of(config: Config, person: Person | Calibration | str | Path, subject: Subject) -> Config:

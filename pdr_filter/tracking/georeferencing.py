@@ -8,9 +8,9 @@ import numpy as np
 
 from pdr_filter.filter.fixes.gnss import origin_of
 from pdr_filter.recipes.config import Config
-from pdr_filter.values.placement import Placement
 from pdr_filter.values.quaternions import rotation_matrix
 from pdr_filter.values.recording import Recording, Samples
+from pdr_filter.values.track_placement import TrackPlacement
 
 # Of magnetic north where nobody knows the place: root mean squares are 9.5 degrees over the twenty largest cities of
 # the world, and 15 over the globe from 55 degrees south to 65 north.
@@ -20,7 +20,7 @@ _UNKNOWN_DECLINATION_STD_RAD = 0.2
 _YEAR_S = 365.2425 * 86400.0
 
 
-def with_north(config: Config, recording: Recording, placement: Placement, with_location: bool) -> Config:
+def with_north(config: Config, recording: Recording, placement: TrackPlacement, with_location: bool) -> Config:
     """The configuration with what says where north is, if it is used."""
     north, where = placement.north, placement.place
     has_sensors = {"gyroscope", "magnetometer"} <= recording.streams.keys()
@@ -60,4 +60,4 @@ def live_config(first: Recording, config: Config) -> Config:
     """The configuration of `track` for a recording of which only the first seconds are known."""
     if first.location is None:
         return config
-    return with_north(config.in_world_frame(), first, Placement(), with_location=True)
+    return with_north(config.in_world_frame(), first, TrackPlacement(), with_location=True)

@@ -48,9 +48,9 @@ from pdr_filter.values import (
 )
 from pdr_filter.values import serialisation as serialise
 from pdr_filter.values.limits import MIN_SAMPLES
-from pdr_filter.values.placement import Placement
 from pdr_filter.values.plausibility import unit_of_rate, wrong_rate, wrong_time
 from pdr_filter.values.recording import Subject
+from pdr_filter.values.track_placement import TrackPlacement
 
 
 class OnlineFilter:
@@ -100,7 +100,7 @@ class OnlineFilter:
                 f"height_m is for the default recipe, got {height_m} beside a config: give it to the recipe"
             )
         check_config(config)
-        config = config.placed(Placement(plan=plan, start=start))
+        config = config.placed(TrackPlacement(plan=plan, start=start))
         self.config = config if weighting is None else config.with_weighting(weighting)
         self.state = init(self.config)
 

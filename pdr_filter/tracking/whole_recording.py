@@ -57,8 +57,8 @@ from pdr_filter.values import (
     step_table,
     wrap_angle,
 )
-from pdr_filter.values.placement import GnssUse, NorthUse, Placement, documented
 from pdr_filter.values.recording import MissingSensorError, Recording
+from pdr_filter.values.track_placement import GnssUse, NorthUse, TrackPlacement, documented
 
 
 @documented
@@ -103,7 +103,7 @@ def track(
         Step lengths of the person: `Track.person` of an earlier recording, from its fixes; a calibration of
         `pdr_filter.calibrate`; or the path where one was saved. `calibration` takes only a calibration, and a person
         beside it adds the walks of that person.
-    gnss, origin, heading_rad, north, plan, start : fields of `Placement`
+    gnss, origin, heading_rad, north, plan, start : fields of `TrackPlacement`
 
     Examples
     --------
@@ -117,7 +117,7 @@ def track(
     >>> pdr.track(recording, weighting="hc").weighting
     'hc'
     """
-    placement = Placement(gnss, origin, heading_rad, north, plan, start)
+    placement = TrackPlacement(gnss, origin, heading_rad, north, plan, start)
     run = asked_run(recording, config, fixes, placement, weighting, calibration, device, person)
     recording, config = run.recording, run.config
     with_fixes = run.with_location and gnss != "align"
@@ -132,7 +132,7 @@ class Run:
     recording: Recording  # on one clock
     config: Config
     fixes: tuple[Fix, ...]
-    placement: Placement
+    placement: TrackPlacement
     with_location: bool  # whether the recording's own locations are used
 
     def placed(self, result: Track) -> Track:
@@ -150,7 +150,7 @@ def asked_run(
     recording: Recording,
     config: Config | None,
     fixes: Iterable[Fix],
-    placement: Placement,
+    placement: TrackPlacement,
     weighting: str | None = None,
     calibration: Calibration | str | Path | None = None,
     device: Device | str | Path | None = None,

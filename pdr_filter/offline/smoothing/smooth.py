@@ -73,8 +73,8 @@ from pdr_filter.values import (
     step_table,
     wrap_angle,
 )
-from pdr_filter.values.placement import GnssUse, NorthUse, Placement
 from pdr_filter.values.recording import Recording
+from pdr_filter.values.track_placement import GnssUse, NorthUse, TrackPlacement
 
 # Nothing is known of where the walk began in the frame of the fixes, apart from being in the same region.
 _ANYWHERE_STD_M = 1000.0
@@ -152,7 +152,7 @@ def smooth(
             "start_heading_std_rad beside plan: leave them out"
         )
     check_options(loop_closures, start_heading_std_rad, anchor_interval_s)
-    placement = Placement(gnss, origin, heading_rad, north, plan, start)
+    placement = TrackPlacement(gnss, origin, heading_rad, north, plan, start)
     run = asked_run(recording, config, fixes, placement, weighting, calibration, device, person)
     recording, config = run.recording, run.config
     if isinstance(loop_closures, str):

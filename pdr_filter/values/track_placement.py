@@ -24,7 +24,7 @@ F = TypeVar("F", bound=Callable[..., object])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Placement:
+class TrackPlacement:
     """Place, north and floor plan of a track, as given to `track`, `smooth`, `OnlineFilter` and the command line.
 
     The first sentence of each parameter is also the help of its option. ValueError if a value means nothing, or if two
@@ -171,18 +171,18 @@ def check_gnss(gnss: str | None) -> None:
 
 
 def texts() -> Mapping[str, str]:
-    """Text of each parameter of `Placement`, by name; empty where Python runs without docstrings."""
+    """Text of each parameter of `TrackPlacement`, by name; empty where Python runs without docstrings."""
     entries = re.findall(r"^(\w+) : .*\n((?:    .*\n?)+)", _parameters(), re.MULTILINE)
     return {name: " ".join(text.split()) for name, text in entries}
 
 
 def documented(function: F) -> F:
-    """Return the function with the parameters of `Placement` in its docstring, in place of the line that names them."""
-    line = f"{', '.join(field.name for field in fields(Placement))} : fields of `Placement`"
+    """Return the function with the parameters of `TrackPlacement` in its docstring, in place of the line that names them."""
+    line = f"{', '.join(field.name for field in fields(TrackPlacement))} : fields of `TrackPlacement`"
     if function.__doc__ is not None:
         function.__doc__ = (inspect.getdoc(function) or "").replace(line, _parameters())
     return function
 
 
 def _parameters() -> str:
-    return (inspect.getdoc(Placement) or "").partition("----------\n")[2]
+    return (inspect.getdoc(TrackPlacement) or "").partition("----------\n")[2]
