@@ -177,7 +177,7 @@ def texts() -> Mapping[str, str]:
 
 
 def documented(function: F) -> F:
-    """Return the function with the parameters of `TrackPlacement` in its docstring, in place of the line that names them."""
+    """Return the function with the parameters of `TrackPlacement` in its docstring, at the line that names them."""
     line = f"{', '.join(field.name for field in fields(TrackPlacement))} : fields of `TrackPlacement`"
     if function.__doc__ is not None:
         function.__doc__ = (inspect.getdoc(function) or "").replace(line, _parameters())
