@@ -6,7 +6,8 @@ are those of one by one, to the last bit on the same machine and library version
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
@@ -78,10 +79,14 @@ def track(
     >>> row.name, row.failed
     ('demo_walk', False)
     """
-    _check(recipe, weighting, file_format, height_m, calibration, gnss)
+    asked = _asked(recipe, weighting, file_format, height_m, calibration, gnss)
     table, parquet = tables(out)
-    paths_of_others = [path for path in recordings_of(paths) if path != str(table.resolve())]
-    tasks = _tasks(paths_of_others, recipe, weighting, file_format, height_m, calibration, gnss)
+    tasks = [replace(asked, path=path) for path in recordings_of(paths) if path != str(table.resolve())]
+    for task in tasks:
+        if "\n" in task.path or "\r" in task.path:
+            raise ValueError(
+                f"{task.path!r} has a line break in its name, which a line of a table cannot hold: rename it"
+            )
     with opened(table, retry_failed) as (known, append):
         rows = {row.task: row for row in known}
         clock = None if progress is None else Clock(tasks, rows, progress)
@@ -118,31 +123,15 @@ def track_one(task: Task) -> Row:
     return row_of(task, result)
 
 
-def _tasks(
-    paths: Sequence[str],
+def _asked(
     recipe: str,
     weighting: str | None,
     file_format: str | None,
     height_m: float | None,
     calibration: str | Path | None,
     gnss: str | None,
-) -> list[Task]:
-    for path in paths:
-        if "\n" in path or "\r" in path:
-            raise ValueError(f"{path!r} has a line break in its name, which a line of a table cannot hold: rename it")
-    where = "" if calibration is None else str(Path(calibration).resolve())
-    return [Task(path, recipe, weighting or "", file_format or "", height_m, where, gnss or "") for path in paths]
-
-
-def _check(
-    recipe: str,
-    weighting: str | None,
-    file_format: str | None,
-    height_m: float | None,
-    calibration: str | Path | None,
-    gnss: str | None,
-) -> None:
-    """ValueError for what would otherwise be the reason of every row."""
+) -> Task:
+    """Task without its path; ValueError for what would otherwise be the reason of every row."""
     check_name(recipe)
     if weighting is not None and weighting not in WEIGHTINGS:
         raise ValueError(f'weighting must be "imm", "wc" or "hc", got {weighting!r}')
@@ -152,3 +141,5 @@ def _check(
     check_gnss(gnss)
     if calibration is not None:
         read_person(calibration)
+    where = "" if calibration is None else str(Path(calibration).resolve())
+    return Task("", recipe, weighting or "", file_format or "", height_m, where, gnss or "")

@@ -26,12 +26,10 @@ class SoftmaxRegression(Machine):
     def __post_init__(self) -> None:
         self._make_read_only("weights", "intercept")
         shape = self.weights.shape
-        if len(shape) != 2 or shape[0] < 2 or self.intercept.shape != shape[:1]:
-            raise ValueError(
-                f"weights must be (K, F) with K > 1 and intercept (K,), got {shape}, {self.intercept.shape}"
-            )
-        for name in ("weights", "intercept"):
-            check_array(name, getattr(self, name))
+        if len(shape) != 2 or shape[0] < 2:
+            raise ValueError(f"weights must be (K, F) with K > 1, got {shape}")
+        check_array("weights", self.weights)
+        check_array("intercept", self.intercept, shape=shape[:1])
 
     @property
     def n_features(self) -> int:

@@ -317,12 +317,8 @@ class StepLengthFit:
         object.__setattr__(self, "theta", read_only(self.theta))
         object.__setattr__(self, "theta_cov", read_only(self.theta_cov))
         p = self.model.n_params
-        if self.theta.shape != (p,) or self.theta_cov.shape != (p, p) or self.residual_std_m < 0:
-            raise ValueError(
-                f"{type(self.model).__name__} needs theta ({p},), theta_cov ({p}, {p}) and residual_std_m >= 0, got "
-                f"{self.theta.shape}, {self.theta_cov.shape}, {self.residual_std_m}"
-            )
-        check_array("theta", self.theta)
+        check_array("theta", self.theta, shape=(p,))
+        check_array("theta_cov", self.theta_cov, shape=(p, p))
         check_cov(self.theta_cov, "theta_cov")
 
     def predict(self, step: Step) -> tuple[float, float]:

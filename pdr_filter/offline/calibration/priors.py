@@ -59,8 +59,9 @@ class StepLengthPrior:
             if getattr(self, name).shape != (self.model.n_params,):
                 kind, shape = type(self.model).__name__, getattr(self, name).shape
                 raise ValueError(f"{name} of {kind} must be ({self.model.n_params},), got {shape}")
-        if not ((self.std >= 0).all() and (self.between_std >= 0).all() and np.isfinite(self.mean).all()):
-            raise ValueError("mean must be finite, std and between_std not negative")
+        check_array("mean", self.mean)
+        if not ((self.std >= 0).all() and (self.between_std >= 0).all()):
+            raise ValueError(f"std and between_std must be 0 or more, got {self.std} and {self.between_std}")
         if not self.step_std_m >= 0:
             raise ValueError(f"step_std_m must not be negative, got {self.step_std_m}")
         if ((self.std == 0) & (self.between_std > 0)).any():

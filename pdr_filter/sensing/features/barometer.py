@@ -18,15 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pdr_filter.values import (
-    CONTEXTS,
-    STANDARD_GRAVITY_MPS2,
-    BoolArray,
-    FloatArray,
-    IntArray,
-    check_array,
-    check_numbers,
-)
+from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2, BoolArray, FloatArray, IntArray, check_numbers
 
 GAS_CONSTANT_J_PER_MOL_K = 8.314462618
 MOLAR_MASS_OF_AIR_KG_PER_MOL = 0.0289644  # dry; damp air at 20 degrees is up to 0.9 % lighter
@@ -234,9 +226,8 @@ def climb_log_evidence(climb_rate_mps: ArrayLike, std_mps: ArrayLike) -> FloatAr
     and must not be the only one. A rate with a large `std_mps` is no evidence.
     """
     rate, std = np.asarray(climb_rate_mps, dtype=float)[..., None], np.asarray(std_mps, dtype=float)[..., None]
-    check_array("climb_rate_mps", rate)
-    if not (std >= 0).all():
-        raise ValueError(f"std_mps must be 0 or more, got {std_mps}")
+    if not (np.isfinite(rate) & (std >= 0)).all():
+        raise ValueError(f"climb_rate_mps must be finite and std_mps at least zero, got {climb_rate_mps}, {std_mps}")
     var = _VAR_MPS2 + std**2
     away = rate - _MEAN_MPS
     density = np.exp(-0.5 * away * away / var) / np.sqrt(2 * math.pi * var)
