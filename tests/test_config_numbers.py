@@ -19,7 +19,7 @@ from pdr_filter import recipes
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.attitude import AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner
-from pdr_filter.values import check_numbers
+from pdr_filter.values import check_array, check_numbers
 
 WRONG = (np.nan, np.inf, -1.0, 0.0)
 HANG_S = 30.0
@@ -124,3 +124,30 @@ def test_zero_any_sign_and_infinity_are_where_a_configuration_says_so_and_in_tup
 if __name__ == "__main__":
     found = try_all(sys.argv[1])
     print("\n".join(found) or "all tried")
+
+
+@pytest.mark.parametrize(
+    ("value", "kind", "shape", "words"),
+    [
+        ([1.0, np.nan], "finite", None, r"must be finite, got \[1\.0, nan\]: mend it"),
+        (0.0, "positive", None, "must be positive and finite, got 0.0: mend it"),
+        (np.inf, "positive", None, "must be positive and finite, got inf"),
+        ([-1e-9, 1.0], "0 or more", (2,), r"must be \(2,\), 0 or more and finite"),
+        ([1.0, 1.0], "increasing", None, "must be increasing and finite"),
+        (np.ones((4, 10)), "finite", (4,), r"must be \(4,\), finite, got 40 of shape \(4, 10\)"),
+        ("1", "finite", None, "must be finite, got '1'"),
+        (True, "finite", None, "must be finite, got True"),
+    ],
+)
+def test_an_array_of_another_kind_is_refused_with_its_value_and_the_remedy(
+    value: Any, kind: Any, shape: tuple[int, ...] | None, words: str
+) -> None:
+    with pytest.raises(ValueError, match=f"x_m {words}"):
+        check_array("x_m", value, kind, shape, "mend it")
+
+
+@pytest.mark.parametrize(
+    ("value", "kind"), [(0, "0 or more"), (1e-9, "positive"), ([1, 2], "increasing"), ([], "positive")]
+)
+def test_an_array_of_its_kind_is_taken(value: Any, kind: Any) -> None:
+    check_array("x_m", value, kind)

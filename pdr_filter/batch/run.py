@@ -6,9 +6,10 @@ are those of one by one, to the last bit on the same machine and library version
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
-from typing import cast, get_args
+from typing import cast
 
 from pdr_filter.batch.progress import Clock, Progress
 from pdr_filter.batch.result_table import Row, Task, failed_row, opened, row_of, tables, write_parquet
@@ -18,10 +19,10 @@ from pdr_filter.filter.imm.weighting import WEIGHTINGS
 from pdr_filter.io.folders import recordings_of
 from pdr_filter.io.formats import read
 from pdr_filter.recipes import check_name, for_recording
-from pdr_filter.recipes.step_length_calibration import load_calibration
+from pdr_filter.recipes.step_length_calibration import read_person
 from pdr_filter.tracking import whole_recording as recording_run
-from pdr_filter.tracking.georeferencing import GnssUse
 from pdr_filter.values.recording import check_height
+from pdr_filter.values.track_placement import GnssUse, check_gnss
 
 
 def track(
@@ -50,7 +51,8 @@ def track(
     paths
         Recordings; a folder that is not a recording stands for all recordings in it.
     recipe, weighting, file_format, height_m, calibration, gnss
-        As in `pdr_filter.track`; a recipe is made for each recording's person and placement.
+        As in `pdr_filter.track`; a recipe is made for each recording's person and placement. `calibration` may also
+        be the file of a person, and is not written.
     out : path
         CSV file with the columns `COLUMNS`. With the suffix .parquet the rows grow in the CSV file beside it and are
         written as parquet in the end, which needs pandas and pyarrow.
@@ -78,10 +80,14 @@ def track(
     >>> row.name, row.failed
     ('demo_walk', False)
     """
-    _check(recipe, weighting, file_format, height_m, calibration, gnss)
+    asked = _asked(recipe, weighting, file_format, height_m, calibration, gnss)
     table, parquet = tables(out)
-    paths_of_others = [path for path in recordings_of(paths) if path != str(table.resolve())]
-    tasks = _tasks(paths_of_others, recipe, weighting, file_format, height_m, calibration, gnss)
+    tasks = [replace(asked, path=path) for path in recordings_of(paths) if path != str(table.resolve())]
+    for task in tasks:
+        if "\n" in task.path or "\r" in task.path:
+            raise ValueError(
+                f"{task.path!r} has a line break in its name, which a line of a table cannot hold: rename it"
+            )
     with opened(table, retry_failed) as (known, append):
         rows = {row.task: row for row in known}
         clock = None if progress is None else Clock(tasks, rows, progress)
@@ -110,7 +116,7 @@ def track_one(task: Task) -> Row:
             recording,
             config,
             task.weighting or None,
-            calibration=task.calibration or None,
+            person=task.calibration or None,
             gnss=cast(GnssUse, task.gnss) if task.gnss else None,
         )
     except Exception as error:  # whatever a file provokes belongs beside the successes, not in place of them
@@ -118,38 +124,23 @@ def track_one(task: Task) -> Row:
     return row_of(task, result)
 
 
-def _tasks(
-    paths: Sequence[str],
+def _asked(
     recipe: str,
     weighting: str | None,
     file_format: str | None,
     height_m: float | None,
     calibration: str | Path | None,
     gnss: str | None,
-) -> list[Task]:
-    for path in paths:
-        if "\n" in path or "\r" in path:
-            raise ValueError(f"{path!r} has a line break in its name, which a line of a table cannot hold: rename it")
-    where = "" if calibration is None else str(Path(calibration).resolve())
-    return [Task(path, recipe, weighting or "", file_format or "", height_m, where, gnss or "") for path in paths]
-
-
-def _check(
-    recipe: str,
-    weighting: str | None,
-    file_format: str | None,
-    height_m: float | None,
-    calibration: str | Path | None,
-    gnss: str | None,
-) -> None:
-    """ValueError for what would otherwise be the reason of every row."""
+) -> Task:
+    """Task without its path; ValueError for what would otherwise be the reason of every row."""
     check_name(recipe)
     if weighting is not None and weighting not in WEIGHTINGS:
         raise ValueError(f'weighting must be "imm", "wc" or "hc", got {weighting!r}')
     check_format(file_format)
     if height_m is not None:
         check_height(height_m)
-    if gnss is not None and gnss not in get_args(GnssUse):
-        raise ValueError(f"gnss must be one of {get_args(GnssUse)}, got {gnss!r}")
+    check_gnss(gnss)
     if calibration is not None:
-        load_calibration(calibration)
+        read_person(calibration)
+    where = "" if calibration is None else str(Path(calibration).resolve())
+    return Task("", recipe, weighting or "", file_format or "", height_m, where, gnss or "")

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdr_filter.classifiers.trees import NO_CHILD, TreeMachine, Trees
-from pdr_filter.values import FloatArray
+from pdr_filter.values import FloatArray, check_array
 from pdr_filter.values.mixtures import softmax
 
 if TYPE_CHECKING:
@@ -33,12 +33,12 @@ class BoostedTrees(TreeMachine):
     def __post_init__(self) -> None:
         self._make_read_only("value", "baseline")
         n_nodes, n_trees = len(self.trees.left), len(self.trees.roots)
-        if self.value.shape != (n_nodes,) or not np.isfinite(self.value).all():
-            raise ValueError(f"value must be a finite number for each of {n_nodes} nodes")
+        check_array("value", self.value, shape=(n_nodes,), remedy="give one for each node")
+        check_array("baseline", self.baseline)
         n_classes = len(self.baseline) if self.baseline.ndim == 1 else 0
-        if n_classes < 3 or n_trees % n_classes or not np.isfinite(self.baseline).all():
+        if n_classes < 3 or n_trees % n_classes:
             raise ValueError(
-                f"baseline must be finite, of 3 or more classes, and {n_trees} trees one for each class and round, "
+                f"baseline must be of 3 or more classes, and {n_trees} trees one for each class and round, "
                 f"got shape {self.baseline.shape}"
             )
 

@@ -22,7 +22,7 @@ from pdr_filter.classifiers.kernel_machine import RelevanceVectors
 from pdr_filter.classifiers.model_files import Arrays, ArtefactFormat, file_pair, of_prefix, prefixed
 from pdr_filter.classifiers.probability_calibration import slipped, tempered
 from pdr_filter.classifiers.softmax import SoftmaxRegression
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, pickled, read_only
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, check_array, pickled, read_only
 
 # Version 2: heads, temperature, limit of the features, familiarity.
 FORMAT = ArtefactFormat("context_model", 2, "train it again, or use the version that wrote it")
@@ -280,12 +280,10 @@ def _check(model: ContextModel) -> None:
             f"the machine has {model.machine.n_features} features and {model.machine.n_classes} classes, "
             f"the names say {n_features} and {n_classes}"
         )
-    if model.feature_mean.shape != (n_features,) or model.feature_scale.shape != (n_features,):
-        raise ValueError(f"feature_mean and feature_scale must be ({n_features},), one entry for each feature")
-    if not (np.isfinite((model.feature_mean, model.feature_scale)).all() and (model.feature_scale > _LEAST).all()):
-        raise ValueError(
-            f"feature_mean must be finite and feature_scale above {_LEAST}; use one for a feature that does not vary"
-        )
+    for name in ("feature_mean", "feature_scale"):
+        check_array(name, getattr(model, name), shape=(n_features,), remedy="give one for each feature")
+    if not (model.feature_scale > _LEAST).all():
+        raise ValueError(f"feature_scale must be above {_LEAST}; use one for a feature that does not vary")
     if not (_LEAST < model.temperature < np.inf and model.feature_limit > 0):
         raise ValueError(
             f"temperature and feature_limit must be positive, got {model.temperature} and {model.feature_limit}"

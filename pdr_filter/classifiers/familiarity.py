@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdr_filter.classifiers.base_classifier import Stored
-from pdr_filter.values import FloatArray
+from pdr_filter.values import FloatArray, check_array
 
 # A feature further out than this counts as this far: one broken feature alone cannot make the distance infinite.
 _CUT = 8.0
@@ -33,11 +33,11 @@ class Familiarity(Stored):
         self._make_read_only("axes", "variance")
         if self.axes.ndim != 2 or self.variance.shape != self.axes.shape[:1]:
             raise ValueError(f"axes must be (K, F) and variance (K,), got {self.axes.shape}, {self.variance.shape}")
-        if not (np.isfinite(self.axes).all() and (self.variance >= _LEAST_VARIANCE).all()):
-            raise ValueError(f"axes must be finite and variances at least {_LEAST_VARIANCE}")
+        check_array("axes", self.axes)
+        if not (self.variance >= _LEAST_VARIANCE).all():
+            raise ValueError(f"variance must be at least {_LEAST_VARIANCE}, got {self.variance}")
         for name in ("limit", "sharpness"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+            check_array(name, getattr(self, name), "positive")
 
     def distance(self, standardised: FloatArray) -> FloatArray:
         """Distances (...) of windows' standardised features (..., F)."""

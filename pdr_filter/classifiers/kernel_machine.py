@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdr_filter.classifiers.base_classifier import Machine, row_by_row
-from pdr_filter.values import FloatArray, IntArray
+from pdr_filter.values import FloatArray, IntArray, check_array
 from pdr_filter.values.mixtures import softmax
 
 KERNELS = ("rbf", "linear")
@@ -101,8 +101,7 @@ def _check(machine: RelevanceVectors) -> None:
         raise ValueError(f"kernel must be one of {KERNELS}, got {machine.kernel!r}")
     if machine.link not in LINKS:
         raise ValueError(f"link must be one of {LINKS}, got {machine.link!r}")
-    if not (np.isfinite(machine.width) and machine.width > 0):
-        raise ValueError(f"width must be positive and finite, got {machine.width}")
+    check_array("width", machine.width, "positive")
     if machine.vectors.ndim != 2 or machine.weights.ndim != 2 or len(machine.weights) < 2:
         raise ValueError(f"vectors (R, F), weights (K > 1, m): got {machine.vectors.shape}, {machine.weights.shape}")
     shape = machine.weights.shape
@@ -110,5 +109,5 @@ def _check(machine: RelevanceVectors) -> None:
         raise ValueError(f"shapes of weights {shape}, basis {machine.basis.shape} and cov_factor disagree")
     if machine.basis.size and not 0 <= machine.basis.min() <= machine.basis.max() <= len(machine.vectors):
         raise ValueError(f"basis must hold 0 (bias) to {len(machine.vectors)} (last relevance vector)")
-    if not all(np.isfinite(a).all() for a in (machine.vectors, machine.weights, machine.cov_factor)):
-        raise ValueError("relevance vectors, weights and covariances must be finite")
+    for name in ("vectors", "weights", "cov_factor"):
+        check_array(name, getattr(machine, name))

@@ -80,6 +80,15 @@ class ArtefactFormat:
             noun = self.kind.replace("_", " ")
             raise ValueError(f"{json_path}: not usable as {noun}: {what}; {self.remedy}") from error
 
+    def is_at(self, path: str | Path) -> bool:
+        """Whether a file says that it is of this kind; what else is wrong with it is for `read`."""
+        from pdr_filter.io.files.safe_files import read_small
+
+        try:
+            return _kind(json.loads(read_small(file_pair(path)[0], limits.MAX_DESCRIPTION_BYTES))) == self.kind
+        except (OSError, ValueError):
+            return False
+
     def names_in(self, folder: Path) -> list[str]:
         """Names of the artefacts of this kind in a folder, which may hold others."""
         return [path.stem for path in folder.glob("*.json") if _kind(json.loads(path.read_text("utf-8"))) == self.kind]

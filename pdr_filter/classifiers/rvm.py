@@ -25,7 +25,7 @@ from threadpoolctl import threadpool_limits  # scikit-learn depends on it
 
 from pdr_filter.classifiers.kernel_machine import KERNELS, RelevanceVectors
 from pdr_filter.classifiers.rvm_training import Bernoulli, Posterior, Trained, train
-from pdr_filter.values import FloatArray, IntArray
+from pdr_filter.values import FloatArray, IntArray, check_array
 
 MULTI_CLASS = ("one_against_all", "multinomial")
 
@@ -321,15 +321,14 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
         width = self.kernel_width
         if isinstance(width, str) and width != "cv":
             raise ValueError(f'kernel_width must be a number, "cv" or None, got {width!r}')
-        if width is not None and not isinstance(width, str) and not 0 < width < np.inf:
-            raise ValueError(f"kernel_width must be positive, in units of the features, got {width}")
+        if width is not None and not isinstance(width, str):
+            check_array("kernel_width", width, "positive", remedy="it is in units of the features")
         if self.max_samples is not None and self.max_samples < 1:
             raise ValueError(f"max_samples must be at least 1 or None, got {self.max_samples}")
         for name in ("max_basis", "max_iter"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
-        if not self.tol > 0:
-            raise ValueError(f"tol must be positive, in nats, got {self.tol}")
+        check_array("tol", self.tol, "positive", remedy="it is in nats")
 
     def _checked(
         self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None, groups: ArrayLike | None
@@ -342,10 +341,9 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
         weight = np.ones(len(rows)) if sample_weight is None else np.asarray(sample_weight, dtype=np.float64)
         if weight.ndim == 0:
             weight = np.full(len(rows), float(weight))
-        if weight.shape != (len(rows),):
-            raise ValueError(f"sample_weight must be ({len(rows)},), one for each row, got {weight.shape}")
-        if not (np.isfinite(weight).all() and (weight >= 0).all() and (weight > 0).any()):
-            raise ValueError("sample_weight must be finite, not negative, and not zero for all rows")
+        check_array("sample_weight", weight, "0 or more", (len(rows),), "give one for each row")
+        if not weight.any():
+            raise ValueError("sample_weight must not be zero for all rows")
         group = None if groups is None else np.asarray(groups)
         if group is not None and group.shape != (len(rows),):
             raise ValueError(f"groups must be ({len(rows)},), one for each row, got {group.shape}")
@@ -361,8 +359,7 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
                 raise ValueError(f'class_weight must be a dict, "balanced" or None, got {self.class_weight!r}')
             return weight.sum() / (len(self.classes_) * np.bincount(label, weights=weight))
         factors = np.array([float(self.class_weight.get(c, 1.0)) for c in self.classes_.tolist()])
-        if not (np.isfinite(factors).all() and (factors > 0).all()):
-            raise ValueError(f"class_weight must be positive and finite, got {self.class_weight}")
+        check_array("class_weight", factors, "positive")
         return factors
 
     def _candidates(self, rows: FloatArray, label: IntArray, weight: FloatArray) -> tuple[FloatArray, list[str]]:

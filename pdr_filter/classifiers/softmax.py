@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdr_filter.classifiers.base_classifier import Machine
-from pdr_filter.values import FloatArray
+from pdr_filter.values import FloatArray, check_array
 from pdr_filter.values.mixtures import softmax
 
 
@@ -21,12 +21,10 @@ class SoftmaxRegression(Machine):
     def __post_init__(self) -> None:
         self._make_read_only("weights", "intercept")
         shape = self.weights.shape
-        if len(shape) != 2 or shape[0] < 2 or self.intercept.shape != shape[:1]:
-            raise ValueError(
-                f"weights must be (K, F) with K > 1 and intercept (K,), got {shape}, {self.intercept.shape}"
-            )
-        if not (np.isfinite(self.weights).all() and np.isfinite(self.intercept).all()):
-            raise ValueError("weights and intercept must be finite")
+        if len(shape) != 2 or shape[0] < 2:
+            raise ValueError(f"weights must be (K, F) with K > 1, got {shape}")
+        check_array("weights", self.weights)
+        check_array("intercept", self.intercept, shape=shape[:1])
 
     @property
     def n_features(self) -> int:

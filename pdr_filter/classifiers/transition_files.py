@@ -11,10 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from pdr_filter.classifiers.model_files import Arrays, ArtefactFormat, file_pair
-from pdr_filter.values import CONTEXTS, FloatArray, check_transition_prob, read_only
+from pdr_filter.values import CONTEXTS, FloatArray, check_array, check_transition_prob, read_only
 
 FORMAT = ArtefactFormat("transitions", 1, "write the file again with pdr-filter train")
 
@@ -47,11 +45,9 @@ class Transitions:
         for name in ("transition_prob", "counts"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
         check_transition_prob(self.transition_prob, len(CONTEXTS))
-        if self.counts.shape != self.transition_prob.shape or not _is_finite_not_negative(self.counts):
-            raise ValueError(f"counts must be {self.transition_prob.shape}, finite and not negative, got {self.counts}")
+        check_array("counts", self.counts, "0 or more", self.transition_prob.shape)
         for name in ("evidence_exponent", "prior_exponent"):
-            if not _is_finite_not_negative(getattr(self, name)):
-                raise ValueError(f"{name} must be finite and not negative, got {getattr(self, name)}")
+            check_array(name, getattr(self, name), "0 or more")
 
     def save(self, folder: str | Path) -> Path:
         """Write `transitions.json` into the folder and return its path."""
@@ -84,7 +80,3 @@ def _assemble(content: Mapping[str, Any], _: Arrays) -> Transitions:
         counts=content["counts"],
         card=dict(content["card"]),
     )
-
-
-def _is_finite_not_negative(value: FloatArray | float) -> bool:
-    return bool(np.isfinite(value).all() and (np.asarray(value) >= 0).all())

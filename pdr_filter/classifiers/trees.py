@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pdr_filter.classifiers.base_classifier import Machine, Stored
 from pdr_filter.classifiers.model_files import Arrays
-from pdr_filter.values import BoolArray, FloatArray, IntArray
+from pdr_filter.values import BoolArray, FloatArray, IntArray, check_array
 
 NO_CHILD = -1  # in `left` and `right` of a leaf, as scikit-learn has it
 # Rows times trees that go down together: what stays in the processor's cache. It changes no result.
@@ -161,8 +161,7 @@ def _check_shapes(trees: Trees) -> None:
     feature, threshold = trees.feature[~trees.is_leaf], trees.threshold[~trees.is_leaf]
     if ((feature < 0) | (feature >= trees.n_features)).any():
         raise ValueError(f"a node looks at a feature outside 0 to {trees.n_features - 1}")
-    if not np.isfinite(threshold).all():
-        raise ValueError("a threshold is not finite")
+    check_array("threshold", threshold)
 
 
 def _check_links(trees: Trees) -> None:

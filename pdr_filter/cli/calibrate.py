@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,17 +11,14 @@ import typer
 from pdr_filter.cli import console
 from pdr_filter.cli.console import escape
 from pdr_filter.cli.options import (
-    CalibrationFile,
     Files,
     Folder,
     Format,
-    Gnss,
     Loop,
-    PlanFile,
+    PersonFile,
+    PlacementOptions,
     RadioFile,
     Scheduler,
-    Start,
-    on_plan,
 )
 from pdr_filter.values.sanitise import file_name
 
@@ -95,6 +92,7 @@ def calibrate(
 
 def smooth(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording.")],
+    placement: PlacementOptions,
     fixes: Annotated[
         Path | None,
         typer.Option(help="CSV of fixes, time_s,east_m,north_m and perhaps std_m."),
@@ -108,10 +106,7 @@ def smooth(
         bool, typer.Option("--wifi-loops", help="Close loops where the recording's own Wi-Fi is alike.")
     ] = False,
     radio: RadioFile = None,
-    calibration: CalibrationFile = None,
-    plan: PlanFile = None,
-    start: Start = None,
-    gnss: Gnss = None,
+    person: PersonFile = None,
     loop: Loop = False,
     out: Folder = None,
     file_format: Format = None,
@@ -124,28 +119,25 @@ def smooth(
     from pdr_filter.io.fix_files import fixes_of_file, loop_closures_of_file
     from pdr_filter.offline.smoothing.observations import waypoint_fixes
     from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
-    from pdr_filter.recipes.step_length_calibration import load_calibration
 
     before: dict[Path, int] = {}
     with console.one_line_errors(), console.progress("smoothing"):
         recording = pdr.read(file, file_format)
-        known = None if calibration is None else load_calibration(calibration)
         closed = [] if loop_closures is None else loop_closures_of_file(loop_closures)
         closed += wifi_loop_closures(recording) if wifi_loops else []
         known_places = [] if fixes is None else fixes_of_file(fixes, fix_std_m)
-        where = on_plan(plan, start)
+        where = placement.arguments()
         if radio is not None:
             mapped = pdr.RadioMap.load(radio)
-            known_places = [*known_places, *mapped.fixes(recording), *(mapped.grids(recording) if where else [])]
-        given = (start, fixes, loop_closures, radio, gnss, wifi_loops or None, loop or None)
-        if recording.truth.waypoints is not None and all(value is None for value in given):
+            known_places += [*mapped.fixes(recording), *(mapped.grids(recording) if placement.plan else [])]
+        is_given = any((fixes, loop_closures, radio, wifi_loops, loop, replace(placement, plan=None).given()))
+        if recording.truth.waypoints is not None and not is_given:
             known_places = waypoint_fixes(recording, fix_std_m)
         result = pdr.smooth(
             recording,
             known_places,
-            calibration=known,
+            person=person,
             loop_closures=closed,
-            gnss=None if gnss is None else gnss.value,
             loop=loop,
             **where,
         )

@@ -17,11 +17,11 @@ from pdr_filter.report.html import write_report
 from pdr_filter.report.page_data import track_data
 from pdr_filter.report.palette import context_colours
 from pdr_filter.simulate import demo_walk
-from pdr_filter.tracking.georeferencing import GnssUse
 from pdr_filter.tracking.track import Track
 from pdr_filter.values import FloatArray
 from pdr_filter.values.recording import Recording
 from pdr_filter.values.sanitise import file_name
+from pdr_filter.values.track_placement import GnssUse
 
 _BAR_CELLS = 30
 

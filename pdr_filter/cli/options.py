@@ -5,72 +5,37 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable
-from dataclasses import fields, is_dataclass
-from enum import StrEnum
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, get_args, get_type_hints
 
 import typer
+
+from pdr_filter.values import Plan
+from pdr_filter.values.track_placement import GnssUse, NorthUse, TrackPlacement, texts
 
 Files = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings, or folders of them.")]
 Format = Annotated[
     str | None, typer.Option("--format", help="Format of the files, if it is not to be found by their content.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object a line for each file, nothing else on stdout.")]
-CalibrationFile = Annotated[Path | None, typer.Option(help="Of pdr-filter calibrate: this person's steps.")]
+PersonFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--person",
+        "--calibration",
+        help="Step lengths of the person: made by pdr-filter calibrate, or by pdr-filter track from the fixes of a "
+        "walk, which adds further walks to it.",
+    ),
+]
 RadioFile = Annotated[
     Path | None, typer.Option("--radio", help="Of pdr-filter radio: a map of this building's Wi-Fi, for fixes.")
 ]
 Folder = Annotated[Path | None, typer.Option(help="Folder for NAME.csv and NAME.png.")]
 
 
-class GnssUse(StrEnum):
-    """What becomes of a recording's own locations."""
-
-    FILTER = "filter"
-    ALIGN = "align"
-    OFF = "off"
-
-
-Gnss = Annotated[
-    GnssUse | None,
-    typer.Option(help="Whether its locations are fixes, turn and shift the whole track, or are left out."),
-]
-
-
-class NorthUse(StrEnum):
-    """What says where true north is until locations do."""
-
-    MAGNETIC = "magnetic"
-    ROTATION_VECTOR = "rotation-vector"
-    TRUE_HEADING = "true-heading"
-    OFF = "off"
-
-
-North = Annotated[
-    NorthUse | None,
-    typer.Option(
-        help="What says where true north is: the magnetometer, also if not given where locations are used, or the "
-        "phone's own attitude, Android's rotation vector or the true heading of iOS."
-    ),
-]
-Origin = Annotated[
-    str | None,
-    typer.Option(metavar="LAT,LON", help="Where the walk starts, in degrees; its own locations are not used then."),
-]
-Heading = Annotated[
-    str | None,
-    typer.Option(metavar="DEG", help="True heading in which the person first walks, clockwise from north: 90 is east."),
-]
-PlanFile = Annotated[
-    Path | None, typer.Option("--plan", help="Floor plan (GeoJSON) that keeps the track where people can walk.")
-]
-Start = Annotated[
-    str | None,
-    typer.Option(
-        metavar="PLACE", help="Where on the plan it begins: EAST,NORTH in m, the name of an area, or anywhere."
-    ),
-]
+_TEXT = {name: text.split(". ")[0].replace("`", "").rstrip(".") + "." for name, text in texts().items()}
+Gnss = Annotated[GnssUse | None, typer.Option(help=_TEXT.get("gnss"))]
 Online = Annotated[
     bool,
     typer.Option("--online", help="What a phone knew at each step, in place of the walk smoothed as a whole."),
@@ -81,15 +46,43 @@ Loop = Annotated[
 Scheduler = Annotated[str | None, typer.Option(help="The same on a Dask cluster, such as tcp://host:8786.")]
 
 
-def on_plan(plan: Path | None, start: str | None) -> dict[str, Any]:
-    """The arguments `plan` and `start` of `pdr_filter.track` and `pdr_filter.smooth`."""
+@dataclass(frozen=True, slots=True)
+class PlacementOptions:
+    """Place, north and floor plan of a track: `TrackPlacement` in words of a command line."""
+
+    gnss: Gnss = None
+    north: Annotated[
+        NorthUse | None,
+        typer.Option(metavar="SOURCE", help=f"{_TEXT.get('north')} One of {', '.join(get_args(NorthUse))}."),
+    ] = None
+    origin: Annotated[str | None, typer.Option(metavar="LAT,LON", help=_TEXT.get("origin"))] = None
+    heading: Annotated[str | None, typer.Option(metavar="DEG", help=_TEXT.get("heading_rad"))] = None
+    plan: Annotated[Path | None, typer.Option(metavar="GEOJSON", help=_TEXT.get("plan"))] = None
+    start: Annotated[
+        str | None, typer.Option(metavar="PLACE", help=f"{_TEXT.get('start')} A place is EAST,NORTH in m.")
+    ] = None
+
+    def given(self) -> dict[str, Any]:
+        """The options that are given, by their names."""
+        return {f"--{f.name}": value for f in fields(self) if (value := getattr(self, f.name)) is not None}
+
+    def arguments(self) -> dict[str, Any]:
+        """The arguments of `pdr_filter.track` and `pdr_filter.smooth`; ValueError for options that cannot be used."""
+        placement = TrackPlacement(
+            gnss=self.gnss,
+            origin=_origin_deg(self.origin),
+            heading_rad=_heading_rad(self.heading),
+            north=self.north,
+            plan=None if self.plan is None else _plan(self.plan),
+            start=_place(self.start),
+        )
+        return {field.name: getattr(placement, field.name) for field in fields(placement)}
+
+
+def _plan(path: Path) -> Plan:
     from pdr_filter.maps.floor_plan import FloorPlan
 
-    if plan is None and start is not None:
-        raise ValueError(f"--start is a place on a floor plan, got {start!r} without --plan: give one")
-    if plan is None:
-        return {}
-    return {"plan": FloorPlan.read(plan), "start": _place(start)}
+    return FloorPlan.read(path)
 
 
 def _place(start: str | None) -> Any:
@@ -105,7 +98,7 @@ def _place(start: str | None) -> Any:
     return PositionFix(0.0, np.array([east_m, north_m]), np.eye(2))
 
 
-def origin_deg(text: str | None) -> tuple[float, float] | None:
+def _origin_deg(text: str | None) -> tuple[float, float] | None:
     """Latitude and longitude from LAT,LON."""
     from pdr_filter.values.origin import check_place
 
@@ -119,7 +112,7 @@ def origin_deg(text: str | None) -> tuple[float, float] | None:
     return latitude_deg, longitude_deg
 
 
-def heading_rad(text: str | None) -> float | None:
+def _heading_rad(text: str | None) -> float | None:
     """Radians from DEG."""
     if text is None:
         return None

@@ -62,11 +62,11 @@ def demo(
     """Smooth a walk, draw it and print a summary."""
     from pdr_filter.cli.demo import Demo, run_demo
 
-    use, written = None if gnss is None else gnss.value, set[str]()
+    written = set[str]()
     folder = Path(tempfile.mkdtemp(prefix="pdr_filter_demo_")) if out is None else out
 
     def run(one: Path | None, progress: Callable[[float], None]) -> Demo:
-        return run_demo(one, folder, progress, use, written, online, loop)
+        return run_demo(one, folder, progress, gnss, written, online, loop)
 
     with console.one_line_errors():
         files = [] if file is None else console.recordings_of([file])

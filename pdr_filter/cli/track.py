@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -14,23 +13,15 @@ from pdr_filter.cli import console
 from pdr_filter.cli.index_page import write_index
 from pdr_filter.cli.options import (
     AsJson,
-    CalibrationFile,
     Files,
     Folder,
     Format,
-    Gnss,
-    Heading,
     Loop,
-    North,
     Online,
-    Origin,
-    PlanFile,
+    PersonFile,
+    PlacementOptions,
     RadioFile,
     Scheduler,
-    Start,
-    heading_rad,
-    on_plan,
-    origin_deg,
 )
 from pdr_filter.values.sanitise import file_name
 
@@ -40,45 +31,24 @@ if TYPE_CHECKING:
     from pdr_filter.values.recording import Recording
 
 
-class Weighting(StrEnum):
-    """How context probabilities become step lengths."""
-
-    HC = "hc"
-    WC = "wc"
-    IMM = "imm"
-
-
 @dataclass(frozen=True, slots=True)
 class Method:
     """How a track is made."""
 
     recipe: Annotated[str, typer.Option(help="Name of a recipe, such as default or martinelli2018.")] = "default"
     weighting: Annotated[
-        Weighting | None, typer.Option(help="How contexts become step lengths; the recipe's own if not given.")
+        Literal["hc", "wc", "imm"] | None,
+        typer.Option(help="How contexts become step lengths; the recipe's own if not given."),
     ] = None
     model: Annotated[Path | None, typer.Option(help="Context model (.npz) for windows with gyroscope.")] = None
-    calibration: CalibrationFile = None
     transitions: Annotated[Path | None, typer.Option(help="transitions.json of pdr-filter train.")] = None
     device: Annotated[
         Path | None, typer.Option(help="What is known of the phone: read if it is there, and written anew.")
     ] = None
-    person: Annotated[
-        Path | None, typer.Option(help="What is known of the person's steps: read if it is there, and written anew.")
-    ] = None
-    gnss: Gnss = None
-    north: North = None
-    origin: Origin = None
-    heading: Heading = None
-    plan: PlanFile = None
-    start: Start = None
+    person: PersonFile = None
     radio: RadioFile = None
     online: Online = False
     loop: Loop = False
-
-    @property
-    def weighting_name(self) -> str | None:
-        """As `pdr_filter.track` takes it."""
-        return None if self.weighting is None else self.weighting.value
 
     def changes(self) -> Callable[[Config], Config]:
         """What model and transitions change of a recipe; what cannot be used is refused before a file is read."""
@@ -87,8 +57,6 @@ class Method:
         from pdr_filter.classifiers.transition_files import load_transitions
 
         recipes.check_name(self.recipe)
-        origin_deg(self.origin)
-        heading_rad(self.heading)
         model = None if self.model is None else load_model(self.model)
         learnt = None if self.transitions is None else load_transitions(self.transitions)
 
@@ -203,7 +171,13 @@ class WorkerOptions:
 
 
 def track(
-    files: Files, method: Method, source: Source, output: OutputOptions, workers: WorkerOptions, as_json: AsJson = False
+    files: Files,
+    method: Method,
+    placement: PlacementOptions,
+    source: Source,
+    output: OutputOptions,
+    workers: WorkerOptions,
+    as_json: AsJson = False,
 ) -> None:
     """Track recordings: steps, distance, end point and contexts of each.
 
@@ -218,18 +192,19 @@ def track(
     written.
     """
     import pdr_filter as pdr
+    from pdr_filter.recipes.step_length_calibration import Calibration, read_person
 
     with console.one_line_errors():
         if workers.make_one_table():
-            _check_one_table(method, output, as_json)
-            _track_many(files, method, source, output.table, workers)
+            _check_one_table(method, placement, output, as_json)
+            _track_many(files, method, placement, source, output.table, workers)
             return
         given, files = files, console.recordings_of(files)
         if output.out is not None and files != given:
             output = replace(output, report=True)
         output.check()
         changes = method.changes()
-        where = on_plan(method.plan, method.start)
+        where = placement.arguments()
         radio = None if method.radio is None else pdr.RadioMap.load(method.radio)
     written: set[str] = set()
     replaced: list[Path] = []
@@ -240,10 +215,9 @@ def track(
         config = changes(pdr.recipes.for_recording(method.recipe, recording))
         if radio is not None:
             config = config.in_world_frame()
-        device, person = (
-            path if path is not None and path.exists() else None for path in (method.device, method.person)
-        )
-        heard = [] if radio is None else [*radio.fixes(recording), *(radio.grids(recording) if where else [])]
+        device = method.device if method.device is not None and method.device.exists() else None
+        person = read_person(method.person) if method.person is not None and method.person.exists() else None
+        heard = [] if radio is None else [*radio.fixes(recording), *(radio.grids(recording) if placement.plan else [])]
         tracks = console.estimates(
             recording,
             method.online,
@@ -251,22 +225,20 @@ def track(
             output.report,
             progress,
             config=config,
-            weighting=method.weighting_name,
+            weighting=method.weighting,
             fixes=heard,
-            calibration=method.calibration,
             device=device,
             person=person,
-            gnss=None if method.gnss is None else method.gnss.value,
-            north=None if method.north is None else method.north.value,
-            origin=origin_deg(method.origin),
-            heading_rad=heading_rad(method.heading),
             **where,
         )
         result = tracks[0]
         if method.device is not None and result.device is not None:
             result.device.save(method.device)
         if method.person is not None and result.person is not None:
-            result.person.save(method.person)
+            learnt = result.person
+            if isinstance(person, Calibration):
+                learnt = person.with_walks(recording.subject, learnt)
+            learnt.save(method.person)
         name = console.unused(file_name(result.name), written)
         replaced.extend(output.write(tracks, recording, name))
         listed[name] = result
@@ -277,7 +249,9 @@ def track(
     tracks, failed = console.each(files, track_one, as_json)
     console.say_replaced(replaced)
     if tracks and method.person is not None and not method.person.exists():
-        console.stderr().print(console.escape(f"{method.person} is not written: no fix says how long the steps are"))
+        console.stderr().print(
+            console.escape(f"{method.person} is not there, and not written: no fix says how long the steps are")
+        )
     if output.out is not None and files != given and listed:
         with console.one_line_errors():
             write_index(listed, failed, output.out / "index.html")
@@ -287,18 +261,13 @@ def track(
     console.exit_if_failed(failed, len(files))
 
 
-def _check_one_table(method: Method, output: OutputOptions, as_json: bool) -> None:
+def _check_one_table(method: Method, placement: PlacementOptions, output: OutputOptions, as_json: bool) -> None:
     """ValueError for what is of one recording, where many make one table."""
     of_one = {
         "--model": method.model,
         "--transitions": method.transitions,
         "--device": method.device,
-        "--person": method.person,
-        "--north": method.north,
-        "--origin": method.origin,
-        "--heading": method.heading,
-        "--plan": method.plan,
-        "--start": method.start,
+        **replace(placement, gnss=None).given(),
         "--radio": method.radio,
         "--loop": method.loop,
         "--export": output.export,
@@ -312,7 +281,14 @@ def _check_one_table(method: Method, output: OutputOptions, as_json: bool) -> No
         )
 
 
-def _track_many(files: Sequence[Path], method: Method, source: Source, table: Path, workers: WorkerOptions) -> None:
+def _track_many(
+    files: Sequence[Path],
+    method: Method,
+    placement: PlacementOptions,
+    source: Source,
+    table: Path,
+    workers: WorkerOptions,
+) -> None:
     from pdr_filter import batch
 
     with console.progress("tracking") as show:
@@ -325,15 +301,15 @@ def _track_many(files: Sequence[Path], method: Method, source: Source, table: Pa
             rows = batch.track(
                 files,
                 method.recipe,
-                method.weighting_name,
+                method.weighting,
                 out=table,
                 jobs=workers.jobs or 1,
                 scheduler=workers.scheduler,
                 progress=show_progress,
                 file_format=source.file_format,
                 height_m=source.height_m,
-                calibration=method.calibration,
-                gnss=None if method.gnss is None else method.gnss.value,
+                calibration=method.person,
+                gnss=placement.gnss,
             )
         except RuntimeError as error:  # a cluster that is gone
             raise ValueError(console.message(error)) from error

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pdr_filter.values import FloatArray, Table, table
+from pdr_filter.values import FloatArray, Table, check_array, table
 
 
 def percent_error(estimate_m: ArrayLike, true_m: ArrayLike) -> FloatArray:
@@ -18,8 +18,7 @@ def percent_error(estimate_m: ArrayLike, true_m: ArrayLike) -> FloatArray:
     -7.0
     """
     true = np.asarray(true_m, dtype=float)
-    if not (true > 0).all():
-        raise ValueError("true_m must be positive: the error is relative to it")
+    check_array("true_m", true, "positive", remedy="the error is relative to it")
     return np.asarray(100.0 * (np.asarray(estimate_m, dtype=float) - true) / true)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pdr_filter.values import FloatArray, IntArray
+from pdr_filter.values import FloatArray, IntArray, check_array
 
 
 def count_error_percent(n_found: ArrayLike, n_true: ArrayLike) -> FloatArray:
@@ -17,8 +17,7 @@ def count_error_percent(n_found: ArrayLike, n_true: ArrayLike) -> FloatArray:
     -2.0
     """
     true = np.asarray(n_true, dtype=float)
-    if not (true > 0).all():
-        raise ValueError("n_true must be positive: the error is relative to it")
+    check_array("n_true", true, "positive", remedy="the error is relative to it")
     return np.asarray(100.0 * (np.asarray(n_found, dtype=float) - true) / true)
 
 

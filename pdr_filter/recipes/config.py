@@ -21,6 +21,7 @@ from pdr_filter.sensing.heading.magnetic_north import MagneticNorth
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading
 from pdr_filter.sensing.stream_merging import StreamMerger
 from pdr_filter.values import DECLINATION_STD_RAD, Note, Plan, PositionFix
+from pdr_filter.values.track_placement import TrackPlacement
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +120,10 @@ class Config:
         placed = self if start is None else self.in_world_frame()
         return replace(placed, on_plan=ParticleFilter.of(plan, start, seed))
 
+    def placed(self, placement: TrackPlacement) -> Config:
+        """Return the configuration on the floor plan of a placement, if it has one."""
+        return self if placement.plan is None else self.with_plan(placement.plan, placement.start)
+
     def in_hindsight(self) -> Config:
         """The same where later windows are known, too: a window says no more than its share of the time."""
         return self.with_model(evidence_exponent=self.model.hindsight_exponent)
@@ -147,12 +152,3 @@ def check_config(config: object) -> None:
         raise ValueError(
             f"config must be a Config, got {config!r}: call a recipe, such as pdr_filter.recipes.default()"
         )
-
-
-def on_plan(config: Config, plan: Plan | None, start: PositionFix | str | None) -> Config:
-    """The configuration with a floor plan, if one is given; ValueError for a start without one."""
-    if plan is not None:
-        return config.with_plan(plan, start)
-    if start is not None:
-        raise ValueError(f"start is a place on a floor plan, got {start!r} without plan: give one, or leave it out")
-    return config

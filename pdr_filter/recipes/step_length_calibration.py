@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from itertools import pairwise
 from os import PathLike
 from pathlib import Path
@@ -14,12 +14,14 @@ import numpy as np
 from pdr_filter.classifiers.model_files import Arrays, ArtefactFormat, file_pair, of_prefix, prefixed
 from pdr_filter.filter.step_length import models as step_length
 from pdr_filter.filter.step_length.models import TYPICAL_STEP, StepLengthFit, StepLengthModel, length_and_jacobian
+from pdr_filter.filter.step_length.person import Person
 from pdr_filter.recipes.config import Config
 from pdr_filter.values import (
     CONTEXTS,
     FloatArray,
     Note,
     Table,
+    check_array,
     check_columns,
     check_cov,
     how_many,
@@ -101,6 +103,8 @@ class Calibration:
         Warnings, what was left out, taken otherwise, or distrusted.
     card : dict
         Version, date and what else people should know.
+    walks : dict
+        Step lengths from the fixes of later walks of some people, by id: `with_walks`.
     """
 
     models: Mapping[str, StepLengthModel]
@@ -117,6 +121,7 @@ class Calibration:
     segments: Table
     notes: tuple[str, ...] = ()
     card: Mapping[str, Any] | None = None
+    walks: Mapping[str, Person] = field(default_factory=dict[str, Person])
 
     __reduce__ = pickled
 
@@ -233,19 +238,24 @@ class Calibration:
     def config(self, config: Config, subject: Subject | None = None) -> Config:
         """The configuration with the calibrated step lengths of a person, how sure they are, and a note whose they are.
 
-        Contexts that no segment said anything about keep the lengths of the configuration.
+        Contexts that no segment said anything about keep the lengths of the configuration. The uncertainty is one
+        factor of all steps of the walk, `scale_std`: errors of parameters do not differ from step to step.
         """
         fits = self.fits(subject)
         used = self.contexts
-        modes = tuple(
-            replace(mode, step_length=fits[mode.context]) if mode.context in used else mode
-            for mode in config.model.modes
-        )
+        sure = {name: replace(fits[name], theta_cov=np.zeros_like(fits[name].theta_cov)) for name in used}
+        modes = tuple(replace(m, step_length=sure.get(m.context, m.step_length)) for m in config.model.modes)
         noise = replace(config.model.noise, log_scale_std=self.scale_std(subject))
         name = self.person_of(subject)
         note = Note("step lengths", f"step lengths {self._whose(subject)}: {', '.join(used) or 'none calibrated'}")
         notes = tuple(n for n in config.notes if n.about != "height" or name is None)
-        return replace(config.with_model(modes=modes, noise=noise), notes=(*notes, note))
+        config = replace(config.with_model(modes=modes, noise=noise), notes=(*notes, note))
+        return config.with_person(self.walks[name]) if name in self.walks else config
+
+    def with_walks(self, subject: Subject, person: Person) -> Calibration:
+        """Return a copy with the walks of a person (`person_of`); itself if that person was not calibrated."""
+        name = self.person_of(subject)
+        return self if name is None else replace(self, walks={**self.walks, name: person})
 
     def _whose(self, subject: Subject | None) -> str:
         """Whose parameters are used, in words."""
@@ -299,6 +309,7 @@ class Calibration:
             "n_segments": dict(self.n_segments),
             "notes": list(self.notes),
             "card": dict(self.card or {}),
+            "walks": {name: person.to_plain() for name, person in self.walks.items()},
         }
         FORMAT.write(path, description, arrays)
         return file_pair(path)[0]
@@ -362,8 +373,7 @@ class Calibration:
 def _check_numbers(calibration: Calibration) -> None:
     """Numbers that a filter can use: what one person's parameters are is known, however people differ."""
     for name in ("theta", "people"):
-        if not np.isfinite(getattr(calibration, name)).all():
-            raise ValueError(f"{name} must be finite, got {getattr(calibration, name)}")
+        check_array(name, getattr(calibration, name))
     for name in ("theta_cov", "people_cov"):
         check_cov(getattr(calibration, name), name)
     if not (np.diagonal(calibration.between_cov) >= 0).all():
@@ -414,11 +424,28 @@ def _shortened(name: str) -> str:
     return name if len(name) <= 32 else f"{name[:19]}...{name[-10:]}"
 
 
-def load_calibration(path: str | Path) -> Calibration:
+def load_calibration(path: Calibration | str | Path) -> Calibration:
     """A saved calibration, from the path of its .json or .npz; ValueError names the file and the remedy."""
+    if isinstance(path, Calibration):
+        return path
     if not isinstance(path, str | PathLike):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise ValueError(f"calibration must be a Calibration, or the path of a saved one, got {path!r}")
     return FORMAT.read(path, _assemble)
+
+
+def read_person(person: Person | Calibration | str | Path) -> Person | Calibration:
+    """A person, or a calibration that knows one, from what was saved of either; ValueError names the file."""
+    if isinstance(person, Person | Calibration):
+        return person
+    if not isinstance(person, str | PathLike):  # pyright: ignore[reportUnnecessaryIsInstance]
+        raise ValueError(f"person must be a Person, a Calibration, or the path of a saved one, got {person!r}")
+    return load_calibration(person) if FORMAT.is_at(person) else Person.load(person)
+
+
+def with_steps_of(config: Config, person: Person | Calibration | str | Path, subject: Subject) -> Config:
+    """The configuration with the step lengths of a person, which may be one of those who were calibrated."""
+    known = read_person(person)
+    return known.config(config, subject) if isinstance(known, Calibration) else config.with_person(known)
 
 
 def _assemble(description: Mapping[str, Any], arrays: Arrays) -> Calibration:
@@ -433,6 +460,7 @@ def _assemble(description: Mapping[str, Any], arrays: Arrays) -> Calibration:
         segments=table(of_prefix(_SEGMENT, arrays)),
         notes=tuple(description["notes"]),
         card=description["card"],
+        walks={name: Person.of_plain(plain) for name, plain in description.get("walks", {}).items()},
     )
 
 

@@ -155,7 +155,7 @@ def _words(track: TrackRows) -> dict[str, Any]:
     """What is said of a track beside its pictures."""
     return {
         "facts": _facts(track),
-        "doubts": [*trust.doubts(track), *(trust.sentence(note) for note in track.notes)],
+        "doubts": trust.problems(track),
         "has_steps": track.n_steps > 0,
         "about": f"{track.about_frame} {track.about_estimate}",
         "seconds": _seconds(track),

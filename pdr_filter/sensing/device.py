@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from pdr_filter.values import FloatArray, limits, pickled, read_only
+from pdr_filter.values import FloatArray, check_array, limits, pickled, read_only
 
 # How far the bias of a phone wanders from a day to the next, and with each kelvin. Data sheets of phone gyroscopes
 # give 0.01 to 0.05 degrees/s for a kelvin, 0.0002 to 0.0009 rad/s; phones subtract most of the slow part themselves.
@@ -39,8 +38,8 @@ class Device:
 
     def __post_init__(self) -> None:
         bias, cov = np.asarray(self.bias_radps, dtype=float), np.asarray(self.bias_cov_radps2, dtype=float)
-        if bias.shape != (3,) or cov.shape != (3, 3) or not (np.isfinite(bias).all() and np.isfinite(cov).all()):
-            raise ValueError(f"bias_radps must be (3,) and bias_cov_radps2 (3, 3), finite, got {bias} and {cov}")
+        check_array("bias_radps", bias, shape=(3,))
+        check_array("bias_cov_radps2", cov, shape=(3, 3))
         if np.abs(cov - cov.T).max() > 1e-12 or np.linalg.eigvalsh(cov).min() <= 0:
             raise ValueError(f"bias_cov_radps2 must be symmetric and positive definite, got {cov.tolist()}")
         object.__setattr__(self, "bias_radps", read_only(bias))
@@ -48,8 +47,8 @@ class Device:
 
     def after(self, days: float = 0.0, warmer_k: float = 0.0) -> Device:
         """The same phone some days later, or at another temperature: less is known of its bias."""
-        if not (0 <= days < math.inf and math.isfinite(warmer_k)):
-            raise ValueError(f"days must be 0 or more and warmer_k finite, got {days} and {warmer_k}")
+        check_array("days", days, "0 or more")
+        check_array("warmer_k", warmer_k)
         grown = _WALK_RADPS_PER_SQRT_DAY**2 * days + (_RADPS_PER_KELVIN * warmer_k) ** 2
         return Device(self.bias_radps, self.bias_cov_radps2 + grown * np.eye(3))
 

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray
+from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray, check_array
 
 STAIR_RISE_M = 0.17
 STAIR_TREAD_M = 0.29
@@ -166,12 +166,10 @@ class Leg:
         if self.context == "stationary" and self.duration_s is None:
             raise ValueError("a stationary leg covers no distance: give its duration_s")
         for name in ("duration_s", "distance_m", "frequency_factor"):
-            value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and value > 0):
-                raise ValueError(f"{name} of a leg must be a positive number, got {value}")
+            if getattr(self, name) is not None:
+                check_array(f"{name} of a leg", getattr(self, name), "positive")
         for name in ("turn_rad", "ride_up_m", "ride_m"):
-            if not np.isfinite(getattr(self, name)):
-                raise ValueError(f"{name} of a leg must be finite, got {getattr(self, name)}")
+            check_array(f"{name} of a leg", getattr(self, name))
 
     @property
     def moves(self) -> bool:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from pdr_filter.filter.imm import pedestrian_state as pedestrian
 from pdr_filter.filter.imm.pedestrian_state import StepUpdate
 from pdr_filter.filter.step_length.person import Person
-from pdr_filter.recipes.config import Config, check_config, on_plan
+from pdr_filter.recipes.config import Config, check_config
 from pdr_filter.sensing.clock import moved
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.barometer import checked_pressure
@@ -50,6 +50,7 @@ from pdr_filter.values import serialisation as serialise
 from pdr_filter.values.limits import MIN_SAMPLES
 from pdr_filter.values.plausibility import unit_of_rate, wrong_rate, wrong_time
 from pdr_filter.values.recording import Subject
+from pdr_filter.values.track_placement import TrackPlacement
 
 
 class OnlineFilter:
@@ -63,12 +64,8 @@ class OnlineFilter:
         A recipe; the default recipe if not given.
     height_m : float, optional
         Of the person, for the default recipe: what `pdr_filter.track` takes from a recording that says it.
-    plan : FloorPlan, optional
-        Keeps the track where people can walk; positions are then in its frame. See `Config.with_plan`.
-    start : PositionFix or str, optional
-        Where on the plan the walk begins: a place, the name of an area, or "anywhere".
-    weighting : {"imm", "wc", "hc"}, optional
-        How context probabilities become step lengths; the recipe's own if not given. See `pdr_filter.track`.
+    plan, start, weighting
+        As in `pdr_filter.track`.
 
     Examples
     --------
@@ -103,7 +100,7 @@ class OnlineFilter:
                 f"height_m is for the default recipe, got {height_m} beside a config: give it to the recipe"
             )
         check_config(config)
-        config = on_plan(config, plan, start)
+        config = config.placed(TrackPlacement(plan=plan, start=start))
         self.config = config if weighting is None else config.with_weighting(weighting)
         self.state = init(self.config)
 

@@ -1,4 +1,7 @@
-"""How many windows and steps there were, and how many of them were odd: what notes are made of."""
+"""Doubtful windows and steps: the criteria, the words, and how many there are.
+
+Notes give the number of doubtful windows or steps, the report gives their times. Both use these criteria and words.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +11,56 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.values import CONTEXTS, HARDLY_AGREE, Step
+from pdr_filter.values import CONTEXTS, HARDLY_AGREE, BoolArray, FloatArray, Step
 
 # Half a radian: a step in this direction is an eighth shorter than a linear filter takes it to be.
 UNKNOWN_HEADING_RAD = 0.5
 # A position that moves by more than two steps besides the step itself is worth a warning.
 MOVE_M = 2.0
 _STATIONARY, _WALKING = CONTEXTS.index("stationary"), CONTEXTS.index("walking")
+_KNOW_BIAS = "rest for five seconds before the walk, or give `device` of an earlier recording of the phone or fixes"
+
+NO_STEPS = "no steps found, so that dead reckoning does not apply here"
+STEPLESS = "the phone moved without steps, as in a vehicle or a lift: no distance is counted there"
+HANDLED = "the phone was handled, not carried: steps there may be false or lost"
+UNFAMILIAR = (
+    "the motion is unlike all that the context model was trained on: contexts, and the step lengths that follow from "
+    "them, are guesses"
+)
+NO_DIRECTION = (
+    "strides do not agree on where walking leads, as in a bag: the turn of the phone alone leads the track, and where "
+    "the phone was turned against the body the track has turned too"
+)
+QUICK_AND_SOFT = (
+    "steps are as quick as running and as soft as walking, as on the spot: how long they are, and where they lead, is "
+    "unsure"
+)
+LATE = (
+    "when the heading or the context of earlier steps was found to be another one: pdr_filter.smooth corrects these "
+    f"steps, too; {_KNOW_BIAS}"
+)
+HEADING_UNKNOWN = f"the bias of the gyroscope is hardly known; {_KNOW_BIAS}"
+REJECTED = "not fit the track or its time"
+
+
+def is_moving(context_prob: FloatArray) -> BoolArray:
+    """Whether the phone moves in a window (...,); `context_prob` is (..., C)."""
+    return context_prob[..., _STATIONARY] < 0.5
+
+
+def is_handled(irregular_prob: FloatArray | float, context_prob: FloatArray) -> BoolArray:
+    """Whether the phone moves in a window (...,) and is not carried by somebody who walks."""
+    return is_moving(context_prob) & (irregular_prob > 0.5)
+
+
+def is_unfamiliar(unknown_share: FloatArray | float) -> BoolArray:
+    """Whether a window (...,) is unlike those of the training."""
+    return np.asarray(unknown_share) > 0.5
+
+
+def is_without_direction(shown_offset_std_rad: FloatArray | float, direction_trust: FloatArray | float) -> BoolArray:
+    """Whether strides disagree on the walking direction at a step (...,)."""
+    return np.isfinite(shown_offset_std_rad) & (np.asarray(direction_trust) < HARDLY_AGREE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,14 +75,13 @@ class WindowCounts:
 
     def plus(self, window: WindowContext) -> WindowCounts:
         """With one window more."""
-        irregular = window.irregular_prob > 0.5 and window.prob[_STATIONARY] < 0.5
         blind = window.stairs_unknown_share > 0.5 and window.prob[_WALKING] > 0.5 and np.isnan(window.climb_rate_mps)
         return WindowCounts(
             self.n + 1,
             self.without_gyroscope + (not window.has_gyroscope),
-            self.unknown + (window.unknown_share > 0.5),
+            self.unknown + int(is_unfamiliar(window.unknown_share)),
             self.stairs_unknown + int(blind),
-            self.irregular + int(irregular),
+            self.irregular + int(is_handled(window.irregular_prob, window.prob)),
         )
 
 
@@ -55,7 +100,7 @@ class StepCounts:
 
     def plus(self, step: Step, heading_std_rad: float, moved_m: float) -> StepCounts:
         """Return the counts with one more step, the heading's uncertainty after it, and the move of the position."""
-        is_untrusted = math.isfinite(step.shown_offset_std_rad) and step.direction_trust < HARDLY_AGREE
+        is_untrusted = bool(is_without_direction(step.shown_offset_std_rad, step.direction_trust))
         counts = replace(
             self,
             n=self.n + 1,

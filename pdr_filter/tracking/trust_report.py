@@ -4,9 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, HARDLY_AGREE, BoolArray, FloatArray, TrackRows, how_many
+from pdr_filter.tracking import step_statistics as doubtful
+from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray, TrackRows, how_many
 
-_STATIONARY = CONTEXTS.index("stationary")
+# Doubts that notes have too, with the number of windows, steps or fixes in place of their times.
+_OF_NOTES = (
+    doubtful.NO_STEPS,
+    doubtful.STEPLESS,
+    doubtful.HANDLED,
+    doubtful.UNFAMILIAR,
+    doubtful.NO_DIRECTION,
+    doubtful.QUICK_AND_SOFT,
+    doubtful.LATE,
+    doubtful.REJECTED,
+)
 # A head looks around, and a bag dangles.
 _LOOSE = [CARRYING_MODES.index(mode) for mode in ("calling", "bag")]
 # Shorter doubts are ordinary: a turn, a door.
@@ -28,49 +39,32 @@ def doubts(track: TrackRows) -> list[str]:
     windows = track.windows
     sentences: list[str] = []
     if len(windows):
-        moves = windows.context_prob[:, _STATIONARY] < 0.5
+        moves = doubtful.is_moving(windows.context_prob)
         stepless = moves & ~_has_step(track)
         if track.n_steps == 0 and not moves.any():
-            sentences.append("The phone did not move: there is no walk to reckon.")
+            sentences.append(f"The phone did not move: {doubtful.NO_STEPS}.")
         rides = [(a, b) for a, b in _stretches(windows.time_s, stepless) if b - a >= _MIN_RIDE_S]
-        sentences += _said(
-            rides,
-            "the phone moved without steps, as in a vehicle or a lift: dead reckoning does not apply, and the track "
-            "stands still there.",
-        )
-        handled = _long(windows.time_s, moves & (windows.irregular_prob > 0.5))
-        sentences += _said(handled, "the phone was handled, not carried: steps there may be false or lost.")
-        sentences += _said(
-            _long(windows.time_s, windows.unknown_share > 0.5),
-            "the motion is unlike all that the classifier was trained on: its contexts, and the step lengths that "
-            "follow from them, are guesses.",
-        )
+        sentences += _said(rides, doubtful.STEPLESS)
+        handled = doubtful.is_handled(windows.irregular_prob, windows.context_prob)
+        sentences += _said(_long(windows.time_s, handled), doubtful.HANDLED)
+        unfamiliar = doubtful.is_unfamiliar(windows.unknown_share)
+        sentences += _said(_long(windows.time_s, unfamiliar), doubtful.UNFAMILIAR)
     if track.n_steps:
         undecided = track.effective_modes > _DOUBTFUL_MODES
         sentences += [
             f"From {a:.0f} to {b:.0f} s the filter hesitates between {_names(track, a, b)}: their step lengths differ."
             for a, b in _long(track.time_s, undecided)
         ]
-        is_shown = np.isfinite(np.asarray(track.steps.shown_offset_std_rad))
-        sentences += _said(
-            _long(track.time_s, is_shown & (track.direction_trust < HARDLY_AGREE)),
-            "strides do not agree on where walking leads, as in a bag: the turn of the phone alone leads the track, "
-            "and where the phone was turned against the body the track has turned too.",
-        )
-        sentences += _said(
-            _long(track.time_s, track.is_quick_and_soft),
-            "steps are as quick as running and as soft as walking, as on the spot: how long they are, and where they "
-            "lead, is unsure.",
-        )
+        without_direction = doubtful.is_without_direction(track.steps.shown_offset_std_rad, track.direction_trust)
+        sentences += _said(_long(track.time_s, without_direction), doubtful.NO_DIRECTION)
+        sentences += _said(_long(track.time_s, track.is_quick_and_soft), doubtful.QUICK_AND_SOFT)
         sentences += _said(
             _long(windows.time_s, is_loose(track)),
             "the phone is held as at the ear, or dangles as in a bag: if it turns against the body without a tilt, the "
-            "track turns with it.",
+            "track turns with it",
         )
         blind = np.asarray(track.steps.heading_unknown_s) > 0.5 * np.asarray(track.steps.duration_s)
-        sentences += _said(
-            _long(track.time_s, blind), "there is no angular rate: the direction of the walk is unknown."
-        )
+        sentences += _said(_long(track.time_s, blind), "there is no angular rate: the direction of the walk is unknown")
         sentences += [
             f"Between {a:.0f} and {b:.0f} s there is nothing for {b - a:.0f} s: a rest, or a gap in the samples; the "
             "track goes on where it was."
@@ -82,11 +76,16 @@ def doubts(track: TrackRows) -> list[str]:
     if rejected:
         times = ", ".join(f"{fix.time_s:.0f}" for fix in rejected[:_MAX_TIMES])
         times += ", ..." if len(rejected) > _MAX_TIMES else ""
-        sentences.append(
-            f"{len(rejected)} of {len(track.fixes)} fixes do not fit the track or its time and were not used: "
-            f"at {times} s."
-        )
+        share = f"{len(rejected)} of {len(track.fixes)} fixes do"
+        sentences.append(f"{share} {doubtful.REJECTED} and were not used: at {times} s.")
     return sentences
+
+
+def problems(track: TrackRows) -> list[str]:
+    """Sentences about all that is doubtful: the doubts with their times, and the notes on anything else."""
+    told = doubts(track)
+    words = [w for w in _OF_NOTES if any(w in sentence for sentence in told)]
+    return [*told, *(sentence(note) for note in track.notes if not any(w in note for w in words))]
 
 
 def report(track: TrackRows) -> str:
@@ -106,8 +105,8 @@ def report(track: TrackRows) -> str:
         fit = "about 2 for positions that fit" if track.origin is None else "below 2 where locations fit"
         mean = f"mean squared innovation {np.mean(used):.1f}, {fit}"
         lines.append(f"fixes: {len(used)} used ({mean})")
-    problems = [*doubts(track), *map(sentence, track.notes)]
-    lines += ["where not to trust it:", *(f"- {p}" for p in problems)] if problems else ["nothing odd was seen"]
+    said = problems(track)
+    lines += ["where not to trust it:", *(f"- {p}" for p in said)] if said else ["nothing odd was seen"]
     return "\n".join(lines)
 
 
@@ -127,8 +126,7 @@ def is_loose(track: TrackRows) -> BoolArray:
     windows = track.windows
     if not len(windows):
         return np.zeros(0, dtype=bool)
-    moves = windows.context_prob[:, _STATIONARY] < 0.5
-    return moves & (windows.carrying_prob[:, _LOOSE].sum(axis=1) > 0.5)
+    return doubtful.is_moving(windows.context_prob) & (windows.carrying_prob[:, _LOOSE].sum(axis=1) > 0.5)
 
 
 def _has_step(track: TrackRows) -> BoolArray:
@@ -158,7 +156,7 @@ def _said(stretches: list[tuple[float, float]], words: str) -> list[str]:
     if len(stretches) > _MAX_TIMES:
         times.append(how_many(len(stretches) - _MAX_TIMES, "time", "times") + " more")
     every = " and ".join([", ".join(times[:-1]), times[-1]] if len(times) > 1 else times)
-    return [f"{every[:1].upper()}{every[1:]} {words}"]
+    return [f"{every[:1].upper()}{every[1:]} {words}."]
 
 
 def _jumps(track: TrackRows) -> list[str]:
@@ -173,10 +171,7 @@ def _jumps(track: TrackRows) -> list[str]:
     each = [f"{moved_m[i]:.0f} m at {track.time_s[i + 1]:.0f} s" for i in late[:_MAX_TIMES]]
     if len(late) > _MAX_TIMES:
         each.append(how_many(len(late) - _MAX_TIMES, "time", "times") + " more")
-    return [
-        f"The track jumps ({', '.join(each)}): how the heading drifts showed late, and places before are as they were "
-        "believed then; `smooth` corrects them."
-    ]
+    return [f"The track jumps ({', '.join(each)}), {doubtful.LATE}."]
 
 
 def _names(track: TrackRows, start_s: float, end_s: float) -> str:

@@ -1,4 +1,4 @@
-"""What to keep in mind about a track, of everything that its filter knows."""
+"""Warnings about a track, derived from the state of its filter."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pdr_filter.filter.fixes.gnss import Rides
 from pdr_filter.filter.height import height_filter as height
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.stream_merging import SENSORS
+from pdr_filter.tracking import step_statistics as doubtful
 from pdr_filter.tracking.filtering import State
 from pdr_filter.tracking.step_statistics import UNKNOWN_HEADING_RAD, StepCounts, WindowCounts
 from pdr_filter.values import FloatArray, Note, how_many
@@ -20,7 +21,6 @@ _NOTABLE_SHARE, _NOTABLE_NUMBER = 0.05, 3
 _UNTRUSTED_SHARE, _UNTRUSTED_NUMBER = 0.2, 20
 # Steps with an unknown heading that are not worth a warning: those until a moved phone has shown its new direction.
 _UNKNOWN_NUMBER = 20
-_KNOW_BIAS = "rest for five seconds before the walk, or give `device` of an earlier recording of the phone or fixes"
 
 
 def notes_of(config: Config, state: State, vertices: FloatArray | None = None) -> list[Note]:
@@ -30,7 +30,7 @@ def notes_of(config: Config, state: State, vertices: FloatArray | None = None) -
     """
     notes = [Note("samples", text) for text in state.sensing.conditioner.notes()]
     if state.finished and state.tracker.pedestrian.steps.n_final == 0:
-        notes.append(Note("steps", "no steps found: dead reckoning does not apply here"))
+        notes.append(Note("steps", doubtful.NO_STEPS))
     notes += [*_of_sensors(config, state), *_of_windows(state.seen), *_of_steps(state.walked)]
     notes += [*config.notes, *height.notes(state.height)]
     if config.on_plan is not None:
@@ -41,8 +41,7 @@ def notes_of(config: Config, state: State, vertices: FloatArray | None = None) -
 def _of_sensors(config: Config, state: State) -> Iterator[Note]:
     moving_s, seen_s = state.sensing.rattle.moving_s, state.sensing.rattle.seen_s
     if moving_s:
-        words = f"moving without steps for {moving_s} s, {100 * moving_s / seen_s:.0f} % of the time: "
-        yield Note("steps", words + "the phone shakes as on wheels, and no distance is counted there")
+        yield Note("steps", f"for {moving_s} s, {100 * moving_s / seen_s:.0f} % of the time, {doubtful.STEPLESS}")
     for sensor, last_s in config.merger.silent(state.merger):
         words = f"{sensor}: silent since {last_s:.1f} s, the others go on without it; if it still sends, its times are "
         yield Note("sensors", words + "of another clock: all sensors need one")
@@ -61,39 +60,29 @@ def _of_windows(seen: WindowCounts) -> Iterator[Note]:
         words = f"contexts of {seen.without_gyroscope} {of_all} without gyroscope, which are less sure: "
         yield Note("sensors", words + "there was no angular rate")
     if seen.unknown > notable:
-        words = f"{seen.unknown} {of_all} are unlike all that the context model was trained on: "
-        yield Note("contexts", words + "contexts are unsure there")
+        yield Note("contexts", f"in {seen.unknown} {of_all} {doubtful.UNFAMILIAR}")
     if seen.stairs_unknown > notable:
         words = f"stairs would be missed in {seen.stairs_unknown} {of_all}: the context model knows them from trouser "
         yield Note("contexts", words + "pockets only, and no barometer helped")
     if seen.irregular > notable:
-        words = f"in {seen.irregular} {of_all} the phone seems to be handled, not carried by somebody who walks: "
-        yield Note("steps", words + "steps there may be false")
+        yield Note("steps", f"in {seen.irregular} {of_all} {doubtful.HANDLED}")
 
 
 def _of_steps(walked: StepCounts) -> Iterator[Note]:
     notable = max(_UNTRUSTED_SHARE * walked.n, _UNTRUSTED_NUMBER)
     if walked.quick_and_soft > notable:
-        words = (
-            f"{walked.quick_and_soft} of {walked.n} steps are as quick as running and as soft as walking, as on the "
-        )
-        yield Note("steps", words + "spot: how long they are, and where they lead, is unsure")
+        yield Note("steps", f"{walked.quick_and_soft} of {walked.n} {doubtful.QUICK_AND_SOFT}")
     if walked.heading_unknown > _UNKNOWN_NUMBER:
         words = (
             f"the heading is uncertain by more than {UNKNOWN_HEADING_RAD} rad in {walked.heading_unknown} of "
-            f"{walked.n} steps, from {walked.unknown_from_s:.0f} to {walked.unknown_until_s:.0f} s: the bias of the "
-            "gyroscope is hardly known; "
+            f"{walked.n} steps, from {walked.unknown_from_s:.0f} to {walked.unknown_until_s:.0f} s: "
         )
-        yield Note("heading", words + _KNOW_BIAS)
+        yield Note("heading", words + doubtful.HEADING_UNKNOWN)
     if walked.largest_move_m > 0:
-        words = (
-            f"the track moved by {walked.largest_move_m:.1f} m at {walked.largest_move_s:.0f} s, when the heading or "
-            "the context of earlier steps was found to be another one: pdr_filter.smooth corrects these steps, too; "
-        )
-        yield Note("heading", words + _KNOW_BIAS)
+        words = f"the track moved by {walked.largest_move_m:.1f} m at {walked.largest_move_s:.0f} s, "
+        yield Note("heading", words + doubtful.LATE)
     if walked.untrusted > notable:
-        words = f"in {walked.untrusted} of {walked.n} steps strides do not agree on where walking leads, as in a bag: "
-        yield Note("heading", words + "the turn of the phone alone leads there")
+        yield Note("heading", f"in {walked.untrusted} of {walked.n} steps {doubtful.NO_DIRECTION}")
 
 
 def _of_frame(state: State) -> Iterator[Note]:
@@ -135,7 +124,7 @@ def notes_of_rides(rides: Rides, vertices: FloatArray | None) -> Iterator[Note]:
 
 def _of_fixes(state: State) -> Iterator[Note]:
     if state.n_rejected_fixes:
-        yield Note("fixes", f"fixes rejected as outliers: {state.n_rejected_fixes}")
+        yield Note("fixes", f"fixes that do {doubtful.REJECTED}, and were not used: {state.n_rejected_fixes}")
     n_frozen = state.tracker.pedestrian.fixes.n_frozen
     if n_frozen:
         words = f"{how_many(n_frozen, 'fix', 'fixes')} not used, because they repeat the last position while steps go "

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,7 +12,8 @@ from pdr_filter.filter.fixes.alignment import Place
 from pdr_filter.filter.fixes.gnss import origin_of
 from pdr_filter.filter.imm.pedestrian_state import StepUpdate
 from pdr_filter.filter.step_length.person import Person
-from pdr_filter.recipes.config import Config, check_config, on_plan
+from pdr_filter.recipes.config import Config, check_config
+from pdr_filter.recipes.step_length_calibration import Calibration, load_calibration, with_steps_of
 from pdr_filter.sensing.clock import one_clock
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.contexts.context_stage import WindowContext, with_climbs
@@ -33,14 +33,7 @@ from pdr_filter.tracking.filtering import (
     person_of,
     update,
 )
-from pdr_filter.tracking.georeferencing import (
-    GnssUse,
-    NorthUse,
-    is_placed,
-    uses_location,
-    with_north,
-    with_north_of_attitude,
-)
+from pdr_filter.tracking.georeferencing import with_north, with_north_of_attitude
 from pdr_filter.tracking.gnss_alignment import aligned
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.warnings import notes_of
@@ -65,11 +58,10 @@ from pdr_filter.values import (
     wrap_angle,
 )
 from pdr_filter.values.recording import MissingSensorError, Recording
-
-if TYPE_CHECKING:
-    from pdr_filter.recipes.step_length_calibration import Calibration
+from pdr_filter.values.track_placement import GnssUse, NorthUse, TrackPlacement, documented
 
 
+@documented
 def track(
     recording: Recording,
     config: Config | None = None,
@@ -78,7 +70,7 @@ def track(
     progress: Callable[[float], None] | None = None,
     calibration: Calibration | str | Path | None = None,
     device: Device | str | Path | None = None,
-    person: Person | str | Path | None = None,
+    person: Person | Calibration | str | Path | None = None,
     gnss: GnssUse | None = None,
     origin: Origin | tuple[float, float] | None = None,
     heading_rad: float | None = None,
@@ -105,36 +97,13 @@ def track(
         of it, from the first position fix on (`Track.frame`).
     progress : callable, optional
         Called with the fraction done, 0 to 1.
-    calibration : Calibration or path, optional
-        Of `pdr_filter.calibrate`, or where one was saved: step lengths and their covariance for this person.
     device : Device or path, optional
         `Track.device` of an earlier recording of the same phone, or where one was saved.
-    person : Person or path, optional
-        `Track.person` of an earlier recording of the same person, or where one was saved: step lengths from its fixes.
-    gnss : {"filter", "align", "off"}, optional
-        What becomes of the recording's own locations. "filter": they are fixes, in metres from the first of them, and
-        the track is in the world (`Track.origin`), with true north. "align": the track of dead reckoning keeps its
-        shape, and is turned and shifted as a whole to where all of them together show it, outliers left out. "off":
-        nothing. "filter" if not given, where there are some, unless `fixes` has positions or headings, which are in a
-        frame of their own, or `origin` or `heading_rad` say it.
-    origin : Origin or (latitude_deg, longitude_deg), optional
-        Where on Earth the track has its zero: the start of the walk, or that of the frame of `fixes`.
-    heading_rad : float, optional
-        True heading in which the person first walked, clockwise from north: the track is turned by it. Its error, of
-        which nothing is said, turns the whole track about its start; an `Origin` with a turn has a standard deviation.
-    north : {"magnetic", "rotation-vector", "true-heading", "off"}, optional
-        What says where true north is, until fixes have settled it. "magnetic": the magnetometer, also if not given,
-        where the locations of the recording are used. The phone's own attitude, where there is no magnetometer: as
-        "rotation-vector", whose world has y to magnetic north (Android), or "true-heading", whose world has x to true
-        north (xTrueNorthZVertical of iOS). Then `fixes` are in a frame whose north is true north, and without fixes
-        the track is turned about its start (`Track.frame` is "north"). "off": nothing.
-    plan : FloorPlan, optional
-        Keeps the track where people can walk. `fixes` are in its frame, and so is the track then (`Track.frame` is
-        "plan"); `Track.clusters` says in how many places the walk may be. The recording's own locations are used
-        where the plan was in degrees.
-    start : PositionFix or str, optional
-        Where on the plan the walk begins: a place, the name of an area, or "anywhere". If not given, where the fixes
-        put the track, or at the plan's zero and to its north.
+    person, calibration : Person, Calibration or path, optional
+        Step lengths of the person: `Track.person` of an earlier recording, from its fixes; a calibration of
+        `pdr_filter.calibrate`; or the path where one was saved. `calibration` takes only a calibration, and a person
+        beside it adds the walks of that person.
+    gnss, origin, heading_rad, north, plan, start : fields of `TrackPlacement`
 
     Examples
     --------
@@ -148,21 +117,8 @@ def track(
     >>> pdr.track(recording, weighting="hc").weighting
     'hc'
     """
-    run = asked_run(
-        recording,
-        config,
-        fixes,
-        weighting=weighting,
-        calibration=calibration,
-        device=device,
-        person=person,
-        gnss=gnss,
-        origin=origin,
-        heading_rad=heading_rad,
-        north=north,
-        plan=plan,
-        start=start,
-    )
+    placement = TrackPlacement(gnss, origin, heading_rad, north, plan, start)
+    run = asked_run(recording, config, fixes, placement, weighting, calibration, device, person)
     recording, config = run.recording, run.config
     with_fixes = run.with_location and gnss != "align"
     results = outputs(recording, config, run.fixes, progress, with_fixes, run.with_location)
@@ -176,67 +132,50 @@ class Run:
     recording: Recording  # on one clock
     config: Config
     fixes: tuple[Fix, ...]
+    placement: TrackPlacement
     with_location: bool  # whether the recording's own locations are used
-    gnss: GnssUse | None
-    origin: Origin | tuple[float, float] | None
-    heading_rad: float | None
 
     def placed(self, result: Track) -> Track:
         """A track with the given place and heading, and with notes on the locations."""
-        location = self.recording.location
-        notes: list[str] = []
-        if location is not None and self.gnss is None and not (self.origin is None and self.heading_rad is None):
-            notes.append("the recording's own locations are not used: its place or heading was given")
-        result = replace(result, notes=(*result.notes, *notes))
-        if self.origin is None:
-            return result if self.heading_rad is None else result.turned(self.heading_rad)
-        place = Origin.of(self.origin)
-        return result.placed(place if self.heading_rad is None else replace(place, turn_rad=self.heading_rad))
+        given, place = self.placement, self.placement.place
+        if self.recording.location is not None and given.gnss is None and given.is_given:
+            note = "the recording's own locations are not used: its place or heading was given"
+            result = replace(result, notes=(*result.notes, note))
+        if place is None:
+            return result if given.heading_rad is None else result.turned(given.heading_rad)
+        return result.placed(place if given.heading_rad is None else replace(place, turn_rad=given.heading_rad))
 
 
 def asked_run(
     recording: Recording,
     config: Config | None,
     fixes: Iterable[Fix],
-    *,
-    weighting: str | None,
-    calibration: Calibration | str | Path | None,
-    device: Device | str | Path | None,
-    person: Person | str | Path | None,
-    gnss: GnssUse | None,
-    origin: Origin | tuple[float, float] | None,
-    heading_rad: float | None,
-    north: NorthUse | None,
-    plan: Plan | None,
-    start: PositionFix | str | None,
+    placement: TrackPlacement,
+    weighting: str | None = None,
+    calibration: Calibration | str | Path | None = None,
+    device: Device | str | Path | None = None,
+    person: Person | Calibration | str | Path | None = None,
 ) -> Run:
     """The run that arguments of `track` ask for; ValueError for what contradicts itself."""
-    config = on_plan(given_or_default(recording, config), plan, start)
+    config = given_or_default(recording, config).placed(placement)
     fixes = all_fixes(fixes)
     for fix in fixes:
         check_fix(fix, config.on_plan is not None)
-    with_location = uses_location(recording, config, fixes, gnss)
-    with_location = not is_placed(origin, heading_rad, fixes, gnss) and with_location
+    plan = None if config.on_plan is None else config.on_plan.plan
+    with_location = placement.uses_location(recording, fixes, plan)
     recording, fixes = one_clock(recording, fixes)
-    if calibration is not None:
-        from pdr_filter.recipes.step_length_calibration import (  # which makes tracks to calibrate with
-            Calibration,
-            load_calibration,
-        )
-
-        parameters = calibration if isinstance(calibration, Calibration) else load_calibration(calibration)
-        config = parameters.config(config, recording.subject)
+    for known in (None if calibration is None else load_calibration(calibration), person):
+        if known is not None:
+            config = with_steps_of(config, known, recording.subject)
     if device is not None:
         config = config.with_device(device if isinstance(device, Device) else Device.load(device))
-    if person is not None:
-        config = config.with_person(person if isinstance(person, Person) else Person.load(person))
     if weighting is not None:
         config = config.with_weighting(weighting)
     if with_location:
         config = config.in_world_frame()
-    config = with_north(config, recording, origin, heading_rad, with_location, gnss, north)
-    recording = with_north_of_attitude(recording, north)
-    return Run(recording, config, fixes, with_location, gnss, origin, heading_rad)
+    config = with_north(config, recording, placement, with_location)
+    recording = with_north_of_attitude(recording, placement.north)
+    return Run(recording, config, fixes, placement, with_location)
 
 
 def outputs(

@@ -17,7 +17,7 @@ from pdr_filter.values.arrays import (
     read_only,
     table,
 )
-from pdr_filter.values.checks import are_numbers, check_number, check_numbers
+from pdr_filter.values.checks import are_numbers, check_array, check_number, check_numbers
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
 from pdr_filter.values.fix_error_correlation import (
     INDEPENDENT_SHARE,
@@ -103,6 +103,7 @@ __all__ = [
     "are_numbers",
     "as_floats",
     "as_plain",
+    "check_array",
     "check_columns",
     "check_cov",
     "check_declared",

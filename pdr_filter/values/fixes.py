@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from numbers import Real
 from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pdr_filter.values.arrays import FloatArray, read_only
+from pdr_filter.values.checks import check_array, check_number
 from pdr_filter.values.json_values import as_plain
 from pdr_filter.values.origin import Origin, check_place
 from pdr_filter.values.uncertainty import RADIUS_68
@@ -62,10 +62,10 @@ class PositionFix:
             raise ValueError(
                 f"altitude_m and altitude_std_m belong together, got {self.altitude_m} and {self.altitude_std_m}"
             )
-        if self.altitude_m is not None and not math.isfinite(self.altitude_m):
-            raise ValueError(f"altitude_m must be finite, got {self.altitude_m}; leave it out if it is not known")
-        if self.altitude_std_m is not None and not 0 < self.altitude_std_m < _MAX_STD:
-            raise ValueError(f"altitude_std_m must be positive, got {self.altitude_std_m}")
+        if self.altitude_m is not None:
+            check_array("altitude_m", self.altitude_m, remedy="leave it out if it is not known")
+        if self.altitude_std_m is not None:
+            _check_std("altitude_std_m", self.altitude_std_m)
         _check_times(self.time_s, self.received_time_s)
 
     @property
@@ -98,8 +98,7 @@ class PositionFix:
                 f"std_m={std_m} and accuracy_m={accuracy_m}"
             )
         name, value = ("std_m", std_m) if accuracy_m is None else ("accuracy_m", accuracy_m)
-        if not (isinstance(value, Real) and _MIN_STD <= value <= _MAX_STD):
-            raise ValueError(f"{name} must be positive, got {value!r}; leave out a fix whose place is not known")
+        _check_std(name, value)
         each_m = float(value) if accuracy_m is None else float(value) / RADIUS_68
         position_m = Origin.of(origin).east_north_m(latitude_deg, longitude_deg)
         return cls(time_s, position_m, each_m**2 * np.eye(2), received_time_s)
@@ -129,13 +128,12 @@ class GridFix:
     def __post_init__(self) -> None:
         _take_numbers(self, "time_s", "received_time_s", "cell_m", "correlation_s", "floor")
         _take_arrays(self, "south_west_m", "log_likelihood")
-        if self.south_west_m.shape != (2,) or not np.isfinite(self.south_west_m).all():
-            raise ValueError(f"south_west_m must be two finite numbers (east, north), got {self.south_west_m}")
+        check_array("south_west_m", self.south_west_m, shape=(2,), remedy="give (east, north)")
+        check_array("log_likelihood", self.log_likelihood)
         shape = self.log_likelihood.shape
-        if len(shape) != 2 or 0 in shape or not np.isfinite(self.log_likelihood).all():
-            raise ValueError(f"log_likelihood must be finite, (rows to the north, columns to the east), got {shape}")
-        if not 0 < self.cell_m < np.inf:
-            raise ValueError(f"cell_m must be positive and finite, got {self.cell_m}")
+        if len(shape) != 2 or 0 in shape:
+            raise ValueError(f"log_likelihood must be (rows to the north, columns to the east), got {shape}")
+        check_array("cell_m", self.cell_m, "positive")
         _check_correlation_and_floor(self)
         _check_times(self.time_s, self.received_time_s)
 
@@ -177,11 +175,8 @@ class HeadingFix:
     def __post_init__(self) -> None:
         _take_numbers(self, "time_s", "received_time_s", "walking_heading_rad", "std_rad")
         _check_times(self.time_s, self.received_time_s)
-        if not (np.isfinite(self.walking_heading_rad) and _MIN_STD <= self.std_rad <= _MAX_STD):
-            raise ValueError(
-                f"walking_heading_rad must be finite and std_rad positive, got {self.walking_heading_rad} and "
-                f"{self.std_rad}"
-            )
+        check_array("walking_heading_rad", self.walking_heading_rad)
+        _check_std("std_rad", self.std_rad)
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,11 +198,8 @@ class SpeedFix:
     def __post_init__(self) -> None:
         _take_numbers(self, "time_s", "received_time_s", "speed_mps", "std_mps")
         _check_times(self.time_s, self.received_time_s)
-        if not (0 < self.speed_mps < np.inf and _MIN_STD <= self.std_mps <= _MAX_STD):
-            raise ValueError(
-                f"speed_mps and std_mps must be positive, got {self.speed_mps} and {self.std_mps}; somebody who stands "
-                "is a Standstill"
-            )
+        check_array("speed_mps", self.speed_mps, "positive", remedy="somebody who stands is a Standstill")
+        _check_std("std_mps", self.std_mps)
 
 
 @dataclass(frozen=True, slots=True)
@@ -272,10 +264,13 @@ def _taken(fix: object, name: str, value: Any, as_numbers: Callable[[Any], Any])
         raise ValueError(what[:300]) from None
 
 
+def _check_std(name: str, value: Any) -> None:
+    check_number(name, value, _MIN_STD, _MAX_STD, "leave out a fix whose error is not known")
+
+
 def _check_correlation_and_floor(fix: PositionFix | GridFix) -> None:
     """ValueError unless they can be meant; the floor becomes a whole number."""
-    if not 0 <= fix.correlation_s < np.inf:
-        raise ValueError(f"correlation_s must be 0 or more and finite, got {fix.correlation_s}")
+    check_array("correlation_s", fix.correlation_s, "0 or more")
     if fix.floor is not None:
         if not (np.isfinite(fix.floor) and fix.floor == np.round(fix.floor)):
             raise ValueError(f"floor must be a whole number, such as 0 for the ground floor, got {fix.floor!r}")

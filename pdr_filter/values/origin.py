@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from math import isfinite
-from numbers import Real
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values.checks import are_numbers, check_array
 
 # Of the declination from the model, because a recording need not know its date: in ten years it changes by less than
 # 0.75 degrees on half of the Earth, by less than 1.9 on nine tenths of it.
@@ -22,16 +20,11 @@ _FIRST_YEAR, _LAST_YEAR = 2010.0, 2029.99
 
 def check_place(what: str, latitude_deg: float, longitude_deg: float) -> None:
     """ValueError unless it is a place on Earth."""
-    are_numbers = _is_real(latitude_deg) and _is_real(longitude_deg)
-    if not (are_numbers and -90 <= latitude_deg <= 90 and -180 <= longitude_deg <= 180):
+    if not (are_numbers(latitude_deg, longitude_deg) and -90 <= latitude_deg <= 90 and -180 <= longitude_deg <= 180):
         raise ValueError(
             f"{what} must be (latitude, longitude) in degrees, -90..90 and -180..180, got ({latitude_deg!r}, "
             f"{longitude_deg!r}); are the two exchanged?"
         )
-
-
-def _is_real(value: Any) -> bool:
-    return isinstance(value, Real)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,17 +54,10 @@ class Origin:
 
     def __post_init__(self) -> None:
         check_place("origin", self.latitude_deg, self.longitude_deg)
-        for name in ("height_m", "turn_rad"):
-            value = getattr(self, name)
-            if value is not None and not (_is_real(value) and isfinite(value)):
-                raise ValueError(f"{name} of an origin must be finite, got {value!r}; leave it out if it is not known")
-        for name in ("turn_std_rad", "position_std_m", "height_std_m"):
-            value = getattr(self, name)
-            if value is not None and not (_is_real(value) and 0 <= value < np.inf):
-                raise ValueError(
-                    f"{name} of an origin must be 0 or more, got {value!r}; leave it out if it is not known"
-                )
-
+        for name in ("height_m", "turn_rad", "turn_std_rad", "position_std_m", "height_std_m"):
+            if getattr(self, name) is not None:
+                kind = "0 or more" if "_std_" in name else "finite"
+                check_array(f"{name} of an origin", getattr(self, name), kind, (), "leave it out if it is not known")
         if self.turn_std_rad is not None and self.turn_rad is None:
             raise ValueError(f"turn_std_rad of an origin is that of turn_rad, got {self.turn_std_rad} alone: give both")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from math import cos, degrees, inf, isfinite, sin
+from math import cos, degrees, sin
 from typing import Any, Self
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from pdr_filter.values.angles import wrap_angle
 from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, Table, pickled, read_only
+from pdr_filter.values.checks import check_array
 from pdr_filter.values.fixes import FixResult
 from pdr_filter.values.floor_passage import FloorPassage
 from pdr_filter.values.origin import Origin
@@ -147,8 +148,8 @@ class TrackRows:
         which the person first walked. Its error turns the whole track: P' = R P R' + std^2 g g', g = (north, -east).
         ValueError for a track that a floor plan has placed.
         """
-        if not isfinite(turn_rad) or not 0 <= (std_rad or 0.0) < inf:
-            raise ValueError(f"turn_rad must be finite and std_rad 0 or more, got {turn_rad} and {std_rad}, in radians")
+        check_array("turn_rad", turn_rad)
+        check_array("std_rad", std_rad or 0.0, "0 or more")
         if self.plan is not None:
             raise ValueError(
                 f"{self.name!r} lies in the frame of its floor plan, got a turn of {turn_rad} rad: read the plan in "

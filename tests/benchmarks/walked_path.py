@@ -26,17 +26,15 @@ from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.walked_path import walked_path
 from pdr_filter.tracking.whole_recording import asked_run, collected, outputs
 from pdr_filter.values import read_only
+from pdr_filter.values.track_placement import TrackPlacement
 from tests.benchmarks.common import Tables, median_and, paths, run
 
 FloatArray = NDArray[np.float64]
-_NOT_GIVEN = dict.fromkeys(
-    ("weighting", "calibration", "device", "person", "origin", "heading_rad", "north", "plan", "start")
-)
 
 
 def tracks(recording: pdr.Recording, gnss: str | None) -> dict[str, Track]:
     """The online track, the same with the places of the path in its end, and the smoothed track."""
-    run = asked_run(recording, None, (), gnss=gnss, **_NOT_GIVEN)  # pyright: ignore[reportArgumentType]
+    run = asked_run(recording, None, (), TrackPlacement(gnss))  # pyright: ignore[reportArgumentType]
     brought = list(outputs(run.recording, run.config, (), None, run.with_location, run.with_location))
     online = collected(run.recording, run.config, brought)
     path = walked_path(run.config, brought[-1][0])

@@ -37,7 +37,7 @@ def broken(tmp_path: Path) -> Path:
 def test_a_person_whom_no_fix_measured_is_not_written_and_that_is_said(walk: Path, tmp_path: Path) -> None:
     result = run("track", walk, "--person", tmp_path / "me.json")
     assert result.exit_code == 0
-    assert "me.json is not written: no fix says" in result.stderr.replace("\n", "")
+    assert "me.json is not there, and not written: no fix says" in result.stderr.replace("\n", "")
     assert not (tmp_path / "me.json").exists()
 
 

@@ -8,8 +8,9 @@ from helpers import windows_of
 
 import pdr_filter as pdr
 from pdr_filter.simulate import Leg, simulate
+from pdr_filter.tracking.step_statistics import UNFAMILIAR
 from pdr_filter.tracking.track import Track
-from pdr_filter.tracking.trust_report import doubts
+from pdr_filter.tracking.trust_report import doubts, problems, sentence
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, FixResult, PositionFix, Samples, read_only
 from pdr_filter.values.recording import Recording
 
@@ -175,6 +176,16 @@ def test_one_sentence_says_all_the_times_of_a_doubt(track: Track, n: int, end: s
     [told] = doubts(doubted)
     assert told.startswith("From 0 to 5 s")
     assert told.split(" the motion is unlike")[0].endswith(end)
+
+
+def test_a_report_says_each_doubt_once_with_its_times_and_keeps_the_other_notes(track: Track) -> None:
+    time_s = track.windows.time_s
+    odd = read_only(((time_s > 10.0) & (time_s < 20.0)).astype(float))
+    unlike = replace(track, windows=replace(track.windows, unknown_share=odd))
+    counted, other = f"in 9 of {len(time_s)} windows {UNFAMILIAR}", "the clock was set back once"
+    said = problems(replace(unlike, notes=(counted, other)))
+    assert said == [f"From 11 to 19 s {UNFAMILIAR}.", "The clock was set back once."]
+    assert problems(replace(track, notes=(counted,))) == [sentence(counted)]  # too short a stretch to have a time
 
 
 def test_a_note_that_ends_with_a_full_stop_gets_no_second_one(track: Track) -> None:

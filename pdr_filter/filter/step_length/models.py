@@ -12,7 +12,16 @@ from typing import Protocol, TypeGuard
 
 import numpy as np
 
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Step, check_numbers, pickled, read_only
+from pdr_filter.values import (
+    STANDARD_GRAVITY_MPS2,
+    FloatArray,
+    Step,
+    check_array,
+    check_cov,
+    check_numbers,
+    pickled,
+    read_only,
+)
 
 
 class _Parameters(Protocol):
@@ -308,22 +317,9 @@ class StepLengthFit:
         object.__setattr__(self, "theta", read_only(self.theta))
         object.__setattr__(self, "theta_cov", read_only(self.theta_cov))
         p = self.model.n_params
-        if self.theta.shape != (p,) or self.theta_cov.shape != (p, p) or self.residual_std_m < 0:
-            raise ValueError(
-                f"{type(self.model).__name__} needs theta ({p},), theta_cov ({p}, {p}) and residual_std_m >= 0, got "
-                f"{self.theta.shape}, {self.theta_cov.shape}, {self.residual_std_m}"
-            )
-        if not (np.isfinite(self.theta).all() and np.isfinite(self.residual_std_m)):
-            raise ValueError(f"theta and residual_std_m must be finite, got {self.theta} and {self.residual_std_m}")
-        # a covariance that was estimated may miss zero by its rounding
-        tolerance = 1e-9 * max(float(np.abs(self.theta_cov).max(initial=0.0)), 1e-300)
-        finite = np.isfinite(self.theta_cov).all()
-        if not (
-            finite
-            and np.allclose(self.theta_cov, self.theta_cov.T, rtol=0, atol=tolerance)
-            and np.linalg.eigvalsh(self.theta_cov).min(initial=0.0) >= -tolerance
-        ):
-            raise ValueError(f"theta_cov must be symmetric and not negative, got {self.theta_cov.tolist()}")
+        check_array("theta", self.theta, shape=(p,))
+        check_array("theta_cov", self.theta_cov, shape=(p, p))
+        check_cov(self.theta_cov, "theta_cov")
 
     def predict(self, step: Step) -> tuple[float, float]:
         """Length in m (never negative) and its variance in m2: J theta_cov J' + residual variance, J = dL / dtheta."""

@@ -28,7 +28,7 @@ from pdr_filter.recipes.config import Config
 from pdr_filter.recipes.step_length_calibration import UNNAMED, Calibration
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.whole_recording import track as track_of
-from pdr_filter.values import CONTEXTS, FloatArray, Table, check_number, table
+from pdr_filter.values import CONTEXTS, FloatArray, Table, check_array, check_number, table
 from pdr_filter.values.recording import Recording
 from pdr_filter.version import __version__
 
@@ -177,8 +177,7 @@ def calibrate_segments(
     if not segments:
         raise ValueError("no segments: give at least one stretch of known length with steps in it")
     for segment in segments:
-        if not segment.distance_m > 0:
-            raise ValueError(f"{segment.name}: distance_m must be positive, got {segment.distance_m:g}")
+        check_array(f"{segment.name}: distance_m", segment.distance_m, "positive")
         if not segment.n_steps > 0:
             raise ValueError(f"{segment.name}: no steps in it; leave it out")
     name, choice = best_form(segments, forms, loss, recording_std)

@@ -22,7 +22,7 @@ from pdr_filter.filter.step_length.models import (
     scale_std,
 )
 from pdr_filter.recipes.step_length_calibration import TYPICAL_STEP
-from pdr_filter.values import FloatArray, Step, read_only
+from pdr_filter.values import FloatArray, Step, check_array, read_only
 
 PEOPLE_RELATIVE_STD = scale_std(USUAL_HEIGHT_M)  # how people of known height differ in their step lengths, 7 %
 # How far the mean of a group of people with their phones may be from the lengths that are shipped. The step lengths of
@@ -59,8 +59,9 @@ class StepLengthPrior:
             if getattr(self, name).shape != (self.model.n_params,):
                 kind, shape = type(self.model).__name__, getattr(self, name).shape
                 raise ValueError(f"{name} of {kind} must be ({self.model.n_params},), got {shape}")
-        if not ((self.std >= 0).all() and (self.between_std >= 0).all() and np.isfinite(self.mean).all()):
-            raise ValueError("mean must be finite, std and between_std not negative")
+        check_array("mean", self.mean)
+        if not ((self.std >= 0).all() and (self.between_std >= 0).all()):
+            raise ValueError(f"std and between_std must be 0 or more, got {self.std} and {self.between_std}")
         if not self.step_std_m >= 0:
             raise ValueError(f"step_std_m must not be negative, got {self.step_std_m}")
         if ((self.std == 0) & (self.between_std > 0)).any():
@@ -159,10 +160,7 @@ def candidates() -> dict[str, dict[str, StepLengthPrior]]:
 
 def as_wide_as(prior: StepLengthPrior, relative_std: float) -> StepLengthPrior:
     """The prior of a population whose typical step is uncertain by this share of it, in the first parameter."""
-    if not 0 < relative_std < np.inf:
-        raise ValueError(
-            f"the relative standard deviation of a prior must be positive, got {relative_std}; 0.1 is usual"
-        )
+    check_array("the relative standard deviation of a prior", relative_std, "positive", (), "0.1 is usual")
     length, slope = length_and_jacobian(prior.model, TYPICAL_STEP, prior.mean)
     std = prior.std.copy()
     std[0] = relative_std * float(length) / abs(slope[0])

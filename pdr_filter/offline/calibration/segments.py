@@ -14,7 +14,7 @@ import numpy as np
 
 from pdr_filter.filter.step_length.models import StepLengthModel, length_and_jacobian
 from pdr_filter.recipes.step_length_calibration import UNNAMED, of_height, slices_of
-from pdr_filter.values import CONTEXTS, RADIUS_68, FloatArray, IntArray, Origin, Step, TrackRows, steps_of
+from pdr_filter.values import CONTEXTS, RADIUS_68, FloatArray, IntArray, Origin, Step, TrackRows, check_array, steps_of
 from pdr_filter.values.recording import Recording
 
 # How well the distance between two clicked landmarks is known: clicks are up to 0.8 s early or 0.1 s late, about 0.25 m
@@ -187,12 +187,10 @@ class SegmentSums:
                 f"{self.regressors.shape} and {self.offset_m.shape}"
             )
         for name in ("anchor_std_m", "n_steps", "context", "subject", "recording"):
-            if getattr(self, name).shape != (n,):
-                raise ValueError(f"{name} must be ({n},), got {getattr(self, name).shape}")
-        if not (np.isfinite(self.regressors).all() and np.isfinite(self.offset_m).all()):
-            raise ValueError("regressors and offset_m must be finite: leave out segments without features")
-        if not ((self.distance_m > 0).all() and (self.n_steps > 0).all() and (self.anchor_std_m >= 0).all()):
-            raise ValueError("distance_m and n_steps must be positive, anchor_std_m not negative")
+            check_array(name, getattr(self, name), "positive" if name == "n_steps" else "0 or more", (n,))
+        for name in ("regressors", "offset_m"):
+            check_array(name, getattr(self, name), remedy="leave out segments without features")
+        check_array("distance_m", self.distance_m, "positive")
 
     def __len__(self) -> int:
         return len(self.distance_m)

@@ -55,7 +55,6 @@ from pdr_filter.recipes.config import Config
 from pdr_filter.recipes.step_length_calibration import Calibration
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading, known_places
-from pdr_filter.tracking.georeferencing import GnssUse, NorthUse
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.whole_recording import asked_run, collected, outputs, run_sensing
 from pdr_filter.values import (
@@ -75,6 +74,7 @@ from pdr_filter.values import (
     wrap_angle,
 )
 from pdr_filter.values.recording import Recording
+from pdr_filter.values.track_placement import GnssUse, NorthUse, TrackPlacement
 
 # Nothing is known of where the walk began in the frame of the fixes, apart from being in the same region.
 _ANYWHERE_STD_M = 1000.0
@@ -90,7 +90,7 @@ def smooth(
     weighting: str | None = None,
     progress: Callable[[float], None] | None = None,
     device: Device | str | Path | None = None,
-    person: Person | str | Path | None = None,
+    person: Person | Calibration | str | Path | None = None,
     gnss: GnssUse | None = None,
     origin: Origin | tuple[float, float] | None = None,
     heading_rad: float | None = None,
@@ -152,21 +152,8 @@ def smooth(
             "start_heading_std_rad beside plan: leave them out"
         )
     check_options(loop_closures, start_heading_std_rad, anchor_interval_s)
-    run = asked_run(
-        recording,
-        config,
-        fixes,
-        weighting=weighting,
-        calibration=calibration,
-        device=device,
-        person=person,
-        gnss=gnss,
-        origin=origin,
-        heading_rad=heading_rad,
-        north=north,
-        plan=plan,
-        start=start,
-    )
+    placement = TrackPlacement(gnss, origin, heading_rad, north, plan, start)
+    run = asked_run(recording, config, fixes, placement, weighting, calibration, device, person)
     recording, config = run.recording, run.config
     if isinstance(loop_closures, str):
         loop_closures = tuple(wifi_loop_closures(recording))
@@ -190,10 +177,6 @@ def smooth(
     if track.weighting == "imm":
         prob = smoothed_mode_prob(track.mode_prob, config.model.transition_prob)
         track = replace(track, mode_prob=read_only(prob))
-    if calibration is not None:
-        # how sure the parameters are is in the calibrated spread of the scale already
-        fits = [replace(m.step_length, theta_cov=np.zeros_like(m.step_length.theta_cov)) for m in modes]
-        modes = tuple(replace(m, step_length=fit) for m, fit in zip(modes, fits, strict=True))
     where, locations = LocationState(), ()
     if run.with_location and gnss != "align" and recording.location is not None:
         where, locations = locations_of(recording.location)

@@ -106,7 +106,9 @@ def on_earth(
 def with_given_place(run: Run, smoothed: Smoothed) -> Smoothed:
     """A smoothed walk with the given place and heading."""
     before, track = smoothed.track, run.placed(smoothed.track)
-    turn_rad = track.origin.turn_rad if track.origin is not None and before.frame == "start" else run.heading_rad
+    turn_rad = (
+        track.origin.turn_rad if track.origin is not None and before.frame == "start" else run.placement.heading_rad
+    )
     if track.frame == before.frame or turn_rad is None:
         return replace(smoothed, track=track, notes=track.notes)
     rotation = turned(np.array(turn_rad), np.array(0.0))

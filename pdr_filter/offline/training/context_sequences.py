@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdr_filter.offline.training.cross_validation import TextArray
-from pdr_filter.values import BoolArray, FloatArray, IntArray, check_transition_prob, read_only
+from pdr_filter.values import BoolArray, FloatArray, IntArray, check_array, check_transition_prob, read_only
 from pdr_filter.values.mixtures import reweighted
 
 UNKNOWN = -1  # a context that is not known: it is neither stayed in nor left
@@ -40,8 +40,7 @@ class LabelledProbabilities:
             if len(getattr(self, name)) != len(self.prob):
                 raise ValueError(f"{name} must have {len(self.prob)} rows as prob, got {len(getattr(self, name))}")
         _check_labels(self.label, self.prob.shape[1])
-        if not (np.isfinite(self.prob).all() and (self.prob >= 0).all()):
-            raise ValueError("prob must be finite and not negative")
+        check_array("prob", self.prob, "0 or more")
 
     @property
     def starts(self) -> BoolArray:
@@ -74,8 +73,7 @@ def count_transitions(
     steps = np.ones(len(label)) if steps is None else steps
     if len(sequence) != len(label) or len(steps) != len(label):
         raise ValueError(f"label, sequence and steps differ in length: {len(label)}, {len(sequence)}, {len(steps)}")
-    if not (np.isfinite(steps).all() and (steps >= 0).all()):
-        raise ValueError("steps must be finite and not negative")
+    check_array("steps", steps, "0 or more")
     follows = ~sequence_starts(sequence)[1:] & (label[1:] != UNKNOWN) & (label[:-1] != UNKNOWN)
     before, after, made = label[:-1][follows], label[1:][follows], steps[:-1][follows]
     changed = before != after
@@ -99,11 +97,9 @@ def estimate_transitions(counts: FloatArray, prior: FloatArray, prior_steps: flo
     """
     if counts.shape != prior.shape or counts.ndim != 2 or counts.shape[0] != counts.shape[1]:
         raise ValueError(f"counts and prior must both be (C, C), got {counts.shape} and {prior.shape}")
-    if not (np.isfinite(counts).all() and (counts >= 0).all()):
-        raise ValueError("counts must be finite and not negative")
+    check_array("counts", counts, "0 or more")
     check_transition_prob(prior, len(prior), "prior")
-    if not (np.isfinite(prior_steps) and prior_steps > 0):
-        raise ValueError(f"prior_steps must be above zero, got {prior_steps}")
+    check_array("prior_steps", prior_steps, "positive")
     posterior = counts + prior_steps * prior
     return posterior / posterior.sum(axis=1, keepdims=True)
 

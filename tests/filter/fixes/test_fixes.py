@@ -393,7 +393,7 @@ def test_headings_keep_a_drifting_gyroscope_straight() -> None:
 def test_a_heading_that_cannot_be_is_rejected(walk: Recording) -> None:
     track = pdr.track(walk, fixes=[HeadingFix(20.0, np.pi, 0.05)])
     assert [f.accepted for f in track.fixes] == [False]
-    assert any("fixes rejected as outliers: 1" in note for note in track.notes)
+    assert any("not fit the track or its time, and were not used: 1" in note for note in track.notes)
 
 
 def test_in_the_world_frame_the_first_heading_says_where_north_is(walk: Recording) -> None:

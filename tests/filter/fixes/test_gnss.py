@@ -380,7 +380,7 @@ def test_outliers_do_not_turn_an_aligned_track(walk: Recording) -> None:
     assert [fix.time_s for fix in track.fixes if fix.outcome == "rejected"] == wrong_s
     error_m = np.linalg.norm(in_frame_of_here(track) - truth_m(walk, track.time_s), axis=1)
     assert error_m.max() < 14.0
-    assert any("rejected as outliers: 3" in note for note in track.notes)
+    assert any("not fit the track or its time, and were not used: 3" in note for note in track.notes)
 
 
 @pytest.mark.parametrize("gnss", ["filter", "align"])

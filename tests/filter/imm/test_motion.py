@@ -344,9 +344,9 @@ def test_noise_and_fits_that_cannot_be_are_refused() -> None:
         HeadingDrift(bias_correlation_s=-1.0)
     model = FrequencyVarianceStepLength()
     for theta_cov in (-np.eye(3), np.eye(3) * np.nan, np.array([[1.0, 0.5, 0], [0, 1.0, 0], [0, 0, 1.0]])):
-        with pytest.raises(ValueError, match="theta_cov must be symmetric and not negative"):
+        with pytest.raises(ValueError, match=r"theta_cov must (be|have no negative eigenvalue)"):
             StepLengthFit(model, np.ones(3), theta_cov, 0.1)
-    with pytest.raises(ValueError, match="theta and residual_std_m must be finite"):
+    with pytest.raises(ValueError, match=r"theta must be \(3,\), finite"):
         StepLengthFit(model, np.array([1.0, np.nan, 0.0]), np.eye(3), 0.1)
 
 

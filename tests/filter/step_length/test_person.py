@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from pdr_filter.filter.imm.motion_model import LOG_SCALE
 from pdr_filter.filter.imm.pedestrian_state import initial_state
 from pdr_filter.filter.step_length.models import RECORDING_STD, TYPICAL_STEP, length_and_jacobian, scale_std
 from pdr_filter.filter.step_length.person import Session, session_of
+from pdr_filter.recipes.step_length_calibration import Calibration, read_person
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.simulate.population import random_person
 from pdr_filter.values.recording import Recording, Subject
@@ -195,3 +197,52 @@ def test_the_command_line_reads_a_person_file_if_there_is_one_and_writes_it_anew
     assert len(pdr.Person.load(me).sessions) == 1
     assert runner.invoke(app, ["track", str(file), "--person", str(me)]).exit_code == 0
     assert len(pdr.Person.load(me).sessions) == 2
+
+
+@pytest.fixture(scope="module")
+def calibrated(first: Recording) -> Calibration:
+    return pdr.calibrate([replace(first, location=None)], subject="me")
+
+
+def test_a_calibration_is_a_person_too_with_the_same_track(first: Recording, calibrated: Calibration) -> None:
+    by_name, as_person = (pdr.track(first, gnss="off", **{name: calibrated}) for name in ("calibration", "person"))
+    np.testing.assert_array_equal(by_name.position_m, as_person.position_m)
+
+
+def test_how_sure_a_calibration_is_of_a_person_is_one_factor_of_all_steps(calibrated: Calibration) -> None:
+    model = calibrated.config(recipes.default()).model
+    walking = next(m for m in model.modes if m.context == "walking")
+    assert model.noise.log_scale_std == calibrated.scale_std()
+    assert walking.step_length is not None and not walking.step_length.theta_cov.any()
+
+
+def test_walks_of_a_calibrated_person_count_beside_the_calibration(
+    calibrated: Calibration, learnt: pdr.Person, tmp_path: Path
+) -> None:
+    both = calibrated.with_walks(Subject(), learnt)
+    saved = read_person(both.save(tmp_path / "me"))
+    assert isinstance(saved, Calibration)
+    expected = calibrated.config(recipes.default()).with_person(learnt).model
+    for known in (both, saved):
+        model = known.config(recipes.default()).model
+        assert model.noise == expected.noise
+        for mode, other in zip(model.modes, expected.modes, strict=True):
+            np.testing.assert_array_equal(mode.step_length.theta, other.step_length.theta)
+    assert calibrated.with_walks(Subject(id="somebody else"), learnt) is calibrated
+
+
+def test_the_command_line_adds_walks_to_the_file_of_a_calibration(
+    first: Recording, calibrated: Calibration, tmp_path: Path
+) -> None:
+    file, me = first.save(tmp_path / "walk.zip"), calibrated.save(tmp_path / "me.json")
+    for n_walks, option in ((1, "--person"), (2, "--calibration")):
+        assert CliRunner().invoke(app, ["track", str(file), option, str(me)]).exit_code == 0
+        known = read_person(me)
+        assert isinstance(known, Calibration)
+        assert len(known.walks["me"].sessions) == n_walks
+
+
+@pytest.mark.parametrize("given", [{}, 5, "missing.json"])
+def test_what_is_no_person_is_refused(first: Recording, given: Any) -> None:
+    with pytest.raises(ValueError, match=r"person must be a Person, a Calibration, or|missing\.json: no person file"):
+        pdr.track(first, person=given)

@@ -213,7 +213,7 @@ def test_what_cannot_be_a_sequence_or_a_label_is_refused() -> None:
         count_transitions(np.array([0, 2]), names[:2], 2)
     with pytest.raises(ValueError, match="differ in length"):
         count_transitions(np.array([0, 1]), names[:1], 2)
-    with pytest.raises(ValueError, match="steps must be finite"):
+    with pytest.raises(ValueError, match="steps must be 0 or more"):
         count_transitions(np.array([0, 1]), names[:2], 2, steps=np.array([1.0, np.nan]))
 
 
@@ -224,7 +224,7 @@ def test_what_cannot_be_a_prior_of_transitions_is_refused() -> None:
         estimate_transitions(np.zeros((6, 6)), context_transitions(), 0.0)
     with pytest.raises(ValueError, match="both be"):
         estimate_transitions(np.zeros((3, 3)), context_transitions())
-    with pytest.raises(ValueError, match="not negative"):
+    with pytest.raises(ValueError, match="counts must be 0 or more and finite"):
         estimate_transitions(np.full((6, 6), np.nan), context_transitions())
 
 
@@ -232,7 +232,7 @@ def test_what_cannot_be_labelled_probabilities_is_refused() -> None:
     windows = drawn_windows(1, 5)
     with pytest.raises(ValueError, match="label must have 5 rows"):
         replace(windows, label=windows.label[:4])
-    with pytest.raises(ValueError, match="prob must be finite"):
+    with pytest.raises(ValueError, match="prob must be 0 or more"):
         replace(windows, prob=np.full((5, 3), np.nan))
     with pytest.raises(ValueError, match="must both be"):
         replace(windows, training_prior=windows.training_prior[0])
