@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from pdr_filter.classifiers.base_classifier import Machine
 from pdr_filter.values import FloatArray, check_array
 from pdr_filter.values.mixtures import softmax
