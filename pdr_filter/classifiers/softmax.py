@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdr_filter.classifiers.base_classifier import Machine
-from pdr_filter.values import FloatArray
-from pdr_filter.values.mixtures import softmax
+from pdr_filter.values import FloatArray, softmax
 
 
 @dataclass(frozen=True, slots=True, eq=False)
