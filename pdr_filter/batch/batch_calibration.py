@@ -10,10 +10,10 @@ from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pdr_filter.batch.workers import Failure, check_format, each
+from pdr_filter.batch.workers import Failure, each
 from pdr_filter.io.files.safe_files import whole_file
 from pdr_filter.io.folders import recordings_of
-from pdr_filter.io.formats import read
+from pdr_filter.io.formats import known_format, read
 from pdr_filter.offline.calibration.segments import AnySegment, SummedSegment, segments_of
 from pdr_filter.offline.robust_loss import LOSSES
 from pdr_filter.tracking import whole_recording as recording_run
@@ -84,7 +84,8 @@ def calibrate(
         raise ValueError(f"loss must be one of {', '.join(LOSSES)}, got {loss!r}")
     if anchor_std_m is not None and not 0 <= anchor_std_m < inf:
         raise ValueError(f"anchor_std_m must be 0 or more, got {anchor_std_m}")
-    check_format(file_format)
+    if file_format:
+        known_format(file_format)
     check_subject(subject, each_a_person)
     files = recordings_of(paths)
     every = {pair: None for form in forms_of(priors, model, prior_std).values() for pair in models_in(form)}

@@ -14,10 +14,10 @@ from typing import cast
 from pdr_filter.batch.progress import Clock, Progress
 from pdr_filter.batch.result_table import Row, Task, failed_row, opened, row_of, tables, write_parquet
 from pdr_filter.batch.worker_process import reason_of
-from pdr_filter.batch.workers import check_format, each
+from pdr_filter.batch.workers import each
 from pdr_filter.filter.imm.weighting import WEIGHTINGS
 from pdr_filter.io.folders import recordings_of
-from pdr_filter.io.formats import read
+from pdr_filter.io.formats import known_format, read
 from pdr_filter.recipes import check_name, for_recording
 from pdr_filter.recipes.step_length_calibration import read_person
 from pdr_filter.tracking import whole_recording as recording_run
@@ -136,7 +136,8 @@ def _asked(
     check_name(recipe)
     if weighting is not None and weighting not in WEIGHTINGS:
         raise ValueError(f'weighting must be "imm", "wc" or "hc", got {weighting!r}')
-    check_format(file_format)
+    if file_format:
+        known_format(file_format)
     if height_m is not None:
         check_height(height_m)
     check_gnss(gnss)

@@ -27,18 +27,10 @@ class LostError(ConnectionError):
 class WorkerProcess:
     """Process that answers each request with the function `make(*arguments)`, which is called in the process.
 
-    The first request starts the process, and the first one after its death starts it again. The process does not
-    import the main module of its parent, so scripts need no guard. Each end sees the death of the other as the end of
-    a pipe that no other process holds, so a kill at any moment leaves no lock behind.
-
-    Parameters
-    ----------
-    make : callable
-        Function that the process can import by name.
-    arguments
-        Arguments of `make`.
-    n_threads : int, optional
-        Threads of the numerical libraries, unless the environment has set them.
+    The process imports `make` by name, and not the main module of its parent, so scripts need no guard. `n_threads` is
+    for numerical libraries, unless the environment says it. The first request starts the process, and the first one
+    after its death starts it again. Each end sees the death of the other as the end of a pipe that no other process
+    holds, so a kill at any moment leaves no lock behind.
     """
 
     def __init__(self, make: Callable[..., Answering], *arguments: Any, n_threads: int | None = None) -> None:

@@ -12,7 +12,6 @@ from threading import Thread
 from typing import Any, TypeVar
 
 from pdr_filter.batch.worker_process import LostError, WorkerProcess, dask_errors, reason_of
-from pdr_filter.io.formats import FORMATS
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -47,12 +46,6 @@ def each(
             yield i, _guarded(work, item)
     else:
         yield from _on_processes(work, items, jobs)
-
-
-def check_format(file_format: str | None) -> None:
-    """ValueError for what would otherwise be the reason of every recording."""
-    if file_format is not None and file_format.lower().replace("-", "_") not in FORMATS:
-        raise ValueError(f"format is {file_format!r}; known are {', '.join(FORMATS)}")
 
 
 def _guarded(work: Callable[[T], R], item: T) -> R | Failure:

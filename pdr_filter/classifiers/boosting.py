@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdr_filter.classifiers.trees import NO_CHILD, TreeMachine, Trees
-from pdr_filter.values import FloatArray, check_array
-from pdr_filter.values.mixtures import softmax
+from pdr_filter.values import FloatArray, check_array, softmax
 
 if TYPE_CHECKING:
     from sklearn.ensemble import HistGradientBoostingClassifier

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdr_filter.classifiers.base_classifier import Machine, row_by_row
-from pdr_filter.values import FloatArray, IntArray, check_array
-from pdr_filter.values.mixtures import softmax
+from pdr_filter.values import FloatArray, IntArray, check_array, softmax
 
 KERNELS = ("rbf", "linear")
 LINKS = ("sigmoid", "softmax")

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.values import BoolArray, FloatArray, IntArray
-from pdr_filter.values.mixtures import softmax
+from pdr_filter.values import BoolArray, FloatArray, IntArray, softmax
 
 
 def tempered(prob: FloatArray, temperature: float) -> FloatArray:

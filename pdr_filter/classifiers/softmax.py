@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from pdr_filter.classifiers.base_classifier import Machine
-from pdr_filter.values import FloatArray, check_array
-from pdr_filter.values.mixtures import softmax
+from pdr_filter.values import FloatArray, check_array, softmax
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,8 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pdr_filter.values import BoolArray, FloatArray, rigid_fit, wrap_angle
-from pdr_filter.values.interpolation import interpolated
+from pdr_filter.values import BoolArray, FloatArray, interpolated, rigid_fit, wrap_angle
 
 Alignment = Literal["none", "origin", "first", "all"]
 

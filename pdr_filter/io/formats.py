@@ -37,6 +37,14 @@ OF_TWO_PLATFORMS: dict[str, Callable[[Path, str | None], Recording]] = {
 PLATFORMS = ("ios", "android")
 
 
+def known_format(format: str) -> str:
+    """Return the name of a format as in `FORMATS`; ValueError if it is not known."""
+    name = format.lower().replace("-", "_")
+    if name not in FORMATS:
+        raise ValueError(f"format is {format!r}; give one of {', '.join(FORMATS)}, or none to find it by content")
+    return name
+
+
 def read(path: str | Path, format: str | None = None, platform: str | None = None) -> Recording:
     """Return the recording at a path, a file or folder, whatever its format, or of the format of `FORMATS` given.
 
@@ -65,9 +73,7 @@ def read(path: str | Path, format: str | None = None, platform: str | None = Non
         raise ValueError(f"platform is {platform!r}; give one of {', '.join(PLATFORMS)}")
     if format is None:
         path = only_recording_in(path)
-    format = format.lower().replace("-", "_") if format else detect(path)
-    if format not in FORMATS:
-        raise ValueError(f"format is {format!r}; give one of {', '.join(FORMATS)}, or none to find it by content")
+    format = known_format(format) if format else detect(path)
     if platform is None:
         return FORMATS[format](path)
     if format not in OF_TWO_PLATFORMS:

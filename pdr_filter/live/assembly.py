@@ -16,9 +16,8 @@ from typing import Any
 import numpy as np
 
 from pdr_filter.io.checks import up_cosine
-from pdr_filter.live.messages import FORCE, GRAVITY, LINEAR, RAW, Message, SensorRows
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Samples, limits, replace_unchecked
-from pdr_filter.values.interpolation import interpolated_near
+from pdr_filter.live.messages import FORCE, GRAVITY, LINEAR, RAW, Message, SensorRows, together
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Samples, interpolated_near, limits, replace_unchecked
 
 PRELUDE_S = 2.0
 # A phone without acceleration is told so; sensors of one phone start within a second or two.
@@ -342,7 +341,7 @@ def _kind(messages: Sequence[Message], platform: str, is_last: bool = False) -> 
     if span_s < PRELUDE_S and not is_last:
         _check_rate(recent, unit_s)
         return f"{PRELUDE_S:g} s of samples are needed, {span_s:.1f} s are there"
-    first = {name: _together(messages, name) for name in (FORCE, LINEAR, GRAVITY, RAW, "attitude")}
+    first = {name: together(messages, name) for name in (FORCE, LINEAR, GRAVITY, RAW, "attitude")}
     force = next((name for name in (FORCE, LINEAR, RAW) if _is_usable(name, first)), None)
     rows = None if force is None else first[force]
     if force is None or rows is None:
@@ -373,14 +372,6 @@ def _check_rate(time: Any, unit_s: float) -> None:
 
 def _is_usable(name: str, first: Mapping[str, SensorRows | None]) -> bool:
     return first[name] is not None and (name != LINEAR or first[GRAVITY] is not None)
-
-
-def _together(messages: Sequence[Message], name: str) -> SensorRows | None:
-    parts = [m.rows[name] for m in messages if name in m.rows and len(m.rows[name].time)]
-    if not parts:
-        return None
-    time: Any = np.concatenate([rows.time for rows in parts])
-    return SensorRows(time, np.concatenate([rows.values for rows in parts]))
 
 
 def _scale(force: str, first: Mapping[str, SensorRows | None], platform: str) -> tuple[float, str]:

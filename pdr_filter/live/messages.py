@@ -72,6 +72,15 @@ class Message:
         return sum(len(rows.time) for rows in self.rows.values())
 
 
+def together(messages: Sequence[Message], name: str) -> SensorRows | None:
+    """Rows of one sensor in several messages; None without any."""
+    parts = [m.rows[name] for m in messages if name in m.rows and len(m.rows[name].time)]
+    if not parts:
+        return None
+    time: Any = np.concatenate([rows.time for rows in parts])
+    return SensorRows(time, np.concatenate([rows.values for rows in parts]))
+
+
 def parse(body: bytes, device: str = "", session: str = "", platform: str = "") -> list[Message]:
     """Messages of a body, in its order; MessageError if it is not of a known kind.
 

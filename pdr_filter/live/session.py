@@ -28,9 +28,8 @@ from pdr_filter.sensing.clock import moved
 from pdr_filter.sensing.stream_merging import Sensor
 from pdr_filter.tracking.georeferencing import live_config
 from pdr_filter.tracking.online import OnlineFilter
-from pdr_filter.values import FixResult, PositionFix, Samples, limits
+from pdr_filter.values import FixResult, PositionFix, Samples, interpolated, limits
 from pdr_filter.values import serialisation as serialise
-from pdr_filter.values.interpolation import interpolated
 from pdr_filter.values.recording import Recording
 from pdr_filter.values.sanitise import file_name
 

@@ -23,6 +23,7 @@ from pdr_filter.live.messages import (
     phyphox_buffers,
     phyphox_rows,
     to_json,
+    together,
 )
 from pdr_filter.live.parts import Answer
 from pdr_filter.values.recording import Recording
@@ -194,17 +195,9 @@ async def sensor_server(address: str, session: str, take: Taker) -> None:
 
 def _joined(bodies: list[bytes]) -> dict[str, SensorRows]:
     """Samples of many messages by sensor, in seconds since the phone was switched on."""
-    found: dict[str, list[SensorRows]] = {}
-    for message in (message for body in bodies for message in parse(body)):
-        for name, rows in message.rows.items():
-            found.setdefault(name, []).append(rows)
-    return {
-        name: SensorRows(
-            1e-9 * np.concatenate([r.time.astype(np.float64) for r in parts]),
-            np.concatenate([r.values for r in parts]),
-        )
-        for name, parts in found.items()
-    }
+    messages = [message for body in bodies for message in parse(body)]
+    joined = {name: together(messages, name) for name in dict.fromkeys(name for m in messages for name in m.rows)}
+    return {name: SensorRows(1e-9 * rows.time.astype(np.float64), rows.values) for name, rows in joined.items() if rows}
 
 
 # --- MQTT -------------------------------------------------------------------------------------------------------------

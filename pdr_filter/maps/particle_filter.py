@@ -61,10 +61,10 @@ from pdr_filter.values import (
     Plan,
     PositionFix,
     check_numbers,
+    interpolated,
     repetition,
     wrap_angle,
 )
-from pdr_filter.values.interpolation import interpolated
 from pdr_filter.values.mixtures import log_sum, softmax
 
 # Side of the cells in which particles are counted for their number: metres, and a twelfth of a circle.

@@ -16,8 +16,7 @@ from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.report import palette
 from pdr_filter.report.geometry import ellipse_axes, ellipse_rows, places_at, storeys_of, window_starts
 from pdr_filter.tracking.trust_report import FARTHEST_M
-from pdr_filter.values import BoolArray, FloatArray, IntArray, TrackRows, rigid_fit
-from pdr_filter.values.interpolation import interpolated
+from pdr_filter.values import BoolArray, FloatArray, IntArray, TrackRows, interpolated, rigid_fit
 from pdr_filter.values.recording import Recording
 
 # Rows of all tracks of a page together: 120 bytes a step and 25 a window or a point make less than 1.3 MB.

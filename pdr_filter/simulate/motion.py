@@ -20,8 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from pdr_filter.simulate.gait import CONTEXT_GAITS, FORCE_POWER, Gait, Leg, StepPlan, nominal_step
 from pdr_filter.simulate.strides import FORCE, N_HARMONICS, TURN, Strides, of_person, usual_force_mps2, waveform
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray
-from pdr_filter.values.interpolation import interpolated
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, interpolated
 
 GRID_HZ = 1000.0
 # The grid begins and ends this much outside the walk, so that every sensor's clock may.

@@ -16,8 +16,7 @@ from pdr_filter.filter.fixes.repeated_fixes import frozen_fixes
 from pdr_filter.filter.height.height_filter import HeightState
 from pdr_filter.filter.imm.pedestrian_state import StepUpdate
 from pdr_filter.tracking.filtering import Output, State
-from pdr_filter.values import FixOutcome, FixResult, FloatArray, PositionFix, Samples, read_only
-from pdr_filter.values.interpolation import interpolated
+from pdr_filter.values import FixOutcome, FixResult, FloatArray, PositionFix, Samples, interpolated, read_only
 from pdr_filter.values.recording import Recording
 
 # Locations that turn and shift a track: of more, as many at even intervals. The effort grows with their fourth power.

@@ -42,7 +42,9 @@ from pdr_filter.values.fixes import (
 )
 from pdr_filter.values.floor_passage import FloorPassage, HowClimbed
 from pdr_filter.values.heading_drift import HeadingDrift
+from pdr_filter.values.interpolation import interpolated, interpolated_near
 from pdr_filter.values.json_values import as_plain
+from pdr_filter.values.mixtures import softmax
 from pdr_filter.values.notes import Note, NoteSubject
 from pdr_filter.values.origin import DECLINATION_STD_RAD, Origin
 from pdr_filter.values.plan import Plan
@@ -119,6 +121,8 @@ __all__ = [
     "heading_from_yaw",
     "how_many",
     "how_often",
+    "interpolated",
+    "interpolated_near",
     "loudness",
     "median",
     "pickled",
@@ -128,6 +132,7 @@ __all__ = [
     "repetition",
     "replace_unchecked",
     "rigid_fit",
+    "softmax",
     "step_table",
     "steps_of",
     "table",

@@ -23,8 +23,7 @@ from numpy.random import Generator
 
 from pdr_filter.filter.fixes.alignment import Alignment, Place, turned_cov
 from pdr_filter.filter.imm.motion_model import MAX_HEADING_VARIANCE
-from pdr_filter.values import ComplexArray, FloatArray, error_correlation, read_only, wrap_angle
-from pdr_filter.values.mixtures import softmax
+from pdr_filter.values import ComplexArray, FloatArray, error_correlation, read_only, softmax, wrap_angle
 
 # A density this narrow (one standard deviation, 15 degrees) is a rotation: the filter refines it linearly.
 MAX_ANGLE_STD_RAD = 0.26

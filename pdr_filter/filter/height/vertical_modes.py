@@ -23,8 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pdr_filter.sensing.features.barometer import RISER_M
-from pdr_filter.values import FloatArray, read_only
-from pdr_filter.values.mixtures import softmax
+from pdr_filter.values import FloatArray, read_only, softmax
 
 _ONE, _CLIMBED, _RATE, _SLOPED, _AIR = range(5)
 LEVEL, SLOPE, UP, DOWN, LIFT, JUMP, DRIFT = range(7)

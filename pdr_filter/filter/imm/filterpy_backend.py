@@ -22,8 +22,7 @@ from typing import Any
 import numpy as np
 from filterpy.kalman import IMMEstimator, KalmanFilter
 
-from pdr_filter.values import FloatArray
-from pdr_filter.values.mixtures import softmax
+from pdr_filter.values import FloatArray, softmax
 
 
 class MendedIMMEstimator(IMMEstimator):  # filterpy has no types

@@ -10,8 +10,7 @@ import numpy as np
 
 from pdr_filter.filter.imm.motion_model import EAST, LOG_SCALE, NORTH
 from pdr_filter.filter.imm.walking_speed import WalkingSpeed, after_step
-from pdr_filter.values import FloatArray, Step, replace_unchecked
-from pdr_filter.values.interpolation import interpolated
+from pdr_filter.values import FloatArray, Step, interpolated, replace_unchecked
 
 # Final steps that are remembered for late fixes: a minute at four steps a second, which is how late a fix may be
 # (`filtering.MAX_FIX_AGE_S`).

@@ -34,8 +34,7 @@ from pdr_filter.io.tables.text_table import (
     text_rows,
     whole_number,
 )
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, IntArray, Samples, limits
-from pdr_filter.values.interpolation import interpolated_near
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, IntArray, Samples, interpolated_near, limits
 from pdr_filter.values.recording import Recording
 
 COLUMNS: dict[str, tuple[str, ...]] = {

@@ -33,8 +33,7 @@ from pdr_filter.io.tables.column_names import (
 from pdr_filter.io.tables.column_values import constant_part, turning
 from pdr_filter.io.tables.sheet import Sheet
 from pdr_filter.io.tables.table_streams import is_new_place
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, limits
-from pdr_filter.values.interpolation import interpolated
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, interpolated, limits
 
 # Share of the constant part in the norm of an acceleration: gravity outweighs the motion of walking.
 _GRAVITY_SHARE = 0.6

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdr_filter.values import FloatArray
-from pdr_filter.values.interpolation import interpolated
+from pdr_filter.values import FloatArray, interpolated
 
 # Walking turns the phone by some ten degrees within a step and back; over this time gravity stays and steps cancel.
 WINDOW_S = 2.0

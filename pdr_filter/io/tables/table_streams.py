@@ -11,8 +11,7 @@ from pdr_filter.io.files.errors import RecordingError
 from pdr_filter.io.tables.column_mapping import Mapping, StreamMap
 from pdr_filter.io.tables.column_names import ANGLES, GRAVITY, LINEAR, TIME_UNITS
 from pdr_filter.io.tables.sheet import Sheet
-from pdr_filter.values import BoolArray, FloatArray, IntArray, limits
-from pdr_filter.values.interpolation import interpolated_near
+from pdr_filter.values import BoolArray, FloatArray, IntArray, interpolated_near, limits
 
 
 def fill(parsed: Parsed, mapping: Mapping, sheets: Sequence[Sheet]) -> None:

@@ -16,8 +16,7 @@ from scipy.sparse import csr_matrix
 from pdr_filter.classifiers.model_files import Arrays, ArtefactFormat, file_pair
 from pdr_filter.maps.radio.signal_field import CELL_M, Field, fingerprints
 from pdr_filter.tracking.track import Track
-from pdr_filter.values import FloatArray, GridFix, IntArray, PositionFix, Wifi, WifiScan, read_only
-from pdr_filter.values.interpolation import interpolated
+from pdr_filter.values import FloatArray, GridFix, IntArray, PositionFix, Wifi, WifiScan, interpolated, read_only
 from pdr_filter.values.recording import MissingSensorError, Recording
 from pdr_filter.version import __version__
 
