@@ -134,7 +134,7 @@ if __name__ == "__main__":
         (np.inf, "positive", None, "must be positive and finite, got inf"),
         ([-1e-9, 1.0], "0 or more", (2,), r"must be \(2,\), 0 or more and finite"),
         ([1.0, 1.0], "increasing", None, "must be increasing and finite"),
-        (np.ones((4, 10)), "finite", (4,), r"must be \(4,\), finite, got 40 of shape \(4, 10\)"),
+        (np.ones((4, 10)), "finite", (4,), r"must be \(4,\), finite, got 1\.0 to 1\.0 in an array \(4, 10\)"),
         ("1", "finite", None, "must be finite, got '1'"),
         (True, "finite", None, "must be finite, got True"),
     ],

@@ -250,7 +250,8 @@ class Calibration:
         note = Note("step lengths", f"step lengths {self._whose(subject)}: {', '.join(used) or 'none calibrated'}")
         notes = tuple(n for n in config.notes if n.about != "height" or name is None)
         config = replace(config.with_model(modes=modes, noise=noise), notes=(*notes, note))
-        return config.with_person(self.walks[name]) if name in self.walks else config
+        known = None if name is None else self.walks.get(name)
+        return config if known is None else config.with_person(known)
 
     def with_walks(self, subject: Subject, person: Person) -> Calibration:
         """Return a copy with the walks of a person (`person_of`); itself if that person was not calibrated."""

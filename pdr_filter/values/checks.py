@@ -47,7 +47,9 @@ def check_array(
     if not (right and np.isfinite(array).all() and _IS_KIND[kind](array)):
         words = kind if kind == "finite" else f"{kind} and finite"
         of_shape = "" if shape is None else f"{shape}, "
-        got = repr(value) if array.size <= _SHOWN else f"{array.size} of shape {array.shape}"
+        got = repr(value)
+        if array.size > _SHOWN:
+            got = f"{array.min()} to {array.max()} in an array {array.shape}"
         raise ValueError(f"{name} must be {of_shape}{words}, got {got}{remedy and f': {remedy}'}")
 
 

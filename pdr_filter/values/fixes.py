@@ -65,7 +65,7 @@ class PositionFix:
         if self.altitude_m is not None:
             check_array("altitude_m", self.altitude_m, remedy="leave it out if it is not known")
         if self.altitude_std_m is not None:
-            _check_std("altitude_std_m", self.altitude_std_m)
+            _checked_std("altitude_std_m", self.altitude_std_m)
         _check_times(self.time_s, self.received_time_s)
 
     @property
@@ -97,9 +97,10 @@ class PositionFix:
                 "give either std_m (standard deviation along each axis) or accuracy_m (radius of 68 %), got "
                 f"std_m={std_m} and accuracy_m={accuracy_m}"
             )
-        name, value = ("std_m", std_m) if accuracy_m is None else ("accuracy_m", accuracy_m)
-        _check_std(name, value)
-        each_m = float(value) if accuracy_m is None else float(value) / RADIUS_68
+        if accuracy_m is None:
+            each_m = _checked_std("std_m", std_m)
+        else:
+            each_m = _checked_std("accuracy_m", accuracy_m) / RADIUS_68
         position_m = Origin.of(origin).east_north_m(latitude_deg, longitude_deg)
         return cls(time_s, position_m, each_m**2 * np.eye(2), received_time_s)
 
@@ -176,7 +177,7 @@ class HeadingFix:
         _take_numbers(self, "time_s", "received_time_s", "walking_heading_rad", "std_rad")
         _check_times(self.time_s, self.received_time_s)
         check_array("walking_heading_rad", self.walking_heading_rad)
-        _check_std("std_rad", self.std_rad)
+        _checked_std("std_rad", self.std_rad)
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,7 +200,7 @@ class SpeedFix:
         _take_numbers(self, "time_s", "received_time_s", "speed_mps", "std_mps")
         _check_times(self.time_s, self.received_time_s)
         check_array("speed_mps", self.speed_mps, "positive", remedy="somebody who stands is a Standstill")
-        _check_std("std_mps", self.std_mps)
+        _checked_std("std_mps", self.std_mps)
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,8 +265,9 @@ def _taken(fix: object, name: str, value: Any, as_numbers: Callable[[Any], Any])
         raise ValueError(what[:300]) from None
 
 
-def _check_std(name: str, value: Any) -> None:
-    check_number(name, value, _MIN_STD, _MAX_STD, "leave out a fix whose error is not known")
+def _checked_std(name: str, value: Any) -> float:
+    check_number(name, value, _MIN_STD, _MAX_STD, "give a positive one; leave out a fix whose error is not known")
+    return float(value)
 
 
 def _check_correlation_and_floor(fix: PositionFix | GridFix) -> None:

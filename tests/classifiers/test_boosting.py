@@ -60,7 +60,7 @@ def test_arrays_come_back(trained: Trained) -> None:
         (dict(baseline=np.zeros(3)), "one for each class and round"),
         (dict(baseline=np.zeros(2)), "3 or more classes"),
         (dict(baseline=np.full(4, np.inf)), "must be finite"),
-        (dict(value=np.zeros(3)), "finite number for each"),
+        (dict(value=np.zeros(3)), "finite, got .* one for each node"),
     ],
 )
 def test_what_is_no_boosting_is_refused(trained: Trained, change: dict[str, object], message: str) -> None:

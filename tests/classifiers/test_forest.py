@@ -193,7 +193,7 @@ def changed(array: np.ndarray, index: int, value: float) -> np.ndarray:
         ("roots", 1, -1, "roots must be nodes"),
         ("feature", 0, 12, "outside 0 to 11"),
         ("feature", 0, -1, "outside 0 to 11"),
-        ("threshold", 0, np.nan, "threshold is not finite"),
+        ("threshold", 0, np.nan, "threshold must be finite"),
     ],
 )
 def test_arrays_that_are_not_trees_are_refused(

@@ -196,9 +196,9 @@ def test_another_number_of_features_is_refused(forest_model: ContextModel) -> No
         ({"classes": ("running", "downstairs", "walking")}, "training_prior is positive for"),
         ({"training_prior": np.full(6, 0.2)}, "sum to one"),
         ({"training_prior": np.array([0.5, 0.5])}, "sum to one"),
-        ({"feature_mean": np.zeros(3)}, "one entry for each feature"),
+        ({"feature_mean": np.zeros(3)}, "one for each feature"),
         ({"feature_mean": np.full(4, np.nan)}, "finite"),
-        ({"feature_scale": np.array([1.0, 0.0, 1.0, 1.0])}, "feature_scale above"),
+        ({"feature_scale": np.array([1.0, 0.0, 1.0, 1.0])}, "feature_scale must be above"),
     ],
 )
 def test_parts_that_do_not_fit_together_are_refused(

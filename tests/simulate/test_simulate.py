@@ -397,7 +397,7 @@ def test_signals_are_within_thirty_per_cent_of_real_ones(context: str, mode: str
         ({"context": "walking"}, "either duration_s or distance_m"),
         ({"context": "walking", "duration_s": 1.0, "distance_m": 1.0}, "either duration_s or distance_m"),
         ({"context": "stationary", "distance_m": 1.0}, "give its duration_s"),
-        ({"context": "walking", "duration_s": -1.0}, "duration_s of a leg must be a positive number"),
+        ({"context": "walking", "duration_s": -1.0}, "duration_s of a leg must be positive and finite"),
         ({"context": "walking", "duration_s": 1.0, "turn_rad": np.nan}, "turn_rad of a leg must be finite"),
     ],
 )

@@ -16,7 +16,7 @@ NAMES = [field.name for field in fields(TrackPlacement)]
 
 def test_each_argument_of_a_placement_has_a_text() -> None:
     assert list(texts()) == NAMES
-    assert all(len(text.split()) > 5 for text in texts().values())
+    assert all(len(text.split()) > 5 and text.endswith(".") for text in texts().values())
 
 
 def test_the_docstring_of_track_has_the_text_of_each_argument() -> None:
