@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.values import CONTEXTS, HARDLY_AGREE, Step
+from pdr_filter.values import HARDLY_AGREE, ContextSet, Step
 
 # Half a radian: a step in this direction is an eighth shorter than a linear filter takes it to be.
 UNKNOWN_HEADING_RAD = 0.5
 # A position that moves by more than two steps besides the step itself is worth a warning.
 MOVE_M = 2.0
-_STATIONARY, _WALKING = CONTEXTS.index("stationary"), CONTEXTS.index("walking")
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,10 +26,11 @@ class WindowCounts:
     stairs_unknown: int = 0  # of windows without climb rate in which somebody walks
     irregular: int = 0
 
-    def plus(self, window: WindowContext) -> WindowCounts:
+    def plus(self, window: WindowContext, contexts: ContextSet) -> WindowCounts:
         """With one window more."""
-        irregular = window.irregular_prob > 0.5 and window.prob[_STATIONARY] < 0.5
-        blind = window.stairs_unknown_share > 0.5 and window.prob[_WALKING] > 0.5 and np.isnan(window.climb_rate_mps)
+        irregular = window.irregular_prob > 0.5 and window.prob[contexts.standing].sum() < 0.5
+        walks = window.stairs_unknown_share > 0.5 and window.prob[contexts.level_walking].sum() > 0.5
+        blind = walks and np.isnan(window.climb_rate_mps)
         return WindowCounts(
             self.n + 1,
             self.without_gyroscope + (not window.has_gyroscope),

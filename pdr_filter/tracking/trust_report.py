@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, HARDLY_AGREE, BoolArray, FloatArray, TrackRows, how_many
+from pdr_filter.values import CARRYING_MODES, HARDLY_AGREE, BoolArray, FloatArray, TrackRows, how_many
 
-_STATIONARY = CONTEXTS.index("stationary")
 # A head looks around, and a bag dangles.
 _LOOSE = [CARRYING_MODES.index(mode) for mode in ("calling", "bag")]
 # Shorter doubts are ordinary: a turn, a door.
@@ -28,7 +27,7 @@ def doubts(track: TrackRows) -> list[str]:
     windows = track.windows
     sentences: list[str] = []
     if len(windows):
-        moves = windows.context_prob[:, _STATIONARY] < 0.5
+        moves = windows.standing_prob < 0.5
         stepless = moves & ~_has_step(track)
         if track.n_steps == 0 and not moves.any():
             sentences.append("The phone did not move: there is no walk to reckon.")
@@ -127,7 +126,7 @@ def is_loose(track: TrackRows) -> BoolArray:
     windows = track.windows
     if not len(windows):
         return np.zeros(0, dtype=bool)
-    moves = windows.context_prob[:, _STATIONARY] < 0.5
+    moves = windows.standing_prob < 0.5
     return moves & (windows.carrying_prob[:, _LOOSE].sum(axis=1) > 0.5)
 
 

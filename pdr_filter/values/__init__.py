@@ -18,7 +18,7 @@ from pdr_filter.values.arrays import (
     table,
 )
 from pdr_filter.values.checks import are_numbers, check_number, check_numbers
-from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
+from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS, DEFAULT_CONTEXTS, Context, ContextSet, Gait
 from pdr_filter.values.fix_error_correlation import (
     INDEPENDENT_SHARE,
     N_BEFORE,
@@ -62,6 +62,7 @@ __all__ = [
     "CARRYING_MODES",
     "CONTEXTS",
     "DECLINATION_STD_RAD",
+    "DEFAULT_CONTEXTS",
     "HARDLY_AGREE",
     "INDEPENDENT_SHARE",
     "N_BEFORE",
@@ -72,11 +73,14 @@ __all__ = [
     "BoolArray",
     "Cluster",
     "ComplexArray",
+    "Context",
+    "ContextSet",
     "Fix",
     "FixOutcome",
     "FixResult",
     "FloatArray",
     "FloorPassage",
+    "Gait",
     "GridFix",
     "HeadingDrift",
     "HeadingFix",

@@ -15,10 +15,11 @@ from sklearn.datasets import make_blobs
 from sklearn.ensemble import RandomForestClassifier
 
 from pdr_filter.classifiers import context_model as model_module
-from pdr_filter.classifiers.context_model import ContextModel, available_models, load_model, to_be_told_apart
+from pdr_filter.classifiers.context_model import ContextModel, available_models, load_model
 from pdr_filter.classifiers.familiarity import fit_familiarity
 from pdr_filter.classifiers.forest import Forest
 from pdr_filter.classifiers.rvm import RelevanceVectorClassifier
+from pdr_filter.sensing.contexts.context_stage import to_be_told_apart
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, limits
 
 # in the alphabetical order of scikit-learn, which is not the order of CONTEXTS
