@@ -15,8 +15,8 @@ from pdr_filter.values import DEFAULT_CONTEXTS, Context, FloatArray
 
 # Mean stay in steps, and share among the contexts after level walking. Level walking and stairs are of the labels of
 # the terrain data set (four people, 140 flights in 140 minutes; part of the "Lower Limb Prostheses Environmental
-# Context Dataset", IEEE DataPort): flights of 6.6 s up and 5.8 s down at 1.9 steps a second, level stretches of 33 s at 1.7,
-# and as many steps upstairs as downstairs. The others are set by hand: standing five false steps, sideways ten,
+# Context Dataset", IEEE DataPort): flights of 6.6 s up and 5.8 s down at 1.9 steps a second, level stretches of 33 s at
+# 1.7, and as many steps upstairs as downstairs. The others are set by hand: standing five false steps, sideways ten,
 # running fifty.
 _STANDING, _WALKING, _RUNNING = (5.0, 0.1), (55.0, 0.1), (50.0, 0.1)
 _UP, _DOWN, _TURNED = (12.0, 0.35), (11.0, 0.35), (10.0, 0.1)
