@@ -22,13 +22,23 @@ from pdr_filter.classifiers.kernel_machine import RelevanceVectors
 from pdr_filter.classifiers.model_files import Arrays, ArtefactFormat, file_pair, of_prefix, prefixed
 from pdr_filter.classifiers.probability_calibration import slipped, tempered
 from pdr_filter.classifiers.softmax import SoftmaxRegression
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, check_transition_prob, pickled, read_only
+from pdr_filter.values import (
+    CARRYING_MODES,
+    CONTEXTS,
+    FloatArray,
+    check_name_of_context,
+    check_transition_prob,
+    pickled,
+    read_only,
+)
 
 # Version 2: heads, temperature, limit of the features, familiarity.
 FORMAT = ArtefactFormat("context_model", 2, "train it again, or use the version that wrote it")
 
 # What a model distinguishes: the activity, or where the phone is; and its labels unless it has labels of its own.
 HEADS: dict[str, tuple[str, ...]] = {"context": CONTEXTS, "carrying_mode": CARRYING_MODES}
+# Level walking, up and down, of which a model that guards stairs knows the windows on stairs.
+STAIRS_LABELS = ("walking", "upstairs", "downstairs")
 # Machines by their names in files.
 MACHINES: dict[str, type[Machine]] = {
     "blend": Blend,
@@ -126,7 +136,7 @@ class ContextModel:
     familiarity: Familiarity | None = None
     stairs: Familiarity | None = None
     labels: tuple[str, ...] = ()
-    stairs_labels: tuple[str, str, str] = ("walking", "upstairs", "downstairs")
+    stairs_labels: tuple[str, str, str] = STAIRS_LABELS
     transition_prob: FloatArray | None = None
 
     __reduce__ = pickled
@@ -309,8 +319,9 @@ def _assemble(description: Mapping[str, Any], arrays: Arrays) -> ContextModel:
         head=description["head"],
         familiarity=Familiarity.from_arrays(familiarity) if familiarity else None,
         stairs=Familiarity.from_arrays(stairs) if stairs else None,
+        labels=tuple(description.get("labels", ())),
+        stairs_labels=tuple(description.get("stairs_labels", STAIRS_LABELS)),
         transition_prob=arrays.get("transition_prob"),
-        **{name: tuple(description[name]) for name in ("labels", "stairs_labels") if name in description},
     )
 
 
@@ -320,8 +331,9 @@ def _check(model: ContextModel) -> None:
         raise ValueError(f"name {model.name!r} must be letters, digits, dots, dashes: it becomes a file name")
     if model.head not in HEADS:
         raise ValueError(f"head must be one of {tuple(HEADS)}, got {model.head!r}")
-    named = all(isinstance(label, str) and label for label in cast(Any, model.labels))
-    if not (named and len(set(model.labels)) == len(model.labels)):
+    for label in model.labels:
+        check_name_of_context(label)
+    if len(set(model.labels)) < len(model.labels):
         raise ValueError(f"labels must be different names, got {model.labels}")
     n_features, n_classes = len(model.feature_names), len(model.classes)
     are_text = all(isinstance(f, str) for f in cast(Any, model.feature_names))
