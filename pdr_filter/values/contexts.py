@@ -10,17 +10,17 @@ from typing import Literal
 
 import numpy as np
 
+from pdr_filter.values import limits
 from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, read_only
-from pdr_filter.values.limits import MAX_NAME_CHARS
 
 Gait = Literal["walking", "running"]
 
 
 def check_name_of_context(name: object) -> None:
     """ValueError unless it is a short text in one line, which tables and pages can show."""
-    if not (isinstance(name, str) and 0 < len(name) <= MAX_NAME_CHARS and name.isprintable()):
+    if not (isinstance(name, str) and 0 < len(name) <= limits.MAX_NAME_CHARS and name.isprintable()):
         raise ValueError(
-            f"the name of a context must be 1 to {MAX_NAME_CHARS} printable characters, got {str(name)[:60]!r}"
+            f"the name of a context must be 1 to {limits.MAX_NAME_CHARS} printable characters, got {str(name)[:60]!r}"
         )
 
 

@@ -231,6 +231,22 @@ def test_an_own_step_length_is_used_in_its_mode_and_in_smoothing(visit: pdr.Reco
         pdr.recipes.default().with_step_length("flying", fit)
 
 
+def test_a_calibration_fits_an_own_step_length_in_a_context_with_an_own_name(renamed_config: pdr.Config) -> None:
+    corridor = [Leg("walking", distance_m=30.0), Leg("stationary", duration_s=3.0)]
+    walk = simulate(4 * corridor, Gait(height_m=1.75), "texting", seed=4)
+    prior = pdr.StepLengthFit(HalfAMetre(), np.array([0.5]), np.array([[0.2**2]]), 0.06)
+    config = renamed_config.with_step_length("level", prior)
+    uncalibrated_m = pdr.track(walk, config=config).distance_m
+    assert uncalibrated_m < 100.0
+    calibration = pdr.calibrate(walk, config=config)
+    assert calibration.contexts == ("level",)
+    assert pdr.track(walk, config=config, calibration=calibration).distance_m == pytest.approx(120.0, rel=0.03)
+    # a default context with a step length from outside is calibrated with it, too
+    own = pdr.calibrate(walk, config=pdr.recipes.default().with_step_length("walking", prior))
+    assert isinstance(own.models["walking"], HalfAMetre)
+    np.testing.assert_allclose(own.k["walking"], calibration.k["level"], rtol=0.02)
+
+
 def test_transitions_come_from_the_model_else_from_what_the_modes_mean(model: pdr.ContextModel) -> None:
     default = pdr.recipes.default()
     known = np.array([[0.9, 0.05, 0.05], [0.1, 0.8, 0.1], [0.02, 0.03, 0.95]])  # level, resting, treadmill
