@@ -5,8 +5,12 @@ from . import datasets as datasets
 from . import evaluate as evaluate
 from . import recipes as recipes
 from . import simulate as simulate
+from .classifiers.context_model import ContextModel as ContextModel
 from .classifiers.rvm import RelevanceVectorClassifier as RelevanceVectorClassifier
+from .filter.imm.motion_model import Mode as Mode
 from .filter.imm.pedestrian_state import StepUpdate as StepUpdate
+from .filter.step_length.models import StepLengthFit as StepLengthFit
+from .filter.step_length.models import known_length as known_length
 from .filter.step_length.person import Person as Person
 from .io.files.errors import RecordingError as RecordingError
 from .io.formats import read as read

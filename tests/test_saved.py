@@ -120,7 +120,7 @@ def test_a_filter_that_is_finished_or_has_seen_nothing_or_no_gyroscope_can_be_lo
 
 @pytest.mark.parametrize("part", [b"[],", b"{},", b"1.5,", b'{"a":[]},'], ids=str)
 def test_a_small_file_of_many_values_does_not_fill_the_memory(part: bytes) -> None:
-    content = b'{"format":5,"value":[' + part * (12_000_000 // len(part)) + b"0]}"
+    content = b'{"format":6,"value":[' + part * (12_000_000 // len(part)) + b"0]}"
     blob = zlib.compress(content)
     assert len(blob) < 60_000
     tracemalloc.start()

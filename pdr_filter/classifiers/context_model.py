@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -22,13 +22,24 @@ from pdr_filter.classifiers.kernel_machine import RelevanceVectors
 from pdr_filter.classifiers.model_files import Arrays, ArtefactFormat, file_pair, of_prefix, prefixed
 from pdr_filter.classifiers.probability_calibration import slipped, tempered
 from pdr_filter.classifiers.softmax import SoftmaxRegression
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, check_array, pickled, read_only
+from pdr_filter.values import (
+    CARRYING_MODES,
+    CONTEXTS,
+    FloatArray,
+    check_array,
+    check_name_of_context,
+    check_transition_prob,
+    pickled,
+    read_only,
+)
 
 # Version 2: heads, temperature, limit of the features, familiarity.
 FORMAT = ArtefactFormat("context_model", 2, "train it again, or use the version that wrote it")
 
-# What a model distinguishes: the activity, or where the phone is.
+# What a model distinguishes: the activity, or where the phone is; and its labels unless it has labels of its own.
 HEADS: dict[str, tuple[str, ...]] = {"context": CONTEXTS, "carrying_mode": CARRYING_MODES}
+# Level walking, up and down, of which a model that guards stairs knows the windows on stairs.
+STAIRS_LABELS = ("walking", "upstairs", "downstairs")
 # Machines by their names in files.
 MACHINES: dict[str, type[Machine]] = {
     "blend": Blend,
@@ -43,11 +54,8 @@ _LEAST = 1e-30  # that divides: what is divided stays a number
 # prefixes of the arrays of parts
 _MACHINE, _FAMILIARITY, _STAIRS = "machine_", "familiarity_", "stairs_"
 
-_LEVEL_AND_STAIRS = [CONTEXTS.index(c) for c in ("walking", "upstairs", "downstairs")]
 # Of the steps of a day: of 6,000 are ten flights of 16 up stairs, and as many down.
 _OF_A_DAY = read_only(np.array([0.94, 0.03, 0.03]))
-_IN_THIRDS = np.eye(len(CONTEXTS))
-_IN_THIRDS[np.ix_(_LEVEL_AND_STAIRS, _LEVEL_AND_STAIRS)] = 1 / 3
 
 # In a wheel the models are inside the package, in a checkout at the top level.
 _PACKAGE = Path(__file__).resolve().parents[1]
@@ -97,6 +105,21 @@ class ContextModel:
     stairs : Familiarity, optional
         The same of the training windows on stairs: where a window is like none of them, whatever tells stairs from
         level walking was learnt of other places for the phone, and `not_told_apart` takes its place.
+    labels : (L,), optional
+        Names in the order of the probabilities. If not given, those of the default: `CONTEXTS` or `CARRYING_MODES`.
+    stairs_labels : (3,)
+        Labels of level walking, of stairs up and of stairs down that `stairs` is about.
+    transition_prob : (L, L), optional
+        Between `labels` from one step to the next, estimated from the labels of the training; rows sum to one.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> model = pdr.ContextModel.load("context")
+    >>> model.contexts
+    ('stationary', 'walking', 'upstairs', 'downstairs', 'sideways', 'running')
+    >>> model.renamed({"stationary": "resting", "walking": "level"}).contexts[:2]
+    ('resting', 'level')
     """
 
     name: str
@@ -113,20 +136,38 @@ class ContextModel:
     feature_limit: float = np.inf
     familiarity: Familiarity | None = None
     stairs: Familiarity | None = None
+    labels: tuple[str, ...] = ()
+    stairs_labels: tuple[str, str, str] = STAIRS_LABELS
+    transition_prob: FloatArray | None = None
 
     __reduce__ = pickled
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "labels", tuple(self.labels) or HEADS.get(self.head, ()))
         object.__setattr__(self, "feature_names", tuple(self.feature_names))
         object.__setattr__(self, "classes", tuple(self.classes))
         for name in _ARRAYS:
             object.__setattr__(self, name, read_only(getattr(self, name)))
+        if self.transition_prob is not None:
+            object.__setattr__(self, "transition_prob", read_only(self.transition_prob))
         _check(self)
 
     @property
-    def labels(self) -> tuple[str, ...]:
-        """Labels in the order of `predict`: `CONTEXTS` or `CARRYING_MODES`."""
-        return HEADS[self.head]
+    def contexts(self) -> tuple[str, ...]:
+        """Names of what the model distinguishes, in the order of the probabilities."""
+        return self.labels
+
+    def renamed(self, names: Mapping[str, str]) -> ContextModel:
+        """Return a copy in which some labels have other names; ValueError for a name that is no label."""
+        if unknown := set(names) - set(self.labels):
+            raise ValueError(f"no label {', '.join(sorted(unknown))} in {self.labels}: give the present names as keys")
+        level, up, down = (names.get(label, label) for label in self.stairs_labels)
+        return replace(
+            self,
+            classes=tuple(names.get(label, label) for label in self.classes),
+            labels=tuple(names.get(label, label) for label in self.labels),
+            stairs_labels=(level, up, down),
+        )
 
     def predict(self, features: FloatArray) -> FloatArray:
         """Probabilities in the order of `labels`, (L,), summing to one, from the features of one window (F,).
@@ -159,7 +200,7 @@ class ContextModel:
             np.zeros(len(values)) if known is None else known.unknown_share(standardised)
             for known in (self.familiarity, self.stairs)
         )
-        prob = not_told_apart(self._of_standardised(standardised), unlike_stairs)
+        prob = not_told_apart(self._of_standardised(standardised), unlike_stairs, self._level_and_stairs)
         prob = prob / prob.sum(axis=1, keepdims=True)
         return [Assessment(*each) for each in zip(prob, unknown.tolist(), unlike_stairs.tolist(), strict=True)]
 
@@ -171,7 +212,13 @@ class ContextModel:
         """Probabilities (W, L) of many windows at once, from their features (W, F)."""
         standardised = self.standardised(features)
         prob = self._of_standardised(standardised)
-        return prob if self.stairs is None else not_told_apart(prob, self.stairs.unknown_share(standardised))
+        if self.stairs is None:
+            return prob
+        return not_told_apart(prob, self.stairs.unknown_share(standardised), self._level_and_stairs)
+
+    @property
+    def _level_and_stairs(self) -> list[int]:
+        return [] if self.stairs is None else [self.labels.index(label) for label in self.stairs_labels]
 
     def _of_standardised(self, rows: FloatArray) -> FloatArray:
         cut = np.clip(rows, -self.feature_limit, self.feature_limit)
@@ -187,6 +234,8 @@ class ContextModel:
             arrays |= prefixed(_FAMILIARITY, self.familiarity.to_arrays())
         if self.stairs is not None:
             arrays |= prefixed(_STAIRS, self.stairs.to_arrays())
+        if self.transition_prob is not None:
+            arrays["transition_prob"] = self.transition_prob
         arrays |= prefixed(_MACHINE, self.machine.to_arrays())
         description = {
             "name": self.name,
@@ -194,28 +243,39 @@ class ContextModel:
             "machine": next(kind for kind, cls in MACHINES.items() if isinstance(self.machine, cls)),
             "feature_names": list(self.feature_names),
             "classes": list(self.classes),
+            "labels": list(self.labels),
+            "stairs_labels": list(self.stairs_labels),
             "card": self.card,
         }
         FORMAT.write(Path(folder) / self.name, description, arrays)
         return Path(folder) / f"{self.name}.npz"
 
+    @staticmethod
+    def load(name_or_path: str | Path) -> ContextModel:
+        """Return a shipped model by its name, the model at a path to its .npz or .json, or the only one in a folder.
 
-def not_told_apart(prob: FloatArray, share: FloatArray) -> FloatArray:
-    """Context probabilities (..., C), a share (...) of those of walking and stairs being divided as a day is."""
+        ValueError that names the file and the remedy if it is missing, damaged or not what it says.
+        """
+        folder = Path(name_or_path)
+        if not folder.is_dir():
+            return load_model(name_or_path)
+        names = FORMAT.names_in(folder)
+        if len(names) != 1:
+            raise ValueError(f"{folder}: {len(names)} context models are in this folder: give the path of a .npz in it")
+        return load_model(folder / f"{names[0]}.npz")
+
+
+def not_told_apart(prob: FloatArray, share: FloatArray, level_and_stairs: list[int]) -> FloatArray:
+    """Context probabilities (..., C), a share (...) of those of walking and stairs being divided as a day is.
+
+    `level_and_stairs` are the indices of level walking, of up and of down.
+    """
     if not np.any(share):
         return prob
-    share, gait = share[..., None], prob[..., _LEVEL_AND_STAIRS]
+    share, gait = share[..., None], prob[..., level_and_stairs]
     result = prob.copy()
-    result[..., _LEVEL_AND_STAIRS] = (1 - share) * gait + share * gait.sum(axis=-1, keepdims=True) * _OF_A_DAY
+    result[..., level_and_stairs] = (1 - share) * gait + share * gait.sum(axis=-1, keepdims=True) * _OF_A_DAY
     return result
-
-
-def to_be_told_apart(prob: FloatArray, share: float) -> FloatArray:
-    """Probabilities (C,) where another sensor decides what motion does not tell: that share divided into thirds.
-
-    A day's division is a prior. As evidence, window after window, it would outvote what the other sensor measures.
-    """
-    return (1.0 - share) * prob + share * (prob @ _IN_THIRDS) if share else prob
 
 
 def load_model(name_or_path: str | Path) -> ContextModel:
@@ -260,6 +320,9 @@ def _assemble(description: Mapping[str, Any], arrays: Arrays) -> ContextModel:
         head=description["head"],
         familiarity=Familiarity.from_arrays(familiarity) if familiarity else None,
         stairs=Familiarity.from_arrays(stairs) if stairs else None,
+        labels=tuple(description.get("labels", ())),
+        stairs_labels=tuple(description.get("stairs_labels", STAIRS_LABELS)),
+        transition_prob=arrays.get("transition_prob"),
     )
 
 
@@ -269,6 +332,10 @@ def _check(model: ContextModel) -> None:
         raise ValueError(f"name {model.name!r} must be letters, digits, dots, dashes: it becomes a file name")
     if model.head not in HEADS:
         raise ValueError(f"head must be one of {tuple(HEADS)}, got {model.head!r}")
+    for label in model.labels:
+        check_name_of_context(label)
+    if len(set(model.labels)) < len(model.labels):
+        raise ValueError(f"labels must be different names, got {model.labels}")
     n_features, n_classes = len(model.feature_names), len(model.classes)
     are_text = all(isinstance(f, str) for f in cast(Any, model.feature_names))
     if len(set(model.feature_names)) != n_features or not are_text:
@@ -295,6 +362,10 @@ def _check(model: ContextModel) -> None:
             raise ValueError(f"{name} is of {known.axes.shape[1]} features, the names say {n_features}")
     if model.stairs is not None and model.head != "context":
         raise ValueError(f"stairs are a context, the model classifies the {model.head}")
+    if model.stairs is not None and not set(model.stairs_labels) <= set(model.labels):
+        raise ValueError(f"stairs_labels must be three of {model.labels}, got {model.stairs_labels}")
+    if model.transition_prob is not None:
+        check_transition_prob(model.transition_prob, len(model.labels))
     prior = model.training_prior
     if prior.shape != (len(model.labels),) or not (prior >= 0).all() or not np.isclose(prior.sum(), 1.0, atol=1e-9):
         raise ValueError(f"training_prior must be {len(model.labels)} probabilities that sum to one, got {prior}")

@@ -15,7 +15,7 @@ from pdr_filter.filter.imm.weighting import WEIGHTINGS
 from pdr_filter.recipes.config import Config
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.whole_recording import default_config, track
-from pdr_filter.values import CONTEXTS, FloatArray, Table, TrackRows, steps_of, table
+from pdr_filter.values import FloatArray, Table, TrackRows, steps_of, table
 from pdr_filter.values.recording import Recording
 
 
@@ -55,9 +55,9 @@ def weighting_errors(recording: Recording, config: Config | None = None, lag_ste
     imm = weighted.pop("imm")
     label = np.full(imm.n_steps, -1)
     for row in () if labels is None else labels:
-        if row["context"] in CONTEXTS:
+        if row["context"] in model.contexts:
             inside = (imm.time_s >= row["start_s"]) & (imm.time_s < row["end_s"])
-            label[inside] = model.context_index.index(CONTEXTS.index(str(row["context"])))
+            label[inside] = model.context_index.index(model.contexts.index(str(row["context"])))
     use = label >= 0
     if not use.any():
         raise ValueError(f"no step of {recording.name} is inside a truth label with a known context: label it first")

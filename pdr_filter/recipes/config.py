@@ -2,25 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pdr_filter.classifiers.context_model import ContextModel
 from pdr_filter.filter.fixes.frame import UNKNOWN_FRAME
 from pdr_filter.filter.imm.imm_tracker import ImmTracker
+from pdr_filter.filter.imm.motion_model import Mode
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.tracker import Tracker
-from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
+from pdr_filter.filter.imm.transition_probabilities import context_transitions
+from pdr_filter.filter.imm.weighted_tracker import WeightedTracker, Weighting
 from pdr_filter.filter.imm.weighting import HC, WEIGHTINGS
 from pdr_filter.filter.plan_stage import PlanStage
+from pdr_filter.filter.step_length.models import StepLengthFit
 from pdr_filter.filter.step_length.person import Person
+from pdr_filter.sensing.contexts.context_stage import ContextStage
+from pdr_filter.sensing.contexts.learned_contexts import stage_of
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.barometer import ClimbRate
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.sensing.heading.magnetic_north import MagneticNorth
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading
 from pdr_filter.sensing.stream_merging import StreamMerger
-from pdr_filter.values import DECLINATION_STD_RAD, Note, Plan, PositionFix
+from pdr_filter.values import DECLINATION_STD_RAD, FloatArray, Note, Plan, PositionFix
 from pdr_filter.values.track_placement import TrackPlacement
 
 
@@ -57,6 +67,8 @@ class Config:
                 f"the heading stage must reckon with the filter's heading drift, {drift}, got {heading.drift}: give "
                 "one HeadingDrift to both"
             )
+        if self.sensing.context_set != self.model.context_set:
+            object.__setattr__(self, "sensing", replace(self.sensing, context_set=self.model.context_set))
 
     @property
     def model(self) -> PedestrianModel:
@@ -128,22 +140,141 @@ class Config:
         """The same where later windows are known, too: a window says no more than its share of the time."""
         return self.with_model(evidence_exponent=self.model.hindsight_exponent)
 
-    def with_weighting(self, weighting: str) -> Config:
-        """The same with another weighting: "imm", "wc" or "hc"."""
+    def with_contexts(
+        self,
+        model: ContextModel | tuple[ContextModel, ContextModel] | ContextStage,
+        modes: Sequence[Mode],
+        transition_prob: ArrayLike | None = None,
+    ) -> Config:
+        """Return a copy with other contexts.
+
+        Parameters
+        ----------
+        model : ContextModel, two of them, or ContextStage
+            Names the contexts (`model.contexts`) and gives their probabilities. Of two models, the second is for
+            windows without gyroscope. Without it such windows are unknown, unless the model needs no gyroscope.
+        modes : sequence of Mode
+            What the contexts mean. "hc", "wc" and functions as weighting need one mode for each context. With "imm" a
+            context may have several modes or none; its probability then is evidence for none of them.
+        transition_prob : (M, M), optional
+            From each mode to each mode between two steps; rows sum to one. If not given, those that the model
+            estimated from its labels. A model without them gets those of `recipes.context_transitions`, which follow
+            from what the modes mean.
+
+        Examples
+        --------
+        >>> import pdr_filter as pdr
+        >>> names = {"stationary": "resting", "walking": "level"}
+        >>> model = pdr.ContextModel.load("context").renamed(names)
+        >>> modes = [pdr.Mode("resting", moves=False), pdr.Mode("level")]
+        >>> config = pdr.recipes.default().with_contexts(model, modes)
+        >>> config.contexts
+        ('resting', 'level', 'upstairs', 'downstairs', 'sideways', 'running')
+        """
+        stage = stage_of(model, self.sensing.contexts)
+        estimated = model[0] if isinstance(model, tuple) else model
+        labelled = getattr(estimated, "transition_prob", None)
+        prob = _transitions(stage.contexts, modes, labelled) if transition_prob is None else np.asarray(transition_prob)
+        known = self._with_modes(modes, contexts=stage.contexts, transition_prob=prob)
+        return replace(
+            self,
+            sensing=replace(self.sensing, contexts=stage, context_set=known.context_set),
+            tracker=replace(self.tracker, model=known),
+            notes=self._notes_with(modes),
+        )
+
+    def with_modes(self, modes: Sequence[Mode], transition_prob: ArrayLike | None = None) -> Config:
+        """Return a copy with other modes for the same contexts.
+
+        `transition_prob` (M, M) is between the modes from one step to the next. If not given, it stays as it is if the
+        modes are of the same contexts in the same order. Otherwise it is that of `recipes.context_transitions`.
+        """
+        if transition_prob is not None:
+            prob = np.asarray(transition_prob)
+        elif [m.context for m in modes] == [m.context for m in self.model.modes]:
+            prob = self.model.transition_prob
+        else:
+            prob = _transitions(self.contexts, modes, None)
+        known = self._with_modes(modes, transition_prob=prob)
+        return replace(self, tracker=replace(self.tracker, model=known), notes=self._notes_with(modes))
+
+    def with_step_length(self, name: str, fit: StepLengthFit) -> Config:
+        """Return a copy in which a mode has another step length; ValueError if there is no mode of that name.
+
+        `name` is that of a mode, or of a context, whose modes then all have this step length.
+        """
+        named = [m.name for m in self.model.modes if m.name == name] or [
+            m.name for m in self.model.modes if m.context == name
+        ]
+        if not named:
+            raise ValueError(f"no mode {name!r}, there are {', '.join(m.name for m in self.model.modes)}: name one")
+        return self.with_modes([replace(m, step_length=fit) if m.name in named else m for m in self.model.modes])
+
+    @property
+    def contexts(self) -> tuple[str, ...]:
+        """Names of the contexts, C, in the order of all context probabilities."""
+        return self.model.contexts
+
+    def _with_modes(self, modes: Sequence[Mode], **changes: Any) -> PedestrianModel:
+        """Return the model with other modes; ValueError where these would forget a person."""
+        if self.person is not None:
+            raise ValueError(
+                "the configuration has the step length of a person, which other modes would not have: give modes and "
+                "step lengths first, then the person"
+            )
+        return replace(self.model, modes=tuple(modes), **changes)
+
+    def _notes_with(self, modes: Sequence[Mode]) -> tuple[Note, ...]:
+        """Notes without that on the height if no step length depends on it."""
+        if any(m.moves and hasattr(m.step_length.model, "height_m") for m in modes):
+            return self.notes
+        return tuple(note for note in self.notes if note.about != "height")
+
+    def with_weighting(self, weighting: str | Weighting) -> Config:
+        """Return a copy with another weighting: "imm", "wc", "hc", or a function.
+
+        The function gets the context probabilities (C,) of a window and returns the weights (C,) of the step lengths
+        of the contexts, which are 0 or more and sum to one. ValueError if it returns anything else, or for another
+        name.
+
+        Examples
+        --------
+        >>> import pdr_filter as pdr
+        >>> def squared(context_prob):
+        ...     return context_prob**2 / (context_prob**2).sum()
+        >>> pdr.recipes.default().with_weighting(squared).tracker.weighting
+        'squared'
+        """
+        if not isinstance(weighting, str) and callable(weighting):
+            return replace(self, tracker=WeightedTracker(self.model, function=weighting))
         if weighting not in WEIGHTINGS:
-            raise ValueError(f"weighting must be one of {WEIGHTINGS}, got {weighting!r}")
-        if weighting == self.tracker.weighting:
+            raise ValueError(f"weighting must be one of {WEIGHTINGS}, got {weighting!r}: name one, or give a function")
+        if weighting == self.tracker.weighting and getattr(self.tracker, "function", None) is None:
             return self
         if weighting == "imm":
             return replace(self, tracker=ImmTracker(self.model))
-        threshold = {"threshold": HC} if weighting == "hc" else {}
-        return replace(self, tracker=WeightedTracker(self.model, **threshold))
+        return replace(
+            self, tracker=WeightedTracker(self.model, HC) if weighting == "hc" else WeightedTracker(self.model)
+        )
 
     @cached_property
     def fix_delay_s(self) -> float:
         """How long a fix waits for the step that it falls into to be final."""
         waits_s = self.tracker.waits_for_windows * self.sensing.window_hop_s
         return self.sensing.step_latency_s + self.sensing.steps.first_step_s + waits_s
+
+
+def _transitions(
+    contexts: tuple[str, ...], modes: Sequence[Mode], context_transition_prob: FloatArray | None
+) -> FloatArray:
+    """Transition matrix (M, M) between modes, from that between their contexts (C, C) if that is known.
+
+    Where some contexts have no mode, or several, only the default matrix can be used.
+    """
+    of_mode = [contexts.index(m.context) for m in modes if m.context in contexts]
+    if context_transition_prob is None or sorted(of_mode) != list(range(len(contexts))):
+        return context_transitions([mode.meaning for mode in modes])
+    return context_transition_prob[np.ix_(of_mode, of_mode)]
 
 
 def check_config(config: object) -> None:

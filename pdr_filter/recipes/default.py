@@ -25,9 +25,7 @@ from pdr_filter.recipes.martinelli2018.recipe import martinelli2018 as martinell
 from pdr_filter.recipes.susi2013.recipe import susi2013 as susi2013
 from pdr_filter.recipes.tian2016.recipe import tian2016 as tian2016
 from pdr_filter.recipes.zhou2019.recipe import zhou2019 as zhou2019
-from pdr_filter.sensing.contexts.context_stage import ContextModels
-from pdr_filter.sensing.contexts.learned_contexts import LearnedContexts, shipped_model
-from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindows
+from pdr_filter.sensing.contexts.learned_contexts import attitude_free_contexts as attitude_free_contexts
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading
 from pdr_filter.sensing.steps.adaptive_detector import AdaptiveStepDetector
@@ -74,17 +72,6 @@ def _for_height(height_m: float | None) -> Config:
             )
         ),
     )
-
-
-def attitude_free_contexts() -> LearnedContexts:
-    """The default's context stage."""
-    models = ContextModels(
-        shipped_model("context"),
-        shipped_model("context_accelerometer"),
-        shipped_model("carrying"),
-        shipped_model("carrying_accelerometer"),
-    )
-    return LearnedContexts(FeatureWindows(features=ATTITUDE_FREE), models)
 
 
 def with_context_model(config: Config, model: ContextModel) -> Config:

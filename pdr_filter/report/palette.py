@@ -1,7 +1,8 @@
 """The colours that all pictures share: figures, pages, those of the documentation and of the studies.
 
-Those of the contexts were chosen by search over the usual colour-blind safe palettes: any two differ by 18 or more in
-CIE Lab for normal sight and for the three dichromacies.
+The first six of the contexts were chosen by search over the usual colour-blind safe palettes, the other six by search
+over all colours of moderate chroma. Any two of the twelve differ by 18 or more in CIE Lab for normal sight and for the
+three dichromacies.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from collections.abc import Iterable
 from pdr_filter.values import CONTEXTS
 
 GREY, BLUE, ORANGE, GREEN, YELLOW, PURPLE = COLOURS = ("#D0D0D0", "#0072B2", "#CC6600", "#44AA99", "#EECC66", "#882255")
+MORE_COLOURS = ("#99DD99", "#443300", "#112288", "#888855", "#9988FF", "#00DDFF")
 INK = "#222222"  # words, outlines, the truth
 FAINT = "#777777"  # remarks, what others are compared with
 GRID = "#E6E6E6"
@@ -30,8 +32,9 @@ ELLIPSE_EDGE_ALPHA, ELLIPSE_FILL_ALPHA = 0.6, 0.09
 
 
 def context_colours(contexts: tuple[str, ...] = CONTEXTS) -> dict[str, str]:
-    """Colour of each context, as #rrggbb."""
-    return {name: COLOURS[i % len(COLOURS)] for i, name in enumerate(contexts)}
+    """Colour of each context, as #rrggbb, by its place; with more than twelve contexts the colours begin again."""
+    colours = (*COLOURS, *MORE_COLOURS)
+    return {name: colours[i % len(colours)] for i, name in enumerate(contexts)}
 
 
 # Of storeys from the lowest up: viridis, which is even for all kinds of sight and has none of the colours of contexts.

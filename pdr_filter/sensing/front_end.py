@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
 from typing import Any
@@ -23,7 +23,7 @@ from pdr_filter.sensing.steps.contact_time_smoothing import EvenSteps
 from pdr_filter.sensing.steps.step_detector import ContextBlock, StepDetector
 from pdr_filter.sensing.steps.step_gate import StepGate
 from pdr_filter.sensing.vehicle_vibration import Rattle, RattleState
-from pdr_filter.values import FloatArray, ImuBlock, IntArray, Step, replace_unchecked
+from pdr_filter.values import DEFAULT_CONTEXTS, ContextSet, FloatArray, ImuBlock, IntArray, Step, replace_unchecked
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class SensingState:
     rattle: RattleState
     cadence: tuple[tuple[float, float], ...]  # time and frequency of the last steps of this segment
     n_samples: int  # of this segment
-    context: int  # of the last window: index into `CONTEXTS`, -1 where none has half of the probability
+    context: int  # of the last window: index into `context_set`, -1 where none has half of the probability
     carrying_mode: int  # likewise into `CARRYING_MODES`
     processed_s: float
 
@@ -83,6 +83,9 @@ class Sensing:
         Moves contacts to where left and right are even, last of all: the samples of a step stay those of the detector.
     north : MagneticNorth, optional
         Where north is.
+    context_set : ContextSet
+        Names of the contexts, those of `contexts`, and what they mean. `Config` gives the meanings that the modes of
+        the filter state. A stage `contexts` with a field of this name gets it, too.
     """
 
     steps: StepDetector[Any]
@@ -93,8 +96,18 @@ class Sensing:
     gate: StepGate | None = None
     even: EvenSteps | None = None
     north: MagneticNorth | None = None
+    context_set: ContextSet = DEFAULT_CONTEXTS
 
     def __post_init__(self) -> None:
+        if self.contexts is not None:
+            stage: Any = self.contexts
+            if tuple(stage.contexts) != self.context_set.names:
+                raise ValueError(
+                    f"the context stage has the contexts {stage.contexts}, but context_set has "
+                    f"{self.context_set.names}: use config.with_contexts, which gives both the same"
+                )
+            if getattr(stage, "context_set", self.context_set) != self.context_set:
+                object.__setattr__(self, "contexts", replace(stage, context_set=self.context_set))
         optional = [stage for stage in (self.contexts, self.north) if stage]
         stages = [self.conditioner, self.attitude, self.steps, *optional]
         rates = {stage.rate_hz for stage in stages}
@@ -174,7 +187,7 @@ class Sensing:
         n = len(part.time_s)
         context = _held(state.context, [(i - n_before, _likely(w.prob)) for i, w in windows], n)
         carrying_mode = _held(state.carrying_mode, [(i - n_before, _likely(w.carrying_prob)) for i, w in windows], n)
-        contexts = ContextBlock(context, carrying_mode)
+        contexts = ContextBlock(context, carrying_mode, self.context_set)
         step_state, steps = self.steps.update(state.steps, part, attitude, contexts)
         heading_state, gate_state, even_state, north_state = None, None, None, None
         if self.gate:
@@ -186,7 +199,9 @@ class Sensing:
         if self.even:
             even_state, steps = self.even.update(state.even, steps)
         # A window that ends with the sample that reveals a step is known first: its evidence is for that step too.
-        in_order, cadence = _with_cadences(state.cadence, sorted([*windows, *steps], key=lambda e: e[0]))
+        in_order, cadence = _with_cadences(
+            state.cadence, sorted([*windows, *steps], key=lambda e: e[0]), self.context_set
+        )
         state = SensingState(
             conditioner=state.conditioner,
             attitude=attitude_state,
@@ -251,7 +266,7 @@ def feature_windows(stage: FeatureWindows, blocks: Iterable[ImuBlock]) -> Iterat
 
 
 def _with_cadences(
-    cadence: tuple[tuple[float, float], ...], events: Sequence[tuple[int, WindowContext | Step]]
+    cadence: tuple[tuple[float, float], ...], events: Sequence[tuple[int, WindowContext | Step]], contexts: ContextSet
 ) -> tuple[list[tuple[int, WindowContext | Step]], tuple[tuple[float, float], ...]]:
     """Events whose windows know the frequency of the steps before their end, and those of the last steps."""
     result: list[tuple[int, WindowContext | Step]] = []
@@ -259,7 +274,8 @@ def _with_cadences(
         if isinstance(event, Step):
             cadence = (*cadence, (event.time_s, event.frequency_hz))[-_CADENCE_STEPS:]
         elif len(cadence) == _CADENCE_STEPS and event.time_s - cadence[0][0] < _CADENCE_S:
-            event = with_cadence(event, sorted(frequency_hz for _, frequency_hz in cadence)[_CADENCE_STEPS // 2])
+            median_hz = sorted(frequency_hz for _, frequency_hz in cadence)[_CADENCE_STEPS // 2]
+            event = with_cadence(event, median_hz, contexts)
         result.append((number, event))
     return result, cadence
 

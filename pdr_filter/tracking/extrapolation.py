@@ -17,7 +17,7 @@ from pdr_filter.sensing.steps.step_gate import StepGateState
 from pdr_filter.sensing.stream_merging import SENSORS
 from pdr_filter.tracking.filtering import State
 from pdr_filter.tracking.warnings import notes_of
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, FixResult, FloatArray, OnPlan, Step, as_plain, read_only
+from pdr_filter.values import CARRYING_MODES, FixResult, FloatArray, OnPlan, Step, as_plain, read_only
 from pdr_filter.values.uncertainty import worst_std_m
 
 
@@ -58,7 +58,8 @@ class Now:
     walking_heading_std_rad: float
     walking_speed_mps: float  # smoothed; 0 while nobody steps
     walking_speed_std_mps: float  # NaN while nobody steps
-    context_prob: FloatArray  # (C,) of `CONTEXTS` in the last window; NaN before the first
+    context_prob: FloatArray  # (C,) in the last window; NaN before the first
+    contexts: tuple[str, ...]  # C names
     carrying_prob: FloatArray  # (D,) of `CARRYING_MODES`
     height_m: float
     height_std_m: float
@@ -76,10 +77,12 @@ class Now:
 
     def to_dict(self) -> dict[str, Any]:
         """The fields and `position_std_m` as JSON has them: None for what is not finite, probabilities by names."""
+        named = as_plain(self)
+        del named["contexts"]
         return {
-            **as_plain(self),
+            **named,
             "position_std_m": as_plain(self.position_std_m),
-            "context_prob": as_plain(dict(zip(CONTEXTS, self.context_prob, strict=True))),
+            "context_prob": as_plain(dict(zip(self.contexts, self.context_prob, strict=True))),
             "carrying_prob": as_plain(dict(zip(CARRYING_MODES, self.carrying_prob, strict=True))),
         }
 
@@ -154,7 +157,8 @@ def now(config: Config, state: State) -> Now:
         steps = tuple(replace(s, position_m=at) for s, at in zip(steps, step_positions_m, strict=True))
         place = _on_plan(place, base, on_plan)
     window, report, height = state.window, sensing.conditioner.report, state.height.known
-    unknown = np.full(len(CONTEXTS), np.nan), np.full(len(CARRYING_MODES), np.nan)
+    contexts = config.model.contexts
+    unknown = np.full(len(contexts), np.nan), np.full(len(CARRYING_MODES), np.nan)
     context_prob, carrying_prob = (window.prob, window.carrying_prob) if window else unknown
     return Now(
         time_s=newest_s,
@@ -170,6 +174,7 @@ def now(config: Config, state: State) -> Now:
         walking_speed_mps=present.speed_mps,
         walking_speed_std_mps=present.speed_std_mps,
         context_prob=read_only(context_prob),
+        contexts=contexts,
         carrying_prob=read_only(carrying_prob),
         height_m=height.height_m,
         height_std_m=height.height_std_m,

@@ -275,7 +275,8 @@ def _process(config: Config, state: State, events: list[tuple[float, Event]]) ->
     output = Output()
     tracker: TrackerState
     windows = [event for _, event in events if isinstance(event, WindowContext)]
-    contexts = iter(with_climbs(windows, [climb_at(state.climbs, window.time_s) for window in windows]))
+    climbs, context_set = [climb_at(state.climbs, window.time_s) for window in windows], config.model.context_set
+    contexts = iter(with_climbs(windows, climbs, context_set))
     of_height = iter(height.window_log_evidence(windows, config.model)) if state.climbs else repeat(None)
     for known_s, event in events:
         state, used = _use_due_fixes(config, state, known_s)
@@ -287,7 +288,7 @@ def _process(config: Config, state: State, events: list[tuple[float, Event]]) ->
             output.windows.append(context)
             tracker, updates = config.tracker.on_window(state.tracker, context)
             state = replace_unchecked(
-                state, tracker=tracker, height=height_state, seen=state.seen.plus(context), window=context
+                state, tracker=tracker, height=height_state, seen=state.seen.plus(context, context_set), window=context
             )
         elif isinstance(event, Gap):
             tracker, updates = config.tracker.on_gap(state.tracker, event.duration_s)

@@ -11,13 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.values import CONTEXTS, HARDLY_AGREE, BoolArray, FloatArray, Step
+from pdr_filter.values import HARDLY_AGREE, BoolArray, ContextSet, FloatArray, Step
 
 # Half a radian: a step in this direction is an eighth shorter than a linear filter takes it to be.
 UNKNOWN_HEADING_RAD = 0.5
 # A position that moves by more than two steps besides the step itself is worth a warning.
 MOVE_M = 2.0
-_STATIONARY, _WALKING = CONTEXTS.index("stationary"), CONTEXTS.index("walking")
 _KNOW_BIAS = "rest for five seconds before the walk, or give `device` of an earlier recording of the phone or fixes"
 
 NO_STEPS = "no steps found, so that dead reckoning does not apply here"
@@ -43,14 +42,14 @@ HEADING_UNKNOWN = f"the bias of the gyroscope is hardly known; {_KNOW_BIAS}"
 REJECTED = "not fit the track or its time"
 
 
-def is_moving(context_prob: FloatArray) -> BoolArray:
-    """Whether the phone moves in a window (...,); `context_prob` is (..., C)."""
-    return context_prob[..., _STATIONARY] < 0.5
+def is_moving(standing_prob: FloatArray | float) -> BoolArray:
+    """Whether the phone moves in a window (...,), from the probability of the contexts that stand."""
+    return np.asarray(standing_prob) < 0.5
 
 
-def is_handled(irregular_prob: FloatArray | float, context_prob: FloatArray) -> BoolArray:
+def is_handled(irregular_prob: FloatArray | float, standing_prob: FloatArray | float) -> BoolArray:
     """Whether the phone moves in a window (...,) and is not carried by somebody who walks."""
-    return is_moving(context_prob) & (irregular_prob > 0.5)
+    return is_moving(standing_prob) & (irregular_prob > 0.5)
 
 
 def is_unfamiliar(unknown_share: FloatArray | float) -> BoolArray:
@@ -73,15 +72,17 @@ class WindowCounts:
     stairs_unknown: int = 0  # of windows without climb rate in which somebody walks
     irregular: int = 0
 
-    def plus(self, window: WindowContext) -> WindowCounts:
+    def plus(self, window: WindowContext, contexts: ContextSet) -> WindowCounts:
         """With one window more."""
-        blind = window.stairs_unknown_share > 0.5 and window.prob[_WALKING] > 0.5 and np.isnan(window.climb_rate_mps)
+        standing_prob = float(window.prob[contexts.standing].sum())
+        walks = window.stairs_unknown_share > 0.5 and window.prob[contexts.level_walking].sum() > 0.5
+        blind = walks and np.isnan(window.climb_rate_mps)
         return WindowCounts(
             self.n + 1,
             self.without_gyroscope + (not window.has_gyroscope),
             self.unknown + int(is_unfamiliar(window.unknown_share)),
             self.stairs_unknown + int(blind),
-            self.irregular + int(is_handled(window.irregular_prob, window.prob)),
+            self.irregular + int(is_handled(window.irregular_prob, standing_prob)),
         )
 
 

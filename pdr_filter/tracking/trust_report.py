@@ -39,13 +39,13 @@ def doubts(track: TrackRows) -> list[str]:
     windows = track.windows
     sentences: list[str] = []
     if len(windows):
-        moves = doubtful.is_moving(windows.context_prob)
+        moves = doubtful.is_moving(windows.standing_prob)
         stepless = moves & ~_has_step(track)
         if track.n_steps == 0 and not moves.any():
             sentences.append(f"The phone did not move: {doubtful.NO_STEPS}.")
         rides = [(a, b) for a, b in _stretches(windows.time_s, stepless) if b - a >= _MIN_RIDE_S]
         sentences += _said(rides, doubtful.STEPLESS)
-        handled = doubtful.is_handled(windows.irregular_prob, windows.context_prob)
+        handled = doubtful.is_handled(windows.irregular_prob, windows.standing_prob)
         sentences += _said(_long(windows.time_s, handled), doubtful.HANDLED)
         unfamiliar = doubtful.is_unfamiliar(windows.unknown_share)
         sentences += _said(_long(windows.time_s, unfamiliar), doubtful.UNFAMILIAR)
@@ -126,7 +126,8 @@ def is_loose(track: TrackRows) -> BoolArray:
     windows = track.windows
     if not len(windows):
         return np.zeros(0, dtype=bool)
-    return doubtful.is_moving(windows.context_prob) & (windows.carrying_prob[:, _LOOSE].sum(axis=1) > 0.5)
+    moves = doubtful.is_moving(windows.standing_prob)
+    return moves & (windows.carrying_prob[:, _LOOSE].sum(axis=1) > 0.5)
 
 
 def _has_step(track: TrackRows) -> BoolArray:

@@ -39,7 +39,7 @@ from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.warnings import notes_of
 from pdr_filter.values import (
     CARRYING_MODES,
-    CONTEXTS,
+    ContextSet,
     Fix,
     FixResult,
     FloatArray,
@@ -230,7 +230,7 @@ def collected(recording: Recording, config: Config, results: Iterable[tuple[Stat
         frame = frame.drawn()
         origin = state.height.start_altitude.of(frame.origin(origin))
     updates = [u.in_frame(frame) for u in whole.updates if u.is_final]
-    track = _track(recording.name, config, updates, _windows(whole.windows))
+    track = _track(recording.name, config, updates, _windows(whole.windows, config.model.context_set))
     is_on_plan = any(update.on_plan is not None for update in updates)
     if config.on_plan is not None:
         track = _on_plan(track, config.on_plan.plan, updates)
@@ -280,7 +280,7 @@ def classify(recording: Recording, config: Config | None = None) -> Windows:
     --------
     >>> import pdr_filter as pdr
     >>> windows = pdr.classify(pdr.simulate.demo_walk())
-    >>> pdr.CONTEXTS[windows.context_prob[0].argmax()]
+    >>> windows.contexts[windows.context_prob[0].argmax()]
     'stationary'
     """
     config = given_or_default(recording, config)
@@ -288,7 +288,8 @@ def classify(recording: Recording, config: Config | None = None) -> Windows:
     climbs = _climbs(config, recording)
     _, events = run_sensing(config.sensing, recording)
     windows = [event for event in events if isinstance(event, WindowContext)]
-    return _windows(with_climbs(windows, [climb_at(climbs, window.time_s) for window in windows]))
+    context_set = config.model.context_set
+    return _windows(with_climbs(windows, [climb_at(climbs, w.time_s) for w in windows], context_set), context_set)
 
 
 def _climbs(config: Config, recording: Recording) -> tuple[Climb, ...]:
@@ -337,11 +338,12 @@ def _parts(block: ImuBlock, progress: Callable[[float], None] | None) -> Iterato
             progress(done / n)
 
 
-def _windows(contexts: Sequence[WindowContext]) -> Windows:
+def _windows(contexts: Sequence[WindowContext], context_set: ContextSet) -> Windows:
     return Windows(
         time_s=read_only(np.array([w.time_s for w in contexts])),
-        context_prob=read_only(np.array([w.prob for w in contexts]).reshape(-1, len(CONTEXTS))),
-        contexts=CONTEXTS,
+        context_prob=read_only(np.array([w.prob for w in contexts]).reshape(-1, len(context_set.names))),
+        contexts=context_set.names,
+        standing_contexts=tuple(context_set.names[i] for i in context_set.standing),
         carrying_prob=read_only(np.array([w.carrying_prob for w in contexts]).reshape(-1, len(CARRYING_MODES))),
         carrying_modes=CARRYING_MODES,
         unknown_share=read_only(np.array([w.unknown_share for w in contexts])),
@@ -353,7 +355,7 @@ def _windows(contexts: Sequence[WindowContext]) -> Windows:
 
 
 def _track(name: str, config: Config, updates: Sequence[StepUpdate], windows: Windows) -> Track:
-    n, modes = len(updates), config.model.modes
+    n, modes, contexts = len(updates), config.model.modes, config.model.contexts
     steps = step_table([u.step for u in updates])
     return Track(
         name=name,
@@ -371,8 +373,8 @@ def _track(name: str, config: Config, updates: Sequence[StepUpdate], windows: Wi
         height_m=read_only(np.array([u.height_m for u in updates])),
         height_std_m=read_only(np.array([u.height_std_m for u in updates])),
         floor=_whole([u.floor for u in updates]),
-        context_prob=read_only(np.array([u.context_prob for u in updates]).reshape(n, len(CONTEXTS))),
-        contexts=CONTEXTS,
+        context_prob=read_only(np.array([u.context_prob for u in updates]).reshape(n, len(contexts))),
+        contexts=contexts,
         mode_prob=read_only(np.array([u.mode_prob for u in updates]).reshape(n, len(modes))),
         modes=tuple(m.name for m in modes),
         mode_contexts=tuple(m.context for m in modes),

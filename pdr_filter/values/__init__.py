@@ -18,7 +18,15 @@ from pdr_filter.values.arrays import (
     table,
 )
 from pdr_filter.values.checks import are_numbers, check_array, check_number, check_numbers
-from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
+from pdr_filter.values.contexts import (
+    CARRYING_MODES,
+    CONTEXTS,
+    DEFAULT_CONTEXTS,
+    Context,
+    ContextSet,
+    Gait,
+    check_name_of_context,
+)
 from pdr_filter.values.fix_error_correlation import (
     INDEPENDENT_SHARE,
     N_BEFORE,
@@ -64,6 +72,7 @@ __all__ = [
     "CARRYING_MODES",
     "CONTEXTS",
     "DECLINATION_STD_RAD",
+    "DEFAULT_CONTEXTS",
     "HARDLY_AGREE",
     "INDEPENDENT_SHARE",
     "N_BEFORE",
@@ -74,11 +83,14 @@ __all__ = [
     "BoolArray",
     "Cluster",
     "ComplexArray",
+    "Context",
+    "ContextSet",
     "Fix",
     "FixOutcome",
     "FixResult",
     "FloatArray",
     "FloorPassage",
+    "Gait",
     "GridFix",
     "HeadingDrift",
     "HeadingFix",
@@ -110,6 +122,7 @@ __all__ = [
     "check_cov",
     "check_declared",
     "check_fix",
+    "check_name_of_context",
     "check_number",
     "check_numbers",
     "check_transition_prob",

@@ -1,9 +1,155 @@
-"""Names and order of the contexts and carrying modes."""
+"""Contexts and what each means for a pedestrian, and the carrying modes."""
 
 from __future__ import annotations
 
-#: Order of the contexts everywhere: C1..C6 of Martinelli et al. 2018, Table I.
-CONTEXTS: tuple[str, ...] = ("stationary", "walking", "upstairs", "downstairs", "sideways", "running")
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from math import isfinite, pi
+from typing import Literal
+
+import numpy as np
+
+from pdr_filter.values import limits
+from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, read_only
+
+Gait = Literal["walking", "running"]
+
+
+def check_name_of_context(name: object) -> None:
+    """ValueError unless it is a short text in one line, which tables and pages can show."""
+    if not (isinstance(name, str) and 0 < len(name) <= limits.MAX_NAME_CHARS and name.isprintable()):
+        raise ValueError(
+            f"the name of a context must be 1 to {limits.MAX_NAME_CHARS} printable characters, got {str(name)[:60]!r}"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Context:
+    """An activity that a classifier distinguishes, and what it means for a pedestrian.
+
+    A `filter.imm.motion_model.Mode` states the meaning. Stages that work before the filter get it from there.
+    """
+
+    name: str
+    moves: bool = True  # whether a step leads anywhere
+    climbs: int = 0  # +1 where steps go up stairs, -1 where they go down
+    gait: Gait | None = None  # how the person steps; None where nobody steps; "walking" if the context moves
+    heading_offset_rad: float = 0.0  # walking heading less the heading the body faces: +pi/2 for steps to the right
+
+    def __post_init__(self) -> None:
+        check_name_of_context(self.name)
+        if self.climbs not in (-1, 0, 1):
+            raise ValueError(f"climbs of {self.name!r} must be +1 (up), -1 (down) or 0, got {self.climbs!r}")
+        if self.gait not in (None, "walking", "running"):
+            raise ValueError(f'gait of {self.name!r} must be "walking", "running" or None, got {self.gait!r}')
+        if not isfinite(self.heading_offset_rad):
+            raise ValueError(f"heading_offset_rad of {self.name!r} must be finite, got {self.heading_offset_rad}")
+        if self.moves and self.gait is None:
+            object.__setattr__(self, "gait", "walking")
+
+    @property
+    def stands(self) -> bool:
+        """Whether nobody steps in it: a detected step is then a false one."""
+        return self.gait is None
+
+    @property
+    def runs(self) -> bool:
+        """Whether the person runs."""
+        return self.gait == "running"
+
+    @property
+    def is_turned(self) -> bool:
+        """Whether the person walks in another direction than the body faces: to the side or backward."""
+        return self.heading_offset_rad != 0
+
+    @property
+    def is_level_walking(self) -> bool:
+        """Whether it is ordinary walking: forward, on level ground, with displacement."""
+        return self.moves and self.gait == "walking" and self.climbs == 0 and not self.is_turned
+
+
+@dataclass(frozen=True)
+class ContextSet:
+    """All contexts of a filter in the order of its probabilities."""
+
+    contexts: tuple[Context, ...]
+
+    def __post_init__(self) -> None:
+        if not self.contexts or len(set(self.names)) < len(self.contexts):
+            raise ValueError(f"contexts must be one or more with distinct names, got {self.names}")
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names in order, C."""
+        return tuple(c.name for c in self.contexts)
+
+    def index_where(self, holds: Callable[[Context], bool]) -> IntArray:
+        """Indices of the contexts for which a condition holds."""
+        return np.flatnonzero([holds(c) for c in self.contexts])
+
+    @cached_property
+    def standing(self) -> IntArray:
+        """Indices of the contexts without steps."""
+        return self.index_where(lambda c: c.stands)
+
+    @cached_property
+    def level_walking(self) -> IntArray:
+        """Indices of the contexts of ordinary walking."""
+        return self.index_where(lambda c: c.is_level_walking)
+
+    @cached_property
+    def stands(self) -> BoolArray:
+        """Whether nobody steps in each context, (C + 1,). The last entry is for an unknown context, of index -1."""
+        return self._of_each(lambda c: c.stands)
+
+    @cached_property
+    def runs(self) -> BoolArray:
+        """Whether the person runs in each context, (C + 1,), as `stands`."""
+        return self._of_each(lambda c: c.runs)
+
+    @cached_property
+    def is_turned(self) -> BoolArray:
+        """Whether the person walks to the side or backward in each context, (C + 1,), as `stands`."""
+        return self._of_each(lambda c: c.is_turned)
+
+    def _of_each(self, holds: Callable[[Context], bool]) -> BoolArray:
+        result = np.array([*map(holds, self.contexts), False])
+        result.flags.writeable = False
+        return result
+
+    @cached_property
+    def in_thirds(self) -> FloatArray | None:
+        """Matrix (C, C) that divides the probability of level walking and stairs into equal thirds.
+
+        The thirds are of level walking, of up and of down. None where the contexts do not have all three.
+        """
+        kinds = self.level_walking, self.index_where(lambda c: c.climbs > 0), self.index_where(lambda c: c.climbs < 0)
+        if not all(map(len, kinds)):
+            return None
+        together = np.concatenate(kinds)
+        matrix = np.eye(len(self.contexts))
+        matrix[together, :] = 0.0
+        for kind in kinds:
+            matrix[np.ix_(together, kind)] = 1 / 3 / len(kind)
+        return read_only(matrix)
+
+
+#: Contexts of the default: C1..C6 of Martinelli et al. 2018, Table I.
+DEFAULT_CONTEXTS = ContextSet(
+    (
+        Context("stationary", moves=False),
+        Context("walking"),
+        Context("upstairs", climbs=1),
+        Context("downstairs", climbs=-1),
+        # Which side a side step goes to is not observable from the features; to the right is the convention.
+        Context("sideways", heading_offset_rad=pi / 2),
+        Context("running", gait="running"),
+    )
+)
+
+#: Names and order of the default's contexts.
+CONTEXTS: tuple[str, ...] = DEFAULT_CONTEXTS.names
 
 #: Order of the carrying modes everywhere.
 CARRYING_MODES: tuple[str, ...] = ("texting", "calling", "swinging", "pocket", "bag")

@@ -23,7 +23,8 @@ import numpy as np
 from pdr_filter.values import check_declared
 
 _PACKAGE = "pdr_filter"
-_FORMAT = 5  # 2 named modules of an older layout, 3 had a flat state of the tracker, 4 had no checksum
+# 2 named modules of an older layout, 3 had a flat state of the tracker, 4 had no checksum, 5 knew modes by their names
+_FORMAT = 6
 _VALUE = ', "value": '  # before the text that the checksum is of
 # A filter with its models has some MB, nearly all of it arrays, and some thousand values.
 _MAX_BYTES = 64 << 20

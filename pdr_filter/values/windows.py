@@ -14,6 +14,7 @@ class Windows:
     time_s: FloatArray  # (W,) window ends
     context_prob: FloatArray  # (W, C)
     contexts: tuple[str, ...]
+    standing_contexts: tuple[str, ...]  # those of `contexts` without steps
     carrying_prob: FloatArray  # (W, D) after each window, of all windows so far
     carrying_modes: tuple[str, ...]
     unknown_share: FloatArray  # (W,) how unlike the classifier's training windows, 0 to 1; `context_prob` has it in
@@ -23,6 +24,11 @@ class Windows:
     model: tuple[str, ...]  # (W,) name of the model that classified the context
 
     __reduce__ = pickled
+
+    @property
+    def standing_prob(self) -> FloatArray:
+        """Probability that nobody steps in each window, (W,)."""
+        return self.context_prob[:, [self.contexts.index(name) for name in self.standing_contexts]].sum(axis=1)
 
     def __len__(self) -> int:
         return len(self.time_s)

@@ -35,6 +35,10 @@ PLANS = {  # recordings, and the plan on which the first of them was walked
 N_OF_EACH = 2  # recordings of each data set
 
 
+# Class and name of fields that did not exist when the outputs to compare with were written.
+_NEW_FIELDS = {("Windows", "standing_contexts"), ("StepUpdate", "contexts")}
+
+
 def digest(value: object) -> str:
     """Return 16 hexadecimal digits of the SHA-256 of a value made of arrays, numbers, texts and dataclasses."""
     state = hashlib.sha256()
@@ -62,7 +66,8 @@ def _feed(update: Callable[[bytes], None], value: object) -> None:
             _feed(update, item)
     elif is_dataclass(value) and not isinstance(value, type):
         for field in fields(value):
-            _feed(update, getattr(value, field.name))
+            if (type(value).__name__, field.name) not in _NEW_FIELDS:
+                _feed(update, getattr(value, field.name))
     elif value is None or isinstance(value, str | bytes | bool | int | float):
         update(repr(value).encode())
     else:

@@ -10,12 +10,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from pdr_filter.classifiers.context_model import to_be_told_apart
 from pdr_filter.filter.fixes.frame_rotation import scatter
 from pdr_filter.filter.height import vertical_modes as vertical
 from pdr_filter.filter.height.floor_detection import (
@@ -34,10 +33,10 @@ from pdr_filter.filter.height.floor_detection import (
 from pdr_filter.filter.height.vertical_modes import DOWN, DRIFT, JUMP, LIFT, N_MODES, UP
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.weighting import context_log_evidence
-from pdr_filter.sensing.contexts.context_stage import WindowContext
+from pdr_filter.sensing.contexts.context_stage import WindowContext, to_be_told_apart
 from pdr_filter.sensing.features.barometer import RISER_M, Climb
 from pdr_filter.values import (
-    CONTEXTS,
+    Context,
     FloatArray,
     FloorPassage,
     GridFix,
@@ -69,8 +68,6 @@ LATE_S = 6.0
 # From which on it is worth saying that the air changed: 5 hPa, more than the weather of some hours.
 _NOTABLE_AIR_M = 40.0
 _M_PER_HPA = 8.3
-_STANDING, _UPSTAIRS, _DOWNSTAIRS = (CONTEXTS.index(c) for c in ("stationary", "upstairs", "downstairs"))
-_ON_FOOT = [CONTEXTS.index(c) for c in ("walking", "running", "sideways")]
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,14 +156,24 @@ def window_log_evidence(windows: Sequence[WindowContext], model: PedestrianModel
     if not windows:
         return np.zeros((0, N_MODES))
     of_contexts = context_log_evidence(
-        np.array([to_be_told_apart(w.prob, w.stairs_unknown_share) for w in windows]),
+        np.array([to_be_told_apart(w.prob, w.stairs_unknown_share, model.context_set) for w in windows]),
         np.array([w.training_prior for w in windows]),
         model.evidence_exponent,
         model.evidence_floor,
         model.prior_exponent,
     )
-    on_foot, standing = of_contexts[:, _ON_FOOT].max(axis=1), of_contexts[:, _STANDING]
-    either, up, down = np.maximum(on_foot, standing), of_contexts[:, _UPSTAIRS], of_contexts[:, _DOWNSTAIRS]
+    any_context = of_contexts.max(axis=1)
+
+    def best_of(holds: Callable[[Context], bool], otherwise: FloatArray) -> FloatArray:
+        """Evidence (W,) of the best of some contexts; that of others where the context model has none of them."""
+        index = model.context_set.index_where(holds)
+        return of_contexts[:, index].max(axis=1) if len(index) else otherwise
+
+    on_foot = best_of(lambda c: c.moves and c.climbs == 0, any_context)
+    standing = best_of(lambda c: not c.moves and c.climbs == 0, any_context)
+    # a model without stairs calls them level walking
+    up, down = best_of(lambda c: c.climbs > 0, on_foot), best_of(lambda c: c.climbs < 0, on_foot)
+    either = np.maximum(on_foot, standing)
     of_modes = np.column_stack([either, on_foot, up, down, standing, either, standing])
     of_modes[~np.isfinite(of_modes).all(axis=1)] = 0.0  # a window without probabilities
     return of_modes

@@ -93,7 +93,7 @@ class ImmTracker:
             replace_unchecked(turned, estimates=replace_unchecked(predicted, prob=prob)), step, walked, combined, event
         )
         context_prob = model.context_prob(prob) if window is None else window.prob
-        update = step_update(previous, updated, step, walked, combined, context_prob, prob)
+        update = step_update(previous, updated, step, walked, combined, context_prob, prob, model.contexts)
         return replace_unchecked(state, pedestrian=updated), (update,)
 
     def _mixed(self, estimates: Estimates) -> Estimates:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdr_filter.filter.imm.motion_model import Mode
+from pdr_filter.filter.imm.motion_model import STANDING_STD_M, Mode
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.transition_probabilities import context_transitions
 from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
@@ -16,7 +16,7 @@ from pdr_filter.filter.step_length.models import (
     known_length,
     scale_std,
 )
-from pdr_filter.values import CONTEXTS, Note
+from pdr_filter.values import DEFAULT_CONTEXTS, Note
 from pdr_filter.values.recording import Subject
 
 # Stairs advance by one tread a step: 0.29 m up, and 0.43 m down where people skip the landing's end (Martinelli et al.
@@ -41,7 +41,7 @@ _RUNNING = StepLengthFit(
     residual_std_m=0.20,
 )
 _RUNNING_HEADING_STD_RAD = 0.35
-_STATIONARY = known_length(0.0, 0.02)
+_STATIONARY = known_length(0.0, STANDING_STD_M)
 
 
 def context_modes(walking: StepLengthFit, running: StepLengthFit = _RUNNING) -> tuple[Mode, ...]:
@@ -54,9 +54,18 @@ def context_modes(walking: StepLengthFit, running: StepLengthFit = _RUNNING) -> 
         "sideways": _SIDEWAYS,
         "running": running,
     }
-    # Which side a side step goes to is not observable from the features; to the right is the convention.
-    offsets, heading_std = {"sideways": np.pi / 2}, {"running": _RUNNING_HEADING_STD_RAD}
-    return tuple(Mode(c, c, lengths[c], offsets.get(c, 0.0), heading_std.get(c, 0.1)) for c in CONTEXTS)
+    return tuple(
+        Mode(
+            c.name,
+            step_length=lengths[c.name],
+            heading_offset_rad=c.heading_offset_rad,
+            heading_std_rad=_RUNNING_HEADING_STD_RAD if c.runs else 0.1,
+            moves=c.moves,
+            climbs=c.climbs,
+            gait=c.gait,
+        )
+        for c in DEFAULT_CONTEXTS.contexts
+    )
 
 
 def one_hot_tracker(modes: tuple[Mode, ...]) -> WeightedTracker:

@@ -15,11 +15,12 @@ from typing import NamedTuple
 import numpy as np
 
 from pdr_filter.filter.imm.imm import predict_cov
-from pdr_filter.filter.step_length.models import StepLengthFit
+from pdr_filter.filter.step_length.models import StepLengthFit, bounce_fit, known_length
 from pdr_filter.values import (
     CARRYING_MODES,
-    CONTEXTS,
+    Context,
     FloatArray,
+    Gait,
     HeadingDrift,
     Step,
     check_numbers,
@@ -31,38 +32,61 @@ EAST, NORTH, HEADING_OFFSET, LOG_SCALE = range(4)
 N_STATES = 4
 # Context of a mode besides those of the classifier: motion of the phone while its owner stays where he is.
 IRREGULAR = "irregular"
+# Standard deviation along each axis of a step that leads nowhere.
+STANDING_STD_M = 0.02
+
+
+_PEOPLE = bounce_fit()
 
 
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """A motion model of the filter; stationary and irregular modes move nowhere, whatever their step length."""
+    """Motion model of the filter for one context: whether steps lead anywhere, how far and in which direction.
+
+    The context whose probability is the evidence of the mode has the name of the mode unless `context` is given. The
+    step length is that of people in general (`bounce_fit`) unless it is given, and has no effect where `moves` is
+    False. ValueError names what cannot be used.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> resting = pdr.Mode("resting", moves=False)
+    >>> treadmill = pdr.Mode("treadmill", moves=False, gait="walking")  # steps without displacement
+    >>> up = pdr.Mode("up", step_length=pdr.known_length(0.29, 0.05), climbs=1)
+    >>> resting.gait, treadmill.gait, up.gait
+    (None, 'walking', 'walking')
+    """
 
     name: str  # unique
-    context: str  # whose probability is its evidence, or "irregular" for handling of the phone
-    step_length: StepLengthFit
+    context: str = ""  # whose probability is its evidence, or "irregular" for handling of the phone; empty: the name
+    step_length: StepLengthFit = _PEOPLE
     heading_offset_rad: float = 0.0  # walking heading less the heading the body faces: +pi/2 for steps to the right
     heading_std_rad: float = 0.1  # independent error of the walking heading of each step
     carrying_mode: str | None = None  # where the phone is, whose probability is evidence too; None for any
     heading_drift_rad_per_sqrt_s: float = 0.0  # random walk of the heading offset besides that of `MotionNoise`
     extra_noise_m: float = 0.0  # independent error of each step along each axis, besides length and direction
+    moves: bool = True  # whether a step leads anywhere; never in an irregular mode
+    climbs: int = 0  # +1 where steps go up stairs, -1 where they go down
+    gait: Gait | None = None  # how the person steps; None where nobody steps; "walking" if the mode moves
 
     def __post_init__(self) -> None:
-        if self.context not in (*CONTEXTS, IRREGULAR):
-            raise ValueError(
-                f"context of mode {self.name!r} must be one of {(*CONTEXTS, IRREGULAR)}, got {self.context!r}"
-            )
+        object.__setattr__(self, "context", self.context or self.name)
+        object.__setattr__(self, "moves", self.moves and self.context != IRREGULAR)
+        object.__setattr__(self, "gait", self.meaning.gait)  # checks the meaning, too
+        if not self.moves and self.step_length is _PEOPLE:
+            object.__setattr__(self, "step_length", known_length(0.0, STANDING_STD_M))
         if self.carrying_mode not in (None, *CARRYING_MODES):
             raise ValueError(
                 f"carrying_mode of mode {self.name!r} must be None or one of {CARRYING_MODES}, "
                 f"got {self.carrying_mode!r}"
             )
         may_be_zero = ("heading_std_rad", "heading_drift_rad_per_sqrt_s", "extra_noise_m")
-        check_numbers(self, zero=may_be_zero, signed=("heading_offset_rad",))
+        check_numbers(self, zero=may_be_zero, signed=("heading_offset_rad", "climbs"))
 
     @property
-    def moves(self) -> bool:
-        """Whether a step in this mode leads anywhere."""
-        return self.context not in ("stationary", IRREGULAR)
+    def meaning(self) -> Context:
+        """Meaning of its context for the stages before the filter."""
+        return Context(self.context, self.moves, self.climbs, self.gait, self.heading_offset_rad)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,10 +10,21 @@ from typing import NamedTuple
 import numpy as np
 
 from pdr_filter.filter.fixes.frame import START_FRAME, Frame
-from pdr_filter.filter.imm.motion_model import Directions, Mode, MotionNoise
+from pdr_filter.filter.imm.motion_model import IRREGULAR, Directions, Mode, MotionNoise
 from pdr_filter.filter.imm.weighting import ModeEvidence
 from pdr_filter.filter.step_length.models import StepLengths, uneven_var_m2
-from pdr_filter.values import CONTEXTS, FloatArray, Step, check_numbers, check_transition_prob, pickled, read_only
+from pdr_filter.values import (
+    CONTEXTS,
+    DEFAULT_CONTEXTS,
+    Context,
+    ContextSet,
+    FloatArray,
+    Step,
+    check_numbers,
+    check_transition_prob,
+    pickled,
+    read_only,
+)
 
 
 class ModeLengths(NamedTuple):
@@ -57,6 +68,7 @@ class PedestrianModel:
     fix_gate_nis: float = 13.8
     scalar_gate_nis: float = 10.8
     frame: Frame = START_FRAME  # of the fixes; `UNKNOWN_FRAME` until some have shown its origin and north to the track
+    contexts: tuple[str, ...] = CONTEXTS  # C names in the order of the probabilities of a window
 
     __reduce__ = pickled
 
@@ -71,17 +83,38 @@ class PedestrianModel:
         names = [m.name for m in self.modes]
         if len(set(names)) < len(names):
             raise ValueError(f"mode names must be distinct, got {names}")
+        if IRREGULAR in self.contexts:
+            raise ValueError(
+                f'"{IRREGULAR}" is handling of the phone, got contexts {self.contexts}: rename the context'
+            )
+        for mode in self.modes:
+            if mode.context not in (*self.contexts, IRREGULAR):
+                raise ValueError(
+                    f"context of mode {mode.name!r} must be one of {(*self.contexts, IRREGULAR)}, got "
+                    f"{mode.context!r}: name a context of the context model, or give config.with_contexts a model that "
+                    "has it"
+                )
         check_transition_prob(self.transition_prob, len(self.modes))
         object.__setattr__(self, "transition_prob", read_only(self.transition_prob))
 
     def check_one_mode_for_each_context(self) -> None:
         """ValueError unless the modes are the contexts, each once."""
         contexts = [m.context for m in self.modes]
-        if sorted(contexts) != sorted(CONTEXTS):
+        if sorted(contexts) != sorted(self.contexts):
             raise ValueError(
-                f'weightings "hc" and "wc" need exactly one mode for each of {CONTEXTS}, got {contexts}; '
+                f'weightings but "imm" need exactly one mode for each of {self.contexts}, got {contexts}; '
                 'use weighting="imm" for other modes'
             )
+
+    @cached_property
+    def context_set(self) -> ContextSet:
+        """Contexts with the meaning that their modes state.
+
+        A context with several modes means what the first of them states. One without a mode means what it means in the
+        default; a context that the default does not have is then level walking.
+        """
+        meanings = {c.name: c for c in DEFAULT_CONTEXTS.contexts} | {m.context: m.meaning for m in reversed(self.modes)}
+        return ContextSet(tuple(meanings.get(name, Context(name)) for name in self.contexts))
 
     @cached_property
     def directions(self) -> Directions:
@@ -95,8 +128,8 @@ class PedestrianModel:
 
     @cached_property
     def stands(self) -> FloatArray:
-        """1 for the stationary modes, (M,): without irregular ones, which have steps as often as walking has."""
-        return np.array([float(m.context == "stationary") for m in self.modes])
+        """1 for the modes without steps, (M,): without irregular ones, which have steps as often as walking has."""
+        return np.array([float(m.gait is None and m.context != IRREGULAR) for m in self.modes])
 
     @cached_property
     def step_evidence(self) -> FloatArray:
@@ -106,12 +139,12 @@ class PedestrianModel:
     @cached_property
     def on_stairs(self) -> FloatArray:
         """1 for the modes that climb stairs, and for those that go down, (2, M)."""
-        return np.array([[float(m.context == c) for m in self.modes] for c in ("upstairs", "downstairs")])
+        return np.array([[float(m.climbs == way) for m in self.modes] for way in (1, -1)])
 
     @cached_property
     def context_index(self) -> list[int]:
-        """Index into `CONTEXTS` of each mode; only where all modes are contexts."""
-        return [CONTEXTS.index(m.context) for m in self.modes]
+        """Index into `contexts` of each mode; only where all modes are contexts."""
+        return [self.contexts.index(m.context) for m in self.modes]
 
     @cached_property
     def evidence(self) -> ModeEvidence:
@@ -122,6 +155,7 @@ class PedestrianModel:
             self.evidence_exponent,
             self.prior_exponent,
             self.evidence_floor,
+            self.contexts,
         )
 
     @cached_property
@@ -161,6 +195,6 @@ class PedestrianModel:
 
     def context_prob(self, mode_prob: FloatArray) -> FloatArray:
         """Context probabilities (C,) that mode probabilities imply: summed over the modes of each context."""
-        prob = [sum(p for m, p in zip(self.modes, mode_prob, strict=True) if m.context == c) for c in CONTEXTS]
+        prob = [sum(p for m, p in zip(self.modes, mode_prob, strict=True) if m.context == c) for c in self.contexts]
         total = sum(prob)  # less than one beside irregular modes
-        return np.array(prob) / total if total > 0 else np.full(len(CONTEXTS), 1 / len(CONTEXTS))
+        return np.array(prob) / total if total > 0 else np.full(len(prob), 1 / len(prob))

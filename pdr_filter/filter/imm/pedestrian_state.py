@@ -34,7 +34,6 @@ from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.step_history import StepHistory, Walked
 from pdr_filter.filter.imm.walking_speed import WalkingSpeed
 from pdr_filter.values import (
-    CONTEXTS,
     FloatArray,
     OnPlan,
     Step,
@@ -67,6 +66,7 @@ class StepUpdate:
     walking_heading_rad: float  # clockwise, not wrapped
     speed: WalkingSpeed
     context_prob: FloatArray  # (C,)
+    contexts: tuple[str, ...]  # C names
     mode_prob: FloatArray  # (M,)
     # The same in the frame of the start, while the turn to the frame of the fixes is not settled; None afterwards.
     of_start: Place | None
@@ -93,8 +93,8 @@ class StepUpdate:
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as JSON has them: None for what is not finite, contexts by their names, and the step's time."""
-        named = {f.name: getattr(self, f.name) for f in fields(self)}
-        contexts = dict(zip(CONTEXTS, self.context_prob, strict=True))
+        named = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "contexts"}
+        contexts = dict(zip(self.contexts, self.context_prob, strict=True))
         return as_plain({"time_s": self.step.time_s, **named, "context_prob": contexts})
 
 
@@ -289,6 +289,7 @@ def step_update(
     combined: tuple[FloatArray, FloatArray],
     context_prob: FloatArray,
     mode_prob: FloatArray,
+    contexts: tuple[str, ...],
     is_final: bool = True,
 ) -> StepUpdate:
     """Return the report of a step that led from one state to the next, see `with_step`."""
@@ -311,6 +312,7 @@ def step_update(
         walking_heading_rad=place.heading_rad,
         speed=speed,
         context_prob=frozen(context_prob),
+        contexts=contexts,
         mode_prob=frozen(mode_prob),
         gap_before_s=previous.steps.gap_s,
     )

@@ -6,6 +6,7 @@ contain it: the provisional and the final distance of Martinelli et al. 2018, Al
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,6 +39,10 @@ from pdr_filter.filter.imm.weighting import HC, context_weights
 from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, check_numbers, replace_unchecked
 
+# A function of context probabilities (C,) that returns weights (C,): 0 or more, with the sum one.
+Weighting = Callable[[FloatArray], FloatArray]
+_SUM_TOLERANCE = 1e-6
+
 
 @dataclass(frozen=True, eq=False)
 class WeightedState:
@@ -59,6 +64,7 @@ class WeightedTracker:
 
     model: PedestrianModel  # with exactly one mode for each context
     threshold: float = 0.8
+    function: Weighting | None = None  # of context probabilities (C,), weights (C,): in place of the threshold
 
     # A step is final when the window after the one in which it is new is known.
     waits_for_windows = 2
@@ -69,7 +75,9 @@ class WeightedTracker:
 
     @property
     def weighting(self) -> str:
-        """Its short name: "hc" or "wc"."""
+        """Its short name: "hc" or "wc", or the name of the function."""
+        if self.function is not None:
+            return str(getattr(self.function, "__name__", type(self.function).__name__))
         return "hc" if self.threshold == HC else "wc"
 
     def init(self) -> WeightedState:
@@ -134,7 +142,7 @@ class WeightedTracker:
         combined = predicted.mean[0], predicted.cov[0]
         event = WalkedStep.of(step.time_s, previous.estimates, drifted_cov, turned.estimates, ahead, combined[0])
         updated = with_step(replace_unchecked(turned, estimates=predicted), step, walked, combined, event)
-        update = step_update(previous, updated, step, walked, combined, context_prob, weights, is_final)
+        update = step_update(previous, updated, step, walked, combined, context_prob, weights, model.contexts, is_final)
         mode_prob = weights if is_final else state.mode_prob
         return replace_unchecked(state, pedestrian=updated, pending=state.pending[1:], mode_prob=mode_prob), update
 
@@ -145,8 +153,20 @@ class WeightedTracker:
         """
         provisional = self._prob_of(state, window_around(state.windows, step.time_s))
         final = self._prob_of(state, window_after(state.windows, step.time_s)) if is_final else provisional
-        weights = 0.5 * (context_weights(provisional, self.threshold) + context_weights(final, self.threshold))
+        weights = 0.5 * (self._weights_of(provisional) + self._weights_of(final))
         return 0.5 * (provisional + final), weights[self.model.context_index]
+
+    def _weights_of(self, context_prob: FloatArray) -> FloatArray:
+        """Weights of the contexts (C,)."""
+        if self.function is None:
+            return context_weights(context_prob, self.threshold)
+        weights = np.asarray(self.function(context_prob.copy()), dtype=float)
+        if weights.shape != context_prob.shape or not (weights >= 0).all() or abs(weights.sum() - 1.0) > _SUM_TOLERANCE:
+            raise ValueError(
+                f"weighting {self.weighting!r} must return {len(context_prob)} weights that are 0 or more and sum to "
+                f"one, got {weights}: divide them by their sum"
+            )
+        return weights
 
     def _ahead(
         self, estimates: Estimates, step: Step, weights: FloatArray, directions: Directions

@@ -113,15 +113,16 @@ def carrying_log_evidence(prob: FloatArray, previous_prob: FloatArray | None, n_
 class ModeEvidence:
     """What a window says for each mode of a filter; exponents and floor are those of `context_log_evidence`."""
 
-    contexts: tuple[str, ...]  # of each mode: one of `CONTEXTS`, or "irregular"
+    contexts: tuple[str, ...]  # of each mode: one of `window_contexts`, or "irregular"
     carrying_modes: tuple[str | None, ...]  # of each mode; None for any
     exponent: float
     prior_exponent: float
     floor: float
+    window_contexts: tuple[str, ...] = CONTEXTS  # C, in the order of the probabilities of a window
 
     @cached_property
     def _context_index(self) -> IntArray:
-        names = (*CONTEXTS, IRREGULAR)
+        names = (*self.window_contexts, IRREGULAR)
         return np.array([names.index(c) for c in self.contexts])
 
     @cached_property

@@ -158,7 +158,7 @@ def _typical_length_m(model: PedestrianModel) -> float:
 
 def _main_mode(modes: Sequence[Mode]) -> Mode:
     """The mode of level walking; else the first that moves."""
-    return next((m for m in modes if m.context == "walking"), next((m for m in modes if m.moves), modes[0]))
+    return next((m for m in modes if m.meaning.is_level_walking), next((m for m in modes if m.moves), modes[0]))
 
 
 def _scaled(fit: StepLengthFit, factor: float) -> StepLengthFit:

@@ -2,17 +2,18 @@
 // Shows the events of the server. docs/live.md describes them.
 
 const byId = id => document.getElementById(id);
-const COLOURS = {
-  stationary: "#9a9a9a", walking: "#0072b2", upstairs: "#cc6600", downstairs: "#44aa99", sideways: "#c9a227", running: "#882255",
-};
-const ON_DARK = { walking: "#56b4e9", upstairs: "#e08a3c", running: "#d77fae" }; // a contrast above 6
+// Of contexts by their place; with more than twelve they begin again.
+const COLOURS = [
+  "#9a9a9a", "#0072b2", "#cc6600", "#44aa99", "#c9a227", "#882255", "#55aa55", "#443300", "#112288", "#888855", "#8877ff", "#00a5bf",
+];
+const ON_DARK = { 1: "#56b4e9", 2: "#e08a3c", 5: "#d77fae", 6: "#99dd99", 7: "#b9a27c", 8: "#8fa8ff", 9: "#b5b57a", 10: "#b3a8ff", 11: "#00ddff" }; // a contrast above 6
 const isDark = matchMedia("(prefers-color-scheme: dark)");
 const KEPT_S = 300; // of the charts
 const SILENT_MS = 5000; // longer than any batch period and most holes in a network
 const LATE_STEP_S = 1.5; // until then a speed of zero may be a step that is found late
 const sessions = new Map(); // id: {about, path, now, fixes, history, origin, heardAt}
 let shown = "";
-let charts = null;
+let charts = null, charted = ""; // and the names of the contexts in them
 
 const map = new LiveMap(byId("map"), setHere);
 
@@ -172,11 +173,18 @@ function notes(known) {
 
 function drawCharts(known) {
   const times = known.history.map(event => event.time_s);
-  const contexts = Object.keys(COLOURS).map(name => known.history.map(event => event.context_prob[name] ?? null));
+  const names = Object.keys(known.history.at(-1)?.context_prob ?? {});
+  const contexts = names.map(name => known.history.map(event => event.context_prob[name] ?? null));
   const speeds = steadySpeeds(known.history);
   const width = byId("contexts").clientWidth;
   if (!width) return;
+  if (charts && charted !== names.join("\n")) {
+    for (const chart of Object.values(charts)) chart.destroy();
+    charts = null;
+  }
   if (!charts) {
+    charted = names.join("\n");
+    const colours = { ...COLOURS, ...(isDark.matches ? ON_DARK : {}) };
     const style = getComputedStyle(document.documentElement);
     const ink = style.getPropertyValue("--faint").trim(), line = style.getPropertyValue("--line").trim();
     const axis = { stroke: ink, grid: { stroke: line, width: 1 }, ticks: { stroke: line } };
@@ -187,7 +195,7 @@ function drawCharts(known) {
       series: [{}, ...series],
     }, [[]], byId(id));
     charts = {
-      contexts: made("contexts", Object.entries({ ...COLOURS, ...(isDark.matches ? ON_DARK : {}) }).map(([label, stroke]) => ({ label, stroke, width: 2, points: { show: false } })), [0, 1]),
+      contexts: made("contexts", names.map((label, i) => ({ label, stroke: colours[i % COLOURS.length], width: 2, points: { show: false } })), [0, 1]),
       speeds: made("speeds", [{ label: "speed in m/s", stroke: style.getPropertyValue("--accent").trim(), width: 2, points: { show: false } }], (_, low, high) => [0, Math.max(2, high)]),
     };
   }

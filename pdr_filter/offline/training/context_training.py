@@ -96,7 +96,8 @@ class ContextPlan(TrainingPlan):
         stairs_limit = None
         if self.guards_stairs:
             stairs_limit = float(np.quantile(left.stairs_distance[np.isin(y, STAIRS)], _STAIRS_QUANTILE))
-            prob = not_told_apart(prob, unknown_share(left.stairs_distance, stairs_limit, STAIRS_SHARPNESS))
+            share = unknown_share(left.stairs_distance, stairs_limit, STAIRS_SHARPNESS)
+            prob = not_told_apart(prob, share, [self.labels.index(label) for label in ("walking", *STAIRS)])
         limits = float(np.quantile(left.distance, 0.99)), stairs_limit
         model = replace(model, temperature=temperature, slip=slip)
         scores = {name: self._scores(of_left, prob, name) for name in SCORED_DATASETS if name in of_left.dataset}

@@ -26,9 +26,9 @@ from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.signal_filters import butterworth, phase_delay_s
 from pdr_filter.sensing.steps.step_detector import ContextBlock, DetectorState, StepDetector
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, BoolArray, FloatArray, Step, check_numbers, replace_unchecked
+from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray, Step, check_numbers, replace_unchecked
 
-_STATIONARY, _SWINGING = CONTEXTS.index("stationary"), CARRYING_MODES.index("swinging")
+_SWINGING = CARRYING_MODES.index("swinging")
 # Step frequency at which the first minimum of a walk, which has none before it, is delayed.
 _TYPICAL_HZ = 1.8
 # A longer interval between minima is a pause: the contact is not half of it ago.
@@ -134,10 +134,10 @@ class NormMinimaStepDetector(StepDetector[NormMinimaState]):
     def _signals(
         self, state: NormMinimaState, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
     ) -> tuple[NormMinimaState, FloatArray]:
-        """|f| and |omega|, one where there is a sample, one where the rate is known, context, mode; (6, N)."""
+        """|f|, |omega|, one at a sample, one where the rate is known, one where somebody may step, mode; (6, N)."""
         components = np.vstack([block.specific_force_mps2.T, block.angular_rate_radps.T])
         norms, zi = filtered_norms(self._sos, components, state.zi)
-        known = np.stack([block.angular_rate_known, contexts.context, contexts.carrying_mode]).astype(float)
+        known = np.stack([block.angular_rate_known, ~contexts.stands, contexts.carrying_mode]).astype(float)
         signals = np.vstack([norms, np.ones(norms.shape[1]), known])
         return replace_unchecked(state, zi=zi, last=components[:, -1].copy()), signals
 
@@ -160,8 +160,8 @@ class NormMinimaStepDetector(StepDetector[NormMinimaState]):
     ) -> tuple[NormMinimaState, list[tuple[int, Step]]]:
         half, n_new = self._half_samples, line.shape[1] - self._n_line
         middle = line[:, half - 1 : half - 1 + n_new]  # samples whose windows are complete
-        context, carrying_mode = line[4:, self._n_line :]
-        walking = context != _STATIONARY
+        may_step, carrying_mode = line[4:, self._n_line :]
+        walking = may_step > 0
         swinging = (carrying_mode == _SWINGING) & (middle[3] > 0)
         minima: list[tuple[int, int, Trough]] = []
         troughs: list[Trough] = []

@@ -27,7 +27,15 @@ from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.contexts.context_stage import WindowContext, known_context
 from pdr_filter.sensing.steps.step_detector import ContextBlock
-from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray, IntArray, check_numbers, replace_unchecked
+from pdr_filter.values import (
+    CARRYING_MODES,
+    CONTEXTS,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    check_numbers,
+    replace_unchecked,
+)
 
 _CARRYING_MODE: Mapping[int, str] = {HOLDING: "texting", SWING: "swinging", POCKET: "pocket"}
 
@@ -211,6 +219,11 @@ class TianContexts:
         check_numbers(self)
         if self.machine.rate_hz != self.steps.rate_hz:
             raise ValueError(f"rate_hz must be one, got {self.machine.rate_hz} and {self.steps.rate_hz}")
+
+    @property
+    def contexts(self) -> tuple[str, ...]:
+        """Names of the contexts, those of the default."""
+        return CONTEXTS
 
     @property
     def rate_hz(self) -> float:

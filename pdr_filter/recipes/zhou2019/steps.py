@@ -23,9 +23,10 @@ from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.signal_filters import low_pass_kernel
 from pdr_filter.sensing.steps.step_detector import ContextBlock, DetectorState, StepDetector, local_maxima
 from pdr_filter.sensing.steps.step_log import specific_force_magnitude
-from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2, FloatArray, Step, check_numbers, replace_unchecked
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Step, check_numbers, replace_unchecked
 
-_STATIONARY, _RUNNING = CONTEXTS.index("stationary"), CONTEXTS.index("running")
+# What the person does at a sample; walking, or unknown, is between them.
+_STATIONARY, _RUNNING = 0, 2
 # Spectrum lines 0.1 Hz apart: half a sample of a period of 0.7 s, far below what its width allows.
 _LINE_SPACING_HZ = 0.1
 # A second of a foot on the ground or a phone on a table stays below; there is no dominant frequency in noise.
@@ -65,7 +66,7 @@ class ReferenceLineState(DetectorState):
     """The last acceleration, the window that is being filled, its lines, and events of unknown behaviour."""
 
     period_s: float  # 1 / f_D, the length of the window
-    buffer: FloatArray  # (3, B) filtered for walking, for running, context
+    buffer: FloatArray  # (3, B) filtered for walking, for running, what the person does
     waiting: FloatArray  # (W, 2) sample of an event, dominant period in s
     window_start: int = 0  # filtered sample
     is_running: bool = False  # in this window
@@ -159,9 +160,11 @@ class ReferenceLineStepDetector(StepDetector[ReferenceLineState]):
     def _signals(
         self, state: ReferenceLineState, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
     ) -> tuple[ReferenceLineState, FloatArray]:
-        """Acceleration and context, (2, N)."""
+        """Acceleration and what the person does, (2, N)."""
         a = specific_force_magnitude(block.specific_force_mps2) - STANDARD_GRAVITY_MPS2
-        return state, np.vstack([a, contexts.context.astype(float)])
+        return state, np.vstack(
+            [a, np.select([contexts.stands, contexts.runs], [_STATIONARY, _RUNNING], 1).astype(float)]
+        )
 
     def _continued(self, state: ReferenceLineState) -> FloatArray:
         """The last values stay until the window is complete."""

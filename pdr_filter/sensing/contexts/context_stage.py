@@ -11,7 +11,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from pdr_filter.classifiers.context_model import Assessment, ContextModel, to_be_told_apart
+from pdr_filter.classifiers.context_model import Assessment, ContextModel
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.contexts.irregular_motion import GATE, GATE_ACCELEROMETER, irregular_prob
@@ -21,6 +21,9 @@ from pdr_filter.sensing.features.sliding_windows import SlidingWindows, W, X
 from pdr_filter.values import (
     CARRYING_MODES,
     CONTEXTS,
+    DEFAULT_CONTEXTS,
+    Context,
+    ContextSet,
     FloatArray,
     IntArray,
     check_numbers,
@@ -34,7 +37,6 @@ from pdr_filter.values.mixtures import reweighted
 CARRYING_STAY_PROB = 0.98
 # Hop over window: overlapping windows repeat the same second of data.
 CARRYING_EXPONENT = 0.5
-_STATIONARY = CONTEXTS.index("stationary")
 # Where the phone is in all recordings of stairs that the models learn from.
 _POCKET = CARRYING_MODES.index("pocket")
 _EVEN = read_only(np.full(len(CARRYING_MODES), 1 / len(CARRYING_MODES)))
@@ -45,7 +47,7 @@ class WindowContext:
     """The classifiers' result for a window: for the samples from `start_s` to `time_s`."""
 
     time_s: float  # end of the window
-    prob: FloatArray  # (C,) of `CONTEXTS`; the unknown share of it is the classifier's prior
+    prob: FloatArray  # (C,) of the contexts of the stage; the unknown share of it is the classifier's prior
     training_prior: FloatArray  # (C,) of the classifier that gave them
     carrying_prob: FloatArray = field(default_factory=lambda: _EVEN)  # (5,) after this window
     unknown_share: float = 0.0  # how unlike the training windows it is, 0 to 1
@@ -69,6 +71,11 @@ class ContextStage(Protocol):
     Samples are numbered from 0 in each segment (between gaps). The result does not depend on how the samples were cut
     into blocks.
     """
+
+    @property
+    def contexts(self) -> tuple[str, ...]:
+        """Names of the contexts, C, in the order of the probabilities."""
+        ...
 
     @property
     def rate_hz(self) -> float:
@@ -111,6 +118,11 @@ class WindowStage(ABC, Generic[W, X, M]):
     """A context stage that judges windows one after the other."""
 
     windows: SlidingWindows[W, X]
+
+    @property
+    def contexts(self) -> tuple[str, ...]:
+        """Names of the contexts, those of the default."""
+        return CONTEXTS
 
     @property
     def rate_hz(self) -> float:
@@ -192,7 +204,7 @@ class ContextModels:
     """
 
     with_gyroscope: ContextModel
-    without_gyroscope: ContextModel
+    without_gyroscope: ContextModel | None  # with the same contexts; None: such windows are unknown
     carrying_with_gyroscope: ContextModel | None = None
     carrying_without_gyroscope: ContextModel | None = None
     carrying_stay_prob: float = CARRYING_STAY_PROB  # that the mode is the same a window later
@@ -202,15 +214,20 @@ class ContextModels:
         check_numbers(self, zero=("carrying_exponent",))
         carrying = self.carrying_with_gyroscope, self.carrying_without_gyroscope
         heads = [(self.with_gyroscope, "context"), (self.without_gyroscope, "context")]
-        for model, head in [*heads, *((model, "carrying_mode") for model in carrying if model is not None)]:
-            if model.head != head:
+        for model, head in [*heads, *((model, "carrying_mode") for model in carrying)]:
+            if model is not None and model.head != head:
                 raise ValueError(f"model {model.name!r} classifies the {model.head}, not the {head}; give another one")
+        if self.without_gyroscope is not None and self.with_gyroscope.labels != self.without_gyroscope.labels:
+            raise ValueError(
+                f"models of windows with and without gyroscope must have the same contexts, got "
+                f"{self.with_gyroscope.labels} and {self.without_gyroscope.labels}"
+            )
 
     @property
     def models(self) -> tuple[ContextModel, ...]:
         """All models that there are."""
-        carrying = self.carrying_with_gyroscope, self.carrying_without_gyroscope
-        return (self.with_gyroscope, self.without_gyroscope, *(model for model in carrying if model is not None))
+        optional = self.without_gyroscope, self.carrying_with_gyroscope, self.carrying_without_gyroscope
+        return (self.with_gyroscope, *(model for model in optional if model is not None))
 
     def init(self) -> FloatArray:
         """Carrying-mode probabilities (5,) before the first window: all modes that are known, alike."""
@@ -218,38 +235,44 @@ class ContextModels:
         known = np.ones(len(CARRYING_MODES)) if model is None else (model.training_prior > 0).astype(float)
         return read_only(known / known.sum())
 
-    def update(self, carrying_prob: FloatArray, window: FeatureWindow) -> tuple[FloatArray, WindowContext]:
+    def update(
+        self, carrying_prob: FloatArray, window: FeatureWindow, contexts: ContextSet = DEFAULT_CONTEXTS
+    ) -> tuple[FloatArray, WindowContext]:
         """New carrying-mode probabilities (5,), and the result for the window."""
-        carrying_prob, (context,) = self.step_all(carrying_prob, [window])
+        carrying_prob, (context,) = self.step_all(carrying_prob, [window], contexts)
         return carrying_prob, context
 
     def step_all(
-        self, carrying_prob: FloatArray, windows: Sequence[FeatureWindow]
+        self, carrying_prob: FloatArray, windows: Sequence[FeatureWindow], contexts: ContextSet = DEFAULT_CONTEXTS
     ) -> tuple[FloatArray, list[WindowContext]]:
         """The same for windows that follow each other, with the same bits: models look at all of them at once."""
         of_contexts = _assessed(self.with_gyroscope, self.without_gyroscope, windows)
         of_carrying = _assessed(self.carrying_with_gyroscope, self.carrying_without_gyroscope, windows)
         irregular = _irregular(windows)
-        contexts: list[WindowContext] = []
+        results: list[WindowContext] = []
         for i, window in enumerate(windows):
-            found = of_contexts[i], of_carrying.get(i), irregular[i]
-            carrying_prob, context = self._judged(carrying_prob, window, *found)
-            contexts.append(context)
-        return carrying_prob, contexts
+            found = of_contexts.get(i), of_carrying.get(i), irregular[i]
+            carrying_prob, context = self._judged(carrying_prob, window, *found, contexts.standing)
+            results.append(context)
+        return carrying_prob, results
 
     def _judged(
         self,
         carrying_prob: FloatArray,
         window: FeatureWindow,
-        of_context: Assessment,
+        of_context: Assessment | None,
         of_carrying: Assessment | None,
         irregular: float,
+        standing: IntArray,
     ) -> tuple[FloatArray, WindowContext]:
         """New carrying-mode probabilities (5,), and the result for a window of which this is known."""
-        model = self.with_gyroscope if window.has_gyroscope else self.without_gyroscope
-        prob, unknown, unlike_stairs = of_context
+        model = (
+            self.with_gyroscope if window.has_gyroscope or self.without_gyroscope is None else self.without_gyroscope
+        )
+        prob, unknown, unlike_stairs = of_context or Assessment(model.training_prior, 1.0, 1.0)
         prob = (1 - unknown) * prob + unknown * model.training_prior
-        carrying_prob = self._follow(carrying_prob, window, of_carrying, moving=1.0 - float(prob[_STATIONARY]))
+        moving = 1.0 - float(sum(prob[standing].tolist()))
+        carrying_prob = self._follow(carrying_prob, window, of_carrying, moving)
         if model.stairs is not None and self.carrying_with_gyroscope is not None:
             unlike_stairs = 1.0 - (1.0 - unlike_stairs) * float(carrying_prob[_POCKET])
         return carrying_prob, WindowContext(
@@ -293,7 +316,9 @@ def follow_mode(
     return frozen(np.array([p / total for p in after]))
 
 
-def with_climbs(windows: Sequence[WindowContext], climbs: Sequence[Climb | None]) -> list[WindowContext]:
+def with_climbs(
+    windows: Sequence[WindowContext], climbs: Sequence[Climb | None], contexts: ContextSet = DEFAULT_CONTEXTS
+) -> list[WindowContext]:
     """The windows with the climb rates of a barometer, where there are some, as evidence for stairs.
 
     Motion and pressure are independent, so that their likelihoods multiply. Windows of the barometer overlap: the most
@@ -303,8 +328,8 @@ def with_climbs(windows: Sequence[WindowContext], climbs: Sequence[Climb | None]
     if not both:
         return list(windows)
     rates_mps, std_mps = np.array([(climb.climb_rate_mps, climb.std_mps) for _, climb in both]).T
-    told = np.array([to_be_told_apart(window.prob, window.stairs_unknown_share) for window, _ in both])
-    prob = iter(reweighted(told, climb_log_evidence(rates_mps, std_mps)))
+    told = np.array([to_be_told_apart(window.prob, window.stairs_unknown_share, contexts) for window, _ in both])
+    prob = iter(reweighted(told, climb_log_evidence(rates_mps, std_mps, contexts)))
     return [
         window if climb is None else replace_unchecked(window, prob=next(prob), climb_rate_mps=climb.climb_rate_mps)
         for window, climb in zip(windows, climbs, strict=True)
@@ -313,27 +338,39 @@ def with_climbs(windows: Sequence[WindowContext], climbs: Sequence[Climb | None]
 
 # Step frequency in Hz of people in each context, mean and standard deviation between and within them: medians of people
 # of motionsense, difronzo, humolire, ms_indoor and ubicomp13, a fifth wider. Somebody who stands makes no steps.
-_CADENCE_HZ = {
-    "walking": (1.85, 0.25),
-    "upstairs": (1.8, 0.3),
-    "downstairs": (2.0, 0.35),
-    "sideways": (1.6, 0.5),
-    "running": (2.75, 0.25),
-}
-_CADENCE_MEAN_HZ, _CADENCE_STD_HZ = np.array([_CADENCE_HZ.get(c, (np.nan, 1.0)) for c in CONTEXTS]).T
+_WALKING_HZ, _RUNNING_HZ, _UP_HZ, _DOWN_HZ, _TURNED_HZ = (1.85, 0.25), (2.75, 0.25), (1.8, 0.3), (2.0, 0.35), (1.6, 0.5)
 # How often steps are found twice or missed, and what they may show then.
 _CADENCE_OUTLIER_SHARE, _CADENCE_RANGE_HZ = 0.1, 4.5
 
 
-def cadence_log_evidence(frequency_hz: float) -> FloatArray:
-    """Log likelihood of a step frequency in each of `CONTEXTS`, (6,): log((1 - e) N(f; m_c, s_c^2) + e / range)."""
-    away = (frequency_hz - _CADENCE_MEAN_HZ) / _CADENCE_STD_HZ
-    density = np.exp(-0.5 * away * away) / (math.sqrt(2 * math.pi) * _CADENCE_STD_HZ)
+def _cadence_hz(context: Context) -> tuple[float, float]:
+    """Mean and standard deviation of the step frequency in a context; the mean is NaN without steps."""
+    if context.stands:
+        return np.nan, 1.0
+    if context.runs:
+        return _RUNNING_HZ
+    if context.climbs:
+        return _UP_HZ if context.climbs > 0 else _DOWN_HZ
+    return _TURNED_HZ if context.is_turned else _WALKING_HZ
+
+
+@lru_cache
+def _cadences_hz(contexts: ContextSet) -> tuple[FloatArray, FloatArray]:
+    """Mean (C,) and standard deviation (C,) of the step frequency in each context."""
+    mean_hz, std_hz = np.array([_cadence_hz(c) for c in contexts.contexts]).T
+    return mean_hz, std_hz
+
+
+def cadence_log_evidence(frequency_hz: float, contexts: ContextSet = DEFAULT_CONTEXTS) -> FloatArray:
+    """Log likelihood of a step frequency in each context, (C,): log((1 - e) N(f; m_c, s_c^2) + e / range)."""
+    mean_hz, std_hz = _cadences_hz(contexts)
+    away = (frequency_hz - mean_hz) / std_hz
+    density = np.exp(-0.5 * away * away) / (math.sqrt(2 * math.pi) * std_hz)
     right = (1.0 - _CADENCE_OUTLIER_SHARE) * np.nan_to_num(density, nan=0.0)
     return np.log(right + _CADENCE_OUTLIER_SHARE / _CADENCE_RANGE_HZ)
 
 
-def with_cadence(window: WindowContext, frequency_hz: float) -> WindowContext:
+def with_cadence(window: WindowContext, frequency_hz: float, contexts: ContextSet = DEFAULT_CONTEXTS) -> WindowContext:
     """The window in which, as far as it is unlike all training data, the step frequency decides.
 
     Its unknown share has the classifier's prior. People run with more steps a second than they walk, wherever the phone
@@ -342,8 +379,18 @@ def with_cadence(window: WindowContext, frequency_hz: float) -> WindowContext:
     """
     if window.unknown_share == 0.0:
         return window
-    guess = reweighted(window.training_prior, cadence_log_evidence(frequency_hz))
+    guess = reweighted(window.training_prior, cadence_log_evidence(frequency_hz, contexts))
     return replace_unchecked(window, prob=window.prob + window.unknown_share * (guess - window.training_prior))
+
+
+def to_be_told_apart(prob: FloatArray, share: float, contexts: ContextSet = DEFAULT_CONTEXTS) -> FloatArray:
+    """Probabilities (C,) where another sensor decides what motion does not tell: that share divided into thirds.
+
+    A day's division (`classifiers.context_model.not_told_apart`) is a prior. As evidence, window after window, it would
+    outvote what the other sensor measures.
+    """
+    in_thirds = contexts.in_thirds
+    return (1.0 - share) * prob + share * (prob @ in_thirds) if share and in_thirds is not None else prob
 
 
 @lru_cache

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 from pdr_filter.classifiers.context_model import ContextModel, load_model
-from pdr_filter.sensing.contexts.context_stage import ContextModels, WindowContext, WindowStage
-from pdr_filter.sensing.features.feature_windows import FeatureWindow, FeatureWindows, WindowState
-from pdr_filter.values import FloatArray
+from pdr_filter.sensing.contexts.context_stage import ContextModels, ContextStage, WindowContext, WindowStage
+from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindow, FeatureWindows, WindowState
+from pdr_filter.values import DEFAULT_CONTEXTS, ContextSet, FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,6 +21,7 @@ class LearnedContexts(WindowStage[WindowState, FeatureWindow, FloatArray]):
 
     windows: FeatureWindows
     models: ContextModels
+    context_set: ContextSet = DEFAULT_CONTEXTS  # what the contexts mean; `Sensing` gives that of its own
 
     def __post_init__(self) -> None:
         for model in self.models.models:
@@ -30,6 +31,11 @@ class LearnedContexts(WindowStage[WindowState, FeatureWindow, FloatArray]):
                     f"context model {model.name!r} needs features {missing[:5]}, which the feature set "
                     f"{self.windows.features.name!r} does not have; use a model and windows of one set"
                 )
+
+    @property
+    def contexts(self) -> tuple[str, ...]:
+        """Names of the contexts that the models distinguish."""
+        return self.models.with_gyroscope.labels
 
     def first_memory(self) -> FloatArray:
         """All carrying modes that the models know, alike."""
@@ -41,13 +47,51 @@ class LearnedContexts(WindowStage[WindowState, FeatureWindow, FloatArray]):
 
     def assess(self, memory: FloatArray, window: FeatureWindow) -> tuple[FloatArray, WindowContext]:
         """New carrying-mode probabilities, and the context of a window."""
-        return self.models.update(memory, window)
+        return self.models.update(memory, window, self.context_set)
 
     def assess_all(
         self, memory: FloatArray, windows: Sequence[FeatureWindow]
     ) -> tuple[FloatArray, list[WindowContext]]:
         """New carrying-mode probabilities, and the contexts of windows."""
-        return self.models.step_all(memory, windows)
+        return self.models.step_all(memory, windows, self.context_set)
+
+
+def attitude_free_contexts() -> LearnedContexts:
+    """The default's context stage."""
+    models = ContextModels(
+        shipped_model("context"),
+        shipped_model("context_accelerometer"),
+        shipped_model("carrying"),
+        shipped_model("carrying_accelerometer"),
+    )
+    return LearnedContexts(FeatureWindows(features=ATTITUDE_FREE), models)
+
+
+def stage_of(
+    contexts: ContextModel | tuple[ContextModel, ContextModel] | ContextStage, present: ContextStage | None
+) -> ContextStage:
+    """Return the context stage that uses a context model; a stage is returned as it is.
+
+    Of two models, the second is for windows without gyroscope. A single model classifies such windows only if it does
+    with the features of the shipped model for them; otherwise they are unknown. Windows, carrying modes and features
+    stay those of the present stage if it has the features of the model. ValueError if no feature set has them.
+    """
+    if not isinstance(contexts, ContextModel | tuple):
+        return contexts
+    model, without_gyroscope = contexts if isinstance(contexts, tuple) else (contexts, None)
+    for stage in (present, attitude_free_contexts()):
+        if not isinstance(stage, LearnedContexts) or not set(model.feature_names) <= set(stage.windows.features.names):
+            continue
+        known = stage.models.without_gyroscope
+        if without_gyroscope is None and known is not None and set(model.feature_names) <= set(known.feature_names):
+            without_gyroscope = model
+        models = replace(stage.models, with_gyroscope=model, without_gyroscope=without_gyroscope)
+        return replace(stage, models=models)
+    missing = sorted(set(model.feature_names) - set(ATTITUDE_FREE.names))
+    raise ValueError(
+        f"context model {model.name!r} needs features {missing[:5]}, which no feature set of the configuration has: "
+        "give a context stage in place of the model"
+    )
 
 
 @cache

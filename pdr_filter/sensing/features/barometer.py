@@ -14,11 +14,20 @@ from __future__ import annotations
 import math
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2, BoolArray, FloatArray, IntArray, check_numbers
+from pdr_filter.values import (
+    DEFAULT_CONTEXTS,
+    STANDARD_GRAVITY_MPS2,
+    BoolArray,
+    ContextSet,
+    FloatArray,
+    IntArray,
+    check_numbers,
+)
 
 GAS_CONSTANT_J_PER_MOL_K = 8.314462618
 MOLAR_MASS_OF_AIR_KG_PER_MOL = 0.0289644  # dry; damp air at 20 degrees is up to 0.9 % lighter
@@ -210,14 +219,19 @@ _STAIRS_MPS = RISER_M * STAIR_CADENCE_HZ  # 0.27
 _STAIRS_STD_MPS = float(
     np.sqrt((RISER_M * STAIR_CADENCE_STD_HZ) ** 2 + (STAIR_CADENCE_HZ * RISER_STD_M) ** 2 + OTHER_STD_MPS**2)
 )
-_OF_STAIRS = {"upstairs": (_STAIRS_MPS, _STAIRS_STD_MPS), "downstairs": (-_STAIRS_MPS, _STAIRS_STD_MPS)}
-_MEAN_MPS, _VAR_MPS2 = np.array(
-    [(m, std**2) for m, std in (_OF_STAIRS.get(c, (0.0, OTHER_STD_MPS)) for c in CONTEXTS)]
-).T
 
 
-def climb_log_evidence(climb_rate_mps: ArrayLike, std_mps: ArrayLike) -> FloatArray:
-    """Log likelihood of climb rates (...) in each of `CONTEXTS`, (..., 6), up to a constant common to all.
+@lru_cache
+def _climb_rates(contexts: ContextSet) -> tuple[FloatArray, FloatArray]:
+    """Mean climb rate (C,) in m/s of each context, and its variance (C,)."""
+    climbs = np.array([c.climbs for c in contexts.contexts])
+    return climbs * _STAIRS_MPS, np.where(climbs != 0, _STAIRS_STD_MPS**2, OTHER_STD_MPS**2)
+
+
+def climb_log_evidence(
+    climb_rate_mps: ArrayLike, std_mps: ArrayLike, contexts: ContextSet = DEFAULT_CONTEXTS
+) -> FloatArray:
+    """Log likelihood of climb rates (...) in each context, (..., C), up to a constant common to all.
 
     log((1 - e) N(v; m_c, s_c^2 + std^2) + e / (2 v_max)): upstairs 0.27 +- 0.08 m/s, downstairs -0.27 +- 0.08 m/s, the
     others 0 +- 0.06 m/s, and with probability e = 0.1 anything that a lift does. At the speed of a lift all contexts
@@ -228,7 +242,8 @@ def climb_log_evidence(climb_rate_mps: ArrayLike, std_mps: ArrayLike) -> FloatAr
     rate, std = np.asarray(climb_rate_mps, dtype=float)[..., None], np.asarray(std_mps, dtype=float)[..., None]
     if not (np.isfinite(rate) & (std >= 0)).all():
         raise ValueError(f"climb_rate_mps must be finite and std_mps at least zero, got {climb_rate_mps}, {std_mps}")
-    var = _VAR_MPS2 + std**2
-    away = rate - _MEAN_MPS
+    mean_mps, var_mps2 = _climb_rates(contexts)
+    var = var_mps2 + std**2
+    away = rate - mean_mps
     density = np.exp(-0.5 * away * away / var) / np.sqrt(2 * math.pi * var)
     return np.log((1 - OUTLIER_SHARE) * density + OUTLIER_SHARE / (2 * LIFT_MAX_MPS))

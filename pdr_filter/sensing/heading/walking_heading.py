@@ -37,10 +37,9 @@ from pdr_filter.sensing.heading.phone_placement import Placement, StrideAgreemen
 from pdr_filter.sensing.heading.reported_heading import Reported, Shown
 from pdr_filter.sensing.heading.stride_harmonics import Phases, Stride, StrideSamples, carry_axis, strides_of
 from pdr_filter.sensing.heading.vectors import Vector, combined, cross, dot, unit
-from pdr_filter.sensing.steps.step_detector import ContextBlock
+from pdr_filter.sensing.steps.step_detector import ContextBlock, unknown_contexts
 from pdr_filter.values import (
     CARRYING_MODES,
-    CONTEXTS,
     FloatArray,
     HeadingDrift,
     Step,
@@ -51,8 +50,6 @@ from pdr_filter.values import (
 )
 
 _TEXTING = CARRYING_MODES.index("texting")
-_SIDEWAYS = CONTEXTS.index("sideways")
-_RUNNING = CONTEXTS.index("running")
 
 # Rows of the remembered signals.
 _TIME, _FORCE, _UP, _EAST, _NORTH, _VERTICAL, _HEADING, _KNOWN = 0, slice(1, 4), slice(4, 7), 7, 8, 9, 10, 11
@@ -265,17 +262,15 @@ class WalkingHeading:
             rows[_ERROR:] = 0.0
         state = replace_unchecked(state, n_samples=n_before + n_new, signals=signals)
         indices = [number - n_before for number, _ in steps]
-        state, result = self._annotated(
-            state, steps, contexts.context[indices].tolist(), contexts.carrying_mode[indices].tolist()
-        )
+        at_steps = ContextBlock(contexts.context[indices], contexts.carrying_mode[indices], contexts.context_set)
+        state, result = self._annotated(state, steps, at_steps)
         return replace_unchecked(state, signals=state.signals[:, -self._n_kept :]), result
 
     def finish(
         self, state: WalkingHeadingState, steps: list[tuple[int, Step]]
     ) -> tuple[WalkingHeadingState, list[tuple[int, Step]]]:
         """The same for steps that a gap or the end revealed; nothing new is said of modes."""
-        unknown = [-1] * len(steps)
-        return self._annotated(state, steps, unknown, unknown)
+        return self._annotated(state, steps, unknown_contexts(len(steps)))
 
     @property
     def _n_kept(self) -> int:
@@ -286,8 +281,7 @@ class WalkingHeading:
         self,
         state: WalkingHeadingState,
         steps: list[tuple[int, Step]],
-        contexts: Sequence[int],
-        carrying_modes: Sequence[int],
+        contexts: ContextBlock,
     ) -> tuple[WalkingHeadingState, list[tuple[int, Step]]]:
         """New state and steps with their walking headings, from what their strides show."""
         if not steps:
@@ -300,7 +294,7 @@ class WalkingHeading:
         ]
         strides = self._strides(samples, contexts)
         result: list[tuple[int, Step]] = []
-        for (number, step), stride, mode in zip(steps, strides, carrying_modes, strict=True):
+        for (number, step), stride, mode in zip(steps, strides, contexts.carrying_mode.tolist(), strict=True):
             state, changes = self._annotate(state, step, self._bias_error(state, step.time_s, number), stride, mode)
             result.append((number, replace_unchecked(step, **changes) if changes else step))
         return replace_unchecked(state, contacts_s=contacts_s[-2:]), result
@@ -434,10 +428,14 @@ class WalkingHeading:
         samples = state.signals[:, first - oldest : last - oldest]
         return samples if samples[_KNOWN].all() else None
 
-    def _strides(self, samples: Sequence[FloatArray | None], contexts: Sequence[int]) -> list[Stride | None]:
-        """What each stride shows; None where there is none, and of who steps sideways, and so pushes sideways."""
+    def _strides(self, samples: Sequence[FloatArray | None], contexts: ContextBlock) -> list[Stride | None]:
+        """What each stride shows; None where there is none, and where the person does not walk forward.
+
+        A person who steps sideways pushes sideways.
+        """
         strides: list[Stride | None] = [None] * len(samples)
-        usable = [(i, s) for i, s in enumerate(samples) if s is not None and contexts[i] != _SIDEWAYS]
+        is_turned, is_running = contexts.is_turned.tolist(), contexts.runs.tolist()
+        usable = [(i, s) for i, s in enumerate(samples) if s is not None and not is_turned[i]]
         for start in range(0, len(usable), _MAX_GROUP):
             group = usable[start : start + _MAX_GROUP]
             joined = np.concatenate([s for _, s in group], axis=1)
@@ -445,7 +443,7 @@ class WalkingHeading:
             of_all = StrideSamples(
                 ends, joined[_FORCE], joined[_UP], joined[_EAST], joined[_NORTH], joined[_VERTICAL], joined[_HEADING]
             )
-            runs = np.array([contexts[i] == _RUNNING for i, _ in group])
+            runs = np.array([is_running[i] for i, _ in group])
             group_strides = strides_of(of_all, runs, self.rate_hz, self._phases)
             for (i, _), stride in zip(group, group_strides, strict=True):
                 strides[i] = stride

@@ -12,15 +12,40 @@ import numpy as np
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.steps.step_log import StepLog, StepLogState, StepSpan
-from pdr_filter.values import BoolArray, FloatArray, IntArray, Step, check_numbers, replace_unchecked
+from pdr_filter.values import (
+    DEFAULT_CONTEXTS,
+    BoolArray,
+    ContextSet,
+    FloatArray,
+    IntArray,
+    Step,
+    check_numbers,
+    replace_unchecked,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContextBlock:
     """The context and the carrying mode at each uniform sample: those with at least half of the probability."""
 
-    context: IntArray  # (N,) index into `CONTEXTS`; -1 where none has half, and before anything is known
+    context: IntArray  # (N,) index into `context_set`; -1 where none has half, and before anything is known
     carrying_mode: IntArray  # (N,) index into `CARRYING_MODES`; -1 likewise
+    context_set: ContextSet = DEFAULT_CONTEXTS  # names of the contexts, and what they mean
+
+    @property
+    def stands(self) -> BoolArray:
+        """Whether the context is one without steps, (N,)."""
+        return self.context_set.stands[self.context]
+
+    @property
+    def runs(self) -> BoolArray:
+        """Whether the person runs, (N,)."""
+        return self.context_set.runs[self.context]
+
+    @property
+    def is_turned(self) -> BoolArray:
+        """Whether the person walks to the side or backward, (N,)."""
+        return self.context_set.is_turned[self.context]
 
 
 def unknown_contexts(n_samples: int) -> ContextBlock:
