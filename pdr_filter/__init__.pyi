@@ -31,6 +31,7 @@ from .values.contexts import CONTEXTS as CONTEXTS
 from .values.fixes import GridFix as GridFix
 from .values.fixes import HeadingFix as HeadingFix
 from .values.fixes import PositionFix as PositionFix
+from .values.fixes import RangeFix as RangeFix
 from .values.fixes import SpeedFix as SpeedFix
 from .values.fixes import Standstill as Standstill
 from .values.origin import Origin as Origin
