@@ -40,6 +40,8 @@ from pdr_filter.values.fixes import (
     all_fixes,
     check_fix,
     measured,
+    range_log_densities,
+    range_residuals,
     received_s,
     repetition,
 )
@@ -127,6 +129,8 @@ __all__ = [
     "measured",
     "median",
     "pickled",
+    "range_log_densities",
+    "range_residuals",
     "read_only",
     "received_s",
     "repeated_cov_m2",

@@ -320,30 +320,48 @@ class RangeFix:
             raise ValueError(f"std_m must be positive, got {self.std_m}; 0.3 is usual for UWB, 2 for Wi-Fi")
         _check_times(self.time_s, self.received_time_s)
 
+    @property
+    def up_m(self) -> float:
+        """Height of the anchor above the phone; 0 if it is not given."""
+        return float(self.anchor_m[2]) if len(self.anchor_m) == 3 else 0.0
+
     def measurement(self, position_m: FloatArray, heading_rad: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Residual (1,), Jacobian (1, 2) and variance (1, 1): see `pdr_filter.protocols.Fix`."""
-        residual_m, direction = self.residuals(np.asarray(position_m, dtype=float))
+        residual_m, direction = range_residuals(
+            np.asarray(position_m, dtype=float), self.anchor_m[:2], self.up_m, self.range_m
+        )
         return np.array([float(residual_m)]), direction[None], np.array([[self.std_m**2]])
 
-    def residuals(self, position_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Distance less range (...,) at positions (..., 2), and its derivative (..., 2)."""
-        away_m = position_m - self.anchor_m[:2]
-        up_m = float(self.anchor_m[2]) if len(self.anchor_m) == 3 else 0.0
-        distance_m = np.sqrt((away_m**2).sum(axis=-1) + up_m**2)
-        return distance_m - self.range_m, away_m / np.maximum(distance_m, _MIN_STD)[..., None]
+    def direct_prob(self, residual_m: float, var_m2: float) -> float:
+        """Probability that the path was direct, given a residual that has this variance in all."""
+        log_direct, log_reflected = range_log_densities(np.array(residual_m), np.array(var_m2), np.array(self.std_m))
+        return float(np.exp(log_direct - np.logaddexp(log_direct, log_reflected)))
 
-    def direct_prob(self, residual_m: FloatArray, var_m2: FloatArray | float) -> FloatArray:
-        """Probability (...,) that the path was direct, given residuals (...,) that have this variance in all.
 
-        Reflected paths are longer by an exponential distribution, and all have the noise of direct ones:
-        p(e) = exp(-max(e, 0) / b) / b * P(noise < e), with the logistic approximation of the normal distribution.
-        """
-        std_m, mean_excess_m = np.sqrt(var_m2), _MEAN_EXCESS_STD * self.std_m
-        excess_m = -residual_m
-        normed = np.clip(excess_m / std_m, -38.0, 38.0)
-        direct = (1.0 - _REFLECTED_PROB) * np.exp(-0.5 * normed**2) / (math.sqrt(2.0 * math.pi) * std_m)
-        longer = np.exp(-np.maximum(excess_m, 0.0) / mean_excess_m) / mean_excess_m / (1.0 + np.exp(-1.702 * normed))
-        return direct / (direct + _REFLECTED_PROB * longer)
+def range_residuals(
+    position_m: FloatArray, anchor_m: FloatArray, up_m: FloatArray | float, range_m: FloatArray | float
+) -> tuple[FloatArray, FloatArray]:
+    """Distance less range (...,) of positions (..., 2) from anchors (..., 2), and its derivative (..., 2)."""
+    away_m = position_m - anchor_m
+    distance_m = np.sqrt((away_m**2).sum(axis=-1) + np.square(up_m))
+    return distance_m - range_m, away_m / np.maximum(distance_m, _MIN_STD)[..., None]
+
+
+def range_log_densities(
+    residual_m: FloatArray, var_m2: FloatArray, std_m: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Log densities (...,) of residuals of ranges with variances in all, on direct paths and on reflected ones.
+
+    Reflected paths are longer by an exponential distribution with mean b, and all have the noise of direct ones:
+    p(e) = exp(-max(e, 0) / b) / b * P(noise < e), with the logistic approximation of the normal distribution for
+    positive e, and a bound of its tail for negative e.
+    """
+    excess_m, all_std_m, mean_m = -residual_m, np.sqrt(var_m2), _MEAN_EXCESS_STD * std_m
+    normed = excess_m / all_std_m
+    log_direct = math.log(1.0 - _REFLECTED_PROB) - 0.5 * normed**2 - np.log(all_std_m * math.sqrt(2.0 * math.pi))
+    log_tail = np.where(normed < 0.0, math.log(0.5) - 0.5 * normed**2, -np.log1p(np.exp(-1.702 * np.abs(normed))))
+    log_reflected = math.log(_REFLECTED_PROB) - np.log(mean_m) - np.maximum(excess_m, 0.0) / mean_m + log_tail
+    return log_direct, log_reflected
 
 
 def _is_cov(cov_m2: FloatArray) -> bool:

@@ -12,6 +12,7 @@ from pdr_filter.filter.fixes.fix_history import UsedFix
 from pdr_filter.filter.fixes.frame_rotation import PairedPoint, align, least_squares_error, n_free, scatter
 from pdr_filter.filter.fixes.gating import Result, gated, unknown_way_var_m2, with_consider_path
 from pdr_filter.filter.fixes.measurement_updates import on_measurement
+from pdr_filter.filter.fixes.range_updates import on_range
 from pdr_filter.filter.fixes.relocation import Doubt
 from pdr_filter.filter.fixes.repeated_fixes import seen_after
 from pdr_filter.filter.imm.imm import ImmArithmetic
@@ -33,6 +34,7 @@ from pdr_filter.values import (
     GridFix,
     HeadingFix,
     PositionFix,
+    RangeFix,
     SpeedFix,
     Standstill,
     error_given_before,
@@ -64,6 +66,8 @@ def use_fix(
     track_m, device_heading_rad = place[:2], float(place[2])
     if isinstance(fix, HeadingFix):
         return _on_heading(model, arithmetic, state, offset_rad, fix, device_heading_rad)
+    if isinstance(fix, RangeFix):
+        return on_range(model, arithmetic, state, offset_rad, fix, place)
     if not isinstance(fix, PositionFix):
         return on_measurement(model, arithmetic, state, offset_rad, fix, place)
     seen = seen_after(state.fixes.seen, fix, track_m, state.estimates.distance_m)

@@ -108,7 +108,7 @@ def _iterated(
     regular_prob = 1.0
     if regular_prob_of is not None:
         predicted = H @ mean - z  # predicted less measured
-        regular_prob = float(np.ravel(regular_prob_of(predicted[0], (H @ cov @ H.T + R)[0, 0]))[0])
+        regular_prob = regular_prob_of(float(predicted[0]), float((H @ cov @ H.T + R)[0, 0]))
         moved = regular_prob * (after_mean - prior_mean)
         spread = (1.0 - regular_prob) / max(regular_prob, 1e-12) * moved[:, :, None] * moved[:, None, :]
         after_cov = regular_prob * after_cov + (1.0 - regular_prob) * prior_cov + spread
