@@ -38,6 +38,7 @@ from pdr_filter.values import (
     OnPlan,
     Origin,
     PositionFix,
+    RangeFix,
     SpeedFix,
     Standstill,
     read_only,
@@ -476,7 +477,7 @@ def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[Stat
         if config.on_plan is not None:
             floor = state.height.known.floors.floor
             particles = config.on_plan.on_fix(state.particles, fix, outcome, tracker.pedestrian, config.model, floor)
-            if isinstance(fix, GridFix) and particles is not state.particles:
+            if outcome in ("nothing to compare", "waiting") and particles is not state.particles:
                 outcome = "used"
             state = replace_unchecked(state, particles=particles)
     if isinstance(fix, PositionFix | GridFix) and outcome not in ("rejected", "frozen"):
@@ -486,7 +487,7 @@ def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[Stat
         state,
         last_fixes=(*state.last_fixes, result)[-_N_LAST_FIXES:],
         n_rejected_fixes=state.n_rejected_fixes + (outcome == "rejected"),
-        n_length_fixes=state.n_length_fixes + (result.accepted and isinstance(fix, PositionFix | SpeedFix)),
+        n_length_fixes=state.n_length_fixes + (result.accepted and isinstance(fix, PositionFix | SpeedFix | RangeFix)),
     )
     return state, result
 

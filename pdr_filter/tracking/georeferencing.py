@@ -10,7 +10,7 @@ import numpy as np
 
 from pdr_filter.filter.fixes.gnss import origin_of
 from pdr_filter.recipes.config import Config
-from pdr_filter.values import Fix, HeadingFix, Origin, PositionFix, are_numbers
+from pdr_filter.values import Fix, HeadingFix, Origin, are_numbers, has_frame
 from pdr_filter.values.quaternions import rotation_matrix
 from pdr_filter.values.recording import MissingSensorError, Recording, Samples
 
@@ -41,7 +41,7 @@ def is_placed(
         )
     if heading_rad is not None and turn_rad is not None:
         raise ValueError(f"heading_rad ({heading_rad}) and the turn of origin ({turn_rad}) are one: leave one out")
-    if heading_rad is not None and any(isinstance(fix, PositionFix | HeadingFix) for fix in fixes):
+    if heading_rad is not None and any(has_frame(fix) for fix in fixes):
         raise ValueError(
             f"heading_rad turns a track in the frame of its start, got {heading_rad} beside fixes in a frame of their "
             "own: leave it out, and turn the result with Track.turned if that frame does not have true north"
@@ -66,10 +66,10 @@ def uses_location(recording: Recording, config: Config, fixes: Sequence[Fix], gn
         )
     if gnss == "align" and config.on_plan is not None:
         raise ValueError('gnss="align" turns and shifts a track that the plan has placed: give gnss="filter" or "off"')
-    own_frame = any(isinstance(fix, PositionFix) for fix in fixes)
+    own_frame = any(has_frame(fix) and not isinstance(fix, HeadingFix) for fix in fixes)
     if is_asked and own_frame:
         raise ValueError(
-            f'gnss="{gnss}" makes the first location of the recording the origin, and fixes has positions in a frame '
+            f'gnss="{gnss}" makes the first location of the recording the origin, and fixes has ranges or positions in a frame '
             'of their own: leave one of them out, or give gnss="off" and the locations among the fixes (see '
             "pdr_filter.filter.fixes.gnss.position_fixes)"
         )

@@ -499,6 +499,11 @@ def measured(fix: Measurement, position_m: FloatArray, heading_rad: float) -> tu
 _SMALL = 1e-4
 
 
+def has_frame(fix: Fix) -> bool:
+    """True of a fix that is in a frame: all but those of speeds, standstills and grids, which are on a plan."""
+    return not isinstance(fix, GridFix | SpeedFix | Standstill)
+
+
 def received_s(fix: Fix) -> float:
     """When a fix became known: when it was received, or at once."""
     return fix.time_s if fix.received_time_s is None else fix.received_time_s

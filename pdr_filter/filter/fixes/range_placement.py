@@ -118,7 +118,7 @@ def solutions(pairs: Sequence[PairedRange], prior: PriorPose | None = None) -> l
     pose = problem.starts()
     for iteration in range(_N_ITERATIONS):
         if iteration == _N_ROUGH:
-            pose = pose[np.argsort(-problem.log_density(pose))[:_N_KEPT]]
+            pose = _distinct(pose[np.argsort(-problem.log_density(pose))])
         pose = problem.improved(pose, is_robust=iteration >= _N_ROUGH // 2, damping=10.0 ** (-iteration / 4))
     value = problem.log_density(pose)
     found: list[tuple[float, float, FloatArray, FloatArray]] = []
@@ -140,6 +140,17 @@ def solutions(pairs: Sequence[PairedRange], prior: PriorPose | None = None) -> l
         for odds, density, p, cov in sorted(found, key=lambda f: -f[0])
     ]
     return [solution for solution in result if solution.log_odds > LEAST_LOG_ODDS]
+
+
+def _distinct(pose: FloatArray) -> FloatArray:
+    """The first of poses (P, 3) that are not the same as one before, at most `_N_KEPT`."""
+    kept = list[FloatArray]()
+    left = pose
+    while len(left) and len(kept) < _N_KEPT:
+        kept.append(left[0])
+        away_m = np.hypot(left[:, 0] - left[0, 0], left[:, 1] - left[0, 1])
+        left = left[(away_m > _SAME_M) | (np.abs(wrap_angle(left[:, 2] - left[0, 2])) > _SAME_RAD)]
+    return np.array(kept)
 
 
 def log_density_here(pairs: Sequence[PairedRange]) -> float:
