@@ -11,6 +11,7 @@ import typer
 from pdr_filter.cli import console
 from pdr_filter.cli.console import escape
 from pdr_filter.cli.options import (
+    AnchorsFile,
     CalibrationFile,
     Files,
     Folder,
@@ -19,9 +20,11 @@ from pdr_filter.cli.options import (
     Loop,
     PlanFile,
     RadioFile,
+    RangesFile,
     Scheduler,
     Start,
     on_plan,
+    ranges_of,
 )
 from pdr_filter.values.sanitise import file_name
 
@@ -108,6 +111,8 @@ def smooth(
         bool, typer.Option("--wifi-loops", help="Close loops where the recording's own Wi-Fi is alike.")
     ] = False,
     radio: RadioFile = None,
+    ranges: RangesFile = None,
+    anchors: AnchorsFile = None,
     calibration: CalibrationFile = None,
     plan: PlanFile = None,
     start: Start = None,
@@ -137,7 +142,8 @@ def smooth(
         if radio is not None:
             mapped = pdr.RadioMap.load(radio)
             known_places = [*known_places, *mapped.fixes(recording), *(mapped.grids(recording) if where else [])]
-        given = (start, fixes, loop_closures, radio, gnss, wifi_loops or None, loop or None)
+        known_places = [*known_places, *ranges_of(ranges, anchors, None)]
+        given = (start, fixes, loop_closures, radio, ranges, gnss, wifi_loops or None, loop or None)
         if recording.truth.waypoints is not None and all(value is None for value in given):
             known_places = waypoint_fixes(recording, fix_std_m)
         result = pdr.smooth(

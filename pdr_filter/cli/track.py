@@ -13,6 +13,7 @@ import typer
 from pdr_filter.cli import console
 from pdr_filter.cli.index_page import write_index
 from pdr_filter.cli.options import (
+    AnchorsFile,
     AsJson,
     CalibrationFile,
     Files,
@@ -26,11 +27,13 @@ from pdr_filter.cli.options import (
     Origin,
     PlanFile,
     RadioFile,
+    RangesFile,
     Scheduler,
     Start,
     heading_rad,
     on_plan,
     origin_deg,
+    ranges_of,
 )
 from pdr_filter.values.sanitise import file_name
 
@@ -72,6 +75,8 @@ class Method:
     plan: PlanFile = None
     start: Start = None
     radio: RadioFile = None
+    ranges: RangesFile = None
+    anchors: AnchorsFile = None
     online: Online = False
     loop: Loop = False
 
@@ -231,6 +236,9 @@ def track(
         changes = method.changes()
         where = on_plan(method.plan, method.start)
         radio = None if method.radio is None else pdr.RadioMap.load(method.radio)
+        ranges = ranges_of(method.ranges, method.anchors, origin_deg(method.origin))
+        if ranges and len(files) > 1:
+            raise ValueError(f"--ranges are of one recording, got {len(files)}: track them one by one")
     written: set[str] = set()
     replaced: list[Path] = []
     listed: dict[str, Track] = {}
@@ -238,7 +246,7 @@ def track(
     def track_one(file: Path, progress: Callable[[float], None]) -> Track:
         recording = source.read(file)
         config = changes(pdr.recipes.for_recording(method.recipe, recording))
-        if radio is not None:
+        if radio is not None or ranges:
             config = config.in_world_frame()
         device, person = (
             path if path is not None and path.exists() else None for path in (method.device, method.person)
@@ -252,7 +260,7 @@ def track(
             progress,
             config=config,
             weighting=method.weighting_name,
-            fixes=heard,
+            fixes=[*heard, *ranges],
             calibration=method.calibration,
             device=device,
             person=person,
@@ -300,6 +308,7 @@ def _check_one_table(method: Method, output: OutputOptions, as_json: bool) -> No
         "--plan": method.plan,
         "--start": method.start,
         "--radio": method.radio,
+        "--ranges": method.ranges,
         "--loop": method.loop,
         "--export": output.export,
         "--report": output.report,

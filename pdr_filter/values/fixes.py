@@ -347,9 +347,7 @@ def range_residuals(
     return distance_m - range_m, away_m / np.maximum(distance_m, _MIN_STD)[..., None]
 
 
-def range_log_densities(
-    residual_m: FloatArray, var_m2: FloatArray, std_m: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def range_log_densities(residual_m: FloatArray, var_m2: FloatArray, std_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Log densities (...,) of residuals of ranges with variances in all, on direct paths and on reflected ones.
 
     Reflected paths are longer by an exponential distribution with mean b, and all have the noise of direct ones:

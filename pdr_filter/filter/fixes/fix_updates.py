@@ -29,7 +29,6 @@ from pdr_filter.filter.imm.pedestrian_state import (
 from pdr_filter.values import (
     N_BEFORE,
     Fix,
-    FixOutcome,
     FloatArray,
     GridFix,
     HeadingFix,
@@ -42,6 +41,7 @@ from pdr_filter.values import (
     repeated_cov_m2,
     wrap_angle,
 )
+
 
 def use_fix(
     model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, offset_rad: FloatArray, fix: Fix

@@ -17,19 +17,23 @@ from pdr_filter.values import FloatArray, Measurement, measured
 # Linearisations of one update. Those after the first few move the estimate by less than a millimetre, unless the
 # estimate is less sure than the distance to an anchor (`range_placement`).
 _MAX_ITERATIONS, _CONVERGED_M = 8, 1e-3
-# Upper 0.1 % quantiles of chi-square with one and two degrees of freedom are the gates of a model; beyond two, the
-# approximation of Wilson and Hilferty.
+# Upper 0.1 % quantile of the normal distribution.
 _NORMAL_QUANTILE = 3.09
 # A measurement that is less probable to be regular than to be an outlier is rejected.
 _LEAST_REGULAR_PROB = 0.5
+
+
+def high_quantile(n_dimensions: int) -> float:
+    """Upper 0.1 % quantile of chi-square, by the approximation of Wilson and Hilferty."""
+    share = 2.0 / (9.0 * n_dimensions)
+    return n_dimensions * (1.0 - share + _NORMAL_QUANTILE * math.sqrt(share)) ** 3
 
 
 def gate_of(model: PedestrianModel, n_dimensions: int) -> float:
     """Largest normalised innovation squared of a measurement (k,)."""
     if n_dimensions <= 2:
         return model.scalar_gate_nis if n_dimensions == 1 else model.fix_gate_nis
-    share = 2.0 / (9.0 * n_dimensions)
-    return n_dimensions * (1.0 - share + _NORMAL_QUANTILE * math.sqrt(share)) ** 3
+    return high_quantile(n_dimensions)
 
 
 def on_measurement(
@@ -65,9 +69,7 @@ def on_measurement(
     if regular_prob < _LEAST_REGULAR_PROB:
         return state, "rejected", float(nis.min())
     updated = mean, cov_after, log_likelihood, nis
-    after, outcome, best_nis = gated(
-        arithmetic, with_consider_path(state, cov), updated, gate_of(model, n_dimensions)
-    )
+    after, outcome, best_nis = gated(arithmetic, with_consider_path(state, cov), updated, gate_of(model, n_dimensions))
     if outcome != "used":
         return state, outcome, best_nis
     no_error_m = np.zeros_like(estimates.consider_error_m)
