@@ -70,8 +70,8 @@ def uses_location(recording: Recording, config: Config, fixes: Sequence[Fix], gn
     if is_asked and own_frame:
         raise ValueError(
             f'gnss="{gnss}" makes the first location of the recording the origin, and fixes has ranges or '
-            'positions in a frame of their own: leave one of them out, or give gnss="off" and the locations among the fixes (see '
-            "pdr_filter.filter.fixes.gnss.position_fixes)"
+            'positions in a frame of their own: leave one of them out, or give gnss="off" and the locations among the '
+            "fixes (see pdr_filter.filter.fixes.gnss.position_fixes)"
         )
     own_frame |= any(isinstance(fix, HeadingFix) for fix in fixes)
     if gnss == "align" and own_frame:

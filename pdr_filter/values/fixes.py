@@ -277,7 +277,8 @@ class Measurement(Protocol):
         ...
 
 
-# Probability that a range comes from a reflection, and by how many standard deviations it is then too long in the mean.
+# Probability that a range comes from a reflection where no others are known, and by how many standard deviations it is
+# then too long in the mean.
 _REFLECTED_PROB, _MEAN_EXCESS_STD = 0.2, 10.0
 
 
@@ -332,9 +333,10 @@ class RangeFix:
         )
         return np.array([float(residual_m)]), direction[None], np.array([[self.std_m**2]])
 
-    def direct_prob(self, residual_m: float, var_m2: float) -> float:
+    def direct_prob(self, residual_m: float, var_m2: float, reflected_prob: float = _REFLECTED_PROB) -> float:
         """Probability that the path was direct, given a residual that has this variance in all."""
-        log_direct, log_reflected = range_log_densities(np.array(residual_m), np.array(var_m2), np.array(self.std_m))
+        numbers = (np.array(number) for number in (residual_m, var_m2, self.std_m))
+        log_direct, log_reflected = range_log_densities(*numbers, reflected_prob)
         return float(np.exp(log_direct - np.logaddexp(log_direct, log_reflected)))
 
 
@@ -347,7 +349,9 @@ def range_residuals(
     return distance_m - range_m, away_m / np.maximum(distance_m, _MIN_STD)[..., None]
 
 
-def range_log_densities(residual_m: FloatArray, var_m2: FloatArray, std_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+def range_log_densities(
+    residual_m: FloatArray, var_m2: FloatArray, std_m: FloatArray, reflected_prob: float = _REFLECTED_PROB
+) -> tuple[FloatArray, FloatArray]:
     """Log densities (...,) of residuals of ranges with variances in all, on direct paths and on reflected ones.
 
     Reflected paths are longer by an exponential distribution with mean b, and all have the noise of direct ones:
@@ -356,9 +360,9 @@ def range_log_densities(residual_m: FloatArray, var_m2: FloatArray, std_m: Float
     """
     excess_m, all_std_m, mean_m = -residual_m, np.sqrt(var_m2), _MEAN_EXCESS_STD * std_m
     normed = excess_m / all_std_m
-    log_direct = math.log(1.0 - _REFLECTED_PROB) - 0.5 * normed**2 - np.log(all_std_m * math.sqrt(2.0 * math.pi))
+    log_direct = math.log(1.0 - reflected_prob) - 0.5 * normed**2 - np.log(all_std_m * math.sqrt(2.0 * math.pi))
     log_tail = np.where(normed < 0.0, math.log(0.5) - 0.5 * normed**2, -np.log1p(np.exp(-1.702 * np.abs(normed))))
-    log_reflected = math.log(_REFLECTED_PROB) - np.log(mean_m) - np.maximum(excess_m, 0.0) / mean_m + log_tail
+    log_reflected = math.log(reflected_prob) - np.log(mean_m) - np.maximum(excess_m, 0.0) / mean_m + log_tail
     return log_direct, log_reflected
 
 
@@ -445,7 +449,8 @@ def check_fix(fix: object, has_plan: bool) -> None:
 def _check_measurement(fix: object) -> None:
     """ValueError unless it has what `Measurement` needs."""
     if isinstance(fix, type) or not isinstance(fix, Measurement):
-        missing = [n for n in ("time_s", "received_time_s", "measurement") if not hasattr(fix, n)]
+        names = ("time_s", "received_time_s", "measurement")
+        missing = [] if isinstance(fix, type) else [name for name in names if not hasattr(fix, name)]
         raise ValueError(
             f"a fix must be a PositionFix, GridFix, HeadingFix, SpeedFix, RangeFix or Standstill, or have time_s, "
             f"received_time_s and measurement(position_m, heading_rad), got {str(fix)[:100]!r} without "
@@ -466,6 +471,9 @@ def measured(fix: Measurement, position_m: FloatArray, heading_rad: float) -> tu
     residual where the residual is measured less predicted, is recognised by a small displacement.
     """
     name = type(fix).__name__
+    if isinstance(fix, RangeFix):
+        residual, direction, cov = fix.measurement(position_m, heading_rad)
+        return residual, np.append(direction, [[0.0]], axis=1), cov
     try:
         residual, jacobian, cov = (np.asarray(part, dtype=float) for part in fix.measurement(position_m, heading_rad))
     except (TypeError, ValueError) as error:
@@ -481,8 +489,6 @@ def measured(fix: Measurement, position_m: FloatArray, heading_rad: float) -> tu
     if not (np.allclose(cov, cov.T) and _are_variances(np.linalg.eigvalsh(cov))):
         raise ValueError(f"cov of {name} must be symmetric and positive definite, got {cov}")
     jacobian = np.column_stack([jacobian, np.zeros((k, 3 - jacobian.shape[1]))])
-    if isinstance(fix, RangeFix):
-        return residual, jacobian, cov
     moved = _SMALL * jacobian[np.abs(jacobian).sum(axis=1).argmax()]
     scale = math.sqrt(float(moved @ moved))
     if scale > 0:

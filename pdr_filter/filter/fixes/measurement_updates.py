@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -14,9 +15,9 @@ from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.pedestrian_state import PedestrianState, track_place
 from pdr_filter.values import FloatArray, Measurement, measured
 
-# Linearisations of one update. Those after the first few move the estimate by less than a millimetre, unless the
+# Linearisations of one update. Those after the first few move the estimate by less than some millimetres, unless the
 # estimate is less sure than the distance to an anchor (`range_placement`).
-_MAX_ITERATIONS, _CONVERGED_M = 8, 1e-3
+_MAX_ITERATIONS, _CONVERGED_M = 8, 5e-3
 # Upper 0.1 % quantile of the normal distribution.
 _NORMAL_QUANTILE = 3.09
 # A measurement that is less probable to be regular than to be an outlier is rejected.
@@ -43,8 +44,12 @@ def on_measurement(
     offset_rad: FloatArray,
     fix: Measurement,
     then: FloatArray,
+    regular_prob: Callable[[float, float], float] | None = None,
 ) -> Result:
     """State after a measurement, given east, north and device heading (3,) of the track at its time.
+
+    `regular_prob` of a scalar measurement is the probability that it is no outlier, given its residual and the variance
+    of that.
 
     The iterated extended Kalman filter in each mode (B. M. Bell and F. W. Cathey, "The iterated Kalman filter update as
     a Gauss-Newton method", IEEE Trans. Automatic Control 38, 1993). A measurement that is an outlier with probability
@@ -61,12 +66,12 @@ def on_measurement(
     moved_m = then[:2] - by_state @ estimates.combined[0]
     gap_var_m2 = unknown_way_var_m2(model, state, fix.time_s)
     each = [
-        _iterated(arithmetic, mean, P, fix, (by_state, moved_m), float(then[2]) + own_rad, gap_var_m2)
+        _iterated(arithmetic, mean, P, fix, (by_state, moved_m), float(then[2]) + own_rad, gap_var_m2, regular_prob)
         for mean, P, own_rad in zip(estimates.mean, cov, offset_rad.tolist(), strict=True)
     ]
     mean, cov_after, log_likelihood, nis = (np.concatenate([result[i] for result in each]) for i in range(4))
-    regular_prob, n_dimensions = max(result[4] for result in each), each[0][5]
-    if regular_prob < _LEAST_REGULAR_PROB:
+    likely, n_dimensions = max(result[4] for result in each), each[0][5]
+    if likely < _LEAST_REGULAR_PROB:
         return state, "rejected", float(nis.min())
     updated = mean, cov_after, log_likelihood, nis
     after, outcome, best_nis = gated(arithmetic, with_consider_path(state, cov), updated, gate_of(model, n_dimensions))
@@ -88,6 +93,7 @@ def _iterated(
     then: tuple[FloatArray, FloatArray],
     heading_rad: float,
     gap_var_m2: float,
+    regular_prob: Callable[[float, float], float] | None,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float, int]:
     """Mean (1, 4), covariance (1, 4, 4), log likelihood (1,), NIS (1,), probability of a regular measurement, k.
 
@@ -95,7 +101,6 @@ def _iterated(
     """
     (by_state, shift_m), x = then, mean
     prior_mean, prior_cov = mean[None], cov[None]
-    regular_prob_of = getattr(fix, "direct_prob", None)
     for _ in range(_MAX_ITERATIONS):
         residual, J, R = measured(fix, by_state @ x + shift_m, heading_rad + float(x[HEADING_OFFSET]))
         H = J[:, :2] @ by_state
@@ -107,13 +112,13 @@ def _iterated(
         x = after_mean[0]
         if float(np.abs(moved[:2]).max()) < _CONVERGED_M:
             break
-    regular_prob = 1.0
-    if regular_prob_of is not None:
+    prob = 1.0
+    if regular_prob is not None:
         predicted = H @ mean - z  # predicted less measured
-        regular_prob = regular_prob_of(float(predicted[0]), float((H @ cov @ H.T + R)[0, 0]))
-        moved = regular_prob * (after_mean - prior_mean)
-        spread = (1.0 - regular_prob) / max(regular_prob, 1e-12) * moved[:, :, None] * moved[:, None, :]
-        after_cov = regular_prob * after_cov + (1.0 - regular_prob) * prior_cov + spread
+        prob = regular_prob(float(predicted[0]), float((H @ cov @ H.T + R)[0, 0]))
+        moved = prob * (after_mean - prior_mean)
+        spread = (1.0 - prob) / max(prob, 1e-12) * moved[:, :, None] * moved[:, None, :]
+        after_cov = prob * after_cov + (1.0 - prob) * prior_cov + spread
         after_mean = prior_mean + moved
-        log_likelihood = log_likelihood - math.log(max(regular_prob, 1e-300))
-    return after_mean, after_cov, log_likelihood, nis, regular_prob, len(residual)
+        log_likelihood = log_likelihood - math.log(max(prob, 1e-300))
+    return after_mean, after_cov, log_likelihood, nis, prob, len(residual)

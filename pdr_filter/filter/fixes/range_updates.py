@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -37,6 +38,8 @@ _MIN_CONTRADICTING, _CONTRADICTING_SHARE = 8, 0.6
 # Ranges on direct paths that place a track: three unknowns, and as many checks of each other, since three reflected
 # ranges fit some place, too. Fewer where place and heading are known somewhat.
 _MIN_DIRECT, _MIN_DIRECT_KNOWN, _MIN_ANCHORS = 9, 4, 2
+# Reflections among ranges, as if known before any: the mean of a beta distribution.
+_PRIOR_REFLECTED, _PRIOR_RANGES = 1.0, 10.0
 # Added to covariances before inversion: 1 mm, squared.
 _LEAST_VAR = 1e-6
 
@@ -57,7 +60,8 @@ def on_range(
     """
     is_joined = state.frame.is_joined
     if is_joined and not _is_wide(state, fix, then):
-        updated, outcome, nis = on_measurement(model, arithmetic, state, offset_rad, fix, then)
+        direct_prob = partial(fix.direct_prob, reflected_prob=_reflected_prob(state.fixes.ranges))
+        updated, outcome, nis = on_measurement(model, arithmetic, state, offset_rad, fix, then, direct_prob)
         pair = PairedRange(fix, read_only(then[:2]), outcome == "used")
         updated = _with_ranges(updated, recent(updated.fixes.ranges, pair))
         if outcome == "used" or not _is_contradicted(updated.fixes.ranges):
@@ -81,6 +85,12 @@ def on_range(
     if others:
         first = replace(first, rival=Rival(others[0], found[1].log_odds))
     return first, "placed", np.nan
+
+
+def _reflected_prob(pairs: tuple[PairedRange, ...]) -> float:
+    """Expected share of reflections, by the last ranges: those of an open hall differ from those behind walls."""
+    n_reflected = sum(not pair.is_used for pair in pairs)
+    return (_PRIOR_REFLECTED + n_reflected) / (_PRIOR_RANGES + len(pairs))
 
 
 def _with_ranges(state: PedestrianState, pairs: tuple[PairedRange, ...]) -> PedestrianState:
