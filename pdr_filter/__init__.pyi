@@ -3,10 +3,13 @@
 from . import batch as batch
 from . import datasets as datasets
 from . import evaluate as evaluate
+from . import protocols as protocols
 from . import recipes as recipes
 from . import simulate as simulate
+from . import testing as testing
 from .classifiers.rvm import RelevanceVectorClassifier as RelevanceVectorClassifier
 from .filter.imm.pedestrian_state import StepUpdate as StepUpdate
+from .filter.step_length.models import StepLengthFit as StepLengthFit
 from .filter.step_length.person import Person as Person
 from .io.files.errors import RecordingError as RecordingError
 from .io.formats import read as read

@@ -13,14 +13,16 @@ from pdr_filter.filter.imm.tracker import Tracker
 from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
 from pdr_filter.filter.imm.weighting import HC, WEIGHTINGS
 from pdr_filter.filter.plan_stage import PlanStage
+from pdr_filter.filter.step_length.models import StepLengthFit
 from pdr_filter.filter.step_length.person import Person
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.barometer import ClimbRate
 from pdr_filter.sensing.front_end import Sensing
+from pdr_filter.sensing.heading.heading_stage import HeadingStage, drift_of, learns_directions
 from pdr_filter.sensing.heading.magnetic_north import MagneticNorth
-from pdr_filter.sensing.heading.walking_heading import WalkingHeading
+from pdr_filter.sensing.steps.detector_protocol import StepDetector
 from pdr_filter.sensing.stream_merging import StreamMerger
-from pdr_filter.values import DECLINATION_STD_RAD, Note, Plan, PositionFix
+from pdr_filter.values import DECLINATION_STD_RAD, Note, Plan, PositionFix, check_members
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,10 +52,10 @@ class Config:
     merger: StreamMerger = field(default_factory=StreamMerger)  # of sensors that arrive apart
 
     def __post_init__(self) -> None:
-        heading, drift = self.sensing.heading, self.model.noise.heading_drift
-        if isinstance(heading, WalkingHeading) and heading.drift != drift:
+        of_heading, drift = drift_of(self.sensing.heading), self.model.noise.heading_drift
+        if of_heading is not None and of_heading != drift:
             raise ValueError(
-                f"the heading stage must reckon with the filter's heading drift, {drift}, got {heading.drift}: give "
+                f"the heading stage must reckon with the filter's heading drift, {drift}, got {of_heading}: give "
                 "one HeadingDrift to both"
             )
 
@@ -65,7 +67,7 @@ class Config:
     @property
     def learns_directions(self) -> bool:
         """Whether its steps say where the person walks against the phone."""
-        return isinstance(self.sensing.heading, WalkingHeading)
+        return learns_directions(self.sensing.heading)
 
     def with_model(self, **changes: Any) -> Config:
         """Return a copy in which some fields of the model have other values."""
@@ -122,6 +124,36 @@ class Config:
     def in_hindsight(self) -> Config:
         """The same where later windows are known, too: a window says no more than its share of the time."""
         return self.with_model(evidence_exponent=self.model.hindsight_exponent)
+
+    def with_steps(self, steps: StepDetector[Any]) -> Config:
+        """Return a copy with another step detector; ValueError names what it lacks (`pdr_filter.protocols`).
+
+        Examples
+        --------
+        >>> import pdr_filter as pdr
+        >>> detector = pdr.recipes.zhou2019().sensing.steps
+        >>> pdr.recipes.default().with_steps(detector).sensing.steps is detector
+        True
+        """
+        check_members("steps", steps, StepDetector)
+        return replace(self, sensing=replace(self.sensing, steps=steps))
+
+    def with_heading(self, heading: HeadingStage) -> Config:
+        """Return a copy with another heading stage; ValueError names what it lacks (`pdr_filter.protocols`)."""
+        check_members("heading", heading, HeadingStage)
+        return replace(self, sensing=replace(self.sensing, heading=heading))
+
+    def with_step_length(self, name: str, fit: StepLengthFit) -> Config:
+        """Return a copy in which a mode has another step length; ValueError if there is no mode of that name.
+
+        `name` is that of a mode, or of a context, whose modes then all have this step length.
+        """
+        modes = self.model.modes
+        named = [m.name for m in modes if m.name == name] or [m.name for m in modes if m.context == name]
+        if not named:
+            raise ValueError(f"no mode {name!r}, there are {', '.join(m.name for m in modes)}: name one")
+        changed = tuple(replace(m, step_length=fit) if m.name in named else m for m in modes)
+        return self.with_model(modes=changed)
 
     def with_weighting(self, weighting: str) -> Config:
         """The same with another weighting: "imm", "wc" or "hc"."""

@@ -224,7 +224,7 @@ def asked_run(
             load_calibration,
         )
 
-        parameters = calibration if isinstance(calibration, Calibration) else load_calibration(calibration)
+        parameters = calibration if isinstance(calibration, Calibration) else load_calibration(calibration, config)
         config = parameters.config(config, recording.subject)
     if device is not None:
         config = config.with_device(device if isinstance(device, Device) else Device.load(device))

@@ -57,7 +57,7 @@ from pdr_filter.values.plurals import how_many, how_often
 from pdr_filter.values.replace import replace_unchecked
 from pdr_filter.values.rigid_fit import rigid_fit
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, ImuBlock, Samples
-from pdr_filter.values.schema import check_declared, check_whole
+from pdr_filter.values.schema import check_declared, check_members, check_whole
 from pdr_filter.values.step import HARDLY_AGREE, TRUSTED, Step, step_table, steps_of
 from pdr_filter.values.track_rows import TrackRows
 from pdr_filter.values.uncertainty import RADIUS_68, RADIUS_95
@@ -115,6 +115,7 @@ __all__ = [
     "check_cov",
     "check_declared",
     "check_fix",
+    "check_members",
     "check_number",
     "check_numbers",
     "check_transition_prob",

@@ -18,7 +18,7 @@ from pdr_filter import recipes
 from pdr_filter.recipes.zhou2019.steps import ReferenceLineStepDetector
 from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock
-from pdr_filter.sensing.steps.step_detector import ContextBlock, StepDetector
+from pdr_filter.sensing.steps.step_detector import BaseStepDetector, ContextBlock
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, Step
 from pdr_filter.values.serialisation import from_bytes, to_bytes
@@ -80,14 +80,14 @@ def run(stage: Any, pieces: Sequence[Samples], state: Any = None) -> tuple[Any, 
     """New state, and steps or windows with the sample that revealed each."""
     state, found = stage.init() if state is None else state, []
     for piece in pieces:
-        contexts = (piece.contexts,) if isinstance(stage, StepDetector) else ()
+        contexts = (piece.contexts,) if isinstance(stage, BaseStepDetector) else ()
         state, new = stage.update(state, piece.block, piece.attitude, *contexts)
         found += new
     return state, found
 
 
 def finished(stage: Any, state: Any) -> list[tuple[int, Any]]:
-    return stage.finish(state) if isinstance(stage, StepDetector) else []
+    return stage.finish(state) if isinstance(stage, BaseStepDetector) else []
 
 
 def bits(found: list[tuple[int, Any]]) -> bytes:
@@ -155,7 +155,7 @@ def test_a_shift_of_the_time_base_shifts_what_is_found(name: str) -> None:
     here, there = (run(stage, [s])[1] for s in (samples, late))
     assert [i for i, _ in there] == [i for i, _ in here]
     np.testing.assert_allclose([e.time_s for _, e in there], [e.time_s + 1024.0 for _, e in here], atol=1e-9)
-    if isinstance(stage, StepDetector):
+    if isinstance(stage, BaseStepDetector):
         np.testing.assert_allclose([e.detected_time_s for _, e in there], [e.detected_time_s + 1024.0 for _, e in here])
         np.testing.assert_allclose([e.duration_s for _, e in there], [e.duration_s for _, e in here], atol=1e-9)
 

@@ -221,15 +221,12 @@ class _Problem:
         direct, reflected = self._log_densities(residual)
         return np.exp(direct - np.logaddexp(direct, reflected))
 
-    def _of_prior(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _from_prior(self, prior: PriorPose, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Differences (P, 3) from the prior, and their derivatives (P, 3, 3)."""
-        assert self.prior is not None
-        lever = self.prior.track_m - self.centre_m
+        lever = prior.track_m - self.centre_m
         c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
         turned = np.column_stack([c * lever[0] + s * lever[1], c * lever[1] - s * lever[0]])
-        difference = np.column_stack(
-            [pose[:, :2] + turned - self.prior.place_m, wrap_angle(pose[:, 2] - self.prior.angle_rad)]
-        )
+        difference = np.column_stack([pose[:, :2] + turned - prior.place_m, wrap_angle(pose[:, 2] - prior.angle_rad)])
         by = np.tile(np.eye(3), (len(pose), 1, 1))
         by[:, 0, 2], by[:, 1, 2] = turned[:, 1], -turned[:, 0]
         return difference, by
@@ -241,7 +238,7 @@ class _Problem:
         A = np.einsum("pn,pna,pnb->pab", weight, J, J)
         b = np.einsum("pn,pna,pn->pa", weight, J, residual)
         if self.prior is not None:
-            difference, by = self._of_prior(pose)
+            difference, by = self._from_prior(self.prior, pose)
             weighted = np.einsum("pba,bc->pac", by, self.prior.information)
             A, b = A + weighted @ by, b + np.einsum("pac,pc->pa", weighted, difference)
         return A, b
@@ -261,7 +258,7 @@ class _Problem:
         total = np.logaddexp(*self._log_densities(self._parts(pose)[0])).sum(axis=1)
         if self.prior is None:
             return total
-        difference, _ = self._of_prior(pose)
+        difference, _ = self._from_prior(self.prior, pose)
         return total - 0.5 * np.einsum("pa,ab,pb->p", difference, self.prior.information, difference)
 
     def fits(self, pose: FloatArray) -> tuple[bool, ...]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
@@ -15,6 +16,14 @@ from pdr_filter.sensing.contexts.context_stage import CARRYING_STAY_PROB, Window
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, IntArray
 
 WEIGHTINGS = ("hc", "wc", "imm")
+
+
+class Weighting(Protocol):
+    """A function of context probabilities (C,) that returns weights (C,): 0 or more, with the sum one."""
+
+    def __call__(self, context_prob: FloatArray, /) -> FloatArray:
+        """Weights of the contexts."""
+        ...
 
 
 def context_weights(context_prob: FloatArray, threshold: float) -> FloatArray:

@@ -17,6 +17,7 @@ from pdr_filter.offline.calibration.model_forms import (
     best_form,
     forms_of,
     models_of,
+    priors_of_config,
     solved,
     standard_error,
     start_of,
@@ -63,7 +64,8 @@ def calibrate(
     tracks : iterable of Track, optional
         Tracks of the recordings, if they are there already.
     config : Config, optional
-        Finds steps, headings and contexts; the default recipe if not given.
+        Finds steps, headings and contexts; the default recipe if not given. Step-length models of classes outside of
+        this package (`Config.with_step_length`) are calibrated in their contexts, with weak priors.
     model : {"bounce", "eq12", "kim", "tian", "weinberg"}, optional
         Step-length model of walking. If not given, with enough segments the one with the least left-out error, and the
         first unless another is clearly better; a note says which.
@@ -107,6 +109,7 @@ def calibrate(
         raise ValueError(f"{len(known)} tracks for {len(chosen)} recordings: give one for each")
     check_subject(subject, each_a_person)
     _check_stds(recording_std, anchor_std_m)
+    priors = priors_of_config(config, priors, model)
     forms_of(priors, model, prior_std)  # what it refuses it refuses before walks are tracked
     segments: list[Segment] = []
     notes: list[str] = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,10 +12,11 @@ from numpy.typing import NDArray
 from pdr_filter.filter.step_length.models import RECORDING_STD, StepLengthModel
 from pdr_filter.offline.calibration.estimation import Hierarchy, ParameterEstimate, estimate_parameters
 from pdr_filter.offline.calibration.hierarchy import SingularError
-from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, as_wide_as, candidates
+from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, as_wide_as, candidates, weak_prior
 from pdr_filter.offline.calibration.segments import AnySegment, SegmentSums, integrate
 from pdr_filter.offline.robust_loss import DISTRUST
-from pdr_filter.recipes.step_length_calibration import slices_of
+from pdr_filter.recipes.config import Config
+from pdr_filter.recipes.step_length_calibration import is_shipped, slices_of
 from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray
 
 # Fewer segments, people or recordings do not choose a form. From so many on the chosen one is no worse than the default
@@ -54,6 +56,20 @@ def forms_of(
             full["walking"] = as_wide_as(full["walking"], prior_std)
         forms[name] = {c: full[c] for c in CONTEXTS if c in full}
     return forms
+
+
+def priors_of_config(config: Config | None, priors: Priors | None, model: str | None) -> Priors | None:
+    """Priors, and weak ones for the models of a configuration that are of classes outside of this package."""
+    if config is None:
+        return priors
+    own = {
+        mode.context: replace(
+            weak_prior(mode.step_length.model, mode.step_length.theta), step_std_m=mode.step_length.residual_std_m
+        )
+        for mode in config.model.modes
+        if not is_shipped(mode.step_length.model) and not (model is not None and mode.context == "walking")
+    }
+    return {**own, **(priors or {})} if own else priors
 
 
 def models_of(priors: Priors) -> dict[str, StepLengthModel]:

@@ -54,7 +54,7 @@ from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
 from pdr_filter.recipes.config import Config
 from pdr_filter.recipes.step_length_calibration import Calibration
 from pdr_filter.sensing.device import Device
-from pdr_filter.sensing.heading.walking_heading import WalkingHeading, known_places
+from pdr_filter.sensing.heading.heading_stage import after_first_pass
 from pdr_filter.tracking.filtering import init
 from pdr_filter.tracking.georeferencing import GnssUse, NorthUse
 from pdr_filter.tracking.track import Track
@@ -270,11 +270,8 @@ def _with_first_pass(
         config, known_device = config.with_device(Device(device.bias_radps, 2.0 * device.bias_cov_radps2)), device
         _, events = run_sensing(config.sensing, recording)
         steps = [event for event in events if isinstance(event, Step)]
-    heading = config.sensing.heading
-    if isinstance(heading, WalkingHeading):
-        heading = replace(heading, known_places=known_places(step_table(steps)))
-        config = replace(config, sensing=replace(config.sensing, heading=heading))
-    return config, known_device
+    heading = after_first_pass(config.sensing.heading, step_table(steps))
+    return replace(config, sensing=replace(config.sensing, heading=heading)), known_device
 
 
 def _on_plan(found: OnPlanHindsight, observed: Observations) -> Smoothed:

@@ -9,13 +9,13 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from tests.benchmarks.consistency import own_model, simulated_walk
 
 import pdr_filter as pdr
 from pdr_filter.filter.fixes.range_placement import PairedRange, solutions
 from pdr_filter.filter.imm.imm_tracker import ImmTracker
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import Fix, FloatArray, Measurement
+from tests.benchmarks.consistency import own_model, simulated_walk
 
 ANCHORS = ((-8.0, -6.0), (25.0, -5.0), (5.0, 25.0))
 
@@ -44,7 +44,9 @@ def ranges(
         for anchor_m in anchors:
             distance_m = float(np.linalg.norm(place_at(recording, time_s) - np.asarray(anchor_m)[:2]))
             extra_m = 3.0 if rng.random() < reflected else 0.0
-            fixes.append(pdr.RangeFix(time_s, np.array(anchor_m), max(distance_m + 0.3 * rng.normal() + extra_m, 0), 0.3))
+            fixes.append(
+                pdr.RangeFix(time_s, np.array(anchor_m), max(distance_m + 0.3 * rng.normal() + extra_m, 0), 0.3)
+            )
     return fixes
 
 
