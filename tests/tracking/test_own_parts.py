@@ -49,7 +49,7 @@ class Crossings:
             if low > 0.3 and not was_up and far_s > 0.3 and self._log.can_end(log, first + k):
                 log, step = self._log.add(log, first + k, first + k)
                 steps.append((first + k, step))
-            was_up = low > 0.0 if low < 0.3 else True
+            was_up = low > 0.3 or (was_up and low > 0.0)
         return CrossingState(self._log.trim(log), low, was_up), steps
 
     def finish(self, state: CrossingState) -> list[Any]:
@@ -212,7 +212,7 @@ def test_locations_use_north_with_a_heading_stage_from_outside_and_not_with_one_
 
 
 def test_what_a_part_lacks_is_named() -> None:
-    with pytest.raises(ValueError, match=r"steps must be a StepDetector .* without finish, first_step_s, latency_s"):
+    with pytest.raises(ValueError, match=r"steps must be a StepDetector .* without first_step_s, latency_s, rate_hz"):
         pdr.recipes.default().with_steps(DeviceHeading())  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="a class, not one of its instances"):
         pdr.recipes.default().with_heading(DeviceHeading)  # type: ignore[arg-type]

@@ -66,7 +66,7 @@ class PriorPose:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Solution:
+class PlacedTrack:
     """A shift and a rotation of the track that fit the ranges."""
 
     track_centre_m: FloatArray  # (2,)
@@ -107,7 +107,7 @@ def recent(pairs: Sequence[PairedRange], pair: PairedRange) -> tuple[PairedRange
     return tuple(p for p in (*pairs, pair) if abs(pair.fix.time_s - p.fix.time_s) <= MAX_AGE_S)[-MAX_RANGES:]
 
 
-def solutions(pairs: Sequence[PairedRange], prior: PriorPose | None = None) -> list[Solution]:
+def solutions(pairs: Sequence[PairedRange], prior: PriorPose | None = None) -> list[PlacedTrack]:
     """All solutions whose odds are not negligible, the best first; none for ranges that leave a continuum."""
     fixes = [pair.fix for pair in pairs]
     if len(fixes) < (_FEWEST if prior is None else 1):
@@ -136,7 +136,7 @@ def solutions(pairs: Sequence[PairedRange], prior: PriorPose | None = None) -> l
         found.append((float(value[k]) + volume, float(value[k]), pose[k], np.linalg.inv(information)))
     highest = max((odds for odds, *_ in found), default=0.0)
     result = [
-        Solution(centre, read_only(p[:2]), float(wrap_angle(p[2])), cov, odds - highest, density, problem.fits(p))
+        PlacedTrack(centre, read_only(p[:2]), float(wrap_angle(p[2])), cov, odds - highest, density, problem.fits(p))
         for odds, density, p, cov in sorted(found, key=lambda f: -f[0])
     ]
     return [solution for solution in result if solution.log_odds > LEAST_LOG_ODDS]

@@ -14,7 +14,7 @@ from pdr_filter.filter.fixes.measurement_updates import on_measurement
 from pdr_filter.filter.fixes.range_placement import (
     PairedRange,
     PriorPose,
-    Solution,
+    PlacedTrack,
     log_density_here,
     recent,
     solutions,
@@ -134,7 +134,7 @@ def _prior(state: PedestrianState) -> PriorPose | None:
     return PriorPose(track_m, place_m, information, angle_rad) if information.any() else None
 
 
-def _placed(state: PedestrianState, solution: Solution) -> PedestrianState:
+def _placed(state: PedestrianState, solution: PlacedTrack) -> PedestrianState:
     """State at a solution, which has all that is known of place and heading; earlier steps stay as they are known."""
     n_steps, is_joined = state.steps.n_final, state.frame.is_joined
     alignment = solution.alignment(n_steps, n_steps if is_joined else state.frame.since)

@@ -5,9 +5,9 @@ HC (highest context) and WC (weighted context) are Algorithms 1 and 2 of Martine
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
@@ -18,12 +18,8 @@ from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, IntArray
 WEIGHTINGS = ("hc", "wc", "imm")
 
 
-class Weighting(Protocol):
-    """A function of context probabilities (C,) that returns weights (C,): 0 or more, with the sum one."""
-
-    def __call__(self, context_prob: FloatArray, /) -> FloatArray:
-        """Weights of the contexts."""
-        ...
+# A function of context probabilities (C,) that returns weights (C,): 0 or more, with the sum one.
+Weighting = Callable[[FloatArray], FloatArray]
 
 
 def context_weights(context_prob: FloatArray, threshold: float) -> FloatArray:
