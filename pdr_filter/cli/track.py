@@ -55,7 +55,9 @@ class Weighting(StrEnum):
 class Method:
     """How a track is made."""
 
-    recipe: Annotated[str, typer.Option(help="Name of a recipe, such as default or martinelli2018.")] = "default"
+    recipe: Annotated[
+        str, typer.Option(help="Name of a recipe, such as default, or module:function for one of yours.")
+    ] = "default"
     weighting: Annotated[
         Weighting | None, typer.Option(help="How contexts become step lengths; the recipe's own if not given.")
     ] = None

@@ -58,8 +58,17 @@ def plain_config(settings: Settings) -> Config:
 
 @cache
 def plain_config_bytes(settings: Settings) -> bytes:
-    """Saved form of `plain_config`, which takes 60 ms and is shared by all phones."""
-    return serialise.to_bytes(plain_config(settings))
+    """Saved form of `plain_config`, which takes 60 ms and is shared by all phones.
+
+    ValueError for a recipe with parts of classes outside of this package: sessions are saved with their configuration.
+    """
+    try:
+        return serialise.to_bytes(plain_config(settings))
+    except TypeError as error:
+        raise ValueError(
+            f"recipe {settings.recipe!r} has parts of classes outside of pdr_filter, and sessions of phones are saved "
+            f"with their configuration ({error}): use an OnlineFilter of your own, or a recipe of parts of the package"
+        ) from None
 
 
 def session_id(device: str, session: str) -> str:

@@ -13,8 +13,8 @@ from pdr_filter.filter.fixes.gating import Result
 from pdr_filter.filter.fixes.measurement_updates import on_measurement
 from pdr_filter.filter.fixes.range_placement import (
     PairedRange,
-    PriorPose,
     PlacedTrack,
+    PriorPose,
     log_density_here,
     recent,
     solutions,

@@ -37,7 +37,7 @@ def place_at(recording: pdr.Recording, time_s: FloatArray | float) -> FloatArray
 def ranges(
     recording: pdr.Recording, anchors: Sequence[Sequence[float]], seed: int, reflected: float = 0.0
 ) -> list[pdr.RangeFix]:
-    """Every two seconds a range to each anchor with 0.3 m of noise; some come over a reflection and are 3 m too long."""
+    """A range to each anchor every two seconds, with 0.3 m of noise; a share of them is reflected and 3 m too long."""
     rng, truth, fixes = np.random.default_rng(seed), recording.truth.position, list[pdr.RangeFix]()
     assert truth is not None
     for time_s in np.arange(1.0, truth.time_s[-1], 2.0):
@@ -138,10 +138,11 @@ def test_a_filter_with_two_places_goes_on_after_saving_as_if_nothing_had_been() 
 
 def test_placements_by_ranges_are_the_mirror_images_of_a_straight_path() -> None:
     rng = np.random.default_rng(0)
+    start_m = np.array([3.0, 4.0])
     track_m = np.column_stack([np.zeros(8), 1.3 * np.arange(0.0, 16.0, 2.0)])
     pairs = [
         PairedRange(
-            pdr.RangeFix(2.0 * k, np.array(a), float(np.hypot(*(place + [3.0, 4.0] - a))) + 0.1 * rng.normal(), 0.1),
+            pdr.RangeFix(2.0 * k, np.array(a), float(np.hypot(*(place + start_m - a))) + 0.1 * rng.normal(), 0.1),
             place,
             is_used=False,
         )
