@@ -3,8 +3,10 @@
 from . import batch as batch
 from . import datasets as datasets
 from . import evaluate as evaluate
+from . import protocols as protocols
 from . import recipes as recipes
 from . import simulate as simulate
+from . import testing as testing
 from .classifiers.context_model import ContextModel as ContextModel
 from .classifiers.rvm import RelevanceVectorClassifier as RelevanceVectorClassifier
 from .filter.imm.motion_model import Mode as Mode
@@ -35,6 +37,7 @@ from .values.contexts import CONTEXTS as CONTEXTS
 from .values.fixes import GridFix as GridFix
 from .values.fixes import HeadingFix as HeadingFix
 from .values.fixes import PositionFix as PositionFix
+from .values.fixes import RangeFix as RangeFix
 from .values.fixes import SpeedFix as SpeedFix
 from .values.fixes import Standstill as Standstill
 from .values.origin import Origin as Origin

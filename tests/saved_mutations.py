@@ -33,9 +33,14 @@ from pdr_filter.values.recording import Subject
 
 sys.path.insert(0, str(Path(__file__).parent / "io"))
 
-from mutations import truncated, with_absurd_numbers, with_flipped_bits, with_pieces_moved
+sys.path.insert(0, str(Path(__file__).parent))
 
-FILTERS = tuple(f"filter:{name}" for name in recipes.RECIPES)
+from mutations import truncated, with_absurd_numbers, with_flipped_bits, with_pieces_moved
+from own_parts import own_config
+
+# And one of parts of other packages, whose configuration is not in the bytes.
+FILTERS = (*(f"filter:{name}" for name in recipes.RECIPES), "filter:own")
+ANCHORS = ((-8.0, -6.0), (25.0, -5.0))
 FORMS = (*FILTERS, "model", "calibration")
 
 BEGIN_S, PAUSE_S, END_S = 12.0, 25.0, 35.0  # of the walk that the filters have seen, and of what comes after loading
@@ -74,7 +79,7 @@ def between(begin_s: float, end_s: float) -> tuple[np.ndarray, ...]:
 @cache
 def good_filter(recipe: str, *, located: bool) -> bytes:
     """A filter in the middle of a walk, with climbs, fixes that wait, and perhaps in the world frame."""
-    config = recipes.RECIPES[recipe](recipes.Subject(height_m=1.7))
+    config = config_of(recipe)
     online = pdr.OnlineFilter(config.in_world_frame() if located else config)
     for begin_s, end_s in ((0.0, 8.0), (BEGIN_S, PAUSE_S)):  # and a gap
         time_s, *signals = between(begin_s, end_s)
@@ -83,10 +88,20 @@ def good_filter(recipe: str, *, located: bool) -> bytes:
             online.push_location(
                 time_s[::100], 50.0 + 1e-5 * time_s[::100], 8.0 + 0 * time_s[::100], 5.0 + 0 * time_s[::100]
             )
+        for t in time_s[100::200].tolist() if recipe == "own" else ():
+            for anchor_m in ANCHORS:
+                away_m = np.array([0.0, max(t - 5.0, 0.0)]) - anchor_m
+                online.add_fix(pdr.RangeFix(t, np.array(anchor_m), float(np.hypot(*away_m)), 0.3))
         online.push(time_s, *signals)
     online.add_fix(pdr.PositionFix(PAUSE_S + 1.0, np.zeros(2), 100.0 * np.eye(2)))
     online.add_fix(pdr.Standstill(PAUSE_S + 2.0, PAUSE_S + 3.0))
+    online.add_fix(pdr.RangeFix(PAUSE_S + 1.0, np.array(ANCHORS[0]), 9.0, 3.0))
     return online.save()
+
+
+def config_of(recipe: str) -> pdr.Config:
+    """The configuration of a recipe, or of parts of users."""
+    return own_config() if recipe == "own" else recipes.RECIPES[recipe](recipes.Subject(height_m=1.7))
 
 
 # --- what can happen to saved filters ---------------------------------------------------------------------------------
@@ -193,9 +208,9 @@ def forged_filter(blob: bytes, rng: random.Random) -> bytes:
     return serialise._packed(tree["value"])
 
 
-def use_filter(blob: bytes) -> None:
+def use_filter(blob: bytes, recipe: str = "default") -> None:
     """Load, go on, end. A forged filter may be wrong or fail, but not refuse to end."""
-    online = pdr.OnlineFilter.load(blob)
+    online = pdr.OnlineFilter.load(blob, config=config_of(recipe) if recipe == "own" else None)
     time_s, *signals = between(PAUSE_S, END_S)
     with suppress(Exception):
         if online.state.merger.is_used:  # this number was changed: it takes sensors apart
@@ -307,7 +322,7 @@ def try_one(form: str, number: int, seed: int, folder: Path) -> str:
     kind, _, recipe = form.partition(":")
     if kind == "filter":
         blob = forged_filter(good_filter(recipe, located=number % 2 == 1), rng)
-        return outcome(partial(use_filter, blob), folder)
+        return outcome(partial(use_filter, blob, recipe), folder)
     path = good_files(form, folder, number)
     mutated_files(path, rng)
     return outcome(partial({"model": use_model, "calibration": use_calibration}[form], path), folder)

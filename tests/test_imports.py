@@ -138,9 +138,15 @@ def package_of(module: str) -> str:
     return module.partition(".")[0]
 
 
-def test_there_are_sixteen_packages_and_no_module_beside_them() -> None:
-    assert {package_of(module) for module in imports_of_modules()} == {"", "version", *PACKAGES}
-    assert {path.name for path in PACKAGE.glob("*.py")} == {"__init__.py", "version.py"}
+# Modules beside the packages: names for users alone, which nothing in the package imports.
+FOR_USERS = ["protocols", "testing"]
+
+
+def test_there_are_sixteen_packages_and_beside_them_only_names_for_users() -> None:
+    imports = imports_of_modules()
+    assert {package_of(module) for module in imports} == {"", "version", *PACKAGES, *FOR_USERS}
+    assert {path.stem for path in PACKAGE.glob("*.py")} == {"__init__", "version", *FOR_USERS}
+    assert not {target for targets in imports.values() for target in targets} & set(FOR_USERS)
 
 
 def test_every_folder_of_modules_is_a_package() -> None:
@@ -148,7 +154,7 @@ def test_every_folder_of_modules_is_a_package() -> None:
 
 
 def test_no_module_imports_from_a_package_above_its_own() -> None:
-    level = {package: number for number, package in enumerate(["version", *PACKAGES[:-1], "", "cli"])}
+    level = {package: number for number, package in enumerate(["version", *PACKAGES[:-1], "", "cli", *FOR_USERS])}
     up = {
         (module, target)
         for module, targets in imports_of_modules().items()

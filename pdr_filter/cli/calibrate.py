@@ -11,6 +11,7 @@ import typer
 from pdr_filter.cli import console
 from pdr_filter.cli.console import escape
 from pdr_filter.cli.options import (
+    AnchorsFile,
     Files,
     Folder,
     Format,
@@ -18,7 +19,9 @@ from pdr_filter.cli.options import (
     PersonFile,
     PlacementOptions,
     RadioFile,
+    RangesFile,
     Scheduler,
+    ranges_of,
 )
 from pdr_filter.values.sanitise import file_name
 
@@ -106,6 +109,8 @@ def smooth(
         bool, typer.Option("--wifi-loops", help="Close loops where the recording's own Wi-Fi is alike.")
     ] = False,
     radio: RadioFile = None,
+    ranges: RangesFile = None,
+    anchors: AnchorsFile = None,
     person: PersonFile = None,
     loop: Loop = False,
     out: Folder = None,
@@ -130,7 +135,8 @@ def smooth(
         if radio is not None:
             mapped = pdr.RadioMap.load(radio)
             known_places += [*mapped.fixes(recording), *(mapped.grids(recording) if placement.plan else [])]
-        is_given = any((fixes, loop_closures, radio, wifi_loops, loop, replace(placement, plan=None).given()))
+        known_places += ranges_of(ranges, anchors, where.get("origin"))
+        is_given = any((fixes, loop_closures, radio, ranges, wifi_loops, loop, replace(placement, plan=None).given()))
         if recording.truth.waypoints is not None and not is_given:
             known_places = waypoint_fixes(recording, fix_std_m)
         result = pdr.smooth(

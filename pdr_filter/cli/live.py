@@ -75,7 +75,7 @@ class Phones:
     height_m: Annotated[float | None, typer.Option("--height", min=0.5, max=2.6, help="Height of the person in m.")] = (
         None
     )
-    recipe: Annotated[str, typer.Option(help="Name of a recipe.")] = "default"
+    recipe: Annotated[str, typer.Option(help="Name of a recipe, or module:function for one of yours.")] = "default"
     max_devices: Annotated[int, typer.Option(min=1, help="Phones at once.")] = 64
     workers: Annotated[int, typer.Option(min=1, help="Processes that share the phones.")] = 1
     scheduler: Annotated[
@@ -84,11 +84,12 @@ class Phones:
     ] = None
 
     def check(self) -> None:
-        """ValueError for a recipe that does not exist."""
+        """ValueError for a recipe that does not exist, or that cannot be saved with a session."""
         if self.recipe != "default":
-            from pdr_filter import recipes
+            from pdr_filter.live.session import plain_config_bytes
+            from pdr_filter.live.settings import Settings
 
-            recipes.check_name(self.recipe)
+            plain_config_bytes(Settings(self.recipe, self.height_m))
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,6 +31,12 @@ PersonFile = Annotated[
 RadioFile = Annotated[
     Path | None, typer.Option("--radio", help="Of pdr-filter radio: a map of this building's Wi-Fi, for fixes.")
 ]
+RangesFile = Annotated[
+    Path | None, typer.Option("--ranges", help="CSV of distances to anchors: time_s,anchor,range_m,std_m.")
+]
+AnchorsFile = Annotated[
+    Path | None, typer.Option("--anchors", help="GeoJSON points with a name each: where the anchors of --ranges are.")
+]
 Folder = Annotated[Path | None, typer.Option(help="Folder for NAME.csv and NAME.png.")]
 
 
@@ -96,6 +102,15 @@ def _place(start: str | None) -> Any:
     except ValueError:
         return start
     return PositionFix(0.0, np.array([east_m, north_m]), np.eye(2))
+
+
+def ranges_of(ranges: Path | None, anchors: Path | None, origin: tuple[float, float] | None) -> list[Any]:
+    """The fixes of --ranges and --anchors."""
+    from pdr_filter.io.fix_files import ranges_of_file
+
+    if ranges is None and anchors is not None:
+        raise ValueError(f"--anchors says where the anchors of ranges are, got {anchors} without --ranges: give both")
+    return [] if ranges is None else list(ranges_of_file(ranges, anchors, origin=origin))
 
 
 def _origin_deg(text: str | None) -> tuple[float, float] | None:

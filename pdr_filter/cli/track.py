@@ -12,6 +12,7 @@ import typer
 from pdr_filter.cli import console
 from pdr_filter.cli.index_page import write_index
 from pdr_filter.cli.options import (
+    AnchorsFile,
     AsJson,
     Files,
     Folder,
@@ -21,7 +22,9 @@ from pdr_filter.cli.options import (
     PersonFile,
     PlacementOptions,
     RadioFile,
+    RangesFile,
     Scheduler,
+    ranges_of,
 )
 from pdr_filter.values.sanitise import file_name
 
@@ -35,7 +38,9 @@ if TYPE_CHECKING:
 class Method:
     """How a track is made."""
 
-    recipe: Annotated[str, typer.Option(help="Name of a recipe, such as default or martinelli2018.")] = "default"
+    recipe: Annotated[
+        str, typer.Option(help="Name of a recipe, such as default, or module:function for one of yours.")
+    ] = "default"
     weighting: Annotated[
         Literal["hc", "wc", "imm"] | None,
         typer.Option(help="How contexts become step lengths; the recipe's own if not given."),
@@ -47,6 +52,8 @@ class Method:
     ] = None
     person: PersonFile = None
     radio: RadioFile = None
+    ranges: RangesFile = None
+    anchors: AnchorsFile = None
     online: Online = False
     loop: Loop = False
 
@@ -206,6 +213,9 @@ def track(
         changes = method.changes()
         where = placement.arguments()
         radio = None if method.radio is None else pdr.RadioMap.load(method.radio)
+        ranges = ranges_of(method.ranges, method.anchors, where.get("origin"))
+        if ranges and len(files) > 1:
+            raise ValueError(f"--ranges are of one recording, got {len(files)}: track them one by one")
     written: set[str] = set()
     replaced: list[Path] = []
     listed: dict[str, Track] = {}
@@ -213,7 +223,7 @@ def track(
     def track_one(file: Path, progress: Callable[[float], None]) -> Track:
         recording = source.read(file)
         config = changes(pdr.recipes.for_recording(method.recipe, recording))
-        if radio is not None:
+        if radio is not None or ranges:
             config = config.in_world_frame()
         device = method.device if method.device is not None and method.device.exists() else None
         person = read_person(method.person) if method.person is not None and method.person.exists() else None
@@ -226,7 +236,7 @@ def track(
             progress,
             config=config,
             weighting=method.weighting,
-            fixes=heard,
+            fixes=[*heard, *ranges],
             device=device,
             person=person,
             **where,
@@ -269,6 +279,7 @@ def _check_one_table(method: Method, placement: PlacementOptions, output: Output
         "--device": method.device,
         **replace(placement, gnss=None).given(),
         "--radio": method.radio,
+        "--ranges": method.ranges,
         "--loop": method.loop,
         "--export": output.export,
         "--report": output.report,

@@ -1,15 +1,20 @@
-"""Position fixes and loop closures from CSV files."""
+"""Position fixes, ranges to anchors and loop closures from CSV files."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from pdr_filter.io.files.safe_files import read_small
-from pdr_filter.io.tables.text_table import TextTable
+from pdr_filter.io.files.safe_files import read_json, read_small
+from pdr_filter.io.tables.text_table import TextTable, text_rows
 from pdr_filter.offline.smoothing.observations import LoopClosure
-from pdr_filter.values import PositionFix, limits
+from pdr_filter.values import FloatArray, Origin, PositionFix, RangeFix, limits
+
+# Anchors in degrees span less than 5.6 km, and anchors in metres more than 5 cm.
+_MOST_DEG = 0.05
 
 
 def fixes_of_file(path: str | Path, std_m: float = 1.0) -> list[PositionFix]:
@@ -19,6 +24,81 @@ def fixes_of_file(path: str | Path, std_m: float = 1.0) -> list[PositionFix]:
     """
     rows = _rows(Path(path), ("time_s", "east_m", "north_m"), "fixes", std_m)
     return [PositionFix(t, np.array([east, north]), std**2 * np.eye(2)) for t, east, north, std in rows]
+
+
+def ranges_of_file(
+    path: str | Path,
+    anchors: str | Path | None = None,
+    std_m: float = 0.3,
+    origin: Origin | tuple[float, float] | None = None,
+) -> list[RangeFix]:
+    """Ranges of a CSV file with the columns `time_s,anchor,range_m`, and `std_m` of each if the file has it.
+
+    `anchors` is the GeoJSON file of `anchors_of_file`. Without one, the columns `anchor_east_m,anchor_north_m` take the
+    place of `anchor`. Times are those of the samples. ValueError names the file, the row and the remedy.
+    """
+    file = Path(path)
+    if anchors is None:
+        rows = _rows(file, ("time_s", "anchor_east_m", "anchor_north_m", "range_m"), "ranges", std_m)
+        return [_range(file, k, t, np.array([e, n]), r, std) for k, (t, e, n, r, std) in enumerate(rows)]
+    places = anchors_of_file(anchors, origin)
+    rows = _rows(file, ("time_s", "range_m"), "ranges", std_m)
+    header, *lines = text_rows(read_small(file, limits.MAX_WHOLE_BYTES), str(file))
+    fields = [field.strip() for field in header]
+    if "anchor" not in fields:
+        raise ValueError(f"{file}: no column anchor (found: {', '.join(fields)[:160]}); write the name of each anchor")
+    names = [line[fields.index("anchor")].strip() for line in lines]
+    unknown = next((k for k, name in enumerate(names) if name not in places), None)
+    if unknown is not None:
+        raise ValueError(
+            f"{file}, row {unknown + 1}: {anchors} has no anchor {names[unknown][:60]!r} (it has "
+            f"{', '.join(places)[:160]}); add it, or correct the name"
+        )
+    named = zip(names, rows, strict=True)
+    return [_range(file, k, t, places[name], r, std) for k, (name, (t, r, std)) in enumerate(named)]
+
+
+def _range(file: Path, row: int, time_s: float, anchor_m: FloatArray, range_m: float, std_m: float) -> RangeFix:
+    try:
+        return RangeFix(time_s, anchor_m, range_m, std_m)
+    except ValueError as error:
+        raise ValueError(f"{file}, row {row + 1}: {error}") from None
+
+
+def anchors_of_file(path: str | Path, origin: Origin | tuple[float, float] | None = None) -> Mapping[str, FloatArray]:
+    """Places of anchors by name, of the points of a GeoJSON FeatureCollection with a property `name` each.
+
+    Coordinates are metres east and north, or longitude and latitude, which become metres from `origin`. A third
+    coordinate is the height of the anchor above the phone in m. ValueError names the file, the point and the remedy.
+    """
+    file = Path(path)
+    content: Any = read_json(file, limits.MAX_PLAN_BYTES)
+    found = dict[str, FloatArray]()
+    try:
+        for feature in content["features"]:
+            name, geometry = str(feature["properties"]["name"]).strip(), feature["geometry"]
+            place = np.array(geometry["coordinates"], dtype=float)
+            if geometry["type"] != "Point" or place.shape not in ((2,), (3,)) or not np.isfinite(place).all():
+                raise ValueError(f"{name[:60]!r} is no point with two or three coordinates")
+            if name in found:
+                raise ValueError(f"two points are named {name[:60]!r}")
+            found[name] = place
+        if not found:
+            raise ValueError("no points")
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(
+            f"{file}: no GeoJSON points with a property name each ({error}); export the anchors as points from QGIS"
+        ) from None
+    flat = np.array([place[:2] for place in found.values()])
+    if float(np.ptp(flat, axis=0).max()) > _MOST_DEG or len(flat) == 1:
+        return found
+    if origin is None:
+        raise ValueError(
+            f"{file}: the anchors are in degrees, and nothing says where on Earth the track has its zero; give the "
+            "anchors in metres, or --origin LAT,LON"
+        )
+    here = Origin.of(origin)
+    return {n: np.array([*here.east_north_m(float(p[1]), float(p[0])), *p[2:]]) for n, p in found.items()}
 
 
 def loop_closures_of_file(path: str | Path, std_m: float = 0.5) -> list[LoopClosure]:

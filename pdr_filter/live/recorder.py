@@ -25,8 +25,10 @@ from pdr_filter.values import Samples
 from pdr_filter.values import serialisation as serialise
 
 STATE, CONFIG, META, STEPS, FIXES = "state.bin", "config.txt", "meta.json", "steps.jsonl", "fixes.csv"
+RANGES = "ranges.csv"
 CONFIGS = "configurations"
 _FIX_COLUMNS = "time_s,east_m,north_m,std_m\n"
+_RANGE_COLUMNS = "time_s,anchor_east_m,anchor_north_m,range_m,std_m\n"
 
 
 class Recorder:
@@ -67,6 +69,10 @@ class Recorder:
         """Append a fix in the columns that `pdr-filter smooth --fixes` reads."""
         self._append(FIXES, _FIX_COLUMNS, f"{time_s!r},{east_m!r},{north_m!r},{std_m!r}\n")
 
+    def range(self, time_s: float, east_m: float, north_m: float, range_m: float, std_m: float) -> None:
+        """Append a range to an anchor in the columns that `pdr-filter smooth --ranges` reads."""
+        self._append(RANGES, _RANGE_COLUMNS, f"{time_s!r},{east_m!r},{north_m!r},{range_m!r},{std_m!r}\n")
+
     def journal(self, message: Message) -> None:
         """Append a message, which stays until the next `saved`."""
         self._append(_journal(self._n_saved), "", _line(message))
@@ -100,7 +106,7 @@ class Recorder:
         if path.exists():
             content = serialise.from_bytes(path.read_bytes())
             state, self._sizes, self._n_saved = content["state"], dict(content["sizes"]), int(content["n_saved"])
-        for name in (STEPS, FIXES, *(f"{name}.csv" for name in STREAM_COLUMNS)):
+        for name in (STEPS, FIXES, RANGES, *(f"{name}.csv" for name in STREAM_COLUMNS)):
             self._cut(name, self._sizes.get(name, 0))
         journal = self.folder / _journal(self._n_saved)
         for other in self.folder.glob("journal_*"):
@@ -135,7 +141,7 @@ class Recorder:
 
 def exported(folder: Path) -> dict[str, Path]:
     """Files of a recording for users, by their names: samples, steps and fixes, or the messages of an untracked one."""
-    names = [name for name in (*FILES, STEPS, FIXES) if (folder / name).exists()]
+    names = [name for name in (*FILES, STEPS, FIXES, RANGES) if (folder / name).exists()]
     journal = next(folder.glob("journal_*"), None)
     if not names and journal is not None:
         return {"messages.json": journal}

@@ -28,7 +28,7 @@ from pdr_filter.sensing.clock import moved
 from pdr_filter.sensing.stream_merging import Sensor
 from pdr_filter.tracking.georeferencing import live_config
 from pdr_filter.tracking.online import OnlineFilter
-from pdr_filter.values import FixResult, PositionFix, Samples, interpolated, limits
+from pdr_filter.values import FixResult, PositionFix, RangeFix, Samples, interpolated, limits
 from pdr_filter.values import serialisation as serialise
 from pdr_filter.values.recording import Recording
 from pdr_filter.values.sanitise import file_name
@@ -58,8 +58,17 @@ def plain_config(settings: Settings) -> Config:
 
 @cache
 def plain_config_bytes(settings: Settings) -> bytes:
-    """Saved form of `plain_config`, which takes 60 ms and is shared by all phones."""
-    return serialise.to_bytes(plain_config(settings))
+    """Saved form of `plain_config`, which takes 60 ms and is shared by all phones.
+
+    ValueError for a recipe with parts of classes outside of this package: sessions are saved with their configuration.
+    """
+    try:
+        return serialise.to_bytes(plain_config(settings))
+    except TypeError as error:
+        raise ValueError(
+            f"recipe {settings.recipe!r} has parts of classes outside of pdr_filter, and sessions of phones are saved "
+            f"with their configuration ({error}): use an OnlineFilter of your own, or a recipe of parts of the package"
+        ) from None
 
 
 def session_id(device: str, session: str) -> str:
@@ -206,7 +215,10 @@ class DeviceSession:
         return config
 
     def _fixed(self, content: Any) -> Event:
-        """Add a fix of a user, in the frame of the track or as latitude and longitude; return its `fix` event."""
+        """Add a fix of a user, in the frame of the track or as latitude and longitude; return its `fix` event.
+
+        One with `range_m` is a range to an anchor there (`east_m` and `north_m`, or latitude and longitude).
+        """
         online = self.online
         if online is None:
             raise FixError("no samples yet: give a fix when the track has begun")
@@ -224,13 +236,23 @@ class DeviceSession:
                 east_m, north_m = float(content["east_m"]), float(content["north_m"])
             if not _FIX_STD_RANGE_M[0] <= std_m <= _FIX_STD_RANGE_M[1]:
                 raise FixError(f"std_m must be {_FIX_STD_RANGE_M[0]} to {_FIX_STD_RANGE_M[1]} m, got {std_m}")
-            fix = PositionFix(time_s, np.array([east_m, north_m]), std_m**2 * np.eye(2))
+            place_m = np.array([east_m, north_m])
+            range_m = content.get("range_m")
+            fix = (
+                PositionFix(time_s, place_m, std_m**2 * np.eye(2))
+                if range_m is None
+                else RangeFix(time_s, place_m, float(range_m), std_m)
+            )
             online.add_fix(fix)
         except (KeyError, TypeError, ValueError) as error:
             raise error if isinstance(error, FixError) else FixError(str(error)) from None
-        self.recorder.fix(time_s, east_m, north_m, std_m)
         result = FixResult.of(moved(fix, online.state.clock_offset_s), math.nan, "waiting")
-        return {**self._outcome(result), "east_m": east_m, "north_m": north_m, "std_m": std_m}
+        event = {**self._outcome(result), "east_m": east_m, "north_m": north_m, "std_m": std_m}
+        if range_m is None:
+            self.recorder.fix(time_s, east_m, north_m, std_m)
+            return event
+        self.recorder.range(time_s, east_m, north_m, float(range_m), std_m)
+        return {**event, "range_m": float(range_m)}
 
     # --- events ---
 

@@ -56,12 +56,19 @@ from pdr_filter.values import (
     GridFix,
     HeadingFix,
     IntArray,
+    Measurement,
     Note,
     OnPlan,
     Plan,
     PositionFix,
+    RangeFix,
+    SpeedFix,
+    Standstill,
     check_numbers,
     interpolated,
+    measured,
+    range_log_densities,
+    range_residuals,
     repetition,
     wrap_angle,
 )
@@ -77,6 +84,8 @@ _SCALE_JITTER = 0.005
 _RESAMPLE_SHARE = 0.5
 # Fewer than this many have all the weight: the set is degenerate.
 _LEAST_EFFECTIVE = 5.0
+# One measurement in a thousand is an outlier that nothing explains.
+_OUTLIER_LOG_ODDS = math.log(1000.0)
 # A fix that turns the track says more than particles that were drawn before can show, if it takes more than a tenth of
 # them: they are drawn from the tracker, which knows the turn in closed form.
 _SHOWN_SHARE = 0.9
@@ -250,10 +259,14 @@ class ParticleFilter:
         model: PedestrianModel,
         floor: int,
     ) -> ParticleState:
-        """State after a fix of position or heading that the tracker used, or of a grid; and what it knows then."""
-        if len(state.way) == 0 or not isinstance(fix, PositionFix | GridFix | HeadingFix):
+        """State after a fix of position or heading that the tracker used, or of a grid; and what it knows then.
+
+        Any other measurement weighs the particles whether the tracker used it or not: they need no linear update.
+        """
+        if len(state.way) == 0 or isinstance(fix, SpeedFix | Standstill):
             return state
-        if isinstance(fix, GridFix):
+        is_own = isinstance(fix, PositionFix | HeadingFix)
+        if not is_own and outcome not in ("placed", "moved"):
             if len(state.weight) == 0 or fix.time_s < state.way[0, 0]:
                 return state
         elif outcome not in ("used", "placed", "turned", "moved"):
@@ -273,6 +286,9 @@ class ParticleFilter:
             there = fix.log_likelihood_at(backwards(x, state.way[-1, 1:3] - then[:2]))
             state, _ = _weighed(state, there / repetition(fix, state.last_grid_s))
             state = replace(state, last_grid_s=fix.time_s)
+        elif not isinstance(fix, PositionFix):
+            there = backwards(x, state.way[-1, 1:3] - then[:2])
+            state, _ = _weighed(state, _log_density(fix, there, then[2] + x[:, OFFSET]))
         else:
             error = backwards(x, state.way[-1, 1:3] - then[:2]) - fix.position_m
             cov = repetition(fix, state.last_fix_s) * fix.cov_m2
@@ -490,6 +506,20 @@ def _weighed(state: ParticleState, log_weight: FloatArray) -> tuple[ParticleStat
     with np.errstate(divide="ignore"):
         total = np.log(state.weight) + log_weight
     return replace(state, weight=softmax(total)), log_sum(total)
+
+
+def _log_density(fix: Measurement, position_m: FloatArray, heading_rad: FloatArray) -> FloatArray:
+    """Log density (N,) of a measurement at positions (N, 2) and walking headings (N,); an outlier costs a limited odds.
+
+    Of a range that of direct and reflected paths together.
+    """
+    if isinstance(fix, RangeFix):
+        residual, _ = range_residuals(position_m, fix.anchor_m[:2], fix.up_m, fix.range_m)
+        density = np.logaddexp(*range_log_densities(residual, np.array(fix.std_m**2), np.array(fix.std_m)))
+    else:
+        each = [measured(fix, place, heading) for place, heading in zip(position_m, heading_rad.tolist(), strict=True)]
+        density = np.array([-0.5 * float(r @ np.linalg.solve(cov, r)) for r, _, cov in each])
+    return np.maximum(density, density.max() - _OUTLIER_LOG_ODDS)
 
 
 def _n_effective(state: ParticleState) -> float:

@@ -27,10 +27,11 @@ from pdr_filter.sensing.contexts.learned_contexts import stage_of
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.barometer import ClimbRate
 from pdr_filter.sensing.front_end import Sensing
+from pdr_filter.sensing.heading.heading_stage import HeadingStage, drift_of, learns_directions
 from pdr_filter.sensing.heading.magnetic_north import MagneticNorth
-from pdr_filter.sensing.heading.walking_heading import WalkingHeading
+from pdr_filter.sensing.steps.detector_protocol import StepDetector
 from pdr_filter.sensing.stream_merging import StreamMerger
-from pdr_filter.values import DECLINATION_STD_RAD, FloatArray, Note, Plan, PositionFix
+from pdr_filter.values import DECLINATION_STD_RAD, FloatArray, Note, Plan, PositionFix, check_members
 from pdr_filter.values.track_placement import TrackPlacement
 
 
@@ -61,10 +62,10 @@ class Config:
     merger: StreamMerger = field(default_factory=StreamMerger)  # of sensors that arrive apart
 
     def __post_init__(self) -> None:
-        heading, drift = self.sensing.heading, self.model.noise.heading_drift
-        if isinstance(heading, WalkingHeading) and heading.drift != drift:
+        of_heading, drift = drift_of(self.sensing.heading), self.model.noise.heading_drift
+        if of_heading is not None and of_heading != drift:
             raise ValueError(
-                f"the heading stage must reckon with the filter's heading drift, {drift}, got {heading.drift}: give "
+                f"the heading stage must reckon with the filter's heading drift, {drift}, got {of_heading}: give "
                 "one HeadingDrift to both"
             )
         if self.sensing.context_set != self.model.context_set:
@@ -78,7 +79,7 @@ class Config:
     @property
     def learns_directions(self) -> bool:
         """Whether its steps say where the person walks against the phone."""
-        return isinstance(self.sensing.heading, WalkingHeading)
+        return learns_directions(self.sensing.heading)
 
     def with_model(self, **changes: Any) -> Config:
         """Return a copy in which some fields of the model have other values."""
@@ -197,6 +198,24 @@ class Config:
             prob = _transitions(self.contexts, modes, None)
         known = self._with_modes(modes, transition_prob=prob)
         return replace(self, tracker=replace(self.tracker, model=known), notes=self._notes_with(modes))
+
+    def with_steps(self, steps: StepDetector[Any]) -> Config:
+        """Return a copy with another step detector; ValueError names what it lacks (`pdr_filter.protocols`).
+
+        Examples
+        --------
+        >>> import pdr_filter as pdr
+        >>> detector = pdr.recipes.zhou2019().sensing.steps
+        >>> pdr.recipes.default().with_steps(detector).sensing.steps is detector
+        True
+        """
+        check_members("steps", steps, StepDetector)
+        return replace(self, sensing=replace(self.sensing, steps=steps))
+
+    def with_heading(self, heading: HeadingStage) -> Config:
+        """Return a copy with another heading stage; ValueError names what it lacks (`pdr_filter.protocols`)."""
+        check_members("heading", heading, HeadingStage)
+        return replace(self, sensing=replace(self.sensing, heading=heading))
 
     def with_step_length(self, name: str, fit: StepLengthFit) -> Config:
         """Return a copy in which a mode has another step length; ValueError if there is no mode of that name.

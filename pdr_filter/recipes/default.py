@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import importlib
+import inspect
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -106,17 +110,58 @@ def with_transitions(config: Config, transitions: Transitions | str | Path) -> C
 
 
 def for_recording(name: str, recording: Recording) -> Config:
-    """The recipe of that name for the person and the placement of a recording; ValueError if there is none."""
-    check_name(name)
+    """The recipe of that name for the person and the placement of a recording; ValueError if there is none.
+
+    `name` is one of `RECIPES`, that of an entry point of the group "pdr_filter.recipes", or "module:function".
+    """
     if name == "zhou2019" and recording.is_on_foot:
         return zhou2019(recording.subject, placement="foot")
-    return RECIPES[name](recording.subject)
+    config: object = _named(name)(recording.subject)
+    if not isinstance(config, Config):
+        raise ValueError(f"recipe {name!r} must return a Config, got {config!r}: such as default().with_steps(...)")
+    return config
 
 
 def check_name(name: str) -> None:
     """ValueError that lists the recipes if there is none of that name."""
-    if name not in RECIPES:
-        raise ValueError(f"no recipe {name!r}; there are {', '.join(sorted(RECIPES))}")
+    _named(name)
+
+
+# Entry points of this group, which any installed distribution may have, are recipes.
+ENTRY_POINTS = "pdr_filter.recipes"
+
+
+def _named(name: str) -> Callable[[Subject | None], Config]:
+    """The recipe of a name; a function without parameters is called without the subject."""
+    if name in RECIPES:
+        return RECIPES[name]
+    from importlib.metadata import entry_points  # for names that are not here
+
+    installed = entry_points(group=ENTRY_POINTS)
+    if ":" in name:
+        recipe = _function_of(name)
+    elif name in installed.names:
+        recipe = installed[name].load()
+    else:
+        known = ", ".join(sorted({*RECIPES, *installed.names}))
+        raise ValueError(f"no recipe {name!r}; there are {known}, and module:function for one of yours")
+    if not callable(recipe):
+        raise ValueError(f"recipe {name!r} must be a function that returns a Config, got {recipe!r}")
+    return recipe if inspect.signature(recipe).parameters else lambda _: recipe()
+
+
+def _function_of(name: str) -> Any:
+    """The function of "module:function"; the module may be in the working folder."""
+    module, _, function = name.partition(":")
+    if (folder := str(Path.cwd())) not in sys.path:
+        sys.path.insert(0, folder)
+    try:
+        return getattr(importlib.import_module(module), function)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ValueError(
+            f"recipe {name!r} cannot be imported ({error}); name a module that Python finds, such as a file "
+            f"{module.partition('.')[0] or 'mymodule'}.py in this folder, and a function in it"
+        ) from None
 
 
 RECIPES: Mapping[str, Callable[[Subject | None], Config]] = MappingProxyType(

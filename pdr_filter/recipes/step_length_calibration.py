@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
+from functools import partial
 from itertools import pairwise
 from os import PathLike
 from pathlib import Path
@@ -401,7 +402,7 @@ def slices_of(models: Mapping[str, StepLengthModel]) -> tuple[dict[str, slice], 
 
 def of_height(model: StepLengthModel, height_m: float | None) -> StepLengthModel:
     """The model for a person of this height; itself if it takes no height or none is known."""
-    if height_m is None or not hasattr(model, "height_m"):
+    if height_m is None or not hasattr(model, "height_m") or not is_dataclass(model):
         return model
     return replace(model, height_m=float(height_m))  # pyright: ignore[reportArgumentType, reportCallIssue, reportUnknownVariableType, reportGeneralTypeIssues, reportTypeVar]
 
@@ -426,34 +427,37 @@ def _shortened(name: str) -> str:
     return name if len(name) <= 32 else f"{name[:19]}...{name[-10:]}"
 
 
-def load_calibration(path: Calibration | str | Path) -> Calibration:
-    """A saved calibration, from the path of its .json or .npz; ValueError names the file and the remedy."""
+def load_calibration(path: Calibration | str | Path, config: Config | None = None) -> Calibration:
+    """A saved calibration, from the path of its .json or .npz; ValueError names the file and the remedy.
+
+    `config` has the step-length models of classes outside of this package, which a file does not name.
+    """
     if isinstance(path, Calibration):
         return path
     if not isinstance(path, str | PathLike):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise ValueError(f"calibration must be a Calibration, or the path of a saved one, got {path!r}")
-    return FORMAT.read(path, _assemble)
+    return FORMAT.read(path, partial(_assemble, config))
 
 
-def read_person(person: Person | Calibration | str | Path) -> Person | Calibration:
+def read_person(person: Person | Calibration | str | Path, config: Config | None = None) -> Person | Calibration:
     """A person, or a calibration that knows one, from what was saved of either; ValueError names the file."""
     if isinstance(person, Person | Calibration):
         return person
     if not isinstance(person, str | PathLike):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise ValueError(f"person must be a Person, a Calibration, or the path of a saved one, got {person!r}")
-    return load_calibration(person) if FORMAT.is_at(person) else Person.load(person)
+    return load_calibration(person, config) if FORMAT.is_at(person) else Person.load(person)
 
 
 def with_steps_of(config: Config, person: Person | Calibration | str | Path, subject: Subject) -> Config:
     """The configuration with the step lengths of a person, which may be one of those who were calibrated."""
-    known = read_person(person)
+    known = read_person(person, config)
     return known.config(config, subject) if isinstance(known, Calibration) else config.with_person(known)
 
 
-def _assemble(description: Mapping[str, Any], arrays: Arrays) -> Calibration:
+def _assemble(config: Config | None, description: Mapping[str, Any], arrays: Arrays) -> Calibration:
     """Return the calibration; KeyError, TypeError or ValueError if anything is missing or does not fit."""
     return Calibration(
-        models={name: _model_from_plain(m) for name, m in description["models"].items()},
+        models={name: _model_from_plain(name, m, config) for name, m in description["models"].items()},
         **cast(Any, {name: arrays[name] for name in _ARRAYS}),
         subject_ids=tuple(description["subject_ids"]),
         residual_std_m=description["residual_std_m"],
@@ -474,20 +478,39 @@ def _once(notes: Sequence[str]) -> list[str]:
     return [f"{first} (and {len(more)} more alike)" if more else first for first, *more in alike.values()]
 
 
+def is_shipped(model: StepLengthModel) -> bool:
+    """True of the models of this package, which a file can name."""
+    return getattr(step_length, type(model).__name__, None) is type(model)
+
+
 def _model_to_plain(model: StepLengthModel) -> dict[str, Any]:
-    name = type(model).__name__
-    if getattr(step_length, name, None) is not type(model):
-        raise ValueError(
-            f"{name} is not a model of pdr_filter.filter.step_length.models, so its calibration cannot be saved"
-        )
+    if not is_shipped(model):
+        return {"class": None, "n_params": model.n_params}
     # JSON has no infinity
     values = {f.name: getattr(model, f.name) for f in fields(cast(Any, model))}
-    return {"class": name, **{n: None if v == np.inf else v for n, v in values.items() if n != "n_params"}}
+    return {
+        "class": type(model).__name__,
+        **{n: None if v == np.inf else v for n, v in values.items() if n != "n_params"},
+    }
 
 
-def _model_from_plain(plain: Mapping[str, Any]) -> StepLengthModel:
+def _model_from_plain(context: str, plain: Mapping[str, Any], config: Config | None) -> StepLengthModel:
+    if plain["class"] is None:
+        return _model_of(context, plain["n_params"], config)
     kind = getattr(step_length, str(plain["class"]), None)
     if not (isinstance(kind, type) and is_dataclass(kind) and hasattr(kind, "n_params")):
         raise ValueError(f"no step-length model {plain['class']!r}")
     values = {name: np.inf if v is None else float(v) for name, v in plain.items() if name not in ("class", "n_params")}
     return cast(StepLengthModel, kind(**values))
+
+
+def _model_of(context: str, n_params: Any, config: Config | None) -> StepLengthModel:
+    """The model that a configuration has for a context, in place of one that a file cannot name."""
+    modes = () if config is None else config.model.modes
+    model = next((mode.step_length.model for mode in modes if mode.context == context), None)
+    if model is None or is_shipped(model) or model.n_params != n_params:
+        raise ValueError(
+            f"its step-length model of {context} is of a class outside of pdr_filter, with {n_params} parameters: give "
+            "the configuration that has it, config.with_step_length(...)"
+        )
+    return model

@@ -9,6 +9,7 @@ known, and `one_clock` leaves nothing to follow.
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -131,7 +132,13 @@ def moved(fix: AnyFix, offset_s: float) -> AnyFix:
         return dataclasses.replace(
             fix, time_s=fix.time_s + offset_s, end_s=fix.end_s + offset_s, received_time_s=received_s
         )
-    return dataclasses.replace(fix, time_s=fix.time_s + offset_s, received_time_s=received_s)
+    times = {"time_s": fix.time_s + offset_s, "received_time_s": received_s}
+    if dataclasses.is_dataclass(fix):
+        return dataclasses.replace(fix, **times)
+    later = copy.copy(fix)
+    for name, value in times.items():
+        object.__setattr__(later, name, value)
+    return later
 
 
 def one_clock(recording: Recording, fixes: Iterable[AnyFix] = ()) -> tuple[Recording, tuple[AnyFix, ...]]:

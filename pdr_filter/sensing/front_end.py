@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -16,11 +15,11 @@ from pdr_filter.sensing.conditioning import Conditioner, ConditionerState, Unifo
 from pdr_filter.sensing.contexts.context_stage import ContextStage, WindowContext, with_cadence
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.feature_windows import FeatureWindow, FeatureWindows
-from pdr_filter.sensing.heading.heading_stage import HeadingStage
+from pdr_filter.sensing.heading.heading_stage import HeadingStage, drift_in_time, with_shown_offsets
 from pdr_filter.sensing.heading.magnetic_north import MagneticNorth
-from pdr_filter.sensing.heading.walking_heading import WalkingHeading
 from pdr_filter.sensing.steps.contact_time_smoothing import EvenSteps
-from pdr_filter.sensing.steps.step_detector import ContextBlock, StepDetector
+from pdr_filter.sensing.steps.detector_protocol import StepDetector
+from pdr_filter.sensing.steps.step_detector import ContextBlock
 from pdr_filter.sensing.steps.step_gate import StepGate
 from pdr_filter.sensing.vehicle_vibration import Rattle, RattleState
 from pdr_filter.values import DEFAULT_CONTEXTS, ContextSet, FloatArray, ImuBlock, IntArray, Step, replace_unchecked
@@ -173,9 +172,7 @@ class Sensing:
 
     def device(self, state: SensingState) -> Device:
         """What is known of the phone by now."""
-        error_rad, error_var = 0.0, math.inf
-        if isinstance(self.heading, WalkingHeading):
-            error_rad, error_var = self.heading.drift_in_time(state.heading)
+        error_rad, error_var = drift_in_time(self.heading, state.heading)
         return self.attitude.bias.learnt(state.attitude.bias, error_rad, error_var)
 
     def _sense(self, state: SensingState, part: UniformBlock) -> tuple[SensingState, list[tuple[float, Event]]]:
@@ -194,6 +191,7 @@ class Sensing:
             gate_state, steps = self.gate.update(state.gate, part, attitude, steps)
         if self.heading:
             heading_state, steps = self.heading.update(state.heading, part, attitude, contexts, steps)
+            steps = with_shown_offsets(self.heading, steps)
         if self.north:
             north_state, steps = self.north.update(state.north, part, attitude, steps)
         if self.even:
@@ -228,6 +226,7 @@ class Sensing:
             state = replace_unchecked(state, gate=gate)
         if self.heading:
             heading, steps = self.heading.finish(state.heading, steps)
+            steps = with_shown_offsets(self.heading, steps)
             state = replace_unchecked(state, heading=heading)
         if self.north:
             north, steps = self.north.finish(state.north, steps)

@@ -13,7 +13,6 @@ from pdr_filter.filter.fixes.alignment import Place
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET
 from pdr_filter.filter.imm.pedestrian_state import StepUpdate, present_position, track_place
 from pdr_filter.recipes.config import Config
-from pdr_filter.sensing.steps.step_gate import StepGateState
 from pdr_filter.sensing.stream_merging import SENSORS
 from pdr_filter.tracking.filtering import State
 from pdr_filter.tracking.warnings import notes_of
@@ -213,9 +212,7 @@ def _on_plan(place: Place, base: Place, on_plan: OnPlan) -> Place:
 
 def _candidates(gate: Any) -> list[Step]:
     """Steps that are found and not accepted yet, where somebody seems to walk."""
-    if not (isinstance(gate, StepGateState) and (gate.is_bout or gate.walking_prob > 0.5)):
-        return []
-    return [*(judged.step for judged in gate.held), *(step for _, step in gate.waiting)]
+    return list(getattr(gate, "candidates", ()))
 
 
 def _walks(config: Config, state: State, last: StepUpdate, is_candidate: bool) -> bool:
@@ -224,7 +221,7 @@ def _walks(config: Config, state: State, last: StepUpdate, is_candidate: bool) -
     latency_s = sensing.steps.latency_s if is_candidate else sensing.step_latency_s
     if not state.sensing.processed_s - last.step.time_s <= latency_s + last.step.duration_s:
         return False
-    rows = gate.rows[-_QUIET_ROWS:] if isinstance(gate, StepGateState) else np.empty((0, 3))
+    rows = getattr(gate, "rows", np.empty((0, 3)))[-_QUIET_ROWS:]
     return len(rows) < _QUIET_ROWS or float(np.sqrt((rows * rows).sum(axis=1)).std()) >= _QUIET_MPS2
 
 

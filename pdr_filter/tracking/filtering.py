@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right, insort
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import repeat
 from operator import attrgetter
+from typing import Any
 
 import numpy as np
 
 from pdr_filter.filter.fixes.gnss import LocationState, Rides, good_places, place_at, position_fixes
+from pdr_filter.filter.fixes.range_placement import LEAST_LOG_ODDS
 from pdr_filter.filter.height import height_filter as height
 from pdr_filter.filter.height.height_filter import HeightState, initial_height
 from pdr_filter.filter.imm import pedestrian_state as pedestrian
@@ -36,8 +38,10 @@ from pdr_filter.values import (
     OnPlan,
     Origin,
     PositionFix,
+    RangeFix,
     SpeedFix,
     Standstill,
+    read_only,
     received_s,
     replace_unchecked,
 )
@@ -50,6 +54,19 @@ FIX_TOLERANCE_S = 1.0
 
 # Results of fixes that an app can still ask for.
 _N_LAST_FIXES = 16
+
+
+@dataclass(frozen=True, eq=False)
+class RivalTracker:
+    """A tracker with the less probable one of two hypotheses, and its log odds against the other one."""
+
+    tracker: TrackerState
+    log_odds: float
+
+    @property
+    def prob(self) -> float:
+        """Probability of this hypothesis."""
+        return 1.0 / (1.0 + math.exp(-self.log_odds))
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +93,7 @@ class State:
     window: WindowContext | None = None  # the last one
     last_fixes: tuple[FixResult, ...] = ()  # what became of them
     last_update: StepUpdate | None = None  # of this segment
+    rival: RivalTracker | None = None  # the other place that ranges fit, while they fit two
     finished: bool = False
 
     @property
@@ -221,9 +239,50 @@ def add_fixes(config: Config, state: State, fixes: Sequence[Fix]) -> State:
 
 def present_position(config: Config, state: State) -> tuple[FloatArray, FloatArray]:
     """Position (2,) and covariance (2, 2) after the last final step, on the floor plan if there is one."""
-    reckoned = pedestrian.present_position(state.tracker.pedestrian)
+    position_m, cov_m2 = pedestrian.present_position(state.tracker.pedestrian)
+    reckoned = position_m, _with_rival_spread(state, position_m, cov_m2)
     place = None if config.on_plan is None else config.on_plan.place(state.particles, reckoned)
     return reckoned if place is None else (place.position_m, place.position_cov_m2)
+
+
+def _with_rival_spread(state: State, position_m: FloatArray, cov_m2: FloatArray) -> FloatArray:
+    """Covariance (2, 2) about a position that is right only if the rival hypothesis is wrong."""
+    if state.rival is None:
+        return cov_m2
+    away_m = pedestrian.present_position(state.rival.tracker.pedestrian)[0] - position_m
+    return read_only(cov_m2 + state.rival.prob * np.outer(away_m, away_m))
+
+
+def _with_rival(state: State, event: Callable[[Any], tuple[Any, Any]]) -> State:
+    """State whose rival hypothesis knows an event of the tracker, too."""
+    if state.rival is None:
+        return state
+    tracker, _ = event(state.rival.tracker)
+    return replace_unchecked(state, rival=replace_unchecked(state.rival, tracker=tracker))
+
+
+def _after_fix_of_rival(config: Config, state: State, fix: Fix, nis: float) -> State:
+    """State after a fix that both hypotheses have seen: the more probable one is the track, a hopeless one is gone.
+
+    `nis` is that of the track. A fix that is rejected speaks against a hypothesis as far as one at the gate.
+    """
+    tracker, rival = state.tracker, state.rival
+    if tracker.pedestrian.rival is not None:
+        other = replace(tracker, pedestrian=tracker.pedestrian.rival.pedestrian)
+        rival = RivalTracker(other, tracker.pedestrian.rival.log_odds)
+        tracker = replace(tracker, pedestrian=replace_unchecked(tracker.pedestrian, rival=None))
+        return replace_unchecked(state, tracker=tracker, rival=rival)
+    if rival is None:
+        return state
+    of_rival, _, rival_nis = config.tracker.on_fix(rival.tracker, fix)
+    of_rival = replace(of_rival, pedestrian=replace_unchecked(of_rival.pedestrian, rival=None))
+    gate, log_odds = config.model.fix_gate_nis, rival.log_odds
+    if not (math.isnan(nis) or math.isnan(rival_nis)):
+        log_odds += 0.5 * (min(nis, gate) - min(rival_nis, gate))
+    if log_odds > 0.0:
+        tracker, of_rival, log_odds = of_rival, tracker, -log_odds
+    rival = None if log_odds < LEAST_LOG_ODDS else RivalTracker(of_rival, log_odds)
+    return replace_unchecked(state, tracker=tracker, rival=rival)
 
 
 def person_of(config: Config, state: State) -> Person | None:
@@ -257,6 +316,7 @@ def finish(config: Config, state: State) -> tuple[State, Output]:
     state, late = _process(config, replace_unchecked(state, sensing=sensing), events)
     output.extend(late)
     tracker, last = config.tracker.finish(state.tracker)
+    state = _with_rival(state, config.tracker.finish)
     end_s = state.sensing.processed_s
     state = _with_steps(config, state, end_s, last, output)
     state = _with_pressure(config, state, np.inf, output)
@@ -287,17 +347,20 @@ def _process(config: Config, state: State, events: list[tuple[float, Event]]) ->
             context = next(contexts)
             output.windows.append(context)
             tracker, updates = config.tracker.on_window(state.tracker, context)
+            state = _with_rival(state, lambda rival, at=context: config.tracker.on_window(rival, at))
             state = replace_unchecked(
                 state, tracker=tracker, height=height_state, seen=state.seen.plus(context, context_set), window=context
             )
         elif isinstance(event, Gap):
             tracker, updates = config.tracker.on_gap(state.tracker, event.duration_s)
+            state = _with_rival(state, lambda rival, at=event: config.tracker.on_gap(rival, at.duration_s))
             if config.on_plan is not None:
                 particles = config.on_plan.on_gap(state.particles, event.duration_s, config.model)
                 state = replace_unchecked(state, particles=particles)
             state = replace_unchecked(state, tracker=tracker, last_update=None)
         else:
             tracker, updates = config.tracker.on_step(state.tracker, event)
+            state = _with_rival(state, lambda rival, at=event: config.tracker.on_step(rival, at))
             walked_m = sum(u.step_length_m for u in updates if u.is_final)
             moved_m = moved_by_heading_m(state.tracker.pedestrian, tracker.pedestrian, walked_m)
             heading_std_rad = math.sqrt(tracker.pedestrian.estimates.heading_var_rad2)
@@ -349,6 +412,9 @@ def _with_steps(config: Config, state: State, known_s: float, updates: Sequence[
             state = _with_passages(config, state, passages, output)
         else:
             height_at_step = height_state.known
+        if state.rival is not None:
+            spread = _with_rival_spread(state, update.position_m, update.position_cov_m2)
+            update = replace_unchecked(update, position_cov_m2=spread)
         update = replace_unchecked(
             update,
             height_m=height_at_step.height_m,
@@ -406,13 +472,13 @@ def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[Stat
         outcome, nis = "rejected", np.inf
     else:
         tracker, outcome, nis = config.tracker.on_fix(state.tracker, fix)
-        state = replace_unchecked(state, tracker=tracker)
+        state = _after_fix_of_rival(config, replace_unchecked(state, tracker=tracker), fix, nis)
         if isinstance(fix, PositionFix):
             state = replace_unchecked(state, rides=state.rides.plus(fix, tracker.pedestrian.steps.trail[:, TRAIL_TIME]))
         if config.on_plan is not None:
             floor = state.height.known.floors.floor
             particles = config.on_plan.on_fix(state.particles, fix, outcome, tracker.pedestrian, config.model, floor)
-            if isinstance(fix, GridFix) and particles is not state.particles:
+            if outcome in ("nothing to compare", "waiting") and particles is not state.particles:
                 outcome = "used"
             state = replace_unchecked(state, particles=particles)
     if isinstance(fix, PositionFix | GridFix) and outcome not in ("rejected", "frozen"):
@@ -422,7 +488,7 @@ def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[Stat
         state,
         last_fixes=(*state.last_fixes, result)[-_N_LAST_FIXES:],
         n_rejected_fixes=state.n_rejected_fixes + (outcome == "rejected"),
-        n_length_fixes=state.n_length_fixes + (result.accepted and isinstance(fix, PositionFix | SpeedFix)),
+        n_length_fixes=state.n_length_fixes + (result.accepted and isinstance(fix, PositionFix | SpeedFix | RangeFix)),
     )
     return state, result
 

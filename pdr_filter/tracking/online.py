@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -47,6 +48,7 @@ from pdr_filter.values import (
     median,
 )
 from pdr_filter.values import serialisation as serialise
+from pdr_filter.values.fixes import OWN_FIXES
 from pdr_filter.values.limits import MIN_SAMPLES
 from pdr_filter.values.plausibility import unit_of_rate, wrong_rate, wrong_time
 from pdr_filter.values.recording import Subject
@@ -341,22 +343,64 @@ class OnlineFilter:
         return person_of(self.config, self.state)
 
     def save(self) -> bytes:
-        """Bytes from which `load` continues as if nothing had happened, configuration and models included."""
-        return serialise.to_bytes({"config": self.config, "state": self.state})
+        """Bytes from which `load` continues as if nothing had happened, configuration and models included.
+
+        Bytes never name a class outside of this package. Where the configuration holds parts of other classes, it is
+        not in the bytes, and `load` needs it. Measurements of other classes that still wait are left out, with a
+        UserWarning. Raises ValueError for a part whose state cannot be saved.
+        """
+        state, n_waiting = self.state, len(self.state.waiting_fixes)
+        own = tuple(fix for fix in state.waiting_fixes if isinstance(fix, OWN_FIXES))
+        if len(own) < n_waiting:
+            text = f"{n_waiting - len(own)} measurements of classes of yours wait for their steps and are not saved"
+            warnings.warn(f"{text}: add them again after load", stacklevel=2)
+            state = replace(state, waiting_fixes=own)
+        try:
+            return serialise.to_bytes({"config": self.config, "state": state})
+        except TypeError:  # classes of other packages in the configuration or in the state of a part
+            pass
+        try:
+            return serialise.to_bytes({"config": None, "state": state}, foreign=True)
+        except TypeError as error:
+            raise ValueError(f"the state of a part of yours holds {error}") from None
 
     @classmethod
-    def load(cls, blob: bytes) -> OnlineFilter:
+    def load(cls, blob: bytes, config: Config | None = None) -> OnlineFilter:
         """The filter that was saved; ValueError for damaged bytes, those of another version, and anything else.
 
-        No code in the bytes is executed, but bytes with a forged checksum can make a filter with wrong positions.
+        `config` is the configuration of that filter, needed if it holds parts of classes outside of this package. No
+        code in the bytes is executed, but bytes with a forged checksum can make a filter with wrong positions.
         """
         content = serialise.from_bytes(blob)
         whole = isinstance(content, dict) and {"config", "state"} <= content.keys()
-        if not (whole and isinstance(content["config"], Config) and isinstance(content["state"], State)):
+        if not (whole and isinstance(content["config"], Config | None) and isinstance(content["state"], State)):
             raise ValueError("these bytes hold no filter; give what OnlineFilter.save returned")
-        loaded = cls(content["config"])
-        loaded.state = content["state"]
+        if config is None and content["config"] is None:
+            raise ValueError(
+                "this filter was saved with parts of classes outside of pdr_filter, which its bytes do not hold: give "
+                "the same configuration again, OnlineFilter.load(blob, config=config)"
+            )
+        loaded = cls(config or content["config"])
+        loaded.state = content["state"] if config is None else _of_config(config, content["state"], loaded.state)
         return loaded
+
+
+def _of_config(config: Config, state: State, first: State) -> State:
+    """A loaded state whose parts have the classes of a configuration, given its first state; or ValueError."""
+    try:
+        parts = {
+            name: serialise.restored(getattr(state.sensing, name), getattr(first.sensing, name))
+            for name in ("contexts", "steps", "heading", "gate", "even", "north")
+        }
+        n_filters = len(state.tracker.pedestrian.estimates.prob)
+        if type(state.tracker) is not type(first.tracker) or n_filters != len(first.tracker.pedestrian.estimates.prob):
+            raise ValueError(f"it has {n_filters} modes and another tracker")
+    except Exception as error:  # whatever forged bytes provoke in the classes of a caller
+        raise ValueError(
+            f"this filter was saved with another configuration than {config.name!r} ({error}): give the one that "
+            "the filter was made with"
+        ) from error
+    return replace(state, sensing=replace(state.sensing, **parts))
 
 
 def _checked_pressure(time_s: ArrayLike, pressure_hpa: ArrayLike) -> tuple[FloatArray, FloatArray]:

@@ -164,7 +164,7 @@ def asked_run(
     plan = None if config.on_plan is None else config.on_plan.plan
     with_location = placement.uses_location(recording, fixes, plan)
     recording, fixes = one_clock(recording, fixes)
-    for known in (None if calibration is None else load_calibration(calibration), person):
+    for known in (None if calibration is None else load_calibration(calibration, config), person):
         if known is not None:
             config = with_steps_of(config, known, recording.subject)
     if device is not None:

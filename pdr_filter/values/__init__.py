@@ -40,11 +40,17 @@ from pdr_filter.values.fixes import (
     FixResult,
     GridFix,
     HeadingFix,
+    Measurement,
     PositionFix,
+    RangeFix,
     SpeedFix,
     Standstill,
     all_fixes,
     check_fix,
+    has_frame,
+    measured,
+    range_log_densities,
+    range_residuals,
     received_s,
     repetition,
 )
@@ -61,7 +67,7 @@ from pdr_filter.values.plurals import how_many, how_often
 from pdr_filter.values.replace import replace_unchecked
 from pdr_filter.values.rigid_fit import rigid_fit
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, ImuBlock, Samples
-from pdr_filter.values.schema import check_declared, check_whole
+from pdr_filter.values.schema import check_declared, check_members, check_whole
 from pdr_filter.values.step import HARDLY_AGREE, TRUSTED, Step, step_table, steps_of
 from pdr_filter.values.track_rows import TrackRows
 from pdr_filter.values.uncertainty import RADIUS_68, RADIUS_95
@@ -97,12 +103,14 @@ __all__ = [
     "HowClimbed",
     "ImuBlock",
     "IntArray",
+    "Measurement",
     "Note",
     "NoteSubject",
     "OnPlan",
     "Origin",
     "Plan",
     "PositionFix",
+    "RangeFix",
     "Samples",
     "SpeedFix",
     "Standstill",
@@ -122,6 +130,7 @@ __all__ = [
     "check_cov",
     "check_declared",
     "check_fix",
+    "check_members",
     "check_name_of_context",
     "check_number",
     "check_numbers",
@@ -131,14 +140,18 @@ __all__ = [
     "error_correlation",
     "error_given_before",
     "frozen",
+    "has_frame",
     "heading_from_yaw",
     "how_many",
     "how_often",
     "interpolated",
     "interpolated_near",
     "loudness",
+    "measured",
     "median",
     "pickled",
+    "range_log_densities",
+    "range_residuals",
     "read_only",
     "received_s",
     "repeated_cov_m2",

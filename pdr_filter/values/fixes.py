@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any, Literal, TypeVar
+from numbers import Real
+from typing import Any, Literal, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -227,6 +228,138 @@ class Standstill:
             raise ValueError(f"a standstill must end after its begin, got {self.time_s} to {self.end_s} s")
 
 
+@runtime_checkable
+class Measurement(Protocol):
+    """A fix of any other kind: a measurement that depends on where the person was and which way the phone pointed.
+
+    The filter linearises it again at each estimate, gates it, and uses it at its time; the smoother does the same.
+    A class needs two attributes, `time_s` and `received_time_s` (None for at once), and one method.
+
+    Examples
+    --------
+    >>> import numpy as np, pdr_filter as pdr
+    >>> class OnLine:  # the person crosses a light barrier at 5 m north
+    ...     received_time_s = None
+    ...
+    ...     def __init__(self, time_s):
+    ...         self.time_s = time_s
+    ...
+    ...     def measurement(self, position_m, heading_rad):
+    ...         return np.array([position_m[1] - 5.0]), np.array([[0.0, 1.0]]), np.array([[0.1**2]])
+    >>> isinstance(OnLine(12.0), pdr.protocols.Fix)
+    True
+    """
+
+    @property
+    def time_s(self) -> float:
+        """When it was true, on the time base of the samples."""
+        ...
+
+    @property
+    def received_time_s(self) -> float | None:
+        """When it arrived, not before `time_s`; None for `time_s`."""
+        ...
+
+    def measurement(self, position_m: FloatArray, heading_rad: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Residual (k,), its Jacobian (k, 2) or (k, 3), and the covariance (k, k) of the measurement's error.
+
+        `position_m` (2,) is east and north in m, and `heading_rad` the walking heading, clockwise from north, both in
+        the frame of the track. The residual is predicted less measured, in any unit. The columns of the Jacobian are
+        its derivatives with respect to east, north and, if there are three, the heading. The other usual convention,
+        an innovation (measured less predicted) with the derivative of the prediction, is recognised and means the same.
+        """
+        ...
+
+
+# Probability that a range comes from a reflection where no others are known, and by how many standard deviations it is
+# then too long in the mean.
+_REFLECTED_PROB, _MEAN_EXCESS_STD = 0.2, 10.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RangeFix:
+    """A distance to an anchor whose place is known: UWB, Wi-Fi round-trip time, Bluetooth channel sounding.
+
+    A signal that was reflected on its way makes the range too long and never too short. A too long range therefore
+    counts less, and one that is longer than a direct path explains is rejected.
+
+    Ranges to one or two anchors can fit two places. The filter follows both until later ranges decide
+    (docs/ranges.md).
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> fix = pdr.RangeFix(12.0, anchor_m=(3.0, 4.0), range_m=5.2, std_m=0.3)
+    >>> residual, jacobian, cov = fix.measurement((0.0, 0.0), 0.0)
+    >>> residual.round(2), jacobian
+    (array([-0.2]), array([[-0.6, -0.8]]))
+    """
+
+    time_s: float  # when it was true, on the time base of the samples
+    anchor_m: FloatArray  # (2,) east, north; or (3,) with the height of the anchor above the phone
+    range_m: float  # distance in space, not negative
+    std_m: float  # standard deviation on a direct path
+    received_time_s: float | None = None  # when it arrived, not before `time_s`; `time_s` if not given
+
+    def __post_init__(self) -> None:
+        _take_numbers(self, "time_s", "received_time_s", "range_m", "std_m")
+        _take_arrays(self, "anchor_m")
+        if self.anchor_m.shape not in ((2,), (3,)) or not (np.abs(self.anchor_m) <= _MAX_M).all():
+            raise ValueError(
+                f"anchor_m must be (east, north) in m, or (east, north, up) with the height above the phone, up to "
+                f"{_MAX_M:g}, got {self.anchor_m}"
+            )
+        if not 0 <= self.range_m <= _MAX_M:
+            raise ValueError(f"range_m must be a distance in m, 0 to {_MAX_M:g}, got {self.range_m}; leave the fix out")
+        if not _MIN_STD <= self.std_m <= _MAX_STD:
+            raise ValueError(f"std_m must be positive, got {self.std_m}; 0.3 is usual for UWB, 2 for Wi-Fi")
+        _check_times(self.time_s, self.received_time_s)
+
+    @property
+    def up_m(self) -> float:
+        """Height of the anchor above the phone; 0 if it is not given."""
+        return float(self.anchor_m[2]) if len(self.anchor_m) == 3 else 0.0
+
+    def measurement(self, position_m: FloatArray, heading_rad: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Residual (1,), Jacobian (1, 2) and variance (1, 1): see `pdr_filter.protocols.Fix`."""
+        residual_m, direction = range_residuals(
+            np.asarray(position_m, dtype=float), self.anchor_m[:2], self.up_m, self.range_m
+        )
+        return np.array([float(residual_m)]), direction[None], np.array([[self.std_m**2]])
+
+    def direct_prob(self, residual_m: float, var_m2: float, reflected_prob: float = _REFLECTED_PROB) -> float:
+        """Probability that the path was direct, given a residual that has this variance in all."""
+        numbers = (np.array(number) for number in (residual_m, var_m2, self.std_m))
+        log_direct, log_reflected = range_log_densities(*numbers, reflected_prob)
+        return float(np.exp(log_direct - np.logaddexp(log_direct, log_reflected)))
+
+
+def range_residuals(
+    position_m: FloatArray, anchor_m: FloatArray, up_m: FloatArray | float, range_m: FloatArray | float
+) -> tuple[FloatArray, FloatArray]:
+    """Distance less range (...,) of positions (..., 2) from anchors (..., 2), and its derivative (..., 2)."""
+    away_m = position_m - anchor_m
+    distance_m = np.sqrt((away_m**2).sum(axis=-1) + np.square(up_m))
+    return distance_m - range_m, away_m / np.maximum(distance_m, _MIN_STD)[..., None]
+
+
+def range_log_densities(
+    residual_m: FloatArray, var_m2: FloatArray, std_m: FloatArray, reflected_prob: float = _REFLECTED_PROB
+) -> tuple[FloatArray, FloatArray]:
+    """Log densities (...,) of residuals of ranges with variances in all, on direct paths and on reflected ones.
+
+    Reflected paths are longer by an exponential distribution with mean b, and all have the noise of direct ones:
+    p(e) = exp(-max(e, 0) / b) / b * P(noise < e), with the logistic approximation of the normal distribution for
+    positive e, and a bound of its tail for negative e.
+    """
+    excess_m, all_std_m, mean_m = -residual_m, np.sqrt(var_m2), _MEAN_EXCESS_STD * std_m
+    normed = excess_m / all_std_m
+    log_direct = math.log(1.0 - reflected_prob) - 0.5 * normed**2 - np.log(all_std_m * math.sqrt(2.0 * math.pi))
+    log_tail = np.where(normed < 0.0, math.log(0.5) - 0.5 * normed**2, -np.log1p(np.exp(-1.702 * np.abs(normed))))
+    log_reflected = math.log(reflected_prob) - np.log(mean_m) - np.maximum(excess_m, 0.0) / mean_m + log_tail
+    return log_direct, log_reflected
+
+
 def _is_cov(cov_m2: FloatArray) -> bool:
     """Whether it is symmetric, but for rounding, and positive definite, (2, 2)."""
     (_, upper), (lower, _) = cov_m2.tolist()
@@ -288,29 +421,89 @@ def _check_times(time_s: float, received_time_s: float | None) -> None:
 
 
 # What a filter takes besides samples.
-Fix = PositionFix | GridFix | HeadingFix | SpeedFix | Standstill
+Fix = PositionFix | GridFix | HeadingFix | SpeedFix | Standstill | Measurement
+OWN_FIXES = PositionFix | GridFix | HeadingFix | SpeedFix | Standstill | RangeFix
 AnyFix = TypeVar("AnyFix", bound=Fix)
 
 
 def all_fixes(fixes: Iterable[AnyFix]) -> tuple[AnyFix, ...]:
     """Fixes of any iterable, an iterator among them, as a tuple; ValueError for one fix where there may be several."""
-    if isinstance(fixes, Fix):
+    if isinstance(fixes, OWN_FIXES | Measurement):
         raise ValueError(f"fixes must be a sequence, got one {type(fixes).__name__}: give [fix]")
     return tuple(fixes)
 
 
 def check_fix(fix: object, has_plan: bool) -> None:
     """ValueError unless it is a fix that the filter can use."""
-    if not isinstance(fix, PositionFix | GridFix | HeadingFix | SpeedFix | Standstill):
-        raise ValueError(
-            f"a fix must be a PositionFix, GridFix, HeadingFix, SpeedFix or Standstill, got {fix!r}; a position is "
-            "PositionFix(time_s, (east_m, north_m), std_m**2 * np.eye(2))"
-        )
+    if not isinstance(fix, OWN_FIXES):
+        _check_measurement(fix)
     if isinstance(fix, GridFix) and not has_plan:
         raise ValueError(
             f"a GridFix (at {fix.time_s:g} s) is for particles on a floor plan: give plan too, or its mean and "
             "covariance as a PositionFix, such as those of RadioMap.fixes"
         )
+
+
+def _check_measurement(fix: object) -> None:
+    """ValueError unless it has what `Measurement` needs."""
+    if isinstance(fix, type) or not isinstance(fix, Measurement):
+        names = ("time_s", "received_time_s", "measurement")
+        missing = [] if isinstance(fix, type) else [name for name in names if not hasattr(fix, name)]
+        raise ValueError(
+            f"a fix must be a PositionFix, GridFix, HeadingFix, SpeedFix, RangeFix or Standstill, or have time_s, "
+            f"received_time_s and measurement(position_m, heading_rad), got {str(fix)[:100]!r} without "
+            f"{', '.join(missing) or 'an instance of its class'}; a position is "
+            "PositionFix(time_s, (east_m, north_m), std_m**2 * np.eye(2))"
+        )
+    for name in ("time_s", "received_time_s"):
+        value = getattr(fix, name)
+        if not (isinstance(value, Real) or (value is None and name == "received_time_s")):
+            raise ValueError(f"{name} of {type(fix).__name__} must be a number in s, got {value!r}")
+    _check_times(float(fix.time_s), None if fix.received_time_s is None else float(fix.received_time_s))
+
+
+def measured(fix: Measurement, position_m: FloatArray, heading_rad: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Residual (k,), its derivative (k, 3) with respect to east, north and heading, and the covariance (k, k).
+
+    ValueError that names what the measurement must return. A derivative of the prediction, which is minus that of the
+    residual where the residual is measured less predicted, is recognised by a small displacement.
+    """
+    name = type(fix).__name__
+    if isinstance(fix, RangeFix):
+        residual, direction, cov = fix.measurement(position_m, heading_rad)
+        return residual, np.append(direction, [[0.0]], axis=1), cov
+    try:
+        residual, jacobian, cov = (np.asarray(part, dtype=float) for part in fix.measurement(position_m, heading_rad))
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"measurement of {name} must return residual, jacobian and cov as arrays: {error}") from error
+    k = residual.size
+    if residual.shape != (k,) or jacobian.shape not in ((k, 2), (k, 3)) or cov.shape != (k, k) or k == 0:
+        raise ValueError(
+            f"measurement of {name} must return a residual (k,), a jacobian (k, 2) or (k, 3) and a cov (k, k), got "
+            f"shapes {residual.shape}, {jacobian.shape} and {cov.shape}"
+        )
+    if not (np.isfinite(residual).all() and np.isfinite(jacobian).all() and np.isfinite(cov).all()):
+        raise ValueError(f"measurement of {name} must return finite numbers, got {residual}, {jacobian} and {cov}")
+    if not (np.allclose(cov, cov.T) and _are_variances(np.linalg.eigvalsh(cov))):
+        raise ValueError(f"cov of {name} must be symmetric and positive definite, got {cov}")
+    jacobian = np.column_stack([jacobian, np.zeros((k, 3 - jacobian.shape[1]))])
+    moved = _SMALL * jacobian[np.abs(jacobian).sum(axis=1).argmax()]
+    scale = math.sqrt(float(moved @ moved))
+    if scale > 0:
+        moved *= _SMALL / scale
+        after = np.asarray(fix.measurement(position_m + moved[:2], heading_rad + float(moved[2]))[0], dtype=float)
+        if float((after - residual) @ (jacobian @ moved)) < 0:
+            jacobian = -jacobian
+    return residual, jacobian, cov
+
+
+# Displacement in m and rad that shows the sign of a derivative.
+_SMALL = 1e-4
+
+
+def has_frame(fix: Fix) -> bool:
+    """True of a fix that is in a frame: all but those of speeds, standstills and grids, which are on a plan."""
+    return not isinstance(fix, GridFix | SpeedFix | Standstill)
 
 
 def received_s(fix: Fix) -> float:
@@ -325,14 +518,15 @@ FixOutcome = Literal["used", "placed", "turned", "moved", "rejected", "frozen", 
 class FixResult:
     """What the filter made of a fix."""
 
-    kind: str  # "position", "grid", "heading", "speed", "standstill"
+    kind: str  # "position", "grid", "heading", "speed", "standstill", "range", or the lower-case name of another class
     time_s: float  # when it was true
     used_s: float  # when the filter took it
     # "used"; "placed": the first in a frame that the track did not know, which is there from then on; "turned": one of
     # those that show which way the track lies there; "moved": the last of many that agree with each other and not with
     # the track, which is where they show it from then on; "rejected": it does not fit, or is of another time;
     # "frozen": it repeats the last position exactly while steps go on, as apps do when they have lost GNSS;
-    # "waiting": for samples of its time; "nothing to compare": no step yet that it says something of.
+    # "waiting": for samples of its time, or for ranges that show with it where the track is; "nothing to compare": no
+    # step yet that it says something of, or no known frame.
     outcome: FixOutcome
     # Normalised innovation squared in the mode that explains it best; infinite if it is of another time, NaN where
     # there was nothing to compare it with.

@@ -82,6 +82,22 @@ def _is_a(value: Any, declared: Any) -> bool:
     return isinstance(value, kind)
 
 
+def check_members(name: str, part: object, protocol: type) -> None:
+    """ValueError that names the argument and what a part lacks of a protocol."""
+    missing = missing_members(part, protocol)
+    if missing or isinstance(part, type):
+        lacks = "a class, not one of its instances" if isinstance(part, type) else f"without {', '.join(missing)}"
+        raise ValueError(
+            f"{name} must be a {protocol.__name__} of pdr_filter.protocols, got {type(part).__name__} {lacks}; "
+            "pdr_filter.testing says more"
+        )
+
+
+def missing_members(part: object, protocol: type) -> list[str]:
+    """Names of the members of a protocol that a part does not have."""
+    return sorted(member for member in _members(protocol) if not hasattr(part, member))
+
+
 def _is_array(value: np.ndarray[Any, Any], of: Any) -> bool:
     if of is not Any and value.dtype != np.dtype(of):
         return False

@@ -15,7 +15,7 @@ import json
 import sys
 import zlib
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -33,9 +33,36 @@ _MAX_VALUES = 2_000_000
 _ROOMS = ("values", "classifiers", "sensing", "filter", "recipes", "tracking", "maps")
 
 
-def to_bytes(value: object) -> bytes:
-    """Bytes of a value made of dataclasses of this package, arrays, numbers, strings, None, tuples and dicts."""
-    return _packed(_encode(value))
+@dataclass(frozen=True, slots=True)
+class ForeignFields:
+    """Fields of a dataclass of another package, whose class the bytes do not name: see `restored`."""
+
+    fields: dict[str, Any]
+
+
+def to_bytes(value: object, foreign: bool = False) -> bytes:
+    """Bytes of a value made of dataclasses of this package, arrays, numbers, strings, None, tuples and dicts.
+
+    With `foreign` also of dataclasses of other packages, which come back as `ForeignFields`. Raises TypeError for any
+    other class.
+    """
+    return _packed(_encode(value, foreign))
+
+
+def restored(value: Any, like: Any) -> Any:
+    """A loaded value in which foreign fields have the classes of a value of the same structure."""
+    if isinstance(value, ForeignFields):
+        if not is_dataclass(like) or isinstance(like, type):
+            raise ValueError(f"a saved state is a dataclass, and the part that is given has a {type(like).__name__}")
+        declared = {f.name for f in fields(like)}
+        if declared != value.fields.keys():
+            raise ValueError(f"a saved state has other fields than {type(like).__name__}: give the part that made it")
+        return type(like)(**{name: restored(each, getattr(like, name)) for name, each in value.fields.items()})
+    if isinstance(value, tuple) and isinstance(like, tuple) and len(value) == len(like):
+        return tuple(map(restored, value, like))
+    if isinstance(value, dict) and isinstance(like, dict):
+        return {key: restored(each, like.get(key)) for key, each in value.items()}
+    return value
 
 
 def _packed(value: Any) -> bytes:
@@ -84,7 +111,7 @@ def _inflate(blob: bytes) -> bytes:
     return content
 
 
-def _encode(value: Any) -> Any:
+def _encode(value: Any, foreign: bool = False) -> Any:
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
     if isinstance(value, np.generic):
@@ -97,15 +124,17 @@ def _encode(value: Any) -> Any:
         return {"array": data, "dtype": array.dtype.str, "shape": list(array.shape)}
     if isinstance(value, (tuple, list)):
         items = cast(tuple[Any, ...], value)
-        return {"tuple" if isinstance(value, tuple) else "list": [_encode(v) for v in items]}
+        return {"tuple" if isinstance(value, tuple) else "list": [_encode(v, foreign) for v in items]}
     if isinstance(value, Mapping):
         mapping = cast(Mapping[Any, Any], value)
         if not all(isinstance(key, str) for key in mapping):
             raise TypeError("only mappings with text keys can be saved: JSON turns others into text")
-        return {"dict": {key: _encode(v) for key, v in mapping.items()}}
+        return {"dict": {key: _encode(v, foreign) for key, v in mapping.items()}}
     if is_dataclass(value) and type(value).__module__.partition(".")[0] == _PACKAGE:
-        content = {f.name: _encode(getattr(value, f.name)) for f in fields(value) if f.init}
+        content = {f.name: _encode(getattr(value, f.name), foreign) for f in fields(value) if f.init}
         return {"dataclass": f"{type(value).__module__}:{type(value).__qualname__}", "fields": content}
+    if foreign and is_dataclass(value) and not isinstance(value, type):
+        return {"foreign": {f.name: _encode(getattr(value, f.name), foreign) for f in fields(value) if f.init}}
     raise TypeError(f"a {type(value).__qualname__} cannot be saved: keep states to arrays, numbers and dataclasses")
 
 
@@ -121,6 +150,8 @@ def _decode(value: Any) -> Any:
         return [_decode(v) for v in _of_type(node["list"], list)]
     if "dict" in node:
         return {key: _decode(v) for key, v in node["dict"].items()}
+    if "foreign" in node:
+        return ForeignFields({key: _decode(v) for key, v in node["foreign"].items()})
     cls = _dataclass(_of_type(node["dataclass"], str))
     content = {name: _decode(v) for name, v in node["fields"].items()}
     check_declared(cls, content)

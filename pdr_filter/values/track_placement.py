@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields
 from typing import Literal, TypeVar, get_args
 
 from pdr_filter.values.checks import are_numbers
-from pdr_filter.values.fixes import Fix, HeadingFix, PositionFix
+from pdr_filter.values.fixes import Fix, HeadingFix, PositionFix, has_frame
 from pdr_filter.values.origin import Origin
 from pdr_filter.values.plan import Plan
 from pdr_filter.values.recording import MissingSensorError, Recording
@@ -143,13 +143,13 @@ class TrackPlacement:
             raise ValueError(
                 'gnss="align" turns and shifts a track that the plan has placed: give gnss="filter" or "off"'
             )
-        has_positions = any(isinstance(fix, PositionFix) for fix in fixes)
+        has_positions = any(has_frame(fix) and not isinstance(fix, HeadingFix) for fix in fixes)
         has_headings = any(isinstance(fix, HeadingFix) for fix in fixes)
         if self.asks_for_locations and has_positions:
             raise ValueError(
-                f'gnss="{self.gnss}" makes the first location of the recording the origin, and fixes has positions in '
-                'a frame of their own: leave one of them out, or give gnss="off" and the locations among the fixes '
-                "(see pdr_filter.filter.fixes.gnss.position_fixes)"
+                f'gnss="{self.gnss}" makes the first location of the recording the origin, and fixes has ranges or '
+                'positions in a frame of their own: leave one of them out, or give gnss="off" and the locations among '
+                "the fixes (see pdr_filter.filter.fixes.gnss.position_fixes)"
             )
         if self.gnss == "align" and has_headings:
             raise ValueError('gnss="align" finds the turn of the whole track, got a HeadingFix: leave one of them out')

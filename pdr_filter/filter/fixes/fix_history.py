@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from pdr_filter.filter.fixes.range_placement import PairedRange
 from pdr_filter.filter.fixes.relocation import Doubt
 from pdr_filter.filter.fixes.repeated_fixes import SeenPlace
 from pdr_filter.values import N_BEFORE, FloatArray, PositionFix, Standstill, read_only, replace_unchecked
@@ -31,6 +32,7 @@ class FixHistory:
     squares: float = 0.0  # sum of their normalised squares
     n_frozen: int = 0  # positions that were repeated while steps went on
     standstills: tuple[tuple[float, float], ...] = ()  # begin and end of the last ones
+    ranges: tuple[PairedRange, ...] = ()  # the last ones
 
     def with_used(self, fix: PositionFix, track_m: FloatArray | None) -> FixHistory:
         """Return the history with one more used fix, if later ones may share its error."""
@@ -58,9 +60,11 @@ class FixHistory:
         seen = (
             None if self.seen is None else replace_unchecked(self.seen, track_m=read_only(positions(self.seen.track_m)))
         )
-        return replace_unchecked(self, doubt=self.doubt.moved(positions), used=tuple(used), seen=seen)
+        doubt, ranges = self.doubt.moved(positions), tuple(pair.moved(positions) for pair in self.ranges)
+        return replace_unchecked(self, doubt=doubt, used=tuple(used), seen=seen, ranges=ranges)
 
     def after_gap(self) -> FixHistory:
         """Return the history after a time without samples, in which the pedestrian may have gone anywhere."""
         used = tuple(replace_unchecked(u, track_m=None) for u in self.used)
-        return replace_unchecked(self, used=used, seen=self.seen if self.seen and self.seen.is_frozen else None)
+        seen = self.seen if self.seen and self.seen.is_frozen else None
+        return replace_unchecked(self, used=used, seen=seen, ranges=())

@@ -10,10 +10,13 @@ import numpy as np
 from pdr_filter.filter.fixes.alignment import Alignment, walked_var_m2
 from pdr_filter.filter.fixes.fix_history import UsedFix
 from pdr_filter.filter.fixes.frame_rotation import PairedPoint, align, least_squares_error, n_free, scatter
+from pdr_filter.filter.fixes.gating import Result, gated, unknown_way_var_m2, with_consider_path
+from pdr_filter.filter.fixes.measurement_updates import on_measurement
+from pdr_filter.filter.fixes.range_updates import on_range
 from pdr_filter.filter.fixes.relocation import Doubt
 from pdr_filter.filter.fixes.repeated_fixes import seen_after
 from pdr_filter.filter.imm.imm import ImmArithmetic
-from pdr_filter.filter.imm.motion_model import EAST, HEADING_OFFSET, LOG_SCALE, N_STATES, NORTH, expect_first_direction
+from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, N_STATES, expect_first_direction
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.pedestrian_state import (
     PedestrianState,
@@ -21,18 +24,16 @@ from pdr_filter.filter.imm.pedestrian_state import (
     present_position,
     track_place,
     with_detached_path,
-    with_moved_past,
     with_open_turn,
 )
-from pdr_filter.filter.imm.step_history import TRAIL_TIME
 from pdr_filter.values import (
     N_BEFORE,
     Fix,
-    FixOutcome,
     FloatArray,
     GridFix,
     HeadingFix,
     PositionFix,
+    RangeFix,
     SpeedFix,
     Standstill,
     error_given_before,
@@ -41,12 +42,10 @@ from pdr_filter.values import (
     wrap_angle,
 )
 
-_Result = tuple[PedestrianState, FixOutcome, float]
-
 
 def use_fix(
     model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, offset_rad: FloatArray, fix: Fix
-) -> _Result:
+) -> Result:
     """New state, what became of the fix, and its normalised innovation squared in the filter that explains it best.
 
     A fix that no filter can explain, or that is older than the remembered steps, is rejected. One that repeats a
@@ -67,32 +66,25 @@ def use_fix(
     track_m, device_heading_rad = place[:2], float(place[2])
     if isinstance(fix, HeadingFix):
         return _on_heading(model, arithmetic, state, offset_rad, fix, device_heading_rad)
+    if isinstance(fix, RangeFix):
+        return on_range(model, arithmetic, state, offset_rad, fix, place)
+    if not isinstance(fix, PositionFix):
+        return on_measurement(model, arithmetic, state, offset_rad, fix, place)
     seen = seen_after(state.fixes.seen, fix, track_m, state.estimates.distance_m)
     fixes = replace(state.fixes, seen=seen, n_frozen=state.fixes.n_frozen + seen.is_frozen)
     state = replace(state, fixes=fixes)
     if seen.is_frozen:
         return state, "frozen", np.nan
-    fix = _after_gap(model, state, fix)
+    if gap_var_m2 := unknown_way_var_m2(model, state, fix.time_s):
+        fix = replace(fix, cov_m2=read_only(fix.cov_m2 + gap_var_m2 * np.eye(2)))
     if not state.frame.is_joined:
         return _on_first_positions(model, arithmetic, state, fix, track_m)
     return _on_known_frame(model, arithmetic, state, fix, track_m)
 
 
-def _after_gap(model: PedestrianModel, state: PedestrianState, fix: PositionFix) -> PositionFix:
-    """Return a fix from before the end of a gap with a larger covariance, as the way since then is unknown."""
-    gap_s, trail = state.steps.gap_s, state.steps.trail
-    if gap_s == 0.0 or len(trail) == 0:
-        return fix
-    into_gap_s = max(fix.time_s - float(trail[-1, TRAIL_TIME]), 0.0)
-    if gap_s <= into_gap_s:
-        return fix
-    var_m2 = float(model.noise.gap_var_m2(gap_s - into_gap_s))
-    return replace(fix, cov_m2=read_only(fix.cov_m2 + var_m2 * np.eye(2)))
-
-
 def _on_position(
     model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: PositionFix, track_m: FloatArray
-) -> _Result:
+) -> Result:
     """The track at the fix's own time corrects the present.
 
     What is known after it is Student's t, as the turn is (`turn`): where the fixes so far are not as the track expects,
@@ -104,7 +96,7 @@ def _on_position(
     cov = estimates.cov.copy()
     cov[:, :2, :2] += estimates.consider_cov_m2
     results = arithmetic.update(estimates.mean, cov, z, H, R)
-    updated, outcome, nis = _gated(arithmetic, _with_consider_path(state, cov), results, model.fix_gate_nis)
+    updated, outcome, nis = gated(arithmetic, with_consider_path(state, cov), results, model.fix_gate_nis)
     if outcome == "used":
         n_errors, squares = fixes.n_errors + 2, fixes.squares + nis
         # the factor of all errors so far, of which the covariance has that of those before already
@@ -117,15 +109,6 @@ def _on_position(
         path = updated.path.corrected(np.zeros(N_STATES), larger)
         updated = replace(updated, path=path)
     return updated if outcome == "used" else state, outcome, nis
-
-
-def _with_consider_path(state: PedestrianState, cov: FloatArray) -> PedestrianState:
-    """State whose path knows that covariances (F, 4, 4) have the errors of the consider parameters now."""
-    estimates = state.estimates
-    x, P = estimates.combined
-    _, grown_P = replace(estimates, cov=cov).combined
-    path = state.path.with_shared(P, estimates.consider_cov_m2, grown_P, state.steps.end_s, x[:2].copy())
-    return replace(state, path=path)
 
 
 def _without_shared_error(
@@ -161,7 +144,7 @@ def _without_shared_error(
 
 def _on_known_frame(
     model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: PositionFix, track_m: FloatArray
-) -> _Result:
+) -> Result:
     """As `_on_position`; a track that many rejected fixes contradict is moved to where they show it."""
     updated, outcome, nis = _on_position(model, arithmetic, state, fix, track_m)
     if outcome == "used":
@@ -191,7 +174,7 @@ def _on_heading(
     offset_rad: FloatArray,
     fix: HeadingFix,
     device_heading_rad: float,
-) -> _Result:
+) -> Result:
     """Z = device heading then + heading offset + the filter's own; where no north is known yet, it defines it."""
     if len(state.steps.trail) == 0:
         return state, "nothing to compare", np.nan
@@ -209,7 +192,7 @@ def _on_heading(
     return _on_state(model, arithmetic, state, HEADING_OFFSET, innovation, var)
 
 
-def _on_speed(model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: SpeedFix) -> _Result:
+def _on_speed(model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: SpeedFix) -> Result:
     """Log z - log v = error of the log scale, v the smoothed speed of the present bout, to first order."""
     speed = state.steps.speed
     if speed is None or speed.smoothed_mps <= 0:
@@ -227,38 +210,19 @@ def _on_state(
     index: int,
     innovation: FloatArray,
     variance: float,
-) -> _Result:
+) -> Result:
     """State after a measurement of one of its entries, whose innovation (F,) is another one for each filter."""
     prior = state.estimates
     z = prior.mean[:, index] + innovation
     H, R = np.eye(N_STATES)[[index]], np.array([[variance]])
     each = [arithmetic.update(prior.mean[[k]], prior.cov[[k]], z[[k]], H, R) for k in range(len(z))]
     mean, cov, log_likelihood, nis = (np.concatenate([result[i] for result in each]) for i in range(4))
-    return _gated(arithmetic, state, (mean, cov, log_likelihood, nis), model.scalar_gate_nis)
-
-
-def _gated(
-    arithmetic: ImmArithmetic,
-    state: PedestrianState,
-    updated: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
-    gate_nis: float,
-) -> _Result:
-    """State after an update, or without it if no filter explains the measurement."""
-    mean, cov, log_likelihood, nis = updated
-    best_nis = float(nis.min())
-    if not best_nis <= gate_nis:
-        return state, "rejected", best_nis
-    prior_x, _ = state.estimates.combined
-    prob = arithmetic.update_mode_prob(state.estimates.prob, log_likelihood)
-    state = replace(state, estimates=replace(state.estimates, mean=mean, cov=cov, prob=prob))
-    moved = state.estimates.combined[0] - prior_x
-    state, shift_m = replace(state, path=state.path.corrected(moved, 1.0)), moved[[EAST, NORTH]]
-    return with_moved_past(state, lambda position_m: position_m + shift_m), "used", best_nis
+    return gated(arithmetic, state, (mean, cov, log_likelihood, nis), model.scalar_gate_nis)
 
 
 def _on_first_positions(
     model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: PositionFix, track_m: FloatArray
-) -> _Result:
+) -> Result:
     """State that is placed or turned by one fix more, in the frame of the fixes once the turn is settled.
 
     The fix that settles it says two things, how far the track is turned and where it is now, each with half of what
@@ -288,7 +252,7 @@ def _on_first_positions(
     return state, "turned", nis
 
 
-def _on_doubted_place(state: PedestrianState, pair: PairedPoint) -> _Result:
+def _on_doubted_place(state: PedestrianState, pair: PairedPoint) -> Result:
     """State after a fix that cannot be right if the others are.
 
     After a lost heading the place of the track is one of them. Fixes that contradict the others for long move the

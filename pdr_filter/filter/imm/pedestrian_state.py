@@ -119,6 +119,16 @@ class PedestrianState:
     steps: StepHistory = field(default_factory=StepHistory)
     fixes: FixHistory = field(default_factory=FixHistory)
     path: PastPath = field(default_factory=PastPath)  # of all steps, as it is estimated now
+    # The other place that the last ranges fit, where they fit two; whoever runs the tracker follows both.
+    rival: Rival | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """The less probable one of two hypotheses, with its log odds against the other."""
+
+    pedestrian: PedestrianState
+    log_odds: float  # 0 or less
 
 
 def initial_state(model: PedestrianModel, prob: FloatArray) -> PedestrianState:

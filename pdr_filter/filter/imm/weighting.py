@@ -5,6 +5,7 @@ HC (highest context) and WC (weighted context) are Algorithms 1 and 2 of Martine
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,6 +16,10 @@ from pdr_filter.sensing.contexts.context_stage import CARRYING_STAY_PROB, Window
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, IntArray
 
 WEIGHTINGS = ("hc", "wc", "imm")
+
+
+# A function of context probabilities (C,) that returns weights (C,): 0 or more, with the sum one.
+Weighting = Callable[[FloatArray], FloatArray]
 
 
 def context_weights(context_prob: FloatArray, threshold: float) -> FloatArray:

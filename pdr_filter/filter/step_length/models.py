@@ -6,6 +6,7 @@ The filter and the calibration use the same ones. docs/methods/step_length.md co
 from __future__ import annotations
 
 import math
+from collections.abc import Hashable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol, TypeGuard
@@ -61,7 +62,7 @@ def length_and_jacobian(model: StepLengthModel, step: Step, theta: FloatArray) -
     so that the bits of one theta do not depend on those beside it.
     """
     if _is_linear(model):
-        r = model.regressors(step)
+        r = np.asarray(model.regressors(step), dtype=float)
         return np.add.reduce(theta * r, axis=-1), r
     if _is_smooth(model):
         return model.length_m(step, theta), model.jacobian(step, theta)
@@ -335,18 +336,18 @@ class StepLengths:
 
     @cached_property
     def _linear(self) -> tuple[LinearStepLengthModel, ...]:
-        return tuple(dict.fromkeys(fit.model for fit in self.fits if _is_linear(fit.model)))
+        return tuple({_key(fit.model): fit.model for fit in self.fits if _is_linear(fit.model)}.values())
 
     @cached_property
     def _of_terms(self) -> FloatArray:
         """Coefficients (2M, T) of lengths, then of variances, both linear in the regressors r and the products r r'."""
-        starts, n_terms = dict[StepLengthModel, int](), 0
+        starts, n_terms = dict[Hashable, int](), 0
         for model in self._linear:
-            starts[model], n_terms = n_terms, n_terms + model.n_params + model.n_params**2
+            starts[_key(model)], n_terms = n_terms, n_terms + model.n_params + model.n_params**2
         coefficients = np.zeros((2, len(self.fits), n_terms))
         for (of_length, of_var), fit in zip(coefficients.swapaxes(0, 1), self.fits, strict=True):
             if _is_linear(fit.model):
-                start, p = starts[fit.model], fit.model.n_params
+                start, p = starts[_key(fit.model)], fit.model.n_params
                 of_length[start : start + p] = fit.theta
                 of_var[start + p : start + p + p * p] = fit.theta_cov.ravel()
         return coefficients.reshape(2 * len(self.fits), n_terms)
@@ -365,7 +366,7 @@ class StepLengths:
         """Lengths in m (never negative) and their variances in m2 that are due to the parameters, shape (M,) each."""
         terms: list[float] = []
         for model in self._linear:
-            r = model.regressors(step).tolist()
+            r = np.asarray(model.regressors(step)).tolist()
             terms += r
             terms += [a * b for a in r for b in r]
         moments = self._of_terms.dot(np.array(terms)).reshape(2, len(self.fits))
@@ -377,6 +378,11 @@ class StepLengths:
     @cached_property
     def _smooth(self) -> list[tuple[int, StepLengthFit]]:
         return [(i, fit) for i, fit in enumerate(self.fits) if not _is_linear(fit.model)]
+
+
+def _key(model: StepLengthModel) -> Hashable:
+    """The model itself, whose equals share their regressors; of a class without a hash its identity."""
+    return model if isinstance(model, Hashable) else id(model)
 
 
 def _moments(

@@ -58,7 +58,7 @@ const handlers = {
   },
   fix(event) { // that somebody gave; those of the phone's locations are not shown
     const { fixes } = session(event.id);
-    if (event.outcome === "waiting") fixes.push({ time_s: event.time_s, place: [event.east_m, event.north_m] });
+    if (event.kind === "position" && event.outcome === "waiting") fixes.push({ time_s: event.time_s, place: [event.east_m, event.north_m] });
     const known = fixes.find(fix => fix.time_s === event.time_s && [undefined, "waiting"].includes(fix.outcome));
     if (event.kind !== "position" || !known) return;
     known.outcome = event.outcome;

@@ -109,8 +109,12 @@ def calibrate(
     _check_stds(recording_std, anchor_std_m)
     contexts, walking = CONTEXTS, "walking"
     if config is not None:
-        priors, contexts = {**own_priors(config.model), **(priors or {})}, config.contexts
+        contexts = config.contexts
         walking = next((c.name for c in config.model.context_set.contexts if c.is_level_walking), walking)
+        own = own_priors(config.model)
+        if model is not None:
+            own.pop(walking, None)
+        priors = {**own, **(priors or {})}
     forms_of(priors, model, prior_std, contexts, walking)  # refuses before walks are tracked
     segments: list[Segment] = []
     notes: list[str] = []

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_filter.values import BoolArray, HeadingFix, PositionFix, SpeedFix, are_numbers, check_number
+from pdr_filter.values import BoolArray, HeadingFix, Measurement, PositionFix, SpeedFix, are_numbers, check_number
 from pdr_filter.values.recording import Recording
 
 _OUTSIDE_S = 1.0  # fixes so far outside the samples still count as at their ends: clocks are not better than that
@@ -66,7 +66,7 @@ class FloorChange:
 class Observations:
     """All that was observed of one walk, each kind in any order."""
 
-    fixes: tuple[PositionFix | HeadingFix | SpeedFix, ...] = ()
+    fixes: tuple[PositionFix | HeadingFix | SpeedFix | Measurement, ...] = ()
     loop_closures: tuple[LoopClosure, ...] = ()
     known_headings: tuple[KnownHeading, ...] = ()
     floor_changes: tuple[FloorChange, ...] = ()

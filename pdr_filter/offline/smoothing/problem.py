@@ -9,11 +9,22 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pdr_filter.filter.fixes.measurement_updates import high_quantile
 from pdr_filter.filter.imm.motion_model import LOG_SCALE, MAX_HEADING_VARIANCE, Mode
 from pdr_filter.offline.smoothing.location_errors import NO_ERRORS, Errors, errors_of, own_share
 from pdr_filter.offline.smoothing.observations import KnownHeading, LoopClosure, Observations
 from pdr_filter.offline.smoothing.preintegration import MIN_STATE_VAR, Increments, Intervals, preintegrate
-from pdr_filter.values import BoolArray, FloatArray, IntArray, PositionFix, TrackRows, read_only, wrap_angle
+from pdr_filter.values import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    Measurement,
+    PositionFix,
+    TrackRows,
+    measured,
+    read_only,
+    wrap_angle,
+)
 
 # 99.9 % of good observations are below: chi-square with two degrees of freedom, and with one. That of the positions is
 # the gate of the filter.
@@ -75,6 +86,24 @@ class ObservedStates:
         return len(self.node)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ObservedMeasurements:
+    """Measurements of any kind (`values.Measurement`), and where the walk is taken to be for a first linearisation."""
+
+    fixes: tuple[Measurement, ...]  # (X,)
+    node: IntArray  # (X,)
+    ahead_m: FloatArray  # (X, 2) part of the step from the anchor to the measurement, before heading offset and scale
+    extra_var_m2: FloatArray  # (X,) of what lies between, along each axis
+    device_rad: FloatArray  # (X,) walking heading less the heading offset
+    guess_m: FloatArray  # (X, 2)
+
+    def __len__(self) -> int:
+        return len(self.node)
+
+
+NO_MEASUREMENTS = ObservedMeasurements(
+    (), np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 2))
+)
 NO_STATES = ObservedStates(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))
 NO_OFFSETS = ObservedOffsets(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))
 
@@ -83,8 +112,9 @@ NO_OFFSETS = ObservedOffsets(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(
 class Problem:
     """Steps between anchors, what is known before them, and what was observed.
 
-    Positions, directions and states may be wrong: their weights, limits and the like are arrays (F + H + S,), in this
-    order. Keys of the unknowns are the anchors, the errors after them, and last the rotation of the frame.
+    Positions, directions, states and measurements may be wrong: their weights, limits and the like are arrays
+    (F + H + S + X,), in this order. Keys of the unknowns are the anchors, the errors after them, and last the rotation
+    of the frame.
     """
 
     intervals: Intervals
@@ -96,6 +126,7 @@ class Problem:
     frame_std_rad: float  # of the rotation from the frame of the offsets to that of the positions
     errors: Errors = NO_ERRORS
     states: ObservedStates = NO_STATES
+    measurements: ObservedMeasurements = NO_MEASUREMENTS
 
     @property
     def n_states(self) -> int:
@@ -109,15 +140,23 @@ class Problem:
 
     @property
     def limit_nis(self) -> FloatArray:
-        """Normalised innovation squared (F + H + S,) beyond which an observation is wrong."""
+        """Normalised innovation squared (F + H + S + X,) beyond which an observation is wrong."""
         n = [len(self.positions), len(self.directions) + len(self.states)]
-        return np.repeat([_POSITION_NIS, _DIRECTION_NIS], n)
+        return np.concatenate([np.repeat([_POSITION_NIS, _DIRECTION_NIS], n), self._limits_of_measurements])
+
+    @property
+    def _limits_of_measurements(self) -> FloatArray:
+        of = {1: _DIRECTION_NIS, 2: _POSITION_NIS}
+        guesses = zip(self.measurements.fixes, self.measurements.guess_m, strict=True)
+        sizes = [len(measured(fix, guess_m, 0.0)[0]) for fix, guess_m in guesses]
+        return np.array([of.get(k) or high_quantile(k) for k in sizes])
 
     @property
     def possible(self) -> FloatArray:
-        """1 for the observations (F + H + S,) that can be used: headings only where somebody walked."""
+        """1 for the observations (F + H + S + X,) that can be used: headings only where somebody walked."""
         walked = self.directions.length_m > MIN_HEADING_LENGTH_M
-        return np.concatenate([np.ones(len(self.positions)), walked.astype(float), np.ones(len(self.states))])
+        n_others = len(self.states) + len(self.measurements)
+        return np.concatenate([np.ones(len(self.positions)), walked.astype(float), np.ones(n_others)])
 
 
 def start_covariance(position_std_m: float, heading_std_rad: float, log_scale_var: float) -> FloatArray:
@@ -137,6 +176,7 @@ def pose_problem(
     *,
     anchor_interval_s: float,
     states: ObservedStates = NO_STATES,
+    measurements: Measurements | None = None,
 ) -> Problem:
     """The problem with an anchor where an observation or a change of the heading offset needs one.
 
@@ -150,7 +190,9 @@ def pose_problem(
         [(nearest_contact(steps, c.first_s), nearest_contact(steps, c.second_s)) for c in observed.loop_closures],
         [(nearest_contact(steps, h.start_s)[0], nearest_contact(steps, h.end_s)[0]) for h in observed.known_headings],
     )
-    nodes = choose_nodes(steps, [*contacts.steps(), *states.node.tolist()], anchor_interval_s)
+    measured_at = [nearest_contact(steps, f.time_s) for f in measurements.fixes] if measurements else []
+    wanted = [*contacts.steps(), *states.node.tolist(), *(i for i, _, _ in measured_at)]
+    nodes = choose_nodes(steps, wanted, anchor_interval_s)
 
     def numbers(contacts: list[int]) -> IntArray:
         return np.searchsorted(nodes, np.array(contacts, dtype=np.int64))
@@ -165,6 +207,31 @@ def pose_problem(
         frame_std_rad,
         errors_of(fixes, is_location, numbers([i for i, _, _ in contacts.fixes])),
         replace(states, node=numbers(states.node.tolist())),
+        NO_MEASUREMENTS if measurements is None else _measurements(measured_at, numbers, measurements),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measurements:
+    """Measurements of any kind, the walking headings of the steps less the heading offset, and a first estimate."""
+
+    fixes: tuple[Measurement, ...]  # (X,)
+    device_rad: FloatArray  # (K,)
+    guess_m: FloatArray  # (X, 2)
+
+
+def _measurements(
+    contacts: list[_Contact], numbers: Callable[[list[int]], IntArray], given: Measurements
+) -> ObservedMeasurements:
+    """Return measurements as observed at anchors."""
+    steps = [max(i - 1, 0) for i, _, _ in contacts]
+    return ObservedMeasurements(
+        fixes=given.fixes,
+        node=numbers([i for i, _, _ in contacts]),
+        ahead_m=np.array([d for _, d, _ in contacts]).reshape(-1, 2),
+        extra_var_m2=np.array([extra for _, _, extra in contacts]),
+        device_rad=given.device_rad[steps],
+        guess_m=given.guess_m,
     )
 
 

@@ -36,7 +36,7 @@ from pdr_filter.offline.smoothing.observations import (
 )
 from pdr_filter.offline.smoothing.plan_result import Hindsight as OnPlanHindsight
 from pdr_filter.offline.smoothing.preintegration import Increments, bridge, increments, turned
-from pdr_filter.offline.smoothing.problem import Problem, heading_offsets, pose_problem, start_covariance
+from pdr_filter.offline.smoothing.problem import Measurements, Problem, heading_offsets, pose_problem, start_covariance
 from pdr_filter.offline.smoothing.smoothed import (
     HERE_STD_M,
     Smoothed,
@@ -54,19 +54,21 @@ from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
 from pdr_filter.recipes.config import Config
 from pdr_filter.recipes.step_length_calibration import Calibration
 from pdr_filter.sensing.device import Device
-from pdr_filter.sensing.heading.walking_heading import WalkingHeading, known_places
+from pdr_filter.sensing.heading.heading_stage import after_first_pass
+from pdr_filter.tracking.filtering import init
 from pdr_filter.tracking.track import Track
+from pdr_filter.tracking.walked_path import WalkedPath, walked_path
 from pdr_filter.tracking.whole_recording import asked_run, collected, outputs, run_sensing
 from pdr_filter.values import (
     Fix,
     FloatArray,
     GridFix,
-    HeadingFix,
     IntArray,
+    Measurement,
     Origin,
     Plan,
     PositionFix,
-    SpeedFix,
+    RangeFix,
     Standstill,
     Step,
     read_only,
@@ -182,17 +184,32 @@ def smooth(
         where, locations = locations_of(recording.location)
     closed = whole_loop(track) if loop else None
     observed = Observations(
-        fixes=tuple(fix for fix in run.fixes if isinstance(fix, PositionFix | HeadingFix | SpeedFix)),
+        fixes=tuple(fix for fix in run.fixes if not isinstance(fix, Standstill | GridFix)),
         locations=locations,
         loop_closures=(*loop_closures, *(() if closed is None else (closed,))),
         known_headings=known_headings,
         floor_changes=floor_changes,
         is_loop=closed is not None,
     )
-    smoothed, walked_var_m2 = _smooth_track(track, modes, config, observed, start_heading_std_rad, anchor_interval_s)
+    guess = _online_path(recording, config, run.fixes)
+    smoothed, walked_var_m2 = _smooth_track(
+        track, modes, config, observed, start_heading_std_rad, anchor_interval_s, guess
+    )
     if gnss == "align" and recording.location is not None:
         smoothed, where, locations = aligned_walk(smoothed, walked_var_m2, recording.location)
     return with_given_place(run, on_earth(smoothed, where, locations, observed))
+
+
+def _online_path(recording: Recording, config: Config, fixes: Sequence[Fix]) -> WalkedPath | None:
+    """The path that the online filter finds with fixes, to linearise measurements about; None without measurements."""
+    if not any(isinstance(fix, Measurement) for fix in fixes):
+        return None
+    if any(isinstance(fix, RangeFix | PositionFix) for fix in fixes):
+        config = config.in_world_frame()
+    state = init(config)
+    for new_state, _ in outputs(recording, config, fixes):
+        state = new_state
+    return walked_path(config, state)
 
 
 def _halves(
@@ -236,11 +253,8 @@ def _with_first_pass(
         config, known_device = config.with_device(Device(device.bias_radps, 2.0 * device.bias_cov_radps2)), device
         _, events = run_sensing(config.sensing, recording)
         steps = [event for event in events if isinstance(event, Step)]
-    heading = config.sensing.heading
-    if isinstance(heading, WalkingHeading):
-        heading = replace(heading, known_places=known_places(step_table(steps)))
-        config = replace(config, sensing=replace(config.sensing, heading=heading))
-    return config, known_device
+    heading = after_first_pass(config.sensing.heading, step_table(steps))
+    return replace(config, sensing=replace(config.sensing, heading=heading)), known_device
 
 
 def _on_plan(found: OnPlanHindsight, observed: Observations) -> Smoothed:
@@ -272,6 +286,7 @@ def _smooth_track(
     observed: Observations,
     start_heading_std_rad: float | None,
     anchor_interval_s: float,
+    guess: WalkedPath | None,
 ) -> tuple[Smoothed, FloatArray]:
     """`smooth` of a track that the filter of a configuration made without fixes.
 
@@ -292,7 +307,7 @@ def _smooth_track(
     heading_std_rad, frame_std_rad = _start_directions(used, len(offsets) > 0, noise, start_heading_std_rad)
     fixes = (*used.observed.positions, *used.observed.locations)
     centre = np.mean([f.position_m for f in fixes], axis=0) if fixes else np.zeros(2)
-    start_std_m = _ANYWHERE_STD_M if fixes else HERE_STD_M
+    start_std_m = _ANYWHERE_STD_M if used.has_places else HERE_STD_M
     start_cov = start_covariance(start_std_m, heading_std_rad, noise.log_scale_std**2 + shared_var)
     before_first = steps.jump_var_rad2[0] + steps.drift_var_rad2[0] + steps.unknown_var_rad2[0]
     start_cov[HEADING_OFFSET, HEADING_OFFSET] += before_first
@@ -305,6 +320,7 @@ def _smooth_track(
         frame_std_rad,
         anchor_interval_s=anchor_interval_s,
         states=used.states,
+        measurements=None if guess is None else _about(used, guess),
     )
     smoothed, walked_var_m2 = _smoothed(track, steps, problem, solve(problem), observed, used)
     n_fixes = sum(result.accepted for result in smoothed.track.fixes)
@@ -314,6 +330,13 @@ def _smooth_track(
         return smoothed, walked_var_m2
     person = (config.person or Person()).pooled(Person((session,)))
     return replace(smoothed, track=replace(smoothed.track, person=person)), walked_var_m2
+
+
+def _about(used: Used, guess: WalkedPath) -> Measurements:
+    """Measurements with the places on a path at their times."""
+    time_s = [fix.time_s for fix in used.measured]
+    columns = [np.interp(time_s, guess.time_s, column) for column in guess.position_m.T]
+    return Measurements(used.measured, used.device_rad, np.column_stack(columns))
 
 
 def _start_directions(

@@ -20,23 +20,25 @@ from pdr_filter.offline.smoothing.problem import (
     ObservedStates,
     Problem,
 )
-from pdr_filter.values import BoolArray, FloatArray, IntArray, read_only, wrap_angle
+from pdr_filter.values import BoolArray, FloatArray, IntArray, measured, read_only, wrap_angle
 
 _POSITION = slice(EAST, EAST + 2)
 _OF_POSITION = np.eye(2, N_STATES)
 # A wrong fix bends the track to the anchors around it and not as far as this many.
 _NEIGHBOURS = 30
+# How well the first estimate of a measurement's place is taken to be known, and the factor on its limit there.
+_GUESS_STD_M, _ROUGH_LIMIT = 2.0, 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """Smoothed states at the anchors, and what became of the observations (positions, directions, states)."""
+    """Smoothed states at the anchors, and what became of positions, directions, states, measurements."""
 
     mean: FloatArray  # (n + 1, 4)
     joint_cov: FloatArray  # (n, 8, 8) both ends of each interval
     frame_rad: float  # rotation from the frame of the offsets
-    nis: FloatArray  # (F + H + S,)
-    weight: FloatArray  # (F + H + S,)
+    nis: FloatArray  # (F + H + S + X,)
+    weight: FloatArray  # (F + H + S + X,)
     converged: bool
     states: FloatArray  # (N, 6) anchors, which have four columns, and errors
 
@@ -56,7 +58,7 @@ def solve(problem: Problem) -> Solution:
         joint_cov, with_error_cov = joint_covariances(rows, problem.n_nodes, problem.errors.node, has_frame)
         nis = _innovations(problem, mean, weight, rows, joint_cov, with_error_cov)
         seen.add(weight.tobytes())
-        changes = _changes(weight, possible * nis / limit, possible, problem.positions.node)
+        changes = _changes(weight, possible * nis / limit, possible, _places(problem))
         after = next((w for w in changes if w.tobytes() not in seen), None)
         if after is None:
             return Solution(mean[: problem.n_nodes, :N_STATES], joint_cov, frame_rad, nis, weight, converged, mean)
@@ -65,9 +67,10 @@ def solve(problem: Problem) -> Solution:
 
 def _initial_guess(problem: Problem) -> tuple[FloatArray, float, FloatArray]:
     """States and rotation to begin with, and which observations seem right, from the linear problem without angles."""
-    limit, possible = problem.limit_nis, problem.possible
+    n_relaxed = len(problem.positions) + len(problem.directions) + len(problem.states)
+    all_limits, limit, possible = problem.limit_nis, problem.limit_nis[:n_relaxed], problem.possible[:n_relaxed]
     weight, mu = possible.copy(), None
-    always = graph_of(_relaxed(problem))
+    always = graph_of([*_relaxed(problem), *_guessed(problem)])
 
     def solved_with(weight: FloatArray) -> tuple[FloatArray, float]:
         graph = graph_of(_relaxed_observations(problem, weight))
@@ -95,7 +98,50 @@ def _initial_guess(problem: Problem) -> tuple[FloatArray, float, FloatArray]:
     angle = np.unwrap(np.arctan2(state[:, 3], state[:, 2]))
     nearest = wrap_angle(angle[0] - problem.start_mean[HEADING_OFFSET]) + problem.start_mean[HEADING_OFFSET]
     at_anchors[:, HEADING_OFFSET] = angle + nearest - angle[0]
-    return mean, turn, (weight > 0.5).astype(float)
+    near = _nis_of_measurements(problem, mean) <= _ROUGH_LIMIT * all_limits[n_relaxed:]
+    return mean, turn, np.concatenate([(weight > 0.5).astype(float), near.astype(float)])
+
+
+def _guessed(problem: Problem) -> list[Rows]:
+    """Equations of the relaxed problem by which each measurement is somewhere near its first estimate."""
+    measured_, n = problem.measurements, len(problem.measurements)
+    if not n:
+        return []
+    H = np.zeros((n, 2, N_STATES))
+    H[:, 0, 0] = H[:, 1, 1] = 1.0 / _GUESS_STD_M
+    H[:, :, 2:] = _linear(measured_.ahead_m) / _GUESS_STD_M
+    none = np.full(n, -1)
+    return [Rows(measured_.node, H, measured_.guess_m / _GUESS_STD_M, none, np.zeros((0, 0, 0)))]
+
+
+def _measurement_residuals(problem: Problem, mean: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+    """Whitened residuals (k,) of each measurement, and their derivatives (k, 4) by the anchor."""
+    observed = problem.measurements
+    at = mean[observed.node, :N_STATES]
+    moved_m = np.einsum("nab,nb->na", turned(at[:, HEADING_OFFSET], at[:, LOG_SCALE]), observed.ahead_m)
+    place_m, heading_rad = at[:, :2] + moved_m, observed.device_rad + at[:, HEADING_OFFSET]
+    result: list[tuple[FloatArray, FloatArray]] = []
+    for k, fix in enumerate(observed.fixes):
+        residual, J, cov = measured(fix, place_m[k], float(heading_rad[k]))
+        by_place = J[:, :2]
+        whiten = np.linalg.inv(np.linalg.cholesky(cov + observed.extra_var_m2[k] * by_place @ by_place.T))
+        H = np.zeros((len(residual), N_STATES))
+        H[:, :2] = by_place
+        H[:, HEADING_OFFSET] = by_place @ (TURN @ moved_m[k]) + J[:, 2]
+        H[:, LOG_SCALE] = by_place @ moved_m[k]
+        result.append((whiten @ residual, whiten @ H))
+    return result
+
+
+def _nis_of_measurements(problem: Problem, mean: FloatArray) -> FloatArray:
+    """Squared whitened residual (X,) of each measurement."""
+    return np.array([float(r @ r) for r, _ in _measurement_residuals(problem, mean)])
+
+
+def _places(problem: Problem) -> IntArray:
+    """Anchors (F + H + S + X,) of the observations of places, -1 of others."""
+    others = np.full(len(problem.directions) + len(problem.states), -1)
+    return np.concatenate([problem.positions.node, others, problem.measurements.node])
 
 
 def _gauss_newton(
@@ -119,17 +165,18 @@ def _gauss_newton(
 def _changes(weight: FloatArray, excess: FloatArray, possible: FloatArray, node: IntArray) -> list[FloatArray]:
     """Weights to try next, best first: without the worst (they make neighbours look wrong), else with what fits.
 
-    The worst fixes of different places go together: they do not know of each other. `node` (F,) are their anchors.
+    The worst fixes of different places go together: they do not know of each other. `node` (F + H + S + X,) are their
+    anchors, -1 of observations that are of no place.
     """
     used = np.where(weight > 0, excess, 0.0)
     if used.max(initial=0.0) > 1:
         worst = np.arange(len(weight)) == used.argmax()
         of_places = worst.copy()
-        n_fixes = len(node)
-        for i in np.argsort(-used[:n_fixes]):
+        (places,) = np.nonzero(node >= 0)
+        for i in places[np.argsort(-used[places])]:
             if used[i] <= 1:
                 break
-            of_places[i] |= not (np.abs(node[of_places[:n_fixes]] - node[i]) < _NEIGHBOURS).any()
+            of_places[i] |= not (np.abs(node[of_places & (node >= 0)] - node[i]) < _NEIGHBOURS).any()
         return [np.where(c, 0.0, weight) for c in (of_places, worst)]
     fits = (weight == 0) & (excess <= 1) & (possible > 0)
     if not fits.any():
@@ -168,6 +215,9 @@ def _innovations(
     residual_of_states, by_state = _state_residuals(states, mean)
     at_states = n_positions + len(directions) + np.arange(len(states))
     judge(at_states, residual_of_states, by_state, own_cov[states.node])
+    first_measured = n_positions + len(directions) + len(states)
+    for k, (r, H) in enumerate(_measurement_residuals(problem, mean)):
+        judge(np.array([first_measured + k]), r[None], H[None], own_cov[problem.measurements.node[[k]]])
     pairs = [
         (i, positions.node[i], positions.other[i], residual[i], by_node[i], by_other[i])
         for i in np.flatnonzero(positions.other >= 0)
@@ -230,8 +280,15 @@ def linearised(problem: Problem, mean: FloatArray, frame_rad: float, weight: Flo
         rows.append(Rows(directions.last, by_last, -residual, directions.first, -by_last, of_directions))
     if len(problem.states):
         residual, by_state = _state_residuals(problem.states, mean)
-        of_states, none = weight[len(positions) + len(directions) :], np.full(len(problem.states), -1)
+        of_states, none = (
+            weight[len(positions) + len(directions) :][: len(problem.states)],
+            np.full(len(problem.states), -1),
+        )
         rows.append(Rows(problem.states.node, by_state, -residual, none, np.zeros((0, 0, 0)), of_states))
+    of_measured = weight[len(weight) - len(problem.measurements) :]
+    for k, (residual, H) in enumerate(_measurement_residuals(problem, mean)):
+        node, none = problem.measurements.node[[k]], np.full(1, -1)
+        rows.append(Rows(node, H[None], -residual[None], none, np.zeros((0, 0, 0)), of_measured[[k]]))
     if len(offsets):
         inverse = 1 / offsets.std_rad
         residual = wrap_angle(mean[offsets.node, HEADING_OFFSET] - frame_rad - offsets.offset_rad) * inverse

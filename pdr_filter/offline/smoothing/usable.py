@@ -14,7 +14,17 @@ from pdr_filter.offline.smoothing.location_errors import by_contact, evenly_sure
 from pdr_filter.offline.smoothing.observations import LoopClosure, Observations, says_nothing
 from pdr_filter.offline.smoothing.preintegration import Increments
 from pdr_filter.offline.smoothing.problem import ObservedStates, mode_offsets, nearest_contact
-from pdr_filter.values import BoolArray, HeadingFix, IntArray, PositionFix, SpeedFix, TrackRows
+from pdr_filter.values import (
+    BoolArray,
+    FloatArray,
+    HeadingFix,
+    IntArray,
+    Measurement,
+    PositionFix,
+    RangeFix,
+    SpeedFix,
+    TrackRows,
+)
 
 # The magnetic field of so long a time is one measurement of north: twice the memory of `MagneticNorth`.
 _NORTH_INTERVAL_S = 200.0
@@ -27,7 +37,9 @@ class Used:
     observed: Observations  # position fixes alone, and locations, each in the order of time
     states: ObservedStates  # at numbers of steps: heading and speed fixes, then the magnetic north
     n_north: int  # of the states
-    row: IntArray  # of each given one among all that are used (positions, directions, states), -1 if it is not
+    measured: tuple[Measurement, ...]  # any other measurements
+    device_rad: FloatArray  # (K,) walking heading of each step less its heading offset
+    row: IntArray  # of each given one among all used (positions, directions, states, measurements), -1 if it is not
     is_frozen: BoolArray  # (F + L,) fixes, then locations
     notes: tuple[str, ...]
 
@@ -38,8 +50,9 @@ class Used:
 
     @property
     def has_places(self) -> bool:
-        """Whether there are position fixes or locations."""
-        return bool(self.observed.fixes or self.observed.locations)
+        """Whether there are position fixes, locations or ranges, which may be in any frame."""
+        ranges = any(isinstance(fix, RangeFix) for fix in self.measured)
+        return bool(self.observed.fixes or self.observed.locations) or ranges
 
     @property
     def is_oriented(self) -> bool:
@@ -74,9 +87,12 @@ def usable(
     located = evenly_sure(list(compress(places[n_fixes:], of_places[n_fixes:])))
     locations, of_location = _at_contacts(located, steps)
     of_closure, near, closures = _closures(track, observed)
-    at_state = np.flatnonzero(inside & ~is_place)
-    state_fixes = [f for f in compress(fixes, inside) if not isinstance(f, PositionFix)]
-    of_states = _of_state_fixes(state_fixes, track, steps, modes, log_scale_std)
+    is_state = np.array([isinstance(f, HeadingFix | SpeedFix) for f in fixes], dtype=bool)
+    at_state, at_measured = np.flatnonzero(inside & is_state), np.flatnonzero(inside & ~is_place & ~is_state)
+    state_fixes = [f for f in compress(fixes, inside) if isinstance(f, HeadingFix | SpeedFix)]
+    other = [f for f in compress(fixes, inside) if not isinstance(f, PositionFix | HeadingFix | SpeedFix)]
+    device_rad = np.asarray(track.steps.device_heading_rad) + mode_offsets(track, modes)
+    of_states = _of_state_fixes(state_fixes, track, steps, device_rad, log_scale_std)
     north = _magnetic_north(track, modes)
 
     n_places = len(positions) + len(locations)
@@ -85,6 +101,7 @@ def usable(
     row = np.full(len(fixes), -1)
     row[is_used] = np.concatenate([number, len(positions) + of_location])
     row[at_state] = n_directions + np.arange(len(at_state))
+    row[at_measured] = n_directions + len(of_states) + len(north) + np.arange(len(at_measured))
     row = np.concatenate(
         [
             row,
@@ -105,7 +122,7 @@ def usable(
     used = replace(observed, fixes=positions, locations=locations, loop_closures=tuple(closures))
     columns = ([getattr(part, name) for part in (of_states, north)] for name in ObservedStates.__slots__)
     states = ObservedStates(*map(np.concatenate, columns))
-    return Used(used, states, len(north), row.astype(np.int64), is_frozen, notes)
+    return Used(used, states, len(north), tuple(other), device_rad, row.astype(np.int64), is_frozen, notes)
 
 
 def _at_contacts(fixes: Iterable[PositionFix], steps: Increments) -> tuple[tuple[PositionFix, ...], IntArray]:
@@ -137,11 +154,10 @@ def _of_state_fixes(
     fixes: Sequence[HeadingFix | SpeedFix],
     track: TrackRows,
     steps: Increments,
-    modes: Sequence[Mode],
+    device_rad: FloatArray,
     log_scale_std: float,
 ) -> ObservedStates:
     """Heading and speed fixes as measurements of heading offset and log scale."""
-    device_rad = np.asarray(track.steps.device_heading_rad) + mode_offsets(track, modes)
     rows = np.zeros((len(fixes), 4))
     for k, fix in enumerate(fixes):
         at = nearest_contact(steps, fix.time_s)[0]

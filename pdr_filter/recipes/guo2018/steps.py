@@ -23,7 +23,7 @@ from pdr_filter.recipes.guo2018.features import MotionLevel, MotionLevelState
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.signal_filters import butterworth, filtered, phase_delay_s
-from pdr_filter.sensing.steps.step_detector import ContextBlock, DetectorState, StepDetector, local_maxima, vertex
+from pdr_filter.sensing.steps.step_detector import BaseStepDetector, ContextBlock, DetectorState, local_maxima, vertex
 from pdr_filter.sensing.steps.step_log import specific_force_magnitude
 from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray, IntArray, Step, check_numbers, replace_unchecked
 
@@ -48,7 +48,7 @@ class PoseStepState(DetectorState):
 
 
 @dataclass(frozen=True)
-class PoseStepDetector(StepDetector[PoseStepState]):
+class PoseStepDetector(BaseStepDetector[PoseStepState]):
     """Causal step detector; a step is reported at most `latency_s`, 0.44 s, after its contact.
 
     Parameters
@@ -66,7 +66,7 @@ class PoseStepDetector(StepDetector[PoseStepState]):
     min_level_accelerometer : float
         delta_min where the angular rate is missing.
     rate_hz, max_interval_s, first_step_s : float
-        Of every `StepDetector`; `max_interval_s` is 1 / v_min.
+        Of every `BaseStepDetector`; `max_interval_s` is 1 / v_min.
     """
 
     low_pass_hz: float = 3.0

@@ -25,7 +25,7 @@ from pdr_filter.recipes.susi2013.features import filtered_norms
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.signal_filters import butterworth, phase_delay_s
-from pdr_filter.sensing.steps.step_detector import ContextBlock, DetectorState, StepDetector
+from pdr_filter.sensing.steps.step_detector import BaseStepDetector, ContextBlock, DetectorState
 from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray, Step, check_numbers, replace_unchecked
 
 _SWINGING = CARRYING_MODES.index("swinging")
@@ -57,7 +57,7 @@ class NormMinimaState(DetectorState):
 
 
 @dataclass(frozen=True)
-class NormMinimaStepDetector(StepDetector[NormMinimaState]):
+class NormMinimaStepDetector(BaseStepDetector[NormMinimaState]):
     """Causal step detector; it needs to know the motion mode, and without angular rate it looks at |f| alone.
 
     Where the mode is unknown it takes somebody to walk whose arm does not swing.

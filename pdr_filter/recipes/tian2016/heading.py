@@ -100,6 +100,8 @@ class OffsetCompensation:
     transition_s: float = 2.0
     direction_std_rad: float = 0.1
 
+    learns_directions = False
+
     def __post_init__(self) -> None:
         check_numbers(self, zero=("n_omit",))
         if self.n_pocket - self.n_omit < 2:

@@ -22,7 +22,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.signal_filters import butterworth, filtered
-from pdr_filter.sensing.steps.step_detector import ContextBlock, DetectorState, StepDetector, local_maxima, vertex
+from pdr_filter.sensing.steps.step_detector import BaseStepDetector, ContextBlock, DetectorState, local_maxima, vertex
 from pdr_filter.values import (
     CARRYING_MODES,
     STANDARD_GRAVITY_MPS2,
@@ -119,7 +119,7 @@ class TianDetectorState(DetectorState):
 
 
 @dataclass(frozen=True)
-class TianStepDetector(StepDetector[TianDetectorState]):
+class TianStepDetector(BaseStepDetector[TianDetectorState]):
     """Causal mode-aware step detector; a step is reported 0.2 s after its contact or after the transition.
 
     Parameters
@@ -136,7 +136,7 @@ class TianStepDetector(StepDetector[TianDetectorState]):
     transition_s : float
         Longest transition.
     rate_hz, max_interval_s, first_step_s : float
-        Of every `StepDetector`; after `max_interval_s` the step frequency is zero.
+        Of every `BaseStepDetector`; after `max_interval_s` the step frequency is zero.
     """
 
     holding_peak_g: float = 0.05

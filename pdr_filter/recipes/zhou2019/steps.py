@@ -21,7 +21,7 @@ import numpy as np
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.signal_filters import low_pass_kernel
-from pdr_filter.sensing.steps.step_detector import ContextBlock, DetectorState, StepDetector, local_maxima
+from pdr_filter.sensing.steps.step_detector import BaseStepDetector, ContextBlock, DetectorState, local_maxima
 from pdr_filter.sensing.steps.step_log import specific_force_magnitude
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Step, check_numbers, replace_unchecked
 
@@ -75,7 +75,7 @@ class ReferenceLineState(DetectorState):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReferenceLineStepDetector(StepDetector[ReferenceLineState]):
+class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
     """Causal step detector; a step is usually reported a window and 0.25 s after its contact, at most `latency_s`.
 
     A contact is dated END, which on the foot of a slow walker may fall into the swing, half a stride early. Contacts of

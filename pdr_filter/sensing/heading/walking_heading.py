@@ -22,7 +22,7 @@ import cmath
 import math
 from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import attrgetter
 from typing import Any
@@ -193,8 +193,14 @@ class WalkingHeading:
     known_places: tuple[KnownPlace, ...] = ()
     drift: HeadingDrift = field(default_factory=HeadingDrift)
 
+    learns_directions = True
+
     def __post_init__(self) -> None:
         check_numbers(self, zero=("away_s",), signed=("phase_rad", "running_phase_rad"))
+
+    def after_first_pass(self, steps: Table) -> WalkingHeading:
+        """The stage for a second pass over the same recording, given the steps of the first."""
+        return replace(self, known_places=known_places(steps))
 
     def init(self) -> WalkingHeadingState:
         """State before the first sample."""

@@ -85,7 +85,7 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
     running_hz : float
         Wavelet frequency of a run, or of the hardest walking (R = 3.5 m/s2).
     rate_hz, max_interval_s, first_step_s : float
-        Of every `StepDetector`; the slowest steps, 0.5 Hz, are 2 s apart.
+        Of every `BaseStepDetector`; the slowest steps, 0.5 Hz, are 2 s apart.
     """
 
     max_interval_s: float = 2.5

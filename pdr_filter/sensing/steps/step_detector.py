@@ -66,7 +66,7 @@ S = TypeVar("S", bound=DetectorState)
 
 
 @dataclass(frozen=True)
-class StepDetector(ABC, Generic[S]):
+class BaseStepDetector(ABC, Generic[S]):
     """A causal stage that looks for steps in a few signals; all detectors share this loop over blocks.
 
     Samples are numbered from 0 in each segment (between gaps). The result does not depend on how the samples were cut
@@ -167,7 +167,7 @@ R = TypeVar("R", bound=ResponseState)
 
 
 @dataclass(frozen=True)
-class ResponseStepDetector(StepDetector[R]):
+class ResponseStepDetector(BaseStepDetector[R]):
     """Steps as local maxima of a response, which is `_delay_samples` late and may come with further values."""
 
     @property

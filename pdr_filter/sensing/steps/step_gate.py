@@ -70,6 +70,13 @@ class StepGateState:
     run_s: tuple[float, float] = (-math.inf, -math.inf)  # first and last contact of accepted steps without a pause
     is_bout: bool = False  # that they are a bout
 
+    @property
+    def candidates(self) -> tuple[Step, ...]:
+        """Steps that are found and not accepted yet; none while the person does not seem to walk."""
+        if not (self.is_bout or self.walking_prob > 0.5):
+            return ()
+        return (*(judged.step for judged in self.held), *(step for _, step in self.waiting))
+
 
 @dataclass(frozen=True)
 class StepGate:

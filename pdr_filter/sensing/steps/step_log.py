@@ -61,7 +61,7 @@ _TWO_PERIODS, _TWICE_SHARE, _WALKING_S = 2.6, 0.5, 1 / 2.4
 class StepLog:
     """Remembers signals and describes the step that a contact ends.
 
-    The parameters are those of a `StepDetector`.
+    The parameters are those of a `BaseStepDetector`.
     """
 
     rate_hz: float

@@ -1,0 +1,51 @@
+"""Parts of a measurement update that all kinds of fixes share: gating, and what the state knows of the way since."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from pdr_filter.filter.imm.imm import ImmArithmetic
+from pdr_filter.filter.imm.motion_model import EAST, NORTH
+from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
+from pdr_filter.filter.imm.pedestrian_state import PedestrianState, with_moved_past
+from pdr_filter.filter.imm.step_history import TRAIL_TIME
+from pdr_filter.values import FixOutcome, FloatArray
+
+Result = tuple[PedestrianState, FixOutcome, float]
+
+
+def gated(
+    arithmetic: ImmArithmetic,
+    state: PedestrianState,
+    updated: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    gate_nis: float,
+) -> Result:
+    """State after an update, or without it if no filter explains the measurement."""
+    mean, cov, log_likelihood, nis = updated
+    best_nis = float(nis.min())
+    if not best_nis <= gate_nis:
+        return state, "rejected", best_nis
+    prior_x, _ = state.estimates.combined
+    prob = arithmetic.update_mode_prob(state.estimates.prob, log_likelihood)
+    state = replace(state, estimates=replace(state.estimates, mean=mean, cov=cov, prob=prob))
+    moved = state.estimates.combined[0] - prior_x
+    state, shift_m = replace(state, path=state.path.corrected(moved, 1.0)), moved[[EAST, NORTH]]
+    return with_moved_past(state, lambda position_m: position_m + shift_m), "used", best_nis
+
+
+def with_consider_path(state: PedestrianState, cov: FloatArray) -> PedestrianState:
+    """State whose path knows that covariances (F, 4, 4) have the errors of the consider parameters now."""
+    estimates = state.estimates
+    x, P = estimates.combined
+    _, grown_P = replace(estimates, cov=cov).combined
+    path = state.path.with_shared(P, estimates.consider_cov_m2, grown_P, state.steps.end_s, x[:2].copy())
+    return replace(state, path=path)
+
+
+def unknown_way_var_m2(model: PedestrianModel, state: PedestrianState, time_s: float) -> float:
+    """Variance along each axis of the way from a time to the end of a gap after it; 0 without such a gap."""
+    gap_s, trail = state.steps.gap_s, state.steps.trail
+    if gap_s == 0.0 or len(trail) == 0:
+        return 0.0
+    into_gap_s = max(time_s - float(trail[-1, TRAIL_TIME]), 0.0)
+    return 0.0 if gap_s <= into_gap_s else float(model.noise.gap_var_m2(gap_s - into_gap_s))

@@ -1,0 +1,124 @@
+"""Measurement updates by fixes that are a function of position and heading (`values.Measurement`), such as ranges."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from pdr_filter.filter.fixes.gating import Result, gated, unknown_way_var_m2, with_consider_path
+from pdr_filter.filter.imm.imm import ImmArithmetic
+from pdr_filter.filter.imm.motion_model import HEADING_OFFSET
+from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
+from pdr_filter.filter.imm.pedestrian_state import PedestrianState, track_place
+from pdr_filter.values import FloatArray, Measurement, measured
+
+# Linearisations of one update. Those after the first few move the estimate by less than some millimetres, unless the
+# estimate is less sure than the distance to an anchor (`range_placement`).
+_MAX_ITERATIONS, _CONVERGED_M = 8, 5e-3
+# Upper 0.1 % quantile of the normal distribution.
+_NORMAL_QUANTILE = 3.09
+# A measurement that is less probable to be regular than to be an outlier is rejected.
+_LEAST_REGULAR_PROB = 0.5
+
+
+def high_quantile(n_dimensions: int) -> float:
+    """Upper 0.1 % quantile of chi-square, by the approximation of Wilson and Hilferty."""
+    share = 2.0 / (9.0 * n_dimensions)
+    return n_dimensions * (1.0 - share + _NORMAL_QUANTILE * math.sqrt(share)) ** 3
+
+
+def gate_of(model: PedestrianModel, n_dimensions: int) -> float:
+    """Largest normalised innovation squared of a measurement (k,)."""
+    if n_dimensions <= 2:
+        return model.scalar_gate_nis if n_dimensions == 1 else model.fix_gate_nis
+    return high_quantile(n_dimensions)
+
+
+def on_measurement(
+    model: PedestrianModel,
+    arithmetic: ImmArithmetic,
+    state: PedestrianState,
+    offset_rad: FloatArray,
+    fix: Measurement,
+    then: FloatArray,
+    regular_prob: Callable[[float, float], float] | None = None,
+) -> Result:
+    """State after a measurement, given east, north and device heading (3,) of the track at its time.
+
+    `regular_prob` of a scalar measurement is the probability that it is no outlier, given its residual and the variance
+    of that.
+
+    The iterated extended Kalman filter in each mode (B. M. Bell and F. W. Cathey, "The iterated Kalman filter update as
+    a Gauss-Newton method", IEEE Trans. Automatic Control 38, 1993). A measurement that is an outlier with probability
+    1 - w moves the estimate by w of its correction, and the covariance has the spread of both cases.
+    """
+    if not state.frame.is_joined or (len(state.steps.trail) == 0 and _needs_heading(fix, then)):
+        return state, "nothing to compare", np.nan
+    estimates = state.estimates
+    cov = estimates.cov.copy()
+    cov[:, :2, :2] += estimates.consider_cov_m2
+    # the place then, as it follows from the state now: an error of heading or scale has moved it on the way since
+    east_m, north_m = (track_place(state).position_m - then[:2]).tolist()
+    by_state = np.array([[1.0, 0.0, -north_m, -east_m], [0.0, 1.0, east_m, -north_m]])
+    moved_m = then[:2] - by_state @ estimates.combined[0]
+    gap_var_m2 = unknown_way_var_m2(model, state, fix.time_s)
+    each = [
+        _iterated(arithmetic, mean, P, fix, (by_state, moved_m), float(then[2]) + own_rad, gap_var_m2, regular_prob)
+        for mean, P, own_rad in zip(estimates.mean, cov, offset_rad.tolist(), strict=True)
+    ]
+    mean, cov_after, log_likelihood, nis = (np.concatenate([result[i] for result in each]) for i in range(4))
+    likely, n_dimensions = max(result[4] for result in each), each[0][5]
+    if likely < _LEAST_REGULAR_PROB:
+        return state, "rejected", float(nis.min())
+    updated = mean, cov_after, log_likelihood, nis
+    after, outcome, best_nis = gated(arithmetic, with_consider_path(state, cov), updated, gate_of(model, n_dimensions))
+    if outcome != "used":
+        return state, outcome, best_nis
+    no_error_m = np.zeros_like(estimates.consider_error_m)
+    return replace(after, estimates=replace(after.estimates, consider_error_m=no_error_m)), outcome, best_nis
+
+
+def _needs_heading(fix: Measurement, then: FloatArray) -> bool:
+    return bool(np.any(measured(fix, then[:2], float(then[2]))[1][:, 2]))
+
+
+def _iterated(
+    arithmetic: ImmArithmetic,
+    mean: FloatArray,
+    cov: FloatArray,
+    fix: Measurement,
+    then: tuple[FloatArray, FloatArray],
+    heading_rad: float,
+    gap_var_m2: float,
+    regular_prob: Callable[[float, float], float] | None,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float, int]:
+    """Mean (1, 4), covariance (1, 4, 4), log likelihood (1,), NIS (1,), probability of a regular measurement, k.
+
+    The place at the time of the measurement is B x + b with `then` = (B, b).
+    """
+    (by_state, shift_m), x = then, mean
+    prior_mean, prior_cov = mean[None], cov[None]
+    for _ in range(_MAX_ITERATIONS):
+        residual, J, R = measured(fix, by_state @ x + shift_m, heading_rad + float(x[HEADING_OFFSET]))
+        H = J[:, :2] @ by_state
+        H[:, HEADING_OFFSET] += J[:, 2]
+        R = R + gap_var_m2 * J[:, :2] @ J[:, :2].T
+        z = H @ x - residual
+        after_mean, after_cov, log_likelihood, nis = arithmetic.update(prior_mean, prior_cov, z, H, R)
+        moved = after_mean[0] - x
+        x = after_mean[0]
+        if float(np.abs(moved[:2]).max()) < _CONVERGED_M:
+            break
+    prob = 1.0
+    if regular_prob is not None:
+        predicted = H @ mean - z  # predicted less measured
+        prob = regular_prob(float(predicted[0]), float((H @ cov @ H.T + R)[0, 0]))
+        moved = prob * (after_mean - prior_mean)
+        spread = (1.0 - prob) / max(prob, 1e-12) * moved[:, :, None] * moved[:, None, :]
+        after_cov = prob * after_cov + (1.0 - prob) * prior_cov + spread
+        after_mean = prior_mean + moved
+        log_likelihood = log_likelihood - math.log(max(prob, 1e-300))
+    return after_mean, after_cov, log_likelihood, nis, prob, len(residual)

@@ -1,0 +1,268 @@
+"""Where ranges put a track: all places and rotations that fit the last ranges, with their odds.
+
+A linear update needs an estimate that is surer than the distance to the anchors. Without one, because the frame of the
+anchors is unknown, after a gap, or when the track is wrong, ranges fit several places: those to two anchors fit a path
+and nearly its mirror image. Least squares from many starting points finds them; the steps of the track tie the ranges
+together.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pdr_filter.filter.fixes.alignment import Alignment
+from pdr_filter.filter.fixes.frame_rotation import MAX_ANGLE_STD_RAD
+from pdr_filter.values import (
+    FloatArray,
+    RangeFix,
+    range_log_densities,
+    range_residuals,
+    read_only,
+    replace_unchecked,
+    wrap_angle,
+)
+
+# Ranges that are remembered, and for how long: dead reckoning bends the path between older ones.
+MAX_RANGES, MAX_AGE_S = 30, 40.0
+# Starting points of the least squares: rotations, and places on a circle of the first range about its anchor.
+_N_ANGLES, _N_BEARINGS = 12, 8
+# Iterations from all of them, then of those that fit best until they have converged.
+_N_ROUGH, _N_KEPT, _N_ITERATIONS = 8, 32, 25
+# Error of the track between two ranges: this share of the way between them.
+_WAY_SHARE = 0.05
+# Places nearer than this, and rotations, are one solution.
+_SAME_M, _SAME_RAD = 0.5, 0.1
+# A solution with lower odds against the best one is given up.
+LEAST_LOG_ODDS = -math.log(1000.0)
+_FEWEST = 4  # ranges for three unknowns, and one that checks them
+
+
+@dataclass(frozen=True, eq=False)
+class PairedRange:
+    """A range, and where the track was then."""
+
+    fix: RangeFix
+    track_m: FloatArray  # (2,)
+    is_used: bool
+
+    def moved(self, positions: Callable[[FloatArray], FloatArray]) -> PairedRange:
+        """Return the range with the place of the track moved by a function of positions (..., 2)."""
+        return replace_unchecked(self, track_m=read_only(positions(self.track_m)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PriorPose:
+    """What is known before the ranges: the place that a point of the track has, and its rotation."""
+
+    track_m: FloatArray  # (2,)
+    place_m: FloatArray  # (2,)
+    information: FloatArray  # (3, 3) of the place and the rotation
+    angle_rad: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacedTrack:
+    """A shift and a rotation of the track that fit the ranges."""
+
+    track_centre_m: FloatArray  # (2,)
+    world_centre_m: FloatArray  # (2,)
+    angle_rad: float
+    cov: FloatArray  # (3, 3) of the centre and the angle
+    log_odds: float  # against the best solution, 0 or less
+    log_density: float  # of the ranges and the prior, at this pose
+    fits: tuple[bool, ...]  # ranges that are more probably direct than reflected
+
+    @property
+    def is_settled(self) -> bool:
+        """True if the rotation is known as well as a joined frame needs it."""
+        return float(self.cov[2, 2]) <= MAX_ANGLE_STD_RAD**2
+
+    def alignment(self, n_steps: int, since: int) -> Alignment:
+        """The solution as an alignment about the point whose place does not depend on the rotation."""
+        # p(q) = c + R q: its error is that of c plus (q_n, -q_e) times that of the angle, least at this lever
+        of_angle = self.cov[:2, 2] / self.cov[2, 2]
+        lever = np.array([of_angle[1], -of_angle[0]])
+        c, s = math.cos(self.angle_rad), math.sin(self.angle_rad)
+        back = np.array([[c, -s], [s, c]])
+        own = self.cov[:2, :2] - np.outer(of_angle, of_angle) * self.cov[2, 2]
+        var_m2 = float(np.linalg.eigvalsh(own)[-1])
+        return Alignment(
+            self.angle_rad,
+            float(self.cov[2, 2]),
+            self.track_centre_m + back @ lever,
+            self.world_centre_m + lever,
+            max(var_m2, 0.0),
+            n_steps,
+            since,
+        )
+
+
+def recent(pairs: Sequence[PairedRange], pair: PairedRange) -> tuple[PairedRange, ...]:
+    """The last ranges with one more."""
+    return tuple(p for p in (*pairs, pair) if abs(pair.fix.time_s - p.fix.time_s) <= MAX_AGE_S)[-MAX_RANGES:]
+
+
+def solutions(pairs: Sequence[PairedRange], prior: PriorPose | None = None) -> list[PlacedTrack]:
+    """All solutions whose odds are not negligible, the best first; none for ranges that leave a continuum."""
+    fixes = [pair.fix for pair in pairs]
+    if len(fixes) < (_FEWEST if prior is None else 1):
+        return []
+    track = np.array([pair.track_m for pair in pairs])
+    centre = track.mean(axis=0)
+    problem = _Problem(fixes, track - centre, prior, centre)
+    pose = problem.starts()
+    for iteration in range(_N_ITERATIONS):
+        if iteration == _N_ROUGH:
+            pose = _distinct(pose[np.argsort(-problem.log_density(pose))])
+        pose = problem.improved(pose, is_robust=iteration >= _N_ROUGH // 2, damping=10.0 ** (-iteration / 4))
+    value = problem.log_density(pose)
+    found: list[tuple[float, float, FloatArray, FloatArray]] = []
+    for k in np.argsort(-value):
+        best = found[0][1] if found else value[k]
+        if value[k] < best + 3.0 * LEAST_LOG_ODDS:
+            break
+        if any(_is_same(pose[k], other) for _, _, other, _ in found):
+            continue
+        information = problem.information(pose[k])
+        if np.linalg.eigvalsh(information)[0] < 1e-6:
+            return []
+        # Laplace: the probability of all poses about this one
+        volume = -0.5 * float(np.linalg.slogdet(information)[1])
+        found.append((float(value[k]) + volume, float(value[k]), pose[k], np.linalg.inv(information)))
+    highest = max((odds for odds, *_ in found), default=0.0)
+    result = [
+        PlacedTrack(centre, read_only(p[:2]), float(wrap_angle(p[2])), cov, odds - highest, density, problem.fits(p))
+        for odds, density, p, cov in sorted(found, key=lambda f: -f[0])
+    ]
+    return [solution for solution in result if solution.log_odds > LEAST_LOG_ODDS]
+
+
+def _distinct(pose: FloatArray) -> FloatArray:
+    """The first of poses (P, 3) that are not the same as one before, at most `_N_KEPT`."""
+    kept = list[FloatArray]()
+    left = pose
+    while len(left) and len(kept) < _N_KEPT:
+        kept.append(left[0])
+        away_m = np.hypot(left[:, 0] - left[0, 0], left[:, 1] - left[0, 1])
+        left = left[(away_m > _SAME_M) | (np.abs(wrap_angle(left[:, 2] - left[0, 2])) > _SAME_RAD)]
+    return np.array(kept)
+
+
+def log_density_here(pairs: Sequence[PairedRange]) -> float:
+    """Log density of ranges if the track is where it is."""
+    track = np.array([pair.track_m for pair in pairs])
+    centre = track.mean(axis=0)
+    problem = _Problem([pair.fix for pair in pairs], track - centre, None, centre)
+    return float(problem.log_density(np.array([[*centre, 0.0]]))[0])
+
+
+def _is_same(a: FloatArray, b: FloatArray) -> bool:
+    return bool(np.hypot(*(a[:2] - b[:2])) < _SAME_M and abs(float(wrap_angle(a[2] - b[2]))) < _SAME_RAD)
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Ranges (N,) to a track, and poses (P, 3): the place of its centre, and its rotation."""
+
+    fixes: list[RangeFix]
+    lever_m: FloatArray  # (N, 2)
+    prior: PriorPose | None
+    centre_m: FloatArray  # (2,)
+
+    @cached_property
+    def _var_m2(self) -> FloatArray:
+        """Variance (N,) of each residual: the range's, and that of the way from the centre."""
+        own = np.array([fix.std_m**2 for fix in self.fixes])
+        return own + (_WAY_SHARE**2) * (self.lever_m**2).sum(axis=1)
+
+    def starts(self) -> FloatArray:
+        """Poses (P, 3) to start from."""
+        angles = np.linspace(-math.pi, math.pi, _N_ANGLES, endpoint=False)
+        if self.prior is not None and self.prior.information[2, 2] > 1.0 / MAX_ANGLE_STD_RAD**2:
+            angles = np.array([self.prior.angle_rad])
+        bearing = np.linspace(-math.pi, math.pi, _N_BEARINGS, endpoint=False)
+        anchors = {tuple(fix.anchor_m.tolist()): fix for fix in self.fixes}
+        around = np.concatenate(
+            [
+                fix.anchor_m[:2] + max(fix.range_m, 0.5) * np.column_stack([np.sin(bearing), np.cos(bearing)])
+                for fix in list(anchors.values())[:3]
+            ]
+        )
+        if self.prior is not None:
+            around = np.vstack([around, self.prior.place_m + self.centre_m - self.prior.track_m])
+        place, angle = np.repeat(around, len(angles), axis=0), np.tile(angles, len(around))
+        return np.column_stack([place, angle])
+
+    def _parts(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Residuals (P, N) and their derivatives (P, N, 3)."""
+        c, s = np.cos(pose[:, 2, None]), np.sin(pose[:, 2, None])
+        east, north = self.lever_m.T
+        turned = np.stack([c * east + s * north, c * north - s * east], axis=-1)
+        residual, direction = range_residuals(pose[:, None, :2] + turned, *self._anchors)
+        by_angle = direction[..., 0] * turned[..., 1] - direction[..., 1] * turned[..., 0]
+        return residual, np.concatenate([direction, by_angle[..., None]], axis=-1)
+
+    @cached_property
+    def _anchors(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Places (N, 2) and heights (N,) of the anchors, and the ranges (N,)."""
+        columns = np.array([(*fix.anchor_m[:2], fix.up_m, fix.range_m) for fix in self.fixes])
+        return columns[:, :2], columns[:, 2], columns[:, 3]
+
+    def _log_densities(self, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return range_log_densities(residual, self._var_m2, np.array([fix.std_m for fix in self.fixes]))
+
+    def _direct(self, residual: FloatArray) -> FloatArray:
+        """Probability (P, N) that each path was direct."""
+        direct, reflected = self._log_densities(residual)
+        return np.exp(direct - np.logaddexp(direct, reflected))
+
+    def _from_prior(self, prior: PriorPose, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Differences (P, 3) from the prior, and their derivatives (P, 3, 3)."""
+        lever = prior.track_m - self.centre_m
+        c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+        turned = np.column_stack([c * lever[0] + s * lever[1], c * lever[1] - s * lever[0]])
+        difference = np.column_stack([pose[:, :2] + turned - prior.place_m, wrap_angle(pose[:, 2] - prior.angle_rad)])
+        by = np.tile(np.eye(3), (len(pose), 1, 1))
+        by[:, 0, 2], by[:, 1, 2] = turned[:, 1], -turned[:, 0]
+        return difference, by
+
+    def _normal(self, pose: FloatArray, is_robust: bool) -> tuple[FloatArray, FloatArray]:
+        """Normal matrices (P, 3, 3) and gradients (P, 3)."""
+        residual, J = self._parts(pose)
+        weight = (self._direct(residual) if is_robust else np.ones_like(residual)) / self._var_m2
+        A = np.einsum("pn,pna,pnb->pab", weight, J, J)
+        b = np.einsum("pn,pna,pn->pa", weight, J, residual)
+        if self.prior is not None:
+            difference, by = self._from_prior(self.prior, pose)
+            weighted = np.einsum("pba,bc->pac", by, self.prior.information)
+            A, b = A + weighted @ by, b + np.einsum("pac,pc->pa", weighted, difference)
+        return A, b
+
+    def improved(self, pose: FloatArray, is_robust: bool, damping: float) -> FloatArray:
+        """Poses after one Gauss-Newton iteration, damped as Levenberg and Marquardt do."""
+        A, b = self._normal(pose, is_robust)
+        A = A + damping * np.einsum("paa->pa", A)[:, :, None] * np.eye(3) + 1e-9 * np.eye(3)
+        return pose - np.linalg.solve(A, b[..., None])[..., 0]
+
+    def information(self, pose: FloatArray) -> FloatArray:
+        """Information matrix (3, 3) of one pose (3,)."""
+        return self._normal(pose[None], is_robust=True)[0][0]
+
+    def log_density(self, pose: FloatArray) -> FloatArray:
+        """Log density (P,) of poses: each range is direct, or reflected and longer."""
+        total = np.logaddexp(*self._log_densities(self._parts(pose)[0])).sum(axis=1)
+        if self.prior is None:
+            return total
+        difference, _ = self._from_prior(self.prior, pose)
+        return total - 0.5 * np.einsum("pa,ab,pb->p", difference, self.prior.information, difference)
+
+    def fits(self, pose: FloatArray) -> tuple[bool, ...]:
+        """Which ranges fit one pose (3,)."""
+        residual, _ = self._parts(pose[None])
+        near = residual[0] ** 2 <= 13.8 * self._var_m2
+        return tuple((near & (self._direct(residual)[0] >= 0.5)).tolist())

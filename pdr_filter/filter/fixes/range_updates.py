@@ -1,0 +1,155 @@
+"""Ranges to anchors: linear updates where the track is known well, else the places that fit the last ranges."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from pdr_filter.filter.fixes.alignment import moved
+from pdr_filter.filter.fixes.gating import Result
+from pdr_filter.filter.fixes.measurement_updates import on_measurement
+from pdr_filter.filter.fixes.range_placement import (
+    PairedRange,
+    PlacedTrack,
+    PriorPose,
+    log_density_here,
+    recent,
+    solutions,
+)
+from pdr_filter.filter.fixes.relocation import LOG_ODDS_BEFORE
+from pdr_filter.filter.imm.imm import ImmArithmetic
+from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE
+from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
+from pdr_filter.filter.imm.pedestrian_state import (
+    PedestrianState,
+    Rival,
+    in_other_frame,
+    track_place,
+    with_detached_path,
+)
+from pdr_filter.values import FloatArray, RangeFix, read_only
+
+# Ranges that must disagree with the track, and their share of the last ones, before it may be wrong: most of the
+# ranges of a moment can come from reflections, but not most of those of half a minute and of all anchors.
+_MIN_CONTRADICTING, _CONTRADICTING_SHARE = 8, 0.6
+# Ranges on direct paths that place a track: three unknowns, and as many checks of each other, since three reflected
+# ranges fit some place, too. Fewer where place and heading are known somewhat.
+_MIN_DIRECT, _MIN_DIRECT_KNOWN, _MIN_ANCHORS = 9, 4, 2
+# Reflections among ranges, as if known before any: the mean of a beta distribution.
+_PRIOR_REFLECTED, _PRIOR_RANGES = 1.0, 10.0
+# Added to covariances before inversion: 1 mm, squared.
+_LEAST_VAR = 1e-6
+
+
+def on_range(
+    model: PedestrianModel,
+    arithmetic: ImmArithmetic,
+    state: PedestrianState,
+    offset_rad: FloatArray,
+    fix: RangeFix,
+    then: FloatArray,
+) -> Result:
+    """State after a range, given east, north and device heading (3,) of the track at its time.
+
+    Where the frame of the anchors is unknown, or the track less sure than a linear update needs, the range waits for
+    others that show with it where the track is ("waiting"). They place the track ("placed"), or contradict it for long
+    and move it ("moved"). Two places that fit are followed both: the state has a `rival` then.
+    """
+    is_joined = state.frame.is_joined
+    if is_joined and not _is_wide(state, fix, then):
+        direct_prob = partial(fix.direct_prob, reflected_prob=_reflected_prob(state.fixes.ranges))
+        updated, outcome, nis = on_measurement(model, arithmetic, state, offset_rad, fix, then, direct_prob)
+        pair = PairedRange(fix, read_only(then[:2]), outcome == "used")
+        updated = _with_ranges(updated, recent(updated.fixes.ranges, pair))
+        if outcome == "used" or not _is_contradicted(updated.fixes.ranges):
+            return updated, outcome, nis
+        found = solutions(updated.fixes.ranges)
+        better = found[0].log_density - log_density_here(updated.fixes.ranges) if found else 0.0
+        if better < 2.0 * LOG_ODDS_BEFORE or len(found) != 1 or not found[0].is_settled:
+            return updated, outcome, nis
+        return _placed(updated, found[0]), "moved", nis
+    pairs = recent(state.fixes.ranges, PairedRange(fix, read_only(then[:2]), is_used=False))
+    state = _with_ranges(state, pairs)
+    anchors = {tuple(pair.fix.anchor_m.tolist()) for pair in pairs}
+    n_least = _MIN_DIRECT_KNOWN if is_joined else _MIN_DIRECT
+    if len(pairs) < n_least or len(anchors) < _MIN_ANCHORS or len(state.steps.trail) == 0:
+        return state, "waiting", np.nan
+    found = solutions(pairs, _prior(state))
+    is_clear = 0 < len(found) <= 2 and all(s.is_settled and sum(s.fits) >= n_least for s in found)
+    if not is_clear:
+        return state, "waiting", np.nan
+    first, *others = (_placed(state, solution) for solution in found)
+    if others:
+        first = replace(first, rival=Rival(others[0], found[1].log_odds))
+    return first, "placed", np.nan
+
+
+def _reflected_prob(pairs: tuple[PairedRange, ...]) -> float:
+    """Expected share of reflections, by the last ranges: those of an open hall differ from those behind walls."""
+    n_reflected = sum(not pair.is_used for pair in pairs)
+    return (_PRIOR_REFLECTED + n_reflected) / (_PRIOR_RANGES + len(pairs))
+
+
+def _with_ranges(state: PedestrianState, pairs: tuple[PairedRange, ...]) -> PedestrianState:
+    return replace(state, fixes=replace(state.fixes, ranges=pairs))
+
+
+def _is_contradicted(pairs: tuple[PairedRange, ...]) -> bool:
+    n_rejected = sum(not pair.is_used for pair in pairs)
+    return n_rejected >= _MIN_CONTRADICTING and n_rejected > _CONTRADICTING_SHARE * len(pairs)
+
+
+def _is_wide(state: PedestrianState, fix: RangeFix, then: FloatArray) -> bool:
+    """True if the arc of the range bends away from its tangent by more than its error, within the track's error.
+
+    The sagitta of an arc of radius r over s to either side is s^2 / 2r.
+    """
+    away_m = then[:2] - fix.anchor_m[:2]
+    distance_m = max(math.hypot(*away_m), fix.std_m)
+    across = np.array([-away_m[1], away_m[0]]) / distance_m
+    cov_m2 = track_place(state).cov_m2
+    return float(across @ cov_m2 @ across) > 2.0 * distance_m * fix.std_m
+
+
+def _prior(state: PedestrianState) -> PriorPose | None:
+    """What the state says of place and rotation, besides the ranges; None if it says nothing."""
+    frame, (x, P) = state.frame, state.estimates.combined
+    if frame.is_joined:
+        cov = P[: HEADING_OFFSET + 1, : HEADING_OFFSET + 1] + _LEAST_VAR * np.eye(3)
+        cov[:2, :2] += state.estimates.consider_cov_m2
+        return PriorPose(x[:2], x[:2], np.linalg.inv(cov))
+    information, angle_rad, place_m = np.zeros((3, 3)), 0.0, x[:2]
+    if math.isfinite(frame.north_var_rad2):
+        information[2, 2] = 1.0 / max(frame.north_var_rad2, _LEAST_VAR)
+    if frame.compass is not None:
+        information[2, 2], angle_rad = 1.0 / max(frame.compass.std_rad**2, _LEAST_VAR), frame.compass.angle_rad
+    track_m = x[:2]
+    if frame.pairs:  # where the heading was lost, or position fixes
+        pair = frame.pairs[-1]
+        track_m, place_m = pair.track_m, pair.world_m
+        information[:2, :2] = np.eye(2) / max(pair.var_m2, _LEAST_VAR)
+    return PriorPose(track_m, place_m, information, angle_rad) if information.any() else None
+
+
+def _placed(state: PedestrianState, solution: PlacedTrack) -> PedestrianState:
+    """State at a solution, which has all that is known of place and heading; earlier steps stay as they are known."""
+    n_steps, is_joined = state.steps.n_final, state.frame.is_joined
+    alignment = solution.alignment(n_steps, n_steps if is_joined else state.frame.since)
+    if is_joined:
+        frame = replace(state.frame, later=(*state.frame.later, alignment))
+        state = in_other_frame(with_detached_path(state), alignment)
+    else:
+        frame = state.frame.joined(alignment)
+        state = with_detached_path(in_other_frame(state, alignment))
+    estimates = state.estimates
+    mean, cov = estimates.mean.copy(), estimates.cov.copy()
+    mean[:, :LOG_SCALE] = estimates.combined[0][:LOG_SCALE]
+    cov[:, :LOG_SCALE] = cov[:, :, :LOG_SCALE] = 0.0
+    about = replace(alignment, angle_rad=0.0, track_centre_m=alignment.world_centre_m)
+    _, cov = moved(mean, cov, about)
+    no_error_m = np.zeros_like(estimates.consider_error_m)
+    placed = replace(estimates, mean=mean, cov=cov, consider_error_m=no_error_m)
+    return replace(state, estimates=placed, frame=frame, fixes=replace(state.fixes, ranges=(), used=()))

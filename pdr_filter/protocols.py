@@ -1,0 +1,24 @@
+"""Interfaces of the parts that users can add, with shapes and units in their docstrings.
+
+A part needs no base class. `pdr_filter.testing` checks parts, and docs/extend.md has a complete example of each.
+"""
+
+from pdr_filter.filter.imm.weighting import Weighting as Weighting
+from pdr_filter.filter.step_length.models import LinearStepLengthModel as LinearStepLengthModel
+from pdr_filter.filter.step_length.models import SmoothStepLengthModel as SmoothStepLengthModel
+from pdr_filter.filter.step_length.models import StepLengthModel as StepLengthModel
+from pdr_filter.sensing.contexts.context_stage import ContextStage as ContextStage
+from pdr_filter.sensing.heading.heading_stage import HeadingStage as HeadingStage
+from pdr_filter.sensing.steps.detector_protocol import StepDetector as StepDetector
+from pdr_filter.values.fixes import Measurement as Fix
+
+__all__ = [
+    "ContextStage",
+    "Fix",
+    "HeadingStage",
+    "LinearStepLengthModel",
+    "SmoothStepLengthModel",
+    "StepDetector",
+    "StepLengthModel",
+    "Weighting",
+]

@@ -1,0 +1,285 @@
+"""Ranges to anchors and measurements of other classes: accuracy, reflections, two places that fit, gating."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+import pdr_filter as pdr
+from pdr_filter.filter.fixes.range_placement import PairedRange, solutions
+from pdr_filter.filter.imm.imm_tracker import ImmTracker
+from pdr_filter.simulate import Leg, simulate
+from pdr_filter.values import Fix, FloatArray, Measurement
+from tests.benchmarks.consistency import own_model, simulated_walk
+
+ANCHORS = ((-8.0, -6.0), (25.0, -5.0), (5.0, 25.0))
+
+
+@cache
+def walk(seed: int) -> pdr.Recording:
+    """Three rounds of a rectangle of 18 m by 12 m."""
+    right = np.pi / 2
+    legs = [Leg("walking", distance_m=18.0, turn_rad=right), Leg("walking", distance_m=12.0, turn_rad=right)] * 6
+    return simulate(legs, carrying_mode="texting" if seed % 2 else "pocket", seed=seed)
+
+
+def place_at(recording: pdr.Recording, time_s: FloatArray | float) -> FloatArray:
+    truth = recording.truth.position
+    assert truth is not None
+    return np.stack([np.interp(time_s, truth.time_s, column) for column in (truth.east_m, truth.north_m)], axis=-1)
+
+
+def ranges(
+    recording: pdr.Recording, anchors: Sequence[Sequence[float]], seed: int, reflected: float = 0.0
+) -> list[pdr.RangeFix]:
+    """A range to each anchor every two seconds, with 0.3 m of noise; a share of them is reflected and 3 m too long."""
+    rng, truth, fixes = np.random.default_rng(seed), recording.truth.position, list[pdr.RangeFix]()
+    assert truth is not None
+    for time_s in np.arange(1.0, truth.time_s[-1], 2.0):
+        for anchor_m in anchors:
+            distance_m = float(np.linalg.norm(place_at(recording, time_s) - np.asarray(anchor_m)[:2]))
+            extra_m = 3.0 if rng.random() < reflected else 0.0
+            fixes.append(
+                pdr.RangeFix(time_s, np.array(anchor_m), max(distance_m + 0.3 * rng.normal() + extra_m, 0), 0.3)
+            )
+    return fixes
+
+
+def errors(track: pdr.Track, recording: pdr.Recording) -> tuple[float, float]:
+    """Root mean square error in m, and mean normalised error squared of two degrees of freedom."""
+    off = track.position_m - place_at(recording, track.time_s)
+    nees = np.einsum("ka,kab,kb->k", off, np.linalg.inv(track.position_cov_m2), off)
+    return float(np.sqrt((off**2).sum(axis=1).mean())), float(nees.mean())
+
+
+@pytest.mark.parametrize("world", [False, True], ids=["start", "unknown frame"])
+@pytest.mark.parametrize(("reflected", "most_m"), [(0.0, 0.5), (1 / 3, 0.8)])
+@pytest.mark.parametrize("seed", [4, 5, 6])
+def test_ranges_to_three_anchors_keep_a_track_within_half_a_metre_and_reflections_within_eight_tenths(
+    seed: int, reflected: float, most_m: float, world: bool
+) -> None:
+    recording, config = walk(seed), pdr.recipes.default()
+    fixes = ranges(recording, ANCHORS, seed, reflected)
+    track = pdr.track(recording, config=config.in_world_frame() if world else config, fixes=fixes)
+    rmse_m, nees = errors(track, recording)
+    assert rmse_m < most_m
+    assert nees < 3.0
+    assert track.frame == ("fixes" if world else "start")
+    without_m, _ = errors(pdr.track(recording), recording)
+    assert rmse_m < without_m
+    outcomes = [fix.outcome for fix in track.fixes]
+    assert outcomes.count("placed") == world
+    assert set(outcomes) <= {"used", "rejected", "placed", "waiting"}
+    assert outcomes.count("rejected") / len(outcomes) == pytest.approx(reflected, abs=0.1)
+
+
+def test_the_innovations_of_ranges_are_as_large_as_the_filter_expects() -> None:
+    model, nis, anchors = own_model("walking"), list[float](), 300.0 * np.array([[0, 1], [1, 0], [-0.7, -0.7]])
+    tracker, n_walks = ImmTracker(own_model("walking")), 30
+    for n in range(n_walks):
+        rng = np.random.default_rng([3, n])
+        drawn, state = simulated_walk(model, 100, rng), tracker.init()
+        for k, step in enumerate(drawn.steps):
+            state, _ = tracker.on_step(state, step)
+            if k % 8 == 7:
+                anchor_m = anchors[k // 8 % 3]
+                distance_m = float(np.linalg.norm(drawn.state[k, :2] - anchor_m))
+                fix = pdr.RangeFix(step.time_s, anchor_m, distance_m + 0.3 * rng.normal(), 0.3)
+                state, _, of_fix = tracker.on_fix(state, fix)
+                nis.append(of_fix)
+    low, high = chi2.ppf([0.005, 0.995], len(nis)) / len(nis)
+    assert low < np.mean(nis) < high
+
+
+def test_two_anchors_leave_two_places_and_both_are_followed_until_the_path_turns() -> None:
+    recording, seen = walk(7), list[tuple[float, float, float]]()
+    filter_ = pdr.OnlineFilter(pdr.recipes.default().in_world_frame())
+    samples = pdr.merge_streams(recording)
+    fixes = ranges(recording, ANCHORS[:2], 7)
+    for i in range(0, len(samples.time_s), 50):
+        part = slice(i, i + 50)
+        while fixes and fixes[0].time_s <= samples.time_s[part][-1]:
+            filter_.add_fix(fixes.pop(0))
+        filter_.push(samples.time_s[part], samples.specific_force_mps2[part], samples.angular_rate_radps[part])
+        if filter_.state.rival is not None:
+            away_m = float(np.linalg.norm(filter_.position_m - place_at(recording, samples.time_s[part][-1])))
+            std_m = float(np.sqrt(np.linalg.eigvalsh(filter_.position_cov_m2)[-1]))
+            seen.append((samples.time_s[i], away_m, std_m))
+    assert len(seen) > 5
+    assert seen[0][0] < 20.0 and seen[-1][0] < 40.0
+    assert all(away_m < 3.5 * std_m + 1.0 for _, away_m, std_m in seen)
+    assert max(std_m for *_, std_m in seen) > 4.0
+    assert filter_.state.rival is None
+    filter_.finish()
+    path = filter_.path()
+    off_m = np.linalg.norm(path.position_m - place_at(recording, path.time_s), axis=1)
+    assert np.quantile(off_m, 0.9) < 1.5
+
+
+def test_a_filter_with_two_places_goes_on_after_saving_as_if_nothing_had_been() -> None:
+    recording, samples = walk(7), pdr.merge_streams(walk(7))
+    first = pdr.OnlineFilter(pdr.recipes.default().in_world_frame())
+    n = int(np.searchsorted(samples.time_s, 16.0))
+    for fix in ranges(recording, ANCHORS[:2], 7):
+        if fix.time_s < 15.0:
+            first.add_fix(fix)
+    parts = (samples.specific_force_mps2, samples.angular_rate_radps)
+    first.push(samples.time_s[:n], *(part[:n] for part in parts))
+    assert first.state.rival is not None
+    second = pdr.OnlineFilter.load(first.save())
+    updates = [f.push(samples.time_s[n:], *(part[n:] for part in parts)) for f in (first, second)]
+    np.testing.assert_array_equal(*([u.position_m for u in each] for each in updates))
+
+
+def test_placements_by_ranges_are_the_mirror_images_of_a_straight_path() -> None:
+    rng = np.random.default_rng(0)
+    start_m = np.array([3.0, 4.0])
+    track_m = np.column_stack([np.zeros(8), 1.3 * np.arange(0.0, 16.0, 2.0)])
+    pairs = [
+        PairedRange(
+            pdr.RangeFix(2.0 * k, np.array(a), float(np.hypot(*(place + start_m - a))) + 0.1 * rng.normal(), 0.1),
+            place,
+            is_used=False,
+        )
+        for k, place in enumerate(track_m)
+        for a in ((-5.0, 0.0), (12.0, 0.0))
+    ]
+    first, second = solutions(pairs)
+    starts = [(s.world_centre_m + (track_m[0] - s.track_centre_m) @ _turned(s.angle_rad).T) for s in (first, second)]
+    found = sorted(starts, key=lambda place: -place[1])
+    np.testing.assert_allclose(found, [(3.0, 4.0), (3.0, -4.0)], atol=0.4)
+    assert solutions([p for p in pairs if p.fix.anchor_m[0] < 0]) == []  # one anchor leaves a circle
+
+
+def _turned(angle_rad: float) -> FloatArray:
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, s], [-s, c]])
+
+
+@dataclass
+class FromAnchor:
+    """A range of another library, as an innovation with the derivative of the prediction, or as a residual."""
+
+    time_s: float
+    fix: pdr.RangeFix
+    is_innovation: bool
+    received_time_s: float | None = None
+
+    def measurement(self, position_m: FloatArray, heading_rad: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        residual, jacobian, cov = self.fix.measurement(position_m, heading_rad)
+        return (-residual if self.is_innovation else residual), jacobian, cov
+
+
+class OfHeading:
+    """A compass without a base class."""
+
+    received_time_s = None
+
+    def __init__(self, time_s: float, heading_rad: float) -> None:
+        self.time_s, self.heading_rad = time_s, heading_rad
+
+    def measurement(self, position_m: FloatArray, heading_rad: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        error = np.arctan2(np.sin(heading_rad - self.heading_rad), np.cos(heading_rad - self.heading_rad))
+        return np.array([error]), np.array([[0.0, 0.0, 1.0]]), np.array([[0.05**2]])
+
+
+@pytest.mark.parametrize("weighting", ["imm", "wc"])
+def test_a_measurement_of_a_foreign_class_is_used_online_and_smoothed_with_either_sign(weighting: str) -> None:
+    recording = walk(5)
+    given = ranges(recording, ANCHORS, 5)
+    tracks = [
+        pdr.track(recording, fixes=[FromAnchor(f.time_s, f, sign) for f in given], weighting=weighting)
+        for sign in (False, True)
+    ]
+    np.testing.assert_array_equal(tracks[0].position_m, tracks[1].position_m)
+    assert errors(tracks[0], recording)[0] < 0.5
+    assert tracks[0].fixes[0].kind == "fromanchor"
+    smoothed = pdr.smooth(recording, [FromAnchor(f.time_s, f, True) for f in given], weighting=weighting)
+    assert errors(smoothed.track, recording)[0] < errors(tracks[0], recording)[0]
+    assert (smoothed.observations.weight > 0.5).mean() > 0.95
+
+
+def test_a_measurement_of_the_heading_turns_a_track_like_a_heading_fix() -> None:
+    recording = walk(5)
+    times_s = np.arange(5.0, 60.0, 5.0)
+    own = pdr.track(recording, fixes=[pdr.HeadingFix(t, 0.1 + np.pi / 2, 0.05) for t in times_s[:1]])
+    foreign = pdr.track(recording, fixes=[OfHeading(t, 0.1 + np.pi / 2) for t in times_s[:1]])
+    np.testing.assert_allclose(foreign.position_m[-1], own.position_m[-1], atol=1e-6)
+
+
+@pytest.mark.parametrize("reflected", [0.0, 1 / 3])
+def test_smoothed_ranges_are_nearer_to_the_truth_than_online_ones_and_reflections_are_left_out(
+    reflected: float,
+) -> None:
+    recording = walk(4)
+    fixes = ranges(recording, ANCHORS, 4, reflected)
+    smoothed = pdr.smooth(recording, fixes)
+    rmse_m, nees = errors(smoothed.track, recording)
+    assert rmse_m < 0.35
+    assert nees < 3.0
+    assert smoothed.track.frame == "fixes"
+    left_out = smoothed.observations.weight < 0.5
+    assert left_out.mean() == pytest.approx(reflected, abs=0.1)
+    assert {fix.kind for fix in smoothed.track.fixes} == {"range"}
+
+
+def test_an_anchor_above_the_phone_is_as_far_as_space_says() -> None:
+    fix = pdr.RangeFix(1.0, (3.0, 0.0, 4.0), 5.0, 0.1)
+    residual, jacobian, _ = fix.measurement(np.zeros(2), 0.0)
+    np.testing.assert_allclose(residual, 0.0, atol=1e-12)
+    np.testing.assert_allclose(jacobian, [[-0.6, 0.0]])
+
+
+def test_only_ranges_that_are_too_long_are_taken_for_reflections() -> None:
+    fix = pdr.RangeFix(1.0, (10.0, 0.0), 10.0, 0.3)
+    longer, shorter = fix.direct_prob(-2.0, 0.5**2), fix.direct_prob(2.0, 0.5**2)
+    assert longer < 0.05 and shorter > 0.9
+    assert fix.direct_prob(-2.0, 2.0**2) > 0.6  # the track may be off by as much
+
+
+@pytest.mark.parametrize(
+    ("fix", "message"),
+    [
+        (object(), "measurement"),
+        (FromAnchor, "instance"),
+        (FromAnchor("x", pdr.RangeFix(1.0, (0, 0), 1, 1), False), "time_s of FromAnchor must be a number"),  # type: ignore[arg-type]
+        (FromAnchor(2.0, pdr.RangeFix(1.0, (0, 0), 1, 1), False, 1.0), "received_time_s not before"),
+    ],
+)
+def test_what_is_no_fix_is_refused_with_what_it_lacks(fix: object, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        pdr.OnlineFilter().add_fix(fix)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (((1.0,), 1.0, 1.0), "anchor_m"),
+        (((1.0, np.nan), 1.0, 1.0), "anchor_m"),
+        (((1.0, 1.0), -1.0, 1.0), "range_m"),
+        (((1.0, 1.0), 1.0, 0.0), "std_m"),
+    ],
+)
+def test_a_range_that_cannot_be_is_refused(values: tuple[tuple[float, ...], float, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        pdr.RangeFix(1.0, *values)
+
+
+def test_a_measurement_with_a_wrong_shape_says_what_it_must_return() -> None:
+    class Wrong(OfHeading):
+        def measurement(self, position_m: FloatArray, heading_rad: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+            return np.zeros(2), np.zeros((1, 2)), np.eye(2)
+
+    with pytest.raises(ValueError, match=r"measurement of Wrong must return a residual \(k,\)"):
+        pdr.track(walk(5), fixes=[Wrong(10.0, 0.0)])
+
+
+def test_ranges_and_measurements_are_measurements_and_other_fixes_are_none() -> None:
+    of_all: list[Fix] = [pdr.RangeFix(1.0, (0, 0), 1, 1), OfHeading(1.0, 0.0)]
+    assert all(isinstance(fix, Measurement) for fix in of_all)
+    assert not isinstance(pdr.HeadingFix(1.0, 0.0, 0.1), Measurement)

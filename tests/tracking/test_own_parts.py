@@ -1,0 +1,265 @@
+"""Parts of users: step detectors, heading stages, step lengths, measurements, written outside of the package."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from own_parts import FIT, Crossings, CrossingState, DeviceHeading, Exponential, RootOfRange, own_config
+
+import pdr_filter as pdr
+from pdr_filter.filter.step_length.models import bounce_fit
+from pdr_filter.simulate import Gait, Leg, simulate
+from pdr_filter.values import FloatArray, Origin, Samples
+from pdr_filter.values import serialisation as serialise
+
+
+@pytest.fixture(scope="module")
+def recording() -> pdr.Recording:
+    legs = [Leg("walking", distance_m=d, turn_rad=1.5) for d in (25.0, 20.0, 25.0)]
+    return simulate(legs, Gait(height_m=1.75), seed=1)
+
+
+def pushed(online: pdr.OnlineFilter, recording: pdr.Recording, begin: int = 0, end: int | None = None) -> list[Any]:
+    samples, updates = pdr.merge_streams(recording), []
+    for i in range(begin, len(samples.time_s) if end is None else end, 73):
+        part = slice(i, min(i + 73, end or len(samples.time_s)))
+        names = ("time_s", "specific_force_mps2", "angular_rate_radps", "magnetic_field_ut")
+        updates += online.push(*(getattr(samples, name)[part] for name in names))
+    return updates
+
+
+def test_parts_from_outside_make_the_same_track_online_and_as_a_whole(recording: pdr.Recording) -> None:
+    config = own_config()
+    track, online = pdr.track(recording, config=config), pdr.OnlineFilter(config)
+    updates = [u for u in (*pushed(online, recording), *online.finish()) if u.is_final]
+    np.testing.assert_array_equal([u.position_m for u in updates], track.position_m)
+    assert 80 < track.n_steps < 140
+    assert track.distance_m == pytest.approx(70.0, rel=0.2)
+    default = pdr.track(recording)
+    assert not np.array_equal(track.steps.time_s, default.steps.time_s)
+
+
+def test_parts_from_outside_are_smoothed_and_drawn(recording: pdr.Recording, tmp_path: Any) -> None:
+    smoothed = pdr.smooth(recording, config=own_config())
+    assert smoothed.track.distance_m == pytest.approx(70.0, rel=0.2)
+    from pdr_filter.report.html import write_report
+
+    write_report([smoothed.track], tmp_path / "own.html", recording)
+    assert (tmp_path / "own.html").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("n_pushed", [900, 2345])
+def test_a_filter_with_parts_from_outside_is_saved_and_goes_on_with_its_configuration(
+    recording: pdr.Recording, n_pushed: int
+) -> None:
+    config = own_config()
+    online = pdr.OnlineFilter(config)
+    pushed(online, recording, end=n_pushed)
+    blob = online.save()
+    assert b"Crossing" not in _content(blob) and b"own_parts" not in _content(blob)
+    loaded = pdr.OnlineFilter.load(blob, config=own_config())
+    assert isinstance(loaded.state.sensing.steps, CrossingState)
+    rest = [pushed(f, recording, begin=n_pushed) for f in (online, loaded)]
+    np.testing.assert_array_equal(*([u.position_m for u in updates] for updates in rest))
+
+
+def _content(blob: bytes) -> bytes:
+    import zlib
+
+    return zlib.decompress(blob)
+
+
+def test_bytes_without_the_configuration_say_that_it_is_needed_and_another_one_is_refused(
+    recording: pdr.Recording,
+) -> None:
+    online = pdr.OnlineFilter(own_config())
+    pushed(online, recording, end=900)
+    with pytest.raises(ValueError, match=r"OnlineFilter.load\(blob, config=config\)"):
+        pdr.OnlineFilter.load(online.save())
+    for other in (pdr.recipes.default(), own_config().with_weighting("hc")):
+        with pytest.raises(ValueError, match="another configuration"):
+            pdr.OnlineFilter.load(online.save(), config=other)
+
+
+def test_a_saved_filter_of_own_classes_alone_can_be_loaded_with_its_configuration_too(recording: pdr.Recording) -> None:
+    online = pdr.OnlineFilter()
+    pushed(online, recording, end=900)
+    loaded = pdr.OnlineFilter.load(online.save(), config=pdr.recipes.default())
+    np.testing.assert_array_equal(loaded.position_m, online.position_m)
+
+
+def test_a_state_that_cannot_be_saved_is_refused_when_it_is_saved(recording: pdr.Recording) -> None:
+    class Forgetful(DeviceHeading):
+        def init(self) -> Any:
+            return {"n_steps": 0, "open": object()}
+
+    online = pdr.OnlineFilter(pdr.recipes.default().with_heading(Forgetful()))
+    with pytest.raises(ValueError, match="state of a part of yours holds a object"):
+        online.save()
+
+
+def test_north_is_found_with_a_heading_stage_from_outside() -> None:
+    walk = simulate([Leg("walking", distance_m=60.0)], seed=3, start_heading_rad=1.0)
+    place = Origin(51.4779, -0.0015)
+    track = pdr.track(walk, config=pdr.recipes.default().with_heading(DeviceHeading()), north="magnetic", origin=place)
+    assert track.frame == "north"
+    walked = track.position_m[-1]
+    declination = place.declination_rad()
+    assert math.atan2(*walked) == pytest.approx(1.0 + declination, abs=0.25)
+
+
+def test_locations_use_north_with_a_heading_stage_from_outside_and_not_with_one_that_forbids_it() -> None:
+    config = pdr.recipes.default()
+    assert config.with_heading(DeviceHeading()).learns_directions
+
+    class Unsure(DeviceHeading):
+        learns_directions = False
+
+    with pytest.raises(ValueError, match="does not learn where the person walks"):
+        config.with_heading(Unsure()).with_magnetic_north(0.0)
+
+
+def test_what_a_part_lacks_is_named() -> None:
+    with pytest.raises(ValueError, match=r"steps must be a StepDetector .* without first_step_s, latency_s, rate_hz"):
+        pdr.recipes.default().with_steps(DeviceHeading())  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="a class, not one of its instances"):
+        pdr.recipes.default().with_heading(DeviceHeading)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="no mode 'swimming'"):
+        pdr.recipes.default().with_step_length("swimming", FIT)
+
+
+def test_the_checks_pass_for_parts_that_keep_to_the_protocols() -> None:
+    for part in (Crossings(), DeviceHeading()):
+        pdr.testing.check_stage(part)
+    for model in (RootOfRange(), Exponential(), FIT, bounce_fit()):
+        pdr.testing.check_step_length(model)
+    pdr.testing.check_fix(pdr.RangeFix(1.0, (3.0, 4.0, 1.0), 5.2, 0.3))
+
+
+class _BlockMean(Crossings):
+    def update(self, state: Any, block: Any, attitude: Any, contexts: Any) -> Any:
+        level = replace(attitude, vertical_mps2=attitude.vertical_mps2 - attitude.vertical_mps2.mean())
+        return super().update(state, block, level, contexts)
+
+
+class _Milliseconds(Crossings):
+    def update(self, state: Any, block: Any, attitude: Any, contexts: Any) -> Any:
+        state, steps = super().update(state, block, attitude, contexts)
+        return state, [(n, replace(step, duration_s=1000 * step.duration_s)) for n, step in steps]
+
+
+class _Memory(DeviceHeading):
+    def __init__(self) -> None:
+        self.n = 0
+
+    def update(self, state: Any, block: Any, attitude: Any, contexts: Any, steps: Any) -> Any:
+        state, steps = super().update(state, block, attitude, contexts, steps)
+        self.n += len(steps)
+        return state, [(n, replace(step, direction_trust=self.n / 1000)) for n, step in steps]
+
+
+class _Degrees(DeviceHeading):
+    @staticmethod
+    def _directed(step: pdr.Step) -> pdr.Step:
+        return replace(step, walking_heading_rad=math.degrees(step.device_heading_rad), walking_heading_std_rad=20.0)
+
+
+class _Lambda(Crossings):
+    def init(self) -> Any:
+        return replace(super().init(), low=lambda: 0.0)  # type: ignore[arg-type]
+
+    def update(self, state: Any, block: Any, attitude: Any, contexts: Any) -> Any:
+        before = replace(state, low=state.low() if callable(state.low) else state.low)
+        state, steps = super().update(before, block, attitude, contexts)
+        low = state.low
+        return replace(state, low=lambda: low), steps  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("part", "message"),
+    [
+        (_BlockMean(), "in other blocks"),
+        (_Milliseconds(), "durations are in s"),
+        (_Memory(), "in other blocks|changes a state"),
+        (_Degrees(), "clockwise, in rad"),
+        (_Lambda(), "cannot be saved"),
+        (object(), "has no"),
+    ],
+    ids=["mean of a block", "milliseconds", "hidden state", "degrees", "state that cannot be saved", "no stage"],
+)
+def test_a_stage_that_breaks_the_protocol_is_refused_with_the_reason(part: Any, message: str) -> None:
+    with pytest.raises(AssertionError, match=message):
+        pdr.testing.check_stage(part)
+
+
+class _WrongSlope(Exponential):
+    def jacobian(self, step: pdr.Step, theta: FloatArray) -> FloatArray:
+        return 2.0 * super().jacobian(step, theta)
+
+
+class _OneTheta(Exponential):
+    def length_m(self, step: pdr.Step, theta: FloatArray) -> FloatArray:
+        return np.asarray(math.exp(theta.ravel()[0]))
+
+    def jacobian(self, step: pdr.Step, theta: FloatArray) -> FloatArray:
+        return np.full(theta.shape, self.length_m(step, theta))
+
+
+@pytest.mark.parametrize(
+    ("model", "message"),
+    [
+        (_WrongSlope(), "by finite differences"),
+        (_OneTheta(), "leading axes"),
+        (object(), "n_params"),
+        (replace(FIT, theta=100 * FIT.theta), "lengths are in m"),
+    ],
+)
+def test_a_step_length_that_breaks_the_protocol_is_refused_with_the_reason(model: Any, message: str) -> None:
+    with pytest.raises(AssertionError, match=message):
+        pdr.testing.check_step_length(model)
+
+
+def test_waiting_measurements_of_own_classes_are_left_out_of_the_bytes_with_a_warning(recording: pdr.Recording) -> None:
+    class Line:
+        time_s, received_time_s = 8.9, None
+
+        def measurement(self, position_m: FloatArray, heading_rad: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+            return position_m[:1] - 1.0, np.array([[1.0, 0.0]]), np.eye(1)
+
+    online = pdr.OnlineFilter()
+    pushed(online, recording, end=900)
+    online.add_fix(Line())
+    with pytest.warns(UserWarning, match="1 measurements of classes of yours wait"):
+        blob = online.save()
+    assert pdr.OnlineFilter.load(blob).state.waiting_fixes == ()
+
+
+def test_a_calibrated_model_from_outside_is_kept_and_loaded_with_its_configuration(tmp_path: Any) -> None:
+    config = pdr.recipes.default().with_step_length("walking", FIT)
+    legs = [Leg("walking", distance_m=20.0), Leg("stationary", duration_s=3.0)] * 4
+    walk = simulate(legs, Gait(height_m=1.8), seed=2)
+    calibration = pdr.calibrate(walk, config=config)
+    assert isinstance(calibration.models["walking"], RootOfRange)
+    again = pdr.track(walk, config=config, calibration=calibration)
+    assert again.distance_m == pytest.approx(80.0, rel=0.03)
+    path = tmp_path / "own.json"
+    calibration.save(path)
+    assert "RootOfRange" not in path.read_text()
+    with pytest.raises(ValueError, match="give the configuration"):
+        pdr.track(walk, calibration=path)
+    np.testing.assert_array_equal(pdr.track(walk, config=config, calibration=path).position_m, again.position_m)
+
+
+def test_foreign_fields_take_the_class_of_the_part_alone() -> None:
+    state = Crossings().init()
+    loaded = serialise.from_bytes(serialise.to_bytes(state, foreign=True))
+    assert isinstance(loaded, serialise.ForeignFields)
+    assert isinstance(serialise.restored(loaded, Crossings().init()), CrossingState)
+    with pytest.raises(ValueError, match="other fields"):
+        serialise.restored(loaded, Samples(np.zeros(1), np.zeros((1, 1))))
+    with pytest.raises(TypeError, match="cannot be saved"):
+        serialise.to_bytes(state)
