@@ -7,7 +7,7 @@ import pickle
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from queue import SimpleQueue
 from threading import Thread
@@ -99,7 +99,7 @@ def serve() -> None:
 
 
 @contextmanager
-def dask_errors(scheduler: str) -> Iterator[None]:
+def dask_errors(scheduler: str) -> Generator[None]:
     """Raise ValueError with a remedy where Dask is not installed or the scheduler does not answer."""
     try:
         yield
