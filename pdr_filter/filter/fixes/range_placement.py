@@ -135,8 +135,6 @@ def solutions(pairs: Sequence[PairedRange], prior: PriorPose | None = None) -> l
         volume = -0.5 * float(np.linalg.slogdet(information)[1])
         inverse = np.asarray(np.linalg.inv(information), dtype=float)
         found.append((float(value[k]) + volume, float(value[k]), pose[k], inverse))
-            (float(value[k]) + volume, float(value[k]), pose[k], np.asarray(np.linalg.inv(information), float))
-        )
     highest = max((odds for odds, *_ in found), default=0.0)
     result = [
         PlacedTrack(centre, read_only(p[:2]), float(wrap_angle(p[2])), cov, odds - highest, density, problem.fits(p))
