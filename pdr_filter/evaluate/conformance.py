@@ -76,7 +76,7 @@ class StageSamples:
 
 @lru_cache(maxsize=8)
 def stage_samples(rate_hz: float = 100.0, seed: int = 0) -> StageSamples:
-    """A noisy walk with a turn right by 90 degrees; the phone comes out of a pocket, its turn unknown for 1 s."""
+    """A noisy walk with a turn to the right; the phone comes out of a pocket, and its turn is unknown for 1 s."""
     legs = [
         Leg("walking", distance_m=12.0),
         Leg("walking", distance_m=18.0, turn_rad=np.pi / 2, carrying_mode="texting"),
@@ -320,7 +320,11 @@ def _check_length(name: str, model: Any, step: Step, theta: FloatArray, is_linea
         many.shape,
     ):
         raise AssertionError(f"{name} must take theta with leading axes, (..., {len(theta)}), and give (...,) lengths")
-    for k, by in enumerate(_differences(lambda t: length_and_jacobian(model, step, t)[0], theta)):
+
+    def length_at(theta: FloatArray) -> FloatArray:
+        return length_and_jacobian(model, step, theta)[0]
+
+    for k, by in enumerate(_differences(length_at, theta)):
         if abs(by - jacobian[k]) > 1e-4 * max(abs(by), 1.0):
             raise AssertionError(
                 f"{name}: the derivative with respect to parameter {k} is {by:.6g} by finite differences, and "
@@ -353,7 +357,11 @@ def check_fix(fix: Any, position_m: Sequence[float] = (1.0, 2.0), heading_rad: f
         _, jacobian, _ = measured(fix, pose[:2], heading_rad)
     except ValueError as error:
         raise AssertionError(str(error)) from None
-    columns = list(_differences(lambda at: np.asarray(fix.measurement(at[:2], float(at[2]))[0], dtype=float), pose))
+
+    def residual_at(pose: FloatArray) -> FloatArray:
+        return np.asarray(fix.measurement(pose[:2], float(pose[2]))[0], dtype=float)
+
+    columns = list(_differences(residual_at, pose))
     if not np.allclose(jacobian, np.column_stack(columns), rtol=1e-3, atol=1e-5):
         raise AssertionError(
             f"{name}: the derivative of the residual with respect to east, north and heading is "

@@ -116,7 +116,7 @@ def for_recording(name: str, recording: Recording) -> Config:
     """
     if name == "zhou2019" and recording.is_on_foot:
         return zhou2019(recording.subject, placement="foot")
-    config: object = _named(name)(recording.subject)
+    config: Any = _named(name)(recording.subject)
     if not isinstance(config, Config):
         raise ValueError(f"recipe {name!r} must return a Config, got {config!r}: such as default().with_steps(...)")
     return config
@@ -131,7 +131,7 @@ def check_name(name: str) -> None:
 ENTRY_POINTS = "pdr_filter.recipes"
 
 
-def _named(name: str) -> Callable[[Subject | None], Config]:
+def _named(name: str) -> Callable[[Subject | None], Any]:
     """The recipe of a name; a function without parameters is called without the subject."""
     if name in RECIPES:
         return RECIPES[name]

@@ -386,7 +386,7 @@ class OnlineFilter:
 
 
 def _of_config(config: Config, state: State, first: State) -> State:
-    """A loaded state whose parts have the classes of a configuration, given its first state; or ValueError."""
+    """A loaded state whose parts have the classes of a configuration, given its first state."""
     try:
         parts = {
             name: serialise.restored(getattr(state.sensing, name), getattr(first.sensing, name))

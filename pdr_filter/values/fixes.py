@@ -329,8 +329,8 @@ class RangeFix:
 
     def direct_prob(self, residual_m: float, var_m2: float, reflected_prob: float = _REFLECTED_PROB) -> float:
         """Probability that the path was direct, given a residual that has this variance in all."""
-        numbers = (np.array(number) for number in (residual_m, var_m2, self.std_m))
-        log_direct, log_reflected = range_log_densities(*numbers, reflected_prob)
+        residual, var, std = (np.array(number) for number in (residual_m, var_m2, self.std_m))
+        log_direct, log_reflected = range_log_densities(residual, var, std, reflected_prob)
         return float(np.exp(log_direct - np.logaddexp(log_direct, log_reflected)))
 
 

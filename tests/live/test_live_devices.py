@@ -17,6 +17,7 @@ import pytest
 from serving import EPOCH_NS, own_messages, sensor_logger_messages, short_walk
 
 import pdr_filter as pdr
+from pdr_filter.io.fix_files import ranges_of_file
 from pdr_filter.live import devices as live_devices
 from pdr_filter.live import session as live_session
 from pdr_filter.live.assembly import SessionError
@@ -206,7 +207,27 @@ def test_a_fix_pulls_the_track_and_is_on_record(walk: Recording, tmp_path: Path)
     assert {"fixes.csv", "steps.jsonl"} <= exported(session.recorder.folder).keys()
 
 
-@pytest.mark.parametrize(("away_m", "outcome"), [(1.0, "used"), (500.0, "rejected")])
+def test_a_range_to_an_anchor_is_used_and_is_on_record_as_a_file_of_ranges(walk: Recording, tmp_path: Path) -> None:
+    events: list[Event] = []
+    devices = Devices(Settings(), tmp_path, events.append)
+    bodies = own_messages(walk)
+    for body in bodies[:90]:
+        devices.take(body, "", "", "", 0.0)
+    (session,) = devices.sessions.values()
+    east_m, north_m = session.online.position_m
+    fix = {"east_m": east_m + 12.0, "north_m": north_m, "range_m": 12.4, "std_m": 1.0}
+    devices.take(json.dumps({"device": "p", "session": "s", "fix": fix}).encode(), "", "", "", 0.0)
+    for body in bodies[90:]:
+        devices.take(body, "", "", "", 0.0)
+    devices.close()
+    told = [(e["kind"], e["outcome"]) for e in events if e["event"] == "fix"]
+    assert told == [("range", "waiting"), ("range", "used")]
+    (read,) = ranges_of_file(session.recorder.folder / "ranges.csv")
+    assert (read.range_m, read.std_m) == (12.4, 1.0)
+    np.testing.assert_allclose(read.anchor_m, [east_m + 12.0, north_m])
+    assert "ranges.csv" in exported(session.recorder.folder)
+
+
 def test_what_became_of_a_fix_is_told_also_by_the_next_process(
     walk: Recording, tmp_path: Path, away_m: float, outcome: str
 ) -> None:

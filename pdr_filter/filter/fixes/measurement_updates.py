@@ -99,26 +99,35 @@ def _iterated(
 
     The place at the time of the measurement is B x + b with `then` = (B, b).
     """
-    (by_state, shift_m), x = then, mean
-    prior_mean, prior_cov = mean[None], cov[None]
-    for _ in range(_MAX_ITERATIONS):
-        residual, J, R = measured(fix, by_state @ x + shift_m, heading_rad + float(x[HEADING_OFFSET]))
-        H = J[:, :2] @ by_state
-        H[:, HEADING_OFFSET] += J[:, 2]
-        R = R + gap_var_m2 * J[:, :2] @ J[:, :2].T
-        z = H @ x - residual
-        after_mean, after_cov, log_likelihood, nis = arithmetic.update(prior_mean, prior_cov, z, H, R)
-        moved = after_mean[0] - x
-        x = after_mean[0]
-        if float(np.abs(moved[:2]).max()) < _CONVERGED_M:
+    prior_mean, prior_cov, x = mean[None], cov[None], mean
+    linear = _linearised(fix, x, then, heading_rad, gap_var_m2)
+    updated = arithmetic.update(prior_mean, prior_cov, *linear)
+    for _ in range(_MAX_ITERATIONS - 1):
+        moved_m = updated[0][0, :2] - x[:2]
+        if float(np.abs(moved_m).max()) < _CONVERGED_M:
             break
-    prob = 1.0
-    if regular_prob is not None:
-        predicted = H @ mean - z  # predicted less measured
-        prob = regular_prob(float(predicted[0]), float((H @ cov @ H.T + R)[0, 0]))
-        moved = prob * (after_mean - prior_mean)
-        spread = (1.0 - prob) / max(prob, 1e-12) * moved[:, :, None] * moved[:, None, :]
-        after_cov = prob * after_cov + (1.0 - prob) * prior_cov + spread
-        after_mean = prior_mean + moved
-        log_likelihood = log_likelihood - math.log(max(prob, 1e-300))
-    return after_mean, after_cov, log_likelihood, nis, prob, len(residual)
+        x = updated[0][0]
+        linear = _linearised(fix, x, then, heading_rad, gap_var_m2)
+        updated = arithmetic.update(prior_mean, prior_cov, *linear)
+    z, H, R = linear
+    after_mean, after_cov, log_likelihood, nis = updated
+    if regular_prob is None:
+        return after_mean, after_cov, log_likelihood, nis, 1.0, len(z)
+    prob = regular_prob(float((H @ mean - z)[0]), float((H @ cov @ H.T + R)[0, 0]))
+    moved = prob * (after_mean - prior_mean)
+    spread = (1.0 - prob) / max(prob, 1e-12) * moved[:, :, None] * moved[:, None, :]
+    mixed_cov = prob * after_cov + (1.0 - prob) * prior_cov + spread
+    mixed_likelihood = np.asarray(log_likelihood - math.log(max(prob, 1e-300)), dtype=float)
+    return prior_mean + moved, mixed_cov, mixed_likelihood, nis, prob, len(z)
+
+
+def _linearised(
+    fix: Measurement, x: FloatArray, then: tuple[FloatArray, FloatArray], heading_rad: float, gap_var_m2: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Measurement z (k,) = H x + noise of covariance R, linearised at a state (4,)."""
+    by_state, shift_m = then
+    residual, by_pose, cov = measured(fix, by_state @ x + shift_m, heading_rad + float(x[HEADING_OFFSET]))
+    by_place = by_pose[:, :2]
+    H = by_place @ by_state
+    H[:, HEADING_OFFSET] += by_pose[:, 2]
+    return H @ x - residual, H, cov + gap_var_m2 * by_place @ by_place.T

@@ -133,7 +133,8 @@ def solutions(pairs: Sequence[PairedRange], prior: PriorPose | None = None) -> l
             return []
         # Laplace: the probability of all poses about this one
         volume = -0.5 * float(np.linalg.slogdet(information)[1])
-        found.append((float(value[k]) + volume, float(value[k]), pose[k], np.linalg.inv(information)))
+        inverse = np.asarray(np.linalg.inv(information), dtype=float)
+        found.append((float(value[k]) + volume, float(value[k]), pose[k], inverse))
     highest = max((odds for odds, *_ in found), default=0.0)
     result = [
         PlacedTrack(centre, read_only(p[:2]), float(wrap_angle(p[2])), cov, odds - highest, density, problem.fits(p))
@@ -235,19 +236,19 @@ class _Problem:
         """Normal matrices (P, 3, 3) and gradients (P, 3)."""
         residual, J = self._parts(pose)
         weight = (self._direct(residual) if is_robust else np.ones_like(residual)) / self._var_m2
-        A = np.einsum("pn,pna,pnb->pab", weight, J, J)
-        b = np.einsum("pn,pna,pn->pa", weight, J, residual)
+        normal = np.einsum("pn,pna,pnb->pab", weight, J, J)
+        gradient = np.einsum("pn,pna,pn->pa", weight, J, residual)
         if self.prior is not None:
             difference, by = self._from_prior(self.prior, pose)
             weighted = np.einsum("pba,bc->pac", by, self.prior.information)
-            A, b = A + weighted @ by, b + np.einsum("pac,pc->pa", weighted, difference)
-        return A, b
+            normal, gradient = normal + weighted @ by, gradient + np.einsum("pac,pc->pa", weighted, difference)
+        return normal, gradient
 
     def improved(self, pose: FloatArray, is_robust: bool, damping: float) -> FloatArray:
         """Poses after one Gauss-Newton iteration, damped as Levenberg and Marquardt do."""
-        A, b = self._normal(pose, is_robust)
-        A = A + damping * np.einsum("paa->pa", A)[:, :, None] * np.eye(3) + 1e-9 * np.eye(3)
-        return pose - np.linalg.solve(A, b[..., None])[..., 0]
+        normal, gradient = self._normal(pose, is_robust)
+        damped = normal + damping * np.einsum("paa->pa", normal)[:, :, None] * np.eye(3) + 1e-9 * np.eye(3)
+        return pose - np.linalg.solve(damped, gradient[..., None])[..., 0]
 
     def information(self, pose: FloatArray) -> FloatArray:
         """Information matrix (3, 3) of one pose (3,)."""

@@ -120,7 +120,7 @@ def _prior(state: PedestrianState) -> PriorPose | None:
     if frame.is_joined:
         cov = P[: HEADING_OFFSET + 1, : HEADING_OFFSET + 1] + _LEAST_VAR * np.eye(3)
         cov[:2, :2] += state.estimates.consider_cov_m2
-        return PriorPose(x[:2], x[:2], np.linalg.inv(cov))
+        return PriorPose(x[:2], x[:2], np.asarray(np.linalg.inv(cov), dtype=float))
     information, angle_rad, place_m = np.zeros((3, 3)), 0.0, x[:2]
     if math.isfinite(frame.north_var_rad2):
         information[2, 2] = 1.0 / max(frame.north_var_rad2, _LEAST_VAR)

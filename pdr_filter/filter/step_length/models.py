@@ -382,7 +382,11 @@ class StepLengths:
 
 def _key(model: StepLengthModel) -> Hashable:
     """The model itself, whose equals share their regressors; of a class without a hash its identity."""
-    return model if isinstance(model, Hashable) else id(model)
+    try:
+        hash(model)
+    except TypeError:
+        return id(model)
+    return model
 
 
 def _moments(

@@ -286,9 +286,9 @@ def linearised(problem: Problem, mean: FloatArray, frame_rad: float, weight: Flo
         )
         rows.append(Rows(problem.states.node, by_state, -residual, none, np.zeros((0, 0, 0)), of_states))
     of_measured = weight[len(weight) - len(problem.measurements) :]
-    for k, (residual, H) in enumerate(_measurement_residuals(problem, mean)):
+    for k, (residual, by_anchor) in enumerate(_measurement_residuals(problem, mean)):
         node, none = problem.measurements.node[[k]], np.full(1, -1)
-        rows.append(Rows(node, H[None], -residual[None], none, np.zeros((0, 0, 0)), of_measured[[k]]))
+        rows.append(Rows(node, by_anchor[None], -residual[None], none, np.zeros((0, 0, 0)), of_measured[[k]]))
     if len(offsets):
         inverse = 1 / offsets.std_rad
         residual = wrap_angle(mean[offsets.node, HEADING_OFFSET] - frame_rad - offsets.offset_rad) * inverse
