@@ -27,6 +27,8 @@ class Compared:
     recording: Recording
     tracks: dict[str, Track]
     rmse_m: dict[str, float]  # of those for which the truth was asked for
+    errors: Table  # `evaluate.comparison_table`
+    in_contexts: Table | None  # `evaluate.context_errors`, of a labelled recording
 
     def summary(self) -> dict[str, Any]:
         """What is printed of it, as plain values."""
@@ -49,7 +51,10 @@ def compare(
             help="Also how far off each is of the truth in the file, if it has one, turned and shifted to fit.",
         ),
     ] = False,
-    out: Annotated[Path | None, typer.Option(help="Folder for NAME.compare.html: all tracks on one page.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for NAME.compare.html with all tracks, and for tables (CSV, LaTeX)."),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Compare the weightings HC, WC and IMM on recordings, or several recipes."""
@@ -68,7 +73,9 @@ def compare(
             tracks = pdr.evaluate.weighting_tracks(recording, progress=progress)
         known = _known_places(recording) if truth else None
         rmse_m = {} if known is None else {name: _rmse_m(known, track) for name, track in tracks.items()}
-        found = Compared(recording, tracks, rmse_m)
+        labels = recording.truth.labels
+        in_contexts = None if labels is None or not len(labels) else pdr.evaluate.context_errors(recording, tracks)
+        found = Compared(recording, tracks, rmse_m, pdr.evaluate.comparison_table(recording, tracks), in_contexts)
         if truth and known is None:
             without.append(recording.name)
         if out is not None:
@@ -86,8 +93,13 @@ def compare(
             pdr.recipes.check_name(name)
         files = console.recordings_of(files)
     compared, failed = console.each(files, compare_one, as_json)
+    study = _study(compared) if truth or out is not None else None
+    if study is not None and out is not None:
+        _write(study, compared, out)
     if compared and not as_json:
         _print(compared)
+        if study is not None:
+            _print_study(study)
         console.say_written(out)
     console.say_without_truth(without)
     console.say_replaced(replaced)
@@ -152,3 +164,54 @@ def _print(compared: Sequence[Compared]) -> None:
     table.caption = console.SURE
     console.print_table(table)
     console.print_notes([list(found.tracks.values())[-1] for found in compared])
+
+
+def _study(compared: Sequence[Compared]) -> Table | None:
+    """Means over people of what the truth says; None if no recording has any."""
+    import numpy as np
+
+    import pdr_filter as pdr
+    from pdr_filter.evaluate.study import MEASURES
+
+    if not any(np.isfinite(found.errors[name]).any() for found in compared for name in MEASURES):
+        return None
+    people = [found.recording.subject.id or found.recording.name for found in compared]
+    return pdr.evaluate.study_table([found.errors for found in compared], people)
+
+
+def _write(study: Table, compared: Sequence[Compared], out: Path) -> None:
+    """study.csv and study.tex, contexts.csv of labelled recordings, and recordings.csv."""
+    import numpy as np
+
+    from pdr_filter.evaluate import write_tables
+    from pdr_filter.values import table
+
+    def joined(parts: Sequence[tuple[str, Table]]) -> Table:
+        names = parts[0][1].dtype.names or ()
+        columns = {name: np.concatenate([part[name] for _, part in parts]) for name in names}
+        return table({"recording": np.concatenate([np.full(len(part), of) for of, part in parts]), **columns})
+
+    write_tables(study, out / "study")
+    write_tables(joined([(found.recording.name, found.errors) for found in compared]), out / "recordings")
+    labelled = [(found.recording.name, found.in_contexts) for found in compared if found.in_contexts is not None]
+    if labelled:
+        write_tables(joined(labelled), out / "contexts")
+
+
+def _print_study(study: Table) -> None:
+    columns = ["error", "track", "recordings", "people", "bias", "mean size", "95 % of the mean", "less the last"]
+    shown = console.new_table(*columns, n_keys=2)
+    for row in study:
+        apart = "" if row["difference"] != row["difference"] else _between(row, "difference")
+        counts = str(row["n_recordings"]), str(row["n_people"])
+        numbers = f"{row['bias']:+.2f}", f"{row['mean']:.2f}", _range(row["low"], row["high"]), apart
+        shown.add_row(str(row["measure"]), str(row["name"]), *counts, *numbers)
+    console.print_table(shown)
+
+
+def _between(row: Any, name: str) -> str:
+    return f"{row[name]:+.2f} ({_range(row[f'{name}_low'], row[f'{name}_high'])})"
+
+
+def _range(low: float, high: float) -> str:
+    return "" if low != low else f"{low:.2f} to {high:.2f}"

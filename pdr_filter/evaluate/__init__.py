@@ -37,8 +37,12 @@ from pdr_filter.evaluate.steps import count_error_percent as count_error_percent
 from pdr_filter.evaluate.steps import f1_score as f1_score
 from pdr_filter.evaluate.steps import matched_steps as matched_steps
 from pdr_filter.evaluate.steps import step_scores as step_scores
+from pdr_filter.evaluate.study import context_errors as context_errors
+from pdr_filter.evaluate.study import study_table as study_table
 from pdr_filter.evaluate.tables import Markdown as Markdown
+from pdr_filter.evaluate.tables import latex as latex
 from pdr_filter.evaluate.tables import markdown as markdown
+from pdr_filter.evaluate.tables import write_tables as write_tables
 from pdr_filter.evaluate.tracks import aligned as aligned
 from pdr_filter.evaluate.tracks import axis_rmse_m as axis_rmse_m
 from pdr_filter.evaluate.tracks import directions_rad as directions_rad

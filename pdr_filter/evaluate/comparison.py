@@ -19,6 +19,7 @@ def comparison_table(recording: Recording, tracks: Mapping[str, TrackRows]) -> T
     `step_error_percent`: number of steps against the true ones. `leg_error_percent`: steps' lengths in all truth
     segments of known distance together. `rmse_m`: at the waypoints, after a turn and a move onto all of them.
     `end_error_percent`: of the path, at the last waypoint, after a turn and a move onto those of the first 20 %.
+    `context_error_percent`: share of the windows whose most probable context is not that of the label at their end.
 
     Examples
     --------
@@ -30,7 +31,7 @@ def comparison_table(recording: Recording, tracks: Mapping[str, TrackRows]) -> T
     (['hc', 'imm'], True)
     """
     rows = [_row(recording, t) for t in tracks.values()]
-    names = ("step_error_percent", "leg_error_percent", "rmse_m", "end_error_percent")
+    names = ("step_error_percent", "leg_error_percent", "rmse_m", "end_error_percent", "context_error_percent")
     return table(
         {
             "name": np.array(list(tracks)),
@@ -75,7 +76,7 @@ def second_over_first(prob: FloatArray) -> FloatArray:
     return second / first
 
 
-def _row(recording: Recording, track: TrackRows) -> tuple[float, float, float, float]:
+def _row(recording: Recording, track: TrackRows) -> tuple[float, float, float, float, float]:
     steps, segments = recording.truth.steps, recording.truth.segments
     count = legs = rmse = end = np.nan
     if steps is not None and len(steps):
@@ -91,7 +92,16 @@ def _row(recording: Recording, track: TrackRows) -> tuple[float, float, float, f
     if len(reference_m) > 2:
         rmse = position_rmse_m(estimate_m, reference_m, "all")
         end = end_error_percent(estimate_m, reference_m, "first")
-    return count, legs, rmse, end
+    return count, legs, rmse, end, _context_error_percent(recording, track)
+
+
+def _context_error_percent(recording: Recording, track: TrackRows) -> float:
+    labels, windows = recording.truth.labels, track.windows
+    if labels is None or not len(labels) or not len(windows):
+        return np.nan
+    row, label = np.nonzero((windows.time_s[:, None] >= labels.start_s) & (windows.time_s[:, None] < labels.end_s))
+    best = np.array(track.contexts)[windows.context_prob[row].argmax(axis=1)]
+    return float(100.0 * (best != labels.context[label]).mean()) if len(row) else np.nan
 
 
 def _at_waypoints(recording: Recording, track: TrackRows) -> tuple[FloatArray, FloatArray]:

@@ -1,8 +1,10 @@
-"""Tables as text."""
+"""Tables as text and as files."""
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -34,6 +36,51 @@ def markdown(rows: Table | Sequence[Mapping[str, object]], digits: int = 2) -> M
         cells = [list(row.item()) for row in rows]
     head = [f"| {' | '.join(_cell(name, digits) for name in names)} |", f"|{'|'.join(['---'] * len(names))}|"]
     return Markdown("\n".join([*head, *(f"| {' | '.join(_cell(c, digits) for c in row)} |" for row in cells)]))
+
+
+def latex(rows: Table, digits: int = 2) -> str:
+    r"""A table with named columns as a LaTeX `tabular`, which needs no package; numbers with so many decimals.
+
+    >>> import numpy as np
+    >>> from pdr_filter.values import table
+    >>> print(latex(table({"name": np.array(["hc"]), "error_percent": np.array([1.234])})))
+    \begin{tabular}{lr}
+    \hline
+    name & error\_percent \\
+    \hline
+    hc & 1.23 \\
+    \hline
+    \end{tabular}
+    """
+    names = list(rows.dtype.names or ())
+    align = "".join("l" if rows[name].dtype.kind in "US" else "r" for name in names)
+    lines = [
+        " & ".join(_latex_cell(cell, digits) for cell in line) + r" \\" for line in (names, *map(list, rows.tolist()))
+    ]
+    head = [rf"\begin{{tabular}}{{{align}}}", r"\hline", lines[0], r"\hline"]
+    return "\n".join([*head, *lines[1:], r"\hline", r"\end{tabular}"])
+
+
+def write_tables(rows: Table, stem: str | Path, digits: int = 2) -> tuple[Path, Path]:
+    """Write a table as STEM.csv, with all digits, and as STEM.tex, and return both paths."""
+    stem = Path(stem)
+    stem.parent.mkdir(parents=True, exist_ok=True)
+    as_csv, as_tex = stem.with_name(stem.name + ".csv"), stem.with_name(stem.name + ".tex")
+    with as_csv.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(rows.dtype.names or ())
+        writer.writerows(["" if value != value else value for value in row] for row in rows.tolist())
+    as_tex.write_text(latex(rows, digits) + "\n", encoding="utf-8")
+    return as_csv, as_tex
+
+
+_LATEX = str.maketrans({c: rf"\{c}" for c in "&%$#_{}"} | {"\\": r"\textbackslash{}", "~": r"\~{}", "^": r"\^{}"})
+
+
+def _latex_cell(value: object, digits: int) -> str:
+    if isinstance(value, float | np.floating):
+        return "--" if value != value else f"{value:.{digits}f}"
+    return " ".join(str(value).split()).translate(_LATEX)
 
 
 def _cell(value: object, digits: int) -> str:
