@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import typer
 
@@ -51,6 +51,9 @@ def calibrate(
     out: Annotated[Path, typer.Option(help="Where the calibration goes: NAME.json, with NAME.npz beside it.")],
     how: Estimation,
     figure: Annotated[Path | None, typer.Option(help="Also draw it, as PNG, PDF or SVG.")] = None,
+    tables: Annotated[
+        Path | None, typer.Option(help="Folder for its parameters, covariance and segments, as CSV and LaTeX.")
+    ] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Reduce recordings on N processes.")] = None,
     scheduler: Scheduler = None,
     resume: Annotated[
@@ -86,6 +89,8 @@ def calibrate(
         if figure is not None:
             result.plot(figure)
             written.append(figure)
+        for name, rows in {} if tables is None else result.tables().items():
+            written += pdr.evaluate.write_tables(rows, cast(Path, tables) / name, digits=4)
     for line in result.report().split("\n"):
         console.print_line(line)
     for path in written:

@@ -284,6 +284,41 @@ class Calibration:
     def _repr_markdown_(self) -> str:
         return f"```\n{self.report()}\n```"
 
+    def tables(self) -> dict[str, Table]:
+        """Return the tables of a paper: `parameters`, `covariance` and `segments`.
+
+        `parameters` has `context`, `parameter` (numbered from 0), `value`, `std` and `between_std` (of people).
+        `covariance` has a row for each pair of parameters: `context`, `parameter`, `other_context`,
+        `other_parameter`, `covariance`. `segments` are those of the calibration with `residual_m`, the known length
+        less that predicted without the segment.
+        """
+        parts = slices_of(self.models)[0]
+        context = np.concatenate([np.full(part.stop - part.start, name) for name, part in parts.items()])
+        number = np.concatenate([np.arange(part.stop - part.start) for part in parts.values()])
+        row, column = np.indices(self.theta_cov.shape).reshape(2, -1)
+        segments = {name: self.segments[name] for name in self.segments.dtype.names or ()}
+        return {
+            "parameters": table(
+                {
+                    "context": context,
+                    "parameter": number,
+                    "value": self.theta,
+                    "std": np.sqrt(np.diagonal(self.theta_cov)),
+                    "between_std": np.sqrt(np.diagonal(self.between_cov)),
+                }
+            ),
+            "covariance": table(
+                {
+                    "context": context[row],
+                    "parameter": number[row],
+                    "other_context": context[column],
+                    "other_parameter": number[column],
+                    "covariance": self.theta_cov[row, column],
+                }
+            ),
+            "segments": table({**segments, "residual_m": self.segments.distance_m - self.segments.left_out_m}),
+        }
+
     def plot(self, path: str | Path | None = None) -> Figure:
         """Known against predicted lengths of the segments and people with 95 % intervals, saved if a path is given.
 
@@ -350,6 +385,15 @@ class Calibration:
             missing = "needs two people" if len(self.subject_ids) < 2 else "not determined"
             values = f"{bias:>+7.1f}{spread:>8.1f}{rms:>7.1f}" if np.isfinite(rms) else f"{missing:>22}"
             lines.append(f"{label:<34}{values}")
+        (_, _, before), (_, _, stranger) = (
+            _errors_percent(self.segments[column], self.segments.distance_m)
+            for column in ("uncalibrated_m", "stranger_m")
+        )
+        if stranger > before:
+            lines.append(
+                f"strangers' segments are {stranger:.1f} % off with it and {before:.1f} % without: use it for the "
+                "people who were calibrated"
+            )
         return lines
 
     def _people_lines(self) -> list[str]:

@@ -26,13 +26,18 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_calibration_is_written_and_used_by_track(tmp_path: Path) -> None:
     legs = [Leg("walking", distance_m=20.0), Leg("walking", distance_m=15.0, turn_rad=1.5)]
     walks = [write_recording(simulate(legs, seed=s, name=f"walk_{s}"), tmp_path / f"walk_{s}.zip") for s in (1, 2)]
-    result = run("calibrate", *walks, "--out", tmp_path / "me.json", "--figure", tmp_path / "me.png")
+    options = ("--figure", tmp_path / "me.png", "--tables", tmp_path / "tables")
+    result = run("calibrate", *walks, "--out", tmp_path / "me.json", *options)
     assert result.exit_code == 0
     assert "4 segments" in result.stdout
     assert (tmp_path / "me.png").read_bytes().startswith(b"\x89PNG")
     result = run("track", "--json", "--calibration", tmp_path / "me.json", walks[0])
     assert result.exit_code == 0
     recording = pdr.read(walks[0])
+    calibration = load_calibration(tmp_path / "me.json")
+    for name, rows in calibration.tables().items():
+        assert len((tmp_path / "tables" / f"{name}.csv").read_text().splitlines()) == len(rows) + 1
+        assert (tmp_path / "tables" / f"{name}.tex").exists()
     calibrated = pdr.smooth(recording, calibration=tmp_path / "me.json").track
     assert json.loads(result.stdout) == calibrated.summary()
     truth_m = 35.0
