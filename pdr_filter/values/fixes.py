@@ -450,9 +450,9 @@ def _check_measurement(fix: object) -> None:
         names = ("time_s", "received_time_s", "measurement")
         missing = [] if isinstance(fix, type) else [name for name in names if not hasattr(fix, name)]
         raise ValueError(
-            f"a fix must be a PositionFix, GridFix, HeadingFix, SpeedFix, RangeFix or Standstill, or have time_s, "
-            f"received_time_s and measurement(position_m, heading_rad), got {str(fix)[:100]!r} without "
-            f"{', '.join(missing) or 'an instance of its class'}; a position is "
+            "a fix must be a PositionFix, GridFix, HeadingFix, SpeedFix, RangeFix or Standstill, or an instance of a "
+            f"class with time_s, received_time_s and measurement(position_m, heading_rad); without "
+            f"{', '.join(missing) or 'an instance'}, got {str(fix)[:100]}; a position is "
             "PositionFix(time_s, (east_m, north_m), std_m**2 * np.eye(2))"
         )
     for name in ("time_s", "received_time_s"):
