@@ -154,7 +154,7 @@ class Config:
         transition_prob : (M, M), optional
             From each mode to each mode between two steps; rows sum to one. If not given, those that the model
             estimated from its labels. A model without them gets those of `recipes.context_transitions`, which follow
-            from what the modes mean.
+            from what the modes mean. Exponents of the evidence are those that the model estimated, or the present ones.
 
         Examples
         --------
@@ -170,7 +170,13 @@ class Config:
         estimated = model[0] if isinstance(model, tuple) else model
         labelled = getattr(estimated, "transition_prob", None)
         prob = _transitions(stage.contexts, modes, labelled) if transition_prob is None else np.asarray(transition_prob)
-        known = self._with_modes(modes, contexts=stage.contexts, transition_prob=prob)
+        exponents = {name: getattr(estimated, name, None) for name in ("evidence_exponent", "prior_exponent")}
+        known = self._with_modes(
+            modes,
+            contexts=stage.contexts,
+            transition_prob=prob,
+            **{name: value for name, value in exponents.items() if value is not None},
+        )
         return replace(
             self,
             sensing=replace(self.sensing, contexts=stage, context_set=known.context_set),

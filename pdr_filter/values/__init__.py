@@ -19,6 +19,14 @@ from pdr_filter.values.arrays import (
 )
 from pdr_filter.values.checks import are_numbers, check_number, check_numbers
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS, DEFAULT_CONTEXTS, Context, ContextSet, Gait
+from pdr_filter.values.feature_set import (
+    WINDOW_SIGNALS,
+    FeatureFunction,
+    FeatureSet,
+    FunctionFeatures,
+    JoinedFeatures,
+    feature_set_of,
+)
 from pdr_filter.values.fix_error_correlation import (
     INDEPENDENT_SHARE,
     N_BEFORE,
@@ -70,16 +78,20 @@ __all__ = [
     "RADIUS_95",
     "STANDARD_GRAVITY_MPS2",
     "TRUSTED",
+    "WINDOW_SIGNALS",
     "BoolArray",
     "Cluster",
     "ComplexArray",
     "Context",
     "ContextSet",
+    "FeatureFunction",
+    "FeatureSet",
     "Fix",
     "FixOutcome",
     "FixResult",
     "FloatArray",
     "FloorPassage",
+    "FunctionFeatures",
     "Gait",
     "GridFix",
     "HeadingDrift",
@@ -87,6 +99,7 @@ __all__ = [
     "HowClimbed",
     "ImuBlock",
     "IntArray",
+    "JoinedFeatures",
     "Note",
     "NoteSubject",
     "OnPlan",
@@ -118,6 +131,7 @@ __all__ = [
     "circular_mean",
     "error_correlation",
     "error_given_before",
+    "feature_set_of",
     "frozen",
     "heading_from_yaw",
     "how_many",

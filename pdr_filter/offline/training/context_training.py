@@ -122,7 +122,7 @@ def cross_calibrated(prob: FloatArray, context: TextArray, person: TextArray, mo
     result = np.zeros_like(prob)
     for name in np.unique(person):
         own = person == name
-        result[own] = _calibrated(prob[own], model, *calibration(prob[~own], context[~own], model))
+        result[own] = calibrated(prob[own], model, *calibration(prob[~own], context[~own], model))
     return result
 
 
@@ -134,7 +134,8 @@ def calibration(prob: FloatArray, context: TextArray, model: ContextModel) -> tu
     return fit_calibration(prob[:, _columns(model)], label)
 
 
-def _calibrated(prob: FloatArray, model: ContextModel, temperature: float, slip: float) -> FloatArray:
+def calibrated(prob: FloatArray, model: ContextModel, temperature: float, slip: float) -> FloatArray:
+    """Return calibrated probabilities (W, C), which are zero but for the classes of `model`."""
     result = np.zeros_like(prob)
     result[:, _columns(model)] = slipped(tempered(prob[:, _columns(model)], temperature), slip)
     return result
