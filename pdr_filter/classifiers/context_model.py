@@ -29,6 +29,7 @@ from pdr_filter.values import (
     FeatureSet,
     FloatArray,
     as_plain,
+    check_name_of_context,
     check_transition_prob,
     feature_set_of,
     pickled,
@@ -40,6 +41,8 @@ FORMAT = ArtefactFormat("context_model", 2, "train it again, or use the version 
 
 # What a model distinguishes: the activity, or where the phone is; and its labels unless it has labels of its own.
 HEADS: dict[str, tuple[str, ...]] = {"context": CONTEXTS, "carrying_mode": CARRYING_MODES}
+# Level walking, up and down, of which a model that guards stairs knows the windows on stairs.
+STAIRS_LABELS = ("walking", "upstairs", "downstairs")
 # Machines by their names in files.
 MACHINES: dict[str, type[Machine]] = {
     "blend": Blend,
@@ -50,7 +53,6 @@ MACHINES: dict[str, type[Machine]] = {
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")  # also a file name everywhere
 _NUMBERS = ("temperature", "slip", "feature_limit")  # stored as arrays of their own names, as are these:
 _ARRAYS = ("training_prior", "feature_mean", "feature_scale")
-_OPTIONAL = ("needs_gyroscope", "evidence_exponent", "prior_exponent")  # not in the files of earlier versions
 _LEAST = 1e-30  # that divides: what is divided stays a number
 # prefixes of the arrays of parts
 _MACHINE, _FAMILIARITY, _STAIRS = "machine_", "familiarity_", "stairs_"
@@ -144,7 +146,7 @@ class ContextModel:
     familiarity: Familiarity | None = None
     stairs: Familiarity | None = None
     labels: tuple[str, ...] = ()
-    stairs_labels: tuple[str, str, str] = ("walking", "upstairs", "downstairs")
+    stairs_labels: tuple[str, str, str] = STAIRS_LABELS
     transition_prob: FloatArray | None = None
     evidence_exponent: float | None = None
     prior_exponent: float | None = None
@@ -372,9 +374,12 @@ def _assemble(description: Mapping[str, Any], arrays: Arrays) -> ContextModel:
         head=description["head"],
         familiarity=Familiarity.from_arrays(familiarity) if familiarity else None,
         stairs=Familiarity.from_arrays(stairs) if stairs else None,
+        labels=tuple(description.get("labels", ())),
+        stairs_labels=tuple(description.get("stairs_labels", STAIRS_LABELS)),
         transition_prob=arrays.get("transition_prob"),
-        **{name: tuple(description[name]) for name in ("labels", "stairs_labels") if name in description},
-        **{name: description[name] for name in _OPTIONAL if name in description},
+        needs_gyroscope=description.get("needs_gyroscope", True),
+        evidence_exponent=description.get("evidence_exponent"),
+        prior_exponent=description.get("prior_exponent"),
     )
 
 
@@ -384,8 +389,9 @@ def _check(model: ContextModel) -> None:
         raise ValueError(f"name {model.name!r} must be letters, digits, dots, dashes: it becomes a file name")
     if model.head not in HEADS:
         raise ValueError(f"head must be one of {tuple(HEADS)}, got {model.head!r}")
-    named = all(isinstance(label, str) and label for label in cast(Any, model.labels))
-    if not (named and len(set(model.labels)) == len(model.labels)):
+    for label in model.labels:
+        check_name_of_context(label)
+    if len(set(model.labels)) < len(model.labels):
         raise ValueError(f"labels must be different names, got {model.labels}")
     n_features, n_classes = len(model.feature_names), len(model.classes)
     are_text = all(isinstance(f, str) for f in cast(Any, model.feature_names))

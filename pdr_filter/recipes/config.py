@@ -246,7 +246,7 @@ class Config:
         >>> pdr.recipes.default().with_weighting(squared).tracker.weighting
         'squared'
         """
-        if not isinstance(weighting, str):
+        if not isinstance(weighting, str) and callable(weighting):
             return replace(self, tracker=WeightedTracker(self.model, function=weighting))
         if weighting not in WEIGHTINGS:
             raise ValueError(f"weighting must be one of {WEIGHTINGS} or a function, got {weighting!r}")
@@ -254,8 +254,9 @@ class Config:
             return self
         if weighting == "imm":
             return replace(self, tracker=ImmTracker(self.model))
-        threshold = {"threshold": HC} if weighting == "hc" else {}
-        return replace(self, tracker=WeightedTracker(self.model, **threshold))
+        return replace(
+            self, tracker=WeightedTracker(self.model, HC) if weighting == "hc" else WeightedTracker(self.model)
+        )
 
     @cached_property
     def fix_delay_s(self) -> float:

@@ -16,12 +16,12 @@ from pdr_filter.filter.step_length import models as step_length
 from pdr_filter.filter.step_length.models import TYPICAL_STEP, StepLengthFit, StepLengthModel, length_and_jacobian
 from pdr_filter.recipes.config import Config
 from pdr_filter.values import (
-    CONTEXTS,
     FloatArray,
     Note,
     Table,
     check_columns,
     check_cov,
+    check_name_of_context,
     how_many,
     pickled,
     read_only,
@@ -128,8 +128,8 @@ class Calibration:
         for name, shape in zip(_ARRAYS, shapes, strict=True):
             if getattr(self, name).shape != shape:
                 raise ValueError(f"{name} must be {shape}, got {getattr(self, name).shape}")
-        if not set(self.models) <= set(CONTEXTS):
-            raise ValueError(f"contexts must be among {CONTEXTS}, got {tuple(self.models)}")
+        for name in self.models:
+            check_name_of_context(name)
         check_columns(self.segments, _COLUMN_KINDS, "segments")
         _check_numbers(self)
 
@@ -141,7 +141,8 @@ class Calibration:
     def contexts(self) -> tuple[str, ...]:
         """Contexts that are the main one of a segment: those that a few doubtful steps hint at are not calibrated."""
         found = set(self.segments.context.tolist())
-        return tuple(c for c in self.models if c in found and c != "stationary")
+        k, k_cov = self.k, self.k_cov
+        return tuple(c for c in self.models if c in found and (k[c].any() or k_cov[c].any()))
 
     @property
     def main_context(self) -> str:

@@ -99,14 +99,15 @@ class Sensing:
     context_set: ContextSet = DEFAULT_CONTEXTS
 
     def __post_init__(self) -> None:
-        stage: Any = self.contexts
-        if stage is not None and stage.contexts != self.context_set.names:
-            raise ValueError(
-                f"the context stage has the contexts {stage.contexts}, but context_set has {self.context_set.names}: "
-                "use config.with_contexts, which gives both the same"
-            )
-        if getattr(stage, "context_set", self.context_set) != self.context_set:
-            object.__setattr__(self, "contexts", replace(stage, context_set=self.context_set))
+        if self.contexts is not None:
+            stage: Any = self.contexts
+            if tuple(stage.contexts) != self.context_set.names:
+                raise ValueError(
+                    f"the context stage has the contexts {stage.contexts}, but context_set has "
+                    f"{self.context_set.names}: use config.with_contexts, which gives both the same"
+                )
+            if getattr(stage, "context_set", self.context_set) != self.context_set:
+                object.__setattr__(self, "contexts", replace(stage, context_set=self.context_set))
         optional = [stage for stage in (self.contexts, self.north) if stage]
         stages = [self.conditioner, self.attitude, self.steps, *optional]
         rates = {stage.rate_hz for stage in stages}

@@ -18,7 +18,15 @@ from pdr_filter.values.arrays import (
     table,
 )
 from pdr_filter.values.checks import are_numbers, check_number, check_numbers
-from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS, DEFAULT_CONTEXTS, Context, ContextSet, Gait
+from pdr_filter.values.contexts import (
+    CARRYING_MODES,
+    CONTEXTS,
+    DEFAULT_CONTEXTS,
+    Context,
+    ContextSet,
+    Gait,
+    check_name_of_context,
+)
 from pdr_filter.values.feature_set import (
     WINDOW_SIGNALS,
     FeatureFunction,
@@ -124,6 +132,7 @@ __all__ = [
     "check_cov",
     "check_declared",
     "check_fix",
+    "check_name_of_context",
     "check_number",
     "check_numbers",
     "check_transition_prob",

@@ -10,9 +10,18 @@ from typing import Literal
 
 import numpy as np
 
+from pdr_filter.values import limits
 from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, read_only
 
 Gait = Literal["walking", "running"]
+
+
+def check_name_of_context(name: object) -> None:
+    """ValueError unless it is a short text in one line, which tables and pages can show."""
+    if not (isinstance(name, str) and 0 < len(name) <= limits.MAX_NAME_CHARS and name.isprintable()):
+        raise ValueError(
+            f"the name of a context must be 1 to {limits.MAX_NAME_CHARS} printable characters, got {str(name)[:60]!r}"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,8 +38,7 @@ class Context:
     heading_offset_rad: float = 0.0  # walking heading less the heading the body faces: +pi/2 for steps to the right
 
     def __post_init__(self) -> None:
-        if not self.name:
-            raise ValueError("name of a context must not be empty, got ''")
+        check_name_of_context(self.name)
         if self.climbs not in (-1, 0, 1):
             raise ValueError(f"climbs of {self.name!r} must be +1 (up), -1 (down) or 0, got {self.climbs!r}")
         if self.gait not in (None, "walking", "running"):

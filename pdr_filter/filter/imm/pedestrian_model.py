@@ -83,6 +83,10 @@ class PedestrianModel:
         names = [m.name for m in self.modes]
         if len(set(names)) < len(names):
             raise ValueError(f"mode names must be distinct, got {names}")
+        if IRREGULAR in self.contexts:
+            raise ValueError(
+                f'"{IRREGULAR}" is handling of the phone, got contexts {self.contexts}: rename the context'
+            )
         for mode in self.modes:
             if mode.context not in (*self.contexts, IRREGULAR):
                 raise ValueError(

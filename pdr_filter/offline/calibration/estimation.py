@@ -11,7 +11,7 @@ import numpy as np
 from pdr_filter.offline.calibration.hierarchy import PeoplePosterior, solve_people, without_each
 from pdr_filter.offline.calibration.segments import SegmentSums
 from pdr_filter.offline.robust_loss import moments, next_stage, weights
-from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray
+from pdr_filter.values import BoolArray, FloatArray, IntArray
 
 _MAX_ITERATIONS = 500
 # Extrapolations go on as far as twenty steps would but change no variance by more than a factor of two, and end in time
@@ -28,7 +28,7 @@ class Hierarchy:
     std: FloatArray  # (P,) 0 holds a parameter, inf knows nothing of it
     # (P,) how people differ at the start; 0 for shared parameters, inf for people who are independent of each other
     between_std: FloatArray
-    step_std_m: FloatArray  # (C,) of a single step in each of `CONTEXTS`
+    step_std_m: FloatArray  # (C,) of a single step in each context
     recording_std: float  # how one person's scale differs between recordings, relative
     # How many people, recordings and segments these three are worth; inf holds them, 0 takes them from the data.
     between_dof: float = 10.0
@@ -155,7 +155,7 @@ class _Task:
         self.n_segments = len(sums)
         self.start_theta = np.repeat(prior.mean[None, self.free], self.n_people, axis=0)
         self.start_variances = _Variances(
-            np.ones(len(CONTEXTS)),
+            np.ones(len(prior.step_std_m)),
             prior.recording_std**2,
             np.diag(np.where(self.alone, 1.0, between_std[self.personal]) ** 2),
         )
@@ -189,7 +189,7 @@ class _Task:
         phi' = phi sum_i w_i (h_i u_i^2 + 1 - h_i) / sum_i w_i (h_i ratio + 1 - h_i), h_i the share of the variance of
         the misfit u_i that is noise: phi (h_i u_i^2 + 1 - h_i) is E e_i^2 if the segment is right, given all.
         """
-        prior, n_contexts = self.prior, len(CONTEXTS)
+        prior, n_contexts = self.prior, len(self.prior.step_std_m)
         excess, counts, found, n_recordings = np.zeros(n_contexts), np.zeros(n_contexts), 0.0, 0
         for chunk in self.chunks:
             square, share = chunk.w * chunk.misfit**2, chunk.w * (1 - chunk.noise_share)

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.filter.step_length.models import StepLengthModel
 from pdr_filter.offline.calibration.estimation import ParameterEstimate
 from pdr_filter.offline.calibration.model_forms import (
     MIN_GROUPS,
@@ -21,7 +20,7 @@ from pdr_filter.offline.calibration.model_forms import (
     standard_error,
     start_of,
 )
-from pdr_filter.offline.calibration.priors import StepLengthPrior
+from pdr_filter.offline.calibration.priors import StepLengthPrior, own_priors
 from pdr_filter.offline.calibration.segments import AnySegment, Segment, SegmentSums, integrate, segments_of
 from pdr_filter.offline.robust_loss import DISTRUST
 from pdr_filter.recipes.config import Config
@@ -63,7 +62,8 @@ def calibrate(
     tracks : iterable of Track, optional
         Tracks of the recordings, if they are there already.
     config : Config, optional
-        Finds steps, headings and contexts; the default recipe if not given.
+        Finds steps, headings and contexts; the default recipe if not given. The step lengths of its modes are the
+        priors of contexts with other names, and of step-length models from outside the package.
     model : {"bounce", "eq12", "kim", "tian", "weinberg"}, optional
         Step-length model of walking. If not given, with enough segments the one with the least left-out error, and the
         first unless another is clearly better; a note says which.
@@ -107,7 +107,11 @@ def calibrate(
         raise ValueError(f"{len(known)} tracks for {len(chosen)} recordings: give one for each")
     check_subject(subject, each_a_person)
     _check_stds(recording_std, anchor_std_m)
-    forms_of(priors, model, prior_std)  # what it refuses it refuses before walks are tracked
+    contexts, walking = CONTEXTS, "walking"
+    if config is not None:
+        priors, contexts = {**own_priors(config.model), **(priors or {})}, config.contexts
+        walking = next((c.name for c in config.model.context_set.contexts if c.is_level_walking), walking)
+    forms_of(priors, model, prior_std, contexts, walking)  # refuses before walks are tracked
     segments: list[Segment] = []
     notes: list[str] = []
     nameless = 0
@@ -131,6 +135,7 @@ def calibrate(
         loss=loss,
         recording_std=recording_std,
         notes=(*whose, *notes),
+        walking=walking,
     )
 
 
@@ -170,12 +175,16 @@ def calibrate_segments(
     loss: str = "gnc",
     recording_std: float = RECORDING_STD,
     notes: Sequence[str] = (),
+    walking: str = "walking",
 ) -> Calibration:
-    """`calibrate` for segments that are already cut out (`segments_of`)."""
+    """`calibrate` for segments that are already cut out (`segments_of`); `walking` is the context of level walking."""
     _check_stds(recording_std)
-    forms = forms_of(priors, model, prior_std)
     if not segments:
         raise ValueError("no segments: give at least one stretch of known length with steps in it")
+    names = {segment.context_names for segment in segments}
+    if len(names) > 1:
+        raise ValueError(f"segments must be of tracks with the same contexts, got {sorted(names)}")
+    forms = forms_of(priors, model, prior_std, segments[0].context_names, walking)
     for segment in segments:
         if not segment.distance_m > 0:
             raise ValueError(f"{segment.name}: distance_m must be positive, got {segment.distance_m:g}")
@@ -197,7 +206,7 @@ def _assemble(
     choice: Sequence[str],
     notes: Sequence[str],
 ) -> Calibration:
-    models = models_of(priors)
+    models, contexts = models_of(priors), segments[0].context_names
     rows = _table(segments, sums, found, np.concatenate([priors[name].mean for name in models]))
     heights = {s.subject: s.height_m for s in segments}
     return Calibration(
@@ -210,13 +219,13 @@ def _assemble(
         subject_ids=sums.subjects,
         heights_m=np.array([np.nan if (h := heights[name]) is None else h for name in sums.subjects]),
         residual_std_m={
-            name: float(priors[name].step_std_m * np.sqrt(found.noise_factor[CONTEXTS.index(name)])) for name in models
+            name: float(priors[name].step_std_m * np.sqrt(found.noise_factor[contexts.index(name)])) for name in models
         },
         recording_std=found.recording_std,
         n_segments=_shares(segments, models),
         segments=rows,
         # what is wrong with the whole, before what each of many recordings has to say
-        notes=(*bias_warnings(rows, recording_std), *choice, *_notes(rows, found, models), *notes),
+        notes=(*bias_warnings(rows, recording_std), *choice, *_notes(rows, found, priors), *notes),
         card={
             "date": date.today().isoformat(),
             "pdr_filter": __version__,
@@ -235,7 +244,7 @@ def _table(segments: Sequence[AnySegment], sums: SegmentSums, found: ParameterEs
         {
             "subject": np.array([s.subject for s in segments]),
             "recording": np.array([s.recording for s in segments]),
-            "context": np.array([CONTEXTS[c] for c in sums.context]),
+            "context": np.array([segments[0].context_names[c] for c in sums.context]),
             "start_s": np.array([s.start_s for s in segments]),
             "end_s": np.array([s.end_s for s in segments]),
             "distance_m": sums.distance_m,
@@ -256,7 +265,7 @@ def _shares(segments: Sequence[AnySegment], names: Iterable[str]) -> dict[str, f
     """How many segments each context had, in shares of their steps."""
     steps_in = np.stack([s.steps_in for s in segments])
     share = (steps_in / np.maximum(steps_in.sum(axis=1, keepdims=True), 1e-9)).sum(axis=0)
-    return {name: float(share[CONTEXTS.index(name)]) for name in names}
+    return {name: float(share[segments[0].context_names.index(name)]) for name in names}
 
 
 def bias_warnings(rows: Any, recording_std: float) -> list[str]:
@@ -290,7 +299,7 @@ def bias_warnings(rows: Any, recording_std: float) -> list[str]:
     return found
 
 
-def _notes(rows: Any, found: ParameterEstimate, models: Mapping[str, StepLengthModel]) -> list[str]:
+def _notes(rows: Any, found: ParameterEstimate, priors: Mapping[str, StepLengthPrior]) -> list[str]:
     notes: list[str] = []
     if not found.converged:
         notes.append(f"the variances still changed after {found.n_iterations} iterations")
@@ -300,7 +309,8 @@ def _notes(rows: Any, found: ParameterEstimate, models: Mapping[str, StepLengthM
             f"distrusted: {r.recording} {r.start_s:.1f}-{r.end_s:.1f} s: {r.distance_m:.2f} m given, "
             f"{r.predicted_m:.2f} m walked by its steps, {abs(r.misfit):.1f} standard deviations, weight {r.weight:.2f}"
         )
-    without = [c for c in models if c != "stationary" and c not in set(rows.context.tolist())]
+    with_length = [name for name, prior in priors.items() if prior.mean.any() or prior.std.any()]
+    without = [c for c in with_length if c not in set(rows.context.tolist())]
     if without:
         notes.append(f"no segments of {', '.join(without)}: the filter keeps the lengths that it had")
     return notes

@@ -29,16 +29,20 @@ Priors = Mapping[str, StepLengthPrior]
 
 
 def forms_of(
-    priors: Priors | None = None, model: str | None = None, prior_std: float | None = None
+    priors: Priors | None = None,
+    model: str | None = None,
+    prior_std: float | None = None,
+    contexts: tuple[str, ...] = CONTEXTS,
+    walking: str = "walking",
 ) -> dict[str, dict[str, StepLengthPrior]]:
-    """Priors of all contexts for each form that walking may have, by name, in the order of `CONTEXTS`.
+    """Priors of all contexts for each form that walking may have, by name, in the order of `contexts`.
 
-    One form if `priors` has walking or a `model` is named; else all of `candidates`.
+    One form if `priors` has the context of walking or a `model` is named; else all of `candidates`.
     """
     given, known = dict(priors or {}), candidates()
-    if unknown := set(given) - set(CONTEXTS):
-        raise ValueError(f"no context {', '.join(sorted(unknown))}; there are {', '.join(CONTEXTS)}")
-    if model is not None and "walking" in given:
+    if unknown := set(given) - set(contexts):
+        raise ValueError(f"no context {', '.join(sorted(unknown))}; there are {', '.join(contexts)}")
+    if model is not None and walking in given:
         raise ValueError(f"priors has a model of walking, and model is {model!r}: leave out one of them")
     if model is not None and model not in known:
         raise ValueError(f"model must be one of {', '.join(known)}, got {model!r}")
@@ -46,13 +50,13 @@ def forms_of(
         raise ValueError(
             f"prior_std (--prior) must be a share of a step, above 0 and up to 1, got {prior_std}; 0.1 is usual"
         )
-    chosen = {"given": given} if "walking" in given else known if model is None else {model: known[model]}
+    chosen = {"given": given} if walking in given else known if model is None else {model: known[model]}
     forms: dict[str, dict[str, StepLengthPrior]] = {}
     for name, own in chosen.items():
         full = {**DEFAULT_PRIORS, **given, **own}
         if prior_std is not None:
-            full["walking"] = as_wide_as(full["walking"], prior_std)
-        forms[name] = {c: full[c] for c in CONTEXTS if c in full}
+            full[walking] = as_wide_as(full[walking], prior_std)
+        forms[name] = {c: full[c] for c in contexts if c in full}
     return forms
 
 
@@ -66,11 +70,13 @@ def start_of(priors: Priors) -> dict[str, FloatArray]:
     return {name: p.mean for name, p in priors.items()}
 
 
-def hierarchy_of(priors: Priors, recording_std: float = RECORDING_STD) -> Hierarchy:
+def hierarchy_of(
+    priors: Priors, recording_std: float = RECORDING_STD, contexts: tuple[str, ...] = CONTEXTS
+) -> Hierarchy:
     """The priors of all contexts, one after the other."""
-    step_std_m = np.full(len(CONTEXTS), 0.08)
+    step_std_m = np.full(len(contexts), 0.08)
     for name, prior in priors.items():
-        step_std_m[CONTEXTS.index(name)] = prior.step_std_m
+        step_std_m[contexts.index(name)] = prior.step_std_m
     mean, std, between = (
         np.concatenate([getattr(p, name) for p in priors.values()]) for name in ("mean", "std", "between_std")
     )
@@ -89,7 +95,8 @@ def solved(
         return integrate(segments, models, about)
 
     linear = all(hasattr(model, "regressors") for model in models.values())
-    return solve_sums(sums, hierarchy_of(priors, recording_std), models, loss, None if linear else relinearise)
+    prior = hierarchy_of(priors, recording_std, segments[0].context_names)
+    return solve_sums(sums, prior, models, loss, None if linear else relinearise)
 
 
 def solve_sums(
@@ -149,7 +156,7 @@ def best_form(
     Clearly smaller: by `_CLEARLY` of the error, and by two standard errors of the paired difference of squares.
     """
     first = next(iter(forms))
-    walked = [s for s in segments if CONTEXTS[int(np.argmax(s.steps_in))] == "walking"]
+    walked = [s for s in segments if s.context_names[int(np.argmax(s.steps_in))] == "walking"]
     groups = _groups_of([s.subject for s in walked], [s.recording for s in walked])
     n_groups = len(set(groups.tolist()))
     if len(forms) < 2 or len(walked) < MIN_SEGMENTS or n_groups < MIN_GROUPS:

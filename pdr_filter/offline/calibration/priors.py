@@ -9,6 +9,8 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pdr_filter.filter.imm.motion_model import Mode
+from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.step_length.models import (
     USUAL_HEIGHT_M,
     BounceStepLength,
@@ -28,6 +30,8 @@ PEOPLE_RELATIVE_STD = scale_std(USUAL_HEIGHT_M)  # how people of known height di
 # How far the mean of a group of people with their phones may be from the lengths that are shipped. The step lengths of
 # four groups of unknown height are off by -10, 0, +10 and +20 %, root mean square 12.2 %: hypot(0.10, 0.07).
 GROUP_RELATIVE_STD = 0.10
+_PACKAGE = __name__.split(".")[0]
+_MIN_SLOPE = 1e-9  # of the length by a parameter: a parameter without effect has no spread that can be stated
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +148,32 @@ def eq12_priors(between_std_m: float = 0.05) -> dict[str, StepLengthPrior]:
         for name in k0
     }
     return {"stationary": DEFAULT_PRIORS["stationary"], **moving}
+
+
+def own_priors(model: PedestrianModel) -> dict[str, StepLengthPrior]:
+    """Priors of the contexts of a filter that `DEFAULT_PRIORS` does not fit, from the step lengths of their modes.
+
+    These are contexts with other names, and step-length models from outside the package. A parameter with the variance
+    zero is held. People differ in the first free parameter, by the spread of the filter's step scale.
+    """
+    named = {m.context: m for m in reversed(model.modes) if m.context in model.contexts}
+    return {
+        context: _prior_of(mode, model.noise.log_scale_std)
+        for context, mode in named.items()
+        if context not in DEFAULT_PRIORS or type(mode.step_length.model).__module__.split(".")[0] != _PACKAGE
+    }
+
+
+def _prior_of(mode: Mode, relative_std: float) -> StepLengthPrior:
+    """Prior with the step length of a mode, and with that of no displacement if the mode does not move."""
+    fit = mode.step_length
+    if not mode.moves:
+        return _known(0.0, 0.0, 0.0, fit.residual_std_m)
+    std, between_std = np.sqrt(np.maximum(np.diag(fit.theta_cov), 0.0)), np.zeros(len(fit.theta))
+    free = np.flatnonzero(std > 0)[:1]
+    length_m, slope = length_and_jacobian(fit.model, TYPICAL_STEP, fit.theta)
+    between_std[free] = relative_std * abs(float(length_m)) / np.maximum(np.abs(slope[free]), _MIN_SLOPE)
+    return StepLengthPrior(fit.model, fit.theta, std, between_std, fit.residual_std_m)
 
 
 def candidates() -> dict[str, dict[str, StepLengthPrior]]:

@@ -58,13 +58,15 @@ class Segment:
         Directions of the steps, clockwise, up to one unknown angle for the whole segment; None where none are known:
         then lengths are summed instead of vectors.
     context_prob : (n, C)
-        Probabilities of `CONTEXTS` of each step.
+        Probabilities of the contexts of each step.
     anchor_std_m : float
         Standard deviation of `distance_m`.
     height_m : float, optional
         Of the person.
     start_s, end_s : float
         When the anchors were passed.
+    context_names : (C,), optional
+        Names of the contexts; those of the default if not given.
     """
 
     subject: str
@@ -78,6 +80,7 @@ class Segment:
     height_m: float | None = None
     start_s: float = 0.0
     end_s: float = 0.0
+    context_names: tuple[str, ...] = CONTEXTS
 
     @property
     def name(self) -> str:
@@ -86,7 +89,7 @@ class Segment:
 
     @property
     def steps_in(self) -> FloatArray:
-        """How many steps there are of each of `CONTEXTS`, (C,)."""
+        """How many steps there are of each context, (C,)."""
         return np.asarray(self.inside @ self.context_prob)
 
     @property
@@ -104,7 +107,10 @@ class Segment:
 
         Displacement = derivative @ theta + rest near the parameters `about` (p,); without rest for a linear model.
         """
-        own, weight = of_height(model, self.height_m), self.inside * self.context_prob[:, CONTEXTS.index(context)]
+        own, weight = (
+            of_height(model, self.height_m),
+            self.inside * self.context_prob[:, self.context_names.index(context)],
+        )
         used = np.flatnonzero(weight > _MIN_PROB)
         if self.heading_rad is None:
             vectors = np.stack([weight[used], np.zeros(len(used))])
@@ -135,6 +141,7 @@ class SummedSegment:
     contexts: tuple[str, ...]  # of the sums
     models: tuple[StepLengthModel, ...]
     derivatives: tuple[FloatArray, ...]  # (2, p) each
+    context_names: tuple[str, ...] = CONTEXTS  # C, of `steps_in`
 
     @classmethod
     def of(cls, segment: Segment, models: Sequence[tuple[str, StepLengthModel]]) -> SummedSegment:
@@ -173,7 +180,7 @@ class SegmentSums:
     distance_m: FloatArray  # (N,) known length
     anchor_std_m: FloatArray  # (N,) its standard deviation
     n_steps: FloatArray  # (N,)
-    context: IntArray  # (N,) index of the context that most of the steps are of, into `CONTEXTS`
+    context: IntArray  # (N,) index of the context that most of the steps are of
     subject: IntArray  # (N,) index into `subjects`
     recording: IntArray  # (N,) index into `recordings`
     subjects: tuple[str, ...]
@@ -311,6 +318,7 @@ def segments_of(
                 height_m=recording.subject.height_m,
                 start_s=stretch.start_s,
                 end_s=stretch.end_s,
+                context_names=track.contexts,
             )
         )
     if empty:
@@ -333,12 +341,12 @@ def _is_bent(heading_rad: FloatArray, length_m: FloatArray) -> bool:
 
 
 def step_contexts(track: TrackRows) -> FloatArray:
-    """Probabilities of `CONTEXTS` of each step (K, C): the filter's by mode, else the windows'."""
-    prob = np.zeros((track.n_steps, len(CONTEXTS)))
+    """Context probabilities of each step (K, C): the filter's by mode, else the windows'."""
+    prob = np.zeros((track.n_steps, len(track.contexts)))
     for m, context in enumerate(track.mode_contexts):
-        if context not in CONTEXTS:
+        if context not in track.contexts:
             return track.context_prob
-        prob[:, CONTEXTS.index(context)] += track.mode_prob[:, m]
+        prob[:, track.contexts.index(context)] += track.mode_prob[:, m]
     return prob
 
 

@@ -162,7 +162,9 @@ class ReferenceLineStepDetector(StepDetector[ReferenceLineState]):
     ) -> tuple[ReferenceLineState, FloatArray]:
         """Acceleration and what the person does, (2, N)."""
         a = specific_force_magnitude(block.specific_force_mps2) - STANDARD_GRAVITY_MPS2
-        return state, np.vstack([a, 1.0 - contexts.stands + contexts.runs])
+        return state, np.vstack(
+            [a, np.select([contexts.stands, contexts.runs], [_STATIONARY, _RUNNING], 1).astype(float)]
+        )
 
     def _continued(self, state: ReferenceLineState) -> FloatArray:
         """The last values stay until the window is complete."""
