@@ -23,7 +23,7 @@ from pdr_filter.filter.plan_stage import PlanStage
 from pdr_filter.filter.step_length.models import StepLengthFit
 from pdr_filter.filter.step_length.person import Person
 from pdr_filter.sensing.contexts.context_stage import ContextStage
-from pdr_filter.sensing.contexts.learned_contexts import stage_of
+from pdr_filter.sensing.contexts.learned_contexts import stage_of, with_carrying_models
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.barometer import ClimbRate
 from pdr_filter.sensing.front_end import Sensing
@@ -183,6 +183,14 @@ class Config:
             tracker=replace(self.tracker, model=known),
             notes=self._notes_with(modes),
         )
+
+    def with_carrying_model(self, model: ContextModel | tuple[ContextModel, ContextModel]) -> Config:
+        """Return a copy with another model of where the phone is, fitted with `head="carrying_mode"`.
+
+        Of two models, the second is for windows without gyroscope. Without it such windows say nothing of the carrying
+        mode, unless the model needs no gyroscope. ValueError for a recipe without trained models of contexts.
+        """
+        return replace(self, sensing=replace(self.sensing, contexts=with_carrying_models(model, self.sensing.contexts)))
 
     def with_modes(self, modes: Sequence[Mode], transition_prob: ArrayLike | None = None) -> Config:
         """Return a copy with other modes for the same contexts.

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import repeat
 from typing import Any, Literal
 
 import numpy as np
@@ -189,7 +188,8 @@ def _labelled(
     """Return the windows of the recordings. ValueError if there are none, or features that are no numbers."""
     stage = FeatureWindows(features=features)
     rows: list[tuple[Any, ...]] = []
-    for number, (recording, person) in enumerate(zip(recordings, people or repeat(None), strict=people is not None)):
+    names = [None] * len(recordings) if people is None else people
+    for number, (recording, person) in enumerate(zip(recordings, names, strict=True)):
         dataset = str(recording.meta.get("dataset") or "own recordings")
         own = f"{dataset}/{recording.subject.id or UNNAMED}" if person is None else str(person)
         labels, end_s, stretch = recording.truth.labels, -np.inf, -1

@@ -127,11 +127,16 @@ def cross_calibrated(prob: FloatArray, context: TextArray, person: TextArray, mo
 
 
 def calibration(prob: FloatArray, context: TextArray, model: ContextModel) -> tuple[float, float]:
-    """Temperature and slip of the probabilities of windows (W, C) of people left out; `model` has the classes."""
+    """Return temperature and slip of the probabilities of windows (W, C) of people left out.
+
+    `model` has the classes. The slip is 1 / (W + 2) at least, by Laplace's rule of succession: W windows without a
+    surprise do not exclude one, and a single impossible label of a stranger would have an infinite log loss.
+    """
     if not len(context):
         return 1.0, 0.0
     label = np.array([model.classes.index(c) for c in context])
-    return fit_calibration(prob[:, _columns(model)], label)
+    temperature, slip = fit_calibration(prob[:, _columns(model)], label)
+    return temperature, max(slip, 1.0 / (len(label) + 2))
 
 
 def calibrated(prob: FloatArray, model: ContextModel, temperature: float, slip: float) -> FloatArray:

@@ -106,7 +106,7 @@ def shipped_model_without(people: Sequence[str]) -> ContextModel:
     if seen:
         raise ValueError(
             f"the shipped model {DEFAULT_MODEL!r} was trained on the data sets of {', '.join(seen)}; "
-            "give DATA_DIR too, so that models are trained without them"
+            "train the models again without them: python -m pdr_filter.offline.training.train_all"
         )
     return model
 

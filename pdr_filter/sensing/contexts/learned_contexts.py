@@ -99,6 +99,27 @@ def stage_of(
     )
 
 
+def with_carrying_models(
+    models: ContextModel | tuple[ContextModel, ContextModel], present: ContextStage | None
+) -> LearnedContexts:
+    """Return the present context stage with other models of the carrying mode.
+
+    Of two models, the second is for windows without gyroscope. A single model is for windows with gyroscope, and for
+    those without only if it learnt from such. ValueError if the stage has no trained models.
+    """
+    if not isinstance(present, LearnedContexts):
+        raise ValueError(
+            f"the context stage of the configuration has no trained models, got {type(present).__name__}: use recipe "
+            '"default", or give the stage to config.with_contexts'
+        )
+    both = models if isinstance(models, tuple) else (models, None if models.needs_gyroscope else models)
+    stage = _with_features_of(both, present)
+    return replace(
+        stage,
+        models=replace(stage.models, carrying_with_gyroscope=both[0], carrying_without_gyroscope=both[1]),
+    )
+
+
 def _with_features_of(models: Sequence[ContextModel | None], stage: LearnedContexts) -> LearnedContexts:
     """Return the stage with the features that context models bring along, after its own."""
     brought = {id(m.features): m.features for m in models if m is not None and m.features is not None}
