@@ -257,7 +257,7 @@ class Config:
         if not isinstance(weighting, str) and callable(weighting):
             return replace(self, tracker=WeightedTracker(self.model, function=weighting))
         if weighting not in WEIGHTINGS:
-            raise ValueError(f"weighting must be one of {WEIGHTINGS} or a function, got {weighting!r}")
+            raise ValueError(f"weighting must be one of {WEIGHTINGS}, got {weighting!r}: name one, or give a function")
         if weighting == self.tracker.weighting and getattr(self.tracker, "function", None) is None:
             return self
         if weighting == "imm":

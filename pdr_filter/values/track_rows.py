@@ -293,8 +293,7 @@ class TrackRows:
         best = self.windows.context_prob.argmax(axis=1)
         # half a step more on each side: contacts of slow steps are a second apart
         first, last = (np.searchsorted(self.time_s, t) for t in (end_s - _WINDOW_S - 0.5, end_s + 0.5))
-        standing = [self.contexts.index(name) for name in self.windows.standing_contexts]
-        return seconds[: len(end_s)], best, (last > first) | np.isin(best, standing)
+        return seconds[: len(end_s)], best, (last > first) | np.isin(best, self.windows.standing_index)
 
     def summary(self) -> dict[str, Any]:
         """What `pdr-filter track --json` prints: name, n_steps, distance_m, duration_s, end, contexts and more."""

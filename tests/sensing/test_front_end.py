@@ -26,6 +26,7 @@ class Announcements:
 
     at: tuple[tuple[int, str, str], ...]
     rate_hz: float = 100.0
+    contexts: tuple[str, ...] = CONTEXTS
 
     def init(self) -> int:
         return 0

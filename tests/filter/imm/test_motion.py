@@ -29,6 +29,7 @@ from pdr_filter.filter.imm.motion_model import (
     second_order_errors,
     update_heading,
 )
+from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.step_length.models import FrequencyVarianceStepLength, StepLengthFit, known_length
 from pdr_filter.values import HeadingDrift, Step
 
@@ -311,7 +312,7 @@ def test_parameters_of_the_wrong_shape_and_unknown_contexts_are_refused() -> Non
     with pytest.raises(ValueError, match="theta"):
         StepLengthFit(FrequencyVarianceStepLength(), np.zeros(2), np.zeros((3, 3)), 0.1)
     with pytest.raises(ValueError, match="context of mode 'fly'"):
-        Mode("fly", "flying", known_length(1.0, 0.1))
+        PedestrianModel((Mode("fly", "flying", known_length(1.0, 0.1)),), np.ones((1, 1)))
     with pytest.raises(ValueError, match=r"carrying_mode of mode 'walk'.*hat"):
         Mode("walk", "walking", known_length(1.0, 0.1), carrying_mode="hat")
     with pytest.raises(ValueError, match=r"extra_noise_m of Mode must be 0 or more .*, got -1"):

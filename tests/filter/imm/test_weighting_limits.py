@@ -48,6 +48,8 @@ def modes(sideways_rad: float = np.pi / 2) -> tuple[Mode, ...]:
             context,
             StepLengthFit(FrequencyVarianceStepLength(), t, np.eye(3) * 1e-4, 0.05),
             heading_offset_rad=sideways_rad if context == "sideways" else 0.0,
+            moves=context != "stationary",
+            climbs={"upstairs": 1, "downstairs": -1}.get(context, 0),
         )
         for context, t in zip(CONTEXTS, theta, strict=True)
     )
