@@ -187,7 +187,7 @@ class Sensing:
         n = len(part.time_s)
         context = _held(state.context, [(i - n_before, _likely(w.prob)) for i, w in windows], n)
         carrying_mode = _held(state.carrying_mode, [(i - n_before, _likely(w.carrying_prob)) for i, w in windows], n)
-        contexts = ContextBlock(context, carrying_mode, self.context_set)
+        contexts = ContextBlock.of(context, carrying_mode, self.context_set)
         step_state, steps = self.steps.update(state.steps, part, attitude, contexts)
         heading_state, gate_state, even_state, north_state = None, None, None, None
         if self.gate:

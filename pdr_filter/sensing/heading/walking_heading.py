@@ -22,7 +22,7 @@ import cmath
 import math
 from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from operator import attrgetter
 from typing import Any
@@ -262,7 +262,7 @@ class WalkingHeading:
             rows[_ERROR:] = 0.0
         state = replace_unchecked(state, n_samples=n_before + n_new, signals=signals)
         indices = [number - n_before for number, _ in steps]
-        at_steps = ContextBlock(contexts.context[indices], contexts.carrying_mode[indices], contexts.context_set)
+        at_steps = ContextBlock(*(getattr(contexts, f.name)[indices] for f in fields(contexts))) if steps else contexts
         state, result = self._annotated(state, steps, at_steps)
         return replace_unchecked(state, signals=state.signals[:, -self._n_kept :]), result
 

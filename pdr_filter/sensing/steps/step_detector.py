@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -23,29 +23,32 @@ from pdr_filter.values import (
     replace_unchecked,
 )
 
+_BY_DEFAULT: Any = None  # until the block is made
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContextBlock:
-    """The context and the carrying mode at each uniform sample: those with at least half of the probability."""
+    """The context and the carrying mode at each uniform sample: those with at least half of the probability.
 
-    context: IntArray  # (N,) index into `context_set`; -1 where none has half, and before anything is known
+    What the context means is that of the default contexts unless it is given; `of` takes it from other contexts.
+    """
+
+    context: IntArray  # (N,) index into the contexts; -1 where none has half, and before anything is known
     carrying_mode: IntArray  # (N,) index into `CARRYING_MODES`; -1 likewise
-    context_set: ContextSet = DEFAULT_CONTEXTS  # names of the contexts, and what they mean
+    stands: BoolArray = _BY_DEFAULT  # (N,) whether the context is one without steps
+    runs: BoolArray = _BY_DEFAULT  # (N,) whether the person runs
+    is_turned: BoolArray = _BY_DEFAULT  # (N,) whether the person walks to the side or backward
 
-    @property
-    def stands(self) -> BoolArray:
-        """Whether the context is one without steps, (N,)."""
-        return self.context_set.stands[self.context]
+    def __post_init__(self) -> None:
+        for name in ("stands", "runs", "is_turned"):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, getattr(DEFAULT_CONTEXTS, name)[self.context])
 
-    @property
-    def runs(self) -> BoolArray:
-        """Whether the person runs, (N,)."""
-        return self.context_set.runs[self.context]
-
-    @property
-    def is_turned(self) -> BoolArray:
-        """Whether the person walks to the side or backward, (N,)."""
-        return self.context_set.is_turned[self.context]
+    @classmethod
+    def of(cls, context: IntArray, carrying_mode: IntArray, contexts: ContextSet) -> ContextBlock:
+        """Return the block of indices (N,) into some contexts and of carrying modes (N,)."""
+        meanings = contexts.stands, contexts.runs, contexts.is_turned
+        return cls(context, carrying_mode, *(meaning[context] for meaning in meanings))
 
 
 def unknown_contexts(n_samples: int) -> ContextBlock:
