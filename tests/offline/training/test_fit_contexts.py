@@ -17,6 +17,7 @@ from sklearn.linear_model import LogisticRegression
 
 import pdr_filter as pdr
 from pdr_filter.classifiers.model_files import ArtefactFormat
+from pdr_filter.offline.training.classifier_choice import fit_softmax
 from pdr_filter.offline.training.context_sequences import estimate_transitions
 from pdr_filter.offline.training.transition_training import contexts_at
 from pdr_filter.recipes import context_transitions
@@ -102,6 +103,16 @@ def test_each_classifier_learns_two_contexts(walks: list[pdr.Recording], classif
     model = pdr.fit_contexts(two, classifier, features=few, people=PEOPLE[:2])
     assert model.contexts == ("jog", "level")
     assert model.card["leave_one_subject_out"]["accuracy"] > 0.75
+
+
+def test_logistic_regression_of_two_classes_has_the_probabilities_of_scikit_learn() -> None:
+    rng = np.random.default_rng(0)
+    y = np.array(["level", "jog"] * 40)
+    rows = rng.normal(size=(80, 3)) + (y == "jog")[:, None]
+    machine, classes = fit_softmax(rows, y, np.ones(80))
+    expected = LogisticRegression(C=0.02, max_iter=300, tol=1e-3).fit(rows, y)
+    assert classes == tuple(expected.classes_)
+    np.testing.assert_allclose(machine.predict_proba(rows), expected.predict_proba(rows), rtol=1e-9)
 
 
 class Recorded(ClassifierMixin, BaseEstimator):
