@@ -118,8 +118,8 @@ def fit_contexts(
     >>> model = pdr.fit_contexts(walks, classifier="forest", people=["anna", "ben", "carla"])
     >>> model.contexts
     ('running', 'stationary', 'walking')
-    >>> print(model.report().splitlines()[2])
-    30 windows of 3 people: running 10, stationary 10, walking 10
+    >>> print(model.report().splitlines()[1])
+    96 windows of 3 people: running 30, stationary 33, walking 33
     """
     if head not in ("context", "carrying_mode"):
         raise ValueError(f'head must be "context" or "carrying_mode", got {head!r}: name a column of the labels')
@@ -127,6 +127,9 @@ def fit_contexts(
     feature_set = ATTITUDE_FREE if features is None else feature_set_of(features)
     done = _silent if progress is None else progress
     given = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    for each in given:
+        if not isinstance(each, Recording):  # pyright: ignore[reportUnnecessaryIsInstance]
+            raise ValueError(f"recordings must be of Recording, got {each!r}: read files with pdr.read")
     if people is not None and len(people) != len(given):
         raise ValueError(f"people must be {len(given)} names, one for each recording, got {len(people)}: name them all")
     labelled = _labelled(given, feature_set, head, people, done)

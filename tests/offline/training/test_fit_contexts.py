@@ -350,6 +350,8 @@ def test_labels_of_one_class_or_none_and_no_recordings_are_refused(walks: list[p
         fit([without_labels(each) for each in walks[:2]])
     with pytest.raises(ValueError, match="0 recordings"):
         fit([])
+    with pytest.raises(ValueError, match=r"recordings must be of Recording, got 'walk.zip': read files with pdr.read"):
+        fit(["walk.zip"])  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match=r"without 'anna' only windows of 'level' are left.*two or more"):
         fit([walks[0], with_labels(walk(1), {"walking": "level"})])
 
