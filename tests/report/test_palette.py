@@ -16,11 +16,18 @@ def test_the_colours_of_figures_pages_notebooks_and_studies_stand_in_the_palette
         f"{file.name}: {colour}"
         for file in files
         if file.name != "palette.py"
-        for colour in (*palette.COLOURS, palette.INK, palette.ELLIPSE)
+        for colour in (*palette.COLOURS, *palette.MORE_COLOURS, palette.INK, palette.ELLIPSE)
         if colour.lower() in source(file)
     ]
     assert len(files) > 20
     assert not again
+
+
+def test_twelve_contexts_have_twelve_colours() -> None:
+    colours = palette.context_colours(tuple(f"context {i}" for i in range(13)))
+    assert len(set(colours.values())) == 12
+    assert colours["context 12"] == colours["context 0"]
+    assert list(palette.context_colours().values()) == list(palette.COLOURS)
 
 
 def source(file: Path) -> str:
