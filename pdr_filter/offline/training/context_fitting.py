@@ -149,9 +149,10 @@ def fit_contexts(
         machine_fit=machine_fit,
         description=f"{kind} on {how_many(len(names), 'feature')} ({feature_set.name})",
         use="Windows like those of the recordings that the model learnt from.",
-        limits="".join(f"The scores do not include {c}, which is labelled for one person only. " for c in one_person),
+        limits=f"Labelled for one person only, and not in the scores: {', '.join(one_person)}." if one_person else "",
         has_gyroscope=labelled.has_gyroscope,
         own_labels=labels,
+        command=f"pdr_filter.fit_contexts(recordings, {classifier!r}, head={head!r})",
         n_recordings=len(given),
         step_labels=sequences,
         at_middle=labelled.at_middle,
@@ -260,7 +261,8 @@ def _check_people(windows: LabelledWindows, head: Head) -> None:
     if len(people) < 2:
         raise ValueError(
             f"recordings must be of two people or more, of whom each can be held out, got {str(people[0])!r} alone: "
-            "name whose they are by people=[...], or by subject.id in meta.json"
+            "name whose they are by people=[...], by subject.id in meta.json, or by a folder for each person on the "
+            "command line"
         )
     for person in people:
         left = np.unique(label[of_label & (windows.person != person)])
@@ -316,6 +318,7 @@ class FittingPlan(TrainingPlan):
     """Fit of a model on recordings of any data."""
 
     own_labels: tuple[str, ...]
+    command: str  # that made the model
     n_recordings: int
     step_labels: _StepLabels | None  # None where no transitions are estimated
     at_middle: TextArray  # (W,) context at the middle of each window
@@ -360,7 +363,7 @@ class FittingPlan(TrainingPlan):
             "gyroscope": self.has_gyroscope,
             "temperature": round(temperature, 4),
             "slip": round(slip, 6),
-            "command": "pdr_filter.fit_contexts, or pdr-filter train FOLDER",
+            "command": self.command,
         }
         estimated: dict[str, Any] = {}
         if found is not None:
