@@ -21,6 +21,7 @@ from .maps.radio.radio_map import RadioMap as RadioMap
 from .offline.calibration.fit import calibrate as calibrate
 from .offline.smoothing.smooth import smooth as smooth
 from .offline.smoothing.smoothed import Smoothed as Smoothed
+from .offline.training.context_fitting import fit_contexts as fit_contexts
 from .recipes.config import Config as Config
 from .recipes.step_length_calibration import Calibration as Calibration
 from .report import plot as plot

@@ -35,9 +35,9 @@ class BoostedTrees(TreeMachine):
         check_array("value", self.value, shape=(n_nodes,), remedy="give one for each node")
         check_array("baseline", self.baseline)
         n_classes = len(self.baseline) if self.baseline.ndim == 1 else 0
-        if n_classes < 3 or n_trees % n_classes:
+        if n_classes < 2 or n_trees % n_classes:
             raise ValueError(
-                f"baseline must be of 3 or more classes, and {n_trees} trees one for each class and round, "
+                f"baseline must be of 2 or more classes, and {n_trees} trees one for each class and round, "
                 f"got shape {self.baseline.shape}"
             )
 
@@ -48,12 +48,14 @@ class BoostedTrees(TreeMachine):
 
     @classmethod
     def from_sklearn(cls, boosting: HistGradientBoostingClassifier) -> BoostedTrees:
-        """Return the fitted trees as arrays; classes stay in the order of `boosting.classes_`, three or more.
+        """Return the fitted trees as arrays; classes stay in the order of `boosting.classes_`.
 
-        Exact for features that are float32 numbers and that are not categories.
+        Exact for features that are float32 numbers and that are not categories. Of two classes scikit-learn has one
+        tree a round, for the logit of the second: here it is twice there, with half of the logit for and against.
         """
         fitted: Any = boosting
-        nodes: list[Any] = [tree.nodes for round_ in fitted._predictors for tree in round_]
+        halves = (-0.5, 0.5) if len(fitted.classes_) == 2 else (1.0,)
+        nodes: list[Any] = [tree.nodes for round_ in fitted._predictors for tree in round_ for _ in halves]
 
         def child(tree: Any, side: str) -> NDArray[np.int64]:
             return np.where(tree["is_leaf"] > 0, NO_CHILD, tree[side].astype(np.int64))
@@ -65,8 +67,10 @@ class BoostedTrees(TreeMachine):
             [child(tree, "left") for tree in nodes],
             [child(tree, "right") for tree in nodes],
         )
-        value = np.where(trees.is_leaf, np.concatenate([tree["value"] for tree in nodes]), 0.0)
-        return cls(trees, value, np.ravel(fitted._baseline_prediction))
+        factors = halves * (len(nodes) // len(halves))
+        of_nodes = np.concatenate([factor * tree["value"] for factor, tree in zip(factors, nodes, strict=True)])
+        baseline = np.outer(np.ravel(fitted._baseline_prediction), halves).ravel()
+        return cls(trees, np.where(trees.is_leaf, of_nodes, 0.0), baseline)
 
     def _of_rows(self, rows: FloatArray) -> FloatArray:
         """Softmax of the leaves' values, added round after round."""

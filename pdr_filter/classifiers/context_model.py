@@ -25,10 +25,14 @@ from pdr_filter.classifiers.softmax import SoftmaxRegression
 from pdr_filter.values import (
     CARRYING_MODES,
     CONTEXTS,
+    FeatureFunction,
+    FeatureSet,
     FloatArray,
+    as_plain,
     check_array,
     check_name_of_context,
     check_transition_prob,
+    feature_set_of,
     pickled,
     read_only,
 )
@@ -111,6 +115,12 @@ class ContextModel:
         Labels of level walking, of stairs up and of stairs down that `stairs` is about.
     transition_prob : (L, L), optional
         Between `labels` from one step to the next, estimated from the labels of the training; rows sum to one.
+    evidence_exponent, prior_exponent : float, optional
+        Of the evidence of a window, as in `PedestrianModel`, chosen on the labels of the training.
+    features : FeatureSet, optional
+        Computes the features of windows, if they are none of the package's own. Files do not hold it.
+    needs_gyroscope : bool
+        False if the model learnt from windows without angular rate.
 
     Examples
     --------
@@ -139,6 +149,10 @@ class ContextModel:
     labels: tuple[str, ...] = ()
     stairs_labels: tuple[str, str, str] = STAIRS_LABELS
     transition_prob: FloatArray | None = None
+    evidence_exponent: float | None = None
+    prior_exponent: float | None = None
+    features: FeatureSet | None = None
+    needs_gyroscope: bool = True
 
     __reduce__ = pickled
 
@@ -228,7 +242,11 @@ class ContextModel:
         return prob
 
     def save(self, folder: str | Path) -> Path:
-        """Write `<name>.npz` and `<name>.json` into the folder and return the path of the .npz."""
+        """Write `<name>.npz` and `<name>.json` into the folder and return the path of the .npz.
+
+        Features of a function are not written: give the function to `load` again. ValueError for a classifier of
+        another library, which says how to keep it.
+        """
         arrays: Arrays = {name: np.asarray(getattr(self, name)) for name in (*_ARRAYS, *_NUMBERS)}
         if self.familiarity is not None:
             arrays |= prefixed(_FAMILIARITY, self.familiarity.to_arrays())
@@ -245,24 +263,61 @@ class ContextModel:
             "classes": list(self.classes),
             "labels": list(self.labels),
             "stairs_labels": list(self.stairs_labels),
-            "card": self.card,
+            "needs_gyroscope": self.needs_gyroscope,
+            "evidence_exponent": self.evidence_exponent,
+            "prior_exponent": self.prior_exponent,
+            "card": as_plain(self.card),
         }
         FORMAT.write(Path(folder) / self.name, description, arrays)
         return Path(folder) / f"{self.name}.npz"
 
     @staticmethod
-    def load(name_or_path: str | Path) -> ContextModel:
+    def load(name_or_path: str | Path, features: FeatureSet | FeatureFunction | None = None) -> ContextModel:
         """Return a shipped model by its name, the model at a path to its .npz or .json, or the only one in a folder.
 
+        `features` are those that the model was fitted with, if they are none of the package's own: files hold no code.
         ValueError that names the file and the remedy if it is missing, damaged or not what it says.
         """
-        folder = Path(name_or_path)
-        if not folder.is_dir():
-            return load_model(name_or_path)
-        names = FORMAT.names_in(folder)
-        if len(names) != 1:
-            raise ValueError(f"{folder}: {len(names)} context models are in this folder: give the path of a .npz in it")
-        return load_model(folder / f"{names[0]}.npz")
+        path = folder = Path(name_or_path)
+        if folder.is_dir():
+            names = FORMAT.names_in(folder)
+            if len(names) != 1:
+                raise ValueError(
+                    f"{folder}: {len(names)} context models are in this folder: give the path of a .npz in it"
+                )
+            path = folder / f"{names[0]}.npz"
+        model = load_model(path if folder.is_dir() else name_or_path)
+        return model if features is None else replace(model, features=feature_set_of(features))
+
+    def report(self) -> str:
+        """Return the card in words: data, people, held-out scores and confusion, one fact a line."""
+        return "\n".join(_lines_of(self.card))
+
+
+def _lines_of(card: Mapping[str, Any]) -> list[str]:
+    """Lines of a report of a card; facts that the card does not have are left out."""
+    n_windows: dict[str, int] = card.get("n_windows", {})
+    scores: dict[str, Any] = card.get("leave_one_subject_out", {})
+    confusion: dict[str, dict[str, int]] = scores.get("confusion", {})
+    lines = [str(card[name]) for name in ("description", "limits") if card.get(name)]
+    counts = ", ".join(f"{label} {n}" for label, n in n_windows.items())
+    lines.append(f"{sum(n_windows.values())} windows of {card.get('n_people', 'unknown')} people: {counts}")
+    if "log_loss" in scores:
+        lines.append(
+            f"people not in training: log loss {scores['log_loss']:.3f}, accuracy {scores['accuracy']:.3f}, macro "
+            f"recall {scores['macro_recall']:.3f}, calibration error {scores['expected_calibration_error']:.3f}"
+        )
+    if confusion:
+        lines.append("confusion, windows of each true label by the most probable one:")
+        names = list(next(iter(confusion.values())))
+        width = max(map(len, (*names, *confusion)))
+        lines.append(" " * width + "".join(f" {name:>{max(len(name), 6)}}" for name in names))
+        for truth, row in confusion.items():
+            lines.append(f"{truth:>{width}}" + "".join(f" {row[name]:>{max(len(name), 6)}}" for name in names))
+    for name in ("transition_prob", "exponents"):
+        if name in card:
+            lines.append(f"{name}: {card[name]}")
+    return lines
 
 
 def not_told_apart(prob: FloatArray, share: FloatArray, level_and_stairs: list[int]) -> FloatArray:
@@ -323,6 +378,9 @@ def _assemble(description: Mapping[str, Any], arrays: Arrays) -> ContextModel:
         labels=tuple(description.get("labels", ())),
         stairs_labels=tuple(description.get("stairs_labels", STAIRS_LABELS)),
         transition_prob=arrays.get("transition_prob"),
+        needs_gyroscope=description.get("needs_gyroscope", True),
+        evidence_exponent=description.get("evidence_exponent"),
+        prior_exponent=description.get("prior_exponent"),
     )
 
 
@@ -366,6 +424,16 @@ def _check(model: ContextModel) -> None:
         raise ValueError(f"stairs_labels must be three of {model.labels}, got {model.stairs_labels}")
     if model.transition_prob is not None:
         check_transition_prob(model.transition_prob, len(model.labels))
+    for name in ("evidence_exponent", "prior_exponent"):
+        exponent = getattr(model, name)
+        if exponent is not None and not 0 <= exponent < np.inf:
+            raise ValueError(f"{name} must be finite and not negative, got {exponent}")
+    given = model.feature_names if model.features is None else model.features.names
+    if missing := sorted(set(model.feature_names) - set(given)):
+        raise ValueError(
+            f"features must have {missing[:5]}, which the model was fitted with, got {given[:5]}: give the features of "
+            "the training"
+        )
     prior = model.training_prior
     if prior.shape != (len(model.labels),) or not (prior >= 0).all() or not np.isclose(prior.sum(), 1.0, atol=1e-9):
         raise ValueError(f"training_prior must be {len(model.labels)} probabilities that sum to one, got {prior}")

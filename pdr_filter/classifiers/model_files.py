@@ -36,8 +36,8 @@ class ArtefactFormat:
     def write(self, path: str | Path, description: Mapping[str, Any], arrays: Arrays | None = None) -> None:
         """Write `<path>.json`, and `<path>.npz` if there are arrays.
 
-        TypeError, before anything is written, for a description that JSON cannot hold; ValueError for more than `read`
-        takes.
+        TypeError, before anything is written, for a description that JSON cannot hold; ValueError for a NaN, which JSON
+        has not, and for more than `read` takes.
         """
         # Only when called: classifiers are arrays, and open no files.
         from pdr_filter.io.files.safe_files import write_files
@@ -47,7 +47,7 @@ class ArtefactFormat:
         if packed is not None:
             # Files of two trainings have the same names and shapes: only this shows that they do not belong together.
             content["npz_sha256"] = hashlib.sha256(packed).hexdigest()
-        text = json.dumps(content, indent=2, ensure_ascii=False, default=_plain) + "\n"
+        text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False, default=_plain) + "\n"
         n_bytes, n_text = sum(array.nbytes for array in (arrays or {}).values()), len(text.encode())
         if n_bytes > limits.MAX_UNPACKED_BYTES or n_text > limits.MAX_DESCRIPTION_BYTES:
             raise ValueError(

@@ -23,7 +23,7 @@ from pdr_filter.filter.plan_stage import PlanStage
 from pdr_filter.filter.step_length.models import StepLengthFit
 from pdr_filter.filter.step_length.person import Person
 from pdr_filter.sensing.contexts.context_stage import ContextStage
-from pdr_filter.sensing.contexts.learned_contexts import stage_of
+from pdr_filter.sensing.contexts.learned_contexts import stage_of, with_carrying_models
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.barometer import ClimbRate
 from pdr_filter.sensing.front_end import Sensing
@@ -160,7 +160,7 @@ class Config:
         transition_prob : (M, M), optional
             From each mode to each mode between two steps; rows sum to one. If not given, those that the model
             estimated from its labels. A model without them gets those of `recipes.context_transitions`, which follow
-            from what the modes mean.
+            from what the modes mean. Exponents of the evidence are those that the model estimated, or the present ones.
 
         Examples
         --------
@@ -176,13 +176,27 @@ class Config:
         estimated = model[0] if isinstance(model, tuple) else model
         labelled = getattr(estimated, "transition_prob", None)
         prob = _transitions(stage.contexts, modes, labelled) if transition_prob is None else np.asarray(transition_prob)
-        known = self._with_modes(modes, contexts=stage.contexts, transition_prob=prob)
+        exponents = {name: getattr(estimated, name, None) for name in ("evidence_exponent", "prior_exponent")}
+        known = self._with_modes(
+            modes,
+            contexts=stage.contexts,
+            transition_prob=prob,
+            **{name: value for name, value in exponents.items() if value is not None},
+        )
         return replace(
             self,
             sensing=replace(self.sensing, contexts=stage, context_set=known.context_set),
             tracker=replace(self.tracker, model=known),
             notes=self._notes_with(modes),
         )
+
+    def with_carrying_model(self, model: ContextModel | tuple[ContextModel, ContextModel]) -> Config:
+        """Return a copy with another model of where the phone is, fitted with `head="carrying_mode"`.
+
+        Of two models, the second is for windows without gyroscope. Without it such windows say nothing of the carrying
+        mode, unless the model needs no gyroscope. ValueError for a recipe without trained models of contexts.
+        """
+        return replace(self, sensing=replace(self.sensing, contexts=with_carrying_models(model, self.sensing.contexts)))
 
     def with_modes(self, modes: Sequence[Mode], transition_prob: ArrayLike | None = None) -> Config:
         """Return a copy with other modes for the same contexts.

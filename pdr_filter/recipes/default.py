@@ -79,7 +79,18 @@ def _for_height(height_m: float | None) -> Config:
 
 
 def with_context_model(config: Config, model: ContextModel) -> Config:
-    """The configuration with another context model for windows with gyroscope, and with the features that it needs."""
+    """Return the configuration with another context model for windows with gyroscope and the features that it needs.
+
+    A model of only some of the contexts of the configuration leaves the modes of these. ValueError for a model of other
+    contexts, or of features that no feature set has.
+    """
+    if other := [label for label in model.labels if label not in config.contexts]:
+        raise ValueError(
+            f"model {model.name!r} has the contexts {other}, for which recipe {config.name!r} has no modes: say what "
+            "they mean in a recipe of your own with config.with_contexts(model, modes)"
+        )
+    if model.labels != config.contexts:
+        return config.with_contexts(model, [m for m in config.model.modes if m.context in model.labels])
     for contexts in (magnitude_contexts(), attitude_free_contexts()):
         if set(model.feature_names) <= set(contexts.windows.features.names):
             contexts = replace(contexts, models=replace(contexts.models, with_gyroscope=model))

@@ -101,7 +101,7 @@ def windows_of(data: Path) -> LabelledWindows:
 
 
 def model_without(windows: LabelledWindows, people: tuple[str, ...]) -> ContextModel:
-    """The default's model as `pdr-filter train` makes it, of all people but these."""
+    """The default's model as `train_all` makes it, of all people but these."""
     return replace(contexts.model_without(shipped_model(PLAN.name), PLAN, windows, people), name="left_out")
 
 

@@ -31,6 +31,14 @@ def test_probabilities_are_those_of_scikit_learn(trained: Trained) -> None:
     np.testing.assert_allclose(ours.predict_proba(X), boosting.predict_proba(X), rtol=1e-12)
 
 
+def test_two_classes_have_the_probabilities_of_scikit_learn_too() -> None:
+    X, y = make_classification(300, 6, random_state=0)
+    X = X.astype(np.float32).astype(np.float64)
+    boosting = HistGradientBoostingClassifier(max_iter=10, early_stopping=False, random_state=0).fit(X, y)
+    ours = BoostedTrees.from_sklearn(boosting)
+    np.testing.assert_allclose(ours.predict_proba(X), boosting.predict_proba(X), rtol=1e-12)
+
+
 def test_a_row_on_a_threshold_goes_the_way_of_scikit_learn(trained: Trained) -> None:
     boosting, ours, X, _ = trained
     rows = np.repeat(X[:1], 400, axis=0)
@@ -58,7 +66,7 @@ def test_arrays_come_back(trained: Trained) -> None:
     ("change", "message"),
     [
         (dict(baseline=np.zeros(3)), "one for each class and round"),
-        (dict(baseline=np.zeros(2)), "3 or more classes"),
+        (dict(baseline=np.zeros(1)), "2 or more classes"),
         (dict(baseline=np.full(4, np.inf)), "must be finite"),
         (dict(value=np.zeros(3)), "finite, got .* one for each node"),
     ],

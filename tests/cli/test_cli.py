@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 import pdr_filter as pdr
 from pdr_filter.cli.app import app
 from pdr_filter.io.files.own_format import write_recording
-from pdr_filter.offline.training import train_all as training
+from pdr_filter.values import table
 from pdr_filter.values.recording import Truth
 
 MODELS = Path(__file__).resolve().parents[2] / "models"
@@ -219,18 +219,56 @@ def test_a_simulated_walk_is_carried_as_asked(tmp_path: Path, mode: str) -> None
     assert set(recording.truth.labels.carrying_mode) == {mode}
 
 
-def test_train_prints_the_models_it_wrote(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[Any] = []
+def people_of(folder: Path, names: dict[str, str]) -> Path:
+    """A folder of labelled recordings that do not say whose they are, in a folder for each of three people."""
+    for seed, person in enumerate(("anna", "ben", "carla")):
+        legs = [pdr.simulate.Leg(c, duration_s=8.0) for c in ("stationary", "walking", "running", "walking")]
+        walk = pdr.simulate.simulate(legs, pdr.simulate.Gait.random(seed), "pocket", seed=seed, name="walk")
+        labels = walk.truth.labels
+        assert labels is not None
+        columns: dict[str, Any] = {name: labels[name] for name in ("start_s", "end_s", "carrying_mode")}
+        columns["context"] = np.array([names.get(str(c), str(c)) for c in labels.context])
+        meta = {**walk.meta, "dataset": "", "subject": {}}
+        replace(walk, meta=meta, truth=Truth(labels=table(columns))).save(folder / person / "walk.zip")
+    return folder
 
-    def fake_train(data_dir: Path, out_dir: Path, progress: Any, sequences_dir: Any) -> list[dict[str, Any]]:
-        asked.extend([data_dir, out_dir, sequences_dir])
-        progress("reading", 0.5)
-        return [{"name": "one"}, {"name": "two"}]
 
-    monkeypatch.setattr(training, "train", fake_train)
-    result = run("train", tmp_path, "--out", tmp_path / "out")
-    assert result.stdout.split() == [str(tmp_path / "out" / "one.npz"), str(tmp_path / "out" / "two.npz")]
-    assert asked == [tmp_path, tmp_path / "out", None]
+def test_train_fits_any_folder_and_track_uses_a_model_of_some_of_the_default_contexts(
+    tmp_path: Path, walk: Path
+) -> None:
+    folder = people_of(tmp_path / "motionsense", {})  # the name of one of our data sets
+    result = run("train", folder, "--classifier", "forest", "--out", tmp_path / "mine")
+    assert result.exit_code == 0, result.stderr
+    assert "of 3 people: running " in result.stdout and "log loss" in result.stdout and "confusion" in result.stdout
+    assert "contexts.npz" in one_line(result.stderr)
+    model = pdr.ContextModel.load(tmp_path / "mine")
+    assert model.contexts == ("running", "stationary", "walking")
+    assert model.card["data"] == ["own recordings"]
+    assert "motionsense" not in (tmp_path / "mine" / "contexts.json").read_text("utf-8")
+    tracked = run("track", walk, "--json", "--online", "--model", tmp_path / "mine" / "contexts.npz")
+    assert tracked.exit_code == 0, tracked.stderr
+    assert set(json.loads(tracked.stdout)["contexts"]) <= set(model.contexts)
+
+
+def test_train_learns_carrying_modes_only_if_there_are_several(tmp_path: Path) -> None:
+    result = run("train", people_of(tmp_path, {}), "--carrying-modes", "--out", tmp_path / "mine")
+    assert result.exit_code == 2
+    assert "two carrying modes or more, got 'pocket'" in one_line(result.stderr)
+
+
+def test_track_with_a_model_of_other_contexts_says_how_to_give_them_a_meaning(tmp_path: Path, walk: Path) -> None:
+    model = pdr.ContextModel.load("context").renamed({"walking": "level"})
+    model.save(tmp_path)
+    result = run("track", walk, "--model", tmp_path / "context.npz")
+    assert result.exit_code == 2
+    assert "'level'" in one_line(result.stderr) and "with_contexts(model, modes)" in result.stderr
+
+
+@pytest.mark.parametrize("arguments", [[], ["FOLDER", "--sequences", "FOLDER"]])
+def test_train_takes_either_a_folder_or_sequences(tmp_path: Path, arguments: list[str]) -> None:
+    given = [tmp_path if word == "FOLDER" else word for word in arguments]
+    result = run("train", *given, "--out", tmp_path / "out")
+    assert (result.exit_code, "exactly one of the two" in one_line(result.stderr)) == (2, True)
 
 
 def test_train_on_a_folder_without_recordings_is_one_line_and_code_2(tmp_path: Path) -> None:

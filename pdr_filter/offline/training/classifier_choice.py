@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from sklearn.base import clone
 from sklearn.ensemble import HistGradientBoostingClassifier, RandomForestClassifier
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import LogisticRegression
@@ -15,10 +16,11 @@ from sklearn.linear_model import LogisticRegression
 from pdr_filter.classifiers.base_classifier import Machine
 from pdr_filter.classifiers.blend import Blend
 from pdr_filter.classifiers.boosting import BoostedTrees
+from pdr_filter.classifiers.foreign_classifier import ForeignClassifier
 from pdr_filter.classifiers.forest import Forest
 from pdr_filter.classifiers.rvm import RelevanceVectorClassifier, stratified_rows
 from pdr_filter.classifiers.softmax import SoftmaxRegression
-from pdr_filter.offline.training.cross_validation import TextArray
+from pdr_filter.offline.training.cross_validation import MachineFit, TextArray
 from pdr_filter.values import FloatArray
 
 Classes = tuple[str, ...]
@@ -31,7 +33,10 @@ def fit_softmax(Z: FloatArray, y: TextArray, weight: FloatArray, C: float = 0.02
     probabilities get less sure than the temperature is meant to mend.
     """
     fitted: Any = LogisticRegression(C=C, max_iter=300, tol=1e-3).fit(Z, y, sample_weight=weight)
-    return SoftmaxRegression(fitted.coef_, fitted.intercept_), _names(fitted.classes_)
+    weights, intercept = fitted.coef_, fitted.intercept_
+    if len(weights) == 1:  # of two classes there is one logit, that of the second
+        weights, intercept = (np.concatenate([-0.5 * each, 0.5 * each]) for each in (weights, intercept))
+    return SoftmaxRegression(weights, intercept), _names(fitted.classes_)
 
 
 def fit_blend(Z: FloatArray, y: TextArray, weight: FloatArray) -> tuple[Machine, Classes]:
@@ -86,6 +91,48 @@ def fit_forest(Z: FloatArray, y: TextArray, weight: FloatArray, n_trees: int = 5
     options: Any = {"min_samples_leaf": 20, "random_state": 0, "n_jobs": 1}
     forest = RandomForestClassifier(n_trees, **options).fit(Z, y, sample_weight=weight)
     return Forest.from_sklearn(forest), _names(forest.classes_)
+
+
+@dataclass(frozen=True)
+class FitOfObject:
+    """Fit of an object with `fit`, `predict_proba` and `classes_`, such as those of scikit-learn.
+
+    Each fit is of a copy without what the object has learnt before. Weights are not passed: not all objects take them.
+    """
+
+    classifier: Any
+
+    def __call__(self, Z: FloatArray, y: TextArray, weight: FloatArray) -> tuple[Machine, Classes]:
+        """Return the machine and its classes. ValueError if the fitted object cannot be used."""
+        fitted: Any = clone(self.classifier, safe=False)
+        fitted.fit(Z, y)
+        if not hasattr(fitted, "classes_"):
+            raise ValueError(
+                f"classifier must have classes_ when it is fitted, got {type(fitted).__name__} without: set it in fit"
+            )
+        # that of `RelevanceVectorClassifier`, which can be saved
+        machine = getattr(fitted, "machine_", None)
+        if not isinstance(machine, Machine):
+            machine = ForeignClassifier(fitted, Z.shape[1])
+        return machine, _names(fitted.classes_)
+
+
+# By the names that `fit_contexts` and `pdr-filter train` take.
+MACHINE_FITS: dict[str, MachineFit] = {"rvm": fit_relevance_vectors, "forest": fit_forest, "blend": fit_blend}
+_KINDS = {"rvm": "Relevance vector machine", "forest": "Random forest", "blend": "Logistic regression, boosted trees"}
+
+
+def machine_fit_of(classifier: object) -> tuple[MachineFit, str]:
+    """Return how a classifier is fitted, and what it is in words; ValueError if it is none."""
+    if isinstance(classifier, str) and classifier in MACHINE_FITS:
+        return MACHINE_FITS[classifier], _KINDS[classifier]
+    is_object = not isinstance(classifier, str | type)
+    if is_object and all(callable(getattr(classifier, name, None)) for name in ("fit", "predict_proba")):
+        return FitOfObject(classifier), type(classifier).__name__
+    raise ValueError(
+        f"classifier must be one of {tuple(MACHINE_FITS)} or an object with fit, predict_proba and classes_, got "
+        f"{classifier!r}: such as sklearn.ensemble.RandomForestClassifier()"
+    )
 
 
 def fit_pose_forest(Z: FloatArray, y: TextArray, weight: FloatArray) -> tuple[Forest, Classes]:

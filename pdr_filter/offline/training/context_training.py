@@ -122,19 +122,25 @@ def cross_calibrated(prob: FloatArray, context: TextArray, person: TextArray, mo
     result = np.zeros_like(prob)
     for name in np.unique(person):
         own = person == name
-        result[own] = _calibrated(prob[own], model, *calibration(prob[~own], context[~own], model))
+        result[own] = calibrated(prob[own], model, *calibration(prob[~own], context[~own], model))
     return result
 
 
 def calibration(prob: FloatArray, context: TextArray, model: ContextModel) -> tuple[float, float]:
-    """Temperature and slip of the probabilities of windows (W, C) of people left out; `model` has the classes."""
+    """Return temperature and slip of the probabilities of windows (W, C) of people left out.
+
+    `model` has the classes. The slip is 1 / (W + 2) at least, by Laplace's rule of succession: W windows without a
+    surprise do not exclude one, and a single impossible label of a stranger would have an infinite log loss.
+    """
     if not len(context):
         return 1.0, 0.0
     label = np.array([model.classes.index(c) for c in context])
-    return fit_calibration(prob[:, _columns(model)], label)
+    temperature, slip = fit_calibration(prob[:, _columns(model)], label)
+    return temperature, max(slip, 1.0 / (len(label) + 2))
 
 
-def _calibrated(prob: FloatArray, model: ContextModel, temperature: float, slip: float) -> FloatArray:
+def calibrated(prob: FloatArray, model: ContextModel, temperature: float, slip: float) -> FloatArray:
+    """Return calibrated probabilities (W, C), which are zero but for the classes of `model`."""
     result = np.zeros_like(prob)
     result[:, _columns(model)] = slipped(tempered(prob[:, _columns(model)], temperature), slip)
     return result

@@ -26,7 +26,7 @@ from pdr_filter.classifiers.base_classifier import Machine
 from pdr_filter.classifiers.context_model import HEADS, ContextModel
 from pdr_filter.classifiers.familiarity import fit_familiarity
 from pdr_filter.classifiers.probability_calibration import brier_score, reliability
-from pdr_filter.values import CONTEXTS, BoolArray, FloatArray
+from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, Table
 from pdr_filter.values.recording import Recording
 
 J = TypeVar("J")
@@ -80,13 +80,17 @@ def label_of(recording: Recording, start_s: float, end_s: float) -> tuple[str, s
     None, too, where the label is `DOUBTFUL`.
     """
     labels = recording.truth.labels
-    if labels is None or start_s >= DOUBTFUL.get(recording.name, np.inf):
-        return None
+    row = None if start_s >= DOUBTFUL.get(recording.name, np.inf) else label_row(labels, "context", start_s, end_s)
+    return None if row is None or labels is None else (str(labels["context"][row]), str(labels["carrying_mode"][row]))
+
+
+def label_row(labels: Table | None, column: str, start_s: float, end_s: float) -> int | None:
+    """Row of the label that a time lies inside, None outside every label with a name in this column."""
     # Half a sample of slack: labels start with the first sample, windows half an interval before its middle.
     slack_s = 0.02
-    for label in labels:
-        if label["start_s"] - slack_s <= start_s and end_s <= label["end_s"] + slack_s and label["context"]:
-            return str(label["context"]), str(label["carrying_mode"])
+    for row, label in enumerate(() if labels is None else labels):
+        if label["start_s"] - slack_s <= start_s and end_s <= label["end_s"] + slack_s and label[column]:
+            return row
     return None
 
 
@@ -169,6 +173,10 @@ class TrainingPlan(ABC):
         """Labels of the head."""
         return HEADS[self.head]
 
+    def learnt_from(self, windows: LabelledWindows) -> LabelledWindows:
+        """Return the windows that the model learns from: all of them, unless a plan has unlabelled ones, too."""
+        return windows
+
     def is_real(self, windows: LabelledWindows) -> BoolArray:
         """Which windows were recorded as they are, (W,)."""
         return np.isin(windows.dataset, self.datasets)
@@ -201,6 +209,7 @@ class TrainingPlan(ABC):
             card={},
             head=self.head,
             feature_limit=self.feature_limit,
+            labels=self.labels,
         )
 
     def fit(self, windows: LabelledWindows) -> ContextModel:
@@ -218,7 +227,7 @@ class TrainingPlan(ABC):
             "intended_use": self.use,
             "limits": self.limits,
             "head": self.head,
-            "data": list(self.datasets),
+            "data": [str(name) for name in np.unique(real.dataset)],
             "n_people": len(np.unique(real.person)),
             "n_windows": {label: n_windows[label] for label in self.labels},
             "feature_set": self.feature_set,
@@ -227,7 +236,7 @@ class TrainingPlan(ABC):
             "hop_s": 1.0,
             "leave_one_subject_out": {"people": f"{SCORED_DATASET}, {n_scored} people", **scores},
             "site_left_out": dict(sites),
-            **provenance("pdr-filter train DATA_DIR --out models"),
+            **provenance("python -m pdr_filter.offline.training.train_all DATA_DIR models"),
         }
 
     @abstractmethod
@@ -239,17 +248,17 @@ class TrainingPlan(ABC):
         """The model of all windows with its card, and what else only windows left out can show."""
 
 
-def train_one(plan: TrainingPlan, windows: LabelledWindows, progress: Progress) -> ContextModel:
-    """The model of one plan, fitted on all its windows, its card scored on groups left out."""
+def train_one(plan: TrainingPlan, windows: LabelledWindows, progress: Progress, n_jobs: int = -1) -> ContextModel:
+    """The model of one plan, fitted on all its windows, its card scored on groups left out, on so many processes."""
     groups = plan.held_out(windows)
     n = len(groups) + 2
     left_out: dict[str, LeftOut] = {}
-    said = in_parallel(partial(leave_out, plan, windows), groups.values())
+    said = in_parallel(partial(leave_out, plan, windows), groups.values(), n_jobs)
     for i, (name, group) in enumerate(zip(groups, said, strict=True)):
         left_out[name] = group
         progress(f"{plan.name}: without {name}", (i + 1) / n)
     with threadpool_limits(1):
-        model = plan.fit(windows)
+        model = plan.fit(plan.learnt_from(windows))
         progress(f"{plan.name}: all people", 1 - 1 / n)
         model = plan.finished(model, windows, left_out)
     progress(f"{plan.name}: done", 1.0)
@@ -259,7 +268,7 @@ def train_one(plan: TrainingPlan, windows: LabelledWindows, progress: Progress) 
 def leave_out(plan: TrainingPlan, windows: LabelledWindows, group: BoolArray) -> LeftOut:
     """What a model of all other windows says of the real ones of a group; what was made of them is left out with it."""
     with threadpool_limits(1):
-        rest, rows = windows.part(~group), group & plan.is_real(windows)
+        rest, rows = plan.learnt_from(windows.part(~group)), group & plan.is_real(windows)
         model = plan.fit(rest)
         features = windows.features[rows]
         known = with_familiarity(model, rest, 1.0, 1.0 if plan.guards_stairs else None)
@@ -291,12 +300,12 @@ def in_order(left_out: Iterable[LeftOut]) -> LeftOut:
     return LeftOut(rows, *(np.concatenate([getattr(group, name) for group in groups])[order] for name in names))
 
 
-def in_parallel(work: Callable[[J], R], jobs: Iterable[J]) -> Iterator[R]:
+def in_parallel(work: Callable[[J], R], jobs: Iterable[J], n_jobs: int = -1) -> Iterator[R]:
     """Results in the order of the jobs, as they come; every job uses one thread for its matrices.
 
     They are small, and threads that wait for each other cost ten times what they gain.
     """
-    done: Any = Parallel(n_jobs=-1, return_as="generator")(delayed(work)(job) for job in jobs)
+    done: Any = Parallel(n_jobs=n_jobs, return_as="generator")(delayed(work)(job) for job in jobs)
     return iter(done)
 
 
@@ -328,6 +337,7 @@ def score(truth: TextArray, prob: FloatArray, labels: tuple[str, ...] = CONTEXTS
         "log_loss": round(float(-np.log(np.maximum(prob[np.arange(len(label)), label], 1e-15)).mean()), 4),
         "brier": round(brier_score(prob, label), 4),
         "expected_calibration_error": round(reliability(prob, best == truth).expected_calibration_error, 4),
+        "confusion": {c: {d: int(np.sum(best[truth == c] == d)) for d in labels} for c in present},
     }
 
 

@@ -1,7 +1,11 @@
-"""Train all shipped models, then estimate transitions and tempering: `pdr-filter train` runs it."""
+"""Train all shipped models, then estimate transitions and tempering.
+
+`python -m pdr_filter.offline.training.train_all DATA_DIR OUT_DIR` runs it. `fit_contexts` fits models on other data.
+"""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -70,3 +74,9 @@ def _train_contexts(
             if plan.name == contexts.DEFAULT_MODEL:
                 default_without = partial(contexts.model_without, model, plan, own)
     return cards, default_without
+
+
+if __name__ == "__main__":
+    from pdr_filter.offline.training import train_all  # by its name: other processes cannot import __main__
+
+    train_all.train(Path(sys.argv[1]), Path(sys.argv[2]), lambda what, done: print(f"{100 * done:5.1f} %  {what}"))

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -68,7 +68,7 @@ class LabelledSequences:
     def counts(self, without: Sequence[str] = ()) -> FloatArray:
         """Steps from context i to context j, (C, C), of all people but some."""
         use = ~np.isin(self.step_person, without)
-        return count_transitions(self.step_label[use], self.step_sequence[use], len(CONTEXTS))
+        return count_transitions(self.step_label[use], self.step_sequence[use], self.windows.prob.shape[1])
 
 
 def train_evidence(
@@ -106,7 +106,7 @@ def shipped_model_without(people: Sequence[str]) -> ContextModel:
     if seen:
         raise ValueError(
             f"the shipped model {DEFAULT_MODEL!r} was trained on the data sets of {', '.join(seen)}; "
-            "give DATA_DIR too, so that models are trained without them"
+            "train the models again without them: python -m pdr_filter.offline.training.train_all"
         )
     return model
 
@@ -124,7 +124,7 @@ def labelled_sequences(
         for path in (path for path, person in changing.items() if person in fold):
             recording, person = read_recording(path), changing[path]
             sensing = with_context_model(default(recording.subject), model).sensing
-            for number, (found_steps, found_windows) in enumerate(_stretches(sensing, recording)):
+            for number, (found_steps, found_windows) in enumerate(stretches(sensing, recording)):
                 sequence = f"{n_done}/{number}"
                 of_step = contexts_at(recording, np.array([step.time_s for step in found_steps]))
                 steps += [(int(label), person, sequence) for label in of_step]
@@ -145,7 +145,7 @@ def labelled_sequences(
     )
 
 
-def _stretches(sensing: Sensing, recording: Recording) -> Iterator[tuple[list[Step], list[WindowContext]]]:
+def stretches(sensing: Sensing, recording: Recording) -> Iterator[tuple[list[Step], list[WindowContext]]]:
     """Steps and windows of a recording between its gaps; a step follows no step from before a gap."""
     steps: list[Step] = []
     windows: list[WindowContext] = []
@@ -160,18 +160,60 @@ def _stretches(sensing: Sensing, recording: Recording) -> Iterator[tuple[list[St
     yield steps, windows
 
 
-def contexts_at(recording: Recording, time_s: FloatArray) -> IntArray:
-    """True contexts (N,) at times (N,): an index into `CONTEXTS`, `UNKNOWN` outside every label and of other names."""
+def contexts_at(recording: Recording, time_s: FloatArray, contexts: tuple[str, ...] = CONTEXTS) -> IntArray:
+    """True contexts (N,) at times (N,): an index into `contexts`, `UNKNOWN` outside every label and of other names."""
     result = np.full(len(time_s), UNKNOWN, dtype=np.int64)
     labels = recording.truth.labels
     for label in () if labels is None else labels:
-        if label["context"] in CONTEXTS:
-            result[(time_s >= label["start_s"]) & (time_s < label["end_s"])] = CONTEXTS.index(str(label["context"]))
+        if label["context"] in contexts:
+            result[(time_s >= label["start_s"]) & (time_s < label["end_s"])] = contexts.index(str(label["context"]))
     return result
 
 
-def estimate(sequences: LabelledSequences | None, default: PedestrianModel) -> Transitions:
-    """Transitions and exponents that the sequences show; those of the default where they show too little.
+class EvidenceModel(Protocol):
+    """Transition matrix (C, C) between contexts and use of a window's probabilities, as of a `PedestrianModel`."""
+
+    @property
+    def transition_prob(self) -> FloatArray:
+        """From context i to context j between two steps; rows sum to one."""
+        ...
+
+    @property
+    def evidence_exponent(self) -> float:
+        """Exponent of the probabilities."""
+        ...
+
+    @property
+    def prior_exponent(self) -> float:
+        """Exponent of the classifier's prior."""
+        ...
+
+    @property
+    def evidence_floor(self) -> float:
+        """Least probability of a window."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class EvidenceEstimate:
+    """Transitions and exponents, those of a default where labels show too little."""
+
+    transition_prob: FloatArray  # (C, C)
+    evidence_exponent: float
+    prior_exponent: float
+    counts: FloatArray  # (C, C)
+    of_matrix: str  # "estimated", or "default: " and why
+    of_exponents: str
+    log_loss: dict[str, float]  # of `held_out_log_loss`; empty if no exponents could be chosen
+
+    @property
+    def n_changes(self) -> int:
+        """Number of changes of context from one step to the next."""
+        return int(self.counts.sum() - np.trace(self.counts))
+
+
+def estimate_evidence(sequences: LabelledSequences | None, default: EvidenceModel) -> EvidenceEstimate:
+    """Return transitions and exponents that the sequences show, and those of the default where they show too little.
 
     The matrix is estimated from `MIN_CHANGES` changes of context on; the exponents are chosen if there are also
     `MIN_PEOPLE` people, and if such a choice lowers the log loss of people who had no part in it.
@@ -196,28 +238,34 @@ def estimate(sequences: LabelledSequences | None, default: PedestrianModel) -> T
                 chosen = fit_tempering(sequences.windows, between, default.evidence_floor)
                 evidence_exponent, prior_exponent = chosen.evidence_exponent, chosen.prior_exponent
                 of_exponents = "estimated"
+    return EvidenceEstimate(transition_prob, evidence_exponent, prior_exponent, counts, of_matrix, of_exponents, losses)
+
+
+def estimate(sequences: LabelledSequences | None, default: PedestrianModel) -> Transitions:
+    """Return what `estimate_evidence` finds, with a card."""
+    found = estimate_evidence(sequences, default)
     people = [] if sequences is None else [str(person) for person in np.unique(sequences.windows.person)]
     card = {
         "name": "transitions",
         "file": "transitions.json",
         "description": "How contexts follow each other from step to step, and how much a window counts.",
-        "transition_prob": of_matrix,
-        "exponents": of_exponents,
+        "transition_prob": found.of_matrix,
+        "exponents": found.of_exponents,
         "model": DEFAULT_MODEL,
         "data": sorted({person.split("/")[0] for person in people}),
         "n_people": len(people),
         "n_recordings": 0 if sequences is None else sequences.n_recordings,
         "n_windows": 0 if sequences is None else int((sequences.windows.label != UNKNOWN).sum()),
-        "n_steps": int(counts.sum()),
-        "n_changes": n_changes,
+        "n_steps": int(found.counts.sum()),
+        "n_changes": found.n_changes,
         "prior_steps": PRIOR_STEPS,
-        "log_loss": {name: round(value, 4) for name, value in losses.items()},
-        **provenance("pdr-filter train DATA_DIR --sequences FOLDER --out models"),
+        "log_loss": {name: round(value, 4) for name, value in found.log_loss.items()},
+        **provenance("pdr-filter train --sequences FOLDER --out models"),
     }
-    return Transitions(transition_prob, evidence_exponent, prior_exponent, counts, card)
+    return Transitions(found.transition_prob, found.evidence_exponent, found.prior_exponent, found.counts, card)
 
 
-def held_out_log_loss(sequences: LabelledSequences, default: PedestrianModel) -> dict[str, float]:
+def held_out_log_loss(sequences: LabelledSequences, default: EvidenceModel) -> dict[str, float]:
     """Log loss of filtered windows, mean over people, by whose matrix and exponents are used.
 
     `default`: both the default's. `held_out`: both from all other people (or the other `MAX_PARTS` parts of many).

@@ -9,7 +9,7 @@ from functools import cache
 from pdr_filter.classifiers.context_model import ContextModel, load_model
 from pdr_filter.sensing.contexts.context_stage import ContextModels, ContextStage, WindowContext, WindowStage
 from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindow, FeatureWindows, WindowState
-from pdr_filter.values import DEFAULT_CONTEXTS, ContextSet, FloatArray
+from pdr_filter.values import DEFAULT_CONTEXTS, ContextSet, FloatArray, JoinedFeatures
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,25 +73,60 @@ def stage_of(
     """Return the context stage that uses a context model; a stage is returned as it is.
 
     Of two models, the second is for windows without gyroscope. A single model classifies such windows only if it does
-    with the features of the shipped model for them; otherwise they are unknown. Windows, carrying modes and features
-    stay those of the present stage if it has the features of the model. ValueError if no feature set has them.
+    with the features of the shipped model for them, or learnt from such windows; otherwise they are unknown. Windows,
+    carrying modes and features stay those of the present stage if it has the features of the model. Features that a
+    model brings along are added. ValueError if no feature set has the features.
     """
     if not isinstance(contexts, ContextModel | tuple):
         return contexts
     model, without_gyroscope = contexts if isinstance(contexts, tuple) else (contexts, None)
     for stage in (present, attitude_free_contexts()):
+        if isinstance(stage, LearnedContexts):
+            stage = _with_features_of((model, without_gyroscope), stage)
         if not isinstance(stage, LearnedContexts) or not set(model.feature_names) <= set(stage.windows.features.names):
             continue
         known = stage.models.without_gyroscope
-        if without_gyroscope is None and known is not None and set(model.feature_names) <= set(known.feature_names):
+        does_without = known is not None and set(model.feature_names) <= set(known.feature_names)
+        if without_gyroscope is None and (does_without or not model.needs_gyroscope):
             without_gyroscope = model
         models = replace(stage.models, with_gyroscope=model, without_gyroscope=without_gyroscope)
         return replace(stage, models=models)
     missing = sorted(set(model.feature_names) - set(ATTITUDE_FREE.names))
     raise ValueError(
         f"context model {model.name!r} needs features {missing[:5]}, which no feature set of the configuration has: "
-        "give a context stage in place of the model"
+        "give a context stage in place of the model, or, if it was fitted with features of your own, load it with "
+        "ContextModel.load(path, features=...)"
     )
+
+
+def with_carrying_models(
+    models: ContextModel | tuple[ContextModel, ContextModel], present: ContextStage | None
+) -> LearnedContexts:
+    """Return the present context stage with other models of the carrying mode.
+
+    Of two models, the second is for windows without gyroscope. A single model is for windows with gyroscope, and for
+    those without only if it learnt from such. ValueError if the stage has no trained models.
+    """
+    if not isinstance(present, LearnedContexts):
+        raise ValueError(
+            f"the context stage of the configuration has no trained models, got {type(present).__name__}: use recipe "
+            '"default", or give the stage to config.with_contexts'
+        )
+    both = models if isinstance(models, tuple) else (models, None if models.needs_gyroscope else models)
+    stage = _with_features_of(both, present)
+    return replace(
+        stage,
+        models=replace(stage.models, carrying_with_gyroscope=both[0], carrying_without_gyroscope=both[1]),
+    )
+
+
+def _with_features_of(models: Sequence[ContextModel | None], stage: LearnedContexts) -> LearnedContexts:
+    """Return the stage with the features that context models bring along, after its own."""
+    brought = {id(m.features): m.features for m in models if m is not None and m.features is not None}
+    if not brought:
+        return stage
+    joined = JoinedFeatures((ATTITUDE_FREE, *brought.values()))
+    return replace(stage, windows=replace(stage.windows, features=joined))
 
 
 @cache

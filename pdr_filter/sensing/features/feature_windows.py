@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
@@ -18,35 +17,12 @@ from pdr_filter.sensing.features import carrying, invariant, stride
 from pdr_filter.sensing.features.sliding_windows import DescribedWindow, SlidingWindows, WindowBuffer, no_samples
 from pdr_filter.sensing.signal_filters import butterworth, filtered
 from pdr_filter.sensing.steps.step_log import specific_force_magnitude
-from pdr_filter.values import FloatArray
+from pdr_filter.values import FeatureSet, FloatArray
 
 # What a feature set is given of a window: |f| and low-passed |f| in m/s2, |omega| in rad/s, |m| in uT, and then
 # `invariant.SIGNALS`.
 N_MAGNITUDES = 4
-N_SIGNALS = N_MAGNITUDES + len(invariant.SIGNALS)
-
-
-class FeatureSet(Protocol):
-    """Features of windows; a frozen dataclass of this package, so that it can be saved with a filter."""
-
-    @property
-    def name(self) -> str:
-        """What model cards call it."""
-        ...
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the features."""
-        ...
-
-    @property
-    def low_pass_hz(self) -> float | None:
-        """Cutoff of the low-passed |f|; None if no feature is of it: then it is zeros."""
-        ...
-
-    def describe(self, windows: FloatArray, rate_hz: float) -> FloatArray:
-        """Features (W, F) of the signals of windows (W, N_SIGNALS, N); of a missing sensor they are zeros."""
-        ...
+N_SIGNALS = N_MAGNITUDES + len(invariant.SIGNALS)  # named by `values.WINDOW_SIGNALS`
 
 
 @dataclass(frozen=True)

@@ -216,7 +216,7 @@ def test_every_persons_windows_come_from_a_model_without_them(mine: Path) -> Non
 
 def test_the_shipped_model_says_nothing_of_people_who_may_have_been_in_its_training() -> None:
     assert shipped_model_without(["mine/p0"]).name == "context"
-    with pytest.raises(ValueError, match=r"motionsense/s03.*give DATA_DIR too"):
+    with pytest.raises(ValueError, match=r"motionsense/s03.*train the models again without them"):
         shipped_model_without(["mine/p0", "motionsense/s03"])
 
 

@@ -1,0 +1,57 @@
+"""Classifiers of other libraries, such as scikit-learn, in a context model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pdr_filter.classifiers.base_classifier import Machine, row_by_row
+from pdr_filter.classifiers.model_files import Arrays
+from pdr_filter.values import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForeignClassifier(Machine):
+    """A fitted object with `predict_proba` and `classes_`. ValueError if its probabilities cannot be used.
+
+    It classifies one row at a time: most libraries give a row other last bits in a batch than alone.
+    """
+
+    estimator: Any
+    features: int  # F
+
+    def __post_init__(self) -> None:
+        prob = np.asarray(self.estimator.predict_proba(np.zeros((1, self.features))), dtype=np.float64)
+        if prob.shape != (1, self.n_classes) or not (prob >= 0).all() or not np.isclose(prob.sum(), 1.0, atol=1e-6):
+            raise ValueError(
+                f"predict_proba of {self.kind} must return a probability for each of {self.n_classes} classes_, which "
+                f"sum to one, got {prob} for one row: give a classifier of probabilities"
+            )
+
+    @property
+    def kind(self) -> str:
+        """Name of the class of the object."""
+        return type(self.estimator).__name__
+
+    @property
+    def n_features(self) -> int:
+        """Number of features, F."""
+        return self.features
+
+    @property
+    def n_classes(self) -> int:
+        """Number of classes, K."""
+        return len(self.estimator.classes_)
+
+    def _of_rows(self, rows: FloatArray) -> FloatArray:
+        return row_by_row(lambda row: self.estimator.predict_proba(row[None])[0], rows, self.n_classes)
+
+    def to_arrays(self) -> Arrays:
+        """Raise ValueError: an object of another library is code, not arrays."""
+        raise ValueError(
+            f"a classifier of another library ({self.kind}) cannot be saved, because files hold arrays and no code: "
+            "keep the model with joblib.dump(model, path), which executes code when it is loaded; or pass the "
+            'classifier to pdr.fit_contexts again; or fit with classifier="rvm", "forest" or "blend"'
+        )

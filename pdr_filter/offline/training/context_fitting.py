@@ -1,0 +1,408 @@
+"""Context models from labelled recordings of any people and labels: `fit_contexts`.
+
+The shipped models are made of the same parts (`context_training`), on data sets and with choices of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from pdr_filter.classifiers.context_model import ContextModel
+from pdr_filter.classifiers.familiarity import unknown_share
+from pdr_filter.filter.imm.transition_probabilities import context_transitions
+from pdr_filter.offline.training import carrying_training, context_training
+from pdr_filter.offline.training.classifier_choice import machine_fit_of
+from pdr_filter.offline.training.context_sequences import UNKNOWN, LabelledProbabilities
+from pdr_filter.offline.training.context_training import calibrated, calibration, cross_calibrated
+from pdr_filter.offline.training.cross_validation import (
+    LabelledWindows,
+    LeftOut,
+    TextArray,
+    TrainingPlan,
+    in_order,
+    label_row,
+    score,
+    train_one,
+    with_familiarity,
+    worst_person_accuracy,
+)
+from pdr_filter.offline.training.transition_training import (
+    MAX_PARTS,
+    EvidenceEstimate,
+    LabelledSequences,
+    contexts_at,
+    estimate_evidence,
+    stretches,
+)
+from pdr_filter.recipes import default
+from pdr_filter.sensing.conditioning import merge_streams
+from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindow, FeatureWindows
+from pdr_filter.sensing.front_end import feature_windows
+from pdr_filter.values import (
+    CARRYING_MODES,
+    DEFAULT_CONTEXTS,
+    BoolArray,
+    Context,
+    FeatureFunction,
+    FeatureSet,
+    FloatArray,
+    IntArray,
+    Table,
+    feature_set_of,
+    how_many,
+)
+from pdr_filter.values.recording import Recording
+
+Head = Literal["context", "carrying_mode"]
+
+UNNAMED = "unnamed"  # person of the recordings that do not say whose they are
+# Workers take some seconds to start: with fewer windows all folds are done by then.
+_WINDOWS_FOR_PARALLEL = 5000
+_WINDOWS_SHARE, _STEPS_SHARE = 0.4, 0.2  # of the progress; the rest is for the folds
+
+
+def fit_contexts(
+    recordings: Recording | Iterable[Recording],
+    classifier: object = "rvm",
+    features: FeatureSet | FeatureFunction | None = None,
+    *,
+    head: Head = "context",
+    people: Sequence[str] | None = None,
+    name: str = "",
+    progress: Callable[[float], None] | None = None,
+) -> ContextModel:
+    """Context model fitted on labelled recordings, with calibrated probabilities.
+
+    Windows of 2 s count if they lie inside one label. Each person is held out in turn (tenths of the people if there
+    are more than ten): the windows of people not in training calibrate the probabilities and give the scores of
+    `report()` and of the card. Transitions are estimated from 10 changes of context from one step to the next on. With
+    4 people, the exponents of the evidence are, too. `Config.with_contexts` uses both.
+
+    Parameters
+    ----------
+    recordings : iterable of Recording
+        With `truth.labels` (start_s, end_s, context, carrying_mode), any names; an empty name is unknown.
+        `subject.id` of `meta` says whose a recording is; all without are of one person.
+    classifier : {"rvm", "forest", "blend"} or object
+        Relevance vector machine, random forest, mean of logistic regression and boosted trees, or an object with
+        `fit(X, y)`, `predict_proba(X)` and `classes_`, such as those of scikit-learn. It gets standardised features.
+    features : FeatureSet or function, optional
+        A function gets the signals of a window by name (`values.WINDOW_SIGNALS`, (N,) each) and returns a dict of
+        numbers. If not given, the features of the default recipe.
+    head : {"context", "carrying_mode"}
+        Column of the labels that is learnt. Carrying modes must have the names of `CARRYING_MODES`; windows of the
+        context "stationary" are not used for these.
+    people : sequence of str, optional
+        Name of the person of each recording, in place of `subject.id`.
+    name : str
+        Of the model and its files; "contexts" or "carrying" if not given.
+    progress : callable, optional
+        Called with the fraction done.
+
+    Raises
+    ------
+    ValueError
+        No labels, labels of one class, recordings of one person, or arguments that cannot be used; it says which and
+        what to do.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.simulate import Gait, Leg, simulate
+    >>> legs = [Leg(c, duration_s=12.0) for c in ("stationary", "walking", "running")]
+    >>> walks = [simulate(legs, Gait.random(seed), "pocket", seed=seed) for seed in range(3)]
+    >>> model = pdr.fit_contexts(walks, classifier="forest", people=["anna", "ben", "carla"])
+    >>> model.contexts
+    ('running', 'stationary', 'walking')
+    >>> print(model.report().splitlines()[1])
+    96 windows of 3 people: running 30, stationary 33, walking 33
+    """
+    if head not in ("context", "carrying_mode"):
+        raise ValueError(f'head must be "context" or "carrying_mode", got {head!r}: name a column of the labels')
+    machine_fit, kind = machine_fit_of(classifier)
+    feature_set = ATTITUDE_FREE if features is None else feature_set_of(features)
+    done = _silent if progress is None else progress
+    given = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    for each in given:
+        if not isinstance(each, Recording):  # pyright: ignore[reportUnnecessaryIsInstance]
+            raise ValueError(f"recordings must be of Recording, got {each!r}: read files with pdr.read")
+    if people is not None and len(people) != len(given):
+        raise ValueError(f"people must be {len(given)} names, one for each recording, got {len(people)}: name them all")
+    labelled = _labelled(given, feature_set, head, people, done)
+    windows, labels = labelled.windows, _labels_of(labelled.windows, head)
+    _check_people(windows, head)
+    plans = (context_training if head == "context" else carrying_training).PLANS
+    names = plans[0 if labelled.has_gyroscope else 1].feature_names if features is None else feature_set.names
+    columns = [feature_set.names.index(each) for each in names]
+    sequences = None if head != "context" else _step_labels(given, labelled, labels, done)
+    one_person = [c for c in labels if len(np.unique(windows.person[windows.label(head) == c])) == 1]
+    plan = FittingPlan(
+        name=name or ("contexts" if head == "context" else "carrying"),
+        head=head,
+        feature_set=feature_set.name,
+        feature_names=names,
+        datasets=tuple(str(d) for d in np.unique(windows.dataset)),
+        machine_fit=machine_fit,
+        description=f"{kind} on {how_many(len(names), 'feature')} ({feature_set.name})",
+        use="Windows like those of the recordings that the model learnt from.",
+        limits=f"Labelled for one person only, and not in the scores: {', '.join(one_person)}." if one_person else "",
+        has_gyroscope=labelled.has_gyroscope,
+        own_labels=labels,
+        command=f"pdr_filter.fit_contexts(recordings, {classifier!r}, head={head!r})",
+        n_recordings=len(given),
+        step_labels=sequences,
+        at_middle=labelled.at_middle,
+        sequence=labelled.sequence,
+    )
+    start = _WINDOWS_SHARE + _STEPS_SHARE
+    model = train_one(
+        plan,
+        replace(windows, features=windows.features[:, columns]),
+        lambda _, fraction: done(start + (1 - start) * fraction),
+        n_jobs=1 if len(windows.person) < _WINDOWS_FOR_PARALLEL else -1,
+    )
+    return model if features is None else replace(model, features=feature_set)
+
+
+def _silent(fraction: float) -> None:
+    """Report no progress."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Labelled:
+    """Windows of all recordings in order, those outside every label included (their label is "")."""
+
+    windows: LabelledWindows
+    at_middle: TextArray  # (W,) context at the middle of each window, "" outside every label
+    sequence: TextArray  # (W,) recording and stretch without gaps, as "3/0"
+    has_gyroscope: bool  # in all windows; without, in none
+
+
+def _labelled(
+    recordings: Sequence[Recording],
+    features: FeatureSet,
+    head: Head,
+    people: Sequence[str] | None,
+    progress: Callable[[float], None],
+) -> _Labelled:
+    """Return the windows of the recordings. ValueError if there are none, or features that are no numbers."""
+    stage = FeatureWindows(features=features)
+    rows: list[tuple[Any, ...]] = []
+    names = [None] * len(recordings) if people is None else people
+    for number, (recording, person) in enumerate(zip(recordings, names, strict=True)):
+        dataset = str(recording.meta.get("dataset") or "own recordings")
+        own = f"{dataset}/{recording.subject.id or UNNAMED}" if person is None else str(person)
+        labels, end_s, stretch = recording.truth.labels, -np.inf, -1
+        for window in feature_windows(stage, [merge_streams(recording)]):
+            _check_finite(window, recording)
+            stretch += window.time_s > end_s + 1.5 * stage.hop_s
+            end_s, middle_s = window.time_s, 0.5 * (window.start_s + window.time_s)
+            context, mode = (_name_in(labels, c, window.start_s, window.time_s) for c in ("context", "carrying_mode"))
+            if head == "carrying_mode" and context == "stationary":
+                mode = ""
+            of_window = window.features, context, mode, own, dataset, recording.name, window.has_gyroscope
+            rows.append((*of_window, _name_in(labels, "context", middle_s, middle_s), f"{number}/{stretch}"))
+        progress(_WINDOWS_SHARE * (number + 1) / len(recordings))
+    arrays = [np.array(column) for column in zip(*rows, strict=True)]
+    if not arrays or not (arrays[2 if head == "carrying_mode" else 1] != "").any():
+        raise ValueError(
+            f"recordings must have labels of the {head.replace('_', ' ')}, got "
+            f"{how_many(len(recordings), 'recording')} with {len(rows)} windows of 2 s and no label around one: give "
+            "truth.labels, or truth_labels.csv in their folders"
+        )
+    with_gyroscope = arrays[6]
+    has_gyroscope = bool(with_gyroscope.any())
+    *own, at_middle, sequence = (array[with_gyroscope == has_gyroscope] for array in arrays)
+    return _Labelled(LabelledWindows(*own), at_middle, sequence, has_gyroscope)
+
+
+def _check_finite(window: FeatureWindow, recording: Recording) -> None:
+    """ValueError that names the first feature of a window that is no number."""
+    bad = [name for name, value in zip(window.names, window.features.tolist(), strict=True) if not np.isfinite(value)]
+    if bad:
+        raise ValueError(
+            f"features must be finite, got {bad[0]} of NaN or infinity in {recording.name!r} at {window.time_s:.1f} s: "
+            "return a number for every window"
+        )
+
+
+def _name_in(labels: Table | None, column: str, start_s: float, end_s: float) -> str:
+    """Name of the label that a time lies inside, "" outside every label and without this column."""
+    if labels is None or column not in (labels.dtype.names or ()):
+        return ""
+    row = label_row(labels, column, start_s, end_s)
+    return "" if row is None else str(labels[column][row])
+
+
+def _labels_of(windows: LabelledWindows, head: Head) -> tuple[str, ...]:
+    """Labels of the model in order. ValueError for labels of one class, or carrying modes that no filter knows."""
+    found = tuple(str(c) for c in np.unique(windows.label(head)) if c)
+    what = head.replace("_", " ")
+    if len(found) < 2:
+        raise ValueError(
+            f"labels of the recordings must be of two {what}s or more, got {', '.join(map(repr, found)) or 'none'}: "
+            "add recordings of another one"
+        )
+    if head == "context":
+        return found
+    if unknown := sorted(set(found) - set(CARRYING_MODES)):
+        raise ValueError(f"carrying modes must be of {CARRYING_MODES}, got {unknown}: rename them in the labels")
+    return CARRYING_MODES
+
+
+def _check_people(windows: LabelledWindows, head: Head) -> None:
+    """ValueError unless without each person labels of two classes are left."""
+    label, of_label = windows.label(head), windows.label(head) != ""
+    people = np.unique(windows.person[of_label])
+    if len(people) < 2:
+        raise ValueError(
+            f"recordings must be of two people or more, of whom each can be held out, got {str(people[0])!r} alone: "
+            "name whose they are by people=[...], by subject.id in meta.json, or by a folder for each person on the "
+            "command line"
+        )
+    for person in people:
+        left = np.unique(label[of_label & (windows.person != person)])
+        if len(left) < 2:
+            raise ValueError(
+                f"without {str(person)!r} only windows of {str(left[0])!r} are left, so nobody can be held out: label "
+                "two or more of them for two people"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class _StepLabels:
+    """True contexts of the detected steps of recordings in which people change their context."""
+
+    label: IntArray  # (K,) index into the labels, `UNKNOWN` outside every label
+    person: TextArray  # (K,)
+    sequence: TextArray  # (K,)
+    recordings: tuple[int, ...]  # numbers of the recordings
+
+
+def _step_labels(
+    recordings: Sequence[Recording], labelled: _Labelled, labels: tuple[str, ...], progress: Callable[[float], None]
+) -> _StepLabels:
+    """Return the contexts of all steps that the default recipe detects in recordings with changes of context."""
+    rows: list[tuple[int, str, str]] = []
+    numbers = np.array([int(s.partition("/")[0]) for s in labelled.sequence])
+    used: list[int] = []
+    for number, recording in enumerate(recordings):
+        own = np.flatnonzero(numbers == number)
+        if len(own) and len(set(labelled.windows.context[own]) - {""}) > 1:
+            used.append(number)
+            person = str(labelled.windows.person[own[0]])
+            for stretch, (steps, _) in enumerate(stretches(default(recording.subject).sensing, recording)):
+                of_step = contexts_at(recording, np.array([step.time_s for step in steps]), labels)
+                rows += [(int(label), person, f"{number}/{stretch}") for label in of_step]
+        progress(_WINDOWS_SHARE + _STEPS_SHARE * (number + 1) / len(recordings))
+    label, person, sequence = (np.array([row[i] for row in rows]) for i in range(3))
+    return _StepLabels(label.astype(np.int64), person.astype(np.str_), sequence.astype(np.str_), tuple(used))
+
+
+@dataclass(frozen=True, eq=False)
+class _DefaultEvidence:
+    """Transitions and exponents of the default recipe for any contexts."""
+
+    transition_prob: FloatArray
+    evidence_exponent: float
+    prior_exponent: float
+    evidence_floor: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class FittingPlan(TrainingPlan):
+    """Fit of a model on recordings of any data."""
+
+    own_labels: tuple[str, ...]
+    command: str  # that made the model
+    n_recordings: int
+    step_labels: _StepLabels | None  # None where no transitions are estimated
+    at_middle: TextArray  # (W,) context at the middle of each window
+    sequence: TextArray  # (W,) recording and stretch of each window
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Labels of the recordings."""
+        return self.own_labels
+
+    def learnt_from(self, windows: LabelledWindows) -> LabelledWindows:
+        """Return the labelled windows."""
+        return windows.part(windows.label(self.head) != "")
+
+    def held_out(self, windows: LabelledWindows) -> dict[str, BoolArray]:
+        """Return each person, or tenths of the people where there are more than ten."""
+        people = np.unique(windows.person)
+        n = min(len(people), MAX_PARTS)
+        return {", ".join(map(str, people[k::n])): np.isin(windows.person, people[k::n]) for k in range(n)}
+
+    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, LeftOut]) -> ContextModel:
+        """Return the model, calibrated on people not in training, with its card and what its labels show."""
+        left, label = in_order(left_out.values()), windows.label(self.head)
+        scored = np.zeros(len(label), dtype=bool)
+        for group in left_out.values():
+            others = np.unique(label[~group.rows])
+            scored |= group.rows & (label != "") & np.isin(label, others)
+        prob, y, person = left.prob[scored], label[scored], windows.person[scored]
+        temperature, slip = calibration(prob, y, model)
+        limit = max(float(np.quantile(left.distance[scored], 0.99)), 1e-6)
+        found = self._evidence(calibrated(left.prob, model, temperature, slip), left.distance, limit, model, windows)
+        held_out = cross_calibrated(prob, y, person, model)
+        scores = {
+            "people": how_many(len(np.unique(person)), "person", "people"),
+            **score(y, held_out, self.labels),
+            "worst_person_accuracy": worst_person_accuracy(y, held_out, person, self.labels),
+        }
+        card: dict[str, Any] = {
+            **self.card(self.learnt_from(windows), scores, {}),
+            "leave_one_subject_out": scores,
+            "n_recordings": self.n_recordings,
+            "gyroscope": self.has_gyroscope,
+            "temperature": round(temperature, 4),
+            "slip": round(slip, 6),
+            "command": self.command,
+        }
+        estimated: dict[str, Any] = {}
+        if found is not None:
+            card |= {
+                "transition_prob": found.of_matrix,
+                "exponents": found.of_exponents,
+                "n_changes": found.n_changes,
+                "transitions_log_loss": {key: round(value, 4) for key, value in found.log_loss.items()},
+            }
+            estimated["transition_prob"] = found.transition_prob if found.of_matrix == "estimated" else None
+            if found.of_exponents == "estimated":
+                estimated["evidence_exponent"] = found.evidence_exponent
+                estimated["prior_exponent"] = found.prior_exponent
+        known = with_familiarity(model, self.learnt_from(windows), limit)
+        return replace(
+            known, temperature=temperature, slip=slip, card=card, needs_gyroscope=self.has_gyroscope, **estimated
+        )
+
+    def _evidence(
+        self, prob: FloatArray, distance: FloatArray, limit: float, model: ContextModel, windows: LabelledWindows
+    ) -> EvidenceEstimate | None:
+        """Transitions and exponents that the labels show; None for carrying modes."""
+        steps = self.step_labels
+        if steps is None:
+            return None
+        meanings = dict(zip(DEFAULT_CONTEXTS.names, DEFAULT_CONTEXTS.contexts, strict=True))
+        usual = default().model
+        prior = context_transitions([meanings.get(c, Context(c)) for c in self.labels])
+        present = _DefaultEvidence(prior, usual.evidence_exponent, usual.prior_exponent, usual.evidence_floor)
+        rows = np.isin([int(s.partition("/")[0]) for s in self.sequence], steps.recordings)
+        if not rows.any():
+            return estimate_evidence(None, present)
+        unknown = unknown_share(distance, limit, 2.0)[:, None]
+        seen = ((1 - unknown) * prob + unknown * model.training_prior)[rows]
+        index = {c: i for i, c in enumerate(self.labels)}
+        truth = np.array([index.get(str(c), UNKNOWN) for c in self.at_middle[rows]])
+        prior_rows = np.tile(model.training_prior, (len(seen), 1))
+        windows_in_order = LabelledProbabilities(seen, prior_rows, truth, windows.person[rows], self.sequence[rows])
+        sequences = LabelledSequences(
+            steps.label, steps.person, steps.sequence, windows_in_order, len(steps.recordings)
+        )
+        return estimate_evidence(sequences, present)
