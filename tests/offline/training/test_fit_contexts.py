@@ -272,8 +272,7 @@ def test_carrying_modes_are_learnt_by_the_same_function(tmp_path: Path) -> None:
     own = [walk(3 * k + i, mode) for k, mode in enumerate(("pocket", "texting")) for i in range(2)]
     model = pdr.fit_contexts(own, "forest", head="carrying_mode", people=["a", "b", "a", "b"])
     assert (model.head, model.classes) == ("carrying_mode", ("pocket", "texting"))
-    moving = [walk(0).truth.labels is not None, sum(model.card["n_windows"].values())]
-    assert moving[1] < 4 * 6 * 7  # none of the windows in which nobody moves
+    assert sum(model.card["n_windows"].values()) <= 4 * 5 * 7  # of five legs: not those in which nobody moves
     model.save(tmp_path)
     config = pdr.recipes.default().with_carrying_model(pdr.ContextModel.load(tmp_path))
     seen = pdr.classify(walk(9, "texting"), config)
