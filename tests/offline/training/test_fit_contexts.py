@@ -329,7 +329,7 @@ class Unsure(Silent):
         ({"features": lambda signals: None}, "features must return a number for each name"),
         ({"features": lambda signals: {"a": np.nan}}, r"features must be finite, got a of NaN or infinity in 'walk0'"),
     ],
-    ids=str,
+    ids=lambda value: value if isinstance(value, str) else "-".join(value),
 )
 def test_what_cannot_be_fitted_is_refused_with_the_argument_and_the_remedy(
     walks: list[pdr.Recording], arguments: dict[str, Any], message: str
