@@ -31,9 +31,7 @@ PersonFile = Annotated[
 RadioFile = Annotated[
     Path | None, typer.Option("--radio", help="Of pdr-filter radio: a map of this building's Wi-Fi, for fixes.")
 ]
-RangesFile = Annotated[
-    Path | None, typer.Option("--ranges", help="CSV of distances to anchors: time_s,anchor,range_m,std_m.")
-]
+RangesFile = Annotated[Path | None, typer.Option("--ranges", help="CSV of distances to anchors, see docs/ranges.md.")]
 AnchorsFile = Annotated[
     Path | None, typer.Option("--anchors", help="GeoJSON points with a name each: where the anchors of --ranges are.")
 ]

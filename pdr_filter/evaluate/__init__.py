@@ -1,7 +1,7 @@
 """Figures that say how good a step detector, a classifier, a distance, a track, a covariance is: functions on arrays.
 
-`comparison` knows recordings and tracks; it makes tables for several tracks of one recording. Only `runs` runs the
-filter.
+`comparison` knows recordings and tracks; it makes tables for several tracks of one recording, and `study` for those of
+many. Only `runs` and `conformance` run the filter.
 """
 
 from pdr_filter.evaluate.classification import accuracy as accuracy

@@ -1,4 +1,4 @@
-"""The filter run several times on one recording, for a comparison: the only part of this package that runs it."""
+"""The filter run several times on one recording, for a comparison."""
 
 from __future__ import annotations
 
