@@ -65,7 +65,7 @@ class StageSamples:
         return [self.part(a, b) for a, b in pairwise(sorted({0, *(e % n for e in edges), n}))]
 
     def later(self, shift_s: float) -> StageSamples:
-        """The same samples at other times."""
+        """Return the samples with all times shifted."""
         block = replace(self.block, time_s=self.block.time_s + shift_s)
         steps = tuple(
             (n, replace(s, time_s=s.time_s + shift_s, detected_time_s=s.detected_time_s + shift_s))

@@ -1,4 +1,4 @@
-"""Where ranges put a track: all places and rotations that fit the last ranges, with their odds.
+"""Positions and rotations of a track that fit the last ranges, each with its odds.
 
 A linear update needs an estimate that is surer than the distance to the anchors. Without one, because the frame of the
 anchors is unknown, after a gap, or when the track is wrong, ranges fit several places: those to two anchors fit a path
@@ -57,7 +57,7 @@ class PairedRange:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PriorPose:
-    """What is known before the ranges: the place that a point of the track has, and its rotation."""
+    """Prior of the pose: the position of one point of the track and the rotation of the frame."""
 
     track_m: FloatArray  # (2,)
     place_m: FloatArray  # (2,)

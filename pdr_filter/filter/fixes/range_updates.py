@@ -115,7 +115,7 @@ def _is_wide(state: PedestrianState, fix: RangeFix, then: FloatArray) -> bool:
 
 
 def _prior(state: PedestrianState) -> PriorPose | None:
-    """What the state says of place and rotation, besides the ranges; None if it says nothing."""
+    """Return the prior of position and rotation without the ranges, or None if there is none."""
     frame, (x, P) = state.frame, state.estimates.combined
     if frame.is_joined:
         cov = P[: HEADING_OFFSET + 1, : HEADING_OFFSET + 1] + _LEAST_VAR * np.eye(3)
@@ -127,7 +127,7 @@ def _prior(state: PedestrianState) -> PriorPose | None:
     if frame.compass is not None:
         information[2, 2], angle_rad = 1.0 / max(frame.compass.std_rad**2, _LEAST_VAR), frame.compass.angle_rad
     track_m = x[:2]
-    if frame.pairs:  # where the heading was lost, or position fixes
+    if frame.pairs:  # position fixes, or the position at which the heading was lost
         pair = frame.pairs[-1]
         track_m, place_m = pair.track_m, pair.world_m
         information[:2, :2] = np.eye(2) / max(pair.var_m2, _LEAST_VAR)

@@ -62,7 +62,7 @@ Head = Literal["context", "carrying_mode"]
 UNNAMED = "unnamed"  # person of the recordings that do not say whose they are
 # Workers take some seconds to start: with fewer windows all folds are done by then.
 _WINDOWS_FOR_PARALLEL = 5000
-_WINDOWS_SHARE, _STEPS_SHARE = 0.4, 0.2  # of the progress; the rest is for the folds
+_WINDOWS_SHARE, _STEPS_SHARE = 0.4, 0.2  # shares of the progress bar; the folds take the rest
 
 
 def fit_contexts(
@@ -189,7 +189,7 @@ def _labelled(
     people: Sequence[str] | None,
     progress: Callable[[float], None],
 ) -> _Labelled:
-    """Return the windows of the recordings. ValueError if there are none, or features that are no numbers."""
+    """Return the windows of the recordings. ValueError if there are none, or if a feature is not finite."""
     stage = FeatureWindows(features=features)
     rows: list[tuple[Any, ...]] = []
     names = [None] * len(recordings) if people is None else people
@@ -221,7 +221,7 @@ def _labelled(
 
 
 def _check_finite(window: FeatureWindow, recording: Recording) -> None:
-    """ValueError that names the first feature of a window that is no number."""
+    """ValueError that names the first feature of a window that is not finite."""
     bad = [name for name, value in zip(window.names, window.features.tolist(), strict=True) if not np.isfinite(value)]
     if bad:
         raise ValueError(
