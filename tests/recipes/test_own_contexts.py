@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -316,3 +316,8 @@ def test_a_function_of_another_shape_sum_or_sign_is_refused(visit: pdr.Recording
     for wrong in (lambda p: p[:2], lambda p: 2 * p, lambda p: p - 1.0, lambda p: p * np.nan):
         with pytest.raises(ValueError, match="must return 6 weights that are 0 or more and sum to one"):
             pdr.track(visit, config=pdr.recipes.default().with_weighting(wrong))
+
+
+def test_what_is_no_context_model_is_refused_with_what_it_lacks() -> None:
+    with pytest.raises(ValueError, match=r"model must be a ContextStage .* got NoneType without .*contexts"):
+        pdr.recipes.default().with_contexts(cast(Any, None), [])

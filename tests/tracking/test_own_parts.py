@@ -238,12 +238,20 @@ def test_waiting_measurements_of_own_classes_are_left_out_of_the_bytes_with_a_wa
     assert pdr.OnlineFilter.load(blob).state.waiting_fixes == ()
 
 
-def test_a_calibrated_model_from_outside_is_kept_and_loaded_with_its_configuration(tmp_path: Any) -> None:
-    config = pdr.recipes.default().with_step_length("walking", FIT)
+class PlainRootOfRange:  # no dataclass
+    n_params = 2
+
+    def regressors(self, step: pdr.Step) -> list[float]:
+        return RootOfRange().regressors(step)
+
+
+@pytest.mark.parametrize("model", [RootOfRange, PlainRootOfRange])
+def test_a_calibrated_model_from_outside_is_kept_and_loaded_with_its_configuration(model: Any, tmp_path: Any) -> None:
+    config = pdr.recipes.default().with_step_length("walking", replace(FIT, model=model()))
     legs = [Leg("walking", distance_m=20.0), Leg("stationary", duration_s=3.0)] * 4
     walk = simulate(legs, Gait(height_m=1.8), seed=2)
     calibration = pdr.calibrate(walk, config=config)
-    assert isinstance(calibration.models["walking"], RootOfRange)
+    assert isinstance(calibration.models["walking"], model)
     again = pdr.track(walk, config=config, calibration=calibration)
     assert again.distance_m == pytest.approx(80.0, rel=0.03)
     path = tmp_path / "own.json"

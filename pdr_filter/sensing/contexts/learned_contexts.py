@@ -9,7 +9,7 @@ from functools import cache
 from pdr_filter.classifiers.context_model import ContextModel, load_model
 from pdr_filter.sensing.contexts.context_stage import ContextModels, ContextStage, WindowContext, WindowStage
 from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindow, FeatureWindows, WindowState
-from pdr_filter.values import DEFAULT_CONTEXTS, ContextSet, FloatArray, JoinedFeatures
+from pdr_filter.values import DEFAULT_CONTEXTS, ContextSet, FloatArray, JoinedFeatures, check_members
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +78,7 @@ def stage_of(
     model brings along are added. ValueError if no feature set has the features.
     """
     if not isinstance(contexts, ContextModel | tuple):
+        check_members("model", contexts, ContextStage)
         return contexts
     model, without_gyroscope = contexts if isinstance(contexts, tuple) else (contexts, None)
     for stage in (present, attitude_free_contexts()):
