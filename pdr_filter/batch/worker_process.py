@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from queue import SimpleQueue
 from threading import Thread
 from typing import Any, cast
@@ -70,7 +70,7 @@ class WorkerProcess:
         process, self._process = self._process, None
         if process is None:
             return None
-        with process:
+        with suppress(OSError), process:  # closing its input fails if it is dead and has not read all
             process.kill()
         return process.returncode
 

@@ -47,7 +47,8 @@ def ranges_of_file(
     fields = [field.strip() for field in header]
     if "anchor" not in fields:
         raise ValueError(f"{file}: no column anchor (found: {', '.join(fields)[:160]}); write the name of each anchor")
-    names = [line[fields.index("anchor")].strip() for line in lines]
+    column = fields.index("anchor")
+    names = [line[column].strip() if column < len(line) else "" for line in lines]
     unknown = next((k for k, name in enumerate(names) if name not in places), None)
     if unknown is not None:
         raise ValueError(
@@ -90,14 +91,15 @@ def anchors_of_file(path: str | Path, origin: Origin | tuple[float, float] | Non
             f"{file}: no GeoJSON points with a property name each ({error}); export the anchors as points from QGIS"
         ) from None
     flat = np.array([place[:2] for place in found.values()])
-    if float(np.ptp(flat, axis=0).max()) > _MOST_DEG or len(flat) == 1:
+    here = None if origin is None else Origin.of(origin)
+    is_near = here is not None and bool(np.abs(flat - (here.longitude_deg, here.latitude_deg)).max() <= _MOST_DEG)
+    if float(np.ptp(flat, axis=0).max()) > _MOST_DEG or (len(flat) == 1 and not is_near):
         return found
-    if origin is None:
+    if here is None:
         raise ValueError(
             f"{file}: the anchors are in degrees, and nothing says where on Earth the track has its zero; give the "
             "anchors in metres, or --origin LAT,LON"
         )
-    here = Origin.of(origin)
     return {n: np.array([*here.east_north_m(float(p[1]), float(p[0])), *p[2:]]) for n, p in found.items()}
 
 

@@ -518,7 +518,8 @@ def _log_density(fix: Measurement, position_m: FloatArray, heading_rad: FloatArr
         density = np.logaddexp(*range_log_densities(residual, np.array(fix.std_m**2), np.array(fix.std_m)))
     else:
         each = [measured(fix, place, heading) for place, heading in zip(position_m, heading_rad.tolist(), strict=True)]
-        density = np.array([-0.5 * float(r @ np.linalg.solve(cov, r)) for r, _, cov in each])
+        nis = np.array([float(r @ np.linalg.solve(cov, r)) for r, _, cov in each])
+        density = -0.5 * (nis + np.array([np.linalg.slogdet(cov)[1] for _, _, cov in each]))
     return np.maximum(density, density.max() - _OUTLIER_LOG_ODDS)
 
 

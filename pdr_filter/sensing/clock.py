@@ -133,11 +133,17 @@ def moved(fix: AnyFix, offset_s: float) -> AnyFix:
             fix, time_s=fix.time_s + offset_s, end_s=fix.end_s + offset_s, received_time_s=received_s
         )
     times = {"time_s": fix.time_s + offset_s, "received_time_s": received_s}
-    if dataclasses.is_dataclass(fix):
+    if dataclasses.is_dataclass(fix) and times.keys() <= {f.name for f in dataclasses.fields(fix)}:
         return dataclasses.replace(fix, **times)
     later = copy.copy(fix)
-    for name, value in times.items():
-        object.__setattr__(later, name, value)
+    try:
+        for name, value in times.items():
+            object.__setattr__(later, name, value)
+    except AttributeError:
+        raise ValueError(
+            f"the clock of the samples was set back, and {name} of {type(fix).__name__} cannot be set: make time_s and "
+            "received_time_s attributes"
+        ) from None
     return later
 
 

@@ -352,7 +352,8 @@ def range_log_densities(
     p(e) = exp(-max(e, 0) / b) / b * P(noise < e), with the logistic approximation of the normal distribution for
     positive e, and a bound of its tail for negative e.
     """
-    excess_m, all_std_m, mean_m = -residual_m, np.sqrt(var_m2), _MEAN_EXCESS_STD * std_m
+    excess_m, all_std_m = -residual_m, np.sqrt(var_m2)
+    mean_m = np.sqrt((_MEAN_EXCESS_STD * std_m) ** 2 + var_m2)  # an unsure track does not make a range reflected
     normed = excess_m / all_std_m
     log_direct = math.log(1.0 - reflected_prob) - 0.5 * normed**2 - np.log(all_std_m * math.sqrt(2.0 * math.pi))
     log_tail = np.where(normed < 0.0, math.log(0.5) - 0.5 * normed**2, -np.log1p(np.exp(-1.702 * np.abs(normed))))

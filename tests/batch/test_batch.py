@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from dataclasses import astuple, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from pdr_filter import batch
 from pdr_filter.batch import batch_calibration as calibration
 from pdr_filter.batch import result_table as rows_table
 from pdr_filter.batch import run, workers
+from pdr_filter.batch.worker_process import LostError, WorkerProcess
 from pdr_filter.filter.step_length.models import KimStepLength
 from pdr_filter.io.files.own_format import write_recording
 from pdr_filter.io.folders import recordings_in
@@ -610,3 +612,18 @@ def test_work_that_other_processes_cannot_import_is_refused(monkeypatch: pytest.
     monkeypatch.setattr(square_or_die, "__module__", "__main__")
     with pytest.raises(ValueError, match="put it into a module"):
         list(batch.each(square_or_die, [1, 2], jobs=2))
+
+
+def test_a_process_that_is_killed_between_two_requests_is_started_again() -> None:
+    worker = WorkerProcess(partial, len)
+    try:
+        assert worker.ask([1, 2]) == 2
+        for size in (10, 1_000_000):
+            assert worker._process is not None
+            worker._process.kill()
+            worker._process.wait()
+            with pytest.raises(LostError, match="process died"):
+                worker.ask(b"x" * size)
+            assert worker.ask([1]) == 1
+    finally:
+        worker.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -33,6 +34,7 @@ class FixHistory:
     n_frozen: int = 0  # positions that were repeated while steps went on
     standstills: tuple[tuple[float, float], ...] = ()  # begin and end of the last ones
     ranges: tuple[PairedRange, ...] = ()  # the last ones
+    searched_s: float = -math.inf  # when places that fit them were searched
 
     def with_used(self, fix: PositionFix, track_m: FloatArray | None) -> FixHistory:
         """Return the history with one more used fix, if later ones may share its error."""

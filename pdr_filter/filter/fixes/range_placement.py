@@ -103,8 +103,22 @@ class PlacedTrack:
 
 
 def recent(pairs: Sequence[PairedRange], pair: PairedRange) -> tuple[PairedRange, ...]:
-    """The last ranges with one more."""
-    return tuple(p for p in (*pairs, pair) if abs(pair.fix.time_s - p.fix.time_s) <= MAX_AGE_S)[-MAX_RANGES:]
+    """The last ranges with one more in the order of time; of too many, those at the most even intervals."""
+    newest_s = max(p.fix.time_s for p in (*pairs, pair))
+    kept = sorted((p for p in (*pairs, pair) if newest_s - p.fix.time_s <= MAX_AGE_S), key=lambda p: p.fix.time_s)
+    if len(kept) > MAX_RANGES:
+        by_anchor = dict[tuple[float, ...], list[PairedRange]]()
+        for p in kept:
+            by_anchor.setdefault(tuple(p.fix.anchor_m.tolist()), []).append(p)
+        # the time between its neighbours to the same anchor; the first and the last range of each anchor stay
+        inner = [
+            (c.fix.time_s - a.fix.time_s, b)
+            for each in by_anchor.values()
+            for a, b, c in zip(each, each[1:], each[2:], strict=False)
+        ]
+        densest = min(inner, key=lambda gap: gap[0])[1] if inner else kept[0]
+        kept = [p for p in kept if p is not densest]
+    return tuple(kept)
 
 
 def solutions(pairs: Sequence[PairedRange], prior: PriorPose | None = None) -> list[PlacedTrack]:

@@ -40,6 +40,10 @@ _MIN_CONTRADICTING, _CONTRADICTING_SHARE = 8, 0.6
 _MIN_DIRECT, _MIN_DIRECT_KNOWN, _MIN_ANCHORS = 9, 4, 2
 # Reflections among ranges, as if known before any: the mean of a beta distribution.
 _PRIOR_REFLECTED, _PRIOR_RANGES = 1.0, 10.0
+# The largest prior share: after a time behind walls good ranges must be able to count again.
+_MOST_REFLECTED = 0.35
+# A search for places takes 35 ms, and ranges can come 60 times a second.
+_SEARCH_INTERVAL_S = 0.5
 # Added to covariances before inversion: 1 mm, squared.
 _LEAST_VAR = 1e-6
 
@@ -64,8 +68,9 @@ def on_range(
         updated, outcome, nis = on_measurement(model, arithmetic, state, offset_rad, fix, then, direct_prob)
         pair = PairedRange(fix, read_only(then[:2]), outcome == "used")
         updated = _with_ranges(updated, recent(updated.fixes.ranges, pair))
-        if outcome == "used" or not _is_contradicted(updated.fixes.ranges):
+        if outcome == "used" or not _is_contradicted(updated.fixes.ranges) or _searched_just_now(state, fix):
             return updated, outcome, nis
+        updated = _with_search(updated, fix)
         found = solutions(updated.fixes.ranges)
         better = found[0].log_density - log_density_here(updated.fixes.ranges) if found else 0.0
         if better < 2.0 * LOG_ODDS_BEFORE or len(found) != 1 or not found[0].is_settled:
@@ -73,10 +78,15 @@ def on_range(
         return _placed(updated, found[0]), "moved", nis
     pairs = recent(state.fixes.ranges, PairedRange(fix, read_only(then[:2]), is_used=False))
     state = _with_ranges(state, pairs)
+    if is_joined:  # the state has the used ones already
+        pairs = tuple(pair for pair in pairs if not pair.is_used)
     anchors = {tuple(pair.fix.anchor_m.tolist()) for pair in pairs}
     n_least = _MIN_DIRECT_KNOWN if is_joined else _MIN_DIRECT
     if len(pairs) < n_least or len(anchors) < _MIN_ANCHORS or len(state.steps.trail) == 0:
         return state, "waiting", np.nan
+    if _searched_just_now(state, fix):
+        return state, "waiting", np.nan
+    state = _with_search(state, fix)
     found = solutions(pairs, _prior(state))
     is_clear = 0 < len(found) <= 2 and all(s.is_settled and sum(s.fits) >= n_least for s in found)
     if not is_clear:
@@ -90,7 +100,16 @@ def on_range(
 def _reflected_prob(pairs: tuple[PairedRange, ...]) -> float:
     """Expected share of reflections, by the last ranges: those of an open hall differ from those behind walls."""
     n_reflected = sum(not pair.is_used for pair in pairs)
-    return (_PRIOR_REFLECTED + n_reflected) / (_PRIOR_RANGES + len(pairs))
+    return min((_PRIOR_REFLECTED + n_reflected) / (_PRIOR_RANGES + len(pairs)), _MOST_REFLECTED)
+
+
+def _searched_just_now(state: PedestrianState, fix: RangeFix) -> bool:
+    """Whether places were searched shortly before a range; those of one moment are all tried."""
+    return 0.0 < fix.time_s - state.fixes.searched_s < _SEARCH_INTERVAL_S
+
+
+def _with_search(state: PedestrianState, fix: RangeFix) -> PedestrianState:
+    return replace(state, fixes=replace(state.fixes, searched_s=fix.time_s))
 
 
 def _with_ranges(state: PedestrianState, pairs: tuple[PairedRange, ...]) -> PedestrianState:
@@ -108,10 +127,13 @@ def _is_wide(state: PedestrianState, fix: RangeFix, then: FloatArray) -> bool:
     The sagitta of an arc of radius r over s to either side is s^2 / 2r.
     """
     away_m = then[:2] - fix.anchor_m[:2]
-    distance_m = max(math.hypot(*away_m), fix.std_m)
-    across = np.array([-away_m[1], away_m[0]]) / distance_m
-    cov_m2 = track_place(state).cov_m2
-    return float(across @ cov_m2 @ across) > 2.0 * distance_m * fix.std_m
+    level_m, cov_m2 = math.hypot(*away_m), track_place(state).cov_m2
+    if level_m < fix.std_m:  # beside the anchor every direction may be across
+        var_m2 = float(np.linalg.eigvalsh(cov_m2)[-1])
+    else:
+        across = np.array([-away_m[1], away_m[0]]) / level_m
+        var_m2 = float(across @ cov_m2 @ across)
+    return var_m2 > 2.0 * max(math.hypot(level_m, fix.up_m), fix.std_m) * fix.std_m
 
 
 def _prior(state: PedestrianState) -> PriorPose | None:

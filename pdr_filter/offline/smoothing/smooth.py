@@ -307,6 +307,8 @@ def _smooth_track(
     heading_std_rad, frame_std_rad = _start_directions(used, len(offsets) > 0, noise, start_heading_std_rad)
     fixes = (*used.observed.positions, *used.observed.locations)
     centre = np.mean([f.position_m for f in fixes], axis=0) if fixes else np.zeros(2)
+    if not fixes and guess is not None and used.has_places:
+        centre = _about(used, guess).guess_m.mean(axis=0)
     start_std_m = _ANYWHERE_STD_M if used.has_places else HERE_STD_M
     start_cov = start_covariance(start_std_m, heading_std_rad, noise.log_scale_std**2 + shared_var)
     before_first = steps.jump_var_rad2[0] + steps.drift_var_rad2[0] + steps.unknown_var_rad2[0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -11,8 +11,10 @@ import pytest
 from scipy.stats import chi2
 
 import pdr_filter as pdr
-from pdr_filter.filter.fixes.range_placement import PairedRange, solutions
+from pdr_filter.filter.fixes.range_placement import MAX_RANGES, PairedRange, recent, solutions
+from pdr_filter.filter.fixes.range_updates import _is_wide
 from pdr_filter.filter.imm.imm_tracker import ImmTracker
+from pdr_filter.filter.imm.pedestrian_state import initial_state
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import Fix, FloatArray, Measurement
 from tests.benchmarks.consistency import own_model, simulated_walk
@@ -283,3 +285,54 @@ def test_ranges_and_measurements_are_measurements_and_other_fixes_are_none() -> 
     of_all: list[Fix] = [pdr.RangeFix(1.0, (0, 0), 1, 1), OfHeading(1.0, 0.0)]
     assert all(isinstance(fix, Measurement) for fix in of_all)
     assert not isinstance(pdr.HeadingFix(1.0, 0.0, 0.1), Measurement)
+
+
+def test_ranges_are_remembered_in_the_order_of_time_and_over_the_whole_time_however_often_they_come() -> None:
+    pairs: tuple[PairedRange, ...] = ()
+    for time_s in np.arange(0.0, 30.0, 0.1):
+        for anchor_m in ANCHORS:
+            pairs = recent(pairs, PairedRange(pdr.RangeFix(time_s, anchor_m, 5.0, 0.3), np.zeros(2), True))
+    times_s = [pair.fix.time_s for pair in pairs]
+    assert len(pairs) == MAX_RANGES
+    assert max(np.diff(times_s)) < 10.0
+    assert times_s[0] < 10.0
+    late = PairedRange(pdr.RangeFix(12.34, ANCHORS[0], 5.0, 0.3), np.zeros(2), True)
+    times_s = [pair.fix.time_s for pair in recent(pairs, late)]
+    assert times_s == sorted(times_s)
+    assert times_s[-1] == pytest.approx(29.9)
+
+
+def test_frequent_ranges_place_a_track_in_an_unknown_frame() -> None:
+    recording = walk(4)
+    rng, fixes = np.random.default_rng(0), list[pdr.RangeFix]()
+    for time_s in np.arange(2.0, 30.0, 0.2):
+        for anchor_m in ANCHORS:
+            distance_m = float(np.linalg.norm(place_at(recording, time_s) - np.asarray(anchor_m)))
+            fixes.append(pdr.RangeFix(time_s, np.array(anchor_m), max(distance_m + 2.0 * rng.normal(), 0.0), 2.0))
+    track = pdr.track(recording, config=pdr.recipes.default().in_world_frame(), fixes=fixes)
+    assert track.frame == "fixes"
+
+
+def test_after_a_time_behind_walls_good_ranges_count_again() -> None:
+    recording = walk(4)
+    rng, fixes = np.random.default_rng(0), list[pdr.RangeFix]()
+    for time_s in np.arange(1.0, 100.0, 1.0):
+        distance_m = float(np.linalg.norm(place_at(recording, time_s) - ANCHORS[0]))
+        extra_m = rng.exponential(8.0) + 4.0 if 15.0 < time_s < 60.0 else 0.0
+        fixes.append(
+            pdr.RangeFix(time_s, np.array(ANCHORS[0]), max(distance_m + 0.3 * rng.normal() + extra_m, 0.0), 0.3)
+        )
+    after = [fix for fix in pdr.track(recording, fixes=fixes).fixes if fix.time_s > 61.0]
+    assert sum(fix.outcome == "used" for fix in after) > 0.8 * len(after)
+
+
+def test_a_range_to_an_anchor_overhead_bends_over_its_distance_in_space() -> None:
+    overhead = pdr.RangeFix(1.0, (0.1, 0.0, 3.0), 3.0, 0.3)
+    beside = pdr.RangeFix(1.0, (0.1, 0.0), 0.1, 0.3)
+    model = pdr.recipes.default().model
+    state = initial_state(model, model.long_run_mode_prob)
+    cov = state.estimates.cov.copy()
+    cov[:, [0, 1], [0, 1]] = 1.0
+    state = replace(state, estimates=replace(state.estimates, cov=cov))
+    assert not _is_wide(state, overhead, np.zeros(3))
+    assert _is_wide(state, beside, np.zeros(3))
