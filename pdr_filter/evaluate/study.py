@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import cast
 
 import numpy as np
 
 from pdr_filter.evaluate.distance import percent_error, walked_m
-from pdr_filter.values import FloatArray, Table, TrackRows, table
+from pdr_filter.values import BoolArray, FloatArray, Table, TrackRows, table
 from pdr_filter.values.recording import Recording
 
 MEASURES = ("step_error_percent", "leg_error_percent", "rmse_m", "end_error_percent", "context_error_percent")
@@ -48,7 +49,7 @@ def context_errors(recording: Recording, tracks: Mapping[str, TrackRows]) -> Tab
     if labels is None or not len(labels):
         raise ValueError(f"{recording.name or 'the recording'} has no labels: add truth_labels.csv (docs/formats.md)")
     rows = [
-        (name, context, *_in_context(recording, labels[labels.context == context], str(context), track))
+        (name, context, *_in_context(recording, cast(Table, labels[labels.context == context]), str(context), track))
         for name, track in tracks.items()
         for context in sorted(set(labels.context.tolist()))
     ]
@@ -74,7 +75,7 @@ def _in_context(
     return time_s, wrong, int(walked.sum()), float(track.step_length_m[walked].sum()), legs
 
 
-def _inside(labels: Table, time_s: FloatArray) -> FloatArray:
+def _inside(labels: Table, time_s: FloatArray) -> BoolArray:
     """Whether times (N,) lie in any of the labels."""
     after = np.asarray(time_s)[:, None] >= labels.start_s
     return np.asarray((after & (np.asarray(time_s)[:, None] < labels.end_s)).any(axis=1))

@@ -136,14 +136,14 @@ def moved(fix: AnyFix, offset_s: float) -> AnyFix:
     if dataclasses.is_dataclass(fix) and times.keys() <= {f.name for f in dataclasses.fields(fix)}:
         return dataclasses.replace(fix, **times)
     later = copy.copy(fix)
-    try:
-        for name, value in times.items():
+    for name, value in times.items():
+        try:
             object.__setattr__(later, name, value)
-    except AttributeError:
-        raise ValueError(
-            f"the clock of the samples was set back, and {name} of {type(fix).__name__} cannot be set: make time_s and "
-            "received_time_s attributes"
-        ) from None
+        except AttributeError:
+            raise ValueError(
+                f"the clock of the samples was set back, and {name} of {type(fix).__name__} cannot be set: make time_s "
+                "and received_time_s attributes"
+            ) from None
     return later
 
 

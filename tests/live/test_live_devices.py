@@ -228,6 +228,7 @@ def test_a_range_to_an_anchor_is_used_and_is_on_record_as_a_file_of_ranges(walk:
     assert "ranges.csv" in exported(session.recorder.folder)
 
 
+@pytest.mark.parametrize(("away_m", "outcome"), [(1.0, "used"), (500.0, "rejected")])
 def test_what_became_of_a_fix_is_told_also_by_the_next_process(
     walk: Recording, tmp_path: Path, away_m: float, outcome: str
 ) -> None:

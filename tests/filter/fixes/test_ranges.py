@@ -15,6 +15,7 @@ from pdr_filter.filter.fixes.range_placement import MAX_RANGES, PairedRange, rec
 from pdr_filter.filter.fixes.range_updates import _is_wide
 from pdr_filter.filter.imm.imm_tracker import ImmTracker
 from pdr_filter.filter.imm.pedestrian_state import initial_state
+from pdr_filter.sensing.clock import moved
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import Fix, FloatArray, Measurement
 from tests.benchmarks.consistency import own_model, simulated_walk
@@ -336,3 +337,29 @@ def test_a_range_to_an_anchor_overhead_bends_over_its_distance_in_space() -> Non
     state = replace(state, estimates=replace(state.estimates, cov=cov))
     assert not _is_wide(state, overhead, np.zeros(3))
     assert _is_wide(state, beside, np.zeros(3))
+
+
+class WithProperties:
+    received_time_s = None
+
+    @property
+    def time_s(self) -> float:
+        return 12.0
+
+    def measurement(self, position_m: FloatArray, heading_rad: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        return np.zeros(1), np.ones((1, 2)), np.eye(1)
+
+
+@dataclass
+class WithClassAttribute:
+    time_s: float
+    received_time_s = None
+
+    def measurement(self, position_m: FloatArray, heading_rad: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        return np.zeros(1), np.ones((1, 2)), np.eye(1)
+
+
+def test_fixes_of_other_classes_move_with_a_clock_that_was_set_back_or_are_refused() -> None:
+    assert moved(WithClassAttribute(12.0), 10.0).time_s == 22.0
+    with pytest.raises(ValueError, match="time_s of WithProperties cannot be set"):
+        moved(WithProperties(), 10.0)

@@ -362,8 +362,8 @@ def rows(value: float) -> list[list[float]]:
         ("transition_prob", np.eye(5).tolist(), r"must be \(6, 6\).*got \(5, 5\)"),
         ("transition_prob", [[1.0], [0.5, 0.5]], "inhomogeneous"),
         ("transition_prob", "even", "could not convert"),
-        ("evidence_exponent", float("nan"), "evidence_exponent must be finite and not negative, got nan"),
-        ("prior_exponent", -0.5, "prior_exponent must be finite and not negative, got -0.5"),
+        ("evidence_exponent", float("nan"), "evidence_exponent must be 0 or more and finite, got nan"),
+        ("prior_exponent", -0.5, "prior_exponent must be 0 or more and finite, got -0.5"),
         ("prior_exponent", None, "not 'NoneType'"),
         ("counts", np.full((6, 6), -1.0).tolist(), "counts must be"),
         ("contexts", ["walking", "standing"], r"contexts are \['walking', 'standing'\], those of this version"),
@@ -514,7 +514,7 @@ def test_a_bad_transitions_file_is_one_line_and_code_2(mine: Path, tmp_path: Pat
     run = partial(CliRunner().invoke, app)
     result = run(["track", str(sorted(mine.glob("*.zip"))[0]), "--transitions", str(path)])
     assert result.exit_code == 2
-    assert "evidence_exponent must be finite" in " ".join(result.stderr.split())
+    assert "evidence_exponent must be 0 or more and finite" in " ".join(result.stderr.split())
     into = ["--jobs", "2", "--out", str(tmp_path / "out")]
     many = run(["track", str(mine), *into, "--transitions", str(some().save(tmp_path))])
     assert many.exit_code == 2 and "--transitions" in many.stderr
