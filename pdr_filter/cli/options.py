@@ -24,8 +24,8 @@ PersonFile = Annotated[
     typer.Option(
         "--person",
         "--calibration",
-        help="Step lengths of the person: made by pdr-filter calibrate, or by pdr-filter track from the fixes of a "
-        "walk, which adds further walks to it.",
+        help="Step lengths of the person: a file of pdr-filter calibrate, which stays as it is, or of pdr-filter "
+        "track, which adds the steps of each walk with fixes.",
     ),
 ]
 RadioFile = Annotated[

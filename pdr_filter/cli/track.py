@@ -244,11 +244,8 @@ def track(
         result = tracks[0]
         if method.device is not None and result.device is not None:
             result.device.save(method.device)
-        if method.person is not None and result.person is not None:
-            learnt = result.person
-            if isinstance(person, Calibration):
-                learnt = person.with_walks(recording.subject, learnt)
-            learnt.save(method.person)
+        if method.person is not None and result.person is not None and not isinstance(person, Calibration):
+            result.person.save(method.person)
         name = console.unused(file_name(result.name), written)
         replaced.extend(output.write(tracks, recording, name))
         listed[name] = result

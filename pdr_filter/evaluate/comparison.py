@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import cast
 
 import numpy as np
 
@@ -82,26 +83,36 @@ def _row(recording: Recording, track: TrackRows) -> tuple[float, float, float, f
     if steps is not None and len(steps):
         count = float(count_error_percent(track.n_steps, len(steps)))
     if segments is not None:
-        known = segments[segments.distance_m > 0]
-        if len(known):
-            # by the walked distance, which knows better than the steps did when they were made
-            of_step_m = np.diff(track.walked_m, prepend=0.0)
-            walked = walked_m(track.time_s, of_step_m, known["start_s"], known["end_s"])
-            legs = float(percent_error(walked.sum(), known["distance_m"].sum()))
+        legs = leg_error_percent(track, cast(Table, segments[segments.distance_m > 0]))
     estimate_m, reference_m = _at_waypoints(recording, track)
     if len(reference_m) > 2:
         rmse = position_rmse_m(estimate_m, reference_m, "all")
         end = end_error_percent(estimate_m, reference_m, "first")
-    return count, legs, rmse, end, _context_error_percent(recording, track)
+    labels = recording.truth.labels
+    return count, legs, rmse, end, np.nan if labels is None else wrong_context_percent(track, labels)
 
 
-def _context_error_percent(recording: Recording, track: TrackRows) -> float:
-    labels, windows = recording.truth.labels, track.windows
-    if labels is None or not len(labels) or not len(windows):
+def leg_error_percent(track: TrackRows, segments: Table) -> float:
+    """Error of the walked distance in all segments of known length together; NaN without segments.
+
+    The walked distance of a track knows better than its steps did when they were made.
+    """
+    if not len(segments):
         return np.nan
-    row, label = np.nonzero((windows.time_s[:, None] >= labels.start_s) & (windows.time_s[:, None] < labels.end_s))
+    of_step_m = np.diff(track.walked_m, prepend=0.0)
+    found_m = walked_m(track.time_s, of_step_m, segments["start_s"], segments["end_s"])
+    return float(percent_error(found_m.sum(), segments["distance_m"].sum()))
+
+
+def wrong_context_percent(track: TrackRows, labels: Table) -> float:
+    """Share of the windows that end in a label and whose most probable context is another one; NaN without any."""
+    windows = track.windows
+    ends_s = windows.time_s[:, None]
+    row, label = np.nonzero((ends_s >= labels.start_s) & (ends_s < labels.end_s))
+    if not len(row):
+        return np.nan
     best = np.array(track.contexts)[windows.context_prob[row].argmax(axis=1)]
-    return float(100.0 * (best != labels.context[label]).mean()) if len(row) else np.nan
+    return float(100.0 * (best != labels.context[label]).mean())
 
 
 def _at_waypoints(recording: Recording, track: TrackRows) -> tuple[FloatArray, FloatArray]:

@@ -7,7 +7,7 @@ from typing import cast
 
 import numpy as np
 
-from pdr_filter.evaluate.distance import percent_error, walked_m
+from pdr_filter.evaluate.comparison import leg_error_percent, wrong_context_percent
 from pdr_filter.values import BoolArray, FloatArray, Table, TrackRows, table
 from pdr_filter.values.recording import Recording
 
@@ -49,7 +49,7 @@ def context_errors(recording: Recording, tracks: Mapping[str, TrackRows]) -> Tab
     if labels is None or not len(labels):
         raise ValueError(f"{recording.name or 'the recording'} has no labels: add truth_labels.csv (docs/formats.md)")
     rows = [
-        (name, context, *_in_context(recording, cast(Table, labels[labels.context == context]), str(context), track))
+        (name, context, *_in_context(recording, cast(Table, labels[labels.context == context]), track))
         for name, track in tracks.items()
         for context in sorted(set(labels.context.tolist()))
     ]
@@ -57,28 +57,18 @@ def context_errors(recording: Recording, tracks: Mapping[str, TrackRows]) -> Tab
     return table({name: np.array([row[k] for row in rows]) for k, name in enumerate(names)})
 
 
-def _in_context(
-    recording: Recording, labels: Table, context: str, track: TrackRows
-) -> tuple[float, float, int, float, float]:
-    windows, segments = track.windows, recording.truth.segments
-    inside = _inside(labels, windows.time_s)
-    best = np.array(track.contexts)[windows.context_prob.argmax(axis=1)] if len(windows) else np.array([], dtype=str)
-    wrong = float(100.0 * (best[inside] != context).mean()) if inside.any() else np.nan
-    walked = _inside(labels, track.time_s)
-    legs = np.nan
+def _in_context(recording: Recording, labels: Table, track: TrackRows) -> tuple[float, float, int, float, float]:
+    segments, walked, legs = recording.truth.segments, _inside(labels, track.time_s), np.nan
     if segments is not None:
-        own = segments[(segments.distance_m > 0) & _inside(labels, 0.5 * (segments.start_s + segments.end_s))]
-        if len(own):
-            found_m = walked_m(track.time_s, track.step_length_m, own["start_s"], own["end_s"])
-            legs = float(percent_error(found_m.sum(), own["distance_m"].sum()))
-    time_s = float((labels.end_s - labels.start_s).sum())
-    return time_s, wrong, int(walked.sum()), float(track.step_length_m[walked].sum()), legs
+        inside = _inside(labels, 0.5 * (segments.start_s + segments.end_s))
+        legs = leg_error_percent(track, cast(Table, segments[(segments.distance_m > 0) & inside]))
+    time_s, distance_m = float((labels.end_s - labels.start_s).sum()), float(track.step_length_m[walked].sum())
+    return time_s, wrong_context_percent(track, labels), int(walked.sum()), distance_m, legs
 
 
 def _inside(labels: Table, time_s: FloatArray) -> BoolArray:
     """Whether times (N,) lie in any of the labels."""
-    after = np.asarray(time_s)[:, None] >= labels.start_s
-    return np.asarray((after & (np.asarray(time_s)[:, None] < labels.end_s)).any(axis=1))
+    return np.asarray(((time_s[:, None] >= labels.start_s) & (time_s[:, None] < labels.end_s)).any(axis=1))
 
 
 def study_table(rows: Sequence[Table], people: Sequence[str] | None = None) -> Table:

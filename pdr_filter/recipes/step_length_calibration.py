@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import partial
 from itertools import pairwise
 from os import PathLike
@@ -104,8 +104,6 @@ class Calibration:
         Warnings, what was left out, taken otherwise, or distrusted.
     card : dict
         Version, date and what else people should know.
-    walks : dict
-        Step lengths from the fixes of later walks of some people, by id: `with_walks`.
     """
 
     models: Mapping[str, StepLengthModel]
@@ -122,7 +120,6 @@ class Calibration:
     segments: Table
     notes: tuple[str, ...] = ()
     card: Mapping[str, Any] | None = None
-    walks: Mapping[str, Person] = field(default_factory=dict[str, Person])
 
     __reduce__ = pickled
 
@@ -251,14 +248,7 @@ class Calibration:
         name = self.person_of(subject)
         note = Note("step lengths", f"step lengths {self._whose(subject)}: {', '.join(used) or 'none calibrated'}")
         notes = tuple(n for n in config.notes if n.about != "height" or name is None)
-        config = replace(config.with_model(modes=modes, noise=noise), notes=(*notes, note))
-        known = None if name is None else self.walks.get(name)
-        return config if known is None else config.with_person(known)
-
-    def with_walks(self, subject: Subject, person: Person) -> Calibration:
-        """Return a copy with the walks of a person (`person_of`); itself if that person was not calibrated."""
-        name = self.person_of(subject)
-        return self if name is None else replace(self, walks={**self.walks, name: person})
+        return replace(config.with_model(modes=modes, noise=noise), notes=(*notes, note))
 
     def _whose(self, subject: Subject | None) -> str:
         """Whose parameters are used, in words."""
@@ -347,7 +337,6 @@ class Calibration:
             "n_segments": dict(self.n_segments),
             "notes": list(self.notes),
             "card": dict(self.card or {}),
-            "walks": {name: person.to_plain() for name, person in self.walks.items()},
         }
         FORMAT.write(path, description, arrays)
         return file_pair(path)[0]
@@ -510,7 +499,6 @@ def _assemble(config: Config | None, description: Mapping[str, Any], arrays: Arr
         segments=table(of_prefix(_SEGMENT, arrays)),
         notes=tuple(description["notes"]),
         card=description["card"],
-        walks={name: Person.of_plain(plain) for name, plain in description.get("walks", {}).items()},
     )
 
 

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -82,21 +81,8 @@ class Person:
         # Only when called: the filter opens no files.
         from pdr_filter.io.files.safe_files import write_text
 
-        return write_text(path, json.dumps(self.to_plain(), indent=1) + "\n")
-
-    def to_plain(self) -> dict[str, Any]:
-        """Content of a saved person."""
-        return {"pdr_filter_person": 1, "sessions": [asdict(session) for session in self.sessions]}
-
-    @classmethod
-    def of_plain(cls, content: Mapping[str, Any]) -> Person:
-        """The person that `to_plain` described."""
-        if content["pdr_filter_person"] != 1:
-            raise ValueError(f"version {content['pdr_filter_person']}")
-        sessions = tuple(Session(**session) for session in content["sessions"])
-        for session in sessions:
-            check_whole(session)
-        return cls(sessions)
+        content = {"pdr_filter_person": 1, "sessions": [asdict(session) for session in self.sessions]}
+        return write_text(path, json.dumps(content, indent=1) + "\n")
 
     @classmethod
     def load(cls, path: str | Path) -> Person:
@@ -104,7 +90,13 @@ class Person:
         from pdr_filter.io.files.safe_files import read_json
 
         try:
-            return cls.of_plain(read_json(Path(path), limits.MAX_SMALL_BYTES))
+            content = read_json(Path(path), limits.MAX_SMALL_BYTES)
+            if content["pdr_filter_person"] != 1:
+                raise ValueError(f"version {content['pdr_filter_person']}")
+            sessions = tuple(Session(**session) for session in content["sessions"])
+            for session in sessions:
+                check_whole(session)
+            return cls(sessions)
         except Exception as error:  # whatever a damaged file provokes
             raise ValueError(f"{path}: no person file of pdr_filter ({error}); write one with Person.save") from None
 

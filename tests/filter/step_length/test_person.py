@@ -19,7 +19,7 @@ from pdr_filter.filter.imm.motion_model import LOG_SCALE
 from pdr_filter.filter.imm.pedestrian_state import initial_state
 from pdr_filter.filter.step_length.models import RECORDING_STD, TYPICAL_STEP, length_and_jacobian, scale_std
 from pdr_filter.filter.step_length.person import Session, session_of
-from pdr_filter.recipes.step_length_calibration import Calibration, read_person
+from pdr_filter.recipes.step_length_calibration import Calibration
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.simulate.population import random_person
 from pdr_filter.values.recording import Recording, Subject
@@ -216,30 +216,14 @@ def test_how_sure_a_calibration_is_of_a_person_is_one_factor_of_all_steps(calibr
     assert walking.step_length is not None and not walking.step_length.theta_cov.any()
 
 
-def test_walks_of_a_calibrated_person_count_beside_the_calibration(
-    calibrated: Calibration, learnt: pdr.Person, tmp_path: Path
-) -> None:
-    both = calibrated.with_walks(Subject(), learnt)
-    saved = read_person(both.save(tmp_path / "me"))
-    assert isinstance(saved, Calibration)
-    expected = calibrated.config(recipes.default()).with_person(learnt).model
-    for known in (both, saved):
-        model = known.config(recipes.default()).model
-        assert model.noise == expected.noise
-        for mode, other in zip(model.modes, expected.modes, strict=True):
-            np.testing.assert_array_equal(mode.step_length.theta, other.step_length.theta)
-    assert calibrated.with_walks(Subject(id="somebody else"), learnt) is calibrated
-
-
-def test_the_command_line_adds_walks_to_the_file_of_a_calibration(
+def test_the_command_line_leaves_the_file_of_a_calibration_as_it_is(
     first: Recording, calibrated: Calibration, tmp_path: Path
 ) -> None:
     file, me = first.save(tmp_path / "walk.zip"), calibrated.save(tmp_path / "me.json")
-    for n_walks, option in ((1, "--person"), (2, "--calibration")):
+    before = me.read_bytes()
+    for option in ("--person", "--calibration"):
         assert CliRunner().invoke(app, ["track", str(file), option, str(me)]).exit_code == 0
-        known = read_person(me)
-        assert isinstance(known, Calibration)
-        assert len(known.walks["me"].sessions) == n_walks
+    assert me.read_bytes() == before
 
 
 @pytest.mark.parametrize("given", [{}, 5, "missing.json"])
