@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, Any
 
 import typer
 
@@ -84,13 +84,16 @@ def calibrate(
             result = pdr.calibrate([pdr.read(file) for file in console.recordings_of(files)], **options)
         else:
             result = pdr.batch.calibrate(files, jobs=jobs or 1, scheduler=scheduler, resume=resume, **options)
-        before = console.there(*file_pair(out), figure)
+        as_tables = {} if tables is None else {tables / name: rows for name, rows in result.tables().items()}
+        before = console.there(
+            *file_pair(out), figure, *(Path(f"{stem}{suffix}") for stem in as_tables for suffix in (".csv", ".tex"))
+        )
         written = [result.save(out)]
         if figure is not None:
             result.plot(figure)
             written.append(figure)
-        for name, rows in {} if tables is None else result.tables().items():
-            written += pdr.evaluate.write_tables(rows, cast(Path, tables) / name, digits=4)
+        for stem, rows in as_tables.items():
+            written += pdr.evaluate.write_tables(rows, stem, digits=4)
     for line in result.report().split("\n"):
         console.print_line(line)
     for path in written:

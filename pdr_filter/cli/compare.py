@@ -95,7 +95,8 @@ def compare(
     compared, failed = console.each(files, compare_one, as_json)
     study = _study(compared) if truth or out is not None else None
     if study is not None and out is not None:
-        _write(study, compared, out)
+        with console.one_line_errors():
+            replaced += _write(study, compared, out)
     if compared and not as_json:
         _print(compared)
         if study is not None:
@@ -175,12 +176,13 @@ def _study(compared: Sequence[Compared]) -> Table | None:
 
     if not any(np.isfinite(found.errors[name]).any() for found in compared for name in MEASURES):
         return None
-    people = [found.recording.subject.id or found.recording.name for found in compared]
+    # a recording that does not name its person is of a person of its own
+    people = [found.recording.subject.id or f"recording {k}" for k, found in enumerate(compared)]
     return pdr.evaluate.study_table([found.errors for found in compared], people)
 
 
-def _write(study: Table, compared: Sequence[Compared], out: Path) -> None:
-    """study.csv and study.tex, contexts.csv of labelled recordings, and recordings.csv."""
+def _write(study: Table, compared: Sequence[Compared], out: Path) -> list[Path]:
+    """Write study, recordings, and contexts of labelled recordings as CSV and LaTeX; return files that are replaced."""
     import numpy as np
 
     from pdr_filter.evaluate import write_tables
@@ -191,11 +193,14 @@ def _write(study: Table, compared: Sequence[Compared], out: Path) -> None:
         columns = {name: np.concatenate([part[name] for _, part in parts]) for name in names}
         return table({"recording": np.concatenate([np.full(len(part), of) for of, part in parts]), **columns})
 
-    write_tables(study, out / "study")
-    write_tables(joined([(found.recording.name, found.errors) for found in compared]), out / "recordings")
+    tables = {"study": study, "recordings": joined([(found.recording.name, found.errors) for found in compared])}
     labelled = [(found.recording.name, found.in_contexts) for found in compared if found.in_contexts is not None]
     if labelled:
-        write_tables(joined(labelled), out / "contexts")
+        tables["contexts"] = joined(labelled)
+    before = console.there(*(out / f"{name}{suffix}" for name in tables for suffix in (".csv", ".tex")))
+    for name, rows in tables.items():
+        write_tables(rows, out / name)
+    return before
 
 
 def _print_study(study: Table) -> None:

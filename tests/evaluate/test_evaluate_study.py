@@ -1,4 +1,5 @@
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -109,3 +110,14 @@ def test_compare_writes_tables_of_all_recordings(tmp_path: Path) -> None:
     assert (out / "study.tex").read_text().startswith(r"\begin{tabular}")
     assert len(list(csv.DictReader((out / "recordings.csv").open()))) == 6
     assert {row["context"] for row in csv.DictReader((out / "contexts.csv").open())} >= {"walking"}
+    again = CliRunner().invoke(app, ["compare", *files, "--truth", "--out", str(out)])
+    assert all(name in again.output.replace("\n", "") for name in ("study.csv", "recordings.tex", "contexts.csv"))
+
+
+def test_recordings_that_do_not_name_their_person_are_of_different_people(tmp_path: Path) -> None:
+    for k in (1, 2):
+        walk = replace(simulate([Leg("walking", distance_m=20.0)], seed=k, name="same"), meta={})
+        walk.save(tmp_path / f"walk{k}.zip")
+    files = [str(tmp_path / f"walk{k}.zip") for k in (1, 2)]
+    assert CliRunner().invoke(app, ["compare", *files, "--truth", "--out", str(tmp_path)]).exit_code == 0
+    assert {row["n_people"] for row in csv.DictReader((tmp_path / "study.csv").open())} == {"2"}
