@@ -75,7 +75,7 @@ def _on_processes(work: Callable[[T], R], items: Sequence[T], jobs: int) -> Iter
                 i = todo.popleft()
                 try:
                     results.put((i, worker.ask(items[i])))
-                except BaseException as error:  # of any kind: the loop below waits for this item
+                except BaseException as error:  # any exception, as the loop below waits for this item
                     results.put((i, error))
 
     died: list[int] = []

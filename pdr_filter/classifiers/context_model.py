@@ -40,7 +40,7 @@ from pdr_filter.values import (
 # Version 2: heads, temperature, limit of the features, familiarity.
 FORMAT = ArtefactFormat("context_model", 2, "train it again, or use the version that wrote it")
 
-# What a model distinguishes: the activity, or where the phone is; and its labels unless it has labels of its own.
+# Default labels of each kind of model: contexts or carrying modes.
 HEADS: dict[str, tuple[str, ...]] = {"context": CONTEXTS, "carrying_mode": CARRYING_MODES}
 # Level walking, up and down, of which a model that guards stairs knows the windows on stairs.
 STAIRS_LABELS = ("walking", "upstairs", "downstairs")
@@ -172,7 +172,7 @@ class ContextModel:
         return self.labels
 
     def renamed(self, names: Mapping[str, str]) -> ContextModel:
-        """Return a copy in which some labels have other names; ValueError for a name that is no label."""
+        """Return a copy with renamed labels; ValueError for a key that is not a label of the model."""
         if unknown := set(names) - set(self.labels):
             raise ValueError(f"no label {', '.join(sorted(unknown))} in {self.labels}: give the present names as keys")
         level, up, down = (names.get(label, label) for label in self.stairs_labels)

@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Compared:
-    """Tracks of one recording by what they differ in; the others are held against the last."""
+    """Tracks of one recording by weighting or recipe; each is compared with the last one."""
 
     recording: Recording
     tracks: dict[str, Track]
-    rmse_m: dict[str, float]  # of those for which the truth was asked for
-    errors: Table  # `evaluate.comparison_table`
-    in_contexts: Table | None  # `evaluate.context_errors`, of a labelled recording
+    rmse_m: dict[str, float]  # by track; empty without --truth
+    errors: Table  # from `evaluate.comparison_table`
+    in_contexts: Table | None  # from `evaluate.context_errors`; None without labels
 
     def summary(self) -> dict[str, Any]:
         """What is printed of it, as plain values."""

@@ -232,9 +232,9 @@ class Config:
         return replace(self, sensing=replace(self.sensing, heading=heading))
 
     def with_step_length(self, name: str, fit: StepLengthFit) -> Config:
-        """Return a copy in which a mode has another step length; ValueError if there is no mode of that name.
+        """Return a copy in which the named mode has this step length; ValueError if there is no such mode.
 
-        `name` is that of a mode, or of a context, whose modes then all have this step length.
+        If `name` is a context and not a mode, all modes of that context get the step length.
         """
         named = [m.name for m in self.model.modes if m.name == name] or [
             m.name for m in self.model.modes if m.context == name

@@ -128,7 +128,7 @@ def _is_wide(state: PedestrianState, fix: RangeFix, then: FloatArray) -> bool:
     """
     away_m = then[:2] - fix.anchor_m[:2]
     level_m, cov_m2 = math.hypot(*away_m), track_place(state).cov_m2
-    if level_m < fix.std_m:  # beside the anchor every direction may be across
+    if level_m < fix.std_m:  # close to the anchor the direction to it is unknown
         var_m2 = float(np.linalg.eigvalsh(cov_m2)[-1])
     else:
         across = np.array([-away_m[1], away_m[0]]) / level_m

@@ -165,7 +165,7 @@ def window_log_evidence(windows: Sequence[WindowContext], model: PedestrianModel
     any_context = of_contexts.max(axis=1)
 
     def best_of(holds: Callable[[Context], bool], otherwise: FloatArray) -> FloatArray:
-        """Evidence (W,) of the best of some contexts; that of others where the context model has none of them."""
+        """Highest evidence (W,) of the contexts for which `holds` is true, or `otherwise` if there is none."""
         index = model.context_set.index_where(holds)
         return of_contexts[:, index].max(axis=1) if len(index) else otherwise
 

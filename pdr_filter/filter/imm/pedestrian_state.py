@@ -92,7 +92,7 @@ class StepUpdate:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """The fields as JSON has them: None for what is not finite, contexts by their names, and the step's time."""
+        """Return the fields as JSON values: None for numbers that are not finite, context probabilities by name."""
         named = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "contexts"}
         contexts = dict(zip(self.contexts, self.context_prob, strict=True))
         return as_plain({"time_s": self.step.time_s, **named, "context_prob": contexts})
@@ -119,7 +119,7 @@ class PedestrianState:
     steps: StepHistory = field(default_factory=StepHistory)
     fixes: FixHistory = field(default_factory=FixHistory)
     path: PastPath = field(default_factory=PastPath)  # of all steps, as it is estimated now
-    # The other place that the last ranges fit, where they fit two; whoever runs the tracker follows both.
+    # Second hypothesis of the position, where the last ranges fit two; `tracking.filtering` runs both.
     rival: Rival | None = None
 
 

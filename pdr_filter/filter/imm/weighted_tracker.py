@@ -64,7 +64,7 @@ class WeightedTracker:
 
     model: PedestrianModel  # with exactly one mode for each context
     threshold: float = 0.8
-    function: Weighting | None = None  # of context probabilities (C,), weights (C,): in place of the threshold
+    function: Weighting | None = None  # maps context probabilities (C,) to weights (C,); replaces the threshold
 
     # A step is final when the window after the one in which it is new is known.
     waits_for_windows = 2
@@ -75,7 +75,7 @@ class WeightedTracker:
 
     @property
     def weighting(self) -> str:
-        """Its short name: "hc" or "wc", or the name of the function."""
+        """Short name: "hc", "wc", or the name of the function."""
         if self.function is not None:
             return str(getattr(self.function, "__name__", type(self.function).__name__))
         return "hc" if self.threshold == HC else "wc"

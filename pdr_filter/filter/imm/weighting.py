@@ -118,8 +118,8 @@ def carrying_log_evidence(prob: FloatArray, previous_prob: FloatArray | None, n_
 class ModeEvidence:
     """What a window says for each mode of a filter; exponents and floor are those of `context_log_evidence`."""
 
-    contexts: tuple[str, ...]  # of each mode: one of `window_contexts`, or "irregular"
-    carrying_modes: tuple[str | None, ...]  # of each mode; None for any
+    contexts: tuple[str, ...]  # context of each mode: one of `window_contexts`, or "irregular"
+    carrying_modes: tuple[str | None, ...]  # carrying mode of each mode; None for all
     exponent: float
     prior_exponent: float
     floor: float

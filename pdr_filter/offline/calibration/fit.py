@@ -227,7 +227,7 @@ def _assemble(
         recording_std=found.recording_std,
         n_segments=_shares(segments, models),
         segments=rows,
-        # what is wrong with the whole, before what each of many recordings has to say
+        # warnings about the calibration come before those about single recordings
         notes=(*bias_warnings(rows, recording_std), *choice, *_notes(rows, found, priors), *notes),
         card={
             "date": date.today().isoformat(),

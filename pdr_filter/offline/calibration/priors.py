@@ -31,7 +31,7 @@ PEOPLE_RELATIVE_STD = scale_std(USUAL_HEIGHT_M)  # how people of known height di
 # four groups of unknown height are off by -10, 0, +10 and +20 %, root mean square 12.2 %: hypot(0.10, 0.07).
 GROUP_RELATIVE_STD = 0.10
 _PACKAGE = __name__.split(".")[0]
-_MIN_SLOPE = 1e-9  # of the length by a parameter: a parameter without effect has no spread that can be stated
+_MIN_SLOPE = 1e-9  # smallest derivative of the length by a parameter, against division by zero
 
 
 @dataclass(frozen=True, eq=False)

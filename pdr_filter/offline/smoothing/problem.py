@@ -153,7 +153,7 @@ class Problem:
 
     @property
     def possible(self) -> FloatArray:
-        """1 for the observations (F + H + S + X,) that can be used: headings only where somebody walked."""
+        """Mask (F + H + S + X,) of usable observations: 1, or 0 for directions over too short a way."""
         walked = self.directions.length_m > MIN_HEADING_LENGTH_M
         n_others = len(self.states) + len(self.measurements)
         return np.concatenate([np.ones(len(self.positions)), walked.astype(float), np.ones(n_others)])

@@ -139,7 +139,7 @@ def _nis_of_measurements(problem: Problem, mean: FloatArray) -> FloatArray:
 
 
 def _places(problem: Problem) -> IntArray:
-    """Anchors (F + H + S + X,) of the observations of places, -1 of others."""
+    """Anchor (F + H + S + X,) of each observation of a position, -1 for other observations."""
     others = np.full(len(problem.directions) + len(problem.states), -1)
     return np.concatenate([problem.positions.node, others, problem.measurements.node])
 

@@ -34,7 +34,7 @@ def fit_softmax(Z: FloatArray, y: TextArray, weight: FloatArray, C: float = 0.02
     """
     fitted: Any = LogisticRegression(C=C, max_iter=300, tol=1e-3).fit(Z, y, sample_weight=weight)
     weights, intercept = fitted.coef_, fitted.intercept_
-    if len(weights) == 1:  # of two classes there is one logit, that of the second
+    if len(weights) == 1:  # with two classes scikit-learn stores one logit, that of the second class
         weights, intercept = (np.concatenate([-0.5 * each, 0.5 * each]) for each in (weights, intercept))
     return SoftmaxRegression(weights, intercept), _names(fitted.classes_)
 
@@ -110,7 +110,7 @@ class FitOfObject:
             raise ValueError(
                 f"classifier must have classes_ when it is fitted, got {type(fitted).__name__} without: set it in fit"
             )
-        # that of `RelevanceVectorClassifier`, which can be saved
+        # only `RelevanceVectorClassifier` has a machine, which can be saved
         machine = getattr(fitted, "machine_", None)
         if not isinstance(machine, Machine):
             machine = ForeignClassifier(fitted, Z.shape[1])

@@ -204,7 +204,7 @@ class EvidenceEstimate:
     counts: FloatArray  # (C, C)
     of_matrix: str  # "estimated", or "default: " and why
     of_exponents: str
-    log_loss: dict[str, float]  # of `held_out_log_loss`; empty if no exponents could be chosen
+    log_loss: dict[str, float]  # from `held_out_log_loss`; empty if no exponents could be chosen
 
     @property
     def n_changes(self) -> int:
