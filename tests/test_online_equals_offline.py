@@ -233,9 +233,24 @@ def test_two_runs_are_equal(short_walk: Recording) -> None:
 
 def test_steps_and_windows_of_the_track_are_those_of_detect_steps_and_classify(short_walk: Recording) -> None:
     track, steps, windows = tracked(short_walk), pdr.detect_steps(short_walk), pdr.classify(short_walk)
-    np.testing.assert_array_equal(track.time_s, steps.time_s)
+    of_directions = {n for n in steps.dtype.names if n.startswith(("walking_heading", "shown_offset", "north"))}
+    of_directions |= {"offset_change_std_rad", "direction_trust", "carried_since_s", "on_axes", "yaw_bias_std_radps"}
+    for name in sorted(set(steps.dtype.names) - of_directions):
+        np.testing.assert_array_equal(track.steps[name], steps[name], name)
+    assert np.isinf(steps.walking_heading_std_rad).all() and np.isinf(steps.north_std_rad).all()
     np.testing.assert_array_equal(track.windows.time_s, windows.time_s)
     np.testing.assert_array_equal(track.windows.context_prob, windows.context_prob)
+
+
+@pytest.mark.parametrize("recipe", ["guo2018", "martinelli2018", "susi2013", "tian2016", "zhou2019"])
+def test_detect_steps_finds_the_steps_of_the_track_whether_or_not_the_detector_uses_contexts(
+    short_walk: Recording, recipe: str
+) -> None:
+    config = getattr(pdr.recipes, recipe)(short_walk.subject)
+    track, steps = pdr.track(short_walk, config), pdr.detect_steps(short_walk, config)
+    assert len(steps) > 0
+    for name in ("time_s", "detected_time_s", "variance", "vertical_amplitude_mps2", "device_heading_rad", "is_two"):
+        np.testing.assert_array_equal(track.steps[name], steps[name], name)
 
 
 # --- saving ---------------------------------------------------------------------------------------------------------

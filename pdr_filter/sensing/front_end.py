@@ -118,6 +118,12 @@ class Sensing:
         return Rattle(self.conditioner.rate_hz)
 
     @property
+    def steps_only(self) -> Sensing:
+        """Front end that finds the same steps without headings, north, and contexts that the detector does not use."""
+        contexts = self.contexts if getattr(self.steps, "uses_contexts", True) else None
+        return replace(self, contexts=contexts, heading=None, north=None)
+
+    @property
     def step_latency_s(self) -> float:
         """Longest time from a contact to its step, but for the first steps of a bout, which wait for a gate."""
         return max(self.steps.latency_s, self.gate.latency_s if self.gate else 0.0)

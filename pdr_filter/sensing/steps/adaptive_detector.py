@@ -24,6 +24,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import ClassVar
 
 import numpy as np
 
@@ -87,6 +88,8 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
     rate_hz, max_interval_s, first_step_s : float
         Of every `BaseStepDetector`; the slowest steps, 0.5 Hz, are 2 s apart.
     """
+
+    uses_contexts: ClassVar[bool] = False
 
     max_interval_s: float = 2.5
     frequency_at_1_mps2_hz: float = 1.37

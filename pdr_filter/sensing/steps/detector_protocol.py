@@ -19,6 +19,9 @@ class StepDetector(Protocol[S]):
     arrays, numbers, strings, None, tuples and dictionaries, or be a dataclass of such values, so that a filter can be
     saved. The result must not depend on how samples are cut into blocks. Samples are numbered from 0 after each gap.
     `pdr_filter.sensing.steps.step_log.StepLog` describes the step that a contact ends.
+
+    A detector whose class has `uses_contexts = False` ignores the contexts of `update`; `pdr_filter.detect_steps` then
+    computes none.
     """
 
     @property

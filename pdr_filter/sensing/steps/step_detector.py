@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
@@ -84,6 +84,9 @@ class BaseStepDetector(ABC, Generic[S]):
     first_step_s : float
         Duration given to the first step of a bout, whose start no contact marks: a typical step from rest.
     """
+
+    # Whether the steps depend on the contexts or carrying modes. If not, `Sensing.steps_only` computes none.
+    uses_contexts: ClassVar[bool] = True
 
     rate_hz: float = 100.0
     max_interval_s: float = 2.0
