@@ -400,6 +400,15 @@ def test_any_model_has_a_weak_prior_that_leaves_the_data_to_decide() -> None:
     assert regressors @ found.k["walking"] == pytest.approx(regressors @ k, rel=0.02)
 
 
+def test_people_of_a_weak_prior_differ_by_seven_percent_of_a_typical_step() -> None:
+    model = FrequencyVarianceStepLength()
+    known = weak_prior(model, mean=[0.3, 0.25, 0.01], personal=(0, 1))
+    terms_m = model.regressors(TYPICAL_STEP) * known.between_std
+    length_m = model.regressors(TYPICAL_STEP) @ known.mean
+    assert np.hypot(*terms_m[:2]) == pytest.approx(0.07 * length_m, rel=1e-6)
+    assert terms_m[2] == 0.0
+
+
 @pytest.mark.parametrize(("errors", "name"), [((3.00, 2.99, 5.0), "bounce"), ((3.0, 2.0, 5.0), "eq12")])
 def test_another_form_is_chosen_only_if_it_is_clearly_better(
     monkeypatch: pytest.MonkeyPatch, errors: tuple[float, ...], name: str
