@@ -17,8 +17,8 @@ from pdr_filter.filter.imm.motion_model import Mode
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.tracker import Tracker
 from pdr_filter.filter.imm.transition_probabilities import context_transitions
-from pdr_filter.filter.imm.weighted_tracker import WeightedTracker, Weighting
-from pdr_filter.filter.imm.weighting import HC, WEIGHTINGS
+from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
+from pdr_filter.filter.imm.weighting import HC, WEIGHTINGS, Weighting
 from pdr_filter.filter.plan_stage import PlanStage
 from pdr_filter.filter.step_length.models import StepLengthFit
 from pdr_filter.filter.step_length.person import Person
