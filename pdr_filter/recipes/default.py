@@ -127,7 +127,16 @@ def for_recording(name: str, recording: Recording) -> Config:
     """
     if name == "zhou2019" and recording.is_on_foot:
         return zhou2019(recording.subject, placement="foot")
-    config: Any = _named(name)(recording.subject)
+    return _called(name, recording.subject)
+
+
+def contexts_of(name: str) -> tuple[str, ...]:
+    """Return the names of the contexts of a recipe, given its name as in `for_recording`."""
+    return _called(name, None).contexts
+
+
+def _called(name: str, subject: Subject | None) -> Config:
+    config: Any = _named(name)(subject)
     if not isinstance(config, Config):
         raise ValueError(f"recipe {name!r} must return a Config, got {config!r}: such as default().with_steps(...)")
     return config
