@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from pdr_filter.classifiers.model_files import Arrays, ArtefactFormat, file_pair
-from pdr_filter.values import CONTEXTS, FloatArray, check_array, check_transition_prob, read_only
+from pdr_filter.values import CONTEXTS, FloatArray, check_array, check_name_of_context, check_transition_prob, read_only
 
 FORMAT = ArtefactFormat("transitions", 1, "write the file again with pdr-filter train")
 
@@ -24,7 +24,7 @@ class Transitions:
     Parameters
     ----------
     transition_prob : (C, C)
-        Between `CONTEXTS` from one step to the next; rows from, sum to one.
+        Between `contexts` from one step to the next; rows from, sum to one.
     evidence_exponent, prior_exponent : float
         Of the evidence of a window, as in `PedestrianModel`.
     counts : (C, C)
@@ -33,6 +33,8 @@ class Transitions:
     card : dict
         What people should know: whether matrix and exponents are estimated or the default and why, data, log losses,
         date, versions. Anything that JSON holds.
+    contexts : tuple of str
+        Names of the contexts, C.
     """
 
     transition_prob: FloatArray
@@ -40,11 +42,16 @@ class Transitions:
     prior_exponent: float
     counts: FloatArray
     card: dict[str, Any] = field(default_factory=dict[str, Any])
+    contexts: tuple[str, ...] = CONTEXTS
 
     def __post_init__(self) -> None:
         for name in ("transition_prob", "counts"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
-        check_transition_prob(self.transition_prob, len(CONTEXTS))
+        for name in self.contexts:
+            check_name_of_context(name)
+        if len(set(self.contexts)) < len(self.contexts):
+            raise ValueError(f"contexts must have different names, got {self.contexts}")
+        check_transition_prob(self.transition_prob, len(self.contexts))
         check_array("counts", self.counts, "0 or more", self.transition_prob.shape)
         for name in ("evidence_exponent", "prior_exponent"):
             check_array(name, getattr(self, name), "0 or more")
@@ -52,7 +59,7 @@ class Transitions:
     def save(self, folder: str | Path) -> Path:
         """Write `transitions.json` into the folder and return its path."""
         content = {
-            "contexts": list(CONTEXTS),
+            "contexts": list(self.contexts),
             "transition_prob": self.transition_prob,
             "evidence_exponent": self.evidence_exponent,
             "prior_exponent": self.prior_exponent,
@@ -71,12 +78,11 @@ def load_transitions(path: str | Path) -> Transitions:
 
 def _assemble(content: Mapping[str, Any], _: Arrays) -> Transitions:
     """Return the transitions; KeyError, TypeError or ValueError if anything is missing or does not fit."""
-    if content["contexts"] != list(CONTEXTS):
-        raise ValueError(f"its contexts are {content['contexts']}, those of this version {list(CONTEXTS)}")
     return Transitions(
         transition_prob=content["transition_prob"],
         evidence_exponent=float(content["evidence_exponent"]),
         prior_exponent=float(content["prior_exponent"]),
         counts=content["counts"],
         card=dict(content["card"]),
+        contexts=tuple(content["contexts"]),
     )

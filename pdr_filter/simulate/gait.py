@@ -160,7 +160,10 @@ class Leg:
 
     def __post_init__(self) -> None:
         if self.context not in CONTEXTS:
-            raise ValueError(f"context must be one of {', '.join(CONTEXTS)}, got {self.context!r}")
+            raise ValueError(
+                f"context must be one of {', '.join(CONTEXTS)}, got {self.context!r}: simulate a movement that is like "
+                "it, and rename the labels of the recording"
+            )
         if (self.duration_s is None) == (self.distance_m is None):
             raise ValueError(f"give a leg either duration_s or distance_m, got {self.duration_s} and {self.distance_m}")
         if self.context == "stationary" and self.duration_s is None:

@@ -360,9 +360,11 @@ class OnlineFilter:
         except TypeError:  # classes of other packages in the configuration or in the state of a part
             pass
         try:
-            return serialise.to_bytes({"config": None, "state": state}, foreign=True)
-        except TypeError as error:
-            raise ValueError(f"the state of a part of yours holds {error}") from None
+            blob = serialise.to_bytes({"config": None, "state": state}, foreign=True)
+            serialise.restored(serialise.from_bytes(blob)["state"], init(self.config))
+        except (TypeError, ValueError) as error:  # now, and not when it is loaded
+            raise ValueError(f"the state of a part of yours cannot be saved: {error}") from None
+        return blob
 
     @classmethod
     def load(cls, blob: bytes, config: Config | None = None) -> OnlineFilter:
@@ -388,10 +390,7 @@ class OnlineFilter:
 def _of_config(config: Config, state: State, first: State) -> State:
     """A loaded state whose parts have the classes of a configuration, given its first state."""
     try:
-        parts = {
-            name: serialise.restored(getattr(state.sensing, name), getattr(first.sensing, name))
-            for name in ("contexts", "steps", "heading", "gate", "even", "north")
-        }
+        state = serialise.restored(state, first)
         n_filters = len(state.tracker.pedestrian.estimates.prob)
         if type(state.tracker) is not type(first.tracker) or n_filters != len(first.tracker.pedestrian.estimates.prob):
             raise ValueError(f"it has {n_filters} modes and another tracker")
@@ -400,7 +399,7 @@ def _of_config(config: Config, state: State, first: State) -> State:
             f"this filter was saved with another configuration than {config.name!r} ({error}): give the one that "
             "the filter was made with"
         ) from error
-    return replace(state, sensing=replace(state.sensing, **parts))
+    return state
 
 
 def _checked_pressure(time_s: ArrayLike, pressure_hpa: ArrayLike) -> tuple[FloatArray, FloatArray]:

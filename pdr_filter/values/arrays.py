@@ -9,9 +9,12 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+#: Array of floats of any shape.
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+#: Array of whole numbers of any shape.
 IntArray = NDArray[np.int64]
+#: Array of True and False of any shape.
 BoolArray = NDArray[np.bool_]
 
 # A small column table: `table.time_s` and `table["time_s"]` are columns, `len(table)` rows, and

@@ -35,10 +35,10 @@ class FeatureSet(Protocol):
         ...
 
 
-# Names of the rows of a window for functions, in the order of the signals.
+#: Names of the signals of a window, in the order of its rows. Functions get the signals by these names.
 WINDOW_SIGNALS: tuple[str, ...] = (
     "force_mps2",  # magnitude of the specific force
-    "low_passed_force_mps2",  # zeros
+    "low_passed_force_mps2",  # zeros unless the feature set has `low_pass_hz`
     "rate_radps",  # magnitude of the angular rate
     "magnetic_field_ut",  # magnitude
     "vertical_mps2",  # specific force along up, less gravity

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Real
 from typing import Any, Literal, Protocol, TypeVar, runtime_checkable
 
@@ -532,11 +532,20 @@ class FixResult:
     # Normalised innovation squared in the mode that explains it best; infinite if it is of another time, NaN where
     # there was nothing to compare it with.
     nis: float = np.nan
+    anchor_m: tuple[float, float] | None = None  # east and north of the anchor of a range; None for other fixes
 
     @classmethod
     def of(cls, fix: Fix, used_s: float, outcome: FixOutcome, nis: float = np.nan) -> FixResult:
         """That of a fix."""
-        return cls(type(fix).__name__.removesuffix("Fix").lower(), fix.time_s, used_s, outcome, nis)
+        anchor_m = (float(fix.anchor_m[0]), float(fix.anchor_m[1])) if isinstance(fix, RangeFix) else None
+        return cls(type(fix).__name__.removesuffix("Fix").lower(), fix.time_s, used_s, outcome, nis, anchor_m)
+
+    def turned(self, rotation: FloatArray) -> FixResult:
+        """Return the result with its anchor in axes that are turned by a rotation (2, 2)."""
+        if self.anchor_m is None:
+            return self
+        east_m, north_m = (rotation @ self.anchor_m).tolist()
+        return replace(self, anchor_m=(east_m, north_m))
 
     @property
     def accepted(self) -> bool:

@@ -8,6 +8,7 @@ from typing import Any
 
 from pdr_filter.values.arrays import FloatArray, read_only
 
+#: Standard gravity, m/s2.
 STANDARD_GRAVITY_MPS2 = 9.80665
 
 

@@ -15,7 +15,7 @@ import json
 import sys
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, cast
 
 import numpy as np
@@ -50,19 +50,42 @@ def to_bytes(value: object, foreign: bool = False) -> bytes:
 
 
 def restored(value: Any, like: Any) -> Any:
-    """A loaded value in which foreign fields have the classes of a value of the same structure."""
+    """Return a loaded value in which foreign fields have the classes that a value of the same structure has there.
+
+    `like` is the first state of the part that made the value. Raises ValueError for foreign fields in a place where
+    `like` has no dataclass of these fields.
+    """
     if isinstance(value, ForeignFields):
-        if not is_dataclass(like) or isinstance(like, type):
-            raise ValueError(f"a saved state is a dataclass, and the part that is given has a {type(like).__name__}")
-        declared = {f.name for f in fields(like)}
-        if declared != value.fields.keys():
-            raise ValueError(f"a saved state has other fields than {type(like).__name__}: give the part that made it")
-        return type(like)(**{name: restored(each, getattr(like, name)) for name, each in value.fields.items()})
-    if isinstance(value, tuple) and isinstance(like, tuple) and len(value) == len(like):
-        return tuple(map(restored, value, like))
-    if isinstance(value, dict) and isinstance(like, dict):
-        return {key: restored(each, like.get(key)) for key, each in value.items()}
-    return value
+        names, of_like = ", ".join(value.fields), _parts(like)
+        if not is_dataclass(like):
+            raise ValueError(
+                f"a saved state has a dataclass with the fields {names} where the first state has a "
+                f"{type(like).__name__}: let init() put a value of that class there, or use arrays, numbers and tuples"
+            )
+        if of_like.keys() != value.fields.keys():
+            raise ValueError(
+                f"a saved state has a dataclass with other fields, {names}, than {type(like).__name__}: give the part "
+                "that made it"
+            )
+        return cast(Any, type(like))(**{name: restored(each, of_like[name]) for name, each in value.fields.items()})
+    of_like = _parts(like) if type(like) is type(value) else {}
+    changed = {key: new for key, part in _parts(value).items() if (new := restored(part, of_like.get(key))) is not part}
+    if not changed:
+        return value
+    if isinstance(value, tuple | list):
+        return type(value)(changed.get(i, part) for i, part in enumerate(cast(list[Any], value)))
+    return {**value, **changed} if isinstance(value, dict) else replace(value, **changed)
+
+
+def _parts(value: Any) -> dict[Any, Any]:
+    """Items of a dictionary, tuple or list, or the fields from which a dataclass is made; nothing of other values."""
+    if isinstance(value, dict):
+        return cast(dict[Any, Any], value)
+    if isinstance(value, tuple | list):
+        return dict(enumerate(cast(list[Any], value)))
+    if is_dataclass(value) and not isinstance(value, type):
+        return {f.name: getattr(value, f.name) for f in fields(value) if f.init}
+    return {}
 
 
 def _packed(value: Any) -> bytes:

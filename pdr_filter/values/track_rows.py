@@ -168,6 +168,7 @@ class TrackRows:
             position_cov_m2=read_only(rotation @ self.position_cov_m2 @ rotation.T + g[:, :, None] * g[:, None, :]),
             walking_heading_rad=read_only(wrap_angle(self.walking_heading_rad + turn_rad)),
             start_position_m=read_only(rotation @ self.start_position_m),
+            fixes=tuple(f.turned(rotation) for f in self.fixes),
             frame="north",
             origin=self.origin and replace(self.origin, turn_rad=turn_rad, turn_std_rad=std_rad),
         )
@@ -186,6 +187,13 @@ class TrackRows:
             turned = self.turned(here.turn_rad, here.turn_std_rad)
         var_m2 = (here.position_std_m or 0.0) ** 2 if self.origin is None else 0.0
         return replace(turned, origin=here, position_cov_m2=read_only(turned.position_cov_m2 + var_m2 * np.eye(2)))
+
+    @property
+    def anchors_m(self) -> FloatArray:
+        """East and north (A, 2) of the anchors whose ranges were used, each once, in the frame of the track."""
+        return np.array(sorted({f.anchor_m for f in self.fixes if f.anchor_m is not None and f.accepted})).reshape(
+            -1, 2
+        )
 
     @property
     def about_frame(self) -> str:

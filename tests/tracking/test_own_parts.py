@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+import warnings
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from own_parts import FIT, Crossings, CrossingState, DeviceHeading, Exponential,
 
 import pdr_filter as pdr
 from pdr_filter.filter.step_length.models import bounce_fit
+from pdr_filter.sensing.contexts.context_stage import WindowStageState
 from pdr_filter.simulate import Gait, Leg, simulate
 from pdr_filter.values import FloatArray, Origin, Samples
 from pdr_filter.values import serialisation as serialise
@@ -97,9 +99,105 @@ def test_a_state_that_cannot_be_saved_is_refused_when_it_is_saved(recording: pdr
         def init(self) -> Any:
             return {"n_steps": 0, "open": object()}
 
-    online = pdr.OnlineFilter(pdr.recipes.default().with_heading(Forgetful()))
-    with pytest.raises(ValueError, match="state of a part of yours holds a object"):
+    with pytest.warns(UserWarning, match="save will refuse the state of Forgetful: a object cannot be saved"):
+        config = pdr.recipes.default().with_heading(Forgetful())
+    online = pdr.OnlineFilter(config)
+    with pytest.raises(ValueError, match="state of a part of yours cannot be saved: a object"):
         online.save()
+
+
+@dataclass(frozen=True)
+class Bout:
+    n_steps: int
+
+
+class LateHeading(DeviceHeading):
+    """Its state gets a value of an own class with the first steps."""
+
+    def __init__(self, before: Any, after: Any) -> None:
+        self.before, self.after = before, after
+
+    def init(self) -> Any:
+        return {"bout": self.before}
+
+    def update(self, state: Any, block: Any, attitude: Any, contexts: Any, steps: Any) -> Any:
+        _, steps = super().update({"n_steps": 0}, block, attitude, contexts, steps)
+        return {"bout": self.after} if steps else state, steps
+
+
+@pytest.mark.parametrize(
+    ("before", "after"), [(None, Bout(3)), ((), (Bout(1), Bout(2))), ([], [Bout(1)]), (0, {"last": Bout(1)})]
+)
+def test_a_state_that_gets_an_own_class_late_is_refused_when_it_is_saved(
+    recording: pdr.Recording, before: Any, after: Any
+) -> None:
+    online = pdr.OnlineFilter(pdr.recipes.default().with_heading(LateHeading(before, after)))
+    online.save()
+    pushed(online, recording, end=900)
+    with pytest.raises(ValueError, match=r"fields n_steps where the first state has a NoneType: let init\(\) put a"):
+        online.save()
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [(Bout(0), Bout(3)), ((Bout(0),) * 2, (Bout(1), Bout(2))), ({"last": Bout(0)}, {"last": Bout(1)})],
+)
+def test_a_state_that_has_its_own_classes_from_the_first_on_comes_back(
+    recording: pdr.Recording, before: Any, after: Any
+) -> None:
+    config = pdr.recipes.default().with_heading(LateHeading(before, after))
+    online = pdr.OnlineFilter(config)
+    pushed(online, recording, end=900)
+    assert pdr.OnlineFilter.load(online.save(), config=config).state.sensing.heading == {"bout": after}
+
+
+def test_a_state_of_this_package_gets_back_the_own_classes_in_it() -> None:
+    saved = serialise.to_bytes(WindowStageState((1.0, [2.0]), Bout(3)), foreign=True)
+    loaded = serialise.restored(serialise.from_bytes(saved), WindowStageState((0.0, [0.0]), Bout(0)))
+    assert (loaded.windows, loaded.memory) == ((1.0, [2.0]), Bout(3))
+    with pytest.raises(ValueError, match="let init"):
+        serialise.restored(serialise.from_bytes(saved), None)
+
+
+def test_a_part_whose_state_cannot_be_saved_is_named_when_the_configuration_is_made() -> None:
+    class Stage:
+        contexts, rate_hz, hop_s = ("stationary", "walking"), 100.0, 1.0
+
+        def init(self) -> Any:
+            return lambda: 0
+
+        def after_gap(self, state: Any) -> Any:
+            return state
+
+        def update(self, state: Any, block: Any, attitude: Any) -> Any:
+            return state, []
+
+    config, modes = pdr.recipes.default(), [pdr.Mode("stationary", moves=False), pdr.Mode("walking", step_length=FIT)]
+    with pytest.warns(UserWarning, match="save will refuse the state of _Lambda: a function cannot be saved"):
+        config.with_steps(_Lambda())
+    with pytest.warns(UserWarning, match="save will refuse the state of Stage: a function"):
+        config.with_contexts(Stage(), modes)
+
+
+def test_parts_without_a_state_never_stand_in_the_way_of_saving(recording: pdr.Recording) -> None:
+    class Unsaved:
+        n_params = 2
+        scale = staticmethod(lambda: 1.0)
+
+        def regressors(self, step: pdr.Step) -> list[float]:
+            return [self.scale(), step.frequency_hz]
+
+    def squared(prob: FloatArray) -> FloatArray:
+        return prob**2 / (prob**2).sum()
+
+    fit = pdr.StepLengthFit(Unsaved(), np.array([0.1, 0.3]), 1e-4 * np.eye(2), 0.06)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        config = pdr.recipes.default().with_weighting(squared).with_step_length("walking", fit)
+        online = pdr.OnlineFilter(config)
+        pushed(online, recording, end=1500)
+        loaded = pdr.OnlineFilter.load(online.save(), config=config)
+    np.testing.assert_array_equal(loaded.position_m, online.position_m)
 
 
 def test_north_is_found_with_a_heading_stage_from_outside() -> None:

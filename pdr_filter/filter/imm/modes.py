@@ -45,7 +45,11 @@ _STATIONARY = known_length(0.0, STANDING_STD_M)
 
 
 def context_modes(walking: StepLengthFit, running: StepLengthFit = _RUNNING) -> tuple[Mode, ...]:
-    """One mode for each context, with models for walking and running and the default lengths of all others."""
+    """Return one mode for each of the default contexts.
+
+    Steps of walking and running have the given fits, all other contexts the default's lengths: of stairs, sideways
+    steps and standing.
+    """
     lengths = {
         "stationary": _STATIONARY,
         "walking": walking,
@@ -69,17 +73,17 @@ def context_modes(walking: StepLengthFit, running: StepLengthFit = _RUNNING) -> 
 
 
 def one_hot_tracker(modes: tuple[Mode, ...]) -> WeightedTracker:
-    """For a published system that decides for one context: the step length is that of the most probable one."""
+    """Return a tracker for a system that decides for one context: it takes the step length of the most probable one."""
     return WeightedTracker(PedestrianModel(modes, context_transitions()), HC)
 
 
 def height_of(subject: Subject | None) -> float:
-    """Height in m, or the usual one where it is not known."""
+    """Return the height of a subject in m, or the usual 1.70 m if it is not known."""
     return USUAL_HEIGHT_M if subject is None or subject.height_m is None else subject.height_m
 
 
 def height_notes(subject: Subject | None) -> tuple[Note, ...]:
-    """What to keep in mind where the height is not known."""
+    """Return a note on the uncertain step lengths if the height of a subject is not known, else no notes."""
     if subject is not None and subject.height_m is not None:
         return ()
     unsure = f"the person's height is not known: {USUAL_HEIGHT_M:.2f} m is assumed, and lengths may be off by"

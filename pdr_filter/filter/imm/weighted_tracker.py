@@ -6,7 +6,6 @@ contain it: the provisional and the final distance of Martinelli et al. 2018, Al
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,12 +34,10 @@ from pdr_filter.filter.imm.recent_windows import (
     with_window,
 )
 from pdr_filter.filter.imm.step_history import Walked
-from pdr_filter.filter.imm.weighting import HC, context_weights
+from pdr_filter.filter.imm.weighting import HC, Weighting, context_weights
 from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, check_numbers, replace_unchecked
 
-# A function of context probabilities (C,) that returns weights (C,): 0 or more, with the sum one.
-Weighting = Callable[[FloatArray], FloatArray]
 _SUM_TOLERANCE = 1e-6
 
 

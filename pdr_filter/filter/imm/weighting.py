@@ -18,7 +18,7 @@ from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, IntArray
 WEIGHTINGS = ("hc", "wc", "imm")
 
 
-# A function of context probabilities (C,) that returns weights (C,): 0 or more, with the sum one.
+#: A function of context probabilities (C,) that returns weights (C,): 0 or more, with the sum one.
 Weighting = Callable[[FloatArray], FloatArray]
 
 

@@ -52,6 +52,7 @@ class SmoothStepLengthModel(_Parameters, Protocol):
         ...
 
 
+#: A step-length model that is linear in its parameters, or one with a Jacobian.
 StepLengthModel = LinearStepLengthModel | SmoothStepLengthModel
 
 
@@ -410,7 +411,7 @@ def known_length(length_m: float, std_m: float, shared_std_m: float = 0.0) -> St
     return StepLengthFit(FrequencyVarianceStepLength(), theta, theta_cov, std_m)
 
 
-# Single steps of one person about any of the models.
+#: Standard deviation of single steps of one person about any of the models, m.
 RESIDUAL_STD_M = 0.06
 # What a step from rest has besides. It is half a step, or what is between two contacts that were found: in the pauses
 # of walks with a continuous reference (oxiod, tyrex; 19) people went 0.7 m further, in those of ms_indoor half a step
@@ -466,10 +467,13 @@ RECORDING_STD = 0.025
 
 
 def of_gender(values: dict[str, float], gender: str | None) -> float:
-    """The value for a gender "M" or "F"; their mean where it is not known."""
+    """Return the value for a gender "M" or "F", or the mean of both if the gender is not known."""
     return values.get(gender or "", sum(values.values()) / len(values))
 
 
 def one_parameter_fit(model: StepLengthModel, k: float, relative_std: float) -> StepLengthFit:
-    """A model with one parameter k, which differs between people by a share of it."""
+    """Return the fit of a model with one parameter k whose standard deviation between people is `k * relative_std`.
+
+    Single steps scatter by `RESIDUAL_STD_M`.
+    """
     return StepLengthFit(model, np.array([k]), np.array([[(k * relative_std) ** 2]]), RESIDUAL_STD_M)

@@ -39,9 +39,12 @@ def forms_of(
 
     One form if `priors` has the context of walking or a `model` is named; else all of `candidates`.
     """
-    given, known = dict(priors or {}), candidates()
+    given, known = dict(priors or {}), {name: {walking: of["walking"]} for name, of in candidates().items()}
     if unknown := set(given) - set(contexts):
-        raise ValueError(f"no context {', '.join(sorted(unknown))}; there are {', '.join(contexts)}")
+        raise ValueError(
+            f"priors are of no context {', '.join(sorted(unknown))}; there are {', '.join(contexts)}: contexts of "
+            "yours need pdr_filter.calibrate(recordings, config=config)"
+        )
     if model is not None and walking in given:
         raise ValueError(f"priors has a model of walking, and model is {model!r}: leave out one of them")
     if model is not None and model not in known:

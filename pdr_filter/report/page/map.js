@@ -43,6 +43,7 @@ class WayMap extends PlaneMap {
       add(...track.start);
       track.east.forEach((east, k) => add(east, track.north[k]));
       if (!this.hidden.has("ellipses")) track.ellipses.forEach(k => add(track.east[k], track.north[k], track.major[k]));
+      if (track.anchors && !this.hidden.has("anchors")) track.anchors.east.forEach((east, k) => add(east, track.anchors.north[k]));
       if (track.truth && !this.hidden.has("truth")) track.truth.east.forEach((east, k) => add(east, track.truth.north[k]));
     }
     this.fit(easts, norths, 4);
@@ -70,6 +71,7 @@ class WayMap extends PlaneMap {
       this.still.addLayer(L.polyline(this.wayOf(t), { color: t.colour, weight: 2, lineCap: "butt", dashArray }));
     });
     if (track.truth && shown("truth")) this.drawTruth(track.truth);
+    if (track.anchors && shown("anchors")) this.places(track.anchors).forEach(place => this.still.addLayer(this.mark(place, "anchor", "", 12)));
     this.drawEnds(track);
     this.show(this.row);
   }

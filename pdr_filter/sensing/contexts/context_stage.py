@@ -179,10 +179,20 @@ class WindowStage(ABC, Generic[W, X, M]):
 def known_context(
     time_s: float, context: Mapping[str, float], carrying_mode: Mapping[str, float], contexts: Sequence[str], name: str
 ) -> WindowContext:
-    """The result of a rule: probabilities by name, those not named zero.
+    """Return the result of a rule for the window that ends at `time_s`.
 
-    `contexts` are all those that the rule distinguishes, alike before it has seen anything. Where the carrying mode
-    is unknown (an empty mapping) all modes are alike.
+    Parameters
+    ----------
+    time_s : float
+        End of the window.
+    context : mapping
+        Probability of each of the default contexts by name. Contexts that are not named have probability zero.
+    carrying_mode : mapping
+        Probability of each of `CARRYING_MODES` by name. All modes are equally probable if it is empty.
+    contexts : sequence of str
+        Contexts that the rule distinguishes. They are equally probable a priori.
+    name : str
+        Name of the rule, the `model` of the windows.
     """
     prob = np.array([context.get(c, 0.0) for c in CONTEXTS])
     carrying = np.array([carrying_mode.get(c, 0.0) for c in CARRYING_MODES]) if carrying_mode else _EVEN

@@ -132,5 +132,8 @@ def _with_features_of(models: Sequence[ContextModel | None], stage: LearnedConte
 
 @cache
 def shipped_model(name: str) -> ContextModel:
-    """A model of the package, read once."""
+    """Return a context model of the package by its name; it is read once.
+
+    Raises ValueError for another name.
+    """
     return load_model(name)

@@ -112,5 +112,5 @@ class SlidingWindows(ABC, Generic[W, X]):
 
 
 def no_samples(n_signals: int) -> WindowBuffer:
-    """The buffer at the start of a segment."""
+    """Return the empty buffer of `n_signals` signals, for the start of a segment."""
     return WindowBuffer(0, np.empty((1 + n_signals, 0)))

@@ -11,7 +11,15 @@ import pytest
 from scipy.stats import chi2
 
 import pdr_filter as pdr
-from pdr_filter.filter.fixes.range_placement import MAX_RANGES, PairedRange, recent, solutions
+from pdr_filter.filter.fixes import range_updates
+from pdr_filter.filter.fixes.range_placement import (
+    MAX_RANGES,
+    PairedRange,
+    PlacedTrack,
+    PriorPose,
+    recent,
+    solutions,
+)
 from pdr_filter.filter.fixes.range_updates import _is_wide
 from pdr_filter.filter.imm.imm_tracker import ImmTracker
 from pdr_filter.filter.imm.pedestrian_state import initial_state
@@ -231,6 +239,20 @@ def test_smoothed_ranges_are_nearer_to_the_truth_than_online_ones_and_reflection
     assert {fix.kind for fix in smoothed.track.fixes} == {"range"}
 
 
+def test_anchors_at_coordinates_of_a_map_are_smoothed_as_well_as_those_near_the_origin() -> None:
+    recording, away_m = walk(4), np.array([4e5, 5.8e6])
+    near = ranges(recording, ANCHORS, 4)
+    far = [replace(fix, anchor_m=fix.anchor_m + away_m) for fix in near]
+    config = pdr.recipes.default().in_world_frame()
+    tracks = [pdr.smooth(recording, fixes, config=config).track for fixes in (near, far)]
+    (rmse_m, _), (far_rmse_m, _) = (
+        errors(replace(track, position_m=track.position_m - offset_m), recording)
+        for track, offset_m in zip(tracks, (np.zeros(2), away_m), strict=True)
+    )
+    assert far_rmse_m == pytest.approx(rmse_m, abs=1e-4)
+    assert rmse_m < 0.35
+
+
 def test_an_anchor_above_the_phone_is_as_far_as_space_says() -> None:
     fix = pdr.RangeFix(1.0, (3.0, 0.0, 4.0), 5.0, 0.1)
     residual, jacobian, _ = fix.measurement(np.zeros(2), 0.0)
@@ -243,6 +265,7 @@ def test_only_ranges_that_are_too_long_are_taken_for_reflections() -> None:
     longer, shorter = fix.direct_prob(-2.0, 0.5**2), fix.direct_prob(2.0, 0.5**2)
     assert longer < 0.05 and shorter > 0.9
     assert fix.direct_prob(-2.0, 2.0**2) > 0.6  # the track may be off by as much
+    assert fix.direct_prob(0.0, 20.0**2) > 0.7  # and a range that fits it is no reflection, however unsure it is
 
 
 @pytest.mark.parametrize(
@@ -337,6 +360,57 @@ def test_a_range_to_an_anchor_overhead_bends_over_its_distance_in_space() -> Non
     state = replace(state, estimates=replace(state.estimates, cov=cov))
     assert not _is_wide(state, overhead, np.zeros(3))
     assert _is_wide(state, beside, np.zeros(3))
+
+
+def searches(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Numbers of ranges of the searches for places from now on."""
+    counted = list[int]()
+
+    def counting(pairs: Sequence[PairedRange], *prior: PriorPose | None) -> list[PlacedTrack]:
+        counted.append(len(pairs))
+        return solutions(pairs, *prior)
+
+    monkeypatch.setattr(range_updates, "solutions", counting)
+    return counted
+
+
+def test_places_are_searched_twice_a_second_at_most_however_often_ranges_come(monkeypatch: pytest.MonkeyPatch) -> None:
+    counted, recording = searches(monkeypatch), walk(4)
+    fixes = [
+        pdr.RangeFix(time_s, np.array(anchor_m), 200.0, 0.3)  # of no place at all
+        for time_s in np.arange(5.0, 9.0, 1 / 60)
+        for anchor_m in ANCHORS[:2]
+    ]
+    track = pdr.track(recording, config=pdr.recipes.default().in_world_frame(), fixes=fixes)
+    assert {fix.outcome for fix in track.fixes} == {"waiting"}
+    assert 5 <= len(counted) <= 2 * 9  # and those of one moment are all tried
+
+
+def test_ranges_that_a_track_has_used_do_not_place_it_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = own_model("walking")
+    tracker, drawn = ImmTracker(model), simulated_walk(model, 30, np.random.default_rng(1))
+    state = tracker.init()
+    for step in drawn.steps:
+        state, _ = tracker.on_step(state, step)
+    time_s, pedestrian = drawn.steps[-1].time_s, state.pedestrian
+    cov = pedestrian.estimates.cov.copy()
+    cov[:, [0, 1], [0, 1]] = 400.0
+    used = tuple(
+        PairedRange(pdr.RangeFix(time_s - k, np.array(ANCHORS[k % 3]), 9.0, 0.3), np.zeros(2), is_used=True)
+        for k in (9, 8, 7, 6, 5)
+    )
+    known = replace(
+        pedestrian,
+        estimates=replace(pedestrian.estimates, cov=cov),
+        fixes=replace(pedestrian.fixes, ranges=used),
+    )
+    counted, outcomes = searches(monkeypatch), list[str]()
+    state = replace(state, pedestrian=known)
+    for k in range(4):
+        state, outcome, _ = tracker.on_fix(state, pdr.RangeFix(time_s + 0.01 * k, np.array(ANCHORS[k % 3]), 9.0, 0.3))
+        outcomes.append(outcome)
+    assert outcomes[:3] == ["waiting"] * 3
+    assert counted == [4]
 
 
 class WithProperties:

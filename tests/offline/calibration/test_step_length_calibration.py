@@ -384,7 +384,9 @@ def test_segments_without_length_or_steps_are_refused() -> None:
         calibrate([])
     with pytest.raises(ValueError, match="loss must be one of"):
         calibrate_segments([good], loss="tukey")
-    with pytest.raises(ValueError, match="no context hopping"):
+    with pytest.raises(
+        ValueError, match=r"no context hopping; .* need pdr_filter.calibrate\(recordings, config=config\)"
+    ):
         calibrate_segments([good], {"hopping": DEFAULT_PRIORS["walking"]})
     with pytest.raises(ValueError, match="cannot differ between people"):
         prior(BounceStepLength(), [0.3], [0.0], [0.1])

@@ -366,8 +366,10 @@ def rows(value: float) -> list[list[float]]:
         ("prior_exponent", -0.5, "prior_exponent must be 0 or more and finite, got -0.5"),
         ("prior_exponent", None, "not 'NoneType'"),
         ("counts", np.full((6, 6), -1.0).tolist(), "counts must be"),
-        ("contexts", ["walking", "standing"], r"contexts are \['walking', 'standing'\], those of this version"),
-        ("contexts", list(CONTEXTS)[::-1], "those of this version"),
+        ("contexts", ["walking", "standing"], r"must be \(2, 2\), one row for each"),
+        ("contexts", ["walking"] * 6, "contexts must have different names"),
+        ("contexts", [1, 2, 3, 4, 5, 6], "name of a context must be"),
+        ("contexts", None, "not iterable"),
         ("format_version", 2, "format_version is 2, this version reads 1"),
         ("kind", "calibration", "its kind is 'calibration', not 'transitions'"),
         ("card", 3, "not iterable"),
@@ -414,6 +416,19 @@ def test_transitions_follow_the_order_of_the_modes() -> None:
         for j, after in enumerate(modes):
             expected = matrix[CONTEXTS.index(before.context), CONTEXTS.index(after.context)]
             assert changed.transition_prob[i, j] == expected
+
+
+def test_transitions_between_other_contexts_are_saved_and_given_to_their_modes(tmp_path: Path) -> None:
+    names = {"stationary": "resting", "walking": "level"}
+    model = pdr.ContextModel.load("context").renamed(names)
+    modes = [replace(m, name=names.get(m.name, m.name), context="") for m in default().model.modes]
+    config = default().with_contexts(model, modes[::-1])
+    path = some(contexts=model.contexts).save(tmp_path)
+    assert load_transitions(path).contexts == model.contexts
+    changed = with_transitions(config, path)
+    np.testing.assert_array_equal(changed.model.transition_prob, some().transition_prob[::-1, ::-1])
+    with pytest.raises(ValueError, match=r"'stationary', .*has modes of \['running', .*give transition_prob to"):
+        with_transitions(config, some())
 
 
 def test_modes_that_are_not_the_contexts_each_once_are_refused() -> None:
