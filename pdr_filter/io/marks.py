@@ -107,7 +107,11 @@ def marks_folder(recording: Path) -> Path:
 
 def read_marks(recording: str | Path) -> Marks:
     """Return the marks of the recording at a path; ValueError names the file and the remedy."""
-    folder = marks_folder(Path(recording))
+    return marks_in(marks_folder(Path(recording)))
+
+
+def marks_in(folder: Path) -> Marks:
+    """Return the marks in a folder; ValueError names the file and the remedy."""
     if (folder / _UNFINISHED).exists():
         _finish(folder)
     found = [name for name in NAMES if (folder / name).exists()]

@@ -92,14 +92,14 @@ class DeadReckoning:
     from here and only solves the least-squares problem again, with the same result to the last bit.
     """
 
-    _recording: Recording | None = None
+    recording: Recording | None = None
     _key: bytes = b""
     _found: tuple[Config, Track] | None = None
 
     def of(self, recording: Recording, key: bytes, make: Callable[[], tuple[Config, Track]]) -> tuple[Config, Track]:
         """Return the configuration and track of the last call if the key is the same, else those of `make`."""
-        if self._found is None or self._recording is not recording or self._key != key:
-            self._recording, self._key, self._found = recording, key, make()
+        if self._found is None or self.recording is not recording or self._key != key:
+            self.recording, self._key, self._found = recording, key, make()
         return self._found
 
 
