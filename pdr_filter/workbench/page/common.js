@@ -50,6 +50,10 @@ async function attempt(work) {
   }
 }
 
+// Changes are saved one after the other: each begins from what the one before has left.
+let lastTurn = Promise.resolve();
+const inTurn = work => (lastTurn = lastTurn.then(work, work));
+
 function onEvents(take) {
   const events = new EventSource("/events");
   events.onmessage = message => take(JSON.parse(message.data));

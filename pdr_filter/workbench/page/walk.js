@@ -6,7 +6,7 @@ const id = location.pathname.split("/").at(-1), base = `/walks/${id}`;
 let state = null; // version, marks and summary as the server gave them last
 let frame = null; // the report that is shown
 let mode = null; // steps that a user is taking: { button, steps, found, done }
-let isSaving = false;
+const ours = new Set(); // versions that this page has saved
 
 // --- the report ------------------------------------------------------------------------------------------------------
 
@@ -25,16 +25,17 @@ function load(address) {
       }
       const old = report(), { map } = now;
       if (old && !old.map.isWhole) {
-        const view = old.map.frame === map.frame ? old.map.place() : old.map.place();
-        map.leaflet.setView(map.at(...view), old.map.leaflet.getZoom(), { animate: false });
+        map.leaflet.setView(map.at(...old.map.place()), old.map.leaflet.getZoom(), { animate: false });
       }
       if (old && map.track.time.length) now.show(now.stepAt(old.time), old.time);
       map.followsMouse = false;
       map.leaflet.on("click", event => { if (mode) take(map.frame.place(event.latlng), event.latlng); });
       coming.contentDocument.addEventListener("keydown", key);
+      const scrolled = frame?.contentWindow.scrollY ?? 0;
       frame?.remove();
       frame = coming;
       frame.className = "";
+      now.map.box.ownerDocument.defaultView.scrollTo(0, scrolled);
       drawFixes();
       done();
     };
@@ -68,16 +69,16 @@ function drawFixes() {
 // --- marks -----------------------------------------------------------------------------------------------------------
 
 // Change a copy of the marks and save it. Who comes later than another browser is told, and can make the change again.
-async function edit(change) {
+const edit = change => inTurn(async () => {
   const marks = structuredClone(state.marks);
   change(marks);
   await save("marks", { marks }, () => edit(change));
-}
+});
 
 async function save(what, content, again) {
-  isSaving = true;
   try {
     state = await ask(`${base}/${what}`, { version: state.version, ...content });
+    ours.add(state.version);
     say(text("saved"));
     fill();
     await reload();
@@ -91,8 +92,6 @@ async function save(what, content, again) {
       say(error.message, true);
       fill();
     }
-  } finally {
-    isSaving = false;
   }
 }
 
@@ -125,6 +124,7 @@ function begin(name) {
   map.isTaking = true;
   map.cross = frame.contentWindow.L.DomUtil.create("div", "cross", map.box);
   map.cross.style.cssText = "position:absolute;z-index:800;width:28px;height:28px;left:calc(50% - 14px);top:calc(50% - 14px);pointer-events:none";
+  map.box.scrollIntoView({ block: "center" });
   map.box.focus({ preventScroll: true });
   hint();
 }
@@ -209,8 +209,8 @@ function fill() {
 }
 
 for (const name of Object.keys(MODES)) byId(name).addEventListener("click", () => begin(name));
-byId("undo").addEventListener("click", () => save("undo", {}, null));
-byId("redo").addEventListener("click", () => save("redo", {}, null));
+byId("undo").addEventListener("click", () => inTurn(() => save("undo", {}, null)));
+byId("redo").addEventListener("click", () => inTurn(() => save("redo", {}, null)));
 byId("numbers").addEventListener("submit", event => {
   event.preventDefault();
   const time = now(), place = ["east", "north"].map(name => Number(byId(name).value));
@@ -288,13 +288,14 @@ byId("exports").append(
 // --- begin -----------------------------------------------------------------------------------------------------------
 
 onEvents(event => {
-  if (event.event !== "marks" || event.id !== id || isSaving || event.version === state?.version) return;
-  attempt(async () => {
+  if (event.event !== "marks" || event.id !== id) return;
+  inTurn(() => attempt(async () => { // after the answer to what this page has just saved
+    if (ours.has(event.version)) return;
     state = await ask(base);
     fill();
     await reload();
     say(text("changed_elsewhere"));
-  });
+  }));
 });
 attempt(async () => {
   const { plans, people } = await ask("/walks");
