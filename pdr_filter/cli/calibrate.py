@@ -134,7 +134,7 @@ def smooth(
     """
     import pdr_filter as pdr
     from pdr_filter.io.fix_files import fixes_of_file, loop_closures_of_file
-    from pdr_filter.io.marks import Marks, read_marks
+    from pdr_filter.maps.marks import Marks, read_marks
     from pdr_filter.offline.smoothing.observations import waypoint_fixes
     from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
 

@@ -126,7 +126,7 @@ class Workbench:
                 walk.summary = await process.ask(Request("walk", (str(walk.path),)))
                 walk.state, walk.reason = "done", ""
             except FailedError as error:
-                walk.state, walk.reason = "failed", str(error)
+                walk.state, walk.reason = "failed", str(error).replace(f"{self.folder}/", "")
             self.tell(walk.event())
 
     async def _watch(self) -> None:

@@ -8,6 +8,7 @@ import json
 import re
 import shutil
 from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -36,6 +37,8 @@ _TEXT = re.compile(r"\{\{(\w+)\}\}")
 # A recording of a day at 200 Hz in a zip file has 1 GB.
 _MAX_DROP_BYTES = 1024**3
 _MAX_DROP_FILES = 10_000
+# A page waits no longer than this for the list of recordings.
+_SCAN_S = 1.5
 _MAX_EDIT_BYTES = 8 * 1024**2
 _TOKEN = re.compile(r"[0-9a-f]{16}")
 
@@ -128,7 +131,8 @@ class WorkbenchSite:
 
     async def walks(self, _: Request) -> Response:
         """Return all walks, floor plans and people, and the addresses for phones and other browsers."""
-        await self.workbench.scan()
+        with suppress(TimeoutError):  # of thousands of files; pages are told of them when they are found
+            await asyncio.wait_for(asyncio.shield(self.workbench.scan()), _SCAN_S)
         phone = {"address": self.phone, "code": segno.make(self.phone, micro=False).svg_inline(scale=3)}
         found = {
             "folder": self.workbench.folder.name,

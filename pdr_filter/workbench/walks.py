@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from pdr_filter.io.folders import recordings_in
-from pdr_filter.io.marks import (
+from pdr_filter.maps.marks import (
     FIXES,
     LOOP_CLOSURES,
     PERSON,

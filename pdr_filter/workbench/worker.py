@@ -20,15 +20,16 @@ from typing import Any
 
 import numpy as np
 
-import pdr_filter as pdr
 from pdr_filter.batch.worker_process import reason_of
 from pdr_filter.io.files.archive import outside
 from pdr_filter.io.files.safe_files import open_regular, read_small, write_text
 from pdr_filter.io.folders import recordings_in
-from pdr_filter.io.marks import NAMES, mark_files, marks_folder, marks_in, version_of
+from pdr_filter.io.formats import read
 from pdr_filter.maps.floor_plan import FloorPlan
+from pdr_filter.maps.marks import NAMES, mark_files, marks_folder, marks_in, version_of
 from pdr_filter.offline.smoothing.observations import waypoint_fixes
-from pdr_filter.offline.smoothing.smooth import DeadReckoning
+from pdr_filter.offline.smoothing.smooth import DeadReckoning, smooth
+from pdr_filter.recipes import for_recording
 from pdr_filter.report.html import html_report
 from pdr_filter.tracking.track import Track
 from pdr_filter.values import limits
@@ -121,7 +122,7 @@ class Worker:
             plan = None
             for recipe, weighting in variants:
                 recording = marks_in(marks_folder(Path(path))).recording(opened.recording)
-                config = pdr.recipes.for_recording(recipe, recording)
+                config = for_recording(recipe, recording)
                 found, plan = self._smoothed(opened, None, config=config, weighting=weighting or None)
                 tracks.append(replace(found, name=f"{recipe}, {weighting or found.weighting}"))
             write_text(self.cache / f"{key}.html", html_report(tracks, opened.recording, plan))
@@ -160,7 +161,7 @@ class Worker:
     def check(self, path: str) -> dict[str, Any]:
         """Return how many recordings a new file or folder holds; ValueError says why it cannot be used."""
         found = recordings_in(path) or [Path(path)]
-        pdr.read(found[0])
+        read(found[0])
         return {"n": len(found)}
 
     def picture(self, source: str, page: int, target: str) -> dict[str, Any]:
@@ -176,7 +177,7 @@ class Worker:
     def _open(self, path: str, checksum: str) -> _Opened:
         if self._opened is None or (self._opened.path, self._opened.checksum) != (path, checksum):
             self._opened = None
-            self._opened = _Opened(path, checksum, pdr.read(path))
+            self._opened = _Opened(path, checksum, read(path))
         return self._opened
 
     def _dead_reckoned(self, path: str, checksum: str) -> None:
@@ -198,7 +199,7 @@ class Worker:
         known = marks.arguments()
         if recording.truth.waypoints is not None and not any(known.values()):
             known["fixes"] = waypoint_fixes(recording, 1.0)  # as `pdr-filter smooth` does
-        track = pdr.smooth(recording, progress=progress, memory=opened.memory, **(known | options)).track
+        track = smooth(recording, progress=progress, memory=opened.memory, **(known | options)).track
         if marks.plan is None or track.plan is not None:
             return track, None
         plan = FloorPlan.read(marks.plan)

@@ -24,6 +24,7 @@ from pdr_filter.io.files.archive import outside
 from pdr_filter.io.files.safe_files import read_json, read_small, whole_file
 from pdr_filter.io.fix_files import fixes_of_file, loop_closures_of_file
 from pdr_filter.io.folders import only_recording_in
+from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.values import Origin, limits
 from pdr_filter.values.recording import Recording, check_height
 from pdr_filter.values.sanitise import file_name
@@ -72,9 +73,6 @@ class Marks:
 
     def arguments(self) -> dict[str, Any]:
         """Arguments of `pdr_filter.smooth`. A floor plan in degrees also gives the origin if `walk.json` has none."""
-        # Only when called: a plan is an application.
-        from pdr_filter.maps.floor_plan import FloorPlan
-
         found: dict[str, Any] = {"fixes": list(self.fixes), "loop_closures": list(self.loop_closures)}
         if self.person is not None:
             found["person"] = self.person
