@@ -59,6 +59,7 @@ class WorkbenchSite:
     def __init__(self, workbench: Workbench, tiles: str, address: str, phone: str, texts: dict[str, str]) -> None:
         self.workbench, self.plans = workbench, Plans(workbench.folder)
         self.tiles, self.address, self.phone, self.texts = tiles, address, phone, texts
+        self._drops: dict[Path, tuple[int, int]] = {}  # files and bytes of each drop that has not ended
 
     def routes(self) -> list[BaseRoute]:
         """Routes of the application."""
@@ -221,19 +222,21 @@ class WorkbenchSite:
     async def drop(self, request: Request) -> Response:
         """Take one file of a drop. Its name is only a name; a folder in it becomes part of the name."""
         folder = self._drop(request)
-        folder.mkdir(exist_ok=True)
+        if not folder.is_dir():
+            folder.mkdir()
+            self._drops[folder] = 0, 0
         parts = [file_name(part) for part in request.query_params.get("name", "")[:500].split("/")[-2:] if part]
-        there = list(folder.rglob("*"))
-        if len(there) >= _MAX_DROP_FILES:
-            raise TooLargeError(f"more than {_MAX_DROP_FILES} files; drop the folder of one recording")
-        left = _MAX_DROP_BYTES - sum(path.stat().st_size for path in there if path.is_file())
+        n_files, n_bytes = self._drops.get(folder, (0, 0))
         target = folder.joinpath(*(parts or ["recording"]))
-        target.parent.mkdir(exist_ok=True)
         try:
-            await _stream_to(request, target, left)
+            if n_files >= _MAX_DROP_FILES:
+                raise TooLargeError(f"more than {_MAX_DROP_FILES} files; drop the folder of one recording")
+            target.parent.mkdir(exist_ok=True)
+            n_new = await _stream_to(request, target, _MAX_DROP_BYTES - n_bytes)
         except BaseException:
             shutil.rmtree(folder, ignore_errors=True)
             raise
+        self._drops[folder] = n_files + 1, n_bytes + n_new
         return JSONResponse({"name": target.name})
 
     async def end_drop(self, request: Request) -> Response:
@@ -254,6 +257,7 @@ class WorkbenchSite:
             else:
                 source.replace(target)
         finally:
+            self._drops.pop(folder, None)
             shutil.rmtree(folder, ignore_errors=True)
         await self.workbench.scan(is_forced=True)
         return JSONResponse({"name": target.name, **found})
@@ -383,8 +387,8 @@ async def _json_of(request: Request) -> dict[str, Any]:
     return content
 
 
-async def _stream_to(request: Request, target: Path, most: int) -> None:
-    """Write the body of a request to a file; TooLargeError if it has more bytes."""
+async def _stream_to(request: Request, target: Path, most: int) -> int:
+    """Write the body of a request to a file and return its size; TooLargeError if it is larger."""
     n_bytes = 0
     with target.open("wb") as file:
         async for part in request.stream():
@@ -392,6 +396,7 @@ async def _stream_to(request: Request, target: Path, most: int) -> None:
             if n_bytes > most:
                 raise TooLargeError(f"more than {most // 1024**2} MB; give a smaller file")
             await asyncio.to_thread(file.write, part)
+    return n_bytes
 
 
 def _unused(folder: Path, stem: str) -> Path:
