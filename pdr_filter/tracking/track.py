@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pdr_filter.filter.step_length.person import Person
 from pdr_filter.sensing.device import Device
@@ -49,6 +49,12 @@ class Track(TrackRows):
         from pdr_filter.io.files import track_writers as writers
 
         return writers.write_csv(self, path, origin)
+
+    def to_pandas(self, origin: Origin | tuple[float, float] | None = None) -> Any:
+        """Return a pandas DataFrame with the columns of `to_csv` and all digits; needs the extra `parquet`."""
+        from pdr_filter.io.files import track_writers as writers
+
+        return writers.track_frame(self, origin)
 
     def to_parquet(self, path: str | Path, origin: Origin | tuple[float, float] | None = None) -> Path:
         """Write the columns of `to_csv` with all digits and return the path; needs the extra `parquet`."""

@@ -3,8 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from pdr_filter.values.arrays import FloatArray, pickled
+
+
+def pandas_module(method: str) -> Any:
+    """Return the module pandas; ImportError that names the extra to install if it is missing."""
+    try:
+        import pandas  # pyright: ignore  (optional)
+    except ImportError:
+        raise ImportError(f'{method} needs pandas: pip install "pdr_filter[parquet]"') from None
+    return pandas
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -24,6 +34,22 @@ class Windows:
     standing_contexts: tuple[str, ...] = ("stationary",)  # contexts without steps
 
     __reduce__ = pickled
+
+    def to_pandas(self) -> Any:
+        """Return a pandas DataFrame with one row per window; needs the extra `parquet`.
+
+        Columns: `time_s`, `context_prob_NAME`, `carrying_prob_NAME`, `unknown_share`, `stairs_unknown_share`,
+        `irregular_prob`, `climb_rate_mps` and `model`.
+        """
+        columns = {
+            "time_s": self.time_s,
+            **{f"context_prob_{name}": self.context_prob[:, i] for i, name in enumerate(self.contexts)},
+            **{f"carrying_prob_{name}": self.carrying_prob[:, i] for i, name in enumerate(self.carrying_modes)},
+            **{name: getattr(self, name) for name in ("unknown_share", "stairs_unknown_share")},
+            **{name: getattr(self, name) for name in ("irregular_prob", "climb_rate_mps")},
+            "model": list(self.model),
+        }
+        return pandas_module("Windows.to_pandas").DataFrame(columns)
 
     @property
     def standing_prob(self) -> FloatArray:

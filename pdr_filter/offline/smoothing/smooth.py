@@ -7,7 +7,7 @@ GTSAM eliminates the linear graph of every Gauss-Newton iteration and gives the 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import compress
 from pathlib import Path
 from typing import Literal
@@ -76,11 +76,31 @@ from pdr_filter.values import (
     wrap_angle,
 )
 from pdr_filter.values.recording import Recording
+from pdr_filter.values.serialisation import to_bytes
 from pdr_filter.values.track_placement import GnssUse, NorthUse, TrackPlacement
 
 # Nothing is known of where the walk began in the frame of the fixes, apart from being in the same region.
 _ANYWHERE_STD_M = 1000.0
 _HERE_STD_RAD = 1e-3
+
+
+@dataclass(slots=True, eq=False)
+class DeadReckoning:
+    """Memory for repeated calls of `smooth` with one recording and changing fixes.
+
+    It holds the dead-reckoned track of the last call. A call with the same recording and configuration takes the track
+    from here and only solves the least-squares problem again, with the same result to the last bit.
+    """
+
+    recording: Recording | None = None
+    _key: bytes = b""
+    _found: tuple[Config, Track] | None = None
+
+    def of(self, recording: Recording, key: bytes, make: Callable[[], tuple[Config, Track]]) -> tuple[Config, Track]:
+        """Return the configuration and track of the last call if the key is the same, else those of `make`."""
+        if self._found is None or self.recording is not recording or self._key != key:
+            self.recording, self._key, self._found = recording, key, make()
+        return self._found
 
 
 def smooth(
@@ -105,6 +125,7 @@ def smooth(
     floor_changes: Iterable[FloorChange] = (),
     start_heading_std_rad: float | None = None,
     anchor_interval_s: float = 2.0,
+    memory: DeadReckoning | None = None,
 ) -> Smoothed:
     """The walk of a recording as everything that is known of it says, with a covariance at every step.
 
@@ -134,6 +155,8 @@ def smooth(
         where there are fixes or known headings, else what the recipe says.
     anchor_interval_s : float
         Anchors are at observations, at changes of the heading offset, and not further apart than this.
+    memory : DeadReckoning, optional
+        Memory of the last call, for smoothing one recording again with other fixes in a fraction of the time.
 
     Examples
     --------
@@ -156,12 +179,12 @@ def smooth(
     check_options(loop_closures, start_heading_std_rad, anchor_interval_s)
     placement = TrackPlacement(gnss, origin, heading_rad, north, plan, start)
     run = asked_run(recording, config, fixes, placement, weighting, calibration, device, person)
-    recording, config = run.recording, run.config
+    given, recording, config = recording, run.recording, run.config
     if isinstance(loop_closures, str):
         loop_closures = tuple(wifi_loop_closures(recording))
     first_pass, second_pass = _halves(progress)
-    config, known_device = _with_first_pass(recording, config, first_pass)
     if config.on_plan is not None:
+        config, _ = _with_first_pass(recording, config, first_pass)
         if plan is not None and any(not isinstance(fix, GridFix) for fix in run.fixes):
             config = config.in_world_frame()
         # Only when called: a plan is an application.
@@ -170,11 +193,20 @@ def smooth(
         found = smooth_on_plan(recording, config, run.fixes, run.with_location, second_pass)
         places = tuple(fix for fix in run.fixes if isinstance(fix, PositionFix))
         return with_given_place(run, _on_plan(found, Observations(places)))
-    # dead reckoning: fixes and locations come in afterwards
-    config = config.in_hindsight().with_model(frame=START_FRAME)
     stood = [fix for fix in run.fixes if isinstance(fix, Standstill)]
-    track = collected(recording, config, outputs(recording, config, stood, second_pass, with_hills=run.with_location))
-    track = with_arrivals(replace(track, device=known_device or track.device))
+
+    def reckoned() -> tuple[Config, Track]:
+        """Dead reckoning: fixes and locations come in afterwards."""
+        own, known_device = _with_first_pass(recording, config, first_pass)
+        own = own.in_hindsight().with_model(frame=START_FRAME)
+        found = collected(recording, own, outputs(recording, own, stood, second_pass, with_hills=run.with_location))
+        return own, with_arrivals(replace(found, device=known_device or found.device))
+
+    if memory is None:
+        config, track = reckoned()
+    else:
+        key = to_bytes((config.with_model(frame=START_FRAME), stood, placement.north or "", run.with_location))
+        config, track = memory.of(given, key, reckoned)
     modes = config.model.modes
     if track.weighting == "imm":
         prob = smoothed_mode_prob(track.mode_prob, config.model.transition_prob)

@@ -13,7 +13,13 @@ class WayMap extends PlaneMap {
     this.isWhole = true;
     this.still = L.layerGroup().addTo(this.leaflet); // what is the same at any time
     this.now = L.layerGroup().addTo(this.leaflet); // and what is not
-    this.leaflet.on("mousemove click", event => { if (!this.leaflet.dragging.moving()) this.point(event.latlng, 40); });
+    // A page around the report chooses steps by clicks alone, and takes clicks for other things.
+    this.followsMouse = true;
+    this.isTaking = false;
+    this.leaflet.on("mousemove click", event => {
+      if (this.leaflet.dragging.moving() || this.isTaking || (event.type === "mousemove" && !this.followsMouse)) return;
+      this.point(event.latlng, 40);
+    });
     this.leaflet.on("movestart", () => { this.isWhole = false; });
     this.leaflet.on("resize", () => { if (this.isWhole) this.whole(); });
     this.leaflet.on("dblclick", () => this.whole());

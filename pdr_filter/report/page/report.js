@@ -327,4 +327,5 @@
   root.dataset.theme = scheme.matches ? "dark" : "light";
   byId("theme").textContent = scheme.matches ? "light" : "dark";
   choose(0);
+  window.report = { map, show, stepAt, get time() { return Number(byId("time").value); } }; // for a page around it
 })();
