@@ -145,7 +145,7 @@ def test_nan_and_a_wrong_number_of_features_are_refused(gate: IrregularGate) -> 
     features[2] = np.nan
     with pytest.raises(ValueError, match=gate.feature_names[2]):
         gate.prob(features)
-    with pytest.raises(ValueError, match="columns that .* lists"):
+    with pytest.raises(ValueError, match=r"columns that .* lists"):
         gate.prob(gate.mean)
 
 
