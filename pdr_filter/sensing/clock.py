@@ -211,8 +211,8 @@ def one_clock(recording: Recording, fixes: Iterable[AnyFix] = ()) -> tuple[Recor
     wifi = recording.wifi
     if wifi is not None:
         wifi = dataclasses.replace(wifi, time_s=wifi.time_s + offsets_s[_n_set_backs_before(wifi.time_s, set_backs)])
-    on_one = dataclasses.replace(recording, **streams, wifi=wifi, notes=notes)
-    return on_one, tuple(moved(fix, float(offset_s)) for fix, offset_s in zip(fixes, fix_offsets_s, strict=True))
+    unified = dataclasses.replace(recording, **streams, wifi=wifi, notes=notes)
+    return unified, tuple(moved(fix, float(offset_s)) for fix, offset_s in zip(fixes, fix_offsets_s, strict=True))
 
 
 def _set_backs(time_s: FloatArray, max_gap_s: float = 0.3) -> list[_SetBack]:
@@ -245,9 +245,9 @@ def _n_set_backs_before(time_s: FloatArray, set_backs: Sequence[_SetBack]) -> In
         rest = time_s[start:]
         # positions at which the stream's own times fall
         falls = start + 1 + np.flatnonzero(np.diff(rest) < 0)
-        away_s = np.abs(time_s[falls - 1] - before_s) + np.abs(time_s[falls] - after_s)
-        if (away_s < before_s - after_s).any():
-            start = int(falls[away_s.argmin()])
+        distance_s = np.abs(time_s[falls - 1] - before_s) + np.abs(time_s[falls] - after_s)
+        if (distance_s < before_s - after_s).any():
+            start = int(falls[distance_s.argmin()])
             result[start:] = number
         else:
             # the stream has no fall of this size, so each time is assigned by the stretch that contains it

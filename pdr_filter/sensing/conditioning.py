@@ -480,7 +480,7 @@ class Conditioner:
 
 
 def _joined(blocks: Sequence[UniformBlock]) -> list[UniformBlock]:
-    """Return the blocks with consecutive ones concatenated wherever there is no gap between them."""
+    """Return the blocks with consecutive ones concatenated unless a gap separates them."""
     runs: list[list[UniformBlock]] = []
     for block in blocks:
         if runs and block.gap_before_s == 0:

@@ -401,7 +401,7 @@ class GyroBias:
         if walk is not None:
             late = walk.heading_rad
             is_corner = abs(window.heading_rad - sum(late) / len(late)) > self.corner_rad
-            # A tilted phone is held in another way, so its heading is no longer comparable.
+            # After a tilt the phone is held in another way, and its heading is not comparable to earlier ones.
             if is_corner or _dot(walk.up_sensor, window.up_sensor) < math.cos(self.tilted_rad):
                 bank, walk = self._measure_walk(bank, walk), None
         if walk is None:
@@ -481,7 +481,7 @@ class GyroBias:
         return FieldScatter(n, *mean_ut, variance_ut2, direction_rad), variance_ut2 + own_ut2
 
     @cached_property
-    def wander_cov(self) -> FloatArray:
+    def process_noise(self) -> FloatArray:
         """Process noise covariance of one window, shape (5, 5)."""
         bias_var, field_var = self.walk_radps_per_sqrt_s**2, self.field_walk_rad_per_sqrt_s**2
         return self.window_s * np.diag((bias_var, bias_var, bias_var, field_var, 0.0))
@@ -503,7 +503,7 @@ def _predict(bias: GyroBias, bank: _Bank, up_sensor: FloatArray, correction_rad:
     transition[_HEADINGS, _BIAS] = -bias.window_s * up_sensor
     mean = mean.dot(transition.T)
     mean[:, _HEADINGS] += correction_rad
-    return mean, transition @ cov @ transition.T + bias.wander_cov, log_weight
+    return mean, transition @ cov @ transition.T + bias.process_noise, log_weight
 
 
 def _update(

@@ -146,7 +146,7 @@ class StreamMerger:
         Largest time by which a sample may be behind a later one of its sensor, s. All samples are delayed by this time.
         For messages over a network that can overtake each other, use the duration of one message, or sort them first.
     bunch_s : float, default 0.05
-        Additional delay of the released samples, s.
+        Largest additional delay of a released sample, s.
     max_gap_s : float, default 0.3
         Longest interpolated interval, s, as in `merge_streams`.
     """
@@ -255,8 +255,8 @@ class StreamMerger:
 
     def _restarted(self, state: MergerState) -> MergerState:
         """Return the initial state with the counts of received and late samples kept."""
-        begun = zip(self.init().streams, state.streams, strict=True)
-        kept = (replace_unchecked(new, n_received=s.n_received, n_late=s.n_late) for new, s in begun)
+        pairs = zip(self.init().streams, state.streams, strict=True)
+        kept = (replace_unchecked(new, n_received=s.n_received, n_late=s.n_late) for new, s in pairs)
         return MergerState(tuple(kept))
 
     def _n_whole(self, stream: StreamState, n: int, before_s: float, others_s: float = -np.inf) -> int:

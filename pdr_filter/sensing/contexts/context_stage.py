@@ -63,7 +63,7 @@ class WindowContext:
     stairs_unknown_share : float
         Dissimilarity of the window and the place of the phone to stairs in training, 0 to 1.
     irregular_prob : float
-        Probability that the phone is handled without any movement of the person (irregular motion).
+        Probability of irregular motion: the phone is handled while the person does not walk.
     model : str
         Name of the context model.
     climb_rate_mps : float

@@ -196,10 +196,10 @@ def with_carrying_models(
 
 def _with_features_of(models: Sequence[ContextModel | None], stage: LearnedContexts) -> LearnedContexts:
     """Return the stage with the features that come with context models appended to its own."""
-    brought = {id(m.features): m.features for m in models if m is not None and m.features is not None}
-    if not brought:
+    model_features = {id(m.features): m.features for m in models if m is not None and m.features is not None}
+    if not model_features:
         return stage
-    joined = JoinedFeatures((ATTITUDE_FREE, *brought.values()))
+    joined = JoinedFeatures((ATTITUDE_FREE, *model_features.values()))
     return replace(stage, windows=replace(stage.windows, features=joined))
 
 

@@ -187,9 +187,11 @@ class ClimbRate:
         samples = np.array([times, pressures])
         start = bisect_left(times, times[-1] - self.window_s - _ROUNDING_S, lo=first) if times else 0
         kept = samples[:, start:].copy()
-        return ClimbState(kept, due_s, behind_s, n_behind, quantum_hpa), self._fits(samples, windows) if windows else []
+        return ClimbState(kept, due_s, behind_s, n_behind, quantum_hpa), self._climbs(
+            samples, windows
+        ) if windows else []
 
-    def _fits(self, samples: FloatArray, windows: list[tuple[int, int, int, float]]) -> list[Climb]:
+    def _climbs(self, samples: FloatArray, windows: list[tuple[int, int, int, float]]) -> list[Climb]:
         """Return the climbs of windows.
 
         Each window is given by its first sample, the first sample of its last hop, its end, and the resolution so far.

@@ -137,7 +137,10 @@ class Corridors:
         return CorridorState(bank, np.log(weight), odds)
 
     def restart(self, state: CorridorState) -> CorridorState:
-        """Return the state after a break in the headings: drift and axes are unknown, rates and scales are kept."""
+        """Return the state after a break in the headings: drift and axes are unknown again.
+
+        The drift rates with their variances and the means of the scale errors are kept.
+        """
         initial = self.init()
         mean, cov = initial.mean, initial.cov
         mean[:] = state.mean

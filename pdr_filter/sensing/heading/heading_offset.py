@@ -70,7 +70,7 @@ class Offset:
         oo, og, _, gg, _, _ = self.cov
         return min(oo + 2.0 * og + gg, UNKNOWN_VAR_RAD2)
 
-    def wandered(self, var_rad2: float, stay: float, systematic_rad2: float) -> Offset:
+    def predicted(self, var_rad2: float, stay: float, systematic_rad2: float) -> Offset:
         """Return the offset after a time in which the phone was turned slightly against the body.
 
         `var_rad2` is the variance of this turn. The systematic error keeps the share `stay`, and a new error is added

@@ -491,7 +491,7 @@ class WalkingHeading:
         `bias_error` holds three quantities that follow from the gyroscope bias: the error of the device heading at the
         contact, its variance, and the heading variance lost so far.
         """
-        loss = self._loss(state, step, bias_error[2] - state.lost_var_rad2)
+        loss = self._bias_field(state, step, bias_error[2] - state.lost_var_rad2)
         reported = state.reported.at_step(step, self.drift, loss.get("yaw_bias_std_radps", step.yaw_bias_std_radps))
         of_bias_rad, of_bias_var_rad2, lost_var_rad2 = bias_error
         state = replace_unchecked(
@@ -547,7 +547,7 @@ class WalkingHeading:
         """Return the present heading offset in the form that `Reported.with_report` takes."""
         return Shown(state.shown.offset_rad, state.shown.var_rad2, self.corridors.probability(state.corridors))
 
-    def _loss(self, state: WalkingHeadingState, step: Step, lost_var_rad2: float) -> dict[str, float]:
+    def _bias_field(self, state: WalkingHeadingState, step: Step, lost_var_rad2: float) -> dict[str, float]:
         """Return the bias field of a step, or nothing if no heading variance was lost since the last step.
 
         The value is the standard deviation of the bias with which the filter of the track adds exactly the lost
@@ -713,8 +713,8 @@ class WalkingHeading:
 
     def _systematic_rad2(self, stride: Stride) -> float:
         """Return the variance of the systematic error of a stride, rad2."""
-        is_vague = stride.runs or stride.up[2] > 0.5
-        return (self.held_systematic_std_rad if is_vague else self.systematic_std_rad) ** 2
+        has_large_error = stride.runs or stride.up[2] > 0.5
+        return (self.held_systematic_std_rad if has_large_error else self.systematic_std_rad) ** 2
 
     def _with_axis(self, place: Placement, offset: Offset, stride: Stride, trust: float) -> Offset:
         """Return the offset updated with the axis of the phone if it was read in at least half of the strides here.
@@ -739,7 +739,7 @@ class WalkingHeading:
         """
         stay = math.exp(-elapsed_s / self.systematic_s)
         random_walk_rad2 = self.drift.random_walk_rad_per_sqrt_s**2 * elapsed_s
-        offset = offset.wandered(random_walk_rad2, stay, self._systematic_rad2(stride))
+        offset = offset.predicted(random_walk_rad2, stay, self._systematic_rad2(stride))
         mix = self.strides.mix(place)
         length2, share = self.strides.agreement(place, mix)
         if length2 == 0 or self.known_places:

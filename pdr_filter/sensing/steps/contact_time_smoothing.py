@@ -112,8 +112,8 @@ class EvenSteps:
         moved: list[tuple[int, Step]] = []
         for number, step in steps:
             for part in _halves(step) if step.is_two else (step,):
-                before, state = state, _after(state, part.time_s)
-                moved.append((number, _moved(part, before, state.shift_s)))
+                before, state = state, _with_contact(state, part.time_s)
+                moved.append((number, _shifted(part, before, state.shift_s)))
         return state, moved
 
 
@@ -149,7 +149,7 @@ def _halves(step: Step) -> tuple[Step, Step]:
     return first, second
 
 
-def _after(state: EvenStepsState, contact_s: float) -> EvenStepsState:
+def _with_contact(state: EvenStepsState, contact_s: float) -> EvenStepsState:
     """Return the state after a detected contact."""
     contacts_s = (*state.contacts_s[-2:], contact_s)
     if len(contacts_s) < 3:
@@ -165,7 +165,7 @@ def _after(state: EvenStepsState, contact_s: float) -> EvenStepsState:
     return EvenStepsState(contacts_s, min(max(-late_s / (n + _PRIOR_STEPS), -limit_s), limit_s), n, late_s)
 
 
-def _moved(step: Step, before: EvenStepsState, shift_s: float) -> Step:
+def _shifted(step: Step, before: EvenStepsState, shift_s: float) -> Step:
     """Return a step with corrected contact times.
 
     Its start is corrected like the contact before it, if it starts at that contact.

@@ -234,12 +234,12 @@ class StepLog:
                 log_durations = USUAL_DECAY * log_durations + log(step.duration_s)
             usual_mps2 = exp(log_amplitudes / n_usual) if n_usual > 0 else 0.0
             own_mps2 = step.vertical_amplitude_mps2
-            goes_on = before_mps2 > 0 and not is_long
+            continues_walk = before_mps2 > 0 and not is_long
             steps.append(
                 replace_unchecked(
                     step,
                     turn_rate_radps=turn_rate_radps,
-                    stride_amplitude_mps2=0.5 * (before_mps2 + own_mps2) if goes_on else own_mps2,
+                    stride_amplitude_mps2=0.5 * (before_mps2 + own_mps2) if continues_walk else own_mps2,
                     usual_amplitude_mps2=usual_mps2,
                     usual_duration_s=usual_s if usual_s < inf else 0.0,
                     from_rest=is_long and not is_two,
