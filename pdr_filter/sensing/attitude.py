@@ -117,7 +117,7 @@ class AttitudeEstimator:
         Sampling rate of the blocks, Hz.
     tau_acc_s : float, default 3
         Time constant of the inclination correction, s (the default of VQF).
-    bias : GyroBias
+    bias : GyroBias, optional
         Estimation of the gyroscope bias. The estimate after a window is subtracted from the samples of the next window.
 
     Raises
@@ -167,10 +167,12 @@ class AttitudeEstimator:
 
     @cached_property
     def _initial(self) -> Mapping[str, Any]:
+        """State of VQF before the first sample."""
         return self._filter().state
 
     @cached_property
     def _window_samples(self) -> int:
+        """Samples of a bias window."""
         return max(round(self.bias.window_s * self.rate_hz), 1)
 
     def init(self) -> AttitudeState:

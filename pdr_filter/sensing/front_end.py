@@ -93,9 +93,9 @@ class Sensing:
     ----------
     steps : StepDetector
         Step detector. It receives the context and the carrying mode of each sample from `contexts`.
-    conditioner : Conditioner
+    conditioner : Conditioner, optional
         Resampling to a constant rate.
-    attitude : AttitudeEstimator
+    attitude : AttitudeEstimator, optional
         Estimation of the direction of up, the device heading and the gyroscope bias.
     contexts : ContextStage, optional
         Classification of context and carrying mode. Without it both are unknown.
@@ -108,7 +108,7 @@ class Sensing:
         the samples that the detector assigned to it.
     north : MagneticNorth, optional
         Estimation of the direction of magnetic north.
-    context_set : ContextSet
+    context_set : ContextSet, default the six contexts of `pdr_filter.CONTEXTS`
         Names of the contexts, which must be those of `contexts`, and their meanings. `Config` sets the meanings stated
         by the modes of the filter. A stage `contexts` with a field of this name receives it as well.
 
@@ -162,6 +162,7 @@ class Sensing:
 
     @cached_property
     def _rattle(self) -> Rattle:
+        """Detection of motion without steps at the rate of the front end."""
         return Rattle(self.conditioner.rate_hz)
 
     @property

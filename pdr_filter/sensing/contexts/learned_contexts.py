@@ -24,7 +24,7 @@ class LearnedContexts(WindowStage[WindowState, FeatureWindow, FloatArray]):
         Sliding windows and their features.
     models : ContextModels
         Models of context and carrying mode, for windows with and without gyroscope.
-    context_set : ContextSet
+    context_set : ContextSet, default the six contexts of `pdr_filter.CONTEXTS`
         Meanings of the contexts. `Sensing` replaces it by its own.
 
     Raises

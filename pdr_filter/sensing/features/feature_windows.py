@@ -132,6 +132,7 @@ class FeatureWindows(SlidingWindows[WindowState, FeatureWindow]):
 
     @cached_property
     def _sos(self) -> FloatArray | None:
+        """Second-order sections of the low-pass, or None if the feature set needs no low-pass."""
         low_pass_hz = self.features.low_pass_hz
         return None if low_pass_hz is None else butterworth(2, low_pass_hz, self.rate_hz)
 

@@ -91,23 +91,25 @@ class MagneticNorth:
     ----------
     rate_hz : float, default 100
         Sampling rate of the blocks, Hz.
-    declination_rad, declination_std_rad : float
+    declination_rad, declination_std_rad : float, default 0
         Direction of magnetic north east of true north, and its standard deviation, rad.
-    iron_std_ut : float
+    iron_std_ut : float, default 7
         Prior standard deviation of the hard iron on each axis, uT. It is the rms of pedestrians who turned; single
         values reach 13, and are 0 to 3 in the other sets. The horizontal field of the Earth is 20 to 35 uT.
-    disturbance_ut, disturbance_readings : float
+    disturbance_ut, disturbance_readings : float, default 8 and 4
         Prior standard deviation of the disturbances on each axis, uT, and its weight as a number of independent
         readings. Malls have 4, an office 6, a building of steel 15 uT.
-    correlation_readings : float
+    correlation_readings : float, default 6
         Correlation length of disturbances, in readings. Their correlation is 0.9 from one step to the next, 0.4 after
         five and 0.1 after ten steps.
-    memory_s : float
+    memory_s : float, default 100
         Time constant of the forgetting, s. The attitude itself drifts by some 0.001 rad/s.
 
     Notes
     -----
-    The module docstring has the model f = m + R b + e. North is atan2(m_east, m_north) minus the declination.
+    In the attitude frame, the measured field is f = m + R b + e: the field of the Earth m, the hard iron b of the phone
+    rotated by R from the sensor frame, and the disturbance e of the place. A linear regression with forgetting over the
+    readings of all steps estimates m and b. North is atan2(m_east, m_north) minus the declination.
 
     Examples
     --------

@@ -82,7 +82,7 @@ class Placement:
 
 @dataclass(frozen=True)
 class StrideAgreement:
-    """Update of the statistics of a place, and the conclusions from them.
+    """Rules that update the statistics of a place by a stride, and derive a direction from them.
 
     Parameters
     ----------

@@ -225,39 +225,39 @@ class WalkingHeading:
     ----------
     rate_hz : float, default 100
         Sampling rate of the blocks, Hz.
-    phase_rad : float
+    phase_rad : float, default 85 degrees
         Phase by which the vertical specific force is advanced to be in phase with the push forward while walking, rad.
         Phones in hands, at ears and in pockets have 40 to 145 degrees.
-    running_phase_rad : float
+    running_phase_rad : float, default -135 degrees
         Phase for running, rad. It is -60 to -180 degrees in the trouser pockets of twelve persons, if they run with the
         phone in the same place as they walk.
-    running_mps2 : float
+    running_mps2 : float, default 8.5
         Amplitude of the vertical specific force at step frequency from which the motion is running, m/s2. Walking has
         up to 6.5 m/s2, jogging 11 to 16.
-    strides : StrideAgreement
+    strides : StrideAgreement, optional
         Statistics over the strides of one place.
-    systematic_std_rad : float
+    systematic_std_rad : float, default 6 degrees
         Standard deviation of the error of the push forward that remains after any number of strides, rad.
-    held_systematic_std_rad : float
+    held_systematic_std_rad : float, default 20 degrees
         The same standard deviation for running and for a phone with its screen up, where the arm that holds it gives
         way to one side, rad.
-    systematic_s : float
+    systematic_s : float, default 300
         Correlation time of the systematic error, s.
-    axis_std_rad : float
+    axis_std_rad : float, default 12 degrees
         Standard deviation of the angle between walking heading and the axis of a phone that is or may be read, rad.
-    max_tilt_rad : float
+    max_tilt_rad : float, default 35 degrees
         The phone was moved if the mean up direction of a stride differs from that of the place by more than this angle,
         rad.
-    change_std_rad : float
+    change_std_rad : float, default 35 degrees
         Standard deviation of the turn of the pedestrian while the phone is moved, rad.
-    away_s, return_std_rad : float
+    away_s, return_std_rad : float, default 30 and 20 degrees
         A phone that returns within `away_s` seconds to the tilt of a previous place has the direction that it had
         there, with a standard deviation of `return_std_rad`.
-    corridors : Corridors
+    corridors : Corridors, optional
         Estimation of the heading drift from the axes of a building.
-    known_places : tuple of KnownPlace
+    known_places : tuple of KnownPlace, default empty
         Directions from a first pass over the same recording, in order of time. If given, strides are not used.
-    drift : HeadingDrift
+    drift : HeadingDrift, optional
         Heading drift of the filter of the track (`MotionNoise.heading_drift`). `Config` refuses a different one.
 
     Attributes
@@ -654,6 +654,7 @@ class WalkingHeading:
 
     @cached_property
     def _phases(self) -> Phases:
+        """Phases of walking and running."""
         return Phases(self.phase_rad, self.running_phase_rad, self.running_mps2)
 
     def _update_place(

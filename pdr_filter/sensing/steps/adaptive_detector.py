@@ -75,8 +75,7 @@ class AdaptiveDetectorState(ResponseState):
 class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
     """Causal step detector with a wavelet whose scale adapts to the power of the motion.
 
-    A step is reported `latency_s` (0.88 s) after its contact. The docstring of the module describes the algorithm and
-    defines R, f_1 and f_2.
+    A step is reported `latency_s` (0.88 s) after its contact. It is the step detector of the default recipe.
 
     Parameters
     ----------
@@ -86,33 +85,48 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
         A new bout begins after a longer time without a contact, s. The slowest steps, at 0.5 Hz, are 2 s apart.
     first_step_s : float, default 0.6
         Duration assigned to the first step of a bout, s.
-    frequency_at_1_mps2_hz, frequency_exponent : float
+    frequency_at_1_mps2_hz, frequency_exponent : float, default 1.37 and 0.3
         Wavelet frequency at R = 1 m/s2, Hz, and its exponent of R.
-    before_s, after_s : float
+    before_s, after_s : float, default 1 and 0.75
         Time before and after a sample over which R is computed, s. It covers about three steps. `after_s` is also half
         the length of the longest wavelet.
-    sine_ratio, sine_share, max_sine_hz : float
+    sine_ratio, sine_share, max_sine_hz : float, default 1.12, 0.8 and 2.9
         Conditions under which the motion counts as a sine, and the resulting lower limit of the wavelet frequency.
         While walking, f_1 of a sine is 1.0 to 1.2 times the step frequency, so that with this share the wavelet follows
         the power as before. Faster sines are the two maxima within a walking step of a phone on the back.
-    power_low_pass_hz, low_pass_hz : float
+    power_low_pass_hz, low_pass_hz : float, default 5.5 and 4
         Cutoff frequencies of the low-passes (Hamming window, 0.25 s) before R and in the response, Hz.
-    min_peak_mps2 : float
+    min_peak_mps2 : float, default 0.15
         Smallest response of a step outside a rhythm, m/s2.
-    relative_peak : float
+    relative_peak : float, default 0.3
         Smallest response of a walking step relative to R. A sine has 1.4.
-    rhythm_share : float
+    rhythm_share : float, default 1/3
         Factor of both thresholds for an expected maximum.
-    rhythm_tolerance : float
+    rhythm_tolerance : float, default 0.25
         A maximum is expected if the logarithm of its interval over the period is within this limit, after at least two
         intervals.
-    min_interval : float
+    min_interval : float, default 0.6
         Shortest interval in periods of the wavelet. Heel strike and push-off of one step are closer together.
-    min_running_interval : float
+    min_running_interval : float, default 0.35
         Shortest interval for a wavelet frequency of `running_hz` and above. A running step has a single impact, and R
         determines the frequency less well.
-    running_hz : float
+    running_hz : float, default 2
         Wavelet frequency from which the motion is running, or the hardest walking (R = 3.5 m/s2), Hz.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is not a positive number.
+
+    Notes
+    -----
+    |f| is the magnitude of the specific force. R(t) is the standard deviation of the low-passed |f| from `before_s`
+    before to `after_s` after t, and R' and R'' are those of its derivatives. The frequency of the wavelet, a Mexican
+    hat, is f = 1.37 R^0.3. If |f| is nearly a sine, f is at least `sine_share` f_1, with f_1 = R' / (2 pi R). |f|
+    counts as a sine if f_2 = R'' / (2 pi R') is less than `sine_ratio` f_1, and f_1 is less than `max_sine_hz`. A local
+    maximum of the wavelet transform is a step if it reaches `min_peak_mps2` and `relative_peak` R, and follows the last
+    step by at least `min_interval` / f. The docstring of the module has the derivation of the constants. Source of the
+    transform: Martinelli et al. 2018, section IV.
 
     Examples
     --------

@@ -174,6 +174,7 @@ class BaseStepDetector(ABC, Generic[S]):
 
     @cached_property
     def _log(self) -> StepLog:
+        """Buffer that describes the detected steps."""
         return StepLog(self.rate_hz, self.latency_s, self.max_interval_s, self.first_step_s)
 
     def update(
@@ -289,6 +290,7 @@ class ResponseStepDetector(BaseStepDetector[R]):
         return (self._delay_samples + 1) / self.rate_hz
 
     def _detect(self, state: R, line: FloatArray, first: int) -> tuple[R, list[tuple[int, Step]]]:
+        """Return the new state and the steps at accepted local maxima of the response."""
         width = self._n_line + _SAMPLES_AT_ONCE
         pieces = [
             self._response(line[:, i : i + width]) for i in range(0, line.shape[1] - self._n_line, _SAMPLES_AT_ONCE)
@@ -297,7 +299,7 @@ class ResponseStepDetector(BaseStepDetector[R]):
         is_peak = local_maxima(response[0]) & (response[0, 1:-1] >= self._min_response)
         numbers, spans = list[int](), list[StepSpan]()
         for i in np.flatnonzero(is_peak).tolist():
-            # column i + 2 was made by sample first + i
+            # Column i + 2 of the response became known with sample number first + i.
             state, span = self._step_at(state, response[:, i : i + 3], first + i)
             if span is not None:
                 numbers.append(first + i)

@@ -131,30 +131,30 @@ class StepGate:
     ----------
     rate_hz : float, default 100
         Sampling rate of the blocks, Hz, a multiple of 25 Hz.
-    evidence : WalkEvidence
+    evidence : WalkEvidence, default `EVIDENCE`
         Model of the log odds of walking.
-    before_s, after_s : float
+    before_s, after_s : float, default 2.5 and 1
         Window of the evidence before and after a contact, s. Four steps of a normal walk fit into the part before the
         contact, which is multiplied by `slowness` for a slow walk. The part after it shows the end of a walk.
-    evidence_weight : float
+    evidence_weight : float, default 0.4
         Power of the likelihood of one step. A smaller value loses fewer steps but lets more handling pass.
-    max_log_ratio : float
+    max_log_ratio : float, default 4
         Largest absolute log likelihood ratio of one step.
-    mean_walk_s, mean_pause_s : float
+    mean_walk_s, mean_pause_s : float, default 40 and 13
         Mean durations of walking and of not walking in the Markov chain, s.
-    min_steps : int
+    min_steps : int, default 4
         Fewest steps of a bout. Five instead of four halve the false steps and delay the first step by another half
         second.
-    max_interval_s : float
+    max_interval_s : float, default 2.5
         A new bout begins after a longer time without accepted steps, s. The slowest steps are 2 s apart.
-    min_edge_prob : float
+    min_edge_prob : float, default 0.2
         Smallest probability of walking, including the evidence after the step, for a step before a bout to belong to
         it.
-    max_edge_s : float
+    max_edge_s : float, default 3
         Longest time of such a step before the bout, s, multiplied by `slowness`.
-    n_fill : int
+    n_fill : int, default 2
         Largest number of further rejected steps that are added to the beginning of a bout.
-    fill_interval_s : float
+    fill_interval_s : float, default 1.5
         Longest interval between such steps, s, multiplied by `slowness`.
 
     Raises
@@ -201,18 +201,22 @@ class StepGate:
 
     @cached_property
     def _samples_per_row(self) -> int:
+        """Samples that are averaged to one row of the evidence."""
         return round(self.rate_hz / EVIDENCE_HZ)
 
     @cached_property
     def _n_before(self) -> int:
+        """Rows of a window before the contact, at normal walking."""
         return round(self.before_s * EVIDENCE_HZ)
 
     @cached_property
     def _n_after(self) -> int:
+        """Rows of a window after the contact."""
         return round(self.after_s * EVIDENCE_HZ)
 
     @cached_property
     def _n_rows_kept(self) -> int:
+        """Number of buffered rows: the longest window and the longest delay of a step."""
         return round(MAX_SLOWNESS * self._n_before) + self._n_after + round(_MAX_KNOWN_AFTER_S * EVIDENCE_HZ)
 
     @property

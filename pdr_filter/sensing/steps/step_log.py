@@ -125,6 +125,7 @@ class StepLog:
 
     @cached_property
     def _n_kept(self) -> int:
+        """Number of buffered samples: the longest step and the latency."""
         return round(self.latency_s * self.rate_hz) + 1 + int(np.ceil(self.max_interval_s * self.rate_hz))
 
     def init(self) -> StepLogState:
