@@ -19,7 +19,7 @@ from pdr_filter.classifiers.context_model import ContextModel, available_models,
 from pdr_filter.classifiers.familiarity import fit_familiarity
 from pdr_filter.classifiers.forest import Forest
 from pdr_filter.classifiers.rvm import RelevanceVectorClassifier
-from pdr_filter.sensing.contexts.context_stage import to_be_told_apart
+from pdr_filter.sensing.contexts.context_stage import with_stairs_in_thirds
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, limits
 
 # in the alphabetical order of scikit-learn, which is not the order of CONTEXTS
@@ -101,9 +101,11 @@ def test_what_is_unlike_all_stairs_shares_walking_and_stairs_as_a_day_does_and_l
 
 def test_where_another_sensor_decides_walking_and_stairs_start_alike() -> None:
     prob = np.array([0.1, 0.5, 0.3, 0.0, 0.0, 0.1])
-    np.testing.assert_allclose(to_be_told_apart(prob, 1.0), [0.1, 0.8 / 3, 0.8 / 3, 0.8 / 3, 0.0, 0.1])
-    np.testing.assert_allclose(to_be_told_apart(prob, 0.5), [0.1, 0.25 + 0.4 / 3, 0.15 + 0.4 / 3, 0.4 / 3, 0.0, 0.1])
-    np.testing.assert_array_equal(to_be_told_apart(prob, 0.0), prob)
+    np.testing.assert_allclose(with_stairs_in_thirds(prob, 1.0), [0.1, 0.8 / 3, 0.8 / 3, 0.8 / 3, 0.0, 0.1])
+    np.testing.assert_allclose(
+        with_stairs_in_thirds(prob, 0.5), [0.1, 0.25 + 0.4 / 3, 0.15 + 0.4 / 3, 0.4 / 3, 0.0, 0.1]
+    )
+    np.testing.assert_array_equal(with_stairs_in_thirds(prob, 0.0), prob)
 
 
 def test_the_temperature_makes_probabilities_less_sure_without_changing_their_order() -> None:

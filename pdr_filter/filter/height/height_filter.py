@@ -33,7 +33,7 @@ from pdr_filter.filter.height.floor_detection import (
 from pdr_filter.filter.height.vertical_modes import DOWN, DRIFT, JUMP, LIFT, N_MODES, UP
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.weighting import context_log_evidence
-from pdr_filter.sensing.contexts.context_stage import WindowContext, to_be_told_apart
+from pdr_filter.sensing.contexts.context_stage import WindowContext, with_stairs_in_thirds
 from pdr_filter.sensing.features.barometer import RISER_M, Climb
 from pdr_filter.values import (
     Context,
@@ -156,7 +156,7 @@ def window_log_evidence(windows: Sequence[WindowContext], model: PedestrianModel
     if not windows:
         return np.zeros((0, N_MODES))
     of_contexts = context_log_evidence(
-        np.array([to_be_told_apart(w.prob, w.stairs_unknown_share, model.context_set) for w in windows]),
+        np.array([with_stairs_in_thirds(w.prob, w.stairs_unknown_share, model.context_set) for w in windows]),
         np.array([w.training_prior for w in windows]),
         model.evidence_exponent,
         model.evidence_floor,
