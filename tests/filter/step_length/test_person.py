@@ -184,7 +184,7 @@ def test_a_saved_person_is_the_same_when_it_is_read(learnt: pdr.Person, tmp_path
 def test_a_file_that_is_no_person_is_refused_by_its_name(tmp_path: Path, content: str) -> None:
     path = tmp_path / "other.json"
     path.write_text(content)
-    with pytest.raises(ValueError, match=r"other\.json: no person file"):
+    with pytest.raises(ValueError, match=r"other\.json: not a person file"):
         pdr.Person.load(path)
 
 
@@ -228,5 +228,5 @@ def test_the_command_line_leaves_the_file_of_a_calibration_as_it_is(
 
 @pytest.mark.parametrize("given", [{}, 5, "missing.json"])
 def test_what_is_no_person_is_refused(first: Recording, given: Any) -> None:
-    with pytest.raises(ValueError, match=r"person must be a Person, a Calibration, or|missing\.json: no person file"):
+    with pytest.raises(ValueError, match=r"person must be a Person, a Calibration, or|missing\.json: not a person file"):
         pdr.track(first, person=given)
