@@ -321,7 +321,7 @@ def update_heading(mean: FloatArray, cov: FloatArray, step: Step, frame_rad: flo
 
 
 def expect_first_direction(cov: FloatArray, std_rad: float) -> FloatArray:
-    """Return covariances (..., M, 4, 4) in which the heading offset has the standard deviation of the first walking heading.
+    """Return covariances (..., M, 4, 4) in which the heading offset is as uncertain as the first walking heading.
 
     The first walking heading defines the direction of the frame, so that it causes no innovation. Only the uncertainty
     that later walking headings can still correct matters. The offset is known as well as this first heading, and so is

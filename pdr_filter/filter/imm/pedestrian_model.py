@@ -78,7 +78,7 @@ class PedestrianModel:
     fix_gate_nis : float, default 13.8
         Gate of position fixes. A fix whose normalised innovation squared is larger in every mode is rejected.
     scalar_gate_nis : float, default 10.8
-        Gate of heading, speed and range fixes.
+        Gate of one-dimensional measurements, such as headings, speeds and ranges.
     frame : Frame, default `START_FRAME`
         Frame of the fixes. `UNKNOWN_FRAME` means that the first fixes determine its origin and north.
     contexts : tuple of str, default `CONTEXTS`

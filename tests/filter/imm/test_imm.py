@@ -304,6 +304,6 @@ def test_smoothed_mode_probabilities_are_those_of_the_exact_forward_backward_alg
 
 
 def test_a_negative_lag_is_refused_and_no_steps_stay_none() -> None:
-    with pytest.raises(ValueError, match="lag must be 0 steps or more, got -1"):
+    with pytest.raises(ValueError, match="lag is a number of steps and must be 0 or more, got -1"):
         smoothed_mode_prob(np.ones((2, 1)), np.ones((1, 1)), -1)
     assert smoothed_mode_prob(np.empty((0, 2)), np.eye(2), 3).shape == (0, 2)
