@@ -24,7 +24,7 @@ from pdr_filter.filter.imm.pedestrian_state import (
     present_position,
     track_place,
     with_detached_path,
-    with_open_turn,
+    with_reopened_rotation,
 )
 from pdr_filter.values import (
     N_BEFORE,
@@ -59,7 +59,7 @@ def use_fix(
         return state, "nothing to compare", np.nan
     if isinstance(fix, SpeedFix):
         return _on_speed(model, arithmetic, state, fix)
-    state = with_open_turn(state)
+    state = with_reopened_rotation(state)
     place = _place_at(state, fix.time_s)
     if place is None:
         return state, "rejected", np.inf

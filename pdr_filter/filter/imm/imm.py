@@ -311,7 +311,7 @@ def smoothed_mode_prob(mode_prob: FloatArray, transition_prob: FloatArray, lag: 
 
 
 def _one_step_back(filtered: FloatArray, later: FloatArray, transition_prob: FloatArray) -> FloatArray:
-    """Return smoothed probabilities (..., M) of a step from its filtered ones and the smoothed ones of the next step."""
+    """Return the smoothed probabilities (..., M) of a step from filtered ones and those of the next step."""
     predicted = filtered @ transition_prob
     ratio = np.divide(later, predicted, where=predicted > 0, out=np.zeros_like(predicted))
     smoothed = filtered * (ratio @ transition_prob.T)

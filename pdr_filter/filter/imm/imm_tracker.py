@@ -17,7 +17,7 @@ from pdr_filter.filter.imm.pedestrian_state import (
     over_gap,
     step_update,
     with_heading,
-    with_open_turn,
+    with_reopened_rotation,
     with_step,
 )
 from pdr_filter.filter.imm.recent_windows import RecentWindows, n_after, window_before, with_window
@@ -132,7 +132,7 @@ class ImmTracker:
         section 11.6.6.
         """
         model, imm = self.model, self.arithmetic
-        previous = with_open_turn(state.pedestrian)
+        previous = with_reopened_rotation(state.pedestrian)
         mixed = self._mixed(previous.estimates)
         turned, drifted_cov = with_heading(
             replace_unchecked(previous, estimates=mixed), step, model.directions, model.noise

@@ -25,7 +25,7 @@ from pdr_filter.filter.imm.pedestrian_state import (
     over_gap,
     step_update,
     with_heading,
-    with_open_turn,
+    with_reopened_rotation,
     with_step,
 )
 from pdr_filter.filter.imm.recent_windows import (
@@ -248,7 +248,7 @@ class WeightedTracker:
         """Return the state after the first pending step, and the update of that step."""
         model, step = self.model, state.pending[0]
         context_prob, weights = self._weights(state, step, is_final)
-        previous = with_open_turn(state.pedestrian)
+        previous = with_reopened_rotation(state.pedestrian)
         if previous.fixes.is_standing(step.time_s):
             weights = 1.0 - model.moves
         directions = model.directions.weighted(weights)

@@ -86,15 +86,15 @@ def test_past_steps_are_those_of_the_joint_gaussian(n: int) -> None:
 def test_an_alignment_turns_the_past_with_the_present_and_shares_its_error() -> None:
     path, joint = walked(100, (50,))
     alignment = Alignment(2.0, 0.01, np.array([1.0, 2.0]), np.array([30.0, 40.0]), 4.0, 100)
-    P, here_m = joint.cov[-4:, -4:], alignment.positions(joint.mean[-4:-2])
+    P, present_m = joint.cov[-4:, -4:], alignment.positions(joint.mean[-4:-2])
     T = np.eye(4)
     T[:2, :2] = alignment.rotation
-    lever = here_m - alignment.world_centre_m
+    lever = present_m - alignment.world_centre_m
     g, shift = np.array([lever[1], -lever[0], 1.0, 0.0]), np.diag([4.0, 4.0, 0.0, 0.0])
     after = T @ P @ T.T + 0.01 * np.outer(g, g) + shift
     before_m = path.places(P, np.zeros((2, 2)), joint.mean[-4:-2])[1]
-    moved = path.turned(alignment, P, after, here_m)
-    _, place_m, cov_m2 = moved.places(after, np.zeros((2, 2)), here_m)
+    moved = path.turned(alignment, P, after, present_m)
+    _, place_m, cov_m2 = moved.places(after, np.zeros((2, 2)), present_m)
     np.testing.assert_allclose(place_m.T, alignment.positions(before_m.T), atol=1e-9)
     first = alignment.positions(joint.mean[4:6])
     east_m, north_m = first - alignment.world_centre_m
@@ -104,7 +104,7 @@ def test_an_alignment_turns_the_past_with_the_present_and_shares_its_error() -> 
     # a correction of the present in the direction of one state, of which the shift is a part
     cross = alignment.rotation @ joint.cov[4:6, -4:] @ T.T + 0.01 * np.outer([north_m, -east_m], g) + shift[:2]
     corrected = moved.corrected(after[:, 0] / after[0, 0], 1.0)
-    by_m = corrected.places(after, np.zeros((2, 2)), here_m)[1][:, 0] - place_m[:, 0]
+    by_m = corrected.places(after, np.zeros((2, 2)), present_m)[1][:, 0] - place_m[:, 0]
     np.testing.assert_allclose(by_m, cross[:, 0] / after[0, 0], rtol=0.05, atol=1e-3)
 
 
@@ -138,7 +138,7 @@ def test_a_late_fix_scales_the_errors_of_all_steps_before_it() -> None:
     P = joint.cov[-4:, -4:]
     before = path.places(P, np.zeros((2, 2)), np.zeros(2))[2]
     scaled = path.corrected(np.zeros(4), 3.0)
-    for later in (scaled, scaled.settled()):
+    for later in (scaled, scaled.rebased()):
         after = later.places(3.0 * P, np.zeros((2, 2)), np.zeros(2))[2]
         np.testing.assert_allclose(after, 3.0 * before, rtol=1e-7)
 

@@ -564,7 +564,7 @@ def test_the_first_imm_step_is_that_of_the_mixed_start() -> None:
     [
         ({"modes": (modes()[0],) * 6}, "distinct"),
         ({"transition_prob": np.eye(5)}, "transition_prob"),
-        ({"modes": (), "transition_prob": np.empty((0, 0))}, "one mode at least"),
+        ({"modes": (), "transition_prob": np.empty((0, 0))}, "modes is empty"),
         ({"transition_prob": np.full((6, 6), np.nan)}, "must sum to 1"),
         ({"transition_prob": np.eye(6)[[0, 0, 0, 1, 2, 3]].T}, "transpose it"),
         ({"evidence_exponent": np.nan}, "evidence_exponent of PedestrianModel must be 0 or more .*, got nan"),
