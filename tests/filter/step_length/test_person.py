@@ -228,5 +228,7 @@ def test_the_command_line_leaves_the_file_of_a_calibration_as_it_is(
 
 @pytest.mark.parametrize("given", [{}, 5, "missing.json"])
 def test_what_is_no_person_is_refused(first: Recording, given: Any) -> None:
-    with pytest.raises(ValueError, match=r"person must be a Person, a Calibration, or|missing\.json: not a person file"):
+    with pytest.raises(
+        ValueError, match=r"person must be a Person, a Calibration, or|missing\.json: not a person file"
+    ):
         pdr.track(first, person=given)
