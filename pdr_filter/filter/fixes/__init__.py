@@ -1,4 +1,4 @@
-"""Fixes: gating, the rotation of their frame, relocation, and GNSS locations."""
+"""Updates by fixes: gating, rotation of the frame of the fixes, relocation, ranges, and GNSS locations."""
 
 import importlib
 import warnings

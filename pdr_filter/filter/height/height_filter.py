@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pdr_filter.filter.fixes.frame_rotation import scatter
+from pdr_filter.filter.fixes.frame_rotation import variance_factor
 from pdr_filter.filter.height import vertical_modes as vertical
 from pdr_filter.filter.height.floor_detection import (
     LEVEL_STD_M,
@@ -87,7 +87,7 @@ class Altitude:
     def with_fix(self, fix: PositionFix, height_m: float, height_var_m2: float) -> Altitude:
         """With a fix of an altitude, where the height above the start is known.
 
-        One that is not as expected counts less, as with Student's t (`frame_rotation.scatter`).
+        One that is not as expected counts less, as with Student's t (`frame_rotation.variance_factor`).
         """
         if fix.altitude_m is None or fix.altitude_std_m is None:
             raise ValueError(f"the fix has no altitude, got {fix}: give altitude_m and altitude_std_m")
@@ -96,7 +96,7 @@ class Altitude:
         if math.isinf(self.var_m2):
             return Altitude(altitude_m, var, fix.time_s)
         innovation_m = altitude_m - self.altitude_m
-        var *= scatter(innovation_m**2 / (self.var_m2 + var), 1)
+        var *= variance_factor(innovation_m**2 / (self.var_m2 + var), 1)
         gain = self.var_m2 / (self.var_m2 + var)
         return Altitude(self.altitude_m + gain * innovation_m, (1.0 - gain) * self.var_m2, fix.time_s)
 

@@ -359,7 +359,7 @@ def with_reopened_rotation(state: PedestrianState) -> PedestrianState:
     return replace_unchecked(
         state,
         estimates=replace_unchecked(estimates, mean=mean, cov=cov, consider_error_m=no_error_m),
-        frame=frame.opened((turning_point,), float(P[HEADING_OFFSET, HEADING_OFFSET]), steps.n_final),
+        frame=frame.reopened((turning_point,), float(P[HEADING_OFFSET, HEADING_OFFSET]), steps.n_final),
         fixes=replace_unchecked(state.fixes, doubt=Doubt(), used=(), ranges=()),
         path=state.path.detached(P, time_s, x[:2].copy()),
     )

@@ -173,7 +173,7 @@ def test_wrong_first_fixes_are_outlived_at_any_interval(walk: SensedWalk, interv
     assert walk.errors_m(track)[is_late].max() < 15.0
     if n_wrong > 1:  # one alone is outvoted before it places the track
         assert len(track.times_of("moved")) == 1
-        assert track.known.frame.moves
+        assert track.known.frame.relocations
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ import pdr_filter as pdr
 from pdr_filter import recipes
 from pdr_filter.filter.fixes.alignment import Alignment, Place
 from pdr_filter.filter.fixes.frame import UNKNOWN_FRAME
-from pdr_filter.filter.fixes.frame_rotation import PairedPoint, align, least_squares_error, open_turn
+from pdr_filter.filter.fixes.frame_rotation import PairedPoint, align, least_squares_error, rotation_density
 from pdr_filter.filter.imm.imm_tracker import ImmState, ImmTracker
 from pdr_filter.filter.imm.pedestrian_state import present_position
 from pdr_filter.simulate import Leg, simulate
@@ -109,12 +109,12 @@ def test_the_density_of_the_turn_is_that_of_normal_errors_whose_variance_nobody_
         errors = [(world - track @ clockwise(a).T).T for a in angles]
         return np.array([multivariate_normal.logpdf(e, cov=factor * cov + 1e6).sum() for e in errors])
 
-    np.testing.assert_allclose(open_turn(pairs).normal_prob, softmax(log_density(1.0)), atol=1e-4)
+    np.testing.assert_allclose(rotation_density(pairs).normal_prob, softmax(log_density(1.0)), atol=1e-4)
     # a scaled inverse chi-square distribution of four degrees of freedom: 4 over the factor is chi-square
     factors = np.geomspace(0.02, 200.0, 150)
     weights = invgamma.logpdf(factors, 2.0, scale=2.0) + np.log(factors)
     each = np.array([w + log_density(factor) for w, factor in zip(weights, factors, strict=True)])
-    np.testing.assert_allclose(open_turn(pairs).prob, softmax(logsumexp(each, axis=0)), atol=2e-4)
+    np.testing.assert_allclose(rotation_density(pairs).prob, softmax(logsumexp(each, axis=0)), atol=2e-4)
 
 
 def test_errors_that_are_smaller_than_they_are_said_to_be_do_not_make_the_turn_surer() -> None:
@@ -563,7 +563,7 @@ def test_what_was_walked_since_a_late_fix_makes_it_less_certain(walk: Recording)
 def test_a_place_under_an_open_turn_has_the_mean_and_covariance_over_all_turns() -> None:
     rng = np.random.default_rng(4)
     pairs = [PairedPoint(rng.normal(size=2), rng.normal(size=2), 4.0) for _ in range(3)]
-    turn, place = open_turn(pairs), Place(np.array([3.0, -7.0]), np.array([[4.0, 1.5], [1.5, 1.0]]), 0.0, 0)
+    turn, place = rotation_density(pairs), Place(np.array([3.0, -7.0]), np.array([[4.0, 1.5], [1.5, 1.0]]), 0.0, 0)
     means, covs = [], []
     for angle_rad in np.linspace(-np.pi, np.pi, 120, endpoint=False):
         turned = clockwise(angle_rad)

@@ -13,7 +13,7 @@ from scipy.stats import chi2
 import pdr_filter as pdr
 from pdr_filter import recipes
 from pdr_filter.filter.fixes.frame_rotation import PairedPoint
-from pdr_filter.filter.fixes.relocation import EPISODE_S, LOG_ODDS_BEFORE, Doubt
+from pdr_filter.filter.fixes.relocation import EPISODE_S, PRIOR_LOG_ODDS, Doubt
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import PositionFix
 from pdr_filter.values.recording import Recording
@@ -21,7 +21,7 @@ from pdr_filter.values.recording import Recording
 TURN_RAD = 1.9
 FAR_M = np.array([80.0, -60.0])
 # One fix in ten seconds: after so long as the odds ask there is one that decides.
-PATIENCE_S = LOG_ODDS_BEFORE * EPISODE_S + 11.0
+PATIENCE_S = PRIOR_LOG_ODDS * EPISODE_S + 11.0
 
 
 def clockwise(angle_rad: float) -> np.ndarray:
@@ -128,7 +128,7 @@ def test_outliers_that_do_not_agree_stay_rejected(walk: Recording) -> None:
 def test_fixes_that_are_off_together_are_believed_when_they_outlast_a_reflection(
     walk: Recording, lasts_s: float, is_moved: bool
 ) -> None:
-    end_s = 120.0 + lasts_s * LOG_ODDS_BEFORE * EPISODE_S
+    end_s = 120.0 + lasts_s * PRIOR_LOG_ODDS * EPISODE_S
     track = tracked(walk, fixes_of(walk, lambda times, _: FAR_M * ((times > 120.0) & (times < end_s))[:, None]))
     assert ("moved" in outcomes(track)) == is_moved
 
