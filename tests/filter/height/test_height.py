@@ -10,7 +10,7 @@ import pytest
 from helpers import cut_randomly, pushed
 
 import pdr_filter as pdr
-from pdr_filter.filter.height.floor_detection import FloorState, Level, learnt, storeys_up
+from pdr_filter.filter.height.floor_detection import FloorState, Level, storey_number, with_new_level
 from pdr_filter.offline.smoothing.storeys import with_arrivals
 from pdr_filter.simulate import BAROMETER, Leg, SensorErrors, simulate
 from pdr_filter.tracking.track import Track
@@ -248,7 +248,7 @@ def test_the_cabin_of_an_aeroplane_is_no_lift(hpa_s: tuple[float, float]) -> Non
     assert ways(track) == []
     assert set(track.floor) == {0}
     assert np.abs(track.height_m).max() < 1.0
-    assert any("that nobody climbed" in note for note in track.notes)
+    assert any("without a climb" in note for note in track.notes)
 
 
 # --- with less ------------------------------------------------------------------------------------------------------
@@ -342,21 +342,21 @@ def test_a_smoothed_track_has_the_heights_of_the_filter(stairs: Recording) -> No
 
 @pytest.mark.parametrize(("climbed_m", "floor"), [(2.6, 1), (5.5, 1), (-3.2, -1), (1.5, 0), (11.4, 3)])
 def test_any_height_of_a_storey_is_one_where_nothing_is_known(climbed_m: float, floor: int) -> None:
-    assert round(storeys_up(FloorState().levels, climbed_m)) == floor
+    assert round(storey_number(FloorState().levels, climbed_m)) == floor
 
 
 def test_storeys_that_were_visited_say_how_high_the_next_one_is() -> None:
     low = (Level(0, 0.0, 0.1), Level(1, 2.7, 0.1), Level(2, 5.4, 0.1))
-    assert storeys_up(low, 1.35) == pytest.approx(0.5)
-    assert storeys_up(low, 5.4 + 0.5 * (3.8 + 2 * 2.7) / 3) == pytest.approx(2.5)
-    assert storeys_up(low, -1.0) == pytest.approx(-1.0 / ((3.8 + 2 * 2.7) / 3))
+    assert storey_number(low, 1.35) == pytest.approx(0.5)
+    assert storey_number(low, 5.4 + 0.5 * (3.8 + 2 * 2.7) / 3) == pytest.approx(2.5)
+    assert storey_number(low, -1.0) == pytest.approx(-1.0 / ((3.8 + 2 * 2.7) / 3))
 
 
 def test_a_landing_is_no_storey_however_long_somebody_stays_there() -> None:
     at_landing = FloorState(floor=1, level_since_s=0.0, n_level_steps=20)
-    assert learnt(at_landing, 60.0, 1.9, 0.1).levels == FloorState().levels
-    assert [level.floor for level in learnt(at_landing, 60.0, 3.0, 0.1).levels] == [0, 1]
+    assert with_new_level(at_landing, 60.0, 1.9, 0.1).levels == FloorState().levels
+    assert [level.floor for level in with_new_level(at_landing, 60.0, 3.0, 0.1).levels] == [0, 1]
 
 
 def test_who_waits_without_a_step_has_not_come_to_a_storey() -> None:
-    assert len(learnt(FloorState(floor=1, level_since_s=0.0), 60.0, 3.0, 0.1).levels) == 1
+    assert len(with_new_level(FloorState(floor=1, level_since_s=0.0), 60.0, 3.0, 0.1).levels) == 1
