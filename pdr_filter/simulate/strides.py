@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from pdr_filter.values import BoolArray, ComplexArray, FloatArray
 
-N_HARMONICS = 20  # of the stride, up to 20 Hz at two steps a second
+N_HARMONICS = 20  # harmonics of the stride, up to 20 Hz at two steps a second
 N_CHANNELS = 6
 FORCE, TURN = slice(0, 3), slice(3, 6)
 MEASURED = Path(__file__).with_name("measured_strides.npz")

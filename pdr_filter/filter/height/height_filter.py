@@ -347,10 +347,8 @@ def notes(state: HeightState) -> list[Note]:
     if state.known.most_air_m < _NOTABLE_AIR_M:
         return []
     hpa = state.known.most_air_m / _M_PER_HPA
-    text = (
-        f"the pressure changed by {hpa:.0f} hPa without a climb, as in an aircraft cabin, a vehicle or by the weather: "
-    )
-    return [Note("height", text + "heights and floors ignore this change")]
+    change = f"the pressure changed by {hpa:.0f} hPa without a climb, as in an aircraft, a vehicle or by the weather: "
+    return [Note("height", change + "heights and floors ignore this change")]
 
 
 def _after_pressure(second: Second, model: PedestrianModel) -> Known:
