@@ -70,7 +70,7 @@ def displaced(begin_s: float) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
 
 
 @pytest.mark.parametrize("weighting", ["imm", "wc"])
-def test_somebody_who_was_carried_on_is_found_again_and_the_track_says_so(walk: Recording, weighting: str) -> None:
+def test_after_a_ride_the_track_is_relocated_and_a_note_says_so(walk: Recording, weighting: str) -> None:
     track = tracked(walk, fixes_of(walk, displaced(120.0)), weighting)
     assert outcomes(track).count("moved") == 1
     error = track.position_m - truth_m(walk, track.time_s) - FAR_M * (track.time_s > 120.0)[:, None]
@@ -85,7 +85,7 @@ def test_somebody_who_was_carried_on_is_found_again_and_the_track_says_so(walk: 
 
 
 @pytest.mark.parametrize("angle_rad", [0.0, 2.0])
-def test_wrong_first_fixes_that_settled_the_frame_are_outlived(walk: Recording, angle_rad: float) -> None:
+def test_the_track_recovers_from_wrong_first_fixes_that_determined_the_frame(walk: Recording, angle_rad: float) -> None:
     """A kilometre away, and turned about there."""
 
     def wrong_m(times: np.ndarray, places: np.ndarray) -> np.ndarray:
@@ -98,7 +98,7 @@ def test_wrong_first_fixes_that_settled_the_frame_are_outlived(walk: Recording, 
     assert error_m[track.time_s > 45.0 + PATIENCE_S + 20.0].max() < 20.0
 
 
-def test_wrong_first_fixes_that_left_the_turn_open_are_outlived_too(walk: Recording) -> None:
+def test_the_track_recovers_from_wrong_first_fixes_that_left_the_rotation_unknown(walk: Recording) -> None:
     begin_m = truth_m(walk, np.array([2.0]))[0]
     # as if he stood: the turn stays open, and nothing rights it but the fixes that come
     wrong = fixes_of(walk, lambda times, places: (begin_m + 10.0 * FAR_M - places) * (times < 50.0)[:, None])
@@ -111,7 +111,7 @@ def test_wrong_first_fixes_that_left_the_turn_open_are_outlived_too(walk: Record
     assert np.median(error_m[late]) < 10.0
 
 
-def test_outliers_that_do_not_agree_stay_rejected(walk: Recording) -> None:
+def test_inconsistent_outliers_stay_rejected(walk: Recording) -> None:
     rng = np.random.default_rng(1)
 
     def wrong_m(times: np.ndarray, places: np.ndarray) -> np.ndarray:
@@ -125,7 +125,7 @@ def test_outliers_that_do_not_agree_stay_rejected(walk: Recording) -> None:
 
 
 @pytest.mark.parametrize(("lasts_s", "is_moved"), [(0.8, False), (2.0, True)])
-def test_fixes_that_are_off_together_are_believed_when_they_outlast_a_reflection(
+def test_fixes_with_a_common_error_relocate_the_track_when_they_outlast_a_reflection(
     walk: Recording, lasts_s: float, is_moved: bool
 ) -> None:
     end_s = 120.0 + lasts_s * PRIOR_LOG_ODDS * EPISODE_S
@@ -133,7 +133,7 @@ def test_fixes_that_are_off_together_are_believed_when_they_outlast_a_reflection
     assert ("moved" in outcomes(track)) == is_moved
 
 
-def test_fixes_that_stay_where_they_were_move_nobody_who_walks(walk: Recording) -> None:
+def test_static_fixes_do_not_relocate_a_walking_pedestrian(walk: Recording) -> None:
     """A phone that repeats its last location for two minutes."""
 
     def wrong_m(times: np.ndarray, places: np.ndarray) -> np.ndarray:
@@ -145,7 +145,7 @@ def test_fixes_that_stay_where_they_were_move_nobody_who_walks(walk: Recording) 
     assert "moved" not in outcomes(track)
 
 
-def test_somebody_who_stands_is_not_moved_by_fixes_that_stand_too() -> None:
+def test_static_fixes_do_not_relocate_a_standing_pedestrian() -> None:
     doubt = Doubt()
     for t in np.arange(0.0, 600.0, 10.0):
         last = PairedPoint(np.zeros(2), FAR_M, 9.0, 0.0, t)
@@ -163,7 +163,7 @@ def test_somebody_who_stands_is_not_moved_by_fixes_that_stand_too() -> None:
     assert alignment.angle_var_rad2 < 0.01
 
 
-def test_a_frame_that_was_given_is_shifted_but_never_turned(walk: Recording) -> None:
+def test_a_given_frame_is_shifted_but_never_rotated(walk: Recording) -> None:
     straight = [
         replace(fix, position_m=fix.position_m @ clockwise(TURN_RAD) + FAR_M * (fix.time_s > 100.0))
         for fix in fixes_of(walk, lambda times, places: np.zeros_like(places))
@@ -174,7 +174,7 @@ def test_a_frame_that_was_given_is_shifted_but_never_turned(walk: Recording) -> 
     assert "moved" not in outcomes(pdr.track(walk, config, fixes=turned))
 
 
-def test_blocks_and_saving_change_no_bit_of_a_track_that_is_moved(walk: Recording) -> None:
+def test_block_sizes_and_saving_change_no_bit_of_a_relocated_track(walk: Recording) -> None:
     fixes, config = fixes_of(walk, displaced(120.0)), recipes.default().in_world_frame()
     whole = pdr.track(walk, config, fixes=fixes)
     assert "moved" in outcomes(whole)
@@ -189,7 +189,7 @@ def test_blocks_and_saving_change_no_bit_of_a_track_that_is_moved(walk: Recordin
 
 
 @pytest.mark.parametrize("every_s", [1.0, 3.0])
-def test_fixes_in_quick_succession_move_the_track_as_soon_as_rare_ones(walk: Recording, every_s: float) -> None:
+def test_frequent_fixes_relocate_the_track_as_soon_as_rare_ones(walk: Recording, every_s: float) -> None:
     carried_s = 120.0
     track = tracked(walk, fixes_of(walk, displaced(carried_s), every_s))
     late = track.time_s > carried_s + PATIENCE_S

@@ -35,7 +35,7 @@ def test_the_simulated_classifier_is_calibrated() -> None:
             assert hit[inside].mean() == pytest.approx(prob[inside].mean(), abs=0.03)
 
 
-def test_a_simulated_walk_goes_as_far_as_its_modes_say() -> None:
+def test_the_distance_of_a_simulated_walk_agrees_with_its_modes() -> None:
     """Without the person's scale: distance of all steps within four deviations of the sum of the modes' lengths."""
     model = own_model()
     still = replace(model, noise=replace(model.noise, log_scale_std=0.0, log_scale_drift_per_sqrt_step=0.0))
@@ -57,13 +57,13 @@ def mixed() -> Errors:
     return errors_of_walks(own_model(), own_model(), 200, 40, check_every=20, fix_every=20)
 
 
-def test_the_position_is_off_as_much_as_its_covariance_says(mixed: Errors) -> None:
+def test_position_errors_agree_with_their_covariance(mixed: Errors) -> None:
     low, high = bounds(2, 200)
     mean = mixed.position.mean(axis=0)
     assert ((mean >= low) & (mean <= high)).all(), mean
 
 
-def test_fixes_surprise_as_much_as_they_should(mixed: Errors) -> None:
+def test_the_nis_of_fixes_is_within_its_bounds(mixed: Errors) -> None:
     low, high = bounds(2, mixed.fixes.size)
     assert low <= mixed.fixes.mean() <= high
     assert mixed.rejected <= 0.005 * mixed.fixes.size
@@ -77,12 +77,12 @@ def test_the_whole_state_is_nearly_consistent(mixed: Errors) -> None:
     assert (mean <= 1.1 * high).all(), mean
 
 
-def test_ellipses_hold_their_share_of_the_positions(mixed: Errors) -> None:
+def test_ellipses_contain_their_nominal_share_of_the_positions(mixed: Errors) -> None:
     for prob, allowed in ((0.5, 0.06), (0.95, 0.03)):
         assert (mixed.position < chi2.ppf(prob, 2)).mean() == pytest.approx(prob, abs=allowed)
 
 
-def test_a_filter_that_trusts_people_too_much_fails_these_tests() -> None:
+def test_an_overconfident_filter_fails_these_tests() -> None:
     model = own_model()
     noise = model.noise
     sure = replace(
@@ -102,7 +102,7 @@ def test_a_filter_that_trusts_people_too_much_fails_these_tests() -> None:
 
 
 @pytest.mark.parametrize("weighting", ["imm", "wc"])
-def test_hours_of_walking_and_rest_leave_the_state_as_large_as_it_was(weighting: str) -> None:
+def test_hours_of_walking_and_rest_do_not_enlarge_the_state(weighting: str) -> None:
     """The state holds all that a step may cost: no array of it grows, so that neither memory nor time do."""
     n_steps = 2000
     tracker = pdr.recipes.default().with_weighting(weighting).tracker

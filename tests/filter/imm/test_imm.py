@@ -192,7 +192,7 @@ def test_mixing_keeps_the_combined_mean_and_covariance(seed: int, n_modes: int) 
 
 @settings(max_examples=30, deadline=None)
 @given(seed=SEEDS)
-def test_naming_the_modes_in_another_order_changes_nothing_else(seed: int) -> None:
+def test_the_order_of_the_modes_only_permutes_the_results(seed: int) -> None:
     mean, cov, prob, M = random_modes(seed)
     order = np.random.default_rng(seed).permutation(4)
     straight = mix(mean, cov, prob, M)
@@ -214,7 +214,7 @@ def test_a_mode_that_cannot_be_reached_keeps_its_own_estimate() -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(seed=SEEDS, n_modes=st.integers(1, 5))
-def test_values_are_mixed_as_means_are(seed: int, n_modes: int) -> None:
+def test_values_are_mixed_like_means(seed: int, n_modes: int) -> None:
     mean, cov, prob, M = random_modes(seed, n_modes)
     np.testing.assert_allclose(mixed_values(mean[:, 0], prob, M), mix(mean, cov, prob, M)[0][:, 0], atol=1e-12)
     two = np.stack([mean[:, 0], mean[:, 1]]), np.stack([prob, prob[::-1]])
@@ -303,7 +303,7 @@ def test_smoothed_mode_probabilities_are_those_of_the_exact_forward_backward_alg
     np.testing.assert_array_equal(smoothed_mode_prob(np.array(filtered), T, 0), filtered)
 
 
-def test_a_negative_lag_is_refused_and_no_steps_stay_none() -> None:
+def test_a_negative_lag_is_refused_and_an_empty_input_stays_empty() -> None:
     with pytest.raises(ValueError, match="lag is a number of steps and must be 0 or more, got -1"):
         smoothed_mode_prob(np.ones((2, 1)), np.ones((1, 1)), -1)
     assert smoothed_mode_prob(np.empty((0, 2)), np.eye(2), 3).shape == (0, 2)

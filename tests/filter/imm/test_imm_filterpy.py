@@ -63,7 +63,7 @@ def test_two_predictions_in_a_row_are_two_transitions() -> None:
     np.testing.assert_allclose(original.mu, PRIOR)
 
 
-def test_evidence_that_underflows_in_every_mode_still_tells_them_apart() -> None:
+def test_evidence_that_underflows_in_every_mode_still_distinguishes_them() -> None:
     mended, original = estimator(), estimator(IMMEstimator)
     for imm_ in (mended, original):
         imm_.predict()
@@ -87,7 +87,7 @@ def test_a_mode_that_cannot_be_reached_keeps_its_estimate() -> None:
 
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), n_modes=st.integers(1, 6), n=st.integers(1, 4))
-def test_every_function_agrees_with_the_one_of_imm(seed: int, n_modes: int, n: int) -> None:
+def test_every_function_agrees_with_the_numpy_one(seed: int, n_modes: int, n: int) -> None:
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(n_modes, n, n))
     mean, cov = rng.normal(size=(n_modes, n)), root @ root.transpose(0, 2, 1) + 0.1 * np.eye(n)

@@ -83,7 +83,7 @@ def test_past_steps_are_those_of_the_joint_gaussian(n: int) -> None:
     np.testing.assert_allclose(cov_m2[[0, 1, 1, 2]].T.reshape(-1, 2, 2), own, rtol=5e-3, atol=0.02)
 
 
-def test_an_alignment_turns_the_past_with_the_present_and_shares_its_error() -> None:
+def test_an_alignment_rotates_past_and_present_with_a_shared_error() -> None:
     path, joint = walked(100, (50,))
     alignment = Alignment(2.0, 0.01, np.array([1.0, 2.0]), np.array([30.0, 40.0]), 4.0, 100)
     P, present_m = joint.cov[-4:, -4:], alignment.positions(joint.mean[-4:-2])
@@ -121,7 +121,7 @@ def test_a_corrected_heading_moves_the_past_along_an_arc() -> None:
     np.testing.assert_allclose(place_m.T, [[-10.0, 10.0], [0.0, 10.0]], atol=0.15)
 
 
-def test_a_detached_path_stays_where_it_is() -> None:
+def test_a_detached_path_is_not_corrected() -> None:
     path, joint = walked(100, ())
     P = joint.cov[-4:, -4:]
     fixed = path.detached(P, 99.0, joint.mean[-4:-2])

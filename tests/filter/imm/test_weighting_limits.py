@@ -163,7 +163,7 @@ def test_where_both_windows_of_a_step_agree_the_imm_has_the_total_distance_of_hc
     np.testing.assert_allclose(length_of(of_imm), length_of(of_weighting), atol=1e-12)
 
 
-def test_raw_probabilities_need_no_weighing_to_be_wc() -> None:
+def test_with_raw_probabilities_the_imm_has_the_provisional_distance_of_wc_at_threshold_zero() -> None:
     """Threshold 0 weighs always: the windows as the classifier gave them are the evidence."""
     steps, prob = walk(5, 60)
     expected = weighted_distances(distances(steps, 60), np.stack(prob), 0.0)
@@ -184,7 +184,7 @@ def test_with_the_highest_context_the_whole_estimate_is_that_of_hc() -> None:
     np.testing.assert_allclose(P, other.pedestrian.estimates.cov[0], atol=1e-9)
 
 
-def test_with_raw_probabilities_the_imm_is_where_wc_is_and_not_surer() -> None:
+def test_with_raw_probabilities_the_imm_has_the_position_of_wc_and_no_smaller_variance() -> None:
     """Where all modes walk the same way. WC's one filter takes the mean length for the slope of the scale."""
     steps, prob = walk(7, 60, alike_in_pairs=True)
     _, of_imm = run(memoryless(0.0), steps, windows_of(prob))
@@ -204,7 +204,7 @@ def test_with_raw_probabilities_the_imm_is_where_wc_is_and_not_surer() -> None:
         {"transition_prob": even_transitions(N, 0.9)},
     ],
 )
-def test_each_of_the_conditions_is_needed(change: dict[str, object]) -> None:
+def test_each_of_the_conditions_is_necessary(change: dict[str, object]) -> None:
     steps, prob = walk(8, 60)
     expected = weighted_distances(distances(steps, 60), np.stack(prob), 0.0)
     _, updates = run(memoryless(**change), steps, windows_of(prob))
@@ -251,7 +251,7 @@ odd_log = st.one_of(st.floats(-1e308, 1e308), st.sampled_from([-np.inf, np.nan, 
 @example(seed=0, n_zero=5, log_likelihood=[-np.inf] * N)
 @example(seed=0, n_zero=0, log_likelihood=[np.nan] * N)
 @example(seed=0, n_zero=3, log_likelihood=[-1e308, 1e308, 0.0, 0.0, -1e308, 1e308])
-def test_no_evidence_makes_mode_probabilities_nan_or_brings_back_a_mode_without_prior(
+def test_mode_probabilities_stay_finite_and_zero_priors_stay_zero_for_any_evidence(
     seed: int, n_zero: int, log_likelihood: list[float]
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -279,9 +279,7 @@ odd_prob = st.one_of(st.floats(0.0, 1.0), st.sampled_from([0.0, 1.0, np.nan, 1e-
 )
 @example(seed=0, said=[[0.0] * N], exponent=1.0, floor=0.0)
 @example(seed=0, said=[[np.nan] * N] * 3, exponent=0.5, floor=0.01)
-def test_windows_that_make_no_sense_leave_a_sane_state(
-    seed: int, said: list[list[float]], exponent: float, floor: float
-) -> None:
+def test_invalid_windows_leave_a_valid_state(seed: int, said: list[list[float]], exponent: float, floor: float) -> None:
     rng = np.random.default_rng(seed)
     tracker = memoryless(transition_prob=even_transitions(N, 0.9), evidence_exponent=exponent, evidence_floor=floor)
     prior = np.where(rng.random(N) < 0.3, 0.0, 1.0)
@@ -294,7 +292,7 @@ def test_windows_that_make_no_sense_leave_a_sane_state(
         assert np.isfinite(update.position_m).all()
 
 
-def test_evidence_that_rules_out_every_mode_is_as_no_window() -> None:
+def test_evidence_that_excludes_every_mode_is_ignored() -> None:
     tracker = memoryless(evidence_floor=0.0, transition_prob=even_transitions(N, 0.9))
     for prob in (np.zeros(N), np.full(N, np.nan)):
         state, _ = updates_of(tracker.on_window(tracker.init(), WindowContext(1.0, prob, np.full(N, 1 / N))))
@@ -305,7 +303,7 @@ def test_evidence_that_rules_out_every_mode_is_as_no_window() -> None:
         np.testing.assert_allclose(told.position_m, untold.position_m, atol=1e-12)
 
 
-def test_a_mode_without_prior_comes_back_only_by_a_transition() -> None:
+def test_a_mode_with_prior_zero_becomes_probable_only_by_a_transition() -> None:
     closed = np.array(even_transitions(N, 0.9))
     closed[:, 5] = 0.0
     closed /= closed.sum(axis=1, keepdims=True)
@@ -320,7 +318,7 @@ def test_a_mode_without_prior_comes_back_only_by_a_transition() -> None:
         assert (update.mode_prob[5] > 0) == reachable
 
 
-def test_a_fix_a_thousand_kilometres_away_is_rejected_and_one_that_is_that_unsure_is_not() -> None:
+def test_a_fix_a_thousand_kilometres_away_is_rejected_unless_its_deviation_is_that_large() -> None:
     steps, prob = walk(9, 20)
     tracker = memoryless()
     state, _ = run(tracker, steps, windows_of(prob))
@@ -341,7 +339,7 @@ def test_a_fix_a_thousand_kilometres_away_is_rejected_and_one_that_is_that_unsur
     gap_s=st.one_of(st.just(0.0), st.floats(0.1, 1e6)),
     n_zero=st.integers(0, N - 1),
 )
-def test_no_fix_wherever_it_is_leaves_anything_but_a_sane_state(
+def test_a_fix_anywhere_leaves_a_valid_state(
     seed: int, log10_away: float, log10_std: float, gap_s: float, n_zero: int
 ) -> None:
     rng = np.random.default_rng(seed)
