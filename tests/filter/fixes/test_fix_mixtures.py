@@ -1,4 +1,4 @@
-"""Fixes of every kind, right and wrong ones: covariances stay valid, and a wrong fix never costs the track."""
+"""Mixtures of correct and wrong fixes of every kind: valid covariances, and recovery from wrong fixes."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ def rounds(n: int) -> list[Leg]:
 
 @pytest.fixture(scope="module")
 def walk() -> SensedWalk:
-    """Seven and a half minutes round a block."""
+    """Walk of seven and a half minutes round a block."""
     return SensedWalk(simulate(rounds(5), seed=2))
 
 
 @pytest.fixture(scope="module")
 def poor_walk() -> SensedWalk:
-    """A stranger with long steps and a cheap gyroscope: dead reckoning alone is soon off by metres."""
+    """Walk of an unknown person with long steps and a cheap gyroscope: dead reckoning soon has errors of metres."""
     made = simulate(rounds(3), Gait(length_factor=1.2), errors=SensorErrors.bmi160(), seed=5)
     return SensedWalk(replace(made, meta={**made.meta, "subject": {}}))
 
@@ -46,7 +46,7 @@ def fix_at(walk: SensedWalk, time_s: float, off_m: np.ndarray, **more: float) ->
 
 
 def every(walk: SensedWalk, interval_s: float, rng: np.random.Generator, jitter: float = 0.0) -> list[PositionFix]:
-    """Right fixes with independent errors."""
+    """Return correct fixes with independent errors."""
     times = np.arange(3.0, walk.end_s - 1.0, interval_s)
     times = np.sort(times + interval_s * rng.uniform(-jitter, jitter, len(times)))
     return [fix_at(walk, t, rng.normal(0.0, STD_M, 2)) for t in times]
@@ -56,7 +56,7 @@ def every(walk: SensedWalk, interval_s: float, rng: np.random.Generator, jitter:
 
 
 def mixture(walk: SensedWalk, rng: np.random.Generator, has_wrong: bool) -> list[PositionFix]:
-    """Fixes of two sources at any and at equal times, some late; with outliers, frozen stretches and gaps."""
+    """Return fixes of two sources at any and at equal times, some late, with outliers, frozen intervals and gaps."""
     n = int(rng.integers(5, 100))
     times = rng.uniform(2.0, walk.end_s - 1.0, n)
     if rng.random() < 0.5:
@@ -103,7 +103,7 @@ def test_any_mixture_of_fixes_leaves_valid_covariances_that_hold_the_truth(
         error = (track.position_m - poor_walk.at(track.time_s))[known]
         if len(error):
             nees.append(float(np.einsum("ka,kab,kb->k", error, np.linalg.inv(track.cov_m2[known]), error).mean()))
-    # two on average; the errors of a walk are alike, and with wrong fixes their share is larger than is said
+    # the expected mean is two; the errors of one walk are correlated, and wrong fixes increase them
     assert np.median(nees) < (3.0 if has_wrong else 2.5)
     assert np.mean(nees) < (6.0 if has_wrong else 4.0)
 
@@ -128,14 +128,14 @@ def test_correlated_fixes_at_one_time_and_from_two_sources_are_used(
         for t in np.arange(5.0, 200.0, 6.0)
         for k in range(2)
     ]
-    fixes += [replace(fix) for fix in fixes[::3]]  # repetitions to the last bit
+    fixes += [replace(fix) for fix in fixes[::3]]  # exact repetitions
     track = walk.tracked(fixes)
     assert np.linalg.eigvalsh(track.cov_m2).min() > 0.0
     assert walk.errors_m(track)[track.time_s > 60.0].max() < 6.0
 
 
 def test_a_hundred_consistent_fixes_give_the_covariance_of_a_kalman_filter() -> None:
-    """The factor of Student's t is that of all errors together, and does not grow with each that is above the mean."""
+    """The factor of Student's t is that of all errors together. It does not grow with each error above the mean."""
     tracker = pdr.recipes.default().tracker
     assert isinstance(tracker, ImmTracker)
     larger = []
@@ -173,14 +173,14 @@ def test_the_track_recovers_from_wrong_first_fixes_at_any_interval(
     track = walk.tracked(fixes, until_s=late_s + 60.0)
     is_late = track.time_s > late_s
     assert walk.errors_m(track)[is_late].max() < 15.0
-    if n_wrong > 1:  # one alone is outvoted before it places the track
+    if n_wrong > 1:  # a single wrong fix is outvoted before it places the track
         assert len(track.times_of("moved")) == 1
         assert track.known.frame.relocations
 
 
 @pytest.fixture(scope="module")
 def broken_walk() -> SensedWalk:
-    """Two stretches of walking, with a minute between them in which a ride may be."""
+    """Two stretches of walking with a minute between them, in which there may be a ride."""
     return SensedWalk(simulate([*rounds(1), Leg("stationary", duration_s=RIDE_S), *rounds(2)], seed=3))
 
 
@@ -237,7 +237,7 @@ def with_heading(walk: SensedWalk, time_s: float, off_deg: float, interval_s: fl
 
 @pytest.fixture(scope="module")
 def late_error_m(walk: SensedWalk) -> Callable[[int], float]:
-    """Largest error after a minute of the track with right fixes alone, by seed."""
+    """Largest error after a minute of the track with correct fixes alone, by seed."""
 
     @cache
     def of_seed(seed: int) -> float:
@@ -292,7 +292,7 @@ def test_repeated_positions_do_not_hold_back_a_walking_pedestrian(
     held = [replace(f, position_m=last.position_m) for f in fixes if f.time_s >= half_s]
     alone, track = walk.tracked(right, config), walk.tracked([*right, *held], config)
     late = track.time_s > half_s
-    # a fix within its own deviation of the last one may still be used
+    # a fix within its standard deviation of the last one may still be used
     assert np.abs(walk.errors_m(track)[late] - walk.errors_m(alone)[late]).max() < 1.5
     assert track.outcomes.count("frozen") >= 0.8 * len(held)
     assert track.known.fixes.n_frozen == track.outcomes.count("frozen")
@@ -304,7 +304,7 @@ def test_a_closed_walk_may_end_at_exactly_its_first_position(walk: SensedWalk) -
     once = SensedWalk(recording)
     same = [PositionFix(t, np.zeros(2), 0.25 * np.eye(2)) for t in (1.0, once.end_s - 1.0)]
     assert once.tracked(same, once.config).outcomes == ("used", "used")
-    # and somebody who stands may be told the same position again and again
+    # a standing pedestrian may receive the same position again and again
     assert frozen_fixes(same, np.array([0.0, 90.0]), np.zeros((2, 2)), np.zeros(2)) == [False, False]
 
 

@@ -1,4 +1,4 @@
-"""Fixes of every kind: positions in a frame that the track does not know, headings, speeds, standstills."""
+"""Fixes of every kind: positions in an unknown frame, headings, speeds, standstills."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def truth_at(walk: Recording, times: np.ndarray) -> np.ndarray:
 
 
 def fixes_in(walk: Recording, angle_rad: float, shift_m: np.ndarray, every_s: float = 8.0, until_s: float = 1e9):
-    """Fixes of 1 m in another frame, without noise."""
+    """Return fixes in another frame without noise, with a standard deviation of 1 m."""
     times = np.arange(4.0, min(walk.duration_s, until_s), every_s)
     places = truth_at(walk, times) @ clockwise(angle_rad).T + shift_m
     return [PositionFix(float(t), p, np.eye(2)) for t, p in zip(times, places, strict=True)]
@@ -86,7 +86,7 @@ def test_fixes_determine_the_position_and_the_north_of_a_track(
     track = pdr.track(walk, config, weighting, fixes=fixes_in(walk, angle_rad, shift))
     error = np.linalg.norm(track.position_m - (truth_at(walk, track.time_s) @ clockwise(angle_rad).T + shift), axis=1)
     assert np.median(error) < 2.0
-    assert error.max() < 6.0  # also of the steps before anything was known
+    assert error.max() < 6.0  # also for the steps before the first fix
     outcomes = [f.outcome for f in track.fixes]
     n_turned = outcomes.count("turned")
     assert 1 <= n_turned <= 3
@@ -101,18 +101,18 @@ def test_the_density_of_the_rotation_is_that_of_normal_errors_of_unknown_varianc
     track, fix_var, walked_var = rng.normal(scale=6.0, size=(4, 2)), [1.0, 4.0, 2.0, 1.0], [3.0, 3.5, 5.0, 9.0]
     world = track @ clockwise(1.1).T + [30.0, 8.0] + rng.normal(scale=3.5, size=(4, 2))
     pairs = [PairedPoint(t, w, v, s) for t, w, v, s in zip(track, world, fix_var, walked_var, strict=True)]
-    assert least_squares_error(pairs) > 2 * 4 - 3  # the errors are larger than they are said to be
+    assert least_squares_error(pairs) > 2 * 4 - 3  # the errors are larger than stated
     walked = np.array(walked_var) - walked_var[0]
     cov = np.diag(fix_var) + np.minimum(walked[:, None], walked)
     angles = np.linspace(-np.pi, np.pi, 120, endpoint=False)
 
     def log_density(factor: float) -> np.ndarray:
-        # the shift may be anything: a wide normal distribution of it
+        # a wide normal distribution of the unknown shift
         errors = [(world - track @ clockwise(a).T).T for a in angles]
         return np.array([multivariate_normal.logpdf(e, cov=factor * cov + 1e6).sum() for e in errors])
 
     np.testing.assert_allclose(rotation_density(pairs).normal_prob, softmax(log_density(1.0)), atol=1e-4)
-    # a scaled inverse chi-square distribution of four degrees of freedom: 4 over the factor is chi-square
+    # a scaled inverse chi-square distribution with four degrees of freedom: 4 / factor is chi-square
     factors = np.geomspace(0.02, 200.0, 150)
     weights = invgamma.logpdf(factors, 2.0, scale=2.0) + np.log(factors)
     each = np.array([w + log_density(factor) for w, factor in zip(weights, factors, strict=True)])
@@ -130,7 +130,7 @@ def test_errors_smaller_than_stated_do_not_make_the_rotation_more_certain() -> N
     assert of_exact.angle_rad == pytest.approx(0.8, abs=1e-9)
     assert of_exact.angle_var_rad2 == pytest.approx(9.0 / (away_m**2).sum())
     assert of_off.angle_var_rad2 == pytest.approx(of_exact.angle_var_rad2, rel=0.1)
-    # five errors are free
+    # there are five degrees of freedom
     scatter = (4.0 + least_squares_error(further)) / (4.0 + 5.0)
     assert scatter > 1.5
     assert of_further.centre_var_m2 == pytest.approx(scatter * of_exact.centre_var_m2, rel=0.02)
@@ -198,7 +198,7 @@ def test_in_the_start_frame_fixes_of_another_frame_are_rejected(walk: Recording)
 
 
 def test_after_the_last_fix_the_track_continues_in_the_frame_of_the_fixes(walk: Recording) -> None:
-    """GNSS until the person enters a building."""
+    """GNSS fixes until the person enters a building."""
     shift, angle_rad = np.array([50.0, 80.0]), 1.9
     config = recipes.for_recording("default", walk).in_world_frame()
     track = pdr.track(walk, config, fixes=fixes_in(walk, angle_rad, shift, every_s=3.0, until_s=40.0))
@@ -224,18 +224,18 @@ def test_block_sizes_and_saving_change_no_bit_of_a_track_with_all_kinds_of_fixes
     online, updates = pushed(online, cut_randomly(pdr.merge_streams(walk), 5), n_resumed=10)
     frame = online.state.tracker.pedestrian.frame
     assert frame.alignment is not None
-    # offline the steps from before the turn was settled are brought along
+    # offline tracking also transforms the steps before the rotation was known
     told = [u.position_m if u.of_start is None else frame.world(u.of_start).position_m for u in updates]
     np.testing.assert_array_equal(told, whole.position_m)
     assert sum(u.of_start is not None for u in updates) == frame.alignment.n_steps
     assert [f.kind for f in whole.fixes].count("position") == len(fixes) - 3
 
 
-# --- fixes whose errors are alike -------------------------------------------------------------------------------------
+# --- fixes with correlated errors -------------------------------------------------------------------------------------
 
 
-def somebody_who_stands(std_m: float, n_fix_errors: int = 10**12) -> tuple[ImmTracker, ImmState]:
-    """In a known frame, so unsure of the position, where so many errors of fixes were as large as the fixes say."""
+def standing_pedestrian(std_m: float, n_fix_errors: int = 10**12) -> tuple[ImmTracker, ImmState]:
+    """Return a standing pedestrian in a known frame, with a position uncertainty and a number of earlier errors."""
     tracker = recipes.default().tracker
     assert isinstance(tracker, ImmTracker)
     state = tracker.init()
@@ -249,7 +249,7 @@ def somebody_who_stands(std_m: float, n_fix_errors: int = 10**12) -> tuple[ImmTr
 
 @pytest.mark.parametrize(("n_before", "east_m"), [(0, 9.0), (6, 9.0), (0, 2.0)])
 def test_an_unexpected_fix_increases_the_covariance_more_after_few_fixes(n_before: int, east_m: float) -> None:
-    tracker, state = somebody_who_stands(3.0, n_before)
+    tracker, state = standing_pedestrian(3.0, n_before)
     state, outcome, nis = tracker.on_fix(state, PositionFix(0.0, np.array([east_m, 0.0]), 7.0 * np.eye(2)))
     assert outcome == "used"
     assert nis == pytest.approx(east_m**2 / 16.0)
@@ -264,14 +264,14 @@ def test_an_unexpected_fix_increases_the_covariance_more_after_few_fixes(n_befor
 def test_fixes_with_correlated_errors_agree_with_generalised_least_squares(
     std_m: tuple[float, ...],
 ) -> None:
-    tracker, state = somebody_who_stands(8.0)
+    tracker, state = standing_pedestrian(8.0)
     times, places = np.array([0.0, 10.0, 18.0, 40.0]), np.random.default_rng(2).normal(scale=2.0, size=(4, 2))
     stds = np.array(std_m)
     for t, place, std in zip(times, places, stds, strict=True):
         fix = PositionFix(float(t), place, std**2 * np.eye(2), correlation_s=20.0)
         state, outcome, _ = tracker.on_fix(state, fix)
         assert outcome == "used"
-    # two errors share no more than the better fix of the two has
+    # the covariance of two errors is at most the variance of the better fix
     cov = 0.99 * np.minimum(stds[:, None], stds) ** 2 * np.exp(-np.abs(times[:, None] - times) / 20.0)
     np.fill_diagonal(cov, stds**2)
     precision = np.ones(4) @ np.linalg.inv(cov) @ np.ones(4) + 1 / 64.0
@@ -282,8 +282,8 @@ def test_fixes_with_correlated_errors_agree_with_generalised_least_squares(
 
 
 def test_correlated_fixes_with_crossed_ellipses_never_increase_the_covariance() -> None:
-    """Long in one direction, then in the other, as along two corridors: a^2 R_1 must stay below R_2 in each."""
-    tracker, state = somebody_who_stands(8.0)
+    """Ellipses alternate between two directions, as along two corridors: a^2 R_1 must stay below R_2 in both."""
+    tracker, state = standing_pedestrian(8.0)
     covs = (np.diag([400.0, 9.0]), np.diag([9.0, 400.0]))
     for k in range(8):
         fix = PositionFix(4.0 * k, np.zeros(2), covs[k % 2], correlation_s=30.0)
@@ -296,8 +296,8 @@ def test_correlated_fixes_with_crossed_ellipses_never_increase_the_covariance() 
 
 
 def test_across_a_gap_a_correlated_fix_counts_as_a_position_and_not_as_a_displacement() -> None:
-    """Somebody goes 40 m while there are no samples: the fix that follows shows where, and teaches no heading."""
-    tracker, state = somebody_who_stands(2.0)
+    """After 40 m in a gap, the next fix corrects the position and not the heading."""
+    tracker, state = standing_pedestrian(2.0)
     first = PositionFix(0.0, np.zeros(2), 16.0 * np.eye(2), correlation_s=20.0)
     state, _, _ = tracker.on_fix(state, first)
     state, _ = tracker.on_gap(state, 20.0)
@@ -315,7 +315,7 @@ def test_across_a_gap_a_correlated_fix_counts_as_a_position_and_not_as_a_displac
 def test_the_innovations_of_correlated_fixes_are_independent_with_the_stated_variance() -> None:
     rng, nis = np.random.default_rng(7), []
     for _ in range(60):
-        tracker, state = somebody_who_stands(6.0)
+        tracker, state = standing_pedestrian(6.0)
         truth = rng.normal(scale=6.0, size=2)
         error = rng.normal(scale=4.0, size=2)
         for t in np.arange(0.0, 80.0, 8.0):
@@ -329,12 +329,12 @@ def test_the_innovations_of_correlated_fixes_are_independent_with_the_stated_var
 
 
 def test_displacements_between_correlated_fixes_estimate_the_step_scale_as_two_more_states_would() -> None:
-    """A straight walk of two legs with a known heading: only the scale is learnt, and only from the way."""
-    tracker, state = somebody_who_stands(3.0)
+    """On a straight walk with a known heading only the scale is estimated, from the displacements alone."""
+    tracker, state = standing_pedestrian(3.0)
     scale_var = 0.1**2
 
     def placed(mean: np.ndarray, cov: np.ndarray, trail: np.ndarray) -> ImmState:
-        """The state with these estimates and remembered steps."""
+        """Return the state with other estimates and stored steps."""
         pedestrian = state.pedestrian
         estimates = replace(pedestrian.estimates, mean=mean, cov=cov)
         steps = replace(pedestrian.steps, trail=trail)
@@ -344,7 +344,7 @@ def test_displacements_between_correlated_fixes_estimate_the_step_scale_as_two_m
     mean, cov = estimates.mean.copy(), np.zeros_like(estimates.cov)
     cov[:, :2, :2], cov[:, 3, 3] = 9.0 * np.eye(2), scale_var
     state = placed(mean, cov, np.array([[0.0, 0.0, 0.0, 0.0]]))
-    # the oracle: position, log scale and the error of the fix along north
+    # reference filter: position, log scale and error of the fix along north
     oracle, oracle_cov, left = np.zeros(3), np.diag([9.0, scale_var, 16.0]), np.exp(-0.5)
     for k in range(4):
         if k:
@@ -364,7 +364,8 @@ def test_displacements_between_correlated_fixes_estimate_the_step_scale_as_two_m
         h = np.array([1.0, 0.0, 1.0])
         gain = oracle_cov @ h / (h @ oracle_cov @ h)
         oracle, oracle_cov = oracle + gain * (z - h @ oracle), oracle_cov - np.outer(gain, h @ oracle_cov)
-    # The filter does not correct the way since the earlier fix, so it agrees with the oracle to first order only.
+    # The filter does not correct the displacement since the earlier fix, so it agrees with the reference to first order
+    # only.
     mean, cov = state.pedestrian.estimates.mean[0], state.pedestrian.estimates.cov[0]
     np.testing.assert_allclose(mean[[1, 3]], oracle[:2], rtol=0.03)
     np.testing.assert_allclose(np.diag(cov)[[1, 3]], np.diag(oracle_cov)[:2], rtol=0.03)
@@ -376,7 +377,7 @@ def test_displacements_between_correlated_fixes_estimate_the_step_scale_as_two_m
 def test_headings_keep_a_drifting_gyroscope_straight() -> None:
     walk = simulate([Leg("walking", distance_m=150.0)], seed=8)
     assert walk.gyroscope is not None
-    # a drift that no still window and no corner shows
+    # a drift that neither still windows nor corners reveal
     drifting = replace(
         walk,
         gyroscope=pdr.Samples(walk.gyroscope.time_s, walk.gyroscope.values + np.array([0.0, 0.0, 0.02])),
@@ -405,7 +406,7 @@ def test_in_the_world_frame_the_first_heading_fix_defines_north(walk: Recording)
 
 def test_speed_fixes_estimate_the_step_scale() -> None:
     walk = simulate([Leg("walking", distance_m=150.0)], seed=9)
-    config = recipes.default()  # which does not know the height
+    config = recipes.default()  # the default recipe without a body height
     true_mps = 150.0 / (walk.truth.steps.time_s[-1] - walk.truth.steps.time_s[0])
     fixes = [SpeedFix(t, 1.15 * true_mps, 0.05) for t in np.arange(10.0, 60.0, 5.0)]
     alone, taught = pdr.track(walk, config), pdr.track(walk, config, fixes=fixes)
@@ -427,7 +428,7 @@ def test_steps_in_a_known_standstill_do_not_move_the_position(walk: Recording) -
         assert standing.n_steps == alone.n_steps
 
 
-# --- what cannot be ---------------------------------------------------------------------------------------------------
+# --- impossible fixes -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -514,7 +515,7 @@ def test_a_fix_within_a_minute_of_the_last_sample_is_accepted(walk: Recording) -
     online.push(samples.time_s[:now], samples.specific_force_mps2[:now], samples.angular_rate_radps[:now])
     for time_s in (21.0, 80.0, 139.0):
         online.add_fix(PositionFix(time_s, np.zeros(2), np.eye(2)))
-    online.add_fix(Standstill(2.0, 79.0))  # told at its end
+    online.add_fix(Standstill(2.0, 79.0))  # received at its end
     assert len(online.state.waiting_fixes) == 4
     online.finish()
     with pytest.raises(ValueError, match="the filter is finished"):
@@ -522,7 +523,7 @@ def test_a_fix_within_a_minute_of_the_last_sample_is_accepted(walk: Recording) -
 
 
 def test_ten_thousand_waiting_fixes_are_added_within_seconds_and_wait_in_order_of_their_due_time() -> None:
-    """Sorted anew with each, they took minutes."""
+    """Sorting again for each fix took minutes."""
     times = np.random.default_rng(0).permutation(10_000) / 100
     fixes = [PositionFix(float(t), np.zeros(2), np.eye(2), received_time_s=float(t) + 0.5) for t in times]
     online, begin = pdr.OnlineFilter(), process_time()
@@ -535,7 +536,7 @@ def test_ten_thousand_waiting_fixes_are_added_within_seconds_and_wait_in_order_o
 
 
 def test_an_accepted_fix_corrects_the_stored_position_at_the_time_of_a_later_older_fix(walk: Recording) -> None:
-    """Two late fixes of the same moment and place: the second finds what the first has mended, and moves little."""
+    """Of two equal late fixes the second has a small innovation: the first has corrected the stored position."""
     alone = pdr.track(walk)
     k = int(np.searchsorted(alone.time_s, 30.0))
     place = alone.position_m[k] + np.array([1.5, 0.0])
@@ -548,7 +549,7 @@ def test_an_accepted_fix_corrects_the_stored_position_at_the_time_of_a_later_old
 
 
 def test_the_displacement_since_a_late_fix_makes_the_fix_less_certain(walk: Recording) -> None:
-    """The deviation after it is not smaller than what a person's scale makes of the way since."""
+    """The standard deviation after the fix includes the error of the step scale since its time."""
     alone = pdr.track(walk)
     k = int(np.searchsorted(alone.time_s, 20.0))
     fix_s = float(alone.time_s[k])
@@ -567,7 +568,7 @@ def test_a_place_with_unknown_rotation_has_the_mean_and_covariance_over_all_rota
     means, covs = [], []
     for angle_rad in np.linspace(-np.pi, np.pi, 120, endpoint=False):
         turned = clockwise(angle_rad)
-        # where least squares puts it: the three pairs count alike
+        # position by least squares with equal weights of the three pairs
         centre_m, world_m = (np.mean([getattr(p, name) for p in pairs], axis=0) for name in ("track_m", "world_m"))
         means.append(turned @ (place.position_m - centre_m) + world_m)
         covs.append(turned @ place.cov_m2 @ turned.T)
@@ -577,7 +578,7 @@ def test_a_place_with_unknown_rotation_has_the_mean_and_covariance_over_all_rota
     world = turn.world(place)
     np.testing.assert_allclose(world.position_m, mean, atol=1e-12)
     np.testing.assert_allclose(world.cov_m2, cov + turn.centre_var_m2 * np.eye(2), atol=1e-10)
-    # for a picture: under the most probable turn, with mean squares about that
+    # for plots: at the most probable rotation, with mean squares about it
     best, drawn = int(np.argmax(turn.prob)), turn.most_probable().world(place)
     away = np.array(means) - means[best]
     cov = np.tensordot(turn.prob, np.array(covs), 1) + (turn.prob[:, None] * away).T @ away
@@ -590,7 +591,7 @@ def test_an_alignment_rotates_the_ellipse_of_a_place_and_adds_its_own_errors() -
     place = Place(np.array([4.0, -1.0]), np.array([[4.0, 1.5], [1.5, 1.0]]), 0.2, 0)
     rng, n = np.random.default_rng(0), 200_000
     track = rng.multivariate_normal(place.position_m, place.cov_m2, n) - turn.track_centre_m
-    # clockwise by an angle; the centre is known less well, the angle about the place that is reported
+    # clockwise rotation by a random angle about a random centre
     angle = 0.7 + 0.01 * rng.standard_normal(n)
     c, s = np.cos(angle), np.sin(angle)
     world = np.column_stack([c * track[:, 0] + s * track[:, 1], c * track[:, 1] - s * track[:, 0]])

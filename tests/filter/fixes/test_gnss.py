@@ -1,4 +1,4 @@
-"""Locations of a phone: what they say, how they place a track on Earth, and the ones that say nothing."""
+"""Locations of a phone: their conversion to fixes, tracks on Earth, and unusable locations."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ def clockwise(angle_rad: float) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def bare() -> Recording:
-    """A walk that knows no place."""
+    """Walk without locations."""
     legs = [Leg("walking", distance_m=70.0), Leg("walking", distance_m=60.0, turn_rad=np.pi / 2)]
-    # the world is turned against it, and the magnetic field is not
+    # the world frame is rotated against the walk, but the magnetic field is not
     return replace(simulate(legs, seed=3, name="walk"), magnetometer=None)
 
 
 def truth_m(walk: Recording, times: np.ndarray) -> np.ndarray:
-    """Where it was in the frame of `HERE`."""
+    """Return true positions in the frame of `HERE`."""
     truth = walk.truth.position
     on_track = np.column_stack([np.interp(times, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
     return on_track @ clockwise(TURN_RAD).T + [40.0, -25.0]
@@ -60,7 +60,7 @@ def rows(time_s: np.ndarray, place_m: np.ndarray, accuracy_m: float = 6.0) -> Sa
 
 
 def located(walk: Recording, until_s: float = np.inf, noise_m: float = 3.0) -> Recording:
-    """With a location each second, whose errors are correlated as the filter takes them to be."""
+    """Walk with a location each second, whose errors are correlated as the filter assumes."""
     time_s = np.arange(1.3, min(walk.duration_s, until_s))
     rng, r = np.random.default_rng(8), np.exp(-1.0 / CORRELATION_S)
     error = rng.normal(scale=noise_m, size=(len(time_s), 2))
@@ -76,13 +76,13 @@ def walk(bare: Recording) -> Recording:
 
 @pytest.fixture(scope="module")
 def found(walk: Recording) -> pdr.Track:
-    """The track of the walk with its locations."""
+    """Track of the walk with its locations."""
     return pdr.track(walk)
 
 
 @pytest.fixture(scope="module")
 def alone(bare: Recording) -> pdr.Track:
-    """Dead reckoning without a place."""
+    """Dead reckoning without locations."""
     return pdr.track(bare)
 
 
@@ -129,7 +129,7 @@ def test_the_first_location_is_the_origin_and_has_its_own_accuracy() -> None:
     state, fixes = fixes_of(rows(np.array([2.0]), np.array([[30.0, 10.0]]), accuracy_m=9.0))
     np.testing.assert_allclose(HERE.east_north_m(state.origin.latitude_deg, state.origin.longitude_deg), [30.0, 10.0])
     np.testing.assert_array_equal(fixes[0].position_m, [0.0, 0.0])
-    # 68 % of a round normal distribution are inside of the accuracy
+    # 68 % of a circular normal distribution are within the accuracy radius
     assert chi2.cdf(9.0**2 / fixes[0].cov_m2[0, 0], 2) == pytest.approx(0.6827, abs=1e-3)
 
 
@@ -144,7 +144,7 @@ def test_the_variance_of_the_mean_of_many_fixes_accounts_for_correlated_errors()
     true_var = 16.0 * np.exp(-np.abs(times[:, None] - times) / CORRELATION_S).mean()
     claimed = 1.0 / sum(1.0 / fix.cov_m2[0, 0] for fix in fixes)
     assert claimed == pytest.approx(true_var, rel=0.03)
-    # a quarter of an hour of it is no more than some twenty witnesses
+    # 4000 locations count as at most a hundred independent ones
     assert 16.0 / claimed < 4000.0 / (2 * CORRELATION_S) + 2
 
 
@@ -212,7 +212,7 @@ def test_zero_zero_is_no_place_and_locations_that_go_back_in_time_are_left_out()
 def test_a_track_with_locations_lies_where_the_person_walked(walk: Recording, weighting: str) -> None:
     track = pdr.track(walk, weighting=weighting)
     error_m = np.linalg.norm(in_frame_of_here(track) - truth_m(walk, track.time_s), axis=1)
-    assert np.median(error_m) < 5.0  # a location is off by 4 m
+    assert np.median(error_m) < 5.0  # a location has an error of 4 m
     assert error_m.max() < 12.0
     assert track.frame == "fixes"
     squared = in_frame_of_here(track) - truth_m(walk, track.time_s)
@@ -226,7 +226,7 @@ def test_the_origin_contains_rotation_and_position_of_the_track_with_standard_de
     known = found.origin
     assert abs(np.angle(np.exp(1j * (known.turn_rad - TURN_RAD)))) < 3.0 * known.turn_std_rad < 0.8
     assert 0.0 < known.position_std_m < 6.0 / RADIUS_68
-    # dead reckoning that is turned with it goes where the person walked
+    # dead reckoning rotated by it follows the person
     placed = alone.placed(known)
     along_m = placed.position_m[-1] - placed.start_position_m
     true_m = truth_m(bare, placed.time_s[[-1]])[0] - truth_m(bare, np.zeros(1))[0]
@@ -292,7 +292,7 @@ def test_of_unordered_locations_those_in_order_of_time_are_used(walk: Recording)
 
 
 def test_locations_frozen_for_minutes_do_not_hold_back_a_walking_pedestrian(walk: Recording) -> None:
-    """A phone that repeats its last location: from some time on, and from the start."""
+    """The phone repeats one location, from some time on or from the start."""
     for held_s in (lambda t: t > 40.0, lambda t: t < 40.0):
         values = walk.location.values.copy()
         is_held = held_s(walk.location.time_s)
@@ -318,7 +318,7 @@ def test_a_hundred_locations_with_a_common_error_do_not_count_as_a_hundred(bare:
     shifted = pdr.track(replace(bare, location=rows(time_s, truth_m(bare, time_s) + np.array([9.0, 0.0]))))
     error = in_frame_of_here(shifted) - truth_m(bare, shifted.time_s)
     nees = np.einsum("ka,kab,kb->k", error, np.linalg.inv(shifted.position_cov_m2), error)
-    # locations are some correlation times apart, but not as much evidence as two independent ones
+    # the locations cover some correlation times, but contain less information than two independent ones
     assert np.median(nees) < 2 * 9.0**2 / (6.0 / RADIUS_68) ** 2
 
 
@@ -469,7 +469,7 @@ def test_calibration_and_gnss_share_one_accuracy_constant() -> None:
 
 
 def test_inaccurate_locations_rotate_and_shift_a_short_walk_without_bending_it(bare: Recording) -> None:
-    """Distances between all positions are those of dead reckoning, as long as its errors are smaller than theirs."""
+    """Distances between positions equal those of dead reckoning while its errors are below those of the locations."""
     time_s = np.arange(1.3, bare.duration_s)
     errors_m = np.random.default_rng(5).normal(scale=3.0, size=(len(time_s), 2))
     poor = rows(time_s, truth_m(bare, time_s) + errors_m, 13.0)

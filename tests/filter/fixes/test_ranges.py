@@ -1,4 +1,4 @@
-"""Ranges to anchors and measurements of other classes: accuracy, reflections, two places that fit, gating."""
+"""Ranges to anchors and measurements of other classes: accuracy, reflections, two hypotheses, gating."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def place_at(recording: pdr.Recording, time_s: FloatArray | float) -> FloatArray
 def ranges(
     recording: pdr.Recording, anchors: Sequence[Sequence[float]], seed: int, reflected: float = 0.0
 ) -> list[pdr.RangeFix]:
-    """A range to each anchor every two seconds, with 0.3 m of noise; a share of them is reflected and 3 m too long."""
+    """Return a range to each anchor every two seconds with noise of 0.3 m. Reflected ones are 3 m too long."""
     rng, truth, fixes = np.random.default_rng(seed), recording.truth.position, list[pdr.RangeFix]()
     assert truth is not None
     for time_s in np.arange(1.0, truth.time_s[-1], 2.0):
@@ -54,7 +54,7 @@ def ranges(
 
 
 def errors(track: pdr.Track, recording: pdr.Recording) -> tuple[float, float]:
-    """Root mean square error in m, and mean normalised error squared of two degrees of freedom."""
+    """Return the root mean square error in m, and the mean normalised squared error with two degrees of freedom."""
     off = track.position_m - place_at(recording, track.time_s)
     nees = np.einsum("ka,kab,kb->k", off, np.linalg.inv(track.position_cov_m2), off)
     return float(np.sqrt((off**2).sum(axis=1).mean())), float(nees.mean())
@@ -156,7 +156,7 @@ def test_placements_by_ranges_are_the_mirror_images_of_a_straight_path() -> None
     starts = [(s.world_centre_m + (track_m[0] - s.track_centre_m) @ _turned(s.angle_rad).T) for s in (first, second)]
     found = sorted(starts, key=lambda place: -place[1])
     np.testing.assert_allclose(found, [(3.0, 4.0), (3.0, -4.0)], atol=0.4)
-    assert solutions([p for p in pairs if p.fix.anchor_m[0] < 0]) == []  # one anchor leaves a circle
+    assert solutions([p for p in pairs if p.fix.anchor_m[0] < 0]) == []  # ranges to one anchor leave a circle
 
 
 def _turned(angle_rad: float) -> FloatArray:
@@ -166,7 +166,7 @@ def _turned(angle_rad: float) -> FloatArray:
 
 @dataclass
 class FromAnchor:
-    """A range of another library, as an innovation with the derivative of the prediction, or as a residual."""
+    """Range of another library, as an innovation with the derivative of the prediction, or as a residual."""
 
     time_s: float
     fix: pdr.RangeFix
@@ -179,7 +179,7 @@ class FromAnchor:
 
 
 class OfHeading:
-    """A compass without a base class."""
+    """Compass measurement without a base class."""
 
     received_time_s = None
 
@@ -242,7 +242,7 @@ def test_only_ranges_that_are_too_long_count_as_reflections() -> None:
     fix = pdr.RangeFix(1.0, (10.0, 0.0), 10.0, 0.3)
     longer, shorter = fix.direct_prob(-2.0, 0.5**2), fix.direct_prob(2.0, 0.5**2)
     assert longer < 0.05 and shorter > 0.9
-    assert fix.direct_prob(-2.0, 2.0**2) > 0.6  # the track may be off by as much
+    assert fix.direct_prob(-2.0, 2.0**2) > 0.6  # the track may have an error of this size
 
 
 @pytest.mark.parametrize(

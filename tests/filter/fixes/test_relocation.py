@@ -1,4 +1,4 @@
-"""Fixes that agree with each other and not with the track: it is moved to where they show it, and not for less."""
+"""Relocation of a track by fixes that agree with each other but not with the track."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from pdr_filter.values.recording import Recording
 
 TURN_RAD = 1.9
 FAR_M = np.array([80.0, -60.0])
-# One fix in ten seconds: after so long as the odds ask there is one that decides.
+# Time until the odds are sufficient, plus the interval of ten seconds between two fixes.
 PATIENCE_S = PRIOR_LOG_ODDS * EPISODE_S + 11.0
 
 
@@ -31,7 +31,7 @@ def clockwise(angle_rad: float) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def walk() -> Recording:
-    """Five minutes through streets."""
+    """Walk of five minutes through streets."""
     legs = [Leg("walking", distance_m=60.0, turn_rad=turn) for turn in (0.0, 1.2, -0.9, 1.6, 0.7, -1.4, 1.0)]
     return simulate(legs, seed=3, name="walk")
 
@@ -46,7 +46,7 @@ def truth_m(walk: Recording, times: np.ndarray) -> np.ndarray:
 def fixes_of(
     walk: Recording, wrong_m: Callable[[np.ndarray, np.ndarray], np.ndarray], every_s: float = 10.0
 ) -> list[PositionFix]:
-    """Some with errors of 4 m, and what `wrong_m` (times, places) adds to them."""
+    """Return fixes with errors of 4 m, plus the error `wrong_m` (times, places)."""
     times = np.arange(2.0, walk.duration_s - 4.0, every_s)
     places = truth_m(walk, times)
     errors = np.random.default_rng(4).normal(scale=4.0, size=places.shape)
@@ -65,7 +65,7 @@ def outcomes(track: pdr.Track) -> list[str]:
 
 
 def displaced(begin_s: float) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """Somebody was carried by `FAR_M` at some time."""
+    """Return an error of `FAR_M` from some time on, as after a ride."""
     return lambda times, _: FAR_M * (times > begin_s)[:, None]
 
 
@@ -86,7 +86,7 @@ def test_after_a_ride_the_track_is_relocated_and_a_note_says_so(walk: Recording,
 
 @pytest.mark.parametrize("angle_rad", [0.0, 2.0])
 def test_the_track_recovers_from_wrong_first_fixes_that_determined_the_frame(walk: Recording, angle_rad: float) -> None:
-    """A kilometre away, and turned about there."""
+    """The wrong fixes are a kilometre away, and rotated."""
 
     def wrong_m(times: np.ndarray, places: np.ndarray) -> np.ndarray:
         return ((places @ clockwise(angle_rad).T - places) + [800.0, 600.0]) * (times < 45.0)[:, None]
@@ -100,7 +100,7 @@ def test_the_track_recovers_from_wrong_first_fixes_that_determined_the_frame(wal
 
 def test_the_track_recovers_from_wrong_first_fixes_that_left_the_rotation_unknown(walk: Recording) -> None:
     begin_m = truth_m(walk, np.array([2.0]))[0]
-    # as if he stood: the turn stays open, and nothing rights it but the fixes that come
+    # fixes in one place leave the rotation unknown, so that only later fixes can correct the track
     wrong = fixes_of(walk, lambda times, places: (begin_m + 10.0 * FAR_M - places) * (times < 50.0)[:, None])
     track = tracked(walk, [replace(fix, cov_m2=64.0 * np.eye(2)) for fix in wrong])
     assert "moved" in outcomes(track)
@@ -134,7 +134,7 @@ def test_fixes_with_a_common_error_relocate_the_track_when_they_outlast_a_reflec
 
 
 def test_static_fixes_do_not_relocate_a_walking_pedestrian(walk: Recording) -> None:
-    """A phone that repeats its last location for two minutes."""
+    """The fixes stay in one place for two minutes."""
 
     def wrong_m(times: np.ndarray, places: np.ndarray) -> np.ndarray:
         stays = (times > 120.0) & (times < 240.0)

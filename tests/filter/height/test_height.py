@@ -1,4 +1,4 @@
-"""Heights and storeys of walks with a barometer, and without."""
+"""Heights and storeys of walks with and without a barometer."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LANDING = Leg("walking", distance_m=2.0, turn_rad=np.pi)
 
 
 def storey(context: str) -> list[Leg]:
-    """18 steps on stairs, 3.06 m, with a landing."""
+    """Return 18 steps on stairs, 3.06 m, with a landing."""
     return [Leg(context, distance_m=9 * 0.29), LANDING, Leg(context, distance_m=9 * 0.29)]
 
 
@@ -65,7 +65,7 @@ def ways(track: Track) -> list[tuple[int, int, str]]:
     return [(c.from_floor, c.to_floor, c.how) for c in track.floor_changes()]
 
 
-# --- what is climbed ------------------------------------------------------------------------------------------------
+# --- climbs ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("carrying_mode", ["texting", "pocket"])
@@ -128,7 +128,7 @@ def test_an_escalator_is_recognised_by_its_slow_climb(up_m: float) -> None:
 
 
 def test_a_hill_changes_the_height_and_not_the_storey(level: Recording) -> None:
-    """5 % for a minute: 4 m, more than a storey."""
+    """A slope of 5 % for a minute leads 4 m up, more than a storey."""
     hill = with_pressure(level, lambda t, p: (t, p - 0.065 / 8.32 * np.clip(t - 10.0, 0.0, 30.0)))
     track = pdr.track(hill)
     assert track.height_m[-1] == pytest.approx(1.95, abs=0.6)
@@ -136,7 +136,7 @@ def test_a_hill_changes_the_height_and_not_the_storey(level: Recording) -> None:
 
 
 def located(recording: Recording, accuracy_m: float) -> Recording:
-    """The recording with its true places as locations once a second."""
+    """Return the recording with its true positions as locations, one a second."""
     truth = recording.truth.position
     assert truth is not None
     time_s = np.arange(0.5, float(truth.time_s[-1]), 1.0)
@@ -148,7 +148,7 @@ def located(recording: Recording, accuracy_m: float) -> Recording:
 
 @pytest.fixture(scope="module")
 def hill() -> Recording:
-    """15 % for 25 s, which the pressure alone does not tell from stairs."""
+    """A slope of 15 % for 25 s, which pressure alone cannot distinguish from stairs."""
     recording = walk(Leg("walking", distance_m=70.0))
     return with_pressure(recording, lambda t, p: (t, p - 0.2 / 8.32 * np.clip(t - 15.0, 0.0, 25.0)))
 
@@ -212,7 +212,7 @@ def test_hills_do_not_depend_on_the_blocks_of_samples_and_locations(hill: Record
     assert floors[0][-1] == 0
 
 
-# --- what is not climbed --------------------------------------------------------------------------------------------
+# --- pressure changes without a climb -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -240,7 +240,7 @@ def test_nothing_but_climbing_changes_the_storey(level: Recording, change: Chang
 
 @pytest.mark.parametrize("hpa_s", [(-10.0, 300.0), (-50.0, 300.0)])
 def test_the_pressure_of_an_aircraft_cabin_is_not_a_lift(hpa_s: tuple[float, float]) -> None:
-    """10 hPa while the phone lies still, or the cabin on its way up; a note says so."""
+    """The pressure changes by 10 hPa while the phone lies still or is carried, and a note says so."""
     hpa, seconds = hpa_s
     recording = walk(*AROUND, Leg("stationary", duration_s=seconds + 20.0), *AROUND)
     cabin = with_pressure(recording, lambda t, p: (t, p + hpa * np.clip((t - 35.0) / seconds, 0.0, 1.0)))
@@ -263,7 +263,7 @@ def test_without_a_barometer_steps_on_stairs_climb_by_their_treads(in_pocket: Re
 
 
 def test_without_information_the_height_stays_zero_and_its_variance_grows(stairs: Recording) -> None:
-    """Stairs with the phone in the hand are not seen by motion alone."""
+    """Stairs with the phone in the hand cannot be recognised from motion alone."""
     track = pdr.track(replace(stairs, barometer=None))
     assert np.abs(track.height_m).max() < 0.5
     assert set(track.floor) == {0}
@@ -309,7 +309,7 @@ def blocks_of(recording: Recording, seed: int) -> list[ImuBlock]:
 def test_heights_do_not_depend_on_the_blocks_of_samples_and_pressure(
     stairs: Recording, weighting: str, rate: int
 ) -> None:
-    """Pressure in pieces of its own, each before the samples of its time, and the filter saved and loaded between."""
+    """Pressure arrives in separate blocks before the samples, and the filter is saved and loaded in between."""
     recording = with_pressure(stairs, lambda t, p: (t[:: 10 // rate], p[:: 10 // rate]))
     assert recording.barometer is not None
     time_s, pressure = recording.barometer.time_s, recording.barometer.values[:, 0]

@@ -15,7 +15,7 @@ RISER_M = 0.17
 
 
 def some_estimates(seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Means (7, 4), covariances (7, 4, 4) and probabilities (7,); only a lift has a rate."""
+    """Return means (7, 4), covariances (7, 4, 4) and probabilities (7,). Only a lift has a rate."""
     rng = np.random.default_rng(seed)
     mean = rng.normal(0.0, [5.0, 1.0, 2.0, 300.0], (N_MODES, 4))
     root = rng.normal(0.0, 0.3, (N_MODES, 4, 4))
@@ -35,7 +35,7 @@ def moments_of(mean: FloatArray, cov: FloatArray, prob: FloatArray) -> FloatArra
 
 
 def predicted_by(mode: int, elapsed_s: float, n_steps: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Transition, what is added, and noise of a mode, one after the other as the text of the module says them."""
+    """Return transition matrix, offset and noise of a mode, as the module describes them."""
     lead, added, noise = np.diag([1.0, 0.0, 1.0, 1.0]), np.zeros(4), np.zeros((4, 4))
     noise[AIR, AIR] = elapsed_s * vertical.AIR_WALK_M**2
     if mode in (UP, DOWN):

@@ -20,7 +20,7 @@ PRIOR = np.array([0.9, 0.1])
 
 
 def estimator(kind: type = MendedIMMEstimator, prob: np.ndarray = PRIOR) -> IMMEstimator:
-    """Two modes in one dimension that differ in their process noise."""
+    """Return two modes in one dimension that differ in their process noise."""
     filters = []
     for q in (0.01, 1.0):
         kalman = KalmanFilter(dim_x=1, dim_z=1)
@@ -37,7 +37,7 @@ def test_the_transition_matrix_is_from_row_to_column() -> None:
     mended = estimator()
     mended.predict()
     np.testing.assert_allclose(mended.mu, PRIOR @ M)
-    assert not np.allclose(mended.mu, M @ PRIOR)  # what the documentation of filterpy says
+    assert not np.allclose(mended.mu, M @ PRIOR)  # as the documentation of filterpy states
 
 
 def test_no_measurement_changes_nothing() -> None:
@@ -82,7 +82,7 @@ def test_a_mode_that_cannot_be_reached_keeps_its_estimate() -> None:
         np.testing.assert_allclose(prob, [1.0, 0.0])
 
 
-# --- one and the same filter ------------------------------------------------------------------------------------------
+# --- equal results ----------------------------------------------------------------------------------------------------
 
 
 @settings(max_examples=25, deadline=None)

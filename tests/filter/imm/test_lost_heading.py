@@ -1,4 +1,4 @@
-"""A heading that is lost while no samples come: the turn of the track is open again, and fixes close it."""
+"""Heading lost in a gap: the rotation of the track is unknown again until fixes determine it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import HeadingFix, PositionFix
 from pdr_filter.values.recording import Recording, Samples
 
-# Nothing is recorded while the person turns by 2.2 rad.
+# The person turns by 2.2 rad in the gap.
 GAP_BEGIN_S, GAP_END_S = 97.0, 102.0
 FIX_STD_M = 2.0
 FAR_M = np.array([80.0, -60.0])
@@ -33,7 +33,7 @@ def whole() -> Recording:
 
 
 def without(whole: Recording, is_lost: Callable[[np.ndarray], np.ndarray]) -> Recording:
-    """Without the samples of some times."""
+    """Return the recording without the samples at some times."""
     left = {}
     for name in ("accelerometer", "gyroscope", "magnetometer"):
         samples = getattr(whole, name)
@@ -53,7 +53,7 @@ def truth_m(walk: Recording, times: np.ndarray) -> np.ndarray:
 
 
 def fixes_of(walk: Recording) -> list[PositionFix]:
-    """One in twelve seconds, none near the gap."""
+    """Return one fix in twelve seconds, none near the gap."""
     times = np.arange(3.0, walk.duration_s - 4.0, 12.0)
     errors = np.random.default_rng(2).normal(scale=FIX_STD_M, size=(len(times), 2))
     places = truth_m(walk, times) + errors
@@ -114,7 +114,7 @@ def test_a_reopened_rotation_does_not_depend_on_the_blocks_of_samples(walk: Reco
 
 
 def with_wrong(fixes: list[PositionFix], begin_s: float, end_s: float) -> list[PositionFix]:
-    """Fixes of which those between two times are 100 m off."""
+    """Return fixes, with an error of 100 m between two times."""
     return [replace(fix, position_m=fix.position_m + FAR_M * (begin_s < fix.time_s < end_s)) for fix in fixes]
 
 

@@ -1,4 +1,4 @@
-"""Modes beyond one for each context: of a carrying mode, of irregular motion, several of one context."""
+"""Modes with a carrying mode, modes for irregular motion, and several modes of one context."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def a_window(time_s: float, carrying: np.ndarray | None = None, irregular_prob: 
 
 
 def walked(tracker: ImmTracker, windows: list[WindowContext]) -> tuple[ImmState, list[StepUpdate]]:
-    """Two steps with each window."""
+    """Return state and updates after two steps with each window."""
     state, updates = tracker.init(), []
     for window in windows:
         state, _ = updates_of(tracker.on_window(state, window))
@@ -42,13 +42,13 @@ def walked(tracker: ImmTracker, windows: list[WindowContext]) -> tuple[ImmState,
     return state, updates
 
 
-# --- where the phone is ---------------------------------------------------------------------------------------------
+# --- carrying mode --------------------------------------------------------------------------------------------------
 
 
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 1000), unknown=st.integers(0, 2))
 def test_the_evidence_of_a_window_for_a_carrying_mode_is_that_of_the_window_alone(seed: int, unknown: int) -> None:
-    """`follow_mode` multiplies the prediction by (window / prior)^exponent: that factor comes out again."""
+    """`follow_mode` multiplies the prediction by (window / prior)^exponent, and the evidence is this factor."""
     rng = np.random.default_rng(seed)
     known = np.arange(5) >= unknown
     prior = np.where(known, 1.0, 0.0) / known.sum()
@@ -63,7 +63,7 @@ def test_the_evidence_of_a_window_for_a_carrying_mode_is_that_of_the_window_alon
 
 
 def test_a_mode_with_a_carrying_mode_has_the_probability_of_the_carrying_mode() -> None:
-    """The chain of the filter is that of the classifier here: the same transitions, the same evidence."""
+    """Filter and classifier have the same transitions and the same evidence here."""
     pair = tuple(Mode(c, "walking", LENGTH, carrying_mode=c) for c in ("texting", "swinging"))
     stay = CARRYING_STAY_PROB
     tracker = ImmTracker(PedestrianModel(pair, even_transitions(2, stay)))
@@ -81,14 +81,14 @@ def test_a_mode_with_a_carrying_mode_has_the_probability_of_the_carrying_mode() 
 
 
 def test_after_a_gap_an_uninformative_window_is_no_evidence_for_the_carrying_mode() -> None:
-    """The classifier keeps its probabilities over a gap, and what it kept is no evidence once more."""
+    """The classifier keeps its probabilities over a gap. The kept probabilities are not new evidence."""
     pair = tuple(Mode(c, "walking", LENGTH, carrying_mode=c) for c in ("texting", "pocket"))
     tracker = ImmTracker(PedestrianModel(pair, even_transitions(2, CARRYING_STAY_PROB)))
     even = np.isin(CARRYING_MODES, ["texting", "pocket"]) / 2
     said = np.where(np.array(CARRYING_MODES) == "texting", 0.8, 0.2) * (even > 0)
     state, _ = walked(tracker, [a_window(2.0, said)])
     state, _ = updates_of(tracker.on_gap(state, 60.0))
-    # a window that says nothing: only the transition
+    # uninformative window: only the transition changes the probabilities
     kept = follow_mode(said, even, even, CARRYING_STAY_PROB, 0.5)
     state, _ = updates_of(tracker.on_window(state, a_window(63.0, kept)))
     before = state.pedestrian.estimates.prob
@@ -104,7 +104,7 @@ def test_several_uninformative_windows_without_a_step_are_no_evidence() -> None:
     tracker = ImmTracker(PedestrianModel(pair, np.eye(2)))
     state, updates = walked(tracker, [a_window(2.0, said)])
     before, carrying = updates[-1].mode_prob, said
-    for k in range(3):  # windows that say nothing: the classifier forgets, three windows long
+    for k in range(3):  # uninformative windows: the probabilities of the classifier decay for three windows
         carrying = follow_mode(carrying, even, even, CARRYING_STAY_PROB, 0.5)
         state, _ = updates_of(tracker.on_window(state, a_window(3.0 + k, carrying)))
     _, [update] = updates_of(tracker.on_step(state, a_step(5.0)))
@@ -118,7 +118,7 @@ def test_windows_without_a_step_are_evidence_for_the_carrying_mode() -> None:
     even = np.isin(CARRYING_MODES, ["texting", "pocket"]) / 2
     put_away = np.where(np.array(CARRYING_MODES) == "pocket", 0.98, 0.005)
     state, _ = walked(tracker, [a_window(2.0, even)])
-    for k in range(3):  # nobody steps while the phone is put away
+    for k in range(3):  # the person makes no steps while the phone is put away
         state, _ = updates_of(tracker.on_window(state, a_window(3.0 + k, put_away)))
     _, [update] = updates_of(tracker.on_step(state, a_step(5.0)))
     assert update.mode_prob[1] > 0.95
@@ -138,7 +138,7 @@ def test_without_a_carrying_mode_of_their_own_modes_do_not_depend_on_it() -> Non
 
 
 def with_irregular() -> ImmTracker:
-    # a long step of its own, which must not matter
+    # a long step length, which must have no effect
     modes = (Mode("walk", "walking", LENGTH), Mode("handling", IRREGULAR, known_length(5.0, 0.02)))
     return ImmTracker(PedestrianModel(modes, even_transitions(2, 0.9)))
 
@@ -161,7 +161,7 @@ def test_in_regular_motion_an_irregular_mode_hardly_shortens_the_distance() -> N
 def test_an_irregular_probability_of_nan_is_no_evidence() -> None:
     _, updates = walked(with_irregular(), [a_window(2.0 + k, irregular_prob=np.nan) for k in range(5)])
     assert np.isfinite(updates[-1].mode_prob).all()
-    # half and half, as the gate would say if it knew nothing
+    # one half, the probability of a gate without information
     _, even = walked(with_irregular(), [a_window(2.0 + k, irregular_prob=0.5) for k in range(5)])
     np.testing.assert_array_equal(updates[-1].mode_prob, even[-1].mode_prob)
 

@@ -38,7 +38,7 @@ NO_COV = np.zeros((1, 4, 4))
 
 
 def walking(offset_rad: Sequence[float], heading_var_rad2: Sequence[float]) -> Directions:
-    """Modes with these offsets and scatters of directions, and nothing else."""
+    """Return the directions of modes with these offsets and standard deviations."""
     none = np.zeros(len(offset_rad))
     return Directions(np.asarray(offset_rad), np.asarray(heading_var_rad2), none, none)
 
@@ -54,7 +54,7 @@ def advance_one(
     heading_var_rad2: float = 0.0,
     noise: MotionNoise = STILL,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`predict_heading` and `advance` for a single mode."""
+    """Apply `predict_heading` and `advance` to a single mode."""
     step, directions = step or a_step(), walking([offset_rad], [heading_var_rad2])
     drifted = predict_heading(cov[None], step, step.duration_s, directions, noise)
     moved = advance(
@@ -69,7 +69,7 @@ def advance_one(
     return moved.mean[0], moved.cov[0]
 
 
-# --- where a step leads ---------------------------------------------------------------------------------------------
+# --- direction of a step --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -97,7 +97,7 @@ def test_the_scale_multiplies_the_length() -> None:
     assert mean[NORTH] == pytest.approx(0.77)
 
 
-# --- how unsure it is -----------------------------------------------------------------------------------------------
+# --- uncertainty of a step ------------------------------------------------------------------------------------------
 
 
 @settings(max_examples=30, deadline=None)
@@ -152,7 +152,7 @@ def test_a_step_in_a_turn_may_lead_in_any_direction_within_the_turn() -> None:
 
 
 def test_n_equal_steps_add_up_in_closed_form() -> None:
-    """Straight north: independent errors grow with n, those of the common heading and scale with n squared."""
+    """Straight to the north, independent errors grow with n, errors of the common heading and scale with n squared."""
     n, length, var_l, var_psi, var_h, var_s = 50, 0.7, 0.06**2, 0.1**2, 0.15**2, 0.08**2
     mean, cov = np.zeros(4), np.diag([0.0, 0.0, var_h, var_s])
     for _ in range(n):
@@ -181,7 +181,7 @@ def test_without_measurements_the_variance_of_the_scale_stays_constant() -> None
 
 def test_the_estimated_scale_decays_towards_the_population_prior() -> None:
     noise = MotionNoise(log_scale_std=0.08, log_scale_drift_per_sqrt_step=0.01)
-    memory = 1 - 0.01**2 / 0.08**2  # of the variance, a step
+    memory = 1 - 0.01**2 / 0.08**2  # decay of the variance in a step
     mean, cov = np.array([0.0, 0.0, 0.0, 0.1]), np.zeros((4, 4))
     for _ in range(100):
         mean, cov = advance_one(mean, cov, noise=noise)
@@ -360,17 +360,17 @@ def test_the_heading_offset_drifts_while_there_are_no_steps() -> None:
     )
 
 
-# --- what samples show of the walking heading -----------------------------------------------------------------------
+# --- measured walking heading ---------------------------------------------------------------------------------------
 
 
 def some_estimate(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """A mean and a covariance with correlations, for one mode."""
+    """Return a mean and a covariance with correlations, for one mode."""
     root = 0.2 * np.random.default_rng(seed).normal(size=(4, 4))
     return np.array([[1.0, 2.0, 0.3, 0.05]]), (root @ root.T + 0.01 * np.eye(4))[None]
 
 
 def turned_by(angle_rad: float) -> np.ndarray:
-    """Clockwise rotation (2, 2) of vectors east, north."""
+    """Return the clockwise rotation matrix (2, 2) of vectors (east, north)."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[c, s], [-s, c]])
 
@@ -387,7 +387,7 @@ def test_a_small_correction_of_the_heading_is_a_kalman_update() -> None:
 
 
 def test_a_large_correction_of_the_heading_rotates_the_path_since_it_was_lost() -> None:
-    """Thirty steps with a heading that is off by a radian: the update leads where they would have led without."""
+    """After thirty steps with a heading error of a radian, the update gives the position without this error."""
     mean, cov = np.zeros((1, 4)), np.diag([0.0, 0.0, 1.0, 0.0])[None]
     turns = np.linspace(0.0, 2.0, 30)
     noise, directions = replace(STILL, log_scale_std=0.0), walking([0.0], [0.0])
@@ -438,7 +438,7 @@ def test_moving_the_phone_adds_the_variance_of_the_offset_change() -> None:
 
 
 def test_a_heading_lost_long_ago_does_not_rotate_earlier_steps() -> None:
-    """At the variance of a uniform heading the lever forgets: it keeps its length instead of growing without end."""
+    """At the variance of a uniform heading the lever decays, so that its length stays bounded."""
     cov, step = np.zeros((1, 4, 4)), a_step(duration_s=0.5, heading_unknown_s=0.5)
     directions, mean = walking([0.0], [0.0]), np.zeros((1, 4))
     levers = list[float]()

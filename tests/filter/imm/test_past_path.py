@@ -1,5 +1,5 @@
 # ruff: noqa: N803, N806 - the letters of the equations are the readable form
-"""Past steps that follow the present state, against the joint Gaussian of all states."""
+"""Past steps related to the present state, compared with the joint Gaussian of all states."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pdr_filter.filter.fixes.alignment import Alignment
 from pdr_filter.filter.imm.past_path import MAX_STEPS, PastPath, WalkedStep
 from pdr_filter.values import FloatArray
 
-# Of heading offsets: so small that arcs are straight, as a linear smoother has them.
+# Standard deviation of heading offsets, so small that arcs are straight as in a linear smoother.
 SCALE = np.array([1.0, 1.0, 1e-3, 0.05])
 
 
@@ -31,13 +31,13 @@ def motion(rng: np.random.Generator) -> FloatArray:
 def a_step(
     time_s: float, mean: FloatArray, cov: FloatArray, F: FloatArray, after: FloatArray, after_cov: FloatArray
 ) -> WalkedStep:
-    """A step of one filter, with nothing learnt on the way."""
+    """Return a step of one filter without a measurement."""
     before = mean[None], cov[None]
     return WalkedStep(time_s, after, np.ones(1), *before, cov[None], *before, after[None], after_cov[None], F[None])
 
 
 class Joint:
-    """All states of a linear system as one Gaussian."""
+    """Joint Gaussian of all states of a linear system."""
 
     def __init__(self, cov: FloatArray) -> None:
         self.mean, self.cov = np.zeros(4), cov
@@ -73,7 +73,7 @@ def walked(n: int, measured_at: tuple[int, ...]) -> tuple[PastPath, Joint]:
 
 @pytest.mark.parametrize("n", [40, 150])
 def test_past_steps_are_those_of_the_joint_gaussian(n: int) -> None:
-    """Within a block, and over three of them."""
+    """The steps are within one block, or cover three blocks."""
     path, joint = walked(n, (20, 39, 100, 149))
     time_s, place_m, cov_m2 = path.places(joint.cov[-4:, -4:], np.zeros((2, 2)), joint.mean[-4:-2])
     np.testing.assert_array_equal(time_s, np.arange(n))
@@ -101,7 +101,7 @@ def test_an_alignment_rotates_past_and_present_with_a_shared_error() -> None:
     own = alignment.rotation @ joint.cov[4:6, 4:6] @ alignment.rotation.T
     expected = own + 0.01 * np.outer([north_m, -east_m], [north_m, -east_m]) + 4.0 * np.eye(2)
     np.testing.assert_allclose(cov_m2[:, 0], [expected[0, 0], expected[0, 1], expected[1, 1]], rtol=1e-3, atol=1e-3)
-    # a correction of the present in the direction of one state, of which the shift is a part
+    # correction of the present state in proportion to its covariance with one component
     cross = alignment.rotation @ joint.cov[4:6, -4:] @ T.T + 0.01 * np.outer([north_m, -east_m], g) + shift[:2]
     corrected = moved.corrected(after[:, 0] / after[0, 0], 1.0)
     by_m = corrected.places(after, np.zeros((2, 2)), present_m)[1][:, 0] - place_m[:, 0]
@@ -109,13 +109,13 @@ def test_an_alignment_rotates_past_and_present_with_a_shared_error() -> None:
 
 
 def test_a_corrected_heading_moves_the_past_along_an_arc() -> None:
-    """A step of 10 m to the north whose heading was wrong by a quarter turn, seen from its end."""
+    """The heading of a step of 10 m to the north is corrected by a quarter turn at its end."""
     P, origin, end = np.diag([1e-6, 1e-6, 1.0, 1e-6]), np.zeros(4), np.array([0.0, 10.0, 0.0, 0.0])
     path = PastPath().with_event(a_step(0.0, origin, P, np.eye(4), origin, P))
     F = np.eye(4)
     F[0, 2] = 10.0
     path = path.with_event(a_step(1.0, origin, P, F, end, F @ P @ F.T))
-    # the end is known, and the start is a quarter of a circle about it
+    # the end is fixed, and the start moves along a quarter of a circle about it
     path = path.corrected(np.array([0.0, 0.0, np.pi / 2, 0.0]), 1.0)
     _, place_m, _ = path.places(P, np.zeros((2, 2)), np.zeros(2))
     np.testing.assert_allclose(place_m.T, [[-10.0, 10.0], [0.0, 10.0]], atol=0.15)

@@ -36,7 +36,7 @@ Event = Step | WindowContext
 
 
 def modes() -> tuple[Mode, ...]:
-    """One mode for each context; lengths depend on the step, and no two are alike."""
+    """Return one mode for each context, with different lengths that depend on the step."""
     theta = np.array([[0, 0, 0], [0.3, 0.2, 0.01], [0.2, 0.05, 0], [0.3, 0.1, 0], [0.4, 0, 0], [0.2, 0.3, 0.02]])
     return tuple(
         Mode(
@@ -72,7 +72,7 @@ def sure(context: int, prob: float = 1.0) -> np.ndarray:
 
 
 def random_walk(seed: int, duration_s: int = 20) -> tuple[list[Step], list[WindowContext]]:
-    """Steps from 1 s on, and windows that end at 2, 3, 4 s and so on."""
+    """Return steps from 1 s on, and windows that end at 2, 3, 4 s and so on."""
     rng = np.random.default_rng(seed)
     contacts_s = 1.05 + np.cumsum(rng.uniform(0.35, 0.8, 60))
     steps = [
@@ -84,7 +84,7 @@ def random_walk(seed: int, duration_s: int = 20) -> tuple[list[Step], list[Windo
 
 
 def in_order(steps: list[Step], windows: list[WindowContext]) -> list[Event]:
-    """As the front end gives them: a step becomes known some time after its contact."""
+    """Return steps and windows in the order of the front end, which detects a step some time after its contact."""
     timed = [(w.time_s, 0, w) for w in windows] + [(s.time_s + LATENCY_S, 1, s) for s in steps]
     return [event for *_, event in sorted(timed, key=lambda e: e[:2])]
 
@@ -104,7 +104,7 @@ def final(updates: list[StepUpdate]) -> list[StepUpdate]:
 
 
 def distances_of_epochs(steps: list[Step], n_epochs: int) -> tuple[np.ndarray, np.ndarray]:
-    """Distance (K, 6) of each epoch under each context, and the epoch of each step; epoch 1 ends at 2 s."""
+    """Return the distance (K, 6) of each epoch in each context, and the epoch of each step. Epoch 1 ends at 2 s."""
     epochs = np.array([int(np.ceil(s.time_s)) - 1 for s in steps])
     distance_m = np.zeros((n_epochs, 6))
     for step, epoch in zip(steps, epochs, strict=True):
@@ -116,7 +116,7 @@ def distances_of_epochs(steps: list[Step], n_epochs: int) -> tuple[np.ndarray, n
 @pytest.mark.parametrize("weighting", ["hc", "imm"])
 @pytest.mark.parametrize("context", [STATIONARY, WALKING])
 def test_a_step_from_rest_has_a_larger_length_variance_in_modes_that_move(weighting: str, context: int) -> None:
-    """A contact in the pause may have been missed: 0.7 m more in one of four, but only who walks goes anywhere."""
+    """A contact in the pause may have been missed: 0.7 m in one of four cases, in modes that move only."""
     only = replace(model(), transition_prob=np.eye(6)) if weighting == "imm" else model()
     begin, windows = tracker_of(weighting, only), [WindowContext(2.0, sure(context), EVEN_PRIOR)]
     steps = (a_step(1.5), replace(a_step(1.5), from_rest=True))
@@ -220,7 +220,7 @@ def test_imm_with_one_mode_is_a_plain_extended_kalman_filter() -> None:
     steps, windows = random_walk(4)
     x, P = np.zeros(4), np.diag([0.0, 0.0, noise.initial_heading_offset_std_rad**2, noise.log_scale_std**2])
     state = single.init()
-    for window in windows[:3]:  # evidence for the only mode means nothing
+    for window in windows[:3]:  # evidence has no effect with a single mode
         state, _ = updates_of(single.on_window(state, window))
     rng = np.random.default_rng(0)
     consider_error_m, last_s = np.zeros((3, 2)), np.nan
@@ -246,7 +246,7 @@ def test_imm_with_one_mode_is_a_plain_extended_kalman_filter() -> None:
         psi = step.device_heading_rad + x[2]
         u, v = np.array([np.sin(psi), np.cos(psi)]), np.array([np.cos(psi), -np.sin(psi)])
         of_along, of_across = second_order_errors(P[2, 2], P[3, 3])
-        of_parameters = np.sqrt(length_var - residual_var)  # off once a person, so that steps add up
+        of_parameters = np.sqrt(length_var - residual_var)  # an error of the whole person, which adds up over the steps
         consider_error_m += scale * np.array([length * of_along * u, length * of_across * v, of_parameters * u])
         seen = P[:2, :2] + sum(np.outer(e, e) for e in consider_error_m)
         np.testing.assert_allclose(update.position_m, x[:2], atol=1e-9)
@@ -297,7 +297,7 @@ def test_a_change_of_mode_detected_late_counts_from_its_beginning() -> None:
     filter_ = ImmTracker(PedestrianModel(modes(), even_transitions(6, 0.97)))
     windows = [WindowContext(float(t), sure(WALKING if t < 12 else RUNNING, 0.95), EVEN_PRIOR) for t in range(2, 30)]
     steps = [a_step(t) for t in np.arange(2.0, 28.0, 0.5)]
-    # every window two seconds late
+    # every window is two seconds late
     late = sorted(
         [(w.time_s + 2.0, 0, w) for w in windows] + [(s.time_s, 1, s) for s in steps], key=lambda timed: timed[:2]
     )
@@ -424,7 +424,7 @@ def test_a_speed_or_a_heading_fix_before_any_step_changes_nothing(weighting: str
 
 
 def test_fixes_keep_the_scale_of_a_tall_person() -> None:
-    """Steps 10 % longer than the population's: fixes along the way teach it."""
+    """Steps are 10 % longer than those of the population, and fixes estimate the scale."""
     filter_ = ImmTracker(PedestrianModel((modes()[WALKING],), np.ones((1, 1))))
     state = filter_.init()
     true_north_m = 0.0
@@ -438,7 +438,7 @@ def test_fixes_keep_the_scale_of_a_tall_person() -> None:
     assert np.exp(state.pedestrian.estimates.mean[0, 3]) == pytest.approx(1.1, abs=0.01)
 
 
-# --- steps that become known late ------------------------------------------------------------------------------------
+# --- late steps ------------------------------------------------------------------------------------------------------
 
 
 def test_a_late_step_is_weighted_by_the_windows_of_its_own_time() -> None:
@@ -462,7 +462,7 @@ def test_the_imm_uses_each_window_once_for_steps_of_any_delay() -> None:
     for late_s in (3.0, 4.0, 5.0):
         state, _ = updates_of(filter_.on_window(state, WindowContext(late_s, sure(WALKING), EVEN_PRIOR)))
     _, [second] = updates_of(filter_.on_step(state, a_step(1.9)))
-    # between the two steps only the transitions have moved the probabilities
+    # between the two steps only the transitions change the probabilities
     moved = (
         first.mode_prob
         @ filter_.model.transition_prob

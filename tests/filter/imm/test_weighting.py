@@ -11,7 +11,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 
 def random_walk(seed: int, n_epochs: int = 30, concentration: float = 0.3) -> tuple[np.ndarray, np.ndarray]:
-    """Distances (K, 6) of each epoch and probabilities (K + 1, 6) of each window."""
+    """Return distances (K, 6) of each epoch and probabilities (K + 1, 6) of each window."""
     rng = np.random.default_rng(seed)
     return rng.uniform(0, 2, (n_epochs, 6)), rng.dirichlet(np.full(6, concentration), n_epochs + 1)
 
@@ -95,7 +95,7 @@ def test_weights_sum_to_one_and_do_not_modify_their_input(seed: int, threshold: 
     before = prob.copy()
     weights = context_weights(prob, threshold)
     assert weights.sum() == pytest.approx(1.0)
-    weights = weights + 1  # what is returned may be the input: it is not written to
+    weights = weights + 1  # the result may be the input array, so the input must not change
     np.testing.assert_array_equal(prob, before)
 
 

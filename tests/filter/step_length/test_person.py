@@ -1,4 +1,4 @@
-"""The person's step length: learnt from fixes, pooled over walks, and known in the next recording."""
+"""Step length of a person: learnt from fixes, pooled over walks, and used in the next recording."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ HERE = pdr.Origin(48.137, 11.575)
 
 
 def walk_of(number: int, seed: int, minutes: float) -> Recording:
-    """A walk of somebody, whose height nobody knows."""
+    """Return a walk of a person of unknown height."""
     gait, carrying = random_person("texting", number)
     n = int(minutes * 75 / 50)
     turns = np.random.default_rng(seed).uniform(-1.5, 1.5, size=n)
@@ -38,7 +38,7 @@ def walk_of(number: int, seed: int, minutes: float) -> Recording:
 
 
 def located(walk: Recording) -> Recording:
-    """With good locations, one a second."""
+    """Return the recording with accurate locations, one a second."""
     times, truth = np.arange(1.0, walk.duration_s), walk.truth.position
     place_m = np.column_stack([np.interp(times, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
     degrees = HERE.latitude_longitude_deg(place_m)
@@ -64,7 +64,7 @@ def learnt(first: Recording) -> pdr.Person:
     return person
 
 
-# Somebody whose steps are a tenth longer than those of people of unknown height.
+# Person whose steps are a tenth longer than those of the default for an unknown height.
 NUMBER = 8
 
 
@@ -82,7 +82,7 @@ def test_without_fixes_the_person_is_unchanged(first: Recording, learnt: pdr.Per
 
 
 def test_prior_knowledge_of_a_person_is_not_learnt_again(first: Recording, learnt: pdr.Person) -> None:
-    """The same walk, tracked with what it taught, teaches the same once more, and no more surely."""
+    """Tracking a walk with the person learnt from it gives an equal session with the same precision."""
     again = pdr.track(first, person=learnt).person
     assert again is not None and len(again.sessions) == 2
     one, two = again.sessions
@@ -120,7 +120,7 @@ def test_walks_are_pooled_by_precision_and_each_counts_once() -> None:
 
 
 def test_the_population_prior_counts_once_and_a_walk_by_its_precision() -> None:
-    """The mean of two normal densities, on the length of a typical step."""
+    """The step length is the product of two normal densities of the log length of a typical step."""
     config = recipes.default()
     fit = next(m for m in config.model.modes if m.context == "walking").step_length
     usual_m = float(length_and_jacobian(fit.model, TYPICAL_STEP, fit.theta)[0])

@@ -229,7 +229,7 @@ def test_a_step_detected_twice_keeps_its_speed() -> None:
 def test_a_length_of_the_default_is_bounded_and_shorter_in_a_turn(
     step: Step, turn_rate_radps: float, usual_mps2: float, from_rest: bool
 ) -> None:
-    """At most 0.45 of the height, at least a twentieth of that: all parts at their limits are an eighteenth."""
+    """A length is at most 0.45 of the height, and at least a twentieth of that with all factors at their limits."""
     step = replace(step, from_rest=from_rest, usual_amplitude_mps2=usual_mps2)
     step = replace(step, vertical_amplitude_mps2=max(step.vertical_amplitude_mps2, 0.1))
     step = replace(step, stride_amplitude_mps2=step.vertical_amplitude_mps2)
@@ -239,7 +239,7 @@ def test_a_length_of_the_default_is_bounded_and_shorter_in_a_turn(
 
 
 def test_steps_at_a_turn_rate_of_one_radian_a_second_are_a_fifth_shorter() -> None:
-    """As tyrex and oxiod have it, people in rooms of 4 to 6 m."""
+    """The value is that of people in rooms of 4 to 6 m (tyrex, oxiod)."""
     straight, turning = (length_of(BounceStepLength(), replace(step_of(), turn_rate_radps=w), 0.34) for w in (0, 1))
     assert turning == pytest.approx(4 / 5 * straight, rel=0.02)
 
@@ -304,7 +304,7 @@ def test_the_variance_of_a_length_is_that_of_its_parameters_and_its_residual(mod
     rng = np.random.default_rng(0)
     step = step_of(frequency_hz=1.9)
     theta = np.full(model.n_params, 0.5)
-    root = 0.01 * rng.normal(size=(model.n_params, model.n_params))  # small, so that the models are straight in it
+    root = 0.01 * rng.normal(size=(model.n_params, model.n_params))  # small, so that the models are linear in it
     fit = StepLengthFit(model, theta, root @ root.T, 0.05)
     drawn = theta + rng.normal(size=(40_000, model.n_params)) @ root.T
     length = length_and_jacobian(model, step, drawn)[0] + 0.05 * rng.normal(size=40_000)
@@ -313,7 +313,7 @@ def test_the_variance_of_a_length_is_that_of_its_parameters_and_its_residual(mod
 
 @every_model
 def test_no_model_gives_a_negative_length(model: StepLengthModel) -> None:
-    # Chen's length is a product: its sign is that of c
+    # the length of Chen is a product, so its sign is that of c
     theta = np.array([1.0, 1.0, -1.0]) if isinstance(model, ChenStepLength) else -np.ones(model.n_params)
     fit = StepLengthFit(model, theta, np.zeros((model.n_params,) * 2), 0.0)
     assert length_of(model, step_of(), *theta) < 0
@@ -334,7 +334,7 @@ def test_an_unknown_height_is_the_usual_one() -> None:
 
 
 def test_a_known_height_reduces_the_standard_deviation_by_less_than_half() -> None:
-    """Of people left out with their site: docs/tables/step_length_sites.md for a known height."""
+    """The values are those of held-out sites: docs/tables/step_length_sites.md for a known height."""
     assert 0.5 * scale_std(None) < scale_std(1.8) < 0.8 * scale_std(None)
 
 
@@ -410,7 +410,7 @@ def recorded(path: Path) -> tuple[pdr.Recording, list[Step]]:
 
 
 def legs_of(folder: Path, model: Callable[[float], LinearStepLengthModel]) -> list[Sums]:
-    """Regressors of every leg, each step's projected on the leg: the displacement is their product with theta."""
+    """Return the regressors of every leg, projected on the leg, so that their product with theta is its length."""
     legs: list[Sums] = []
     for path in sorted(folder.glob("*.zip")):
         recording, found = recorded(path)
@@ -470,7 +470,7 @@ def test_the_scale_of_the_default_model_agrees_at_two_sites(data_dir: Path) -> N
 
     ratio = scale("humolire", BounceStepLength) / scale("ms_indoor", BounceStepLength)
     assert abs(np.log(ratio)) < 0.07
-    # what the impact of the heel is in does not
+    # a model that depends on the heel impact does not
     assert (
         abs(np.log(scale("humolire", lambda h: KimStepLength()) / scale("ms_indoor", lambda h: KimStepLength()))) > 0.2
     )
