@@ -24,10 +24,10 @@ from pdr_filter.io.tables.any_table import read_table
 from pdr_filter.values import FloatArray, Table, limits, table
 from pdr_filter.values.recording import Recording, Truth
 
-_LEAST_LEG_M = 5.0
+_MIN_LEG_M = 5.0
 # Corridors are parallel to the axes of the plan. The landmarks of a leg along a corridor deviate by less than this,
 # those of a leg round a corner by at least 9 degrees.
-_MOST_OFF_RAD = np.radians(5.0)
+_MAX_OFF_RAD = np.radians(5.0)
 # Deviation of the force that marks the first step. The person begins to move half a second before it.
 _SWING_MPS2, _BEFORE_S, _SETTLED_S = 2.0, 0.5, 0.3
 # Walk whose folder has the landmarks of the route, for walks without a file of landmarks.
@@ -69,7 +69,7 @@ def humolire(raw: Path) -> Iterator[Recording]:
         leg_m, begin_s, end_s = np.diff(points_m, axis=0), time_s[:-1], time_s[1:]
         length_m = np.linalg.norm(leg_m, axis=1)
         off_rad = np.abs((np.arctan2(leg_m[:, 1], leg_m[:, 0]) + np.pi / 4) % (np.pi / 2) - np.pi / 4)
-        straight = (length_m >= _LEAST_LEG_M) & (off_rad < _MOST_OFF_RAD)
+        straight = (length_m >= _MIN_LEG_M) & (off_rad < _MAX_OFF_RAD)
         straight[0] = False  # the start of the first leg was not clicked
         truth = Truth(
             waypoints=_waypoints(time_s, points_m, 0.0),

@@ -156,7 +156,7 @@ def simulate(
 
 
 def demo_walk(seed: int = 0) -> Recording:
-    """Return a simulated walk of two minutes through all contexts of the shipped models except sideways.
+    """Return a simulated walk of two minutes through all contexts that the shipped models recognise.
 
     The phone is in the pocket. The walk is a loop of 138 m: along two corridors, up to the next storey, back along it
     with the last metres running, down again, and towards the start.

@@ -223,7 +223,10 @@ class Frame:
 
     @property
     def is_open(self) -> bool:
-        """True if at most positions and the magnetic field have contributed to the rotation."""
+        """True if the frame is not joined and the rotation has no narrow prior.
+
+        Only positions and the magnetic field then determine the rotation.
+        """
         return not self.is_joined and self.north_var_rad2 > MAX_ANGLE_STD_RAD**2
 
     def joined(self, alignment: Alignment) -> Frame:

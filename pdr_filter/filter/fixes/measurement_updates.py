@@ -21,7 +21,7 @@ _MAX_ITERATIONS, _CONVERGED_M = 8, 5e-3
 # Upper 0.1 % quantile of the normal distribution.
 _NORMAL_QUANTILE = 3.09
 # A measurement is rejected if it is more probably an outlier than regular.
-_LEAST_REGULAR_PROB = 0.5
+_MIN_REGULAR_PROB = 0.5
 
 
 def high_quantile(n_dimensions: int) -> float:
@@ -73,7 +73,7 @@ def on_measurement(
     ]
     mean, cov_after, log_likelihood, nis = (np.concatenate([result[i] for result in each]) for i in range(4))
     likely, n_dimensions = max(result[4] for result in each), each[0][5]
-    if likely < _LEAST_REGULAR_PROB:
+    if likely < _MIN_REGULAR_PROB:
         return state, "rejected", float(nis.min())
     updated = mean, cov_after, log_likelihood, nis
     after, outcome, best_nis = gated(arithmetic, with_consider_path(state, cov), updated, gate_of(model, n_dimensions))

@@ -38,7 +38,7 @@ _WAY_SHARE = 0.05
 # Poses whose positions and rotations differ by less are one solution.
 _SAME_M, _SAME_RAD = 0.5, 0.1
 # A solution with lower odds against the best one is discarded.
-LEAST_LOG_ODDS = -math.log(1000.0)
+MIN_LOG_ODDS = -math.log(1000.0)
 _MIN_RANGES = 4  # three for the unknowns, and one to verify them
 
 
@@ -179,7 +179,7 @@ def solutions(pairs: Sequence[PairedRange], prior: PriorPose | None = None) -> l
     found: list[tuple[float, float, FloatArray, FloatArray]] = []
     for k in np.argsort(-value):
         best = found[0][1] if found else value[k]
-        if value[k] < best + 3.0 * LEAST_LOG_ODDS:
+        if value[k] < best + 3.0 * MIN_LOG_ODDS:
             break
         if any(_is_same(pose[k], other) for _, _, other, _ in found):
             continue
@@ -195,7 +195,7 @@ def solutions(pairs: Sequence[PairedRange], prior: PriorPose | None = None) -> l
         PlacedTrack(centre, read_only(p[:2]), float(wrap_angle(p[2])), cov, odds - highest, density, problem.fits(p))
         for odds, density, p, cov in sorted(found, key=lambda f: -f[0])
     ]
-    return [solution for solution in result if solution.log_odds > LEAST_LOG_ODDS]
+    return [solution for solution in result if solution.log_odds > MIN_LOG_ODDS]
 
 
 def _distinct(pose: FloatArray) -> FloatArray:

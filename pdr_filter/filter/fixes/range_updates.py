@@ -49,7 +49,7 @@ _MAX_REFLECTED = 0.35
 # Smallest time between searches. A search takes 35 ms, and ranges can arrive 60 times a second.
 _SEARCH_INTERVAL_S = 0.5
 # Added to covariances before inversion: the square of 1 mm.
-_LEAST_VAR = 1e-6
+_MIN_VAR = 1e-6
 
 
 def on_range(
@@ -152,19 +152,19 @@ def _prior(state: PedestrianState) -> PriorPose | None:
     """Return the prior of position and rotation without the ranges, or None if there is none."""
     frame, (x, P) = state.frame, state.estimates.combined
     if frame.is_joined:
-        cov = P[: HEADING_OFFSET + 1, : HEADING_OFFSET + 1] + _LEAST_VAR * np.eye(3)
+        cov = P[: HEADING_OFFSET + 1, : HEADING_OFFSET + 1] + _MIN_VAR * np.eye(3)
         cov[:2, :2] += state.estimates.consider_cov_m2
         return PriorPose(x[:2], x[:2], np.asarray(np.linalg.inv(cov), dtype=float))
     information, angle_rad, place_m = np.zeros((3, 3)), 0.0, x[:2]
     if math.isfinite(frame.north_var_rad2):
-        information[2, 2] = 1.0 / max(frame.north_var_rad2, _LEAST_VAR)
+        information[2, 2] = 1.0 / max(frame.north_var_rad2, _MIN_VAR)
     if frame.compass is not None:
-        information[2, 2], angle_rad = 1.0 / max(frame.compass.std_rad**2, _LEAST_VAR), frame.compass.angle_rad
+        information[2, 2], angle_rad = 1.0 / max(frame.compass.std_rad**2, _MIN_VAR), frame.compass.angle_rad
     track_m = x[:2]
     if frame.pairs:  # position fixes, or the position at a lost heading
         pair = frame.pairs[-1]
         track_m, place_m = pair.track_m, pair.world_m
-        information[:2, :2] = np.eye(2) / max(pair.var_m2, _LEAST_VAR)
+        information[:2, :2] = np.eye(2) / max(pair.var_m2, _MIN_VAR)
     return PriorPose(track_m, place_m, information, angle_rad) if information.any() else None
 
 

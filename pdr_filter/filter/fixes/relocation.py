@@ -77,9 +77,11 @@ class Doubt:
         return replace(doubt, pairs=rival, rival=self.pairs)
 
     def with_used(self) -> Doubt:
-        """Return the state after a used fix: empty if two fixes in a row were used, or if few were rejected.
+        """Return the state after a used fix.
 
-        Otherwise two sources that alternate and contradict each other would relocate the track again and again.
+        It is empty if two fixes in a row were used, or if fewer than three were rejected. Two sources that alternate
+        and contradict each other therefore never relocate the track. A single used fix does not remove three or more
+        rejected ones.
         """
         if len(self.pairs) < _MIN_REJECTED or self.is_used_last:
             return Doubt()

@@ -20,7 +20,7 @@ from pdr_filter.values import FloorPassage, HowClimbed, replace_unchecked
 # and one and a half of it. The geometric mean has the same relative margin at both.
 USUAL_STOREY_M = 3.8
 # Smallest distance between two levels, because rooms are at least 2.3 m high. A closer level is a landing.
-LEAST_STOREY_M = 2.3
+MIN_STOREY_M = 2.3
 # Hysteresis about the middle between two storeys, in storeys. Otherwise noise would change the storey with every step
 # of a person on a landing.
 _HYSTERESIS = 0.05
@@ -255,7 +255,7 @@ def with_new_level(state: FloorState, now_s: float, climbed_m: float, std_m: flo
     """Return the state with the level of the present storey added, if the person has stayed there for long enough."""
     if state.is_used or not _stays(state, now_s, NEW_STAY_S):
         return state
-    if any(abs(climbed_m - level.climbed_m) < LEAST_STOREY_M for level in state.levels):
+    if any(abs(climbed_m - level.climbed_m) < MIN_STOREY_M for level in state.levels):
         return replace_unchecked(state, is_used=True)
     return with_level(state, Level(state.floor, climbed_m, float(np.hypot(std_m, LEVEL_STD_M))))
 

@@ -17,7 +17,7 @@ They are mixed as in the IMM of the track (`imm`), once a second.
 
 The estimate is represented by the moments p E[y y'] of each mode, (7, 5, 5), with y = (1, x) and p the probability of
 the mode. Mixing is a sum of moments, and a prediction y = G y changes them to G E[y y'] G'. Their sum over the modes is
-the combined estimate. This needs half of the operations of means, covariances and probabilities.
+the combined estimate. This needs half of the function calls of means, covariances and probabilities.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ STAIRS_STD_M = 0.12
 # Acceleration of lifts, 0.5 to 1 m/s2 (more is uncomfortable by ISO 8100-34).
 LIFT_ACCELERATION_MPS2 = 0.7
 # Smallest rate of a ride. Escalators climb at 0.25 to 0.4 m/s, lifts faster. Slower changes are due to the air.
-LEAST_RIDE_MPS = 0.2
+MIN_RIDE_MPS = 0.2
 # Longest prediction of a ride. After a longer gap the height in the lift mode is practically unknown anyway.
 _LONGEST_LIFT_S = 10.0
 _UNKNOWN_M2 = 1e8
@@ -87,7 +87,7 @@ def _transitions() -> FloatArray:
 
 _TRANSITIONS = _transitions()
 # Smallest log probability of a mode, because moments are divided by the probability later.
-_LEAST_LOG_PROB = -400.0
+_MIN_LOG_PROB = -400.0
 
 
 def _sparse(at: dict[tuple[int, ...], float], shape: tuple[int, ...]) -> FloatArray:
@@ -181,7 +181,7 @@ def after_second(
     if n_steps == 0:
         log_likelihood[UP : DOWN + 1] += _NO_STEP_ON_STAIRS
     log_posterior = np.log(prob) + log_likelihood
-    prob = softmax(np.maximum(log_posterior - log_posterior.max(), _LEAST_LOG_PROB))
+    prob = softmax(np.maximum(log_posterior - log_posterior.max(), _MIN_LOG_PROB))
     return updated * prob[:, None, None]
 
 
@@ -249,5 +249,5 @@ def _measured(moments: FloatArray, factor: FloatArray, variance: float) -> tuple
 def _log_prob_ride(rate_mps: float, var: float) -> float:
     """Return the log probability that a rate is that of a lift or an escalator, up or down."""
     scale = math.sqrt(2.0 * max(var, 1e-12))
-    slower = math.erf((LEAST_RIDE_MPS - rate_mps) / scale) - math.erf((-LEAST_RIDE_MPS - rate_mps) / scale)
+    slower = math.erf((MIN_RIDE_MPS - rate_mps) / scale) - math.erf((-MIN_RIDE_MPS - rate_mps) / scale)
     return math.log(max(1.0 - 0.5 * slower, 1e-6))

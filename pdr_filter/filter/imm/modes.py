@@ -86,6 +86,6 @@ def height_notes(subject: Subject | None) -> tuple[Note, ...]:
     """Return a warning if the body height is unknown."""
     if subject is not None and subject.height_m is not None:
         return ()
-    assumed = f"the person's height is not known: {USUAL_HEIGHT_M:.2f} m is assumed, and lengths may be off by"
-    text = f"{assumed} {100 * scale_std(None):.0f} % (with the height by {100 * scale_std(USUAL_HEIGHT_M):.0f} %)"
+    assumed = f"the person's height is not known: {USUAL_HEIGHT_M:.2f} m is assumed, and step lengths may be off by"
+    text = f"{assumed} {100 * scale_std(None):.0f} % ({100 * scale_std(USUAL_HEIGHT_M):.0f} % if the height is given)"
     return (Note("height", text),)

@@ -34,14 +34,14 @@ _LARGE_TURN_RAD = 0.1
 # Largest number of stored steps: an hour of walking at two steps a second. Beyond it, older steps are thinned evenly.
 MAX_STEPS = 8192
 # Added to covariances before inversion, in case a state is known exactly: the square of 0.01 mm.
-_LEAST_VAR = 1e-10
-_LEAST = _LEAST_VAR * np.eye(N_STATES)
-_OF_PLACE = np.eye(2, N_STATES)[:, :, None]
+_MIN_VAR = 1e-10
+_MIN_COV = _MIN_VAR * np.eye(N_STATES)
+_POSITION_ROWS = np.eye(2, N_STATES)[:, :, None]
 # Largest variance of shared length errors per square metre of displacement: the square of 10 %.
-_MOST_SHARED = 0.01
+_MAX_SHARED = 0.01
 # Shared errors with a smaller share of the variance of the position are treated as noise, because they hardly bend the
 # path.
-_LEAST_SHARED = 0.01
+_MIN_SHARED = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ class Back:
         The arguments are the covariance of x, the cross-covariance of x and x', and the covariance of x', each (..., 4,
         4).
         """
-        gain = cross @ np.linalg.inv(after + _LEAST)
+        gain = cross @ np.linalg.inv(after + _MIN_COV)
         return cls(gain, before - gain @ cross.swapaxes(-1, -2), np.zeros(before.shape[:-1]))
 
     def followed_by(self, later: Back) -> Back:
@@ -234,7 +234,7 @@ class PastSteps:
 
         `cross` (2, 4, N) are the cross-covariances with a state of covariance `state_cov` (4, 4).
         """
-        by = np.linalg.inv(state_cov + _LEAST) @ cross
+        by = np.linalg.inv(state_cov + _MIN_COV) @ cross
         return PastSteps(self.time_s, place_m, by, cov_m2 - _products(by, cross))
 
 
@@ -311,7 +311,7 @@ class PastPath:
         covariances of x. Shared errors grow with the displacement from the position where they began to accumulate.
         They start again at `present_m` (2,).
         """
-        if np.trace(shared_m2) < _LEAST_SHARED * np.trace(before[:2, :2]):
+        if np.trace(shared_m2) < _MIN_SHARED * np.trace(before[:2, :2]):
             return replace_unchecked(self.predicted(before, after), shared_from_s=time_s, shared_from_m=present_m)
         path, displacement_m, share = self.rebased(), present_m - self.shared_from_m, self._share(shared_m2, present_m)
         steps = path.earlier
@@ -351,7 +351,9 @@ class PastPath:
         of_state = np.array([north_m, -east_m, 1.0, 0.0])
         cross = np.einsum("ab,bin->ain", alignment.rotation, T @ before @ present.by_state)
         by_angle = np.stack([lever_m[NORTH], -lever_m[EAST]])
-        cross += alignment.angle_var_rad2 * by_angle[:, None] * of_state[:, None] + alignment.centre_var_m2 * _OF_PLACE
+        cross += (
+            alignment.angle_var_rad2 * by_angle[:, None] * of_state[:, None] + alignment.centre_var_m2 * _POSITION_ROWS
+        )
         present = present.with_moments(place_m, cov_m2, cross, after)
         from_m = alignment.positions(self.shared_from_m)
         return replace_unchecked(path, earlier=past.joined(present), shared_from_m=from_m)
@@ -379,10 +381,10 @@ class PastPath:
         It is the largest one whose contribution is still part of `shared_m2` (2, 2).
         """
         displacement_m = present_m - self.shared_from_m
-        (ee, en), (_, nn) = (shared_m2 + _LEAST[:2, :2]).tolist()
+        (ee, en), (_, nn) = (shared_m2 + _MIN_COV[:2, :2]).tolist()
         east_m, north_m = displacement_m.tolist()
         squares = nn * east_m * east_m - 2.0 * en * east_m * north_m + ee * north_m * north_m
-        return min((ee * nn - en * en) / max(squares, _LEAST_VAR), _MOST_SHARED)
+        return min((ee * nn - en * en) / max(squares, _MIN_VAR), _MAX_SHARED)
 
     def _since_shared_m(self, time_s: FloatArray, place_m: FloatArray) -> FloatArray:
         """Return the displacements (2, N) of steps since shared errors began to accumulate, else zero."""

@@ -810,7 +810,7 @@ class BounceStepLength:
     - 1/2 for a step from rest, which begins with the feet together.
     - 2.4 / f above 2.4 steps a second, where one step was detected as two. The speed is then kept.
 
-    Amplitudes and turn rates beyond their bounds count as the bounds. A length is therefore between 0 and 0.44 h.
+    Amplitudes and turn rates beyond their bounds count as the bounds. A length is therefore between 0 and 0.45 h.
 
     Examples
     --------
