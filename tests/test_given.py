@@ -78,7 +78,7 @@ def test_a_person_of_whom_one_value_cannot_be_is_refused(content: Any, tmp_path:
     path.write_text(json.dumps(person()))
     assert pdr.Person.load(path) == pdr.Person((Session(0.7, 0.03, 3),))
     path.write_text(json.dumps(content))
-    with pytest.raises(ValueError, match=r"anna.json: no person file of pdr_filter .*write one with"):
+    with pytest.raises(ValueError, match=r"anna.json: not a person file of pdr_filter .*write one with"):
         pdr.Person.load(path)
 
 

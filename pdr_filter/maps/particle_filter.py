@@ -478,7 +478,7 @@ class ParticleFilter:
 def _turned_rad(pedestrian: PedestrianState) -> float:
     """By how much heading fixes and position fixes have turned the frame of the tracker's states so far."""
     frame = pedestrian.frame
-    return sum(a.angle_rad for a in (frame.north, frame.alignment, *frame.moves) if a is not None)
+    return sum(a.angle_rad for a in (frame.north, frame.alignment, *frame.relocations) if a is not None)
 
 
 def _in_turned_frame(state: ParticleState, pedestrian: PedestrianState) -> ParticleState:

@@ -169,7 +169,7 @@ def now(config: Config, state: State) -> Now:
         is_provisional=bool(steps) or present.way_m > 0,
         provisional_steps=steps,
         walking_heading_rad=place.heading_rad,
-        walking_heading_std_rad=math.sqrt(float(cov[HEADING_OFFSET, HEADING_OFFSET]) + frame.turn_var_rad2),
+        walking_heading_std_rad=math.sqrt(float(cov[HEADING_OFFSET, HEADING_OFFSET]) + frame.rotation_var_rad2),
         walking_speed_mps=present.speed_mps,
         walking_speed_std_mps=present.speed_std_mps,
         context_prob=read_only(context_prob),

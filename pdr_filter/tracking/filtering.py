@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pdr_filter.filter.fixes.gnss import LocationState, Rides, good_places, place_at, position_fixes
-from pdr_filter.filter.fixes.range_placement import LEAST_LOG_ODDS
+from pdr_filter.filter.fixes.range_placement import MIN_LOG_ODDS
 from pdr_filter.filter.height import height_filter as height
 from pdr_filter.filter.height.height_filter import HeightState, initial_height
 from pdr_filter.filter.imm import pedestrian_state as pedestrian
@@ -281,7 +281,7 @@ def _after_fix_of_rival(config: Config, state: State, fix: Fix, nis: float) -> S
         log_odds += 0.5 * (min(nis, gate) - min(rival_nis, gate))
     if log_odds > 0.0:
         tracker, of_rival, log_odds = of_rival, tracker, -log_odds
-    rival = None if log_odds < LEAST_LOG_ODDS else RivalTracker(of_rival, log_odds)
+    rival = None if log_odds < MIN_LOG_ODDS else RivalTracker(of_rival, log_odds)
     return replace_unchecked(state, tracker=tracker, rival=rival)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from pdr_filter.filter.fixes.alignment import walked_var_m2
 from pdr_filter.filter.fixes.frame import UNKNOWN_FRAME, Frame
-from pdr_filter.filter.fixes.frame_rotation import PairedPoint, agreed_turn, align, centre_weights
+from pdr_filter.filter.fixes.frame_rotation import PairedPoint, align, centre_weights, consistent_pairs
 from pdr_filter.filter.fixes.gnss import INTERVAL_S, LocationState, Rides, position_fixes
 from pdr_filter.filter.fixes.repeated_fixes import frozen_fixes
 from pdr_filter.filter.height.height_filter import HeightState
@@ -155,7 +155,7 @@ def _paired(way: Way, fix: PositionFix) -> PairedPoint:
 
 
 def _frame(pairs: tuple[PairedPoint, ...], n_steps: int) -> Frame:
-    agreeing, turn = agreed_turn(pairs)
+    agreeing, turn = consistent_pairs(pairs)
     alignment = align(agreeing, n_steps)
     if alignment is None:
         return Frame(is_joined=False, pairs=pairs, agreeing=agreeing, turn=turn)

@@ -71,7 +71,7 @@ def walked_path(config: Config, state: State) -> WalkedPath:
     time_s = np.append(time_s, [t for t, _ in ahead])
     place_m = np.concatenate([place_m, np.array([m for _, m in ahead]).reshape(-1, 2).T], axis=1)
     cov_m2 = np.concatenate([cov_m2, np.tile([[ee], [en], [nn]], len(ahead))], axis=1)
-    turn = pedestrian.frame.present_turn
+    turn = pedestrian.frame.present_alignment
     if turn is not None:
         first = int(np.searchsorted(time_s, pedestrian.path.since_s, side="right"))
         place_m[:, first:], cov_m2[:, first:] = turned(turn, place_m[:, first:], cov_m2[:, first:])

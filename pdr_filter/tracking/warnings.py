@@ -95,8 +95,8 @@ def _of_frame(state: State) -> Iterator[Note]:
     if frame.is_north_wrong:
         words = "position fixes contradict a heading fix before them, which is not used any more: check its time, its "
         yield Note("fixes", words + "unit (rad) and its zero (north, clockwise)")
-    if frame.moves:
-        far_m = ", ".join(f"{np.linalg.norm(m.world_centre_m - m.track_centre_m):.0f}" for m in frame.moves)
+    if frame.relocations:
+        far_m = ", ".join(f"{np.linalg.norm(m.world_centre_m - m.track_centre_m):.0f}" for m in frame.relocations)
         words = (
             f"fixes that agree with each other and not with the track moved it by {far_m} m: after a ride, or wrong "
         )

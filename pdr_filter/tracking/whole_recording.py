@@ -227,7 +227,7 @@ def collected(recording: Recording, config: Config, results: Iterable[tuple[Stat
     frame = state.tracker.pedestrian.frame
     origin = state.locations.origin if frame.is_known else None
     if origin is not None:
-        frame = frame.drawn()
+        frame = frame.at_most_probable_rotation()
         origin = state.height.start_altitude.of(frame.origin(origin))
     updates = [u.in_frame(frame) for u in whole.updates if u.is_final]
     track = _track(recording.name, config, updates, _windows(whole.windows, config.model.context_set))

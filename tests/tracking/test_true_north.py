@@ -15,7 +15,7 @@ import pdr_filter as pdr
 from pdr_filter import recipes
 from pdr_filter.filter.fixes.alignment import Alignment, Place
 from pdr_filter.filter.fixes.frame import UNKNOWN_FRAME
-from pdr_filter.filter.fixes.frame_rotation import Compass, PairedPoint, align, open_turn
+from pdr_filter.filter.fixes.frame_rotation import Compass, PairedPoint, align, rotation_density
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.simulate.walk import phone_motion
@@ -126,7 +126,7 @@ def test_a_compass_and_one_fix_leave_the_turn_open_and_a_fix_further_on_settles_
 
 def test_the_density_of_the_turn_is_the_product_of_fixes_and_compass() -> None:
     pairs = [PairedPoint(np.zeros(2), np.zeros(2), 1.0), PairedPoint(np.array([0.0, 5.0]), np.array([4.0, 3.0]), 4.0)]
-    compass, turn = Compass(1.2, 0.05), open_turn(pairs)
+    compass, turn = Compass(1.2, 0.05), rotation_density(pairs)
     product = turn.prob * compass.density(np.linspace(-np.pi, np.pi, 120, endpoint=False))
     np.testing.assert_allclose(turn.with_compass(compass).prob, product / product.sum(), rtol=1e-12)
     np.testing.assert_array_equal(turn.with_compass(None).prob, turn.prob)

@@ -47,7 +47,7 @@ def aligned_walk(
         cov_m2 = way.own_var_m2(found.frame.agreeing)[:, None, None] * np.eye(2)
     else:
         notes = (*notes, "the locations do not settle which way the track lies: its north is the most probable one")
-    frame = found.frame.drawn()
+    frame = found.frame.at_most_probable_rotation()
     rows = zip(track.position_m, cov_m2, track.walking_heading_rad.tolist(), strict=True)
     places = [frame.world(Place(*row, k)) for k, row in enumerate(rows)]
     start = frame.world(Place(track.start_position_m, smoothed.start_position_cov_m2, 0.0, 0))
