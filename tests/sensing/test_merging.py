@@ -302,7 +302,7 @@ def test_a_clock_that_is_set_back_is_followed_after_a_minute_of_late_samples_alo
 def test_merged_samples_and_single_sensors_are_not_mixed() -> None:
     online = pdr.OnlineFilter()
     online.push_accelerometer([0.0, 0.01], np.zeros((2, 3)))
-    with pytest.raises(ValueError, match="this filter takes sensors apart"):
+    with pytest.raises(ValueError, match="samples of each sensor separately"):
         online.push([0.02], np.zeros((1, 3)))
 
 
@@ -333,5 +333,5 @@ def test_sensors_that_come_in_one_message_give_the_bits_of_those_that_come_apart
 
 def test_a_stream_that_the_filter_does_not_know_is_refused() -> None:
     samples = Samples(np.zeros(1), np.zeros((1, 3)))
-    with pytest.raises(ValueError, match=r"streams must be of accelerometer, .*got 'light'"):
+    with pytest.raises(ValueError, match=r"keys of streams must be accelerometer, .*got 'light'"):
         pdr.OnlineFilter().push_streams({"light": samples})  # type: ignore[dict-item]

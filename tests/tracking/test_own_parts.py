@@ -98,7 +98,7 @@ def test_a_state_that_cannot_be_saved_is_refused_when_it_is_saved(recording: pdr
             return {"n_steps": 0, "open": object()}
 
     online = pdr.OnlineFilter(pdr.recipes.default().with_heading(Forgetful()))
-    with pytest.raises(ValueError, match="state of a part of yours holds a object"):
+    with pytest.raises(ValueError, match="the filter cannot be saved: the state of one of your own parts contains a object"):
         online.save()
 
 
@@ -233,7 +233,7 @@ def test_waiting_measurements_of_own_classes_are_left_out_of_the_bytes_with_a_wa
     online = pdr.OnlineFilter()
     pushed(online, recording, end=900)
     online.add_fix(Line())
-    with pytest.warns(UserWarning, match="1 measurements of classes of yours wait"):
+    with pytest.warns(UserWarning, match="1 waiting measurements are not saved"):
         blob = online.save()
     assert pdr.OnlineFilter.load(blob).state.waiting_fixes == ()
 
