@@ -24,13 +24,13 @@ from pdr_filter.tracking.filtering import (
     add_fixes,
     add_location,
     add_pressure,
-    arrive,
     finish,
     init,
     person_of,
     present_position,
-    untimely,
+    timing_error,
     update,
+    update_streams,
 )
 from pdr_filter.tracking.walked_path import WalkedPath, walked_path
 from pdr_filter.tracking.warnings import notes_of
@@ -272,7 +272,7 @@ class OnlineFilter:
         if not self.state.merger.is_used:
             self.state = add_pressure(self.config, self.state, time, pressure)
             return []
-        return self._commit(*arrive(self.config, self.state, {"barometer": (time, pressure[:, None])}))
+        return self._commit(*update_streams(self.config, self.state, {"barometer": (time, pressure[:, None])}))
 
     def push_streams(self, streams: Mapping[Sensor, Samples]) -> list[StepUpdate]:
         """Process samples of several sensors, such as one message of a phone, and return the completed steps.
@@ -305,10 +305,12 @@ class OnlineFilter:
                 arrived[sensor] = time_s, pressure_hpa[:, None]
             else:
                 arrived[sensor] = self._checked(sensor, samples.time_s, samples.values, f"values of {sensor}")
-        return self._commit(*arrive(self.config, self.state, arrived))
+        return self._commit(*update_streams(self.config, self.state, arrived))
 
     def _push_sensor(self, sensor: Sensor, time_s: ArrayLike, values: ArrayLike, name: str) -> list[StepUpdate]:
-        return self._commit(*arrive(self.config, self.state, {sensor: self._checked(sensor, time_s, values, name)}))
+        return self._commit(
+            *update_streams(self.config, self.state, {sensor: self._checked(sensor, time_s, values, name)})
+        )
 
     def _checked(
         self, sensor: Sensor, time_s: ArrayLike, values: ArrayLike, name: str
@@ -442,7 +444,7 @@ class OnlineFilter:
         # After a gap of over a minute, samples are held until later samples confirm their clock. A fix may belong to
         # the time before or after the gap.
         latest_s = (seen.last_time_s, *(float(row[0]) for row in conditioner.clock.held[-1:]))
-        wrong = [untimely(fix, seen.first_time_s, last_s) for last_s in latest_s]
+        wrong = [timing_error(fix, seen.first_time_s, last_s) for last_s in latest_s]
         if np.isfinite(seen.first_time_s) and all(wrong):
             raise ValueError(wrong[0])
         self.state = add_fixes(self.config, self.state, (fix,))

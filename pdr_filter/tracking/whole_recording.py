@@ -25,7 +25,7 @@ from pdr_filter.tracking.filtering import (
     State,
     add_fixes,
     add_location,
-    add_places,
+    add_terrain_locations,
     climb_at,
     finish,
     init,
@@ -204,7 +204,7 @@ def outputs(
         if with_location:
             state = add_location(config, state, location.time_s, *where, altitude_m)
         elif (origin := origin_of(location)) is not None:
-            state = add_places(state, origin, location.time_s, *where)
+            state = add_terrain_locations(state, origin, location.time_s, *where)
     for part in _parts(merge_streams(recording), progress):
         state, output = update(config, state, part)
         yield state, output
