@@ -234,7 +234,7 @@ def test_a_sensor_that_falls_silent_gets_a_note_and_stops_nobody_for_longer_than
         if second == 12:
             assert not any("silent" in note for note in online.notes)
             assert online.now().latency_s > merger.wait_s - 1.0
-    assert any(note.startswith("gyroscope: silent since 8.0 s, the others go on without it") for note in online.notes)
+    assert any(note.startswith("gyroscope: no samples since 8.0 s, so that the other sensors are used without it") for note in online.notes)
     assert online.now().latency_s < 0.5
     online.push_gyroscope(time_s + 20.0, np.zeros((2000, 3)))
     assert not any("gyroscope: silent" in note for note in online.notes)
@@ -255,7 +255,7 @@ def test_samples_that_come_too_late_are_counted_and_left_out() -> None:
     online.push_gyroscope(time_s, np.zeros((1000, 3)))
     online.push_accelerometer(time_s, np.tile([0.0, 0.0, 9.8], (1000, 1)))
     online.push_accelerometer(time_s[:30], np.tile([0.0, 0.0, 9.8], (30, 1)))
-    words = "accelerometer: 30 of 1030 samples came again or too late for the others, and were left out"
+    words = "accelerometer: 30 of 1030 samples were dropped, because they are repeated or arrived too late"
     assert words in online.notes
 
 

@@ -98,7 +98,9 @@ def test_a_state_that_cannot_be_saved_is_refused_when_it_is_saved(recording: pdr
             return {"n_steps": 0, "open": object()}
 
     online = pdr.OnlineFilter(pdr.recipes.default().with_heading(Forgetful()))
-    with pytest.raises(ValueError, match="the filter cannot be saved: the state of one of your own parts contains a object"):
+    with pytest.raises(
+        ValueError, match="the filter cannot be saved: the state of one of your own parts contains a object"
+    ):
         online.save()
 
 

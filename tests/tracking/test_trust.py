@@ -75,7 +75,7 @@ def test_time_with_motion_and_no_step_is_not_called_walking(track: Track) -> Non
 
 
 @pytest.mark.parametrize(
-    ("field", "words"), [("irregular_prob", "handled, not carried"), ("unknown_share", "unlike all")]
+    ("field", "words"), [("irregular_prob", "phone was handled"), ("unknown_share", "unlike all")]
 )
 def test_a_stretch_of_odd_windows_is_told_and_a_single_one_is_not(track: Track, field: str, words: str) -> None:
     time_s = track.windows.time_s
@@ -109,7 +109,7 @@ def test_modes_between_which_the_filter_hesitates_are_named(track: Track) -> Non
     prob[middle] = 0.0
     prob[middle, WALKING], prob[middle, CONTEXTS.index("upstairs")] = 0.55, 0.45
     [told] = doubts(replace(track, mode_prob=prob))
-    assert "hesitates between walking and upstairs" in told
+    assert "cannot decide between walking and upstairs" in told
 
 
 def test_the_entropy_counts_modes(track: Track) -> None:
@@ -146,8 +146,8 @@ def test_a_long_time_without_steps_between_two_of_them_is_told(track: Track) -> 
     later = np.where(np.arange(track.n_steps) < 50, 0.0, 90.0)
     told = doubts(replace(track, time_s=track.time_s + later))
     gap_s = float(track.time_s[50] - track.time_s[49]) + 90.0
-    assert any(f"there is nothing for {gap_s:.0f} s" in line for line in told)
-    assert not any("there is nothing for" in line for line in doubts(track))
+    assert any(f"there are no steps for {gap_s:.0f} s" in line for line in told)
+    assert not any("there are no steps for" in line for line in doubts(track))
 
 
 @pytest.mark.parametrize(("lasts_s", "is_reported"), [(3.0, False), (6.0, True)])

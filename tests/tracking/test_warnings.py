@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pdr_filter.tracking.step_statistics import StepCounts
-from pdr_filter.tracking.warnings import _of_steps  # pyright: ignore[reportPrivateUsage]
+from pdr_filter.tracking.warnings import _step_notes  # pyright: ignore[reportPrivateUsage]
 
 
 @pytest.mark.parametrize(
@@ -14,6 +14,6 @@ from pdr_filter.tracking.warnings import _of_steps  # pyright: ignore[reportPriv
 def test_directions_are_doubted_aloud_from_a_fifth_of_the_steps_on_and_not_for_a_turn_of_twenty(
     untrusted: int, n: int, is_said: bool
 ) -> None:
-    notes = list(_of_steps(StepCounts(n=n, untrusted=untrusted)))
+    notes = list(_step_notes(StepCounts(n=n, untrusted=untrusted)))
     assert [note.about for note in notes] == (["heading"] if is_said else [])
     assert all(f"{untrusted} of {n} steps" in note.text for note in notes)

@@ -393,7 +393,7 @@ def test_headings_keep_a_drifting_gyroscope_straight() -> None:
 def test_a_heading_that_cannot_be_is_rejected(walk: Recording) -> None:
     track = pdr.track(walk, fixes=[HeadingFix(20.0, np.pi, 0.05)])
     assert [f.accepted for f in track.fixes] == [False]
-    assert any("not fit the track or its time, and were not used: 1" in note for note in track.notes)
+    assert any("not fit the track or its time were not used: 1" in note for note in track.notes)
 
 
 def test_in_the_world_frame_the_first_heading_says_where_north_is(walk: Recording) -> None:
@@ -463,7 +463,7 @@ def test_a_fix_ten_minutes_late_or_from_before_the_start_leaves_finite_numbers(w
     assert len(track.fixes) == len(fixes)
     assert [f.outcome for f in track.fixes] == ["rejected", "rejected", "rejected", "waiting"]
     np.testing.assert_array_equal(track.position_m, pdr.track(walk).position_m)
-    assert any("fixes from after the last sample, not used: 1" in note for note in track.notes)
+    assert any("fixes from after the last sample were not used: 1" in note for note in track.notes)
 
 
 @pytest.mark.parametrize(

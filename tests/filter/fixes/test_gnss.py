@@ -380,7 +380,7 @@ def test_outliers_do_not_turn_an_aligned_track(walk: Recording) -> None:
     assert [fix.time_s for fix in track.fixes if fix.outcome == "rejected"] == wrong_s
     error_m = np.linalg.norm(in_frame_of_here(track) - truth_m(walk, track.time_s), axis=1)
     assert error_m.max() < 14.0
-    assert any("not fit the track or its time, and were not used: 3" in note for note in track.notes)
+    assert any("not fit the track or its time were not used: 3" in note for note in track.notes)
 
 
 @pytest.mark.parametrize("gnss", ["filter", "align"])
@@ -396,7 +396,7 @@ def test_one_or_two_locations_place_a_track_of_any_kind_and_say_that_north_is_op
     error = in_frame_of_here(track) - truth_m(bare, track.time_s)
     nees = np.einsum("ka,kab,kb->k", error, np.linalg.inv(track.position_cov_m2), error)
     assert nees.max() < chi2.isf(1e-3, 2)
-    assert any("do not settle which way the track lies" in note for note in track.notes)
+    assert any("do not determine the rotation of the track" in note for note in track.notes)
 
 
 def test_locations_that_say_nothing_align_nothing(walk: Recording, alone: pdr.Track) -> None:
