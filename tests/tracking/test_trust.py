@@ -74,9 +74,7 @@ def test_time_with_motion_and_no_step_is_not_called_walking(track: Track) -> Non
     assert nobody.context_seconds()["stationary"] == track.context_seconds()["stationary"]
 
 
-@pytest.mark.parametrize(
-    ("field", "words"), [("irregular_prob", "phone was handled"), ("unknown_share", "unlike all")]
-)
+@pytest.mark.parametrize(("field", "words"), [("irregular_prob", "phone was handled"), ("unknown_share", "unlike all")])
 def test_a_stretch_of_odd_windows_is_told_and_a_single_one_is_not(track: Track, field: str, words: str) -> None:
     time_s = track.windows.time_s
     for odd, n_told in (((time_s > 10.0) & (time_s < 20.0), 1), (time_s == time_s[9], 0)):
