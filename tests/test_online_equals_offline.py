@@ -589,7 +589,7 @@ def test_an_app_gets_the_notes_of_the_whole_recording() -> None:
     online.push(samples.time_s, samples.specific_force_mps2, samples.angular_rate_radps, samples.magnetic_field_ut)
     online.finish()
     assert track.notes == (*stranger.notes, *online.notes)
-    for words in ("height is not known", "and were not used: 1", "after the last sample, not used: 1"):
+    for words in ("height is not known", "its time were not used: 1", "after the last sample were not used: 1"):
         assert any(words in note for note in online.notes)
 
 

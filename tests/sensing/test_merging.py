@@ -234,7 +234,10 @@ def test_a_sensor_that_falls_silent_gets_a_note_and_stops_nobody_for_longer_than
         if second == 12:
             assert not any("silent" in note for note in online.notes)
             assert online.now().latency_s > merger.wait_s - 1.0
-    assert any(note.startswith("gyroscope: no samples since 8.0 s, so that the other sensors are used without it") for note in online.notes)
+    assert any(
+        note.startswith("gyroscope: no samples since 8.0 s, so that the other sensors are used without it")
+        for note in online.notes
+    )
     assert online.now().latency_s < 0.5
     online.push_gyroscope(time_s + 20.0, np.zeros((2000, 3)))
     assert not any("gyroscope: silent" in note for note in online.notes)

@@ -148,7 +148,7 @@ def test_files_have_the_altitude_where_it_is_known(track: pdr.Track, tmp_path: P
 
 @pytest.mark.parametrize(
     ("altitude_m", "std_m", "words"),
-    [(5.0, None, "belong together"), (np.inf, 1.0, "must be finite"), (5.0, 0.0, "give a positive one")],
+    [(5.0, None, "must be given together"), (np.inf, 1.0, "must be finite"), (5.0, 0.0, "give a positive one")],
 )
 def test_a_fix_whose_altitude_cannot_be_meant_is_refused(altitude_m: float, std_m: float | None, words: str) -> None:
     with pytest.raises(ValueError, match=words):

@@ -84,7 +84,7 @@ def test_with_a_heading_the_same_walk_goes_that_way(walk: Recording, alone: pdr.
     np.testing.assert_allclose(east.position_cov_m2, turned, atol=1e-12)
     assert (alone.frame, east.frame, east.origin) == ("start", "north", None)
     assert "first heading" in alone.about_frame
-    assert "true north as it was given" in east.about_frame
+    assert "true north, as given" in east.about_frame
 
 
 def test_an_unsure_turn_is_in_the_covariance_as_in_turns_that_are_drawn(alone: pdr.Track) -> None:
@@ -96,7 +96,7 @@ def test_an_unsure_turn_is_in_the_covariance_as_in_turns_that_are_drawn(alone: p
 
 
 def test_a_track_that_knows_north_is_not_turned_again(alone: pdr.Track) -> None:
-    with pytest.raises(ValueError, match=r"true north already, got a turn of 0\.3 rad: leave it out"):
+    with pytest.raises(ValueError, match=r"already true north, got turn_rad=0\.3"):
         alone.turned(1.0).turned(0.3)
 
 
@@ -139,7 +139,7 @@ def test_a_place_without_a_heading_says_that_north_is_not_known(walk: Recording)
     track = pdr.track(walk, origin=HERE)
     assert track.frame == "start"
     assert "from the start of the walk at 48.137000, 11.575000; north is the direction" in track.about_frame
-    assert "nothing says which way is true north" in track.about_frame
+    assert "true north is unknown" in track.about_frame
 
 
 def test_a_track_may_be_placed_first_and_turned_afterwards(alone: pdr.Track) -> None:
@@ -161,8 +161,11 @@ def test_a_place_that_is_given_turns_the_locations_off_and_a_note_says_so(walk: 
         track = pdr.track(located(walk), **given)
         np.testing.assert_allclose(track.position_m, alone.position_m)
         assert track.fixes == ()
-        assert any("locations are not used" in note for note in track.notes)
-        assert not any("locations are not used" in note for note in pdr.track(located(walk), gnss="off", **given).notes)
+        assert any("locations of the recording were not used" in note for note in track.notes)
+        assert not any(
+            "locations of the recording were not used" in note
+            for note in pdr.track(located(walk), gnss="off", **given).notes
+        )
 
 
 def test_fixes_in_metres_of_a_map_are_placed_by_the_origin_of_the_map(walk: Recording) -> None:
@@ -188,8 +191,8 @@ def test_fixes_in_metres_of_a_map_are_placed_by_the_origin_of_the_map(walk: Reco
         ({"origin": "48,11"}, "origin must be an Origin, or"),
         ({"heading_rad": math.nan}, "heading_rad must be a finite number"),
         ({"heading_rad": "1"}, r"heading_rad must be a finite number.*'1'; 90 degrees are math.radians"),
-        ({"heading_rad": 0.1, "origin": Origin(*HERE, turn_rad=0.1)}, "are one: leave one out"),
-        ({"heading_rad": 0.1, "fixes": [HeadingFix(5.0, 0.0, 0.1)]}, "beside fixes in a frame of their own"),
+        ({"heading_rad": 0.1, "origin": Origin(*HERE, turn_rad=0.1)}, "define the same angle: leave one of them out"),
+        ({"heading_rad": 0.1, "fixes": [HeadingFix(5.0, 0.0, 0.1)]}, "together with fixes in another frame"),
         ({"origin": HERE, "gnss": "on"}, "gnss must be"),
         ({"origin": HERE, "gnss": "filter"}, r'gnss="filter" .* and origin says them too'),
         ({"heading_rad": 0.1, "gnss": "filter"}, "and heading_rad says them too"),

@@ -158,7 +158,7 @@ def test_a_walk_turned_as_a_whole_has_a_track_turned_as_a_whole_with_north_up(st
     error_rad = math.hypot(*way) / np.linalg.norm(track.position_m[-1])
     assert error_rad < math.radians(15.0)
     assert np.trace(track.position_cov_m2[-1]) > np.trace(alone.position_cov_m2[-1])
-    assert any("north is where the magnetic field says" in note for note in track.notes)
+    assert any("north comes from the magnetic field" in note for note in track.notes)
 
 
 @pytest.mark.parametrize("weighting", ["imm", "wc"])
@@ -276,9 +276,9 @@ def test_a_place_that_is_given_says_the_declination_and_a_heading_that_is_given_
     assert (track.frame, track.knows_north) == ("north", True)
     change_rad = wrap_angle(track.walking_heading_rad - nowhere.walking_heading_rad)
     np.testing.assert_allclose(change_rad, HERE.declination_rad(), atol=1e-9)
-    with pytest.raises(ValueError, match="both say north"):
+    with pytest.raises(ValueError, match="both define north"):
         pdr.track(walk, heading_rad=0.3, north="magnetic")
-    with pytest.raises(ValueError, match="both say north"):
+    with pytest.raises(ValueError, match="both define north"):
         pdr.track(walk, origin=replace(HERE, turn_rad=0.3), north="magnetic")
 
 

@@ -136,5 +136,5 @@ def test_a_path_under_an_open_turn_keeps_its_shape(straight: ImuBlock) -> None:
 
 def test_there_is_no_path_on_a_floor_plan() -> None:
     plan = pdr.FloorPlan("hall", storeys=())
-    with pytest.raises(ValueError, match="on a floor plan"):
+    with pytest.raises(ValueError, match="with a floor plan"):
         pdr.OnlineFilter(plan=plan).path()

@@ -36,7 +36,7 @@ def test_dates_and_durations_are_refused_with_how_to_make_seconds_of_them(
 ) -> None:
     dates = np.datetime64("2026-01-01", unit) + np.arange(10)
     for times in (dates, dates - dates[0]):
-        with pytest.raises(ValueError, match=r"time_s holds .*64\[.*\]; give seconds"):
+        with pytest.raises(ValueError, match=r"time_s must be numbers, got .*64\[.*\]: give seconds"):
             make(times, np.zeros((10, 3)))
 
 

@@ -38,9 +38,12 @@ def test_the_help_of_a_command_is_the_first_sentence_of_each_text(command: str) 
         ({"gnss": "on"}, "gnss must be one of"),
         ({"north": "south"}, "north must be one of"),
         ({"start": "hall"}, "start is a place on a floor plan, got 'hall' without plan"),
-        ({"gnss": "align", "north": "magnetic"}, "both turn the track"),
-        ({"heading_rad": 0.1, "north": "magnetic"}, "both say north"),
-        ({"heading_rad": 0.1, "origin": pdr.Origin(48.0, 11.0, turn_rad=0.1)}, "are one: leave one out"),
+        ({"gnss": "align", "north": "magnetic"}, "both define north"),
+        ({"heading_rad": 0.1, "north": "magnetic"}, "both define north"),
+        (
+            {"heading_rad": 0.1, "origin": pdr.Origin(48.0, 11.0, turn_rad=0.1)},
+            "define the same angle: leave one of them out",
+        ),
     ],
 )
 def test_a_placement_that_contradicts_itself_is_refused_before_a_recording_is_there(

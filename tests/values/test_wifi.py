@@ -65,7 +65,7 @@ def test_a_copy_is_read_only_too() -> None:
 
 
 def test_rows_that_do_not_belong_together_are_refused() -> None:
-    with pytest.raises(ValueError, match="one row a hearing"):
+    with pytest.raises(ValueError, match="give equal lengths"):
         Wifi(np.zeros(2), np.zeros(1, dtype=int), np.zeros(2), np.zeros(2))
     with pytest.raises(ValueError, match="48 bits"):
         wifi([0.0], [1 << 48])

@@ -417,9 +417,9 @@ def test_fixes_in_a_frame_of_their_own_turn_the_locations_off_unless_they_are_as
     assert pdr.track(walk, fixes=[HeadingFix(20.0, 0.0, 0.1)]).origin is None
     assert pdr.track(walk, fixes=[SpeedFix(20.0, 1.3, 0.1)]).origin is not None
     for asked in ("filter", "align"):
-        with pytest.raises(ValueError, match="positions in a frame of their own: leave one of them out"):
+        with pytest.raises(ValueError, match="positions in another frame: leave one of them out"):
             pdr.track(walk, fixes=[fix], gnss=asked)
-    with pytest.raises(ValueError, match="finds the turn of the whole track, got a HeadingFix"):
+    with pytest.raises(ValueError, match="determines the rotation of the whole track, got a HeadingFix"):
         pdr.track(walk, fixes=[HeadingFix(20.0, 0.0, 0.1)], gnss="align")
 
 
@@ -457,9 +457,9 @@ def test_map_files_of_a_located_track_need_no_origin_and_others_say_what_is_miss
     assert f'lat="{track.latitude_deg[-1]:.9f}"' in track.to_gpx(tmp_path / "a.gpx").read_text()
     assert track.summary()["end_latitude_deg"] == pytest.approx(track.latitude_deg[-1], abs=1e-7)
     for write in (alone.to_geojson, alone.to_gpx, alone.to_kml):
-        with pytest.raises(ValueError, match=r"no location says where .* origin=\(latitude_deg, longitude_deg\)"):
+        with pytest.raises(ValueError, match=r"the geographic position .*origin=\(latitude_deg, longitude_deg\)"):
             write(tmp_path / "b")
-    with pytest.raises(ValueError, match="no location says where"):
+    with pytest.raises(ValueError, match="the geographic position of the track"):
         _ = alone.latitude_deg
     assert not (tmp_path / "b").exists()
 
