@@ -24,7 +24,7 @@ MAX_LINE_BYTES = 1024**2
 HEAD_BYTES = 65_536  # first lines of a file, from which its format is detected
 MAX_HEADER_BYTES = 100_000  # comment lines before the samples of a log
 MAX_HEADER_LINES = 1000
-# Files that accompany the samples, such as meta.json, have some kilobytes. Parsed, they take about thirty times their size.
+# Small files of a recording, such as meta.json, have some kilobytes. Parsed, they take about thirty times as much.
 MAX_SMALL_BYTES = 1_000_000
 # Models, calibrations and fixes are read as a whole. A shipped model has 0.4 MB, a day of fixes 4 MB.
 MAX_DESCRIPTION_BYTES = 4 * 1024**2  # JSON

@@ -19,12 +19,12 @@ from pdr_filter.classifiers.rvm_training import (
     Bernoulli,
     Posterior,
     additions,
+    evidence_gain,
     inside_factors,
     outside_factors,
     posterior,
     spread_start,
     train,
-    worth,
 )
 from tests.oracles import rvm_reference
 
@@ -129,11 +129,11 @@ def test_the_best_alpha_and_the_worth_of_a_function_are_those_of_a_search() -> N
             options={"xatol": 1e-9},
         )
         assert np.exp(search.x) == pytest.approx(s**2 / (q**2 - s), rel=1e-4)
-        assert -search.fun - without.log_evidence == pytest.approx(float(worth(s, q)), rel=1e-5)
+        assert -search.fun - without.log_evidence == pytest.approx(float(evidence_gain(s, q)), rel=1e-5)
 
 
 def test_a_function_that_explains_nothing_is_worth_nothing() -> None:
-    np.testing.assert_array_equal(worth(np.array([4.0, 4.0, np.inf]), np.array([1.9, 0.0, 5.0])), 0.0)
+    np.testing.assert_array_equal(evidence_gain(np.array([4.0, 4.0, np.inf]), np.array([1.9, 0.0, 5.0])), 0.0)
 
 
 def test_of_two_equal_functions_one_is_added() -> None:

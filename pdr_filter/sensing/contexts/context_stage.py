@@ -386,8 +386,8 @@ def with_cadence(window: WindowContext, frequency_hz: float, contexts: ContextSe
 def to_be_told_apart(prob: FloatArray, share: float, contexts: ContextSet = DEFAULT_CONTEXTS) -> FloatArray:
     """Probabilities (C,) where another sensor decides what motion does not tell: that share divided into thirds.
 
-    A day's division (`classifiers.context_model.not_told_apart`) is a prior. As evidence, window after window, it would
-    outvote what the other sensor measures.
+    A day's division (`classifiers.context_model.blend_stairs_with_prior`) is a prior. As evidence, window
+    after window, it would outvote what the other sensor measures.
     """
     in_thirds = contexts.in_thirds
     return (1.0 - share) * prob + share * (prob @ in_thirds) if share and in_thirds is not None else prob
