@@ -65,7 +65,7 @@ def test_arrays_come_back(trained: Trained) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (dict(baseline=np.zeros(3)), "one for each class and round"),
+        (dict(baseline=np.zeros(3)), "divides the number of trees"),
         (dict(baseline=np.zeros(1)), "2 or more classes"),
         (dict(baseline=np.full(4, np.inf)), "must be finite"),
         (dict(value=np.zeros(3)), "finite, got .* one for each node"),
@@ -74,7 +74,7 @@ def test_arrays_come_back(trained: Trained) -> None:
 def test_what_is_no_boosting_is_refused(trained: Trained, change: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         replace(trained[1], **change)
-    with pytest.raises(ValueError, match="a feature outside"):
+    with pytest.raises(ValueError, match="features of nodes must be"):
         replace(trained[1].trees, n_features=2)
 
 
@@ -98,5 +98,5 @@ def test_a_blend_is_the_mean_of_the_logits(trained: Trained) -> None:
 
 
 def test_parts_of_other_features_do_not_blend(trained: Trained) -> None:
-    with pytest.raises(ValueError, match="same features and classes"):
+    with pytest.raises(ValueError, match="same numbers of features and classes"):
         Blend(SoftmaxRegression(np.zeros((4, 3)), np.zeros(4)), trained[1])

@@ -259,7 +259,7 @@ def test_samples_that_come_too_late_are_counted_and_left_out() -> None:
     online.push_accelerometer(time_s, np.tile([0.0, 0.0, 9.8], (1000, 1)))
     online.push_accelerometer(time_s[:30], np.tile([0.0, 0.0, 9.8], (30, 1)))
     words = "accelerometer: 30 of 1030 samples were dropped, because they are repeated or arrived too late"
-    assert words in online.notes
+    assert any(note.startswith(words) for note in online.notes)
 
 
 @pytest.mark.parametrize("sensor", SENSORS)

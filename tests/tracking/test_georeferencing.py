@@ -194,8 +194,8 @@ def test_fixes_in_metres_of_a_map_are_placed_by_the_origin_of_the_map(walk: Reco
         ({"heading_rad": 0.1, "origin": Origin(*HERE, turn_rad=0.1)}, "define the same angle: leave one of them out"),
         ({"heading_rad": 0.1, "fixes": [HeadingFix(5.0, 0.0, 0.1)]}, "together with fixes in another frame"),
         ({"origin": HERE, "gnss": "on"}, "gnss must be"),
-        ({"origin": HERE, "gnss": "filter"}, r'gnss="filter" .* and origin says them too'),
-        ({"heading_rad": 0.1, "gnss": "filter"}, "and heading_rad says them too"),
+        ({"origin": HERE, "gnss": "filter"}, r'gnss="filter" .* and origin also defines them'),
+        ({"heading_rad": 0.1, "gnss": "filter"}, "and heading_rad also defines them"),
     ],
 )
 def test_what_contradicts_itself_or_is_no_place_is_refused(

@@ -42,14 +42,14 @@ def test_dates_and_durations_are_refused_with_how_to_make_seconds_of_them(
 
 def test_pressures_and_locations_are_read_alike() -> None:
     online = pdr.OnlineFilter(pdr.recipes.default().in_world_frame())
-    with pytest.raises(ValueError, match="time_s holds datetime64"):
+    with pytest.raises(ValueError, match="time_s must be numbers, got datetime64"):
         online.push_pressure(np.datetime64("2026-01-01", "ns"), 1000.0)  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="time_s holds datetime64"):
+    with pytest.raises(ValueError, match="time_s must be numbers, got datetime64"):
         online.push_location(np.datetime64("2026-01-01", "ns"), 51.0, 0.0, 5.0)  # type: ignore[arg-type]
 
 
 def test_complex_numbers_are_refused() -> None:
-    with pytest.raises(ValueError, match="values holds complex128"):
+    with pytest.raises(ValueError, match="values must be real numbers, got complex128"):
         as_floats(np.zeros(3, dtype=complex), "values")
 
 

@@ -168,7 +168,7 @@ def test_bytes_that_name_anything_else_are_refused(value: Any) -> None:
 @pytest.mark.parametrize("number", [1, 4, 99])
 def test_a_filter_of_another_version_of_the_package_is_refused_with_what_to_do(number: int) -> None:
     old = zlib.compress(json.dumps({"format": number, "value": None}).encode())
-    words = rf"another version of pdr_filter: its format is {number}, not 6\); save it again"
+    words = rf"another version of pdr_filter, with format {number} instead of 6\): save it again"
     with pytest.raises(ValueError, match=words):
         from_bytes(old)
 

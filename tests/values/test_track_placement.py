@@ -37,7 +37,7 @@ def test_the_help_of_a_command_is_the_first_sentence_of_each_text(command: str) 
     [
         ({"gnss": "on"}, "gnss must be one of"),
         ({"north": "south"}, "north must be one of"),
-        ({"start": "hall"}, "start is a place on a floor plan, got 'hall' without plan"),
+        ({"start": "hall"}, "start is a position on a floor plan, got 'hall' without plan"),
         ({"gnss": "align", "north": "magnetic"}, "both define north"),
         ({"heading_rad": 0.1, "north": "magnetic"}, "both define north"),
         (

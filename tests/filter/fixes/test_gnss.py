@@ -113,7 +113,7 @@ def test_metres_and_degrees_go_there_and_back_and_agree_with_pymap3d() -> None:
 
 @pytest.mark.parametrize("place", [(91.0, 0.0), (0.0, 181.0), (np.nan, 0.0)])
 def test_an_origin_that_is_nowhere_is_refused(place: tuple[float, float]) -> None:
-    with pytest.raises(ValueError, match="are the two exchanged"):
+    with pytest.raises(ValueError, match="check the order of the two"):
         Origin(*place)
 
 

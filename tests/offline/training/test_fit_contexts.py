@@ -183,7 +183,7 @@ def test_features_of_a_function_are_given_again_when_the_model_is_loaded(
     model.save(tmp_path)
     with pytest.raises(ValueError, match=r"force_std.*ContextModel\.load\(path, features="):
         pdr.recipes.default().with_contexts(pdr.ContextModel.load(tmp_path), MODES)
-    with pytest.raises(ValueError, match=r"features must have \['rate'\]"):
+    with pytest.raises(ValueError, match=r"features must include \['rate'\]"):
         pdr.ContextModel.load(tmp_path, features=lambda signals: {"force_std": 0.0})
     config = pdr.recipes.default().with_contexts(pdr.ContextModel.load(tmp_path, features=few), MODES)
     seen = pdr.classify(walks[0], config)
