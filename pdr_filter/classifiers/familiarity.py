@@ -64,9 +64,9 @@ def unknown_share(distance: FloatArray, limit: float, sharpness: float) -> Float
 def fit_familiarity(standardised: FloatArray, limit: float, sharpness: float = 2.0) -> Familiarity:
     """Return the familiarity with principal axes and variances of standardised features (N, F), cut at 8.
 
-    The limit is chosen on held-out people. The variances are about zero, the mean of all training windows. A subset of
-    them, such as the windows on stairs, has another mean. Windows are then familiar up to the distance of the subset
-    along the line through both means.
+    The limit is chosen on held-out people. Variances are taken with respect to zero, which is the mean of all training
+    windows. A subset of them, such as the windows on stairs, has another mean. Windows are then familiar up to the
+    distance of the subset along the line through both means.
     """
     cut = np.clip(standardised, -_FEATURE_LIMIT, _FEATURE_LIMIT)
     variance, axes = np.linalg.eigh(cut.T @ cut / len(cut))

@@ -78,8 +78,8 @@ def train_one_against_all(
 ) -> list[Trained]:
     """Train K machines, each for its class against all others. For two classes, the first machine mirrors the second.
 
-    The result are `Trained` on the basis functions (R, N): the bias and the candidates. `label` (N,) is 0 to K - 1, and
-    `weight` (N,) is the weight of each row.
+    Each machine is a `Trained` on the basis functions (R, N), which are the bias and the candidates. `label` (N,) is 0
+    to K - 1, and `weight` (N,) is the weight of each row.
     """
     no_offset = np.zeros(len(label))
     machines: list[Trained] = []

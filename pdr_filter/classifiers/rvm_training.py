@@ -123,7 +123,7 @@ class Proposal:
     added: IntArray  # (P,) in descending order of their evidence gain
     added_alpha: FloatArray  # (P,)
     gain: float  # expected evidence gain of the additions, nats
-    has_postponed_deletions: bool  # more functions wait to be deleted than one pass may
+    has_postponed_deletions: bool  # more deletions are due than one pass may do
 
 
 def spread_start(likelihood: Likelihood, functions: FloatArray, n_functions: int) -> Posterior:

@@ -153,7 +153,7 @@ class Present(NamedTuple):
     time_s: float
     place: Place
     steps: tuple[ProvisionalStep, ...]  # candidate steps included in the position
-    way_m: float  # extrapolated distance since the last contact
+    extrapolated_m: float  # distance since the last contact
     speed_mps: float
     speed_std_mps: float
 
@@ -161,11 +161,11 @@ class Present(NamedTuple):
 def present_place(config: Config, state: State) -> Present:
     """Return the position at the time of the newest sample, in the frame of the filter's states.
 
-    The position follows from three parts. The first is the last accepted step. The second are the candidate steps:
-    steps that the gate has not decided yet, and steps that wait for a bout while walking is more probable than not. The
-    third is an extrapolation from the last contact at the smoothed speed. Its direction is the direction of the step,
-    rotated by half of the rotation of the phone since then. The extrapolation ends when the next contact is overdue or
-    the phone is quiet. After `finish` the position has the first part only.
+    The position follows from three parts. The first is the last accepted step. The second is the candidate steps: steps
+    that the gate has not decided yet, and steps that wait for a bout while walking is more probable than not. The third
+    is an extrapolation from the last contact at the smoothed speed. Its direction is the direction of the step, rotated
+    by half of the rotation of the phone since then. The extrapolation ends when the next contact is overdue or the
+    phone is quiet. After `finish` the position has the first part only.
     """
     sensing = state.sensing
     tracker, last, steps = state.tracker, state.last_update, list[ProvisionalStep]()
@@ -183,12 +183,12 @@ def present_place(config: Config, state: State) -> Present:
         turned_rad = device_rad - last.step.device_heading_rad
         place = last.of_start or last_place
         place = replace(place, heading_rad=place.heading_rad + turned_rad)
-    speed_mps, speed_std_mps, way_m = 0.0, math.nan, 0.0
-    if last is not None and not state.finished and _walks(config, state, last, bool(steps)):
+    speed_mps, speed_std_mps, extrapolated_m = 0.0, math.nan, 0.0
+    if last is not None and not state.finished and _is_walking(config, state, last, bool(steps)):
         speed_mps, speed_std_mps = last.speed.smoothed_mps, last.speed.smoothed_std_mps
-        way_m = speed_mps * max(_newest_accelerometer_s(state) - last.step.time_s, 0.0)
-        place = _further(place, way_m, device_rad - last.step.device_heading_rad)
-    return Present(_newest_s(state), place, tuple(steps), way_m, speed_mps, speed_std_mps)
+        extrapolated_m = speed_mps * max(_newest_accelerometer_s(state) - last.step.time_s, 0.0)
+        place = _extrapolated(place, extrapolated_m, device_rad - last.step.device_heading_rad)
+    return Present(_newest_s(state), place, tuple(steps), extrapolated_m, speed_mps, speed_std_mps)
 
 
 def now(config: Config, state: State) -> Now:
@@ -220,7 +220,7 @@ def now(config: Config, state: State) -> Now:
         distance_m=pedestrian.estimates.distance_m,
         position_m=read_only(place.position_m),
         position_cov_m2=read_only(place.cov_m2),
-        is_provisional=bool(steps) or present.way_m > 0,
+        is_provisional=bool(steps) or present.extrapolated_m > 0,
         provisional_steps=steps,
         walking_heading_rad=place.heading_rad,
         walking_heading_std_rad=math.sqrt(float(cov[HEADING_OFFSET, HEADING_OFFSET]) + frame.turn_var_rad2),
@@ -240,13 +240,15 @@ def now(config: Config, state: State) -> Now:
     )
 
 
-def _further(place: Place, way_m: float, turned_rad: float) -> Place:
+def _extrapolated(place: Place, extrapolated_m: float, turned_rad: float) -> Place:
     """Return a position extrapolated by a distance, while the phone rotated by an angle to its present heading."""
     heading_rad = place.heading_rad - 0.5 * turned_rad
     along = np.array([math.sin(heading_rad), math.cos(heading_rad)])
     across = np.array([along[1], -along[0]])
     share = _ALONG_SHARE**2 * np.outer(along, along) + _ACROSS_SHARE**2 * np.outer(across, across)
-    return replace(place, position_m=place.position_m + way_m * along, cov_m2=place.cov_m2 + way_m**2 * share)
+    return replace(
+        place, position_m=place.position_m + extrapolated_m * along, cov_m2=place.cov_m2 + extrapolated_m**2 * share
+    )
 
 
 def _on_plan(place: Place, base: Place, on_plan: OnPlan) -> Place:
@@ -273,7 +275,7 @@ def _candidates(gate: Any) -> list[Step]:
     return list(getattr(gate, "candidates", ()))
 
 
-def _walks(config: Config, state: State, last: StepUpdate, is_candidate: bool) -> bool:
+def _is_walking(config: Config, state: State, last: StepUpdate, is_candidate: bool) -> bool:
     """True if the pedestrian still walks after the last step: the next step is not overdue, and the phone moves."""
     sensing, gate = config.sensing, state.sensing.gate
     latency_s = sensing.steps.latency_s if is_candidate else sensing.step_latency_s

@@ -80,7 +80,7 @@ class DeadReckoning:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AlignedWay:
+class AlignedTrack:
     """Alignment of a track to the locations of its recording.
 
     Attributes
@@ -112,14 +112,16 @@ class AlignedWay:
         return [FixResult.of(fix, at_s, outcome) for fix, outcome in zip(self.fixes, outcomes, strict=True)]
 
 
-def align_way(location: Samples, way: DeadReckoning, first_s: float, last_s: float, n_steps: int) -> AlignedWay:
+def align_dead_reckoning(
+    location: Samples, reckoning: DeadReckoning, first_s: float, last_s: float, n_steps: int
+) -> AlignedTrack:
     """Return the alignment of a track to the locations between the times of its first and last sample."""
     locations, fixes = _even_fixes(location, first_s, last_s)
-    frozen = tuple(frozen_fixes(fixes, way.time_s, way.position_m, way.walked_m))
-    pairs = tuple(_paired(way, fix) for fix in fixes)
+    frozen = tuple(frozen_fixes(fixes, reckoning.time_s, reckoning.position_m, reckoning.walked_m))
+    pairs = tuple(_paired(reckoning, fix) for fix in fixes)
     asked = tuple(pair for pair, is_frozen in zip(pairs, frozen, strict=True) if not is_frozen)
     frame = _frame(asked, n_steps) if fixes else UNKNOWN_FRAME
-    return AlignedWay(locations, fixes, frozen, pairs, frame)
+    return AlignedTrack(locations, fixes, frozen, pairs, frame)
 
 
 def aligned(recording: Recording, results: Iterable[tuple[State, Output]]) -> Iterator[tuple[State, Output]]:
@@ -142,8 +144,10 @@ def aligned(recording: Recording, results: Iterable[tuple[State, Output]]) -> It
         return
     report, pedestrian = last.sensing.conditioner.report, last.tracker.pedestrian
     finals = [update for update in whole.updates if update.is_final]
-    way = DeadReckoning.of(report.first_time_s, finals, var_m2)
-    alignment = align_way(recording.location, way, report.first_time_s, report.last_time_s, pedestrian.steps.n_final)
+    reckoning = DeadReckoning.of(report.first_time_s, finals, var_m2)
+    alignment = align_dead_reckoning(
+        recording.location, reckoning, report.first_time_s, report.last_time_s, pedestrian.steps.n_final
+    )
     if alignment.fixes:
         pedestrian = replace(
             pedestrian,
@@ -152,7 +156,7 @@ def aligned(recording: Recording, results: Iterable[tuple[State, Output]]) -> It
         )
         whole.fixes.extend(alignment.results(last.sensing.processed_s))
         if pedestrian.frame.alignment is not None:
-            whole.updates[:] = _with_own_errors(finals, way.own_var_m2(alignment.frame.agreeing))
+            whole.updates[:] = _with_own_errors(finals, reckoning.own_var_m2(alignment.frame.agreeing))
     tracker = replace(last.tracker, pedestrian=pedestrian)
     rides = Rides.of(alignment.fixes, np.array([update.step.time_s for update in finals]))
     n_rejected = sum(fix.outcome == "rejected" for fix in whole.fixes)
@@ -181,8 +185,8 @@ def _with_altitudes(state: HeightState, fixes: Sequence[PositionFix], finals: Se
     return replace(state, start_altitude=altitude)
 
 
-def _paired(way: DeadReckoning, fix: PositionFix) -> PairedPoint:
-    track_m, var_m2 = way.at(fix.time_s)
+def _paired(reckoning: DeadReckoning, fix: PositionFix) -> PairedPoint:
+    track_m, var_m2 = reckoning.at(fix.time_s)
     return PairedPoint(track_m, fix.position_m, fix.var_m2, var_m2, fix.time_s, fix.correlation_s)
 
 

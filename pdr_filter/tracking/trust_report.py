@@ -133,9 +133,9 @@ def problems(track: TrackRows) -> list[str]:
     >>> problems(replace(track, notes=("the clock was set back once",)))
     ['The clock was set back once.']
     """
-    told = doubts(track)
-    words = [w for w in _SHARED_WITH_NOTES if any(w in sentence for sentence in told)]
-    return [*told, *(sentence(note) for note in track.notes if not any(w in note for w in words))]
+    sentences = doubts(track)
+    words = [w for w in _SHARED_WITH_NOTES if any(w in sentence for sentence in sentences)]
+    return [*sentences, *(sentence(note) for note in track.notes if not any(w in note for w in words))]
 
 
 def report(track: TrackRows) -> str:
@@ -155,8 +155,8 @@ def report(track: TrackRows) -> str:
         fit = "about 2 if positions are consistent" if track.origin is None else "below 2 if locations are consistent"
         mean = f"mean normalised squared innovation {np.mean(used):.1f}, {fit}"
         lines.append(f"fixes: {len(used)} used ({mean})")
-    said = problems(track)
-    lines += ["where not to trust it:", *(f"- {p}" for p in said)] if said else ["no problems were found"]
+    sentences = problems(track)
+    lines += ["where not to trust it:", *(f"- {p}" for p in sentences)] if sentences else ["no problems were found"]
     return "\n".join(lines)
 
 

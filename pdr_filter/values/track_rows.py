@@ -220,14 +220,16 @@ class TrackRows:
         Track
             Track with the origin.
         """
-        here = Origin.of(origin)
+        new_origin = Origin.of(origin)
         if self.frame in ("fixes", "plan"):
-            return replace(self, origin=here)
+            return replace(self, origin=new_origin)
         turned = self
-        if here.turn_rad is not None and self.frame == "start":
-            turned = self.turned(here.turn_rad, here.turn_std_rad)
-        var_m2 = (here.position_std_m or 0.0) ** 2 if self.origin is None else 0.0
-        return replace(turned, origin=here, position_cov_m2=read_only(turned.position_cov_m2 + var_m2 * np.eye(2)))
+        if new_origin.turn_rad is not None and self.frame == "start":
+            turned = self.turned(new_origin.turn_rad, new_origin.turn_std_rad)
+        var_m2 = (new_origin.position_std_m or 0.0) ** 2 if self.origin is None else 0.0
+        return replace(
+            turned, origin=new_origin, position_cov_m2=read_only(turned.position_cov_m2 + var_m2 * np.eye(2))
+        )
 
     @property
     def about_frame(self) -> str:
@@ -266,8 +268,8 @@ class TrackRows:
 
         A change of height is significant if it exceeds one metre and two standard deviations.
         """
-        told = np.abs(self.height_m) > np.maximum(1.0, 2.0 * self.height_std_m)
-        return not (told.any() or self.floor_passages or (self.floor != self.floor[:1]).any())
+        is_significant = np.abs(self.height_m) > np.maximum(1.0, 2.0 * self.height_std_m)
+        return not (is_significant.any() or self.floor_passages or (self.floor != self.floor[:1]).any())
 
     @property
     def direction_trust(self) -> FloatArray:

@@ -12,7 +12,7 @@ import pdr_filter as pdr
 from pdr_filter import recipes
 from pdr_filter.filter.fixes.alignment import Place
 from pdr_filter.simulate import Leg, simulate
-from pdr_filter.tracking.extrapolation import _ACROSS_SHARE, _ALONG_SHARE, _further, _on_plan
+from pdr_filter.tracking.extrapolation import _ACROSS_SHARE, _ALONG_SHARE, _extrapolated, _on_plan
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, FixResult, OnPlan, PositionFix
 
 LEGS = [Leg("stationary", duration_s=4.0), Leg("walking", distance_m=25.0), Leg("stationary", duration_s=6.0)]
@@ -153,7 +153,7 @@ def test_what_is_no_fix_is_refused_in_words() -> None:
 
 def test_who_turns_while_walking_on_goes_along_the_chord_of_the_turn() -> None:
     there = Place(np.zeros(2), np.zeros((2, 2)), heading_rad=np.pi / 2, n_steps=3)  # to the east now, to the north then
-    ahead = _further(there, 2.0, turned_rad=np.pi / 2)
+    ahead = _extrapolated(there, 2.0, turned_rad=np.pi / 2)
     np.testing.assert_allclose(ahead.position_m, [2**0.5, 2**0.5])
     along, across = np.linalg.eigvalsh(ahead.cov_m2)[::-1] ** 0.5 / 2.0
     assert (along, across) == pytest.approx((_ALONG_SHARE, _ACROSS_SHARE))
