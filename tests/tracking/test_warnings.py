@@ -1,4 +1,4 @@
-"""What is said of a track's steps, and from how many on."""
+"""Thresholds of the warnings about steps."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pdr_filter.tracking.warnings import _step_notes  # pyright: ignore[reportPr
 @pytest.mark.parametrize(
     ("untrusted", "n", "is_said"), [(21, 60, True), (20, 60, False), (41, 200, True), (40, 200, False)]
 )
-def test_directions_are_doubted_aloud_from_a_fifth_of_the_steps_on_and_not_for_a_turn_of_twenty(
+def test_uncertain_directions_cause_a_note_above_a_fifth_of_the_steps_and_above_twenty_steps(
     untrusted: int, n: int, is_said: bool
 ) -> None:
     notes = list(_step_notes(StepCounts(n=n, untrusted=untrusted)))
