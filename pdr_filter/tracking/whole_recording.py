@@ -105,7 +105,7 @@ def track(
         Gyroscope bias of the phone: `Track.device` of an earlier recording, or the file where it was saved.
     person : Person, Calibration or path, optional
         Step length of the person: `Track.person` of an earlier recording, a calibration, or the file where either was
-        saved. A person and a calibration may be given together.
+        saved. If `calibration` is given as well, the walks of the person refine it.
     gnss, origin, heading_rad, north, plan, start : fields of `TrackPlacement`
 
     Returns

@@ -57,17 +57,17 @@ class Truth:
     Attributes
     ----------
     position : Table, optional
-        True positions over time.
+        Measured positions over time.
     waypoints : Table, optional
-        Known positions with the times at which the pedestrian passed them.
+        Known points with the times at which the pedestrian passed them. The path between them is unknown.
     steps : Table, optional
-        True steps.
+        Contacts of the true steps.
     strides : Table, optional
-        True strides.
+        Strides of known length.
     segments : Table, optional
-        Stretches of known length.
+        Stretches of known distance or number of steps.
     labels : Table, optional
-        True contexts and carrying modes of stretches of time.
+        Stretches of known context and carrying mode.
 
     Examples
     --------

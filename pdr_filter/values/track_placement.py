@@ -49,8 +49,9 @@ class TrackPlacement:
         Source of true north until fixes determine it: the magnetometer or the phone's own attitude. "magnetic": the
         magnetometer, which is also the default if the locations of the recording are used. "rotation-vector": the
         phone's own attitude, in a world with y to magnetic north (Android). "true-heading": the phone's own attitude,
-        in a world with x to true north (xTrueNorthZVertical of iOS). "off": no source. With a source, `fixes` must be
-        in a frame with true north. Without fixes, the track is rotated about its start (`Track.frame` is "north").
+        in a world with x to true north (xTrueNorthZVertical of iOS). The attitude needs no magnetometer. "off": no
+        source. With a source, `fixes` must be in a frame with true north. Without fixes, the track is rotated about its
+        start (`Track.frame` is "north").
     plan : FloorPlan, optional
         Floor plan that constrains the track to walkable areas. `fixes` and track are in the frame of the plan
         (`Track.frame` is "plan"), and `Track.clusters` has the candidate areas of the position. The locations of the
