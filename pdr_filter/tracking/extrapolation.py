@@ -139,7 +139,7 @@ class Now:
 
 
 # Errors of the distance extrapolated beyond the last known contact, along and across, as shares of that distance (root
-# mean squares): the pedestrian may have stopped or turned. Chosen, with `_QUIET_MPS2`, on every second of 34 walks of
+# mean squares): the pedestrian may have stopped or turned. Chosen, with `_QUIET_MPS2`, on every other walk of the 34 of
 # ms_indoor. The held-out walks have 0.39 and 0.17, humolire 0.21 and 0.07 (tests/benchmarks/provisional.py).
 _ALONG_SHARE, _ACROSS_SHARE = 0.4, 0.15
 # The pedestrian stands if the standard deviation of |specific force| over the last half second (rows at 25 Hz) is
