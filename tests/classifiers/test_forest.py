@@ -191,8 +191,8 @@ def changed(array: np.ndarray, index: int, value: float) -> np.ndarray:
         ("left", 0, 2, "belongs to no tree or to more than one"),
         ("roots", 1, 0, "belongs to no tree or to more than one"),
         ("roots", 1, -1, "roots must be nodes"),
-        ("feature", 0, 12, "outside 0 to 11"),
-        ("feature", 0, -1, "outside 0 to 11"),
+        ("feature", 0, 12, "must be from 0 to 11"),
+        ("feature", 0, -1, "must be from 0 to 11"),
         ("threshold", 0, np.nan, "threshold must be finite"),
     ],
 )

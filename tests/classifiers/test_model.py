@@ -187,7 +187,7 @@ def test_a_feature_that_is_not_finite_is_named(forest_model: ContextModel) -> No
 
 
 def test_another_number_of_features_is_refused(forest_model: ContextModel) -> None:
-    with pytest.raises(ValueError, match="takes 4 features"):
+    with pytest.raises(ValueError, match="needs 4 features"):
         forest_model.predict(np.zeros(5))
 
 
@@ -253,7 +253,7 @@ def test_a_missing_file_is_named(forest_model: ContextModel, tmp_path: Path) -> 
     path = forest_model.save(tmp_path)
     path.unlink()
     json_path = Path(str(path).removesuffix(".npz") + ".json")
-    assert_refused(json_path, r"v1\.json: .* pocket-forest\.v1\.npz is missing beside it")
+    assert_refused(json_path, r"v1\.json: .* pocket-forest\.v1\.npz is missing in the same folder")
     json_path.unlink()
     assert_refused(json_path, r"v1\.json: no such file")
 

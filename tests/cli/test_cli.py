@@ -111,7 +111,7 @@ def test_a_file_that_does_not_exist_is_named(tmp_path: Path) -> None:
         (["--model", "no_such_model.npz"], "no_such_model.npz"),
         (["--origin", "Florence", "--out", "x"], "LAT,LON"),
         (["--origin", "11.25,143.77,3", "--out", "x"], "LAT,LON"),
-        (["--origin", "143.77,11.25", "--out", "x"], "exchanged"),
+        (["--origin", "143.77,11.25", "--out", "x"], "check the order"),
         (["--origin", "nan,11.25"], "--origin must be (latitude, longitude)"),
         (["--heading", "north"], "--heading must be degrees clockwise from north"),
         (["--heading", "nan"], "--heading must be degrees clockwise from north"),

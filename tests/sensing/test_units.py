@@ -83,8 +83,8 @@ def test_a_sensor_that_wakes_up_with_zeros_is_noted_no_longer_when_it_is_right()
     [
         (1e9, 1.7e18, "divide milliseconds by 1e3, nanoseconds by 1e9"),
         (1e3, 1.7e12, "divide milliseconds by 1e3"),
-        (1e3, 0.0, "they look like milliseconds, convert them to seconds"),
-        (1e9, 0.0, "they look like nanoseconds, convert them to seconds"),
+        (1e3, 0.0, "the times look like milliseconds, convert them to seconds"),
+        (1e9, 0.0, "the times look like nanoseconds, convert them to seconds"),
     ],
 )
 def test_times_that_are_no_seconds_are_refused(factor: float, begin: float, words: str) -> None:
