@@ -27,7 +27,7 @@ from pdr_filter.maps.particle_filter import ParticleFilter, ParticleState
 from pdr_filter.maps.particle_motion import EAST, NORTH, OFFSET, SCALE, backwards
 from pdr_filter.offline.smoothing.plan_result import Hindsight
 from pdr_filter.recipes.config import Config
-from pdr_filter.tracking.whole_recording import a_step_before, collected, outputs
+from pdr_filter.tracking.whole_recording import collected, outputs, position_before
 from pdr_filter.values import Cluster, Fix, FixOutcome, FloatArray, FloorPassage, read_only, wrap_angle
 from pdr_filter.values.recording import Recording
 
@@ -127,7 +127,7 @@ def smooth_on_plan(
         walking_heading_rad=read_only(wrap_angle(heading)),
         step_speed_mps=read_only(length / np.asarray(track.steps.duration_s)),
         clusters=tuple((row.cluster,) for row in rows),
-        start_position_m=read_only(a_step_before(position[0], length[0], heading[0])),
+        start_position_m=read_only(position_before(position[0], length[0], heading[0])),
         frame="plan",
         origin=online.plan.origin,
         is_smoothed=True,

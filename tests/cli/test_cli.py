@@ -111,14 +111,14 @@ def test_a_file_that_does_not_exist_is_named(tmp_path: Path) -> None:
         (["--model", "no_such_model.npz"], "no_such_model.npz"),
         (["--origin", "Florence", "--out", "x"], "LAT,LON"),
         (["--origin", "11.25,143.77,3", "--out", "x"], "LAT,LON"),
-        (["--origin", "143.77,11.25", "--out", "x"], "exchanged"),
+        (["--origin", "143.77,11.25", "--out", "x"], "check the order"),
         (["--origin", "nan,11.25"], "--origin must be (latitude, longitude)"),
         (["--heading", "north"], "--heading must be degrees clockwise from north"),
         (["--heading", "nan"], "--heading must be degrees clockwise from north"),
         (["--heading", "4000"], "--heading must be degrees clockwise from north"),
         (["--export", "shp"], "csv, geojson, gpx, kml, parquet, tum, got 'shp'"),
         (["--export", "csv,gpx"], "short_walk: --export gpx needs a place on Earth"),
-        (["--origin", "43.77,11.25", "--gnss", "filter"], "and origin says them too"),
+        (["--origin", "43.77,11.25", "--gnss", "filter"], "and origin also defines them"),
     ],
 )
 def test_an_option_that_cannot_be_used_is_one_line_with_the_remedy(walk: Path, options: list[str], said: str) -> None:

@@ -349,11 +349,11 @@ def test_a_grid_of_two_places_finds_a_walk_that_began_anywhere_and_has_the_same_
 
 def test_a_grid_without_a_plan_is_refused_with_the_remedy() -> None:
     grid = pdr.GridFix(4.0, (0.0, 0.0), 3.0, np.zeros((2, 2)))
-    with pytest.raises(ValueError, match=r"give plan too.*RadioMap.fixes"):
+    with pytest.raises(ValueError, match=r"give plan as well.*RadioMap.fixes"):
         pdr.track(WALK, fixes=[grid])
-    with pytest.raises(ValueError, match=r"give plan too.*RadioMap.fixes"):
+    with pytest.raises(ValueError, match=r"give plan as well.*RadioMap.fixes"):
         pdr.OnlineFilter().add_fix(grid)
-    with pytest.raises(ValueError, match=r"give plan too.*RadioMap.fixes"):
+    with pytest.raises(ValueError, match=r"give plan as well.*RadioMap.fixes"):
         pdr.smooth(WALK, [grid])
     for wrong in ({"cell_m": 0.0}, {"log_likelihood": np.zeros(3)}, {"log_likelihood": [[np.nan]]}, {"floor": 0.5}):
         with pytest.raises(ValueError, match=next(iter(wrong))):

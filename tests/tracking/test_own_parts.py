@@ -1,4 +1,4 @@
-"""Parts of users: step detectors, heading stages, step lengths, measurements, written outside of the package."""
+"""Parts of users, written outside of the package: step detectors, heading stages, step lengths, measurements."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def pushed(online: pdr.OnlineFilter, recording: pdr.Recording, begin: int = 0, e
     return updates
 
 
-def test_parts_from_outside_make_the_same_track_online_and_as_a_whole(recording: pdr.Recording) -> None:
+def test_parts_of_other_packages_give_the_same_track_online_and_offline(recording: pdr.Recording) -> None:
     config = own_config()
     track, online = pdr.track(recording, config=config), pdr.OnlineFilter(config)
     updates = [u for u in (*pushed(online, recording), *online.finish()) if u.is_final]
@@ -45,7 +45,7 @@ def test_parts_from_outside_make_the_same_track_online_and_as_a_whole(recording:
     assert not np.array_equal(track.steps.time_s, default.steps.time_s)
 
 
-def test_parts_from_outside_are_smoothed_and_drawn(recording: pdr.Recording, tmp_path: Any) -> None:
+def test_tracks_with_parts_of_other_packages_are_smoothed_and_drawn(recording: pdr.Recording, tmp_path: Any) -> None:
     smoothed = pdr.smooth(recording, config=own_config())
     assert smoothed.track.distance_m == pytest.approx(70.0, rel=0.2)
     from pdr_filter.report.html import write_report
@@ -55,7 +55,7 @@ def test_parts_from_outside_are_smoothed_and_drawn(recording: pdr.Recording, tmp
 
 
 @pytest.mark.parametrize("n_pushed", [900, 2345])
-def test_a_filter_with_parts_from_outside_is_saved_and_goes_on_with_its_configuration(
+def test_a_filter_with_parts_of_other_packages_continues_after_loading_with_its_configuration(
     recording: pdr.Recording, n_pushed: int
 ) -> None:
     config = own_config()
@@ -75,7 +75,7 @@ def _content(blob: bytes) -> bytes:
     return zlib.decompress(blob)
 
 
-def test_bytes_without_the_configuration_say_that_it_is_needed_and_another_one_is_refused(
+def test_bytes_without_configuration_require_it_and_refuse_another_one(
     recording: pdr.Recording,
 ) -> None:
     online = pdr.OnlineFilter(own_config())
@@ -87,7 +87,7 @@ def test_bytes_without_the_configuration_say_that_it_is_needed_and_another_one_i
             pdr.OnlineFilter.load(online.save(), config=other)
 
 
-def test_a_saved_filter_of_own_classes_alone_can_be_loaded_with_its_configuration_too(recording: pdr.Recording) -> None:
+def test_a_saved_filter_of_package_classes_can_also_be_loaded_with_its_configuration(recording: pdr.Recording) -> None:
     online = pdr.OnlineFilter()
     pushed(online, recording, end=900)
     loaded = pdr.OnlineFilter.load(online.save(), config=pdr.recipes.default())
@@ -102,7 +102,7 @@ def test_a_state_that_cannot_be_saved_is_refused_when_it_is_saved(recording: pdr
     with pytest.warns(UserWarning, match="save will refuse the state of Forgetful: a object cannot be saved"):
         config = pdr.recipes.default().with_heading(Forgetful())
     online = pdr.OnlineFilter(config)
-    with pytest.raises(ValueError, match="state of a part of yours cannot be saved: a object"):
+    with pytest.raises(ValueError, match="the state of one of your own parts: a object"):
         online.save()
 
 
@@ -210,7 +210,7 @@ def test_north_is_found_with_a_heading_stage_from_outside() -> None:
     assert math.atan2(*walked) == pytest.approx(1.0 + declination, abs=0.25)
 
 
-def test_locations_use_north_with_a_heading_stage_from_outside_and_not_with_one_that_forbids_it() -> None:
+def test_locations_use_north_with_a_heading_stage_of_another_package_unless_it_forbids_it() -> None:
     config = pdr.recipes.default()
     assert config.with_heading(DeviceHeading()).learns_directions
 
@@ -221,7 +221,7 @@ def test_locations_use_north_with_a_heading_stage_from_outside_and_not_with_one_
         config.with_heading(Unsure()).with_magnetic_north(0.0)
 
 
-def test_what_a_part_lacks_is_named() -> None:
+def test_missing_members_of_a_part_are_named() -> None:
     with pytest.raises(ValueError, match=r"steps must be a StepDetector .* without first_step_s, latency_s, rate_hz"):
         pdr.recipes.default().with_steps(DeviceHeading())  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="a class, not one of its instances"):
@@ -230,7 +230,7 @@ def test_what_a_part_lacks_is_named() -> None:
         pdr.recipes.default().with_step_length("swimming", FIT)
 
 
-def test_the_checks_pass_for_parts_that_keep_to_the_protocols() -> None:
+def test_the_checks_pass_for_parts_that_implement_the_protocols() -> None:
     for part in (Crossings(), DeviceHeading()):
         pdr.testing.check_stage(part)
     for model in (RootOfRange(), Exponential(), FIT, bounce_fit()):
@@ -321,7 +321,7 @@ def test_a_step_length_that_breaks_the_protocol_is_refused_with_the_reason(model
         pdr.testing.check_step_length(model)
 
 
-def test_waiting_measurements_of_own_classes_are_left_out_of_the_bytes_with_a_warning(recording: pdr.Recording) -> None:
+def test_waiting_measurements_of_user_classes_are_not_saved_and_cause_a_warning(recording: pdr.Recording) -> None:
     class Line:
         time_s, received_time_s = 8.9, None
 
@@ -331,7 +331,7 @@ def test_waiting_measurements_of_own_classes_are_left_out_of_the_bytes_with_a_wa
     online = pdr.OnlineFilter()
     pushed(online, recording, end=900)
     online.add_fix(Line())
-    with pytest.warns(UserWarning, match="1 measurements of classes of yours wait"):
+    with pytest.warns(UserWarning, match="1 waiting measurements are not saved"):
         blob = online.save()
     assert pdr.OnlineFilter.load(blob).state.waiting_fixes == ()
 
@@ -344,7 +344,9 @@ class PlainRootOfRange:  # no dataclass
 
 
 @pytest.mark.parametrize("model", [RootOfRange, PlainRootOfRange])
-def test_a_calibrated_model_from_outside_is_kept_and_loaded_with_its_configuration(model: Any, tmp_path: Any) -> None:
+def test_a_calibrated_model_of_another_package_is_saved_and_loaded_with_its_configuration(
+    model: Any, tmp_path: Any
+) -> None:
     config = pdr.recipes.default().with_step_length("walking", replace(FIT, model=model()))
     legs = [Leg("walking", distance_m=20.0), Leg("stationary", duration_s=3.0)] * 4
     walk = simulate(legs, Gait(height_m=1.8), seed=2)
@@ -360,7 +362,7 @@ def test_a_calibrated_model_from_outside_is_kept_and_loaded_with_its_configurati
     np.testing.assert_array_equal(pdr.track(walk, config=config, calibration=path).position_m, again.position_m)
 
 
-def test_foreign_fields_take_the_class_of_the_part_alone() -> None:
+def test_foreign_fields_are_restored_only_with_the_class_of_the_part() -> None:
     state = Crossings().init()
     loaded = serialise.from_bytes(serialise.to_bytes(state, foreign=True))
     assert isinstance(loaded, serialise.ForeignFields)

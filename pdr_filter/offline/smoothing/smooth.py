@@ -58,7 +58,7 @@ from pdr_filter.sensing.heading.heading_stage import after_first_pass
 from pdr_filter.tracking.filtering import init
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.walked_path import WalkedPath, walked_path
-from pdr_filter.tracking.whole_recording import asked_run, collected, outputs, run_sensing
+from pdr_filter.tracking.whole_recording import collected, outputs, prepared_run, run_sensing
 from pdr_filter.values import (
     Fix,
     FloatArray,
@@ -178,7 +178,7 @@ def smooth(
         )
     check_options(loop_closures, start_heading_std_rad, anchor_interval_s)
     placement = TrackPlacement(gnss, origin, heading_rad, north, plan, start)
-    run = asked_run(recording, config, fixes, placement, weighting, calibration, device, person)
+    run = prepared_run(recording, config, fixes, placement, weighting, calibration, device, person)
     given, recording, config = recording, run.recording, run.config
     if isinstance(loop_closures, str):
         loop_closures = tuple(wifi_loop_closures(recording))

@@ -16,7 +16,7 @@ from pdr_filter.offline.smoothing.observations import (
 from pdr_filter.offline.smoothing.preintegration import turned
 from pdr_filter.offline.smoothing.smoothed import Smoothed
 from pdr_filter.offline.smoothing.storeys import with_named_floors
-from pdr_filter.tracking.gnss_alignment import Way, align_way
+from pdr_filter.tracking.gnss_alignment import DeadReckoning, align_dead_reckoning
 from pdr_filter.tracking.warnings import notes_of_rides
 from pdr_filter.tracking.whole_recording import Run
 from pdr_filter.values import (
@@ -33,13 +33,13 @@ def aligned_walk(
 ) -> tuple[Smoothed, LocationState, tuple[PositionFix, ...]]:
     """A smoothed walk that the locations of the recording turn and shift as a whole."""
     track, end_s = smoothed.track, smoothed.track.start_time_s + smoothed.track.duration_s
-    way = Way(
+    way = DeadReckoning(
         np.array([track.start_time_s, *track.time_s]),
         np.vstack([track.start_position_m, track.position_m]),
         np.array([0.0, *track.walked_m]),
         np.array([0.0, *walked_var_m2]),
     )
-    found = align_way(location, way, track.start_time_s, end_s, track.n_steps)
+    found = align_dead_reckoning(location, way, track.start_time_s, end_s, track.n_steps)
     if not found.fixes:
         return smoothed, found.locations, ()
     cov_m2, notes = track.position_cov_m2, smoothed.notes

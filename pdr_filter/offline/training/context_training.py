@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from pdr_filter.classifiers.context_model import ContextModel, not_told_apart
+from pdr_filter.classifiers.context_model import ContextModel, blend_stairs_with_prior
 from pdr_filter.classifiers.familiarity import unknown_share
 from pdr_filter.classifiers.probability_calibration import fit_calibration, slipped, tempered
 from pdr_filter.offline.training.classifier_choice import fit_blend, fit_forest, fit_relevance_vectors
@@ -97,7 +97,7 @@ class ContextPlan(TrainingPlan):
         if self.guards_stairs:
             stairs_limit = float(np.quantile(left.stairs_distance[np.isin(y, STAIRS)], _STAIRS_QUANTILE))
             share = unknown_share(left.stairs_distance, stairs_limit, STAIRS_SHARPNESS)
-            prob = not_told_apart(prob, share, [self.labels.index(label) for label in ("walking", *STAIRS)])
+            prob = blend_stairs_with_prior(prob, share, [self.labels.index(label) for label in ("walking", *STAIRS)])
         limits = float(np.quantile(left.distance, 0.99)), stairs_limit
         model = replace(model, temperature=temperature, slip=slip)
         scores = {name: self._scores(of_left, prob, name) for name in SCORED_DATASETS if name in of_left.dataset}

@@ -578,7 +578,7 @@ def with_stairs_in_thirds(prob: FloatArray, share: float, contexts: ContextSet =
     """Return probabilities (C,) as a prior for another sensor that distinguishes stairs from walking.
 
     A share of the probability of level walking and stairs is divided into equal thirds. The unequal division of
-    `classifiers.context_model.not_told_apart` is a prior of daily life. Used as evidence in each window, it would
+    `classifiers.context_model.blend_stairs_with_prior` is a prior of daily life. Used as evidence in each window, it would
     outvote the measurements of the other sensor.
     """
     in_thirds = contexts.in_thirds

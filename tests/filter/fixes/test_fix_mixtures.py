@@ -273,8 +273,8 @@ def test_the_note_about_a_discarded_heading_says_what_to_check() -> None:
     east_m, north_m = walk.at(8.0) - walk.at(6.0)
     wrong = HeadingFix(7.0, float(np.arctan2(-east_m, -north_m)), 0.1)
     track = pdr.track(recording, walk.world, fixes=iter([*every(walk, 2.0, np.random.default_rng(0)), wrong]))
-    assert any("contradict a heading fix" in note for note in track.notes)
-    assert any("moved it by" in note for note in track.notes) is False
+    assert any("contradict an earlier heading fix" in note for note in track.notes)
+    assert any("the track was moved by" in note for note in track.notes) is False
 
 
 # --- frozen positions -------------------------------------------------------------------------------------------------

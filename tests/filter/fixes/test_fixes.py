@@ -394,7 +394,7 @@ def test_headings_keep_a_drifting_gyroscope_straight() -> None:
 def test_an_impossible_heading_is_rejected(walk: Recording) -> None:
     track = pdr.track(walk, fixes=[HeadingFix(20.0, np.pi, 0.05)])
     assert [f.accepted for f in track.fixes] == [False]
-    assert any("not fit the track or its time, and were not used: 1" in note for note in track.notes)
+    assert any("not fit the track or its time were not used: 1" in note for note in track.notes)
 
 
 def test_in_the_world_frame_the_first_heading_fix_defines_north(walk: Recording) -> None:
@@ -438,9 +438,9 @@ def test_steps_in_a_known_standstill_do_not_move_the_position(walk: Recording) -
         (lambda: HeadingFix(1.0, np.inf, 0.1), "walking_heading_rad must be finite"),
         (lambda: HeadingFix(1.0, 0.0, 0.0), "std_rad must be a number from"),
         (lambda: HeadingFix(1.0, 0.0, 0.1, received_time_s=0.5), "received_time_s not before it"),
-        (lambda: SpeedFix(1.0, 0.0, 0.1), "is a Standstill"),
+        (lambda: SpeedFix(1.0, 0.0, 0.1), "give a Standstill"),
         (lambda: SpeedFix(1.0, 1.0, np.nan), "std_mps must be a number from"),
-        (lambda: Standstill(2.0, 2.0), "must end after its begin"),
+        (lambda: Standstill(2.0, 2.0), "must be after its time_s"),
         (lambda: HeadingFix(1.0, 0.0, 1e200), "std_rad must be a number from"),
         (lambda: SpeedFix(1.0, 1.0, 1e200), "std_mps must be a number from"),
         (lambda: PositionFix(1.0, np.array([np.nan, 0.0]), np.eye(2)), "position_m must be"),
@@ -464,7 +464,7 @@ def test_a_fix_ten_minutes_late_or_from_before_the_start_leaves_finite_numbers(w
     assert len(track.fixes) == len(fixes)
     assert [f.outcome for f in track.fixes] == ["rejected", "rejected", "rejected", "waiting"]
     np.testing.assert_array_equal(track.position_m, pdr.track(walk).position_m)
-    assert any("fixes from after the last sample, not used: 1" in note for note in track.notes)
+    assert any("fixes from after the last sample were not used: 1" in note for note in track.notes)
 
 
 @pytest.mark.parametrize(

@@ -113,7 +113,7 @@ def test_metres_and_degrees_convert_both_ways_and_agree_with_pymap3d() -> None:
 
 @pytest.mark.parametrize("place", [(91.0, 0.0), (0.0, 181.0), (np.nan, 0.0)])
 def test_an_origin_that_is_not_on_earth_is_refused(place: tuple[float, float]) -> None:
-    with pytest.raises(ValueError, match="are the two exchanged"):
+    with pytest.raises(ValueError, match="check the order of the two"):
         Origin(*place)
 
 
@@ -378,7 +378,7 @@ def test_outliers_do_not_rotate_an_aligned_track(walk: Recording) -> None:
     assert [fix.time_s for fix in track.fixes if fix.outcome == "rejected"] == wrong_s
     error_m = np.linalg.norm(in_frame_of_here(track) - truth_m(walk, track.time_s), axis=1)
     assert error_m.max() < 14.0
-    assert any("not fit the track or its time, and were not used: 3" in note for note in track.notes)
+    assert any("not fit the track or its time were not used: 3" in note for note in track.notes)
 
 
 @pytest.mark.parametrize("gnss", ["filter", "align"])
@@ -394,7 +394,7 @@ def test_one_or_two_locations_place_any_track_and_leave_north_unknown(
     error = in_frame_of_here(track) - truth_m(bare, track.time_s)
     nees = np.einsum("ka,kab,kb->k", error, np.linalg.inv(track.position_cov_m2), error)
     assert nees.max() < chi2.isf(1e-3, 2)
-    assert any("do not settle which way the track lies" in note for note in track.notes)
+    assert any("do not determine the rotation of the track" in note for note in track.notes)
 
 
 def test_unusable_locations_do_not_align_a_track(walk: Recording, alone: pdr.Track) -> None:
@@ -415,9 +415,9 @@ def test_fixes_in_their_own_frame_disable_the_locations_and_exclude_gnss_options
     assert pdr.track(walk, fixes=[HeadingFix(20.0, 0.0, 0.1)]).origin is None
     assert pdr.track(walk, fixes=[SpeedFix(20.0, 1.3, 0.1)]).origin is not None
     for asked in ("filter", "align"):
-        with pytest.raises(ValueError, match="positions in a frame of their own: leave one of them out"):
+        with pytest.raises(ValueError, match="positions in another frame: leave one of them out"):
             pdr.track(walk, fixes=[fix], gnss=asked)
-    with pytest.raises(ValueError, match="finds the turn of the whole track, got a HeadingFix"):
+    with pytest.raises(ValueError, match="determines the rotation of the whole track, got a HeadingFix"):
         pdr.track(walk, fixes=[HeadingFix(20.0, 0.0, 0.1)], gnss="align")
 
 
@@ -455,9 +455,9 @@ def test_map_files_of_a_located_track_need_no_origin_and_others_state_what_is_mi
     assert f'lat="{track.latitude_deg[-1]:.9f}"' in track.to_gpx(tmp_path / "a.gpx").read_text()
     assert track.summary()["end_latitude_deg"] == pytest.approx(track.latitude_deg[-1], abs=1e-7)
     for write in (alone.to_geojson, alone.to_gpx, alone.to_kml):
-        with pytest.raises(ValueError, match=r"no location says where .* origin=\(latitude_deg, longitude_deg\)"):
+        with pytest.raises(ValueError, match=r"the geographic position .*origin=\(latitude_deg, longitude_deg\)"):
             write(tmp_path / "b")
-    with pytest.raises(ValueError, match="no location says where"):
+    with pytest.raises(ValueError, match="the geographic position of the track"):
         _ = alone.latitude_deg
     assert not (tmp_path / "b").exists()
 

@@ -132,8 +132,8 @@ def test_fixes_that_contradict_the_position_of_a_lost_heading_for_long_relocate_
     track = tracked(walk, [*with_wrong(fixes_of(walk), GAP_END_S, np.inf)])
     moved = next(fix.time_s for fix in track.fixes if fix.outcome == "moved")
     assert moved > GAP_END_S + 60.0
-    (note,) = (note for note in track.notes if "moved it by" in note)
-    assert "," not in note.partition("moved it by ")[2].partition(" m")[0]  # once
+    (note,) = (note for note in track.notes if "the track was moved by" in note)
+    assert "," not in note.partition("the track was moved by ")[2].partition(" m")[0]  # once
     error_m = np.linalg.norm(track.position_m - truth_m(walk, track.time_s) - FAR_M, axis=1)
     assert error_m[track.time_s > moved + 2.0].max() < 20.0
 

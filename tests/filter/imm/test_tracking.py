@@ -566,7 +566,7 @@ def test_the_first_imm_step_is_the_mixture_of_the_steps_of_all_modes() -> None:
         ({"transition_prob": np.eye(5)}, "transition_prob"),
         ({"modes": (), "transition_prob": np.empty((0, 0))}, "modes is empty"),
         ({"transition_prob": np.full((6, 6), np.nan)}, "must sum to 1"),
-        ({"transition_prob": np.eye(6)[[0, 0, 0, 1, 2, 3]].T}, "transpose it"),
+        ({"transition_prob": np.eye(6)[[0, 0, 0, 1, 2, 3]].T}, "transpose the matrix"),
         ({"evidence_exponent": np.nan}, "evidence_exponent of PedestrianModel must be 0 or more .*, got nan"),
         ({"evidence_floor": -0.1}, "evidence_floor of PedestrianModel must be 0 or more"),
         ({"step_log_odds_stationary": np.inf}, "step_log_odds_stationary of PedestrianModel must be finite"),

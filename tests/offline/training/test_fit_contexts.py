@@ -183,7 +183,7 @@ def test_features_of_a_function_are_given_again_when_the_model_is_loaded(
     model.save(tmp_path)
     with pytest.raises(ValueError, match=r"force_std.*ContextModel\.load\(path, features="):
         pdr.recipes.default().with_contexts(pdr.ContextModel.load(tmp_path), MODES)
-    with pytest.raises(ValueError, match=r"features must have \['rate'\]"):
+    with pytest.raises(ValueError, match=r"features must include \['rate'\]"):
         pdr.ContextModel.load(tmp_path, features=lambda signals: {"force_std": 0.0})
     config = pdr.recipes.default().with_contexts(pdr.ContextModel.load(tmp_path, features=few), MODES)
     seen = pdr.classify(walks[0], config)
@@ -213,7 +213,7 @@ def test_a_function_gets_every_signal_by_its_name(walks: list[pdr.Recording]) ->
 
 def test_sets_that_are_used_together_have_different_names() -> None:
     one = FunctionFeatures.of(few)
-    with pytest.raises(ValueError, match="are in two of the sets"):
+    with pytest.raises(ValueError, match="must have different names"):
         JoinedFeatures((one, one))
 
 
@@ -326,7 +326,7 @@ class Unsure(Silent):
         ({"people": ["anna"] * 3}, r"two people or more.* got 'anna' alone.*people="),
         ({"people": None}, r"got 'simulated/simulated' alone"),
         ({"features": 3}, "features must be a feature set or a function"),
-        ({"features": lambda signals: None}, "features must return a number for each name"),
+        ({"features": lambda signals: None}, "features must return a dict of a number for each name"),
         ({"features": lambda signals: {"a": np.nan}}, r"features must be finite, got a of NaN or infinity in 'walk0'"),
     ],
     ids=lambda value: value if isinstance(value, str) else "-".join(value),

@@ -358,7 +358,7 @@ def rows(value: float) -> list[list[float]]:
         ("transition_prob", rows(-0.1), "row 1 is"),
         ("transition_prob", rows(float("nan")), "row 1 is .*nan"),
         ("transition_prob", rows(float("inf")), "row 1 is .*inf"),
-        ("transition_prob", context_transitions().T.tolist(), "transpose it"),
+        ("transition_prob", context_transitions().T.tolist(), "transpose the matrix"),
         ("transition_prob", np.eye(5).tolist(), r"must be \(6, 6\).*got \(5, 5\)"),
         ("transition_prob", [[1.0], [0.5, 0.5]], "inhomogeneous"),
         ("transition_prob", "even", "could not convert"),
