@@ -15,7 +15,7 @@ from scipy.stats import truncnorm
 
 import pdr_filter as pdr
 from pdr_filter.maps.crossing_costs import Ground, Terrain
-from pdr_filter.maps.particle_clusters import groups, n_needed, on_plan
+from pdr_filter.maps.particle_clusters import cluster_numbers, n_needed, on_plan
 from pdr_filter.maps.particle_filter import ParticleState
 from pdr_filter.maps.storey import FREE
 from pdr_filter.values import FloorPassage
@@ -77,7 +77,7 @@ def test_two_groups_of_particles_are_two_clusters_with_their_shares() -> None:
     assert_allclose(place.position_m, places.mean(axis=0))
     assert_allclose(place.position_cov_m2, np.cov(places.T, bias=True))
     assert_allclose(place.effective_sample_size, 400)
-    assert len(set(groups(places))) == 2
+    assert len(set(cluster_numbers(places))) == 2
     # of what may be elsewhere no cluster has a share
     doubted = on_plan(places, np.full(400, 1 / 400), np.zeros(400), elsewhere=0.2)
     assert_allclose([c.share for c in doubted.clusters], [0.6, 0.2])
@@ -110,9 +110,9 @@ def test_looks_from_anywhere_in_any_direction_weigh_one_on_average(plan: pdr.Flo
         from_m = np.full((n, 2), place)
         to_m = from_m + terrain.look_m * np.column_stack([np.sin(angle), np.cos(angle)])
         cost, _ = ground.costs(from_m, to_m, np.zeros(n, dtype=bool))
-        of_anybody = ground.of_anybody(from_m, terrain.leg_m)
-        assert of_anybody[0] > 0.2
-        assert np.exp(of_anybody - cost).mean() == pytest.approx(1.0, abs=0.25)
+        choice_cost = ground.choice_cost(from_m, terrain.leg_m)
+        assert choice_cost[0] > 0.2
+        assert np.exp(choice_cost - cost).mean() == pytest.approx(1.0, abs=0.25)
 
 
 def test_who_knows_nothing_of_the_plan_pays_the_mean_over_places_and_directions(plan: pdr.FloorPlan) -> None:
@@ -122,17 +122,17 @@ def test_who_knows_nothing_of_the_plan_pays_the_mean_over_places_and_directions(
     places, angle = (of[ground.storey.kind_at(places) == FREE] for of in (places, angle))
     to_m = places + terrain.look_m * np.column_stack([np.sin(angle), np.cos(angle)])
     cost, _ = ground.costs(places, to_m, np.zeros(len(places), dtype=bool))
-    assert_allclose(ground.of_storey * terrain.look_m, -np.log(np.exp(-cost).mean()), rtol=0.05)
+    assert_allclose(ground.mean_cost_per_m * terrain.look_m, -np.log(np.exp(-cost).mean()), rtol=0.05)
 
 
 def test_a_corridor_gains_on_a_hall_from_steps_that_stay_in_it(tmp_path: Path) -> None:
     both = [feature("floor", box(-1, -1.4, 41, 1.4)), feature("floor", box(-1, 10, 41, 40))]
     ground = Ground(pdr.FloorPlan.read(write(tmp_path / "p.geojson", both)).storeys[0], Terrain())
-    in_corridor, in_hall = ground.of_anybody(np.array([[20.0, 0.0], [20.0, 25.0]]), 0.75)
+    in_corridor, in_hall = ground.choice_cost(np.array([[20.0, 0.0], [20.0, 25.0]]), 0.75)
     # three of eight directions are free for 3 m, and a step is an eighth of a leg
     assert in_corridor == pytest.approx(-0.125 * math.log(3 / 8), abs=0.01)
     assert in_hall == 0.0
-    assert ground.of_anybody(np.array([[500.0, 0.0]]), 0.75) == 0.0
+    assert ground.choice_cost(np.array([[500.0, 0.0]]), 0.75) == 0.0
 
 
 def test_a_grid_weighs_each_particle_by_the_cell_it_was_in_then_and_less_where_errors_last(
@@ -390,7 +390,7 @@ def test_a_wall_across_the_corridor_is_passed_and_the_contradiction_is_said(tmp_
     plan = pdr.FloorPlan.read(write(tmp_path / "p.geojson", closed))
     track = pdr.track(WALK, in_world(), fixes=FIXES, plan=plan)
     assert errors_m(track, WALK)[-1] < 2.0
-    said = ("goes through a wall: a door that the plan lacks?", "enters block, to which the plan has no door")
+    said = ("crosses a wall: check whether the plan lacks a door", "enters block, to which the plan has no door")
     assert any(words in note for note in track.notes for words in said)
 
 

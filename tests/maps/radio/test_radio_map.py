@@ -131,7 +131,7 @@ def test_a_map_of_tracks_is_in_their_frame(walk: Recording) -> None:
 
 
 def test_a_map_of_walks_without_wifi_is_refused(walk: Recording) -> None:
-    with pytest.raises(ValueError, match="no walk has Wi-Fi scans on its way"):
+    with pytest.raises(ValueError, match="no walk has Wi-Fi scans at known positions"):
         RadioMap.fit([replace(walk, wifi=None)])
 
 
