@@ -57,12 +57,12 @@ def test_bad_rows_of_the_truth_are_left_out_by_name(walk: tuple[Recording, Track
     found = calibrate(with_segments(recording, rows), tracks=[track])
     assert len(found.segments) == 1
     notes = "\n".join(found.notes)
-    assert "end is not after the start (anchors out of time order) in 9.0-5.0 s: left out" in notes
-    assert "distance is not positive in 1.0-5.0 s (0 m), 1.0-5.0 s (-2 m): left out" in notes
-    assert "no steps in 900.0-909.0 s: left out" in notes
+    assert "end is not after the start (anchors out of time order) in 9.0-5.0 s: not used" in notes
+    assert "distance is not positive in 1.0-5.0 s (0 m), 1.0-5.0 s (-2 m): not used" in notes
+    assert "no steps in 900.0-909.0 s: not used" in notes
     with pytest.raises(ValueError, match=r"nothing to calibrate with: simulated_walk: .*no steps in"):
         calibrate(with_segments(recording, rows[1:]), tracks=[track])
-    with pytest.raises(ValueError, match="no truth of known length, no waypoints, no position fixes"):
+    with pytest.raises(ValueError, match="has no known lengths, no waypoints and no position fixes"):
         calibrate(replace(recording, truth=Truth()), tracks=[track])
 
 
@@ -104,7 +104,7 @@ def test_waypoints_that_are_near_each_other_are_left_out_with_their_times(walk: 
     recording, track = walk
     time_s = np.arange(2.0, 20.0, 1.0)
     points = table({"time_s": time_s, "east_m": np.zeros(len(time_s)), "north_m": 0.1 * time_s})
-    with pytest.raises(ValueError, match=r"nothing to calibrate with: .*waypoints in 2.0-19.0 s are near each other"):
+    with pytest.raises(ValueError, match=r"nothing to calibrate with: .*waypoints in 2.0-19.0 s are close to each other"):
         calibrate(replace(recording, truth=Truth(waypoints=points)), tracks=[track])
 
 
@@ -148,7 +148,7 @@ def test_a_turn_in_a_known_walked_distance_is_measured_along_the_way(walk: tuple
     rows = [(0.0, float(ends[0]), 12.0), (float(ends[0]), float(ends[2]), 24.0)]
     found = calibrate(with_segments(recording, rows), tracks=[track])
     assert found.segments.summed.tolist() == [False, True]
-    assert any("turns in" in note and "summed step lengths" in note for note in found.notes)
+    assert any("turns in" in note and "step lengths are summed" in note for note in found.notes)
     np.testing.assert_allclose(found.segments.predicted_m, [12.0, 24.0], rtol=0.11)
 
 
@@ -162,7 +162,7 @@ def test_without_gyroscope_lengths_are_summed_and_the_report_says_so(walk: tuple
     recording, track = walk
     found = calibrate(replace(recording, gyroscope=None), tracks=[track])
     assert found.segments.summed.all()
-    assert "no gyroscope, so no headings: summed step lengths" in found.report()
+    assert "no gyroscope, so no headings: step lengths are summed" in found.report()
 
 
 def test_position_fixes_calibrate_a_walk_without_any_truth(walk: tuple[Recording, Track]) -> None:
@@ -189,17 +189,17 @@ def test_recordings_without_subject_are_of_one_person_unless_somebody_says_other
     nameless = [replace(recording, meta={}, name=name) for name in ("a", "b")]
     one = calibrate(nameless, tracks=[track, track])
     assert set(one.subjects) == {"unnamed"}
-    assert any('2 recordings have no subject id: taken for one person, "unnamed"' in note for note in one.notes)
+    assert any('2 recordings have no subject id: attributed to one person, "unnamed"' in note for note in one.notes)
     assert any("each_a_person (--each-a-person)" in note for note in one.notes)
     anna = calibrate(nameless, tracks=[track, track], subject="anna")
     assert set(anna.subjects) == {"anna"}
     np.testing.assert_array_equal(anna.people, one.people)
     each = calibrate(nameless, tracks=[track, track], each_a_person=True)
     assert set(each.subjects) == {"a", "b"}
-    assert any("each is taken for a person of its own" in note for note in each.notes)
+    assert any("each is attributed to a different person" in note for note in each.notes)
     named = calibrate([recording, nameless[0]], tracks=[track, track], subject="anna")
     assert set(named.subjects) == {"simulated", "anna"}
-    with pytest.raises(ValueError, match="'anna' names one person, and each_a_person says that there are several"):
+    with pytest.raises(ValueError, match="'anna' names one person, but each_a_person means several people"):
         calibrate(nameless, tracks=[track, track], subject="anna", each_a_person=True)
 
 
@@ -212,14 +212,14 @@ def test_a_name_that_no_recording_needs_is_said_to_be_unused(
 ) -> None:
     recording, track = walk
     found = calibrate(recording, tracks=[track], **options)
-    assert f"every recording says whose it is: {named} was not used" in found.notes
+    assert f"every recording has a subject id, so {named} was not used" in found.notes
 
 
 @pytest.mark.parametrize("prior_std", [0.0, -0.1, 10.0, np.nan])
 def test_a_prior_in_percent_is_refused_before_a_walk_is_tracked(
     walk: tuple[Recording, Track], prior_std: float
 ) -> None:
-    with pytest.raises(ValueError, match=r"prior_std \(--prior\) must be a share"):
+    with pytest.raises(ValueError, match=r"prior_std \(--prior\) must be a fraction"):
         calibrate(walk[0], tracks=[None], prior_std=prior_std)  # type: ignore[list-item]
 
 

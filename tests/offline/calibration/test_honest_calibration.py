@@ -178,7 +178,7 @@ def test_a_bias_that_is_no_chance_is_a_warning_with_what_to_do() -> None:
     segments = corridors(np.random.default_rng(5), 1.22, 12)
     held = calibrate_segments(segments, prior_std=0.01)
     first = warnings_of(held)[0]
-    assert "segments left out come out" in first
+    assert "held-out segments are predicted" in first
     assert "% too short" in first
     assert "standard errors" in first
     assert "(prior_std, --prior)" in first
@@ -209,7 +209,7 @@ def test_one_recording_warns_too_where_nobody_may_differ_and_its_own_day_is_no_b
     segments = [replace(s, recording="r") for s in corridors(np.random.default_rng(6), 1.22, 1, 20)]
     usual = DEFAULT_PRIORS["walking"]
     held = prior(usual.model, usual.mean, [0.005 * K], [0.0])
-    assert "segments left out come out" in warnings_of(calibrate_segments(segments, {"walking": held}))[0]
+    assert "held-out segments are predicted" in warnings_of(calibrate_segments(segments, {"walking": held}))[0]
     for factor in (0.85, 1.0, 1.22):
         other = [replace(s, recording="r") for s in corridors(np.random.default_rng(7), factor, 1, 20)]
         assert not warnings_of(calibrate_segments(other))

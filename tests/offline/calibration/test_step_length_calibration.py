@@ -384,7 +384,7 @@ def test_segments_without_length_or_steps_are_refused() -> None:
         calibrate([])
     with pytest.raises(ValueError, match="loss must be one of"):
         calibrate_segments([good], loss="tukey")
-    with pytest.raises(ValueError, match="no context hopping"):
+    with pytest.raises(ValueError, match="unknown contexts hopping"):
         calibrate_segments([good], {"hopping": DEFAULT_PRIORS["walking"]})
     with pytest.raises(ValueError, match="cannot differ between people"):
         prior(BounceStepLength(), [0.3], [0.0], [0.1])
@@ -441,7 +441,7 @@ def test_enough_segments_choose_the_form_that_made_them_and_few_keep_the_default
     assert type(calibrate_segments(segments[:5], model=name).models["walking"]) is type(model)
     with pytest.raises(ValueError, match=r"model must be one of bounce, eq12, kim, tian, weinberg, got 'guess'"):
         calibrate_segments(segments, model="guess")
-    with pytest.raises(ValueError, match="leave out one of them"):
+    with pytest.raises(ValueError, match="give only one of the two"):
         calibrate_segments(segments, {"walking": DEFAULT_PRIORS["walking"]}, model="kim")
 
 
