@@ -1,4 +1,4 @@
-"""Smoothed states of a problem, by GTSAM: wrong observations are found and left out, and no initial guess is needed."""
+"""Solution of a smoothing problem by GTSAM, without an initial guess, with rejection of outliers."""
 
 from __future__ import annotations
 
@@ -24,30 +24,49 @@ from pdr_filter.values import BoolArray, FloatArray, IntArray, measured, read_on
 
 _POSITION = slice(EAST, EAST + 2)
 _OF_POSITION = np.eye(2, N_STATES)
-# A wrong fix bends the track to the anchors around it and not as far as this many.
+# Outliers fewer than this many anchors apart are rejected one at a time, because a wrong fix bends the track around it.
 _NEIGHBOURS = 30
-# How well the first estimate of a measurement's place is taken to be known, and the factor on its limit there.
+# Assumed standard deviation of the first estimate of a measurement's position, and the factor on the gate there.
 _GUESS_STD_M, _ROUGH_LIMIT = 2.0, 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """Smoothed states at the anchors, and what became of positions, directions, states, measurements."""
+    """Smoothed states at the anchors, and the use of positions, directions, states and measurements.
 
-    mean: FloatArray  # (n + 1, 4)
-    joint_cov: FloatArray  # (n, 8, 8) both ends of each interval
-    frame_rad: float  # rotation from the frame of the offsets
-    nis: FloatArray  # (F + H + S + X,)
-    weight: FloatArray  # (F + H + S + X,)
+    Attributes
+    ----------
+    mean : array (n + 1, 4)
+        Smoothed state at each anchor.
+    joint_cov : array (n, 8, 8)
+        Joint covariance of both ends of each interval.
+    frame_rad : float
+        Rotation from the frame of the offsets to that of the positions.
+    nis : array (F + H + S + X,)
+        Normalised innovation squared of each observation with respect to all others.
+    weight : array (F + H + S + X,)
+        1 for a used observation, 0 for a rejected one.
+    converged : bool
+        True if the Gauss-Newton iteration converged.
+    states : array (N, 6)
+        States of the anchors, in the first four columns, followed by the errors of correlated fixes.
+    """
+
+    mean: FloatArray
+    joint_cov: FloatArray
+    frame_rad: float
+    nis: FloatArray
+    weight: FloatArray
     converged: bool
-    states: FloatArray  # (N, 6) anchors, which have four columns, and errors
+    states: FloatArray
 
 
 def solve(problem: Problem) -> Solution:
-    """Smoothed states at the anchors, wrong observations left out (docs/methods/smoothing.md).
+    """Return the smoothed states at the anchors, without the influence of outliers.
 
-    A linear problem without angles gives the initial guess, graduated non-convexity what seems right. After
-    Gauss-Newton observations beyond the 99.9 % quantile are left out and those nearer come back, until nothing changes.
+    A linear problem without angles gives the initial guess, and graduated non-convexity the initial set of inliers.
+    After each Gauss-Newton solution, observations beyond the 99.9 % quantile are rejected, and rejected ones within it
+    are used again, until nothing changes (docs/methods/smoothing.md).
     """
     mean, frame_rad, weight = _initial_guess(problem)
     limit, possible, has_frame = problem.limit_nis, problem.possible, len(problem.offsets) > 0
@@ -66,7 +85,7 @@ def solve(problem: Problem) -> Solution:
 
 
 def _initial_guess(problem: Problem) -> tuple[FloatArray, float, FloatArray]:
-    """States and rotation to begin with, and which observations seem right, from the linear problem without angles."""
+    """Return initial states, the rotation of the frame, and weights of the observations, from the linear problem."""
     n_relaxed = len(problem.positions) + len(problem.directions) + len(problem.states)
     all_limits, limit, possible = problem.limit_nis, problem.limit_nis[:n_relaxed], problem.possible[:n_relaxed]
     weight, mu = possible.copy(), None
@@ -92,7 +111,7 @@ def _initial_guess(problem: Problem) -> tuple[FloatArray, float, FloatArray]:
             break
     mean, state = state.copy(), state[: problem.n_nodes]
     at_anchors = mean[: problem.n_nodes]
-    # more than a third longer or shorter is not the person: it is a turn that the linear problem took for a scale
+    # a scale that differs by more than a third is not the person's: the linear problem has absorbed a rotation in it
     log_scale = np.clip(np.log(np.maximum(np.hypot(state[:, 2], state[:, 3]), 1e-3)), -0.3, 0.3)
     at_anchors[:, LOG_SCALE] = np.median(log_scale)
     angle = np.unwrap(np.arctan2(state[:, 3], state[:, 2]))
@@ -103,7 +122,7 @@ def _initial_guess(problem: Problem) -> tuple[FloatArray, float, FloatArray]:
 
 
 def _guessed(problem: Problem) -> list[Rows]:
-    """Equations of the relaxed problem by which each measurement is somewhere near its first estimate."""
+    """Return equations of the relaxed problem that place each measurement near its first estimate."""
     measured_, n = problem.measurements, len(problem.measurements)
     if not n:
         return []
@@ -115,7 +134,7 @@ def _guessed(problem: Problem) -> list[Rows]:
 
 
 def _measurement_residuals(problem: Problem, mean: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-    """Whitened residuals (k,) of each measurement, and their derivatives (k, 4) by the anchor."""
+    """Return the whitened residuals (k,) of each measurement, and their derivatives (k, 4) by the anchor."""
     observed = problem.measurements
     at = mean[observed.node, :N_STATES]
     moved_m = np.einsum("nab,nb->na", turned(at[:, HEADING_OFFSET], at[:, LOG_SCALE]), observed.ahead_m)
@@ -134,12 +153,12 @@ def _measurement_residuals(problem: Problem, mean: FloatArray) -> list[tuple[Flo
 
 
 def _nis_of_measurements(problem: Problem, mean: FloatArray) -> FloatArray:
-    """Squared whitened residual (X,) of each measurement."""
+    """Return the squared whitened residual (X,) of each measurement."""
     return np.array([float(r @ r) for r, _ in _measurement_residuals(problem, mean)])
 
 
 def _places(problem: Problem) -> IntArray:
-    """Anchor (F + H + S + X,) of each observation of a position, -1 for other observations."""
+    """Return the anchor (F + H + S + X,) of each observed position, -1 for other observations."""
     others = np.full(len(problem.directions) + len(problem.states), -1)
     return np.concatenate([problem.positions.node, others, problem.measurements.node])
 
@@ -147,13 +166,14 @@ def _places(problem: Problem) -> IntArray:
 def _gauss_newton(
     problem: Problem, mean: FloatArray, frame_rad: float, weight: FloatArray
 ) -> tuple[FloatArray, float, bool]:
-    """States, rotation, and whether the iteration converged."""
+    """Return states, rotation, and whether the iteration converged."""
     for iteration in range(60):
         change, turn = _solved(graph_of(linearised(problem, mean, frame_rad, weight)), problem)
         at_anchors = np.abs(change[: problem.n_nodes])
         largest_turn = max(float(at_anchors[:, HEADING_OFFSET].max()), abs(turn))
         largest_scale = float(at_anchors[:, LOG_SCALE].max())
-        # never further than the linearisation reaches; shorter steps where it does not converge
+        # limits the change to the range of the linearisation, and shortens it further where the iteration does not
+        # converge
         share = min(1.0, 0.7 / max(largest_turn, 1e-9), 0.3 / max(largest_scale, 1e-9))
         share *= 1.0 if iteration < 20 else 0.5
         mean, frame_rad = mean + share * change, frame_rad + share * turn
@@ -163,10 +183,12 @@ def _gauss_newton(
 
 
 def _changes(weight: FloatArray, excess: FloatArray, possible: FloatArray, node: IntArray) -> list[FloatArray]:
-    """Weights to try next, best first: without the worst (they make neighbours look wrong), else with what fits.
+    """Return weights to try next, the best first.
 
-    The worst fixes of different places go together: they do not know of each other. `node` (F + H + S + X,) are their
-    anchors, -1 of observations that are of no place.
+    If there are outliers, the worst are removed first, because they increase the residuals of their neighbours.
+    Otherwise rejected observations that fit are used again. The worst fixes of distant positions are removed together,
+    because they do not influence each other. `node` (F + H + S + X,) are the anchors of the observations, -1 for those
+    without a position.
     """
     used = np.where(weight > 0, excess, 0.0)
     if used.max(initial=0.0) > 1:
@@ -193,11 +215,12 @@ def _innovations(
     joint_cov: FloatArray,
     with_error_cov: FloatArray,
 ) -> FloatArray:
-    """How far each observation is from what all others say: chi-square with its dimension if it is right.
+    """Return the normalised innovation squared of each observation with respect to all others.
 
-    r' (I - L)^-1 r for a whitened residual r of an observation that is used, with its leverage L = H P H'; and
-    r' (I + L)^-1 r for one that is not: by so much the least sum of squares changes with it. `with_error_cov`
-    (E, 10, 10) is the joint covariance of the anchor and the error of each correlated fix.
+    It has a chi-square distribution with the dimension of the observation if the observation is correct. For a whitened
+    residual r with leverage L = H P H', it is r' (I - L)^-1 r if the observation is used, and r' (I + L)^-1 r if it is
+    not. This is the change of the least sum of squares due to the observation. `with_error_cov` (E, 10, 10) is the
+    joint covariance of the anchor and the error of each correlated fix.
     """
     positions, directions, states = problem.positions, problem.directions, problem.states
     n_positions, nis = len(positions), np.zeros(len(weight))
@@ -235,17 +258,18 @@ def _innovations(
 
 
 def _squares(residual: FloatArray, leverage: FloatArray, is_used: BoolArray) -> FloatArray:
-    """Squares r' (I -+ L)^-1 r of residuals (F, m) with leverages (F, m, m)."""
-    # where nothing else says anything of it, the difference is rounding
+    """Return r' (I - L)^-1 r of used and r' (I + L)^-1 r of unused residuals (F, m) with leverages (F, m, m)."""
+    # without any other information I - L is zero up to rounding, and the small term keeps it regular
     eye = (1 + 1e-12) * np.eye(residual.shape[1])
     S = eye + np.where(is_used, -1.0, 1.0)[:, None, None] * leverage
     return np.einsum("fa,fa->f", residual, np.linalg.solve(S, residual[:, :, None])[:, :, 0])
 
 
 def _solved(graph: gtsam.GaussianFactorGraph, problem: Problem) -> tuple[FloatArray, float]:
-    """Solution for anchors and errors, and the rotation (an angle; of a vector its direction).
+    """Return the solution for anchors and errors (N, 6), and the rotation of the frame.
 
-    A row (N, 6) for each, of which an anchor has four columns.
+    Anchors use four of the six columns. In the relaxed problem the rotation is a vector, and the result is its
+    direction.
     """
     solution = graph.optimize(gtsam.EliminateQR)
     n, state = problem.n_nodes, np.zeros((problem.n_states, N_ERRORS))
@@ -258,7 +282,7 @@ def _solved(graph: gtsam.GaussianFactorGraph, problem: Problem) -> tuple[FloatAr
 
 
 def linearised(problem: Problem, mean: FloatArray, frame_rad: float, weight: FloatArray) -> list[Rows]:
-    """Equations for the change of the states (N, 6), anchors and errors, at which they are linearised."""
+    """Return the equations for the change of the states (N, 6) of anchors and errors, linearised at these states."""
     start_whiten = read_only(np.linalg.inv(np.linalg.cholesky(problem.start_cov)))
     rows = [Rows.of_one(0, start_whiten, -(start_whiten @ (mean[0, :N_STATES] - problem.start_mean)))]
 
@@ -303,7 +327,7 @@ def linearised(problem: Problem, mean: FloatArray, frame_rad: float, weight: Flo
 
 
 def _error_rows(problem: Problem, mean: FloatArray) -> list[Rows]:
-    """Equations of the errors of correlated fixes: e_0 ~ N(0, I), e_k = a e_(k-1) + w, var w = 1 - a^2."""
+    """Return the equations of the errors of correlated fixes: e_0 ~ N(0, I), e_k = a e_(k-1) + w, var w = 1 - a^2."""
     n, decay = problem.n_nodes, problem.errors.decay
     if len(problem.errors) == 0:
         return []
@@ -318,7 +342,7 @@ def _error_rows(problem: Problem, mean: FloatArray) -> list[Rows]:
 
 
 def _state_residuals(states: ObservedStates, mean: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Whitened difference of each measured state (S, 1), angles wrapped, and its derivative (S, 1, 4)."""
+    """Return the whitened error of each measured state (S, 1), with wrapped angles, and its derivative (S, 1, 4)."""
     error = mean[states.node, states.state] - states.value
     error = np.where(states.state == HEADING_OFFSET, wrap_angle(error), error)
     H = np.zeros((len(states), 1, N_STATES))
@@ -327,7 +351,10 @@ def _state_residuals(states: ObservedStates, mean: FloatArray) -> tuple[FloatArr
 
 
 def _position_residuals(problem: Problem, mean: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Whitened p + e^s R(theta) d + B e - G x_other - z (F, 2), and its derivatives by both anchors (F, 2, 4)."""
+    """Return the whitened residuals (F, 2) of positions, and their derivatives (F, 2, 4) by both anchors.
+
+    The residual is p + e^s R(theta) d + B e - G x_other - z.
+    """
     positions, errors = problem.positions, problem.errors
     at, relative = mean[positions.node, :N_STATES], positions.other >= 0
     moved = np.einsum("nab,nb->na", turned(at[:, HEADING_OFFSET], at[:, LOG_SCALE]), positions.ahead_m)
@@ -346,7 +373,7 @@ def _position_residuals(problem: Problem, mean: FloatArray) -> tuple[FloatArray,
 def _position_rows(
     problem: Problem, H: FloatArray, rhs: FloatArray, by_other: FloatArray, weight: FloatArray
 ) -> list[Rows]:
-    """Equations of positions, with their errors where these are unknowns."""
+    """Return the equations of positions, including the errors of correlated fixes."""
     positions, errors = problem.positions, problem.errors
     own = np.setdiff1d(np.arange(len(positions)), errors.position)
     rows = [Rows(positions.node[own], H[own], rhs[own], positions.other[own], by_other[own], weight[own])]
@@ -358,7 +385,7 @@ def _position_rows(
 
 
 def _direction_residuals(directions: ObservedDirections, mean: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Whitened angle between the way from `first` to `last` and the known one (H, 1), derivative by the last state."""
+    """Return the whitened residuals (H, 1) of known directions, and their derivatives by the last state."""
     way = mean[directions.last, :2] - mean[directions.first, :2]
     square = np.maximum((way**2).sum(axis=1), (0.5 * directions.length_m) ** 2 + 1e-12)
     error = wrap_angle(np.arctan2(way[:, 0], way[:, 1]) - directions.heading_rad) / directions.std_rad
@@ -368,9 +395,10 @@ def _direction_residuals(directions: ObservedDirections, mean: FloatArray) -> tu
 
 
 def _relaxed(problem: Problem) -> list[Rows]:
-    """Equations in (p, z), z = e^s (cos theta, sin theta), linear, isotropic covariances: no start is needed.
+    """Return the equations of the relaxed problem that hold for any observations.
 
-    Those that hold whatever was observed.
+    The unknowns are (p, z) with z = e^s (cos theta, sin theta). In these the problem is linear, with isotropic
+    covariances, and needs no initial guess.
     """
     intervals, n = problem.intervals, len(problem.intervals)
     spread = min(problem.start_cov[HEADING_OFFSET, HEADING_OFFSET], MAX_HEADING_VARIANCE)
@@ -395,7 +423,10 @@ def _relaxed(problem: Problem) -> list[Rows]:
 
 
 def _relaxed_observations(problem: Problem, weight: FloatArray) -> list[Rows]:
-    """Those of positions, directions and headings; a scale alone is no vector."""
+    """Return the relaxed equations of positions, directions and headings.
+
+    A scale alone has none, because it is no vector.
+    """
     positions, directions, states = problem.positions, problem.directions, problem.states
     of_positions, of_directions, of_states = np.split(weight, [len(positions), len(positions) + len(directions)])
     H, H_other, target = _relaxed_positions(problem)
@@ -410,7 +441,7 @@ def _relaxed_observations(problem: Problem, weight: FloatArray) -> list[Rows]:
 
 
 def _relaxed_squared_residuals(problem: Problem, state: FloatArray) -> FloatArray:
-    """Squared residuals of all observations (F + H + S,) for states (N, 6) in (p, z)."""
+    """Return the squared residuals (F + H + S,) of all observations for states (N, 6) in (p, z)."""
     positions, directions, errors = problem.positions, problem.directions, problem.errors
     by_errors = np.einsum("nab,nb->na", positions.whiten[errors.position] @ errors.by, state[problem.n_nodes :])
     state = state[: problem.n_nodes, :N_STATES]
@@ -427,12 +458,13 @@ def _relaxed_squared_residuals(problem: Problem, state: FloatArray) -> FloatArra
 
 
 def _linear(sum_m: FloatArray) -> FloatArray:
-    """M(D) (n, 2, 2): D turned and scaled is M(D) (e^s cos theta, e^s sin theta)."""
+    """Return M(D) (n, 2, 2): D rotated and scaled is M(D) (e^s cos theta, e^s sin theta)."""
     east, north = sum_m[:, 0], sum_m[:, 1]
     return np.stack([np.stack([east, north], axis=-1), np.stack([north, -east], axis=-1)], axis=-2)
 
 
 def _relaxed_positions(problem: Problem) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the derivatives of relaxed positions by both anchors, and their targets, whitened."""
     positions = problem.positions
     H = np.zeros((len(positions), 2, N_STATES))
     H[:, :, _POSITION] = np.eye(2)
@@ -442,13 +474,17 @@ def _relaxed_positions(problem: Problem) -> tuple[FloatArray, FloatArray, FloatA
 
 
 def _vector(state: FloatArray) -> FloatArray:
-    """Z = e^s (cos theta, sin theta) of a state (4,)."""
+    """Return z = e^s (cos theta, sin theta) of a state (4,)."""
     theta, s = state[HEADING_OFFSET], state[LOG_SCALE]
     return np.exp(s) * np.array([np.cos(theta), np.sin(theta)])
 
 
 def _relaxed_directions(directions: ObservedDirections) -> tuple[FloatArray, FloatArray]:
-    """The way between two anchors is the known direction times the length of dead reckoning, within a tenth or more."""
+    """Return the relaxed equations of directions, as derivatives and targets.
+
+    The displacement between two anchors equals the known direction times the dead-reckoned length, with a relative
+    standard deviation of a tenth or more.
+    """
     inverse = 1 / (np.maximum(directions.std_rad, 0.1) * np.maximum(directions.length_m, MIN_HEADING_LENGTH_M))
     H = np.zeros((len(directions), 2, N_STATES))
     H[:, 0, 0], H[:, 1, 1] = inverse, inverse
@@ -457,7 +493,10 @@ def _relaxed_directions(directions: ObservedDirections) -> tuple[FloatArray, Flo
 
 
 def _relaxed_states(states: ObservedStates) -> tuple[FloatArray, FloatArray]:
-    """A heading offset is a vector of length one within a tenth or more, a log scale nothing."""
+    """Return the relaxed equations of measured states, as derivatives and targets.
+
+    A heading offset is a unit vector with a standard deviation of a tenth or more. A log scale has weight zero.
+    """
     inverse = np.where(states.state == HEADING_OFFSET, 1 / np.maximum(states.std, 0.1), 0.0)
     H = np.zeros((len(states), 2, N_STATES))
     H[:, 0, 2], H[:, 1, 3] = inverse, inverse
@@ -465,7 +504,10 @@ def _relaxed_states(states: ObservedStates) -> tuple[FloatArray, FloatArray]:
 
 
 def _relaxed_offsets(offsets: ObservedOffsets, key: int, frame_std_rad: float) -> list[Rows]:
-    """The rotation of the frame is a vector of key `key`: z is the offset's own turned by it."""
+    """Return the relaxed equations of the heading offsets, in which the rotation of the frame is a vector of key `key`.
+
+    z is the measured offset's unit vector, rotated by that vector.
+    """
     inverse = 1 / np.minimum(offsets.std_rad, np.sqrt(MAX_HEADING_VARIANCE))
     by_state = np.zeros((len(offsets), 2, N_STATES))
     by_state[:, 0, 2], by_state[:, 1, 3] = inverse, inverse

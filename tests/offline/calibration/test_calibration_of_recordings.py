@@ -104,7 +104,9 @@ def test_waypoints_that_are_near_each_other_are_left_out_with_their_times(walk: 
     recording, track = walk
     time_s = np.arange(2.0, 20.0, 1.0)
     points = table({"time_s": time_s, "east_m": np.zeros(len(time_s)), "north_m": 0.1 * time_s})
-    with pytest.raises(ValueError, match=r"nothing to calibrate with: .*waypoints in 2.0-19.0 s are close to each other"):
+    with pytest.raises(
+        ValueError, match=r"nothing to calibrate with: .*waypoints in 2.0-19.0 s are close to each other"
+    ):
         calibrate(replace(recording, truth=Truth(waypoints=points)), tracks=[track])
 
 

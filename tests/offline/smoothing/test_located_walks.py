@@ -276,7 +276,7 @@ def test_a_walk_that_is_stated_to_be_closed_ends_where_it_began() -> None:
 def test_a_false_statement_that_a_walk_is_closed_is_reported_and_not_applied() -> None:
     plain, stated = (pdr.smooth(closed(25.0), loop=loop) for loop in (False, True))
     (note,) = set(stated.notes) - set(plain.notes)
-    assert note == "the walk did not end within 1 m of its start, as loop states: not used"
+    assert note == "the walk did not end within 1 m of its start: loop was not used"
     np.testing.assert_allclose(stated.track.position_m, plain.track.position_m, atol=0.05)
 
 

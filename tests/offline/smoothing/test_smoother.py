@@ -232,7 +232,7 @@ def test_a_loop_closure_of_near_times_changes_nothing_and_says_so(gap_s: float, 
     found, alone = smooth(WALKED, loop_closures=[LoopClosure(20.0, 20.0 + gap_s, std_m)]), smooth_alone()
     np.testing.assert_allclose(found.track.position_m, alone.track.position_m, atol=1e-6)
     assert len(found.rejected) == 1
-    assert any("so near that the way between them" in note for note in found.notes)
+    assert any("the distance walked between its two times is within its uncertainty" in note for note in found.notes)
 
 
 def test_copies_of_a_wrong_loop_closure_do_not_confirm_each_other() -> None:
@@ -293,7 +293,7 @@ def test_a_recording_is_smoothed_into_the_frame_of_its_fixes() -> None:
     error = np.linalg.norm(track.position_m - at @ np.array([[c, s], [-s, c]]).T, axis=1)
     assert np.sqrt((error**2).mean()) < 1.2
     assert result.rejected.number.tolist() == [3, len(fixes)]
-    assert [n for n in result.notes if "fix 3: the walk cannot explain it" in n]
+    assert [n for n in result.notes if "fix 3: not used, because the walk contradicts it" in n]
     assert [n for n in result.notes if f"fix {len(fixes)}: outside the recording" in n]
     assert abs(result.scale - 1) < 0.1 and 0 < result.scale_std < 0.06
     assert set(result.floor) == {1.0, 2.0}
