@@ -30,7 +30,7 @@ from pdr_filter.values import (
 # positions is that of the online filter.
 _POSITION_NIS, _DIRECTION_NIS = 13.8, 10.8
 _BEST_FIX_M = 0.01  # best possible accuracy of a position on a walking body
-MIN_HEADING_LENGTH_M = 1.0  # the heading of a corridor is no information on a pedestrian who stands in it
+MIN_HEADING_LENGTH_M = 1.0  # the heading of a corridor carries no information on a pedestrian who stands in it
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -278,7 +278,7 @@ def test_carrying_modes_are_learnt_by_the_same_function(tmp_path: Path) -> None:
     seen = pdr.classify(walk(9, "texting"), config)
     assert seen.carrying_modes[int(seen.carrying_prob[-1].argmax())] == "texting"
     assert config.sensing.contexts != pdr.recipes.default().sensing.contexts
-    with pytest.raises(ValueError, match=r"carrying modes must be of .* got \['backpack'\].*rename"):
+    with pytest.raises(ValueError, match=r"carrying modes must be among .* got \['backpack'\].*rename"):
         pdr.fit_contexts(
             [with_labels(own[0], NAMES, "backpack"), *own[1:]], "forest", head="carrying_mode", people=list("abab")
         )
@@ -319,15 +319,15 @@ class Unsure(Silent):
     [
         ({"classifier": "svm"}, r"classifier must be one of .* got 'svm': such as sklearn"),
         ({"classifier": LogisticRegression}, "classifier must be one of"),
-        ({"classifier": Silent()}, "classifier must have classes_ when it is fitted"),
+        ({"classifier": Silent()}, "classifier must have classes_ after fit, but Silent has none"),
         ({"classifier": Unsure()}, "predict_proba of Unsure must return a probability for each of 3 classes_"),
         ({"head": "mood"}, r"head must be .* got 'mood'"),
-        ({"people": ["anna"]}, "people must be 3 names, one for each recording, got 1"),
+        ({"people": ["anna"]}, "people must have 3 names, one for each recording, got 1"),
         ({"people": ["anna"] * 3}, r"two people or more.* got 'anna' alone.*people="),
         ({"people": None}, r"got 'simulated/simulated' alone"),
         ({"features": 3}, "features must be a feature set or a function"),
         ({"features": lambda signals: None}, "features must return a number for each name"),
-        ({"features": lambda signals: {"a": np.nan}}, r"features must be finite, got a of NaN or infinity in 'walk0'"),
+        ({"features": lambda signals: {"a": np.nan}}, r"features must be finite, but a is NaN or infinite in 'walk0'"),
     ],
     ids=lambda value: value if isinstance(value, str) else "-".join(value),
 )
@@ -343,13 +343,15 @@ def test_labels_of_one_class_or_none_and_no_recordings_are_refused(walks: list[p
     def fit(recordings: list[pdr.Recording]) -> None:
         pdr.fit_contexts(recordings, "forest", features=few, people=PEOPLE[: len(recordings)])
 
-    with pytest.raises(ValueError, match=r"two contexts or more, got 'level': add"):
+    with pytest.raises(ValueError, match=r"at least two contexts, got 'level': add"):
         fit([with_labels(walk(seed), {"walking": "level"}) for seed in range(2)])
     with pytest.raises(ValueError, match=r"2 recordings with \d+ windows .* truth_labels.csv"):
         fit([without_labels(each) for each in walks[:2]])
     with pytest.raises(ValueError, match="0 recordings"):
         fit([])
-    with pytest.raises(ValueError, match=r"recordings must be of Recording, got 'walk.zip': read files with pdr.read"):
+    with pytest.raises(
+        ValueError, match=r"recordings must contain Recording objects, got 'walk.zip': read files with pdr.read"
+    ):
         fit(["walk.zip"])  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match=r"without 'anna' only windows of 'level' are left.*two or more"):
         fit([walks[0], with_labels(walk(1), {"walking": "level"})])

@@ -485,7 +485,7 @@ def test_train_estimates_from_the_data_sets_with_models_that_left_the_people_out
 def test_without_data_sets_or_sequences_there_is_nothing_to_train_on(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="nothing to train on"):
         train(None, tmp_path)
-    with pytest.raises(ValueError, match="no recordings in the folder"):
+    with pytest.raises(ValueError, match="the folder of sequences has no recordings"):
         train(None, tmp_path, sequences=[])
 
 
