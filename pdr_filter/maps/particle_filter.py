@@ -9,15 +9,15 @@ Prediction: each step moves a particle according to `filter.imm.motion_model`, i
 probabilities. The walking direction estimated from the strides is used in closed form: given the particle, a Kalman
 update of its heading offset, as in a Rao-Blackwellised filter.
 
-Weights: a step is weighted by its cost on the plan (`Terrain`), and by the likelihood of the fixes that the tracker
-used. The weight is divided by the probability of that step if the pedestrian chose any free direction. In a corridor
-few directions are free, so a step along the corridor increases the weight more than a step in a hall. Without this
-factor, noise would pull the particles out of corridors, because noisy steps hit corridor walls more often than the
-walls of a hall.
+Weights: a step has a likelihood on the plan (`Terrain`), and so have the fixes that the tracker used. The likelihood of
+a step is divided by its mean over all directions, because the pedestrian chooses one of the free directions. In a
+corridor few directions are free, so a step along the corridor increases the weight more than a step in a hall. Without
+this division, noise would pull the particles out of corridors, because noisy steps hit corridor walls more often than
+the walls of a hall.
 
-Initialisation: the tracker itself does not use the plan. Particles are drawn from the tracker's estimate (or at a given
-start), at each fix while the rotation of the track is still unknown, and again when no particle fits the steps any
-more. The plan therefore cannot lead the track away permanently.
+Initialisation: particles are drawn at the given start, or from the tracker's estimate. They are drawn again at each fix
+while the rotation of the track is still unknown, and when no particle fits the steps any more. The tracker itself does
+not use the plan. A wrong plan therefore cannot lead the track away permanently.
 
 Lost walks: from an unknown start, the particles may be too few to cover all positions, and the true position can be
 lost. The remaining particles then pay more for the plan than a random walk would. That excess is accumulated in
@@ -441,8 +441,9 @@ class ParticleFilter:
         """Return the state after a fix.
 
         Position and heading fixes change the weights only if the tracker used them. Grid fixes, ranges and other
-        measurements do so whether or not the tracker used them, because particles do not need a linear update. Speeds
-        and standstills are ignored. Fixes before the first remembered step are ignored too.
+        measurements do so whether or not the tracker used them, because particles do not need a linear update. Such
+        measurements are ignored if they are from before the first remembered step. Speeds and standstills are always
+        ignored.
 
         Parameters
         ----------

@@ -28,7 +28,7 @@ from pdr_filter.filter.imm.pedestrian_state import PedestrianState, StepUpdate
 from pdr_filter.maps.particle_clusters import inflated_cov, moments
 from pdr_filter.maps.particle_filter import ParticleFilter, ParticleState
 from pdr_filter.maps.particle_motion import EAST, NORTH, OFFSET, SCALE, earlier_positions
-from pdr_filter.offline.smoothing.plan_result import Hindsight
+from pdr_filter.offline.smoothing.plan_result import SmoothedOnPlan
 from pdr_filter.recipes.config import Config
 from pdr_filter.tracking.whole_recording import a_step_before, collected, outputs
 from pdr_filter.values import Cluster, Fix, FixOutcome, FloatArray, FloorPassage, read_only, wrap_angle
@@ -108,7 +108,7 @@ def smooth_on_plan(
     fixes: tuple[Fix, ...],
     with_location: bool = False,
     progress: Callable[[float], None] | None = None,
-) -> Hindsight:
+) -> SmoothedOnPlan:
     """Return the track of a configuration with a floor plan, smoothed over the whole recording.
 
     Raises ValueError if the configuration has no particle filter, or nothing places the walk on the plan. `progress` is
@@ -150,7 +150,7 @@ def smooth_on_plan(
         origin=online.plan.origin,
         is_smoothed=True,
     )
-    return Hindsight(smoothed, *(read_only(column) for column in (*offset.T, *scale.T)))
+    return SmoothedOnPlan(smoothed, *(read_only(column) for column in (*offset.T, *scale.T)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,7 +20,7 @@ LOSSES = ("none", "huber", "cauchy", "gnc")
 _HUBER, _CAUCHY = 1.345, 2.385
 # Residuals above this many standard deviations are outliers: one in 370 correct ones. Truncated least squares ignores
 # outliers and loses 3 % of efficiency on normal errors.
-DISTRUST = 3.0
+OUTLIER_STDS = 3.0
 # Final mu of a calibration. Weights then fall from 1 to 0 between 2.7 and 3.4 standard deviations. With a jump, the
 # estimate of the noise could oscillate.
 _LAST_MU = 4.0
@@ -44,7 +44,7 @@ def weights(misfit: FloatArray, loss: str, mu: float = 1.0) -> FloatArray:
     if loss == "cauchy":
         return 1 / (1 + (misfit / _CAUCHY) ** 2)
     if loss == "gnc":
-        return truncated_weights(misfit**2, np.full(misfit.shape, DISTRUST**2), mu)
+        return truncated_weights(misfit**2, np.full(misfit.shape, OUTLIER_STDS**2), mu)
     raise ValueError(f"loss must be one of {', '.join(LOSSES)}, got {loss!r}")
 
 
@@ -71,7 +71,7 @@ def next_stage(loss: str, iteration: int, largest: float, mu: float) -> tuple[st
     if loss == "cauchy" and iteration < _HUBER_ITERATIONS:
         return "huber", 1.0, False
     if loss == "gnc":
-        start = truncated_start(max((largest / DISTRUST) ** 2, 1.0))
+        start = truncated_start(max((largest / OUTLIER_STDS) ** 2, 1.0))
         mu = min(round(start if iteration == 1 else GNC_FACTOR * mu, 4), _LAST_MU)
         return loss, mu, mu == _LAST_MU
     return loss, 1.0, True

@@ -174,9 +174,9 @@ class RadioMap:
 
         The covariance of a fix is that of the positions that the map cannot distinguish. Its reception time is the end
         of the scan. The errors of successive scans are correlated (`correlation_s`), and scans that would add almost no
-        information give no fix. A scan also gives no fix if it hears fewer than five access points of the map, or if
-        its standard deviation per axis is above 15 m, as in unmapped or ambiguous areas. The storey is set if its
-        probability is at least 95 %.
+        information give no fix. A scan gives no fix either if it hears fewer than five access points of the map. The
+        same applies if its standard deviation per axis is above 15 m, as in unmapped or ambiguous areas. The storey is
+        set if its probability is at least 95 %.
 
         Parameters
         ----------

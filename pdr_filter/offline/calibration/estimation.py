@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from pdr_filter.offline.calibration.hierarchy import PeoplePosterior, solve_people, without_each
+from pdr_filter.offline.calibration.hierarchy import PeoplePosterior, population_without_each, solve_people
 from pdr_filter.offline.calibration.segments import SegmentSums
 from pdr_filter.offline.robust_loss import moments, next_stage, weights
 from pdr_filter.values import BoolArray, FloatArray, IntArray
@@ -137,20 +137,20 @@ def estimate_parameters(
     while iteration < _MAX_ITERATIONS and not converged:
         iteration += 1
         if relinearise is not None and iteration > 1:
-            task.take(relinearise(task.all_parameters(theta)))
+            task.set_regressors(relinearise(task.all_parameters(theta)))
         ratio, information = moments(stage, mu)
         about, before, old = theta, posterior, variances
         posterior = task.posterior(about, variances, information, iteration == 1)
         theta = posterior.people
         for chunk in task.chunks:
-            chunk.expect(about, posterior, variances.noise)
+            chunk.compute_residuals(about, posterior, variances.noise)
         # Before the outliers are found, the variances stay fixed: otherwise outliers would increase the noise and the
         # differences between people.
         if is_final:
             variances = task.variances(posterior, old, ratio)
             path = [*path[-2:], variances]
             if len(path) == 3 and iteration <= _EXTRAPOLATED:
-                variances, path = path[2].ahead_of(path[0], path[1]), []
+                variances, path = path[2].extrapolated(path[0], path[1]), []
         largest = max(float(np.abs(chunk.misfit).max()) for chunk in task.chunks)
         stage, mu, is_final = next_stage(loss, iteration, largest, mu)
         for chunk in task.chunks:
@@ -187,7 +187,7 @@ class _Variances:
         values = np.concatenate([self.noise, [self.recording], np.diagonal(self.between)])
         return np.log(np.maximum(values, 1e-300))
 
-    def ahead_of(self, first: _Variances, second: _Variances) -> _Variances:
+    def extrapolated(self, first: _Variances, second: _Variances) -> _Variances:
         """Return the extrapolated limit of three iterations, by Aitken's formula on each logarithm.
 
         Without it, hundreds of iterations would continue in the same direction when single segments determine noise,
@@ -222,7 +222,7 @@ class _Task:
         with np.errstate(divide="ignore"):
             self.precision = 1 / prior.std[self.free] ** 2
         order = np.lexsort((sums.recording, sums.subject))
-        pieces = _whole_people(sums.subject[order], order)
+        pieces = _chunks_of_people(sums.subject[order], order)
         self.chunks = [_Chunk(sums, rows, prior, self.fixed) for rows in pieces]
         self.n_segments = len(sums)
         self.start_theta = np.repeat(prior.mean[None, self.free], self.n_people, axis=0)
@@ -234,10 +234,10 @@ class _Task:
         n_free = len(self.free)
         self.G, self.g = np.zeros((self.n_people, n_free, n_free)), np.zeros((self.n_people, n_free))
 
-    def take(self, sums: SegmentSums) -> None:
+    def set_regressors(self, sums: SegmentSums) -> None:
         """Replace the regressors of all segments."""
         for chunk in self.chunks:
-            chunk.take(sums, self.prior.mean, self.fixed)
+            chunk.set_regressors(sums, self.prior.mean, self.fixed)
 
     def all_parameters(self, theta: FloatArray) -> FloatArray:
         """Return all parameters (S, P) from the free ones (S, F). Held parameters have their prior mean."""
@@ -293,12 +293,12 @@ class _Task:
         others = np.full_like(theta, np.nan)
         if self.n_people > 1 and not self.alone.any():
             W = np.asarray(np.linalg.inv(between), dtype=float) if len(self.personal) else between
-            others = without_each(posterior, self.G, self.g, self.personal, W)
+            others = population_without_each(posterior, self.G, self.g, self.personal, W)
         predicted, left_out, stranger, misfit, weight = (np.empty(self.n_segments) for _ in range(5))
         for chunk in self.chunks:
             rows = chunk.rows
             predicted[rows] = chunk.length(theta)
-            left_out[rows] = predicted[rows] - chunk.pull(about, posterior)
+            left_out[rows] = predicted[rows] - chunk.own_influence(about, posterior)
             stranger[rows] = chunk.length(others)
             misfit[rows], weight[rows] = chunk.misfit, chunk.w
         between[self.alone, self.alone] = np.inf
@@ -307,10 +307,10 @@ class _Task:
         people_cov[:, self.free[:, None], self.free] = posterior.people_cov
         return ParameterEstimate(
             population=self.all_parameters(posterior.population[None])[0],
-            population_cov=_among(n_params, self.free, posterior.population_cov),
+            population_cov=_embedded_cov(n_params, self.free, posterior.population_cov),
             people=self.all_parameters(theta),
             people_cov=people_cov,
-            between_cov=_among(n_params, self.free[self.personal], between),
+            between_cov=_embedded_cov(n_params, self.free[self.personal], between),
             recording_std=float(np.sqrt(variances.recording)),
             noise_factor=variances.noise,
             predicted_m=predicted,
@@ -323,14 +323,14 @@ class _Task:
         )
 
 
-def _among(n: int, index: IntArray, cov: FloatArray) -> FloatArray:
+def _embedded_cov(n: int, index: IntArray, cov: FloatArray) -> FloatArray:
     """Return the covariance (n, n) of all parameters from that of some. The others have zero covariance."""
     full = np.zeros((n, n))
     full[np.ix_(index, index)] = cov
     return full
 
 
-def _whole_people(person: IntArray, order: IntArray) -> list[IntArray]:
+def _chunks_of_people(person: IntArray, order: IntArray) -> list[IntArray]:
     """Return the sorted rows in chunks of some thousands that keep each person together.
 
     Chunks of this size keep temporary arrays in the processor cache.
@@ -356,9 +356,9 @@ class _Chunk:
         self.error = self.misfit = self.noise_share = self.precision = self.left = self.size = self.kappa = np.empty(0)
         self.a = self.q = np.empty(0)
         self.rho_square = 0.0
-        self.take(sums, prior.mean, fixed)
+        self.set_regressors(sums, prior.mean, fixed)
 
-    def take(self, sums: SegmentSums, mean: FloatArray, fixed: BoolArray) -> None:
+    def set_regressors(self, sums: SegmentSums, mean: FloatArray, fixed: BoolArray) -> None:
         """Set the regressors of the free parameters (n, 2, F) and the contribution of the held ones (n, 2)."""
         regressors = sums.regressors[self.rows]
         self.A = np.ascontiguousarray(regressors[:, :, ~fixed])
@@ -388,7 +388,7 @@ class _Chunk:
         g[group.present] = _sums(row * (target * self.precision)[:, None], group.people)
         g[group.present] -= _sums(self.a * (self.kappa * self.q)[:, None], group.recordings_of_people)
 
-    def expect(self, about: FloatArray, posterior: PeoplePosterior, phi: FloatArray) -> None:
+    def compute_residuals(self, about: FloatArray, posterior: PeoplePosterior, phi: FloatArray) -> None:
         """Compute the residual of each segment with respect to all other segments, and the expected sum of rho_w^2.
 
         Also stored is the share of noise in the variance of that residual. The ordinary residual of a segment is not
@@ -398,7 +398,7 @@ class _Chunk:
         row, target = _linearised(self.A, self.offset, about[group.person], self.distance)
         rho = self.kappa * (self.q - np.einsum("wp,wp->w", self.a, theta[group.person_of_recording]))
         self.error = target - np.einsum("np,np->n", row, theta[group.person]) - self.size * rho[group.recording]
-        tilted = self._tilted(row)
+        tilted = self._marginal_rows(row)
         spread = _bilinear(tilted, tilted, cov, group.people) + self.size**2 * self.kappa[group.recording]
         self.left = np.maximum(1 - self.precision * spread, 1e-6)  # one minus the leverage of the segment
         noise = phi[self.context] * self.base_var
@@ -407,17 +407,17 @@ class _Chunk:
         rho_variance = self.kappa + self.kappa**2 * _bilinear(self.a, self.a, cov, group.recordings_of_people)
         self.rho_square = float((rho**2 + rho_variance).sum())
 
-    def pull(self, about: FloatArray, posterior: PeoplePosterior) -> FloatArray:
+    def own_influence(self, about: FloatArray, posterior: PeoplePosterior) -> FloatArray:
         """Return the influence (n,) of each segment on its own prediction.
 
         theta without segment i = theta - C tilted_i' error_i / (variance_i - tilted_i C tilted_i' - size_i^2 kappa).
         """
         group = self.group
         row, _ = _linearised(self.A, self.offset, about[group.person], self.distance)
-        gain = _bilinear(self._tilted(row), row, posterior.people_cov[group.present], group.people)
+        gain = _bilinear(self._marginal_rows(row), row, posterior.people_cov[group.present], group.people)
         return gain * self.precision / self.left * self.error
 
-    def _tilted(self, row: FloatArray) -> FloatArray:
+    def _marginal_rows(self, row: FloatArray) -> FloatArray:
         """Return the derivative of -e_i with respect to theta, including its effect through rho_w."""
         return row - (self.size * self.kappa[self.group.recording])[:, None] * self.a[self.group.recording]
 

@@ -14,15 +14,15 @@ from pdr_filter.offline.calibration.model_forms import (
     MIN_GROUPS,
     RECORDING_STD,
     best_form,
+    estimate_segments,
     forms_of,
     models_of,
-    solved,
     standard_error,
     start_of,
 )
 from pdr_filter.offline.calibration.priors import StepLengthPrior, own_priors
 from pdr_filter.offline.calibration.segments import AnySegment, Segment, SegmentSums, integrate, segments_of
-from pdr_filter.offline.robust_loss import DISTRUST
+from pdr_filter.offline.robust_loss import OUTLIER_STDS
 from pdr_filter.recipes.config import Config
 from pdr_filter.recipes.step_length_calibration import UNNAMED, Calibration
 from pdr_filter.tracking.track import Track
@@ -31,7 +31,7 @@ from pdr_filter.values import CONTEXTS, FloatArray, Table, check_array, check_nu
 from pdr_filter.values.recording import Recording
 from pdr_filter.version import __version__
 
-_BIASED = 3.0  # A mean held-out error above this many standard errors is reported as a bias.
+_BIAS_LIMIT_STDS = 3.0  # A mean held-out error above this many standard errors is reported as a bias.
 
 
 def calibrate(
@@ -232,7 +232,7 @@ def calibrate_segments(
     name, choice = best_form(segments, forms, loss, recording_std)
     full = forms[name]
     sums = integrate(segments, models_of(full), start_of(full))
-    found = solved(segments, sums, full, loss, recording_std)
+    found = estimate_segments(segments, sums, full, loss, recording_std)
     return _assemble(segments, sums, found, full, recording_std, choice, notes)
 
 
@@ -262,7 +262,7 @@ def _assemble(
             name: float(priors[name].step_std_m * np.sqrt(found.noise_factor[contexts.index(name)])) for name in models
         },
         recording_std=found.recording_std,
-        n_segments=_shares(segments, models),
+        n_segments=_segments_per_context(segments, models),
         segments=rows,
         # warnings about the calibration come before those about single recordings
         notes=(*bias_warnings(rows, recording_std), *choice, *_notes(rows, found, priors), *notes),
@@ -296,12 +296,12 @@ def _table(segments: Sequence[AnySegment], sums: SegmentSums, found: ParameterEs
             "uncalibrated_m": np.hypot(vector[:, 0], vector[:, 1]),
             "misfit": found.misfit,
             "weight": found.weight,
-            "distrusted": np.abs(found.misfit) > DISTRUST,
+            "distrusted": np.abs(found.misfit) > OUTLIER_STDS,
         }
     )
 
 
-def _shares(segments: Sequence[AnySegment], names: Iterable[str]) -> dict[str, float]:
+def _segments_per_context(segments: Sequence[AnySegment], names: Iterable[str]) -> dict[str, float]:
     """Return the number of segments of each context. A segment counts for its contexts in proportion to their steps."""
     steps_in = np.stack([s.steps_in for s in segments])
     share = (steps_in / np.maximum(steps_in.sum(axis=1, keepdims=True), 1e-9)).sum(axis=0)
@@ -330,7 +330,7 @@ def bias_warnings(rows: Any, recording_std: float) -> list[str]:
         else:
             continue
         bias = float(error.mean())
-        if 0 < _BIASED * std < abs(bias):  # copies of one walk have no spread and give no standard error
+        if 0 < _BIAS_LIMIT_STDS * std < abs(bias):  # copies of one walk have no spread and give no standard error
             found.append(
                 f"WARNING: {what} are predicted {abs(bias):.1f} % too {'long' if bias > 0 else 'short'}, which is "
                 f"{abs(bias) / std:.1f} standard errors: the calibration does not fit its own walks. "

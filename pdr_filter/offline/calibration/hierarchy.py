@@ -179,7 +179,7 @@ def _blocks(
     return G[:, personal][:, :, personal] + W, cross, g[:, personal], rest, rest_vector
 
 
-def without_each(
+def population_without_each(
     posterior: PeoplePosterior, G: FloatArray, g: FloatArray, personal: IntArray, W: FloatArray
 ) -> FloatArray:
     """Return the population's parameters (S, P) estimated without each person in turn.

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from pdr_filter.filter.step_length.models import RECORDING_STD, StepLengthModel
 from pdr_filter.offline.calibration.estimation import Hierarchy, ParameterEstimate, estimate_parameters
 from pdr_filter.offline.calibration.hierarchy import SingularError
-from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, as_wide_as, candidates
+from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, candidates, with_relative_std
 from pdr_filter.offline.calibration.segments import AnySegment, SegmentSums, integrate
-from pdr_filter.offline.robust_loss import DISTRUST
+from pdr_filter.offline.robust_loss import OUTLIER_STDS
 from pdr_filter.recipes.step_length_calibration import slices_of
 from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray
 
@@ -24,7 +24,7 @@ MIN_SEGMENTS, MIN_GROUPS = 30, 5
 _MAX_SEGMENTS = 2000  # about this many segments are used for the choice: more only take longer
 _N_FOLDS = 5
 # Share by which the held-out error of a form must be smaller than that of the default.
-_CLEARLY = 0.05
+_MIN_IMPROVEMENT = 0.05
 
 Priors = Mapping[str, StepLengthPrior]
 
@@ -57,7 +57,7 @@ def forms_of(
     for name, own in chosen.items():
         full = {**DEFAULT_PRIORS, **given, **own}
         if prior_std is not None:
-            full[walking] = as_wide_as(full[walking], prior_std)
+            full[walking] = with_relative_std(full[walking], prior_std)
         forms[name] = {c: full[c] for c in contexts if c in full}
     return forms
 
@@ -85,7 +85,7 @@ def hierarchy_of(
     return Hierarchy(mean, std, between, step_std_m, recording_std)
 
 
-def solved(
+def estimate_segments(
     segments: Sequence[AnySegment], sums: SegmentSums, priors: Priors, loss: str, recording_std: float
 ) -> ParameterEstimate:
     """Return the parameter estimate of segments and their sums.
@@ -101,10 +101,10 @@ def solved(
 
     linear = all(hasattr(model, "regressors") for model in models.values())
     prior = hierarchy_of(priors, recording_std, segments[0].context_names)
-    return solve_sums(sums, prior, models, loss, None if linear else relinearise)
+    return estimate_sums(sums, prior, models, loss, None if linear else relinearise)
 
 
-def solve_sums(
+def estimate_sums(
     sums: SegmentSums,
     hierarchy: Hierarchy,
     models: Mapping[str, StepLengthModel],
@@ -177,10 +177,10 @@ def left_out_errors(
         for k in np.unique(fold):
             training = fold != k
             seen = [segments[i] for i in np.flatnonzero(training).tolist()]
-            found = solved(seen, sums.rows(training), priors, loss, recording_std)
+            found = estimate_segments(seen, sums.rows(training), priors, loss, recording_std)
             predicted[~training] = lengths(sums.rows(~training), found.people)
         errors[name] = predicted / sums.distance_m - 1
-        good &= np.abs(solved(segments, sums, priors, loss, recording_std).misfit) <= DISTRUST
+        good &= np.abs(estimate_segments(segments, sums, priors, loss, recording_std).misfit) <= OUTLIER_STDS
     return errors, good
 
 
@@ -195,9 +195,9 @@ def best_form(
 ) -> tuple[str, list[str]]:
     """Return the name of the best model of walking, and a note about the choice.
 
-    The first model is kept unless another one has a clearly smaller held-out error: smaller by the share `_CLEARLY` of
-    the error, and by two standard errors of the paired difference of squared errors. The list of notes is empty if
-    there are too few segments for a choice.
+    The first model is kept unless another one has a clearly smaller held-out error. The error must be smaller by the
+    fraction `_MIN_IMPROVEMENT`, and by two standard errors of the paired difference of squared errors. The list of
+    notes is empty if there are too few segments for a choice.
     """
     first = next(iter(forms))
     walked = [s for s in segments if s.context_names[int(np.argmax(s.steps_in))] == "walking"]
@@ -212,7 +212,7 @@ def best_form(
     best = min(rms, key=lambda name: rms[name])
     gained = (np.square(errors[first]) - np.square(errors[best]))[good]
     std = standard_error(gained, _groups_of([s.subject for s in some], [s.recording for s in some])[good])
-    is_clear = rms[best] <= (1.0 - _CLEARLY) * rms[first] and float(gained.mean()) >= 2.0 * std
+    is_clear = rms[best] <= (1.0 - _MIN_IMPROVEMENT) * rms[first] and float(gained.mean()) >= 2.0 * std
     best, which = (best, f"clearly better than {first}") if is_clear else (first, "no other model is clearly better")
     others = ", ".join(f"{name} {value:.1f} %" for name, value in rms.items() if name != best)
     kind = "people" if n_groups == len({s.subject for s in walked}) else "recordings"

@@ -184,7 +184,7 @@ def weak_prior(
     return StepLengthPrior(model, centre, std, between)
 
 
-def _known(length_m: float, std_m: float, between_m: float, step_std_m: float) -> StepLengthPrior:
+def _constant_length(length_m: float, std_m: float, between_m: float, step_std_m: float) -> StepLengthPrior:
     """Return a prior of a constant step length: k1 and k2 of eq. 12 are held at zero."""
     return prior(FrequencyVarianceStepLength(), [length_m, 0, 0], [std_m, 0, 0], [between_m, 0, 0], step_std_m)
 
@@ -193,7 +193,7 @@ _BOUNCE = bounce_fit()
 _BOUNCE_K = float(_BOUNCE.theta[0])
 DEFAULT_PRIORS: Mapping[str, StepLengthPrior] = MappingProxyType(
     {
-        "stationary": _known(0.0, 0.0, 0.0, 0.02),
+        "stationary": _constant_length(0.0, 0.0, 0.0, 0.02),
         "walking": prior(
             BounceStepLength(),
             [_BOUNCE_K],
@@ -202,9 +202,9 @@ DEFAULT_PRIORS: Mapping[str, StepLengthPrior] = MappingProxyType(
             _BOUNCE.residual_std_m,
         ),
         # Treads of public stairs are 0.26 to 0.32 m. They depend on the stairs more than on the person.
-        "upstairs": _known(0.29, 0.03, 0.02, 0.05),
-        "downstairs": _known(0.43, 0.08, 0.05, 0.10),
-        "sideways": _known(0.45, 0.10, 0.07, 0.10),
+        "upstairs": _constant_length(0.29, 0.03, 0.02, 0.05),
+        "downstairs": _constant_length(0.43, 0.08, 0.05, 0.10),
+        "sideways": _constant_length(0.45, 0.10, 0.07, 0.10),
         "running": prior(FrequencyVarianceStepLength(), [0, 0.35, 0], [0.2, 0.1, 0], [0.08, 0, 0], 0.10),
     }
 )
@@ -274,7 +274,7 @@ def _prior_of(mode: Mode, relative_std: float) -> StepLengthPrior:
     """Return the prior of the step length of a mode, with zero length if the mode does not move."""
     fit = mode.step_length
     if not mode.moves:
-        return _known(0.0, 0.0, 0.0, fit.residual_std_m)
+        return _constant_length(0.0, 0.0, 0.0, fit.residual_std_m)
     std, between_std = np.sqrt(np.maximum(np.diag(fit.theta_cov), 0.0)), np.zeros(len(fit.theta))
     free = np.flatnonzero(std > 0)[:1]
     length_m, slope = length_and_jacobian(fit.model, TYPICAL_STEP, fit.theta)
@@ -305,7 +305,7 @@ def candidates() -> dict[str, dict[str, StepLengthPrior]]:
     }
 
 
-def as_wide_as(prior: StepLengthPrior, relative_std: float) -> StepLengthPrior:
+def with_relative_std(prior: StepLengthPrior, relative_std: float) -> StepLengthPrior:
     """Return a prior whose first parameter has a standard deviation of this share of a typical step."""
     check_array("the relative standard deviation of a prior", relative_std, "positive", (), "0.1 is usual")
     length, slope = length_and_jacobian(prior.model, TYPICAL_STEP, prior.mean)

@@ -415,9 +415,9 @@ def segments_of(
             )
         )
     if empty:
-        notes.append(f"no steps in {_some(empty)}: not used")
+        notes.append(f"no steps in {_abbreviated(empty)}: not used")
     if bent:
-        notes.append(f"turns in {_some(bent)}: step lengths are summed instead of step vectors")
+        notes.append(f"turns in {_abbreviated(bent)}: step lengths are summed instead of step vectors")
     return segments, [f"{recording.name}: {note}" for note in notes]
 
 
@@ -478,7 +478,7 @@ def _stretches(recording: Recording, anchor_std_m: float | None) -> tuple[list[_
             bad.setdefault("the distance is not positive", []).append(f"{s.where} ({s.distance_m:g} m)")
         else:
             good.append(s)
-    return good, [*notes, *(f"{why} in {_some(which)}: not used" for why, which in bad.items())]
+    return good, [*notes, *(f"{why} in {_abbreviated(which)}: not used" for why, which in bad.items())]
 
 
 def _of_known_distance(segments: Any, clicked_std_m: float) -> list[_Stretch]:
@@ -522,12 +522,12 @@ def _between_waypoints(points: Any, anchor_std_m: float) -> tuple[list[_Stretch]
     notes: list[str] = []
     if unused:
         notes.append(
-            f"waypoints in {_some(unused)} are close to each other and no straight stretch of "
+            f"waypoints in {_abbreviated(unused)} are close to each other and no straight stretch of "
             f"{MIN_WAYPOINT_DISTANCE_M:g} m connects them: not used"
         )
     floors = [f"{time_s[k]:.1f}-{time_s[k + 1]:.1f} s" for k in np.flatnonzero(~same).tolist()]
     if floors:
-        notes.append(f"waypoints on two floors in {_some(floors)}: not used")
+        notes.append(f"waypoints on two floors in {_abbreviated(floors)}: not used")
     return sorted(found, key=lambda s: s.start_s), notes
 
 
@@ -576,6 +576,6 @@ def _between_fixes(time_s: FloatArray, values: FloatArray) -> list[_Stretch]:
     return found
 
 
-def _some(names: Sequence[str], most: int = 4) -> str:
+def _abbreviated(names: Sequence[str], most: int = 4) -> str:
     """Return the first `most` names as a list for a message, and the number of the others."""
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -62,7 +62,7 @@ NO_ERRORS = Errors(
 )
 
 
-def own_share(fix: PositionFix, is_location: bool) -> float:
+def independent_share(fix: PositionFix, is_location: bool) -> float:
     """Return the share of the variance of a fix that is independent of all other fixes."""
     return 1.0 if fix.correlation_s == 0 else _OWN_SHARE if is_location else INDEPENDENT_SHARE
 
@@ -84,7 +84,7 @@ def errors_of(fixes: Sequence[PositionFix], is_location: BoolArray, node: IntArr
     by[:, :, _VARYING] = np.sqrt(varying)[:, None, None] * root
     by[:, :, _CONSTANT] = np.where(located, np.sqrt(_CONSTANT_SHARE), 0.0)[:, None, None] * root
     std_m = np.sqrt([f.var_m2 for f in chosen])
-    shrunk_m = _at_most(_SHRUNK_STD * _from_local_mean(time_s, place_m), _SHRUNK_MOST * std_m)
+    shrunk_m = _limited(_SHRUNK_STD * _from_local_mean(time_s, place_m), _SHRUNK_MOST * std_m)
     by[:, :, _SHRUNK] = np.where(located[:, None], -shrunk_m, 0.0)
     by[:, :, _LATE] = -_LATE_STD_S * located[:, None] * _velocity_mps(time_s, place_m)
     memory_s = np.full((len(chosen) - 1, N_ERRORS), _CONSTANT_S)
@@ -105,19 +105,19 @@ def _velocity_mps(time_s: FloatArray, place_m: FloatArray) -> FloatArray:
     first, end = (np.searchsorted(time_s, time_s + d) for d in (-_LATE_WITHIN_S, _LATE_WITHIN_S))
     apart_s = np.maximum(time_s[end - 1] - time_s[first], 1.0)
     velocity_mps = (place_m[end - 1] - place_m[first]) / apart_s[:, None]
-    return _at_most(velocity_mps, np.full(len(time_s), _MAX_SPEED_MPS))
+    return _limited(velocity_mps, np.full(len(time_s), _MAX_SPEED_MPS))
 
 
-def _at_most(vector: FloatArray, length: FloatArray) -> FloatArray:
+def _limited(vector: FloatArray, length: FloatArray) -> FloatArray:
     """Return vectors (E, 2) shortened to at most `length` (E,)."""
     return vector * (length / np.maximum(np.hypot(*vector.T), length))[:, None]
 
 
-# Smallest factor by which `evenly_sure` reduces a claimed variance.
-_FAR_LESS = 0.5
+# Smallest factor by which `with_even_variances` reduces a claimed variance.
+_MIN_VARIANCE_FACTOR = 0.5
 
 
-def evenly_sure(locations: Sequence[PositionFix]) -> tuple[PositionFix, ...]:
+def with_even_variances(locations: Sequence[PositionFix]) -> tuple[PositionFix, ...]:
     """Return the locations with covariances moved towards the median variance of the walk.
 
     Smaller covariances are increased to the median. Larger ones are reduced to the median, but at most by half.
@@ -126,10 +126,10 @@ def evenly_sure(locations: Sequence[PositionFix]) -> tuple[PositionFix, ...]:
     if not locations:
         return ()
     usual = float(np.median([f.var_m2 for f in locations]))
-    return tuple(replace(f, cov_m2=max(usual / f.var_m2, _FAR_LESS) * f.cov_m2) for f in locations)
+    return tuple(replace(f, cov_m2=max(usual / f.var_m2, _MIN_VARIANCE_FACTOR) * f.cov_m2) for f in locations)
 
 
-def by_contact(fixes: Sequence[PositionFix], contacts: IntArray) -> tuple[tuple[PositionFix, ...], IntArray]:
+def joined_at_contacts(fixes: Sequence[PositionFix], contacts: IntArray) -> tuple[tuple[PositionFix, ...], IntArray]:
     """Return fixes in order of time with correlated ones at one contact joined, and the index of each fix there.
 
     Each correlated fix adds an error state to the unknowns, and a resting phone receives locations at a single contact

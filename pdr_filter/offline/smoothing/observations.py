@@ -56,7 +56,7 @@ class LoopClosure:
 _CLOSURE_STDS, _CLOSURE_M = 3.0, 3.0
 
 
-def says_nothing(closure: LoopClosure, walked_m: float) -> bool:
+def is_uninformative(closure: LoopClosure, walked_m: float) -> bool:
     """True if a loop closure carries no information, given the distance walked between its two times."""
     return walked_m <= max(_CLOSURE_STDS * closure.std_m, _CLOSURE_M)
 

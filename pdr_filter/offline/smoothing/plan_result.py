@@ -9,7 +9,7 @@ from pdr_filter.values import FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Hindsight:
+class SmoothedOnPlan:
     """Smoothed track on a floor plan, with heading offset and log scale (K,) after each step."""
 
     track: Track

@@ -281,7 +281,7 @@ def _moments(steps: Increments, first: IntArray) -> tuple[FloatArray, FloatArray
     return displacement, cov
 
 
-def turned(heading_rad: FloatArray, log_scale: FloatArray) -> FloatArray:
+def scaled_rotation(heading_rad: FloatArray, log_scale: FloatArray) -> FloatArray:
     """Return e^s R(theta), shape (..., 2, 2)."""
     c, s = np.exp(log_scale) * np.cos(heading_rad), np.exp(log_scale) * np.sin(heading_rad)
     return np.stack([np.stack([c, s], axis=-1), np.stack([-s, c], axis=-1)], axis=-2)
@@ -292,7 +292,7 @@ def end_states(start: FloatArray, sum_m: FloatArray) -> tuple[FloatArray, FloatA
 
     F = d x_b / d x_a. The position depends on the heading offset by J e^s R D and on the log scale by e^s R D.
     """
-    rotation = turned(start[:, HEADING_OFFSET], start[:, LOG_SCALE])
+    rotation = scaled_rotation(start[:, HEADING_OFFSET], start[:, LOG_SCALE])
     moved = np.einsum("nab,nb->na", rotation, sum_m)
     ahead = start.copy()
     ahead[:, _POSITION] += moved
@@ -302,14 +302,14 @@ def end_states(start: FloatArray, sum_m: FloatArray) -> tuple[FloatArray, FloatA
     return ahead, F
 
 
-def frame(start: FloatArray) -> FloatArray:
+def state_transform(start: FloatArray) -> FloatArray:
     """Return T (n, 4, 4) of states (n, 4), which rotates and scales the covariance of an interval."""
     T = np.broadcast_to(np.eye(N_STATES), (len(start), N_STATES, N_STATES)).copy()
-    T[:, _POSITION, _POSITION] = turned(start[:, HEADING_OFFSET], start[:, LOG_SCALE])
+    T[:, _POSITION, _POSITION] = scaled_rotation(start[:, HEADING_OFFSET], start[:, LOG_SCALE])
     return T
 
 
-def bridge(intervals: Intervals, node_mean: FloatArray, joint_cov: FloatArray) -> tuple[FloatArray, FloatArray]:
+def step_states(intervals: Intervals, node_mean: FloatArray, joint_cov: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return means (K, 4) and covariances (K, 4, 4) after each step, from the estimates at the anchors.
 
     Given both ends a and b, a step k in between depends on nothing else. With F and Q from a to k, Phi from k to b, f
@@ -326,7 +326,7 @@ def bridge(intervals: Intervals, node_mean: FloatArray, joint_cov: FloatArray) -
     start = node_mean[:-1]
     ahead, F_ab = end_states(start, intervals.total_m)
     f_k, F_ak = end_states(start[i], intervals.sum_m)
-    T = frame(start)
+    T = state_transform(start)
     Q_ak = T[i] @ intervals.cov @ T[i].swapaxes(-1, -2)
     whiten = intervals.whiten @ np.linalg.inv(T)
     remaining = intervals.total_m[i] - intervals.sum_m

@@ -11,7 +11,7 @@ import numpy as np
 
 from pdr_filter.filter.fixes.measurement_updates import high_quantile
 from pdr_filter.filter.imm.motion_model import LOG_SCALE, MAX_HEADING_VARIANCE, Mode
-from pdr_filter.offline.smoothing.location_errors import NO_ERRORS, Errors, errors_of, own_share
+from pdr_filter.offline.smoothing.location_errors import NO_ERRORS, Errors, errors_of, independent_share
 from pdr_filter.offline.smoothing.observations import KnownHeading, LoopClosure, Observations
 from pdr_filter.offline.smoothing.preintegration import MIN_STATE_VAR, Increments, Intervals, preintegrate
 from pdr_filter.values import (
@@ -271,8 +271,8 @@ def pose_problem(
     """Return the least-squares problem, with anchors where observations or changes of the heading offset need them.
 
     The positions of the problem are the fixes, the locations and the loop closures, in this order. Correlated fixes
-    must be in order of time and at different contacts (`by_contact`). `states` and `offsets` are given by the number of
-    steps before them.
+    must be in order of time and at different contacts (`joined_at_contacts`). `states` and `offsets` are given by the
+    number of steps before them.
     """
     fixes = (*observed.positions, *observed.locations)
     is_location = np.arange(len(fixes)) >= len(observed.positions)
@@ -356,7 +356,7 @@ def _positions(
 ) -> ObservedPositions:
     """Return fixes and loop closures as observed positions, in this order."""
     at, loops = contacts.fixes, contacts.loops
-    own_shares = [own_share(f, is_one) for f, is_one in zip(fixes, is_location.tolist(), strict=True)]
+    own_shares = [independent_share(f, is_one) for f, is_one in zip(fixes, is_location.tolist(), strict=True)]
     fix_cov_m2 = [
         own * f.cov_m2 + max(extra, _BEST_FIX_M**2 - own * float(np.linalg.eigvalsh(f.cov_m2)[0])) * np.eye(2)
         for f, own, (_, _, extra) in zip(fixes, own_shares, at, strict=True)
@@ -393,8 +393,8 @@ def _directions(
 def choose_nodes(steps: Increments, wanted: Sequence[int], interval_s: float) -> IntArray:
     """Return the number of steps before each anchor, increasing from 0 to K.
 
-    There are anchors at the wanted numbers, before each change of the heading offset and each gap, and between these so
-    that none are more than `interval_s` apart.
+    There are anchors at the wanted numbers, and before each change of the heading offset and each gap. More anchors in
+    between keep the distance between anchors below `interval_s`.
     """
     changed = np.flatnonzero((steps.jump_var_rad2 > 0) | (steps.gap_var_m2 > 0))
     needed = np.unique(np.concatenate([[0, len(steps)], changed, np.asarray(wanted, dtype=np.int64)]).astype(np.int64))

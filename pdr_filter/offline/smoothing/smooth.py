@@ -35,11 +35,11 @@ from pdr_filter.offline.smoothing.observations import (
     Observations,
     check_options,
 )
-from pdr_filter.offline.smoothing.plan_result import Hindsight as OnPlanHindsight
-from pdr_filter.offline.smoothing.preintegration import Increments, bridge, increments, turned
+from pdr_filter.offline.smoothing.plan_result import SmoothedOnPlan
+from pdr_filter.offline.smoothing.preintegration import Increments, increments, scaled_rotation, step_states
 from pdr_filter.offline.smoothing.problem import Measurements, Problem, heading_offsets, pose_problem, start_covariance
 from pdr_filter.offline.smoothing.smoothed import (
-    HERE_STD_M,
+    KNOWN_STD_M,
     Smoothed,
     fix_results,
     floors_at_steps,
@@ -50,7 +50,7 @@ from pdr_filter.offline.smoothing.smoothed import (
 from pdr_filter.offline.smoothing.smoothed_place import aligned_walk, on_earth, with_given_place
 from pdr_filter.offline.smoothing.solve import Solution, solve
 from pdr_filter.offline.smoothing.storeys import with_arrivals
-from pdr_filter.offline.smoothing.usable import Used, usable, whole_loop
+from pdr_filter.offline.smoothing.usable import Used, start_end_closure, usable
 from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
 from pdr_filter.recipes.config import Config
 from pdr_filter.recipes.step_length_calibration import Calibration
@@ -80,8 +80,8 @@ from pdr_filter.values.recording import Recording
 from pdr_filter.values.track_placement import GnssUse, NorthUse, TrackPlacement
 
 # Prior standard deviation of the start in the frame of the fixes: only the region is known.
-_ANYWHERE_STD_M = 1000.0
-_HERE_STD_RAD = 1e-3
+_REGION_STD_M = 1000.0
+_KNOWN_STD_RAD = 1e-3
 
 
 def smooth(
@@ -212,7 +212,7 @@ def smooth(
     recording, config = run.recording, run.config
     if isinstance(loop_closures, str):
         loop_closures = tuple(wifi_loop_closures(recording))
-    first_pass, second_pass = _halves(progress)
+    first_pass, second_pass = _pass_callbacks(progress)
     config, known_device = _with_first_pass(recording, config, first_pass)
     if config.on_plan is not None:
         if plan is not None and any(not isinstance(fix, GridFix) for fix in run.fixes):
@@ -235,7 +235,7 @@ def smooth(
     where, locations = LocationState(), ()
     if run.with_location and gnss != "align" and recording.location is not None:
         where, locations = locations_of(recording.location)
-    closed = whole_loop(track) if loop else None
+    closed = start_end_closure(track) if loop else None
     observed = Observations(
         fixes=tuple(fix for fix in run.fixes if not isinstance(fix, Standstill | GridFix)),
         locations=locations,
@@ -268,7 +268,7 @@ def _online_path(recording: Recording, config: Config, fixes: Sequence[Fix]) -> 
     return walked_path(config, state)
 
 
-def _halves(
+def _pass_callbacks(
     progress: Callable[[float], None] | None,
 ) -> tuple[Callable[[float], None] | None, Callable[[float], None] | None]:
     """Return progress callbacks for the first and the second pass."""
@@ -291,12 +291,12 @@ def _with_first_pass(
 
     The second value is the device as estimated in the first pass if the configuration uses its bias, otherwise None.
 
-    The walking direction relative to the phone is better known at the end of a carrying position than at its start, and
-    the axes of a building reveal the bias only after some corners. The second pass has both from the first step. If its
-    bias differs, the directions come from one more pass with that bias, because they depend on it for a phone that is
-    turned over. The covariance of the bias is doubled, because the second pass uses the same samples again. Without
-    building axes the bias is not used: straight walking would be counted twice, which makes tracks worse as often as
-    better.
+    The second pass has the final estimates of the first pass from its first step on. The walking direction relative to
+    the phone is best known at the end of a carrying position. The axes of a building reveal the bias only after some
+    corners. If the bias differs, the directions come from one more pass with that bias, because they depend on it for a
+    phone that is turned over. The covariance of the bias is doubled, because the second pass uses the same samples
+    again. Without building axes the bias is not used: straight walking would be counted twice, which makes tracks worse
+    as often as better.
     """
     if "gyroscope" not in recording.streams:
         return config, None
@@ -313,7 +313,7 @@ def _with_first_pass(
     return replace(config, sensing=replace(config.sensing, heading=heading)), known_device
 
 
-def _on_plan(found: OnPlanHindsight, observed: Observations) -> Smoothed:
+def _on_plan(found: SmoothedOnPlan, observed: Observations) -> Smoothed:
     """Return the result of smoothing on a floor plan as a `Smoothed`."""
     results = {result.time_s: result for result in found.track.fixes}
     each = [results.get(fix.time_s) for fix in observed.fixes]
@@ -365,8 +365,8 @@ def _smooth_track(
     fixes = (*used.observed.positions, *used.observed.locations)
     centre = np.mean([f.position_m for f in fixes], axis=0) if fixes else np.zeros(2)
     if not fixes and guess is not None and used.has_places:
-        centre = _about(used, guess).guess_m.mean(axis=0)
-    start_std_m = _ANYWHERE_STD_M if used.has_places else HERE_STD_M
+        centre = _measurements_on_path(used, guess).guess_m.mean(axis=0)
+    start_std_m = _REGION_STD_M if used.has_places else KNOWN_STD_M
     start_cov = start_covariance(start_std_m, heading_std_rad, noise.log_scale_std**2 + shared_var)
     before_first = steps.jump_var_rad2[0] + steps.drift_var_rad2[0] + steps.unknown_var_rad2[0]
     start_cov[HEADING_OFFSET, HEADING_OFFSET] += before_first
@@ -379,7 +379,7 @@ def _smooth_track(
         frame_std_rad,
         anchor_interval_s=anchor_interval_s,
         states=used.states,
-        measurements=None if guess is None else _about(used, guess),
+        measurements=None if guess is None else _measurements_on_path(used, guess),
     )
     smoothed, walked_var_m2 = _smoothed(track, steps, problem, solve(problem), observed, used)
     n_fixes = sum(result.accepted for result in smoothed.track.fixes)
@@ -391,7 +391,7 @@ def _smooth_track(
     return replace(smoothed, track=replace(smoothed.track, person=person)), walked_var_m2
 
 
-def _about(used: Used, guess: WalkedPath) -> Measurements:
+def _measurements_on_path(used: Used, guess: WalkedPath) -> Measurements:
     """Return the measurements with the positions of a path at their times, for the first linearisation."""
     time_s = [fix.time_s for fix in used.measured]
     columns = [np.interp(time_s, guess.time_s, column) for column in guess.position_m.T]
@@ -409,10 +409,10 @@ def _start_directions(
     wide = float(np.sqrt(MAX_HEADING_VARIANCE))
     if has_offsets and not is_oriented:
         # in the phone's frame, the heading offsets already contain the prior of the start
-        return wide, _HERE_STD_RAD
+        return wide, _KNOWN_STD_RAD
     if start_heading_std_rad is not None:
         return start_heading_std_rad, start_heading_std_rad
-    return (wide, wide) if is_oriented else (noise.initial_heading_offset_std_rad, _HERE_STD_RAD)
+    return (wide, wide) if is_oriented else (noise.initial_heading_offset_std_rad, _KNOWN_STD_RAD)
 
 
 def _smoothed(
@@ -424,18 +424,18 @@ def _smoothed(
     used: Used,
 ) -> tuple[Smoothed, FloatArray]:
     """Return the result of a solved problem, and the variance (K,) of each position for a known heading."""
-    mean, cov = bridge(problem.intervals, found.mean, found.joint_cov)
+    mean, cov = step_states(problem.intervals, found.mean, found.joint_cov)
     position = mean[:, :2]
     before = np.vstack([found.mean[:1, :2], position[:-1]])
     moved = position - before
     # across a gap, the positions give the displacement during the gap, not the step length
-    own = np.einsum("kab,kb->ka", turned(mean[:, HEADING_OFFSET], mean[:, LOG_SCALE]), steps.displacement_m)
+    own = np.einsum("kab,kb->ka", scaled_rotation(mean[:, HEADING_OFFSET], mean[:, LOG_SCALE]), steps.displacement_m)
     moved = np.where((steps.gap_var_m2 > 0)[:, None], own, moved)
     length = np.hypot(*moved.T)
     heading = np.where(length > 0.01, np.arctan2(moved[:, 0], moved[:, 1]), track.walking_heading_rad)
     of_map = (found.weight[: len(problem.positions)] > 0) & (problem.positions.other < 0)
     anchored = np.unique(problem.intervals.nodes[problem.positions.node[of_map]])
-    along = _second_order(moved, cov[:, HEADING_OFFSET, HEADING_OFFSET], anchored)
+    along = _second_order_error_m(moved, cov[:, HEADING_OFFSET, HEADING_OFFSET], anchored)
     position_cov = cov[:, :2, :2] + along[:, :, None] * along[:, None, :]
     observations = observation_table(observed, used.row, found)
     scale_std = float(np.sqrt(problem.start_cov[LOG_SCALE, LOG_SCALE]))
@@ -470,7 +470,7 @@ def _smoothed(
     return result, np.array([walked_var(P) for P in cov])
 
 
-def _second_order(moved: FloatArray, heading_var_rad2: FloatArray, anchored: IntArray) -> FloatArray:
+def _second_order_error_m(moved: FloatArray, heading_var_rad2: FloatArray, anchored: IntArray) -> FloatArray:
     """Return the along-track error (K, 2) of uncertain headings, from the nearer anchor with a fix.
 
     See `second_order_errors`.

@@ -17,7 +17,7 @@ from pdr_filter.offline.smoothing.observations import (
     Observations,
 )
 from pdr_filter.offline.smoothing.solve import Solution
-from pdr_filter.offline.smoothing.usable import Used, listed
+from pdr_filter.offline.smoothing.usable import Used, name_list
 from pdr_filter.tracking.track import Track
 from pdr_filter.values import (
     FixResult,
@@ -33,7 +33,7 @@ from pdr_filter.values import (
 
 _KINDS = ("fix", "location", "loop closure", "known heading")
 # standard deviation of a known position
-HERE_STD_M = 1e-3
+KNOWN_STD_M = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,7 +169,7 @@ def notes_of_solution(
     for kind in _KINDS:
         rows = (observations.kind == kind) & (observations.weight < 0.5) & ~np.isnan(observations.nis)
         if kind == "location" and rows.any():
-            times = listed([f"{t:.0f}" for t in observations.time_s[rows]])
+            times = name_list([f"{t:.0f}" for t in observations.time_s[rows]])
             notes.append(f"the walk contradicts {how_many(int(rows.sum()), 'location')}, at {times} s: not used")
             continue
         if observed.is_loop and kind == "loop closure":
@@ -178,7 +178,7 @@ def notes_of_solution(
                 notes.append("the walk did not end within 1 m of its start: loop was not used")
             rows[last] = False
         if rows.any():
-            notes.append(f"{kind} {listed(observations.number[rows])}: not used, because the walk contradicts it")
+            notes.append(f"{kind} {name_list(observations.number[rows])}: not used, because the walk contradicts it")
     n_good = int((observations.weight[np.isin(observations.kind, _KINDS[:2])] >= 0.5).sum())
     if used.has_places and n_good == 0:
         notes.append(
@@ -222,7 +222,7 @@ def floors_at_steps(track: Track, floor_changes: Sequence[FloorChange]) -> Float
 
 def without_steps(track: Track, observed: Observations, fixes: Sequence[PositionFix]) -> Smoothed:
     """Return the result of a recording without steps: the position is the weighted mean of the fixes."""
-    place, cov = mean_place(fixes) if fixes else (np.zeros(2), HERE_STD_M**2 * np.eye(2))
+    place, cov = mean_place(fixes) if fixes else (np.zeros(2), KNOWN_STD_M**2 * np.eye(2))
     none = read_only(np.zeros(0))
     return Smoothed(
         track=replace(track, is_smoothed=True),

@@ -13,7 +13,7 @@ from pdr_filter.filter.height.height_filter import Altitude
 from pdr_filter.offline.smoothing.observations import (
     Observations,
 )
-from pdr_filter.offline.smoothing.preintegration import turned
+from pdr_filter.offline.smoothing.preintegration import scaled_rotation
 from pdr_filter.offline.smoothing.smoothed import Smoothed
 from pdr_filter.offline.smoothing.storeys import with_named_floors
 from pdr_filter.tracking.gnss_alignment import Way, align_way
@@ -114,7 +114,7 @@ def with_given_place(run: Run, smoothed: Smoothed) -> Smoothed:
     )
     if track.frame == before.frame or turn_rad is None:
         return replace(smoothed, track=track, notes=track.notes)
-    rotation = turned(np.array(turn_rad), np.array(0.0))
+    rotation = scaled_rotation(np.array(turn_rad), np.array(0.0))
     return replace(
         smoothed,
         track=track,

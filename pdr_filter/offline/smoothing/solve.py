@@ -12,7 +12,7 @@ from pdr_filter.filter.imm.motion_model import EAST, HEADING_OFFSET, LOG_SCALE, 
 from pdr_filter.offline.robust_loss import GNC_FACTOR, truncated_start, truncated_weights
 from pdr_filter.offline.smoothing.linear_graph import Rows, cov_of, eliminated, graph_of, joint_covariances
 from pdr_filter.offline.smoothing.location_errors import N_ERRORS
-from pdr_filter.offline.smoothing.preintegration import TURN, end_states, frame, turned
+from pdr_filter.offline.smoothing.preintegration import TURN, end_states, scaled_rotation, state_transform
 from pdr_filter.offline.smoothing.problem import (
     MIN_HEADING_LENGTH_M,
     ObservedDirections,
@@ -25,7 +25,7 @@ from pdr_filter.values import BoolArray, FloatArray, IntArray, measured, read_on
 _POSITION = slice(EAST, EAST + 2)
 _OF_POSITION = np.eye(2, N_STATES)
 # Outliers fewer than this many anchors apart are rejected one at a time, because a wrong fix bends the track around it.
-_NEIGHBOURS = 30
+_MIN_ANCHORS_APART = 30
 # Assumed standard deviation of the first estimate of a measurement's position, and the factor on the gate there.
 _GUESS_STD_M, _ROUGH_LIMIT = 2.0, 4.0
 
@@ -77,7 +77,7 @@ def solve(problem: Problem) -> Solution:
         joint_cov, with_error_cov = joint_covariances(rows, problem.n_nodes, problem.errors.node, has_frame)
         nis = _innovations(problem, mean, weight, rows, joint_cov, with_error_cov)
         seen.add(weight.tobytes())
-        changes = _changes(weight, possible * nis / limit, possible, _places(problem))
+        changes = _next_weights(weight, possible * nis / limit, possible, _position_anchors(problem))
         after = next((w for w in changes if w.tobytes() not in seen), None)
         if after is None:
             return Solution(mean[: problem.n_nodes, :N_STATES], joint_cov, frame_rad, nis, weight, converged, mean)
@@ -89,7 +89,7 @@ def _initial_guess(problem: Problem) -> tuple[FloatArray, float, FloatArray]:
     n_relaxed = len(problem.positions) + len(problem.directions) + len(problem.states)
     all_limits, limit, possible = problem.limit_nis, problem.limit_nis[:n_relaxed], problem.possible[:n_relaxed]
     weight, mu = possible.copy(), None
-    always = graph_of([*_relaxed(problem), *_guessed(problem)])
+    always = graph_of([*_relaxed(problem), *_guess_rows(problem)])
 
     def solved_with(weight: FloatArray) -> tuple[FloatArray, float]:
         graph = graph_of(_relaxed_observations(problem, weight))
@@ -121,14 +121,14 @@ def _initial_guess(problem: Problem) -> tuple[FloatArray, float, FloatArray]:
     return mean, turn, np.concatenate([(weight > 0.5).astype(float), near.astype(float)])
 
 
-def _guessed(problem: Problem) -> list[Rows]:
+def _guess_rows(problem: Problem) -> list[Rows]:
     """Return equations of the relaxed problem that place each measurement near its first estimate."""
     measured_, n = problem.measurements, len(problem.measurements)
     if not n:
         return []
     H = np.zeros((n, 2, N_STATES))
     H[:, 0, 0] = H[:, 1, 1] = 1.0 / _GUESS_STD_M
-    H[:, :, 2:] = _linear(measured_.ahead_m) / _GUESS_STD_M
+    H[:, :, 2:] = _rotation_matrix_of(measured_.ahead_m) / _GUESS_STD_M
     none = np.full(n, -1)
     return [Rows(measured_.node, H, measured_.guess_m / _GUESS_STD_M, none, np.zeros((0, 0, 0)))]
 
@@ -137,7 +137,7 @@ def _measurement_residuals(problem: Problem, mean: FloatArray) -> list[tuple[Flo
     """Return the whitened residuals (k,) of each measurement, and their derivatives (k, 4) by the anchor."""
     observed = problem.measurements
     at = mean[observed.node, :N_STATES]
-    moved_m = np.einsum("nab,nb->na", turned(at[:, HEADING_OFFSET], at[:, LOG_SCALE]), observed.ahead_m)
+    moved_m = np.einsum("nab,nb->na", scaled_rotation(at[:, HEADING_OFFSET], at[:, LOG_SCALE]), observed.ahead_m)
     place_m, heading_rad = at[:, :2] + moved_m, observed.device_rad + at[:, HEADING_OFFSET]
     result: list[tuple[FloatArray, FloatArray]] = []
     for k, fix in enumerate(observed.fixes):
@@ -157,7 +157,7 @@ def _nis_of_measurements(problem: Problem, mean: FloatArray) -> FloatArray:
     return np.array([float(r @ r) for r, _ in _measurement_residuals(problem, mean)])
 
 
-def _places(problem: Problem) -> IntArray:
+def _position_anchors(problem: Problem) -> IntArray:
     """Return the anchor (F + H + S + X,) of each observed position, -1 for other observations."""
     others = np.full(len(problem.directions) + len(problem.states), -1)
     return np.concatenate([problem.positions.node, others, problem.measurements.node])
@@ -182,7 +182,7 @@ def _gauss_newton(
     return mean, frame_rad, False
 
 
-def _changes(weight: FloatArray, excess: FloatArray, possible: FloatArray, node: IntArray) -> list[FloatArray]:
+def _next_weights(weight: FloatArray, excess: FloatArray, possible: FloatArray, node: IntArray) -> list[FloatArray]:
     """Return weights to try next, the best first.
 
     If there are outliers, the worst are removed first, because they increase the residuals of their neighbours.
@@ -198,7 +198,7 @@ def _changes(weight: FloatArray, excess: FloatArray, possible: FloatArray, node:
         for i in places[np.argsort(-used[places])]:
             if used[i] <= 1:
                 break
-            of_places[i] |= not (np.abs(node[of_places & (node >= 0)] - node[i]) < _NEIGHBOURS).any()
+            of_places[i] |= not (np.abs(node[of_places & (node >= 0)] - node[i]) < _MIN_ANCHORS_APART).any()
         return [np.where(c, 0.0, weight) for c in (of_places, worst)]
     fits = (weight == 0) & (excess <= 1) & (possible > 0)
     if not fits.any():
@@ -227,20 +227,20 @@ def _innovations(
     residual, by_node, by_other = _position_residuals(problem, mean)
     own_cov = np.concatenate([joint_cov[:, :N_STATES, :N_STATES], joint_cov[-1:, N_STATES:, N_STATES:]])
 
-    def judge(at: IntArray, r: FloatArray, H: FloatArray, cov: FloatArray) -> None:
-        nis[at] = _squares(r, H @ cov @ H.swapaxes(-1, -2), weight[at] > 0)
+    def set_nis(at: IntArray, r: FloatArray, H: FloatArray, cov: FloatArray) -> None:
+        nis[at] = _normalised_squares(r, H @ cov @ H.swapaxes(-1, -2), weight[at] > 0)
 
     correlated = problem.errors.position
     of_map = np.setdiff1d(np.flatnonzero(positions.other < 0), correlated)
-    judge(of_map, residual[of_map], by_node[of_map], own_cov[positions.node[of_map]])
+    set_nis(of_map, residual[of_map], by_node[of_map], own_cov[positions.node[of_map]])
     by_both = np.concatenate([by_node[correlated], positions.whiten[correlated] @ problem.errors.by], axis=2)
-    judge(correlated, residual[correlated], by_both, with_error_cov)
+    set_nis(correlated, residual[correlated], by_both, with_error_cov)
     residual_of_states, by_state = _state_residuals(states, mean)
     at_states = n_positions + len(directions) + np.arange(len(states))
-    judge(at_states, residual_of_states, by_state, own_cov[states.node])
+    set_nis(at_states, residual_of_states, by_state, own_cov[states.node])
     first_measured = n_positions + len(directions) + len(states)
     for k, (r, H) in enumerate(_measurement_residuals(problem, mean)):
-        judge(np.array([first_measured + k]), r[None], H[None], own_cov[problem.measurements.node[[k]]])
+        set_nis(np.array([first_measured + k]), r[None], H[None], own_cov[problem.measurements.node[[k]]])
     pairs = [
         (i, positions.node[i], positions.other[i], residual[i], by_node[i], by_other[i])
         for i in np.flatnonzero(positions.other >= 0)
@@ -253,11 +253,11 @@ def _innovations(
         for i, a, b, r, A, B in pairs:
             keys, by_keys = ([int(a)], A + B) if a == b else ([int(a), int(b)], np.hstack([A, B]))
             leverage = by_keys @ cov_of(tree, keys) @ by_keys.T
-            nis[i] = _squares(r[None], leverage[None], weight[i : i + 1] > 0)[0]
+            nis[i] = _normalised_squares(r[None], leverage[None], weight[i : i + 1] > 0)[0]
     return np.maximum(nis, 0.0)
 
 
-def _squares(residual: FloatArray, leverage: FloatArray, is_used: BoolArray) -> FloatArray:
+def _normalised_squares(residual: FloatArray, leverage: FloatArray, is_used: BoolArray) -> FloatArray:
     """Return r' (I - L)^-1 r of used and r' (I + L)^-1 r of unused residuals (F, m) with leverages (F, m, m)."""
     # without any other information I - L is zero up to rounding, and the small term keeps it regular
     eye = (1 + 1e-12) * np.eye(residual.shape[1])
@@ -289,7 +289,7 @@ def linearised(problem: Problem, mean: FloatArray, frame_rad: float, weight: Flo
     n = problem.n_nodes - 1
     start, end = mean[:n, :N_STATES], mean[1 : n + 1, :N_STATES]
     ahead, F = end_states(start, problem.intervals.total_m)
-    whiten = problem.intervals.whiten @ np.linalg.inv(frame(start))
+    whiten = problem.intervals.whiten @ np.linalg.inv(state_transform(start))
     residual = np.einsum("nab,nb->na", whiten, end - ahead)
     rows.append(Rows(np.arange(n), -whiten @ F, -residual, np.arange(1, n + 1), whiten))
     rows += _error_rows(problem, mean)
@@ -357,7 +357,7 @@ def _position_residuals(problem: Problem, mean: FloatArray) -> tuple[FloatArray,
     """
     positions, errors = problem.positions, problem.errors
     at, relative = mean[positions.node, :N_STATES], positions.other >= 0
-    moved = np.einsum("nab,nb->na", turned(at[:, HEADING_OFFSET], at[:, LOG_SCALE]), positions.ahead_m)
+    moved = np.einsum("nab,nb->na", scaled_rotation(at[:, HEADING_OFFSET], at[:, LOG_SCALE]), positions.ahead_m)
     origin = np.where(relative[:, None], mean[positions.other, :2], 0.0)
     error = at[:, :2] + moved - origin - positions.position_m
     if len(errors):
@@ -413,7 +413,7 @@ def _relaxed(problem: Problem) -> list[Rows]:
     variance[:, 2:] = drift[:, None]
     W = 1 / np.sqrt(variance)
     A = np.broadcast_to(np.eye(N_STATES), (n, N_STATES, N_STATES)).copy()
-    A[:, :2, 2:] = _linear(intervals.total_m)
+    A[:, :2, 2:] = _rotation_matrix_of(intervals.total_m)
     B = W[:, :, None] * np.eye(N_STATES)
     rows.append(Rows(np.arange(n), -W[:, :, None] * A, np.zeros((n, N_STATES)), np.arange(1, n + 1), B))
     rows += _error_rows(problem, np.zeros((problem.n_states, N_ERRORS)))
@@ -457,7 +457,7 @@ def _relaxed_squared_residuals(problem: Problem, state: FloatArray) -> FloatArra
     return np.concatenate([np.square(r).sum(axis=1) for r in (residual, turn, of_states)])
 
 
-def _linear(sum_m: FloatArray) -> FloatArray:
+def _rotation_matrix_of(sum_m: FloatArray) -> FloatArray:
     """Return M(D) (n, 2, 2): D rotated and scaled is M(D) (e^s cos theta, e^s sin theta)."""
     east, north = sum_m[:, 0], sum_m[:, 1]
     return np.stack([np.stack([east, north], axis=-1), np.stack([north, -east], axis=-1)], axis=-2)
@@ -468,7 +468,7 @@ def _relaxed_positions(problem: Problem) -> tuple[FloatArray, FloatArray, FloatA
     positions = problem.positions
     H = np.zeros((len(positions), 2, N_STATES))
     H[:, :, _POSITION] = np.eye(2)
-    H[:, :, 2:] = _linear(positions.ahead_m)
+    H[:, :, 2:] = _rotation_matrix_of(positions.ahead_m)
     target = np.einsum("nab,nb->na", positions.whiten, positions.position_m)
     return positions.whiten @ H, -(positions.whiten @ _OF_POSITION), target
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from pdr_filter.filter.fixes.repeated_fixes import frozen_fixes
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, Mode
-from pdr_filter.offline.smoothing.location_errors import by_contact, evenly_sure
-from pdr_filter.offline.smoothing.observations import LoopClosure, Observations, says_nothing
+from pdr_filter.offline.smoothing.location_errors import joined_at_contacts, with_even_variances
+from pdr_filter.offline.smoothing.observations import LoopClosure, Observations, is_uninformative
 from pdr_filter.offline.smoothing.preintegration import Increments
 from pdr_filter.offline.smoothing.problem import ObservedStates, mode_offsets, nearest_contact
 from pdr_filter.values import (
@@ -106,7 +106,7 @@ def usable(
     is_used = is_place & inside & ~is_frozen
     n_fixes, of_places = len(places) - len(observed.locations), is_used[is_place]
     positions, number = _at_contacts(compress(places[:n_fixes], of_places[:n_fixes]), steps)
-    located = evenly_sure(list(compress(places[n_fixes:], of_places[n_fixes:])))
+    located = with_even_variances(list(compress(places[n_fixes:], of_places[n_fixes:])))
     locations, of_location = _at_contacts(located, steps)
     of_closure, near, closures = _closures(track, observed)
     is_state = np.array([isinstance(f, HeadingFix | SpeedFix) for f in fixes], dtype=bool)
@@ -139,7 +139,7 @@ def usable(
         ("loop closure", near, "the distance walked between its two times is within its uncertainty"),
     )
     notes = tuple(
-        f"{kind} {listed(np.flatnonzero(which))}: {why}, not used" for kind, which, why in reasons if which.any()
+        f"{kind} {name_list(np.flatnonzero(which))}: {why}, not used" for kind, which, why in reasons if which.any()
     )
     used = replace(observed, fixes=positions, locations=locations, loop_closures=tuple(closures))
     columns = ([getattr(part, name) for part in (of_states, north)] for name in ObservedStates.__slots__)
@@ -150,10 +150,10 @@ def usable(
 def _at_contacts(fixes: Iterable[PositionFix], steps: Increments) -> tuple[tuple[PositionFix, ...], IntArray]:
     """Return the fixes with correlated ones at one contact joined, and the number of each given fix among them."""
     fixes = list(fixes)
-    return by_contact(fixes, np.array([nearest_contact(steps, f.time_s)[0] for f in fixes], dtype=np.int64))
+    return joined_at_contacts(fixes, np.array([nearest_contact(steps, f.time_s)[0] for f in fixes], dtype=np.int64))
 
 
-def listed(names: Sequence[object] | IntArray) -> str:
+def name_list(names: Sequence[object] | IntArray) -> str:
     """Return the first ten names as text, with the number of the others."""
     shown = ", ".join(str(n) for n in names[:10])
     return shown if len(names) <= 10 else f"{shown} and {len(names) - 10} more"
@@ -167,7 +167,7 @@ def _closures(track: TrackRows, observed: Observations) -> tuple[IntArray, BoolA
     closures = observed.loop_closures
     at_s = np.array([(c.first_s, c.second_s) for c in closures]).reshape(-1, 2)
     walked_m = np.diff(np.interp(at_s, track.time_s, track.walked_m), axis=1)[:, 0]
-    near = np.array([says_nothing(c, d) for c, d in zip(closures, walked_m.tolist(), strict=True)], dtype=bool)
+    near = np.array([is_uninformative(c, d) for c, d in zip(closures, walked_m.tolist(), strict=True)], dtype=bool)
     contacts = np.searchsorted(track.time_s, at_s)
     kept: dict[tuple[int, int], int] = {}
     number = np.full(len(closures), -1)
@@ -214,7 +214,7 @@ def _magnetic_north(track: TrackRows, modes: Sequence[Mode]) -> ObservedStates:
 _LOOP_STD_M = 0.5
 
 
-def whole_loop(track: TrackRows) -> LoopClosure | None:
+def start_end_closure(track: TrackRows) -> LoopClosure | None:
     """Return the loop closure between the first and the last contact of a walk, or None without steps."""
     if not track.n_steps:
         return None

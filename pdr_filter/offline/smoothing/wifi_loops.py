@@ -14,12 +14,12 @@ from pdr_filter.values.recording import MissingSensorError, Recording
 # Smallest cosine of two fingerprints of one place, and the standard deviation of the distance between two such scans
 # along each axis. Both are from pairs of different walks over F1 of `ms_indoor`. On the other storeys, such scans are 5
 # to 6 m apart in the median. Of a million pairs of scans on different storeys, none has such a cosine.
-ALIKE = 0.85
+MIN_COSINE = 0.85
 STD_M = 7.5
 # Scans with fewer access points may be similar by chance.
-_FEWEST = 20
+_MIN_ACCESS_POINTS = 20
 # Smallest time between two visits. For shorter times the steps are more accurate.
-_APART_S = 30.0
+_MIN_VISIT_INTERVAL_S = 30.0
 # Scans this close in time to those of a closure belong to the same two visits. Their errors are correlated.
 _ONE_VISIT_S = 12.0
 # Largest number of scans (two hours) that are compared, because all pairs are held in memory. Of more scans, every
@@ -63,12 +63,12 @@ def wifi_loop_closures(recording: Recording) -> list[LoopClosure]:
         raise MissingSensorError(
             f'{recording.name or "the recording"} has no Wi-Fi, which loop_closures="wifi" needs: omit loop_closures'
         )
-    scans = [s for s in recording.wifi.scans() if len(s.bssid) >= _FEWEST]
+    scans = [s for s in recording.wifi.scans() if len(s.bssid) >= _MIN_ACCESS_POINTS]
     if not scans:
         return []
     scans = scans[:: 1 + len(scans) // _MOST_SCANS]
-    likeness, time_s = alike(scans), np.array([s.time_s for s in scans])
-    first, second = np.nonzero((likeness >= ALIKE) & (time_s - time_s[:, None] > _APART_S))
+    likeness, time_s = fingerprint_cosines(scans), np.array([s.time_s for s in scans])
+    first, second = np.nonzero((likeness >= MIN_COSINE) & (time_s - time_s[:, None] > _MIN_VISIT_INTERVAL_S))
     found: list[tuple[float, float]] = []
     for k in np.argsort(-likeness[first, second], kind="stable"):
         a, b = float(time_s[first[k]]), float(time_s[second[k]])
@@ -79,7 +79,7 @@ def wifi_loop_closures(recording: Recording) -> list[LoopClosure]:
     return [LoopClosure(a, b, STD_M) for a, b in sorted(found) if start_s <= a and b <= end_s]
 
 
-def alike(scans: Sequence[WifiScan]) -> FloatArray:
+def fingerprint_cosines(scans: Sequence[WifiScan]) -> FloatArray:
     """Return the cosines (S, S) of the fingerprints of scans.
 
     A cosine is 1 for two scans with the same signals, and 0 for scans without a common access point.

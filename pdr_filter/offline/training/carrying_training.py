@@ -27,12 +27,12 @@ from pdr_filter.offline.training.classifier_choice import fit_softmax
 from pdr_filter.offline.training.cross_validation import (
     SCORED_DATASET,
     Columns,
+    HeldOut,
     LabelledWindows,
-    LeftOut,
     Progress,
     TextArray,
     TrainingPlan,
-    in_order,
+    in_window_order,
     label_of,
     part_progress,
     score,
@@ -45,9 +45,9 @@ from pdr_filter.offline.training.synthetic_windows import (
     SIMULATED,
     TURNED,
     balanced_weight,
+    ear_rotations,
     from_sources,
-    grips,
-    made_card,
+    synthetic_card,
 )
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.contexts.context_stage import CARRYING_EXPONENT, CARRYING_STAY_PROB, follow_mode
@@ -87,12 +87,12 @@ class CarryingPlan(TrainingPlan):
         """Return the windows of each real person, including synthetic ones made from them."""
         return {str(name): windows.person == name for name in np.unique(windows.person[self.is_real(windows)])}
 
-    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, LeftOut]) -> ContextModel:
+    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]) -> ContextModel:
         """Return the final model, with its temperature, its `Familiarity` and its card.
 
         The temperature and the limit of `Familiarity` are determined from held-out people.
         """
-        left = in_order(left_out.values())
+        left = in_window_order(left_out.values())
         rows, prob, distance = left.rows, left.prob, left.distance
         real = windows.part(rows)
         even = _even_rows(real)
@@ -103,7 +103,7 @@ class CarryingPlan(TrainingPlan):
         people = sites.pop(SCORED_DATASET, {})
         card = {
             **self.card(windows, people, sites),
-            **made_card(windows.dataset[~rows], self.source_weight),
+            **synthetic_card(windows.dataset[~rows], self.source_weight),
             "scored": "People and sites that the scored machine has not seen, nor anything made of them. One number, "
             "the temperature, is fitted on the same people left out. Other simulated people, drawn the same way, move "
             "the recalls of calling, swinging and pocket on tyrex by up to 6 points: they are one or two recordings "
@@ -265,7 +265,7 @@ def _turned(signals: _Signals, name: str) -> _Signals:
     """Return windows of a phone in front of the body rotated to the ear: calling, with the same motion."""
     up = signals.samples[:, _UP].mean(axis=(0, 2))
     parts: list[_Signals] = []
-    for turn, matrix in enumerate(grips([up] * _TURNS, name)):
+    for turn, matrix in enumerate(ear_rotations([up] * _TURNS, name)):
         half = signals.part(slice(turn % 2, None, 2))
         samples = half.samples.copy()
         for rows in (_RATE, _UP, _FORCE):

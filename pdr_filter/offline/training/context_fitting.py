@@ -19,11 +19,11 @@ from pdr_filter.offline.training.classifier_choice import machine_fit_of
 from pdr_filter.offline.training.context_sequences import UNKNOWN, LabelledProbabilities
 from pdr_filter.offline.training.context_training import calibrated, calibration, cross_calibrated
 from pdr_filter.offline.training.cross_validation import (
+    HeldOut,
     LabelledWindows,
-    LeftOut,
     TextArray,
     TrainingPlan,
-    in_order,
+    in_window_order,
     label_row,
     score,
     train_one,
@@ -391,7 +391,7 @@ class FittingPlan(TrainingPlan):
         """Labels of the recordings."""
         return self.own_labels
 
-    def learnt_from(self, windows: LabelledWindows) -> LabelledWindows:
+    def training_windows(self, windows: LabelledWindows) -> LabelledWindows:
         """Return the labelled windows."""
         return windows.part(windows.label(self.head) != "")
 
@@ -401,9 +401,9 @@ class FittingPlan(TrainingPlan):
         n = min(len(people), MAX_PARTS)
         return {", ".join(map(str, people[k::n])): np.isin(windows.person, people[k::n]) for k in range(n)}
 
-    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, LeftOut]) -> ContextModel:
+    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]) -> ContextModel:
         """Return the model, calibrated on held-out people, with its card, transitions and exponents."""
-        left, label = in_order(left_out.values()), windows.label(self.head)
+        left, label = in_window_order(left_out.values()), windows.label(self.head)
         scored = np.zeros(len(label), dtype=bool)
         for group in left_out.values():
             others = np.unique(label[~group.rows])
@@ -419,7 +419,7 @@ class FittingPlan(TrainingPlan):
             "worst_person_accuracy": worst_person_accuracy(y, held_out, person, self.labels),
         }
         card: dict[str, Any] = {
-            **self.card(self.learnt_from(windows), scores, {}),
+            **self.card(self.training_windows(windows), scores, {}),
             "leave_one_subject_out": scores,
             "n_recordings": self.n_recordings,
             "gyroscope": self.has_gyroscope,
@@ -439,7 +439,7 @@ class FittingPlan(TrainingPlan):
             if found.of_exponents == "estimated":
                 estimated["evidence_exponent"] = found.evidence_exponent
                 estimated["prior_exponent"] = found.prior_exponent
-        known = with_familiarity(model, self.learnt_from(windows), limit)
+        known = with_familiarity(model, self.training_windows(windows), limit)
         return replace(
             known, temperature=temperature, slip=slip, card=card, needs_gyroscope=self.has_gyroscope, **estimated
         )

@@ -19,12 +19,12 @@ from pdr_filter.offline.training.cross_validation import (
     SCORED_DATASET,
     STAIRS,
     STAIRS_SHARPNESS,
+    HeldOut,
     LabelledWindows,
-    LeftOut,
     Progress,
     TextArray,
     TrainingPlan,
-    in_order,
+    in_window_order,
     label_of,
     read_recording,
     score,
@@ -86,13 +86,13 @@ class ContextPlan(TrainingPlan):
         people = np.unique(windows.person[np.isin(windows.dataset, SCORED_DATASETS)])
         return {str(name): windows.person == name for name in people}
 
-    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, LeftOut]) -> ContextModel:
+    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]) -> ContextModel:
         """Return the final model, with its calibration, its `Familiarity` and its card.
 
         The model is calibrated on all held-out people. To score a person, the calibration is that of all other held-out
         people. The card also has the scores on held-out sites.
         """
-        left = in_order(left_out.values())
+        left = in_window_order(left_out.values())
         of_left = windows.part(left.rows)
         y, person = of_left.context, of_left.person
         prob = cross_calibrated(left.prob, y, person, model)
@@ -182,7 +182,7 @@ PLANS: tuple[ContextPlan, ...] = (
         machine_fit=fit_blend,
         guards_stairs=True,
         # There is one person with a back pocket and sixteen with front pockets. With a weight of five, level walking of
-        # ubicomp13 in back pockets is classified as stairs in 7 % of the steps instead of 11 %, and the macro recall of
+        # ubicomp13 in back pockets is classified as stairs in 7 % of the steps instead of 11 %. The macro recall of
         # held-out people decreases by 0.4 points. (The five was chosen with a look at ubicomp13, which is not used for
         # training.)
         recording_weight={"backpocket": 5.0},

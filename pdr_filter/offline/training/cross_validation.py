@@ -90,7 +90,7 @@ def label_of(recording: Recording, start_s: float, end_s: float) -> tuple[str, s
 
 def label_row(labels: Table | None, column: str, start_s: float, end_s: float) -> int | None:
     """Return the row of the label that contains a time interval, or None if no label with a name in the column does."""
-    # two samples of tolerance: labels start with the first sample, but windows start half an interval before its centre
+    # Labels start with their first sample, but windows start half a sample interval before it.
     slack_s = 0.02
     for row, label in enumerate(() if labels is None else labels):
         if label["start_s"] - slack_s <= start_s and end_s <= label["end_s"] + slack_s and label[column]:
@@ -162,7 +162,7 @@ class LabelledWindows(Columns):
 
 
 @dataclass(frozen=True, eq=False)
-class LeftOut:
+class HeldOut:
     """Predictions for held-out windows.
 
     Attributes
@@ -234,7 +234,7 @@ class TrainingPlan(ABC):
         """Labels of the head."""
         return HEADS[self.head]
 
-    def learnt_from(self, windows: LabelledWindows) -> LabelledWindows:
+    def training_windows(self, windows: LabelledWindows) -> LabelledWindows:
         """Return the training windows: all of them, unless a plan also has unlabelled ones."""
         return windows
 
@@ -305,7 +305,7 @@ class TrainingPlan(ABC):
         """Return the groups of windows that are held out together, as masks (W,) by name."""
 
     @abstractmethod
-    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, LeftOut]) -> ContextModel:
+    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]) -> ContextModel:
         """Return the final model with its card and the calibration from the held-out groups."""
 
 
@@ -316,26 +316,26 @@ def train_one(plan: TrainingPlan, windows: LabelledWindows, progress: Progress, 
     """
     groups = plan.held_out(windows)
     n = len(groups) + 2
-    left_out: dict[str, LeftOut] = {}
-    said = in_parallel(partial(leave_out, plan, windows), groups.values(), n_jobs)
+    left_out: dict[str, HeldOut] = {}
+    said = in_parallel(partial(predict_held_out, plan, windows), groups.values(), n_jobs)
     for i, (name, group) in enumerate(zip(groups, said, strict=True)):
         left_out[name] = group
         progress(f"{plan.name}: without {name}", (i + 1) / n)
     with threadpool_limits(1):
-        model = plan.fit(plan.learnt_from(windows))
+        model = plan.fit(plan.training_windows(windows))
         progress(f"{plan.name}: all people", 1 - 1 / n)
         model = plan.finished(model, windows, left_out)
     progress(f"{plan.name}: done", 1.0)
     return model
 
 
-def leave_out(plan: TrainingPlan, windows: LabelledWindows, group: BoolArray) -> LeftOut:
+def predict_held_out(plan: TrainingPlan, windows: LabelledWindows, group: BoolArray) -> HeldOut:
     """Return the predictions for the real windows of a group by a model of all other windows.
 
     Synthetic windows made from the group are held out with it.
     """
     with threadpool_limits(1):
-        rest, rows = plan.learnt_from(windows.part(~group)), group & plan.is_real(windows)
+        rest, rows = plan.training_windows(windows.part(~group)), group & plan.is_real(windows)
         model = plan.fit(rest)
         features = windows.features[rows]
         known = with_familiarity(model, rest, 1.0, 1.0 if plan.guards_stairs else None)
@@ -343,7 +343,7 @@ def leave_out(plan: TrainingPlan, windows: LabelledWindows, group: BoolArray) ->
             np.zeros(len(features)) if k is None else k.distance(model.standardised(features))
             for k in (known.familiarity, known.stairs)
         )
-        return LeftOut(rows, model.probabilities(features), of_all, of_stairs)
+        return HeldOut(rows, model.probabilities(features), of_all, of_stairs)
 
 
 def with_familiarity(
@@ -361,13 +361,13 @@ def with_familiarity(
     return replace(model, familiarity=fit_familiarity(standardised, limit), stairs=stairs)
 
 
-def in_order(left_out: Iterable[LeftOut]) -> LeftOut:
+def in_window_order(left_out: Iterable[HeldOut]) -> HeldOut:
     """Return the predictions of all held-out groups, in the order of the windows."""
     groups = list(left_out)
     rows = np.any([group.rows for group in groups], axis=0)
     order = np.argsort(np.concatenate([np.flatnonzero(group.rows) for group in groups]))
     names = "prob", "distance", "stairs_distance"
-    return LeftOut(rows, *(np.concatenate([getattr(group, name) for group in groups])[order] for name in names))
+    return HeldOut(rows, *(np.concatenate([getattr(group, name) for group in groups])[order] for name in names))
 
 
 def in_parallel(work: Callable[[J], R], jobs: Iterable[J], n_jobs: int = -1) -> Iterator[R]:

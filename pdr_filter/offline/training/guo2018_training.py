@@ -23,8 +23,8 @@ from pdr_filter.offline.training.classifier_choice import fit_pose_forest
 from pdr_filter.offline.training.cross_validation import (
     SCORED_DATASET,
     Columns,
+    HeldOut,
     LabelledWindows,
-    LeftOut,
     Progress,
     TextArray,
     TrainingPlan,
@@ -40,9 +40,9 @@ from pdr_filter.offline.training.synthetic_windows import (
     SIMULATED,
     TURNED,
     balanced_weight,
+    ear_rotations,
     from_sources,
-    grips,
-    made_card,
+    synthetic_card,
 )
 from pdr_filter.recipes.guo2018.features import WITHOUT_LIGHT_AND_PROXIMITY, MotionLevel, pitch_and_roll, pose_features
 from pdr_filter.sensing.attitude import AttitudeEstimator
@@ -97,7 +97,7 @@ class PosePlan(TrainingPlan):
         real = self.is_real(windows)
         return {name: group for name, group in groups.items() if (group & real).any() and (~group & real).any()}
 
-    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, LeftOut]) -> ContextModel:
+    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]) -> ContextModel:
         """Return the model with its card: scores of each held-out group, and means over the held-out people."""
         scores = {name: pose_scores(windows.carrying_mode[group.rows], group.prob) for name, group in left_out.items()}
         people = [s for name, s in scores.items() if _is_scored(name)]
@@ -113,7 +113,7 @@ class PosePlan(TrainingPlan):
             **self.card(windows, summary, {name: s for name, s in scores.items() if not _is_scored(name)}),
             "window_s": 0.6,
             "hop_s": 0.6,
-            **made_card(windows.dataset[~self.is_real(windows)], SOURCE_WEIGHT),
+            **synthetic_card(windows.dataset[~self.is_real(windows)], SOURCE_WEIGHT),
             "scored": "People and sites that the scored forest has not seen, nor anything made of them; the scenarios "
             "with magnets are of a person whom it has seen. What is made and the size of the leaves were chosen, out "
             "of fifteen ways, on the same people left out.",
@@ -186,7 +186,7 @@ class WalkWindows(Columns):
 
 
 @dataclass(frozen=True, eq=False)
-class _Ups(Columns):
+class _UpDirections(Columns):
     """Directions of up in the windows of one recording.
 
     `up_sensor` is (W, N, 3) in the sensor frame. `level` and `level_accelerometer` (W,) are the motion levels with and
@@ -222,7 +222,7 @@ def _windows_of(recording: Recording, dataset: str, person: str) -> tuple[list[L
 
     The poses include synthetic ones made from the recording.
     """
-    ups = _ups(recording) if dataset in (*DATASETS, SIMULATED) else None
+    ups = _up_directions(recording) if dataset in (*DATASETS, SIMULATED) else None
     if ups is None:
         return [], []
     walks: list[WalkWindows] = []
@@ -231,12 +231,12 @@ def _windows_of(recording: Recording, dataset: str, person: str) -> tuple[list[L
         moving, who = ups.context != "stationary", np.full(len(place), person)
         walks.append(WalkWindows(ups.level, ups.level_accelerometer, ups.has_rate, moving, place, who))
     ups = ups.part((ups.context != "stationary") & np.isin(ups.mode, MODES))
-    made = [] if dataset == SIMULATED else _made_of(ups, recording.name)
+    made = [] if dataset == SIMULATED else _synthetic_from(ups, recording.name)
     found = [(dataset, ups), *((f"{kind}_{dataset}", more) for kind, more in made)]
     return [_labelled(some, made_of, person, recording.name) for made_of, some in found if len(some.mode)], walks
 
 
-def _ups(recording: Recording) -> _Ups | None:
+def _up_directions(recording: Recording) -> _UpDirections | None:
     """Return all windows of a recording that lie inside one label, or None if there are none."""
     conditioner, attitudes, level = Conditioner(), AttitudeEstimator(), MotionLevel()
     rows: list[tuple[FloatArray, str, str, bool, float, float]] = []
@@ -253,10 +253,10 @@ def _ups(recording: Recording) -> _Ups | None:
                 has_rate = bool(block.angular_rate_known[start : last + 1].all())
                 up = attitude.up_sensor[start : last + 1]
                 rows.append((up, *label, has_rate, float(levels[last]), float(levels_accelerometer[last])))
-    return _Ups(*(np.array(column) for column in zip(*rows, strict=True))) if rows else None
+    return _UpDirections(*(np.array(column) for column in zip(*rows, strict=True))) if rows else None
 
 
-def _made_of(ups: _Ups, name: str) -> list[tuple[str, _Ups]]:
+def _synthetic_from(ups: _UpDirections, name: str) -> list[tuple[str, _UpDirections]]:
     """Return synthetic windows made from those of a recording, by kind."""
     made = [(MIRRORED, replace(ups, up_sensor=ups.up_sensor * np.array([-1.0, 1.0, 1.0])))]
     pocket = ups.part(ups.mode == "pocket").part(slice(None, None, _EVERY))
@@ -265,13 +265,15 @@ def _made_of(ups: _Ups, name: str) -> list[tuple[str, _Ups]]:
             made.append((OVER, replace(pocket, up_sensor=pocket.up_sensor * np.array(signs))))
     held = ups.part(ups.mode == "texting")
     parts = [held.part(slice(grip, None, _GRIPS)) for grip in range(min(_GRIPS, len(held.mode)))]
-    for part, matrix in zip(parts, grips([part.up_sensor.mean(axis=(0, 1)) for part in parts], name), strict=True):
+    for part, matrix in zip(
+        parts, ear_rotations([part.up_sensor.mean(axis=(0, 1)) for part in parts], name), strict=True
+    ):
         mode = np.full(len(part.mode), "calling")
         made.append((TURNED, replace(part, up_sensor=part.up_sensor @ matrix.T, mode=mode)))
     return made
 
 
-def _labelled(ups: _Ups, source: str, person: str, name: str) -> LabelledWindows:
+def _labelled(ups: _UpDirections, source: str, person: str, name: str) -> LabelledWindows:
     """Return windows with the features of pitch and roll."""
     features = np.array([pose_features(np.stack(pitch_and_roll(up))) for up in ups.up_sensor])
     return LabelledWindows.of_one(features, ups.context, ups.mode, person, source, name, ups.has_rate)

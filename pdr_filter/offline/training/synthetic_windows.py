@@ -51,7 +51,7 @@ def _on_source(work: Callable[[Recording, str, str], R], source: Source) -> R:
     return work(recording, SIMULATED, f"{SIMULATED}/{recording.name}")
 
 
-def grips(mean_up: Sequence[FloatArray], name: str) -> Iterator[FloatArray]:
+def ear_rotations(mean_up: Sequence[FloatArray], name: str) -> Iterator[FloatArray]:
     """Yield random rotations (3, 3) of the sensor axes that move a phone from in front of the body to the ear.
 
     `mean_up` are the mean directions of up (3,) in front of the body, one for each rotation. The random numbers depend
@@ -81,7 +81,7 @@ def balanced_weight(label: TextArray, source: TextArray, source_weight: Mapping[
     return weight / weight.mean()
 
 
-def made_card(source: TextArray, source_weight: Mapping[str, float]) -> dict[str, Any]:
+def synthetic_card(source: TextArray, source_weight: Mapping[str, float]) -> dict[str, Any]:
     """Return the entries of a card about synthetic windows, from their sources (W,)."""
     n_windows = {str(name): int((source == name).sum()) for name in np.unique(source)}
     return {"made_windows": n_windows, "source_weight": dict(source_weight)}
