@@ -100,10 +100,10 @@ def plan_with(change: Callable[[dict[str, Any]], object], path: Path) -> Path:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda c: c.update(features=3), "no GeoJSON FeatureCollection .*features no list"),
-        (lambda c: c.update(properties=[1]), "no GeoJSON FeatureCollection .*properties no object"),
-        (lambda c: c["features"].insert(0, 3), "feature 0 is no feature with properties, got 3"),
-        (lambda c: c["features"][0].update(properties=[3]), "feature 0 is no feature with properties"),
+        (lambda c: c.update(features=3), "not a GeoJSON FeatureCollection .*features not a list"),
+        (lambda c: c.update(properties=[1]), "not a GeoJSON FeatureCollection .*properties not an object"),
+        (lambda c: c["features"].insert(0, 3), "feature 0 is not a feature with properties, got 3"),
+        (lambda c: c["features"][0].update(properties=[3]), "feature 0 is not a feature with properties"),
         (lambda c: c["features"][0]["properties"].update(floor=float("inf")), "feature 0 .* has floor inf"),
         (lambda c: c["features"][0]["geometry"]["coordinates"][0].__setitem__(1, [1500, -1500]), ".*square kilometres"),
     ],

@@ -296,7 +296,7 @@ def test_what_is_sent_for_a_calibration_is_sums_whatever_the_number_of_steps(coh
     theta = {name: prior.mean for name, prior in DEFAULT_PRIORS.items()}
     expected = integrate(steps.segments, dict(models), theta)
     np.testing.assert_array_equal(integrate(sums.segments, dict(models), theta).regressors, expected.regressors)
-    with pytest.raises(ValueError, match="its steps are not summed for KimStepLength"):
+    with pytest.raises(ValueError, match="the steps are not summed for KimStepLength"):
         integrate(sums.segments, {"walking": KimStepLength()}, {"walking": np.ones(1)})
 
 

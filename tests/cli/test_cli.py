@@ -253,7 +253,7 @@ def test_train_fits_any_folder_and_track_uses_a_model_of_some_of_the_default_con
 def test_train_learns_carrying_modes_only_if_there_are_several(tmp_path: Path) -> None:
     result = run("train", people_of(tmp_path, {}), "--carrying-modes", "--out", tmp_path / "mine")
     assert result.exit_code == 2
-    assert "two carrying modes or more, got 'pocket'" in one_line(result.stderr)
+    assert "at least two carrying modes, got 'pocket'" in one_line(result.stderr)
 
 
 def test_track_with_a_model_of_other_contexts_says_how_to_give_them_a_meaning(tmp_path: Path, walk: Path) -> None:
