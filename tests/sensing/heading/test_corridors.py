@@ -72,8 +72,9 @@ def test_free_walks_circles_and_diagonals_are_not_corrected() -> None:
     rng = np.random.default_rng(4)
     free = [legs(rng.uniform(0.4, 2.8, 12) * rng.choice([-1, 1], 12), rng) for _ in range(60)]
     states = [run(AXES, *walk) for walk in free]
-    assert sum(max(s.log_odds for s in walk) > AXES.sure_log_odds for walk in states) <= 1  # of 60: 150 to 1
-    # a right angle or two by chance count by halves, and are taken back by the next corners
+    # Of 60 walks at most one reaches odds of 150 to 1.
+    assert sum(max(s.log_odds for s in walk) > AXES.sure_log_odds for walk in states) <= 1
+    # One or two right angles by chance raise the probability to about a half, and the next corners reduce it again.
     assert np.mean([AXES.probability(s) for walk in states for s in walk]) < 0.1
     assert np.median([AXES.probability(walk[-1]) for walk in states]) < 0.001
     time_s = STEP_S * np.arange(400)
