@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -82,7 +82,7 @@ def read_plan(
         drawn = [_drawn(i, f, properties.get("floor", 0), notes) for i, f in enumerate(features)]
         if not drawn:
             raise ValueError("the plan has no features; draw the outline of the floor, or walls")
-        drawn, here = _in_metres(drawn, None if origin is None else Origin.of(origin))
+        drawn, plan_origin = _in_metres(drawn, None if origin is None else Origin.of(origin))
         for d in drawn:
             _check_shape(d)
         floors = sorted({d.floor for d in drawn})
@@ -96,7 +96,7 @@ def read_plan(
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
     name = html.unescape(str(content.get("name") or path.stem))  # some exporters write &amp;
-    return name, storeys, here, tuple(dict.fromkeys(notes))
+    return name, storeys, plan_origin, tuple(dict.fromkeys(notes))
 
 
 def _drawn(number: int, feature: Any, floor: Any, notes: list[str]) -> _RawFeature:
@@ -162,12 +162,13 @@ def _in_metres(drawn: Sequence[_RawFeature], origin: Origin | None) -> tuple[lis
                 f"the plan is near latitude {middle.latitude_deg:.4f}, longitude {middle.longitude_deg:.4f}, more "
                 "than 10 km from the origin; GeoJSON has the longitude first: check the order of the coordinates"
             )
-        here = origin or middle
+        plan_origin = origin or middle
 
         def metres(coordinates: FloatArray) -> FloatArray:
-            return here.east_north_m(coordinates[:, 1], coordinates[:, 0])
+            return plan_origin.east_north_m(coordinates[:, 1], coordinates[:, 0])
 
-        return [_RawFeature(d.number, d.kind, d.name, d.floor, shapely.transform(d.shape, metres)) for d in drawn], here
+        shapes = (shapely.transform(d.shape, metres) for d in drawn)
+        return [replace(d, shape=shape) for d, shape in zip(drawn, shapes, strict=True)], plan_origin
     if not _LEAST_M <= span <= _MOST_M:
         raise ValueError(
             f"the plan spans {span:g}, but a building spans {_LEAST_M:g} to {_MOST_M:g} m; give metres, or longitude "

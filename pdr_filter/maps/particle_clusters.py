@@ -17,17 +17,17 @@ def on_plan(
     weight: FloatArray,
     heading_rad: FloatArray,
     elsewhere: float = 0.0,
-    there: tuple[FloatArray, FloatArray] | None = None,
+    alternative: tuple[FloatArray, FloatArray] | None = None,
 ) -> OnPlan:
     """Return the mean, covariance and clusters of weighted particles.
 
     The particles have positions (N, 2), weights (N,) that sum to one, and walking headings (N,). With the probability
-    `elsewhere`, no particle is at the true position. `there` is the mean (2,) and the covariance (2, 2) of the position
-    in that case, or None if unknown. The returned mean is that of the particles in any case, because it is a walkable
-    position. The covariance is the mean square of both alternatives about that mean.
+    `elsewhere`, no particle is at the true position. `alternative` is the mean (2,) and the covariance (2, 2) of the
+    position in that case, or None if unknown. The returned mean is that of the particles in any case, because it is a
+    walkable position. The covariance is the mean square of both alternatives about that mean.
     """
     mean, cov = moments(position_m, weight)
-    cov = inflated_cov(mean, cov, elsewhere, there)
+    cov = inflated_cov(mean, cov, elsewhere, alternative)
     heading = np.arctan2(weight @ np.sin(heading_rad), weight @ np.cos(heading_rad))
     group = cluster_numbers(position_m)
     share = np.bincount(group, weight)
@@ -42,17 +42,17 @@ def on_plan(
 
 
 def inflated_cov(
-    mean_m: FloatArray, cov_m2: FloatArray, elsewhere: float, there: tuple[FloatArray, FloatArray] | None
+    mean_m: FloatArray, cov_m2: FloatArray, elsewhere: float, alternative: tuple[FloatArray, FloatArray] | None
 ) -> FloatArray:
-    """Return the covariance inflated by the probability `elsewhere` that the position is distributed as `there`.
+    """Return the covariance of the particles inflated by an alternative distribution with the probability `elsewhere`.
 
-    The result is the mean square of the mixture about `mean_m` (2,). `there` is a mean (2,) and a covariance (2, 2). If
-    it is None, the covariance is returned unchanged.
+    The result is the mean square of the mixture about `mean_m` (2,). `alternative` is a mean (2,) and a covariance (2,
+    2). If it is None, the covariance is returned unchanged.
     """
-    if there is None:
+    if alternative is None:
         return cov_m2
-    away = there[0] - mean_m
-    return read_only((1.0 - elsewhere) * cov_m2 + elsewhere * (there[1] + away[:, None] * away))
+    away = alternative[0] - mean_m
+    return read_only((1.0 - elsewhere) * cov_m2 + elsewhere * (alternative[1] + away[:, None] * away))
 
 
 def moments(position_m: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -480,19 +480,19 @@ class ParticleFilter:
             return self._from_tracker(state, pedestrian, ground, rng, 0.0)
         if len(state.weight) == 0:
             return state
-        x, then = state.particles, interpolated(fix.time_s, state.way[:, 0], state.way[:, 1:4])
+        x, at_fix = state.particles, interpolated(fix.time_s, state.way[:, 0], state.way[:, 1:4])
         if isinstance(fix, HeadingFix):
-            error = wrap_angle(fix.walking_heading_rad - then[2] - x[:, OFFSET])
+            error = wrap_angle(fix.walking_heading_rad - at_fix[2] - x[:, OFFSET])
             state, _ = _reweighted(state, -0.5 * (error / fix.std_rad) ** 2)
         elif isinstance(fix, GridFix):
-            there = fix.log_likelihood_at(earlier_positions(x, state.way[-1, 1:3] - then[:2]))
-            state, _ = _reweighted(state, there / repetition(fix, state.last_grid_s))
+            log_likelihood = fix.log_likelihood_at(earlier_positions(x, state.way[-1, 1:3] - at_fix[:2]))
+            state, _ = _reweighted(state, log_likelihood / repetition(fix, state.last_grid_s))
             state = replace(state, last_grid_s=fix.time_s)
         elif not isinstance(fix, PositionFix):
-            there = earlier_positions(x, state.way[-1, 1:3] - then[:2])
-            state, _ = _reweighted(state, _log_density(fix, there, then[2] + x[:, OFFSET]))
+            position_m = earlier_positions(x, state.way[-1, 1:3] - at_fix[:2])
+            state, _ = _reweighted(state, _log_density(fix, position_m, at_fix[2] + x[:, OFFSET]))
         else:
-            error = earlier_positions(x, state.way[-1, 1:3] - then[:2]) - fix.position_m
+            error = earlier_positions(x, state.way[-1, 1:3] - at_fix[:2]) - fix.position_m
             cov = repetition(fix, state.last_fix_s) * fix.cov_m2
             state, _ = _reweighted(state, -0.5 * ((error @ np.linalg.inv(cov)) * error).sum(axis=1))
             state = replace(state, last_fix_s=fix.time_s)
@@ -564,8 +564,8 @@ class ParticleFilter:
         if len(state.weight) == 0:
             return None
         heading_rad = state.heading_rad + state.particles[:, OFFSET]
-        there = reckoned if self.start is None else None
-        return on_plan(state.particles[:, :2], state.weight, heading_rad, state.elsewhere, there)
+        alternative = reckoned if self.start is None else None
+        return on_plan(state.particles[:, :2], state.weight, heading_rad, state.elsewhere, alternative)
 
     def notes(self, state: ParticleState) -> list[Note]:
         """Return warnings about contradictions between the plan and the steps.

@@ -200,11 +200,11 @@ def _ancestral_rows(events: list[_Event], includes_reckoned: bool) -> list[_Row]
 
 
 def _row(
-    particles: FloatArray, weight: FloatArray, elsewhere: float, there: tuple[FloatArray, FloatArray] | None
+    particles: FloatArray, weight: FloatArray, elsewhere: float, alternative: tuple[FloatArray, FloatArray] | None
 ) -> _Row:
     """Return the smoothed row of one step from its weighted particles (N, 6)."""
     position_m, cov_m2 = moments(particles[:, [EAST, NORTH]], weight)
-    cov_m2 = inflated_cov(position_m, cov_m2, elsewhere, there)
+    cov_m2 = inflated_cov(position_m, cov_m2, elsewhere, alternative)
     # headings are circular: average the differences from the first particle's
     about = particles[0, OFFSET]
     turned = wrap_angle(particles[:, OFFSET] - about)

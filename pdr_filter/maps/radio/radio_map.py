@@ -234,12 +234,12 @@ class RadioMap:
             cells = gaussian_filter(
                 heard.prob.reshape(heard.field.shape), math.sqrt(_ADDED_VAR_M2) / CELL_M, mode="constant"
             ).T
-            here = (1.0 - _ELSEWHERE_PROB) * heard.floor_prob
+            prob_on_map = (1.0 - _ELSEWHERE_PROB) * heard.floor_prob
             fix = GridFix(
                 heard.scan.time_s,
                 heard.field.cell_m[0] - 0.5 * CELL_M,
                 CELL_M,
-                np.log(here * cells + (1.0 - here) / cells.size),
+                np.log(prob_on_map * cells + (1.0 - prob_on_map) / cells.size),
                 received_time_s=heard.scan.end_s,
                 correlation_s=_GRID_CORRELATION_S,
                 floor=heard.sure_floor,

@@ -431,11 +431,11 @@ def _linearised(
     """
     vector = np.einsum("ndp,np->nd", A, theta) + offset
     size = np.hypot(vector[:, 0], vector[:, 1])
-    nowhere = size < 1e-9  # no direction at the start, without prior information: use that of the largest regressor
-    if nowhere.any():
-        largest = np.einsum("ndp->np", A[nowhere] ** 2).argmax(axis=1)
+    is_zero = size < 1e-9  # no direction at the start, without prior information: use that of the largest regressor
+    if is_zero.any():
+        largest = np.einsum("ndp->np", A[is_zero] ** 2).argmax(axis=1)
         vector = vector.copy()
-        vector[nowhere] = A[nowhere, :, largest]
+        vector[is_zero] = A[is_zero, :, largest]
         size = np.hypot(vector[:, 0], vector[:, 1])
     along = vector / np.maximum(size, 1e-12)[:, None]
     row = along[:, :1] * A[:, 0] + along[:, 1:] * A[:, 1]

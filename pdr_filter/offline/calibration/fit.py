@@ -145,19 +145,19 @@ def calibrate(
     forms_of(priors, model, prior_std, contexts, walking)  # raises its errors before the slow tracking
     segments: list[Segment] = []
     notes: list[str] = []
-    nameless = 0
+    n_unnamed = 0
     for done, (recording, own) in enumerate(zip(chosen, known, strict=True), 1):
         own = own if own is not None else track_of(recording, config)
         name = recording.name if each_a_person else subject
         found, remarks = segments_of(recording, own, anchor_std_m, measure, name)
-        nameless += bool(found) and not recording.subject.id
+        n_unnamed += bool(found) and not recording.subject.id
         segments += found
         notes += remarks
         if progress is not None:
             progress(done / len(chosen))
     if not segments:
         raise ValueError("nothing to calibrate with: " + "; ".join(notes))
-    whose = without_name(nameless, subject, each_a_person)
+    name_notes = without_name(n_unnamed, subject, each_a_person)
     return calibrate_segments(
         segments,
         priors,
@@ -165,7 +165,7 @@ def calibrate(
         prior_std=prior_std,
         loss=loss,
         recording_std=recording_std,
-        notes=(*whose, *notes),
+        notes=(*name_notes, *notes),
         walking=walking,
     )
 
@@ -348,8 +348,8 @@ def _notes(rows: Any, found: ParameterEstimate, priors: Mapping[str, StepLengthP
         notes.append(
             f"the calibration did not converge: the variances still changed after {found.n_iterations} iterations"
         )
-    doubtful = rows[rows.distrusted]
-    for r in doubtful[np.argsort(-np.abs(doubtful.misfit))]:
+    outliers = rows[rows.distrusted]
+    for r in outliers[np.argsort(-np.abs(outliers.misfit))]:
         notes.append(
             f"distrusted: {r.recording} {r.start_s:.1f}-{r.end_s:.1f} s: {r.distance_m:.2f} m given, "
             f"{r.predicted_m:.2f} m from its steps, {abs(r.misfit):.1f} standard deviations, weight {r.weight:.2f}"

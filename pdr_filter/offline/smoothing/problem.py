@@ -433,11 +433,11 @@ def nearest_contact(steps: Increments, time_s: float) -> _Contact:
 def heading_offsets(track: TrackRows, steps: Increments, modes: Sequence[Mode]) -> ObservedOffsets:
     """Return the heading offsets measured by the strides: walking heading minus device heading minus the mode's offset.
 
-    They are in the frame of the filter, whose zero is the first offset. That one is placed at the start, with its
-    standard deviation. A later direction carries only the information that is new to a filter that has used the earlier
-    ones (docs/methods/heading.md). Its value may therefore deviate far from the offset that it is evidence for. The
-    function runs a filter of the heading offset alone along the steps. Each measurement is returned as the filter's
-    prediction plus the innovation. The innovation is wrapped here, so that the measurement is linear from then on.
+    Offsets are relative to the first one, which becomes a measurement of zero at the start, with its standard
+    deviation. A later direction carries only the information that is new to a filter that has used the earlier ones
+    (docs/methods/heading.md). Its value may therefore deviate far from the offset that it is evidence for. The function
+    runs a filter of the heading offset alone along the steps. Each measurement is returned as the filter's prediction
+    plus the innovation. The innovation is wrapped here, so that the measurement is linear from then on.
     """
     std = np.asarray(track.steps.walking_heading_std_rad)
     (known,) = np.isfinite(std).nonzero()

@@ -153,8 +153,8 @@ class LabelledWindows(Columns):
         has_gyroscope: BoolArray,
     ) -> Self:
         """Return the windows of a single recording, or synthetic windows made from it."""
-        whose, source, name = (np.full(len(features), text) for text in (person, dataset, recording))
-        return cls(features, context, carrying_mode, whose, source, name, has_gyroscope)
+        people, source, name = (np.full(len(features), text) for text in (person, dataset, recording))
+        return cls(features, context, carrying_mode, people, source, name, has_gyroscope)
 
     def label(self, head: str) -> TextArray:
         """Return the true labels of a head, with empty strings where unknown."""
@@ -317,8 +317,8 @@ def train_one(plan: TrainingPlan, windows: LabelledWindows, progress: Progress, 
     groups = plan.held_out(windows)
     n = len(groups) + 2
     left_out: dict[str, HeldOut] = {}
-    said = in_parallel(partial(predict_held_out, plan, windows), groups.values(), n_jobs)
-    for i, (name, group) in enumerate(zip(groups, said, strict=True)):
+    predictions = in_parallel(partial(predict_held_out, plan, windows), groups.values(), n_jobs)
+    for i, (name, group) in enumerate(zip(groups, predictions, strict=True)):
         left_out[name] = group
         progress(f"{plan.name}: without {name}", (i + 1) / n)
     with threadpool_limits(1):

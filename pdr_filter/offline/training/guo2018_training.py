@@ -228,8 +228,8 @@ def _windows_of(recording: Recording, dataset: str, person: str) -> tuple[list[L
     walks: list[WalkWindows] = []
     if dataset != SIMULATED:
         place = np.array([f"{dataset} {mode}".strip() for mode in ups.mode])
-        moving, who = ups.context != "stationary", np.full(len(place), person)
-        walks.append(WalkWindows(ups.level, ups.level_accelerometer, ups.has_rate, moving, place, who))
+        moving, person_of_window = ups.context != "stationary", np.full(len(place), person)
+        walks.append(WalkWindows(ups.level, ups.level_accelerometer, ups.has_rate, moving, place, person_of_window))
     ups = ups.part((ups.context != "stationary") & np.isin(ups.mode, MODES))
     made = [] if dataset == SIMULATED else _synthetic_from(ups, recording.name)
     found = [(dataset, ups), *((f"{kind}_{dataset}", more) for kind, more in made)]
