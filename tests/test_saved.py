@@ -9,6 +9,7 @@ import tracemalloc
 import zipfile
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from time import process_time
 from typing import Any
@@ -21,7 +22,7 @@ import pdr_filter as pdr
 from pdr_filter import recipes
 from pdr_filter.classifiers import model_files as artefact
 from pdr_filter.classifiers.context_model import load_model
-from pdr_filter.recipes.step_length_calibration import load_calibration
+from pdr_filter.recipes.step_length_calibration import load_calibration, slices_of
 from pdr_filter.values import limits
 from pdr_filter.values import serialisation as serialise
 from pdr_filter.values.serialisation import from_bytes, to_bytes
@@ -36,6 +37,16 @@ def test_a_mutation_is_refused_at_loading_or_does_no_harm(form: str, n: int, tmp
         begin = process_time()
         assert try_one(form, number, 1, tmp_path) in ("worked", "refused"), number
         assert process_time() - begin < SLOW_S, number
+
+
+def test_a_covariance_of_one_context_is_checked_alone_as_the_filter_uses_it() -> None:
+    calibration = a_calibration()
+    part = slices_of(calibration.models)[0]["stationary"]
+    wrong = calibration.people_cov.copy()
+    assert not wrong[0, part, part].any()
+    wrong[0, part.start, part.stop - 1] = 1e-300  # far below the rounding errors of all contexts together
+    with pytest.raises(ValueError, match="people_cov must be finite and symmetric"):
+        replace(calibration, people_cov=wrong)
 
 
 # --- saved filters ---------------------------------------------------------------------------------------------------

@@ -414,7 +414,11 @@ def _check_numbers(calibration: Calibration) -> None:
     for name in ("theta", "people"):
         check_array(name, getattr(calibration, name))
     for name in ("theta_cov", "people_cov"):
-        check_cov(getattr(calibration, name), name)
+        cov = getattr(calibration, name)
+        check_cov(cov, name)
+        for part in slices_of(calibration.models)[0].values():  # each is used alone, with a tolerance of its own
+            for of_context in cov.reshape(-1, *cov.shape[-2:])[:, part, part]:
+                check_cov(of_context, name)
     if not (np.diagonal(calibration.between_cov) >= 0).all():
         raise ValueError("between_cov must have variances on its diagonal")
     heights_m, (least_m, largest_m) = calibration.heights_m, HEIGHT_RANGE_M

@@ -18,15 +18,17 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from datetime import date
 from pathlib import Path
+from typing import Any
 
 from tests.benchmarks.common import FOLDER, Tables, run
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from given_mutations import GIVEN, a_radio_map, try_given, usual_config, walk_to_find
-from saved_mutations import a_calibration, good_filter, try_one
 from saved_mutations import FORMS as SAVED
+from saved_mutations import a_calibration, good_filter, try_one
 
 FORMS = (*SAVED, *GIVEN)
 SLOW_S, LARGE_MB = 1.0, 500.0
@@ -89,15 +91,16 @@ def results_of(form: str, inputs: int, seed: int) -> list[tuple[float, float, st
     return found
 
 
-def rows_of_table() -> dict[str, list[object]]:
+def rows_of_table() -> dict[str, list[Any]]:
     """Rows of the table as it is now, by their forms."""
     cells = [line.strip("| ").split(" | ") for line in (FOLDER / "fuzz_saved.md").read_text("utf-8").splitlines()]
-    return {row[0]: row for row in cells if row[0].strip("`") in FORMS}
+    return {row[0]: list(row) for row in cells if row[0].strip("`") in FORMS}
 
 
 def saved(tables: Tables, arguments: argparse.Namespace) -> None:
     """One row for each form; those of forms that are not run stay as they are."""
-    rows: dict[str, list[object]] = {f"`{form}`": [f"`{form}`", *["-"] * 8] for form in FORMS} | rows_of_table()
+    rows: dict[str, list[Any]] = {f"`{form}`": [f"`{form}`", *["-"] * 9] for form in FORMS}
+    rows |= rows_of_table()
     if arguments.here >= 0:
         fuzz(arguments.forms, arguments.here, arguments.inputs, arguments.seed)
         return
@@ -108,9 +111,20 @@ def saved(tables: Tables, arguments: argparse.Namespace) -> None:
         slow = sum(used_s > SLOW_S for used_s, _, _ in results)
         large = sum(used_mb > LARGE_MB for _, used_mb, _ in results)
         longest, most = max(used_s for used_s, _, _ in results), max(used_mb for _, used_mb, _ in results)
-        row = [f"`{form}`", len(results), counts["worked"], counts["refused"], failed, slow, large]
-        rows[row[0]] = [*row, f"{longest:.2f} s", f"{most:.0f} MB"]
-    columns = ["form", "inputs", "worked", "refused", "failed", "slower than 1 s", "above 500 MB", "longest", "most"]
+        numbers = len(results), counts["worked"], counts["refused"], failed, slow, large
+        rows[f"`{form}`"] = [f"`{form}`", *numbers, f"{longest:.2f} s", f"{most:.0f} MB", date.today()]
+    columns = [
+        "form",
+        "inputs",
+        "worked",
+        "refused",
+        "failed",
+        "slower than 1 s",
+        "above 500 MB",
+        "longest",
+        "most",
+        "day",
+    ]
     tables.write("fuzz_saved", columns, list(rows.values()))
 
 
