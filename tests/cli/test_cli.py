@@ -116,8 +116,8 @@ def test_a_file_that_does_not_exist_is_named(tmp_path: Path) -> None:
         (["--heading", "north"], "--heading must be degrees clockwise from north"),
         (["--heading", "nan"], "--heading must be degrees clockwise from north"),
         (["--heading", "4000"], "--heading must be degrees clockwise from north"),
-        (["--export", "shp"], "csv, geojson, gpx, kml, parquet, tum, got 'shp'"),
-        (["--export", "csv,gpx"], "short_walk: --export gpx needs a place on Earth"),
+        (["--export", "shp"], "csv, geojson, gpx, kml, parquet, tum, separated by commas, got 'shp'"),
+        (["--export", "csv,gpx"], "short_walk: --export gpx needs a geographic position"),
         (["--origin", "43.77,11.25", "--gnss", "filter"], "and origin says them too"),
     ],
 )
@@ -181,7 +181,7 @@ def test_compare_has_recipes_the_truth_a_page_of_all_and_json(walk: Path, tmp_pa
     text = page.read_text()
     assert "short_walk, susi2013" in text and "short_walk, default" in text
     again = run("compare", walk, *recipes, "--out", tmp_path)
-    assert "replaced" in again.stderr and "off the truth" not in again.stdout
+    assert "replaced" in again.stderr and "error (RMSE)" not in again.stdout
     table = run("compare", walk, *recipes, "--truth")
     assert f"{found['tracks'][0]['rmse_m']:.1f} m" in table.stdout
 
@@ -189,8 +189,8 @@ def test_compare_has_recipes_the_truth_a_page_of_all_and_json(walk: Path, tmp_pa
 def test_compare_of_a_file_without_truth_has_no_error_and_says_so(walk: Path, tmp_path: Path) -> None:
     bare = write_recording(replace(pdr.read(walk), name="bare", truth=Truth()), tmp_path / "w.zip")
     alone = run("compare", bare, "--truth")
-    assert (alone.exit_code, "off the truth" in alone.stdout) == (0, False)
-    assert "no true positions or waypoints in the file, so there is no error of bare" in one_line(alone.stderr)
+    assert (alone.exit_code, "error (RMSE)" in alone.stdout) == (0, False)
+    assert "because the file has no true positions or waypoints: bare" in one_line(alone.stderr)
     both = run("compare", walk, bare, "--truth", "--json")
     known, unknown = map(json.loads, both.stdout.splitlines())
     assert both.exit_code == 0
@@ -317,8 +317,8 @@ def test_what_was_there_before_is_named_by_every_command_that_writes(tmp_path: P
     ):
         first, second = run(*command), run(*command)
         assert (first.exit_code, second.exit_code) == (0, 0), first.stderr
-        assert "replaced, as they were there before" not in first.stderr
-        assert "replaced, as they were there before" in second.stderr
+        assert "replaced existing files" not in first.stderr
+        assert "replaced existing files" in second.stderr
 
 
 def test_demo_of_a_folder_goes_on_after_a_bad_file_and_says_what_it_replaced(tmp_path: Path, walk: Path) -> None:
@@ -333,7 +333,7 @@ def test_demo_of_a_folder_goes_on_after_a_bad_file_and_says_what_it_replaced(tmp
     assert "replaced" not in result.stderr
     assert len(list((tmp_path / "out").glob("*.csv"))) == 2  # of one name
     again = run("demo", walk, "--out", tmp_path / "out")
-    assert "replaced, as they were there before" in one_line(again.stderr)
+    assert "replaced existing files" in one_line(again.stderr)
 
 
 def test_version_is_the_version_of_the_package() -> None:
@@ -390,4 +390,4 @@ def test_a_file_in_the_place_of_the_folder_is_said_in_words(walk: Path, tmp_path
     result = run("track", walk, "--out", tmp_path / "out")
     assert result.exit_code == 2
     assert "Errno" not in result.stderr
-    assert "a file is there where a folder is to be" in one_line(result.stderr)
+    assert "a file with this name exists where a folder is needed" in one_line(result.stderr)

@@ -183,7 +183,7 @@ def test_a_calibration_names_the_files_that_it_replaced_and_no_others(walk: Path
     assert "replaced" not in first.stderr
     assert (tmp_path / "me.npz").read_text() == "of something else"
     again = run("calibrate", walk, "--out", tmp_path / "me.csv").stderr.replace("\n", "")
-    assert f"replaced, as they were there before: {tmp_path / 'me.csv.json'}, {tmp_path / 'me.csv.npz'}" in again
+    assert f"replaced existing files: {tmp_path / 'me.csv.json'}, {tmp_path / 'me.csv.npz'}" in again
 
 
 def test_a_figure_of_no_known_kind_is_refused_before_a_file_is_read(tmp_path: Path) -> None:

@@ -45,7 +45,7 @@ def test_a_mapping_that_was_corrected_is_obeyed_and_nothing_is_overwritten(tmp_p
     before = out.read_bytes()
     again = RUN.invoke(app, ["convert", str(table), "--out", str(out)])
     assert again.exit_code == 2
-    assert "is there already, and is not overwritten" in " ".join(again.stderr.split())
+    assert "already exists, and convert does not overwrite files" in " ".join(again.stderr.split())
     assert out.read_bytes() == before
     mapping = tmp_path / "mine.toml"
     mapping.write_text((tmp_path / "first.toml").read_text().replace("sign = 1", "sign = -1"))

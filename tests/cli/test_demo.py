@@ -61,7 +61,7 @@ def test_the_summary_says_that_the_walk_is_simulated_and_what_is_true(simulated:
     text = printed(simulated)
     truth = simulated.recording.truth
     assert "simulated" in text
-    assert "nobody walked" in text
+    assert "ground truth is known exactly" in text
     assert f"truth: {len(truth.steps)}" in text
     assert f"truth: {truth.segments.distance_m.sum():.1f} m" in text
     assert f"{simulated.track.n_steps}" in text
@@ -141,7 +141,7 @@ def test_the_end_error_on_the_screen_is_that_of_the_report_at_the_last_step(simu
     off = replace(simulated, track=replace(simulated.track, position_m=position_m))
     for demo in (simulated, off):
         data = track_data(demo.track, demo.recording, None, 1)
-        assert f"{data['from_truth'][-1]:.1f} m from the truth, turned to fit" in printed(demo)
+        assert f"{data['from_truth'][-1]:.1f} m after rigid alignment" in printed(demo)
         assert (data["from_truth"][-1] > 5.0) == (demo is off)
     data = track_data(simulated.track, simulated.recording, None, 1)
     assert f'"from_truth":{json.dumps(data["from_truth"], separators=(",", ":"))}' in simulated.report.read_text()
