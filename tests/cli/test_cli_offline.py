@@ -189,4 +189,5 @@ def test_a_calibration_names_the_files_that_it_replaced_and_no_others(walk: Path
 def test_a_figure_of_no_known_kind_is_refused_before_a_file_is_read(tmp_path: Path) -> None:
     result = run("calibrate", tmp_path / "nowhere.zip", "--out", tmp_path / "me.json", "--figure", "me.xyz")
     assert result.exit_code == 2
-    assert "me.xyz: no kind of picture, got '.xyz'; use .png, .pdf, .svg" in one_line(result.stderr)
+    words = "me.xyz: pictures with the suffix '.xyz' are not supported; use .png, .pdf or .svg"
+    assert words in one_line(result.stderr)

@@ -87,7 +87,7 @@ def test_the_summary_names_the_files_the_uncertainty_and_the_next_step(simulated
     text = printed(simulated)
     for path in (simulated.report, simulated.picture, simulated.geojson, simulated.csv):
         assert str(path) in text
-    how_sure = f"± {simulated.track.position_std_m[-1]:.1f} m  +standard deviation, worst direction"
+    how_sure = f"± {simulated.track.position_std_m[-1]:.1f} m  +standard deviation in the worst direction"
     assert re.search(how_sure, text)
     assert "pdr-filter demo YOUR.zip" in text
     assert len(text.splitlines()) <= 24  # one screen

@@ -139,8 +139,8 @@ def test_the_last_step_is_shown_first_with_its_numbers(browser: Browser, page: P
     assert said["step"] == f"{track.n_steps} of {track.n_steps}"
     assert said["length"] == f"{track.step_length_m[-1]:.2f} m"
     assert said["heading"] == f"{np.degrees(track.walking_heading_rad[-1]) % 360:.0f}°"
-    assert said["worst direction"] == f"± {track.position_std_m[-1]:.1f} m"
-    assert float(said["from the truth"].split()[0]) < 5.0
+    assert said["standard deviation"] == f"± {track.position_std_m[-1]:.1f} m"
+    assert float(said["position error"].split()[0]) < 5.0
     best = track.contexts[int(track.context_prob[-1].argmax())]
     assert f"{best}\n" in browser.words("#probabilities")
 

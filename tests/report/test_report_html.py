@@ -76,14 +76,14 @@ def given(page: str) -> list[dict[str, Any]]:
 
 def test_the_page_has_every_part(page: str) -> None:
     assert Seen(page).titles[1:] == [
-        "Where not to trust it",
-        "Way",
+        "Warnings",
+        "Path",
         "Height (m)",
         "Contexts over time",
         "Walking speed (m/s)",
         "Step lengths (m)",
         "Heading",
-        "How it was read",
+        "Input data",
     ]
 
 
@@ -180,7 +180,7 @@ def test_several_tracks_are_told_apart_by_name_weighting_or_number(track: Track)
     assert f"{track.name}, imm" in words
     assert f"{track.name}, hc" in words
     assert f"2: {track.name}, imm" in Seen(html_report([track, track])).words
-    with pytest.raises(ValueError, match="one or more, got none"):
+    with pytest.raises(ValueError, match="at least one track, got none"):
         html_report([])
 
 
@@ -204,7 +204,7 @@ def test_doubts_and_notes_are_all_there(recording: Recording) -> None:
     assert all(doubt in words for doubt in doubts)
     assert "The clock was set back once." in words
     assert words.count("lock was set back once") == 1
-    assert "Nothing odd" not in words
+    assert "None." not in words
 
 
 def test_the_reading_report_is_all_there(page: str, recording: Recording) -> None:
@@ -216,7 +216,7 @@ def test_the_reading_report_is_all_there(page: str, recording: Recording) -> Non
     for stream in report.streams:
         assert stream.name in words
         assert f"{stream.n_samples:,}" in words
-    assert "How it was read" not in Seen(html_report(pdr.track(recording))).words
+    assert "Input data" not in Seen(html_report(pdr.track(recording))).words
 
 
 # --- self-contained and safe -----------------------------------------------------------------------------------------
@@ -278,7 +278,7 @@ def test_a_recording_without_steps_has_a_page(recording: Recording) -> None:
     assert_self_contained(page)
     words = Seen(page).words
     assert "0 steps" in words
-    assert "nothing to draw" in words
+    assert "No steps were detected" in words
     assert given(page)[0]["time"] == []
 
 
