@@ -33,4 +33,4 @@ def test_the_report_says_if_strangers_are_worse_off_with_the_calibration(
     columns = {name: segments[name] for name in segments.dtype.names or ()}
     stranger_m = segments.distance_m + off_m * np.array([1.0, -1.0, 1.0])
     changed = replace(calibration, segments=table({**columns, "stranger_m": stranger_m}))
-    assert ("strangers' segments are" in changed.report()) == is_said
+    assert ("segments of held-out persons have" in changed.report()) == is_said
