@@ -87,7 +87,7 @@ def test_a_report_shows_the_smoothed_walk_first_and_the_online_track_one_click_a
     page = (tmp_path / "short_walk.html").read_text()
     assert page.index("short_walk, smoothed") < page.index("short_walk, online")
     assert page.count('name="track"') == 2
-    assert "The smoothed track is the best estimate from the whole recording; the online track is what" in page
+    assert "The smoothed track is the best estimate from the whole recording. The online track shows" in page
     assert run("track", walk, "--report", "--online", "--out", tmp_path / "online").exit_code == 0
     alone = (tmp_path / "online" / "short_walk.html").read_text()
     assert 'name="track"' not in alone

@@ -44,7 +44,7 @@ def test_a_map_file_without_a_place_says_so_in_its_name_and_content_and_on_scree
     assert "not on Earth" in feature["properties"]["name"]
     places_deg = np.array(feature["geometry"]["coordinates"])[:, :2]
     assert np.abs(places_deg).max() < 0.01  # in the open sea, where a metre is a metre both ways
-    assert "only its shape: nothing says where on Earth" in printed(simulated)
+    assert "shape only, because the position on Earth is unknown" in printed(simulated)
 
 
 def test_the_picture_of_the_simulated_walk_shows_the_true_way(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -116,7 +116,7 @@ def test_the_map_is_where_the_locations_of_the_recording_say(tmp_path: Path) -> 
     (feature,) = json.loads(demo.geojson.read_text())["features"]
     longitude_deg, latitude_deg = np.array(feature["geometry"]["coordinates"])[:, :2].T
     assert np.linalg.norm(here.east_north_m(latitude_deg, longitude_deg)[-1] - place_m[-1]) < 15.0
-    assert "placed by the recording's own locations" in printed(demo)
+    assert "georeferenced by the locations in the recording" in printed(demo)
     assert run_demo(file, tmp_path / "off", gnss="off").geojson.name.endswith(".local.geojson")
 
 

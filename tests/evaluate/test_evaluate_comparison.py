@@ -68,7 +68,7 @@ def test_without_a_label_that_names_a_context_there_is_nothing_to_hold_contexts_
     labels = walk.truth.labels.copy()
     labels.context[:] = "swimming"
     for truth in (replace(walk.truth, labels=labels), Truth()):
-        with pytest.raises(ValueError, match="inside a truth label"):
+        with pytest.raises(ValueError, match="inside a label"):
             runs.weighting_errors(replace(walk, truth=truth))
 
 

@@ -71,7 +71,40 @@ def read_recording(path: str | Path) -> Recording:
 
 
 def write_recording(recording: Recording, path: str | Path) -> Path:
-    """Write a recording, as `recording.save(path)` does."""
+    """Write a recording in the project's own format.
+
+    Parameters
+    ----------
+    recording : Recording
+        Recording to write.
+    path : str or Path
+        Zip file, or a folder if the name has no suffix. Files of another recording in the folder are replaced.
+
+    Returns
+    -------
+    Path
+        Path of the file or folder.
+
+    Raises
+    ------
+    OSError
+        If a file cannot be written.
+
+    See Also
+    --------
+    pdr_filter.Recording.save : Method with the same effect.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.io.files.own_format import write_recording
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=5.0)])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = write_recording(walk, f"{folder}/walk.zip")
+    ...     pdr.read(path).name
+    'simulated_walk'
+    """
     return recording.save(path)
 
 
