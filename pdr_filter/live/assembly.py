@@ -61,14 +61,14 @@ class Assembly:
     """State of a session between its messages, without the messages that wait."""
 
     kind: Kind | None = None
-    next_number: int = -1  # of the next message, from an app that counts; -1 before the first
-    given_up: tuple[tuple[int, int], ...] = ()  # first and last number of each hole that was given up
-    hole_s: float = np.nan  # time from which a hole is waited for; NaN without a hole
+    next_number: int = -1  # expected number of the next message if the app numbers them; -1 before the first
+    given_up: tuple[tuple[int, int], ...] = ()  # first and last number of each gap that is no longer waited for
+    hole_s: float = np.nan  # time since which missing messages are waited for; NaN if none is missing
     recent: tuple[str, ...] = ()  # digests of the last messages without a number
-    last_s: float = -np.inf  # of the samples that were passed on
-    ahead_s: float = 0.0  # added to times of the phone's clock, which was set back by so much
-    set_backs: tuple[tuple[float, float], ...] = ()  # time and size in s of each set-back
-    linear_s: FloatArray = field(default_factory=lambda: _NONE)  # linear acceleration that waits for gravity
+    last_s: float = -np.inf  # last time of the samples that were passed on
+    ahead_s: float = 0.0  # correction of the phone's clock after backward jumps
+    set_backs: tuple[tuple[float, float], ...] = ()  # time and size in s of each backward clock jump
+    linear_s: FloatArray = field(default_factory=lambda: _NONE)  # linear acceleration for which gravity has not arrived
     linear: FloatArray = field(default_factory=lambda: _NO_ROWS)
     gravity_s: FloatArray = field(default_factory=lambda: _NONE)  # the last of gravity
     gravity: FloatArray = field(default_factory=lambda: _NO_ROWS)
