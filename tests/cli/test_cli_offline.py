@@ -1,4 +1,4 @@
-"""`pdr-filter calibrate` and `smooth`: what is made of whole recordings afterwards."""
+"""Commands `pdr-filter calibrate` and `pdr-filter smooth`."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def test_a_walk_is_smoothed_against_its_own_locations_where_it_was(tmp_path: Pat
     assert np.linalg.norm(here.east_north_m(latitude_deg, longitude_deg)[-1] - place_m[-1]) < 4.0
 
 
-def test_a_walk_of_which_no_place_is_known_is_smoothed_as_by_the_function(walk: Path, tmp_path: Path) -> None:
+def test_a_walk_without_known_places_is_smoothed_as_by_pdr_smooth(walk: Path, tmp_path: Path) -> None:
     recording = pdr.read(walk)
     bare = replace(recording, location=None, truth=replace(recording.truth, waypoints=None))
     result = run("smooth", bare.save(tmp_path / "bare.zip"), "--out", tmp_path)

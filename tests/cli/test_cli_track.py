@@ -1,4 +1,4 @@
-"""`pdr-filter track`: what it prints and writes of a recording, of many, and with a radio map."""
+"""Command `pdr-filter track`: output and files for one recording, for many, and with a radio map."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def broken(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_person_whom_no_fix_measured_is_not_written_and_that_is_said(walk: Path, tmp_path: Path) -> None:
+def test_a_person_without_fixes_is_not_written_and_a_message_says_so(walk: Path, tmp_path: Path) -> None:
     result = run("track", walk, "--person", tmp_path / "me.json")
     assert result.exit_code == 0
     assert "me.json was not written, because no fixes show" in result.stderr.replace("\n", "")
@@ -73,7 +73,7 @@ def test_notes_stand_below_the_table_and_with_json_in_the_object(tmp_path: Path)
     assert with_json.stderr == ""
 
 
-def test_online_is_what_a_phone_knew_at_each_step_and_the_smoothed_walk_is_shown_without_it(walk: Path) -> None:
+def test_the_online_track_is_shown_with_online_and_the_smoothed_track_without(walk: Path) -> None:
     smoothed, online = run("track", walk), run("track", "--online", walk)
     assert "--online shows the estimates available at each step" in " ".join(smoothed.stdout.split())
     assert "--online" not in online.stdout
@@ -94,7 +94,7 @@ def test_a_report_shows_the_smoothed_walk_first_and_the_online_track_one_click_a
     assert "Online: each position is what a phone knew when the step was made." in alone
 
 
-def test_a_loop_is_stated_of_a_smoothed_walk_alone(walk: Path) -> None:
+def test_loop_is_refused_together_with_online(walk: Path) -> None:
     looped = json.loads(run("track", "--loop", "--json", walk).stdout)
     assert looped == pdr.smooth(pdr.read(walk), loop=True).track.summary()
     assert np.hypot(looped["end_east_m"], looped["end_north_m"]) < 1.0
@@ -289,7 +289,7 @@ def test_a_report_is_one_page_beside_the_other_files(walk: Path, tmp_path: Path)
 
 @pytest.fixture(scope="module")
 def mapped(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a walk to be located, and in `known` those of the map."""
+    """Folder with a walk to be located, and a subfolder `known` with the walks of the map."""
     folder = tmp_path_factory.mktemp("radio")
     (folder / "known").mkdir()
     for seed in (1, 2):

@@ -1,4 +1,4 @@
-"""The demonstration: four files and a summary that is true."""
+"""Demonstration: four files and a correct summary."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_the_picture_of_the_simulated_walk_shows_the_true_way(monkeypatch: pytes
     truth = demo.recording.truth.position
     run_demo(write_recording(demo.recording, tmp_path / "mine.zip"), tmp_path)
     np.testing.assert_array_equal(drawn[0], np.column_stack([truth.east_m, truth.north_m]))
-    assert drawn[1] is None  # of another recording nobody knows how its frame lies
+    assert drawn[1] is None  # the frame of another recording is unrelated to the track
 
 
 def test_the_summary_says_that_the_walk_is_simulated_and_what_is_true(simulated: Demo) -> None:
@@ -68,8 +68,8 @@ def test_the_summary_says_that_the_walk_is_simulated_and_what_is_true(simulated:
     assert f"{simulated.track.distance_m:.1f} m" in text
 
 
-def test_the_demo_convinces(simulated: Demo) -> None:
-    """All contexts are there, the end is near, nothing is asked for."""
+def test_the_demo_shows_all_contexts_and_ends_close_to_the_true_end(simulated: Demo) -> None:
+    """The demo shows all contexts, ends close to the true end, and has no notes."""
     track, truth = simulated.track, simulated.recording.truth
     middle_s = track.windows.time_s - 1.0
     true = truth.labels.context[np.searchsorted(truth.labels.end_s, middle_s)]
@@ -101,7 +101,7 @@ def test_the_demo_of_a_file_tracks_that_file_and_claims_no_truth(tmp_path: Path)
     text = printed(demo)
     assert str(file) in text
     assert "truth" not in text
-    assert "Next" not in text  # it ends with the own walk
+    assert "Next" not in text  # there is no next step after a recording of the user
 
 
 def test_the_map_is_where_the_locations_of_the_recording_say(tmp_path: Path) -> None:
@@ -147,7 +147,7 @@ def test_the_end_error_on_the_screen_is_that_of_the_report_at_the_last_step(simu
     assert f'"from_truth":{json.dumps(data["from_truth"], separators=(",", ":"))}' in simulated.report.read_text()
 
 
-def test_a_note_that_was_said_is_not_said_again(simulated: Demo) -> None:
+def test_a_printed_note_is_not_repeated(simulated: Demo) -> None:
     noted = replace(simulated, track=replace(simulated.track, notes=("the height is not known",)))
     console, said = Console(width=100, highlight=False), set[str]()
     with console.capture() as capture:

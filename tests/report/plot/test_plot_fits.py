@@ -1,4 +1,4 @@
-"""Figures of papers: what they show is what they were given, in axes of others or their own."""
+"""Figures draw the given data, into given axes or into new axes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from pdr_filter.values import CONTEXTS, Cluster
 
 
 def offsets(axes: Axes) -> list[np.ndarray]:
-    """Of the dots, one array for each call of scatter."""
+    """Return the positions of the dots, an array for each call of scatter."""
     return [np.asarray(dots.get_offsets()) for dots in axes.collections if isinstance(dots, PathCollection)]
 
 
