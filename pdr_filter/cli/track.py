@@ -55,7 +55,7 @@ class Method:
     device: Annotated[
         Path | None,
         typer.Option(
-            help="File with the sensor biases of the phone. It is read if it exists, and updated after the walk."
+            help="File with the gyroscope bias of the phone. It is read if it exists, and updated after the walk."
         ),
     ] = None
     person: PersonFile = None

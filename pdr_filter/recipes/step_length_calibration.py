@@ -658,7 +658,8 @@ def _assemble(config: Config | None, description: Mapping[str, Any], arrays: Arr
 def _once(notes: Sequence[str]) -> list[str]:
     """Return the notes without repetitions.
 
-    Notes with the same text after the last colon, such as those of several recordings, are merged, with their number.
+    Notes with the same text after the last colon, such as those of several recordings, become one note. It has the text
+    of the first, and the number of the others.
     """
     alike: dict[str, list[str]] = {}
     for note in notes:

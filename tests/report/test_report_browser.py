@@ -207,7 +207,7 @@ def test_the_path_can_be_moved_zoomed_and_shown_whole_again(browser: Browser, pa
 
 @pytest.mark.parametrize("latitude_deg", [0.0, 48.1, -77.8])
 def test_metres_are_put_where_they_are_on_earth(browser: Browser, page: Path, latitude_deg: float) -> None:
-    """Conversion of metres for map tiles. At 1 km from the origin the error is 40 cm near a pole and 10 cm in Europe."""
+    """Metres on map tiles. At 1 km from the origin the error is 40 cm near a pole and 10 cm in Europe."""
     browser.open(page)
     origin = pdr.Origin(latitude_deg, 11.575)
     places_m = np.array([[1000.0, 0.0], [0.0, 1000.0], [-600.0, -800.0]])

@@ -165,7 +165,7 @@ def _name(path: Path, meta: Mapping[str, Any], notes: list[str]) -> str:
 
 
 def _is_usable(name: str) -> bool:
-    """Results are written to files of this name, so it must not lead to another folder."""
+    """Return True if a name is safe as a file name, because results are written to files of this name."""
     is_short = len(name) <= limits.MAX_NAME_CHARS
     return is_short and name.isprintable() and bool(name.strip(". ")) and not set(name) & set("/\\:")
 
@@ -173,7 +173,7 @@ def _is_usable(name: str) -> bool:
 def _read_stream(
     members: Members, name: str, columns: tuple[str, ...], notes: list[str]
 ) -> tuple[FloatArray, FloatArray]:
-    """Times and values of one sensor; none of an empty file."""
+    """Return times and values of one sensor, without rows for an empty file."""
     rows = TextTable(members.blocks(name), members.where(name), ",")
     if rows.is_empty and PurePosixPath(name).name != REQUIRED:
         return np.empty(0), np.empty((0, len(columns)))
@@ -182,7 +182,7 @@ def _read_stream(
 
 
 def _read_wifi(members: Members, name: str, notes: list[str]) -> Wifi | None:
-    """Access points that were heard; None of an empty file."""
+    """Return the Wi-Fi scans, or None for an empty file."""
     rows = TextTable(with_whole_addresses(members.blocks(name)), members.where(name), ",")
     if rows.is_empty:
         return None
@@ -191,7 +191,7 @@ def _read_wifi(members: Members, name: str, notes: list[str]) -> Wifi | None:
 
 
 def _read_truth(members: Members, name: str, columns: tuple[str, ...], notes: list[str]) -> Table | None:
-    """The rows of a truth table that have a time; None of an empty file."""
+    """Return the rows of a truth table with a time, or None for an empty file."""
     rows = TextTable(members.blocks(name), members.where(name), ",")
     if rows.is_empty:
         return None

@@ -301,9 +301,9 @@ class OffsetCompensation:
         return remembered[:, a:b]
 
     def _directed(self, step: Step, direction_rad: float, moved: bool) -> Step:
-        """Return the step with its direction. NaN gives an infinite standard deviation.
+        """Return the step with its walking heading. An unknown direction (NaN) gets an infinite standard deviation.
 
-        A phone that was moved (`moved`) has an unknown change of its heading offset.
+        If the phone was moved during the step (`moved`), the change of its heading offset is marked as unknown.
         """
         known = not np.isnan(direction_rad)
         return replace_unchecked(
