@@ -115,7 +115,8 @@ def smooth(
         typer.Option(help="CSV of position fixes with columns time_s, east_m, north_m and optionally std_m."),
     ] = None,
     fix_std_m: Annotated[
-        float, typer.Option("--fix-std", min=0.01, help="Standard deviation in m of fixes without std_m.")
+        float,
+        typer.Option("--fix-std", min=0.01, help="Standard deviation in m of waypoints, and of fixes without std_m."),
     ] = 1.0,
     loop_closures: Annotated[
         Path | None,
