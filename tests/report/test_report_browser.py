@@ -270,14 +270,14 @@ def test_places_where_a_walk_may_be_are_drawn_for_the_step_that_is_shown(
     clusters = (places[:1],) * (track.n_steps - 1) + (places,)
     browser.open(write_report(replace(track, clusters=clusters), tmp_path / "page.html"))
     assert browser.complaints == []
-    assert shown(browser)["places"] == "60 %, 30 %"
+    assert shown(browser)["possible positions"] == "60 %, 30 %"
     assert "#BB3333" in colours_of(browser, "#map")
     browser.click("[name=places]")
     assert "#BB3333" not in colours_of(browser, "#map")
     browser.click("[name=places]")
     scrub(browser, 30.0)
     assert "#BB3333" not in colours_of(browser, "#map")
-    assert "places" not in shown(browser)
+    assert "possible positions" not in shown(browser)
 
 
 def test_a_walk_over_storeys_has_a_profile_and_two_ways_to_colour_it(
