@@ -1,7 +1,6 @@
-"""Pedestrian dead reckoning: a phone's inertial samples in, a track with honest uncertainty out.
+"""Pedestrian dead reckoning: estimate a track with its uncertainty from the inertial samples of a phone.
 
-The public names are those of `__init__.pyi`, and stand only there. Each is loaded when it is first used, so that
-importing the package costs nothing that is not needed.
+`__init__.pyi` lists the public names. Each name is loaded at its first use, so that importing the package is fast.
 """
 
 import importlib.util
@@ -20,10 +19,13 @@ __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 
 class _FormerModules(MetaPathFinder, Loader):
-    """Import modules by their names in version 0.1, with a DeprecationWarning. The last finder that Python asks."""
+    """Import modules by their names in version 0.1, with a DeprecationWarning.
+
+    This finder is the last in `sys.meta_path`, so that existing modules have priority.
+    """
 
     def find_spec(self, fullname: str, path: object = None, target: object = None) -> ModuleSpec | None:
-        """Return the specification of a module that has moved; None for any other name."""
+        """Return the specification of a renamed module, or None for any other name."""
         package, _, name = fullname.partition(".")
         if package != __name__ or name not in self.moved():
             return None
@@ -36,19 +38,19 @@ class _FormerModules(MetaPathFinder, Loader):
 
     @staticmethod
     def moved() -> dict[str, str]:
-        """Return former and present names of modules, without the package."""
+        """Return the present names of renamed modules by their former names, both without the package."""
         lines = Path(__file__).with_name("former_modules.txt").read_text(encoding="utf-8").splitlines()
         return dict(line.split() for line in lines)
 
     def create_module(self, spec: ModuleSpec) -> ModuleType:
-        """Return a module whose names are looked up in the present one."""
+        """Return a module with the contents of the renamed module."""
         present = importlib.import_module(spec.loader_state)
         module = ModuleType(spec.name, present.__doc__)
         module.__dict__.update({key: value for key, value in vars(present).items() if not key.startswith("__")})
         return module
 
     def exec_module(self, module: ModuleType) -> None:
-        """Nothing is left to execute."""
+        """Do nothing, because `create_module` returns a complete module."""
 
 
 sys.meta_path.append(_FormerModules())

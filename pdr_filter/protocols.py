@@ -1,6 +1,7 @@
-"""Interfaces of the parts that users can add, with shapes and units in their docstrings.
+"""Interfaces of user-defined parts, with shapes and units in their docstrings.
 
-A part needs no base class. `pdr_filter.testing` checks parts, and docs/extend.md has a complete example of each.
+A part needs no base class. `pdr_filter.testing` checks that a part conforms to its interface. docs/extend.md has a
+complete example of each part.
 """
 
 from pdr_filter.filter.imm.weighting import Weighting as Weighting

@@ -1,4 +1,4 @@
-"""Checks of parts that users add: see `pdr_filter.protocols`."""
+"""Checks of user-defined parts for the interfaces in `pdr_filter.protocols`."""
 
 from pdr_filter.evaluate.conformance import check_fix as check_fix
 from pdr_filter.evaluate.conformance import check_stage as check_stage

@@ -195,7 +195,7 @@ def without(name: str) -> Callable[[dict[str, Any]], object]:
     ("change", "words"),
     [
         (without("residual_std_m"), "residual_std_m is missing|'residual_std_m'"),
-        (lambda c: c["residual_std_m"].pop("walking"), "residual_std_m must be there for each"),
+        (lambda c: c["residual_std_m"].pop("walking"), "residual_std_m must have a value for each"),
         (lambda c: c["residual_std_m"].update(walking="x"), "'<=' not supported|must be"),
         (lambda c: c.update(recording_std=1e30), "must be from 0 to 1000"),
         (lambda c: c.update(subject_ids=[1, 2]), r"subject_ids of Calibration must be tuple\[str"),

@@ -1,7 +1,7 @@
-"""Many recordings, on several processes or a Dask cluster.
+"""Batch processing of many recordings, on several processes or a Dask cluster.
 
-The public names are those of `__init__.pyi`. Each is loaded when it is first used: the live server needs the worker
-processes of this package and not the filter.
+`__init__.pyi` lists the public names. Each name is loaded at its first use, because the live server needs the worker
+processes of this package but not the filter.
 """
 
 import lazy_loader

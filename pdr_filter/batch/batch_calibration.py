@@ -1,4 +1,4 @@
-"""Calibration with many recordings, each reduced to its segments where it is read."""
+"""Calibration with many recordings, each of which is reduced to its segments in the process that reads it."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reduced:
-    """All that a calibration needs of one recording."""
+    """Data of one recording that a calibration needs."""
 
     segments: tuple[AnySegment, ...]
     notes: tuple[str, ...]
-    is_nameless: bool = False  # it has segments and does not say whose they are
+    is_nameless: bool = False  # the recording has segments but does not name its person
 
 
 def calibrate(
@@ -52,34 +52,80 @@ def calibrate(
     measure: str = "displacement",
     loss: str = "gnc",
 ) -> Calibration:
-    """What `pdr_filter.calibrate` finds from all recordings, each reduced to its segments where it is read.
+    """Calibrate step lengths on many recordings, in parallel.
 
-    No samples travel. For models that are linear in their parameters, as all by default, not even steps do, but their
-    sums for each segment. Then all segments are solved for at once, in the order of the paths, so the result has the
-    same bits wherever the work was done. Recordings that cannot be used are left out, with their reason in the notes.
-    Tracks are those of the default recipe: for other contexts or parts give `pdr_filter.calibrate` their config.
+    The result is that of `pdr_filter.calibrate` with all recordings. Each recording is reduced to its segments of known
+    length in the process that reads it. Recordings that cannot be used are skipped, with the reason in the notes.
+    The tracks are those of the default recipe. For other contexts or parts, use `pdr_filter.calibrate` with `config`.
 
     Parameters
     ----------
-    paths, jobs, scheduler, file_format
-        As in `track`.
-    priors, model, prior_std, subject, each_a_person, anchor_std_m, measure, loss
-        As in `pdr_filter.calibrate`.
-    resume : path, optional
-        Folder that keeps what each recording was reduced to as soon as it is. Started again with the same folder and
-        options, after a kill too, recordings that are in it are not read again.
+    paths : str, Path or iterable of these
+        Recordings, or folders of recordings.
+    priors : mapping of str to StepLengthPrior, optional
+        Step-length model and prior of each context. The default is `DEFAULT_PRIORS`.
+    jobs : int, default 1
+        Number of processes on this machine, or -1 for the number of cores.
+    scheduler : str, optional
+        Address of a Dask scheduler, such as "tcp://host:8786", instead of `jobs`. Its workers must see the same files
+        under the same paths and have the same version of this package.
+    resume : str or Path, optional
+        Folder for the reduced recordings. If an interrupted calibration is started again with the same folder and
+        options, recordings in the folder are not read again.
     progress : callable, optional
-        Called with the fraction of recordings done.
+        Function that is called with the fraction of recordings done, 0 to 1.
+    file_format : str, optional
+        Format of the files. By default it is detected from their content.
+    model : {"bounce", "eq12", "kim", "tian", "weinberg"}, optional
+        Step-length model of walking. By default, the model with the smallest error on held-out segments is selected.
+    prior_std : float, optional
+        Relative standard deviation of the prior of walking. The default for "bounce" is 0.1.
+    subject : str, optional
+        Name of the person of recordings that do not name their person. The default is "unnamed".
+    each_a_person : bool, default False
+        Whether each recording that does not name its person is of another person.
+    anchor_std_m : float, optional
+        Standard deviation of the waypoints or fixes at the ends of segments, in m.
+    measure : {"displacement", "length"}, default "displacement"
+        Whether summed step vectors or summed step lengths are fitted to the known distances.
+    loss : {"gnc", "cauchy", "huber", "none"}, default "gnc"
+        Robust loss against wrong segments.
+
+    Returns
+    -------
+    Calibration
+        Step-length parameters of the population and of each person.
 
     Raises
     ------
     ValueError
-        If an option cannot be used, or nothing determines the parameters.
+        If an option is invalid, or if the recordings do not determine the parameters.
+
+    See Also
+    --------
+    pdr_filter.calibrate : Calibrate on recordings in memory.
+
+    Notes
+    -----
+    Processes exchange no samples. For models that are linear in their parameters, which includes all default models,
+    they exchange only sums over the steps of each segment. All segments are then solved together in the order of the
+    paths, so that the result is bit-identical for any number of processes.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import pdr_filter as pdr
+    >>> legs = [pdr.simulate.Leg("walking", distance_m=d, turn_rad=1.57) for d in (30.0, 20.0)]
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pdr.simulate.simulate(legs).save(f"{folder}/walk.zip")
+    ...     pdr.batch.calibrate([path], model="tian")
+    Calibration(walking; 1 people, 2 segments)
     """
     from pdr_filter.offline.calibration.fit import calibrate_segments, check_subject, without_name
     from pdr_filter.offline.calibration.model_forms import forms_of
 
-    if measure not in ("displacement", "length"):  # otherwise the reason of every recording
+    # options are checked here, because in the workers they would fail for every recording
+    if measure not in ("displacement", "length"):
         raise ValueError(f'measure must be "displacement" or "length", got {measure!r}')
     if loss not in LOSSES:
         raise ValueError(f"loss must be one of {', '.join(LOSSES)}, got {loss!r}")
@@ -106,7 +152,7 @@ def calibrate(
     for k, result in each(reduce, [files[i] for i in todo], jobs=jobs, scheduler=scheduler):
         i = todo[k]
         if isinstance(result, Failure):
-            result = Reduced((), (f"{files[i]}: left out: {result.reason}",))
+            result = Reduced((), (f"{files[i]}: skipped: {result.reason}",))
         elif kept is not None:
             kept.keep(files[i], result)
         found[i] = result
@@ -116,13 +162,15 @@ def calibrate(
     segments = [segment for one in in_order for segment in one.segments]
     notes = [note for one in in_order for note in one.notes]
     if not segments:
-        raise ValueError("nothing to calibrate with: " + ("; ".join(notes) or "no recordings"))
-    whose = without_name(sum(one.is_nameless for one in in_order), subject, each_a_person)
-    return calibrate_segments(segments, priors, model=model, prior_std=prior_std, loss=loss, notes=(*whose, *notes))
+        raise ValueError("no usable segments to calibrate with: " + ("; ".join(notes) or "no recordings"))
+    name_notes = without_name(sum(one.is_nameless for one in in_order), subject, each_a_person)
+    return calibrate_segments(
+        segments, priors, model=model, prior_std=prior_std, loss=loss, notes=(*name_notes, *notes)
+    )
 
 
 def models_in(priors: Mapping[str, StepLengthPrior]) -> list[tuple[str, StepLengthModel]]:
-    """Contexts with their models."""
+    """Return pairs of context and step-length model."""
     return [(context, prior.model) for context, prior in priors.items()]
 
 
@@ -135,7 +183,10 @@ def reduced(
     anchor_std_m: float | None = None,
     measure: str = "displacement",
 ) -> Reduced:
-    """Segments of known length of one recording: their sums for these models, or with None their steps."""
+    """Read a recording and return its segments of known length.
+
+    Segments have sums for the given models, or all their steps if `models` is None.
+    """
     recording = read(path, file_format)
     name = recording.name if each_a_person else subject
     segments, notes = segments_of(recording, recording_run.track(recording, gnss="off"), anchor_std_m, measure, name)
@@ -145,13 +196,13 @@ def reduced(
 
 @dataclass(frozen=True, slots=True)
 class _Kept:
-    """A folder with a file for each recording that was reduced with these options."""
+    """Folder of reduced recordings, with a file for each recording and set of options."""
 
     folder: Path
     options: str
 
     def all_of(self, files: list[str]) -> dict[int, Reduced]:
-        """What is there, by the number of the file; what cannot be read is done again."""
+        """Return the reduced recordings in the folder by index into `files`. Unreadable files are ignored."""
         found: dict[int, Reduced] = {}
         for i, file in enumerate(files):
             try:
@@ -163,11 +214,11 @@ class _Kept:
         return found
 
     def keep(self, file: str, result: Reduced) -> None:
-        """Write it whole or not at all."""
+        """Write a reduced recording atomically."""
         with whole_file(self._path(file)) as kept:
             kept.write(to_bytes(result))
 
     def _path(self, file: str) -> Path:
-        """Another recording under the same path is taken for the same one."""
+        """Return the path for a recording. It depends on its path, not on its content."""
         key = "\n".join((file, self.options, __version__))
         return self.folder / f"{hashlib.sha256(key.encode('utf-8', 'surrogateescape')).hexdigest()[:24]}.segments"

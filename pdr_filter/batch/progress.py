@@ -1,4 +1,4 @@
-"""How far a batch is, and how long the rest takes."""
+"""Progress of a batch, with an estimate of the remaining time."""
 
 from __future__ import annotations
 
@@ -12,36 +12,61 @@ from pdr_filter.batch.result_table import Row, Task
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far a batch is."""
+    """Progress of a batch.
 
-    n_done: int  # rows in the table, failures and those of an earlier run included
+    Attributes
+    ----------
+    n_done : int
+        Number of rows in the table, including failed recordings and rows of earlier runs.
+    n_failed : int
+        Number of failed recordings among them.
+    n : int
+        Number of all recordings.
+    elapsed_s : float
+        Duration of this run in s.
+    left_s : float or None
+        Estimated remaining time in s, or None before the first recording has finished.
+    last : Row or None
+        Row of the recording that has just finished.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> pdr.batch.Progress(n_done=3, n_failed=0, n=12, elapsed_s=6.0, left_s=18.0, last=None).fraction
+    0.25
+    """
+
+    n_done: int
     n_failed: int
     n: int
-    elapsed_s: float  # of this run
-    left_s: float | None  # estimate by the bytes of the recordings; None before the first has finished
+    elapsed_s: float
+    left_s: float | None
     last: Row | None
 
     @property
     def fraction(self) -> float:
-        """Part of the recordings that is in the table."""
+        """Fraction of the recordings in the table, 0 to 1."""
         return self.n_done / self.n if self.n else 1.0
 
 
 class Clock:
-    """Reports how far the batch is, and estimates the rest by bytes: recordings may be of seconds or of hours."""
+    """Report of the progress of a batch.
+
+    The remaining time is estimated from the file sizes, because recordings may last seconds or hours.
+    """
 
     def __init__(self, tasks: Sequence[Task], rows: Mapping[Task, Row], report: Callable[[Progress], None]) -> None:
         known = [rows[task] for task in tasks if task in rows]
         self._report, self._n = report, len(tasks)
         self._start_s = time.monotonic()
         self._n_done, self._n_failed = len(known), sum(row.failed for row in known)
-        # One more, so that empty files count.
+        # one byte is added, so that empty files count
         self._bytes_of = {task: 1 + _n_bytes(Path(task.path)) for task in tasks if task not in rows}
         self._left_bytes, self._done_bytes = sum(self._bytes_of.values()), 0
         self._show(None)
 
     def after(self, row: Row) -> None:
-        """Count a row that is in the table now."""
+        """Count a row that was added to the table, and report the progress."""
         size = self._bytes_of[row.task]
         self._left_bytes, self._done_bytes = self._left_bytes - size, self._done_bytes + size
         self._n_done, self._n_failed = self._n_done + 1, self._n_failed + row.failed

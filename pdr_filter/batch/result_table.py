@@ -1,4 +1,4 @@
-"""The table of a batch: a CSV file that grows by one line for each recording and survives a kill at any moment."""
+"""Result table of a batch, a CSV file that grows by one line per recording and remains valid if the batch is killed."""
 
 from __future__ import annotations
 
@@ -23,42 +23,104 @@ _DONE, _FAILED = "done", "failed"
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """A recording and all that its track depends on: what identifies a row of the table."""
+    """Recording with the options of its track, which together identify a row of the table.
 
-    path: str  # absolute; another file under the same path is taken for the same recording
+    Attributes
+    ----------
+    path : str
+        Absolute path of the recording. Files are compared by path, not by content.
+    recipe : str
+        Name of the recipe.
+    weighting : str
+        Weighting, or "" for the weighting of the recipe.
+    file_format : str
+        Format of the file, or "" if it is detected from the content.
+    height_m : float or None
+        Height of the person in m, or None for the height in the recording.
+    calibration : str
+        Absolute path of a calibration or person file, or "" for none.
+    gnss : str
+        Use of locations, or "" for the default of `pdr_filter.track`.
+    """
+
+    path: str
     recipe: str = "default"
-    weighting: str = ""  # the recipe's own if empty
-    file_format: str = ""  # found by content if empty
-    height_m: float | None = None  # what the recording says if None
-    calibration: str = ""  # path of one, absolute; none if empty
-    gnss: str = ""  # what becomes of locations: "filter" where there are some if empty
+    weighting: str = ""
+    file_format: str = ""
+    height_m: float | None = None
+    calibration: str = ""
+    gnss: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Row(Task):
-    """What came of a recording; numbers are None where it failed."""
+    """Result of one recording of a batch, a row of the table. Numbers are None if the recording failed.
 
-    status: str = _DONE  # or "failed"
-    reason: str = ""  # why it failed
+    Attributes
+    ----------
+    path : str
+        Absolute path of the recording.
+    recipe : str
+        Name of the recipe.
+    weighting : str
+        Weighting, or "" for the weighting of the recipe.
+    file_format : str
+        Format of the file, or "" if it was detected from the content.
+    height_m : float or None
+        Height of the person in m, or None for the height in the recording.
+    calibration : str
+        Absolute path of a calibration or person file, or "" for none.
+    gnss : str
+        Use of locations, or "" for the default of `pdr_filter.track`.
+    status : {"done", "failed"}
+        Whether the recording was tracked.
+    reason : str
+        Reason of the failure.
+    name : str
+        Name of the recording.
+    n_steps : int or None
+        Number of steps.
+    distance_m : float or None
+        Walked distance in m.
+    duration_s : float or None
+        Duration in s.
+    end_east_m, end_north_m : float or None
+        End position in m.
+    end_std_m : float or None
+        Standard deviation of the end position in the worst direction, in m.
+    stationary_s, walking_s, upstairs_s, downstairs_s, sideways_s, running_s : float or None
+        Seconds in each context.
+    notes : str
+        Notes of the track, joined by "; ".
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> row = pdr.batch.Row("/data/walk.zip", status="failed", reason="no accelerometer")
+    >>> row.failed, row.n_steps
+    (True, None)
+    """
+
+    status: str = _DONE
+    reason: str = ""
     name: str = ""
     n_steps: int | None = None
     distance_m: float | None = None
     duration_s: float | None = None
     end_east_m: float | None = None
     end_north_m: float | None = None
-    end_std_m: float | None = None  # `Track.position_std_m` of the end: in the worst direction
-    # Seconds in each context, in the order of the table's columns; empty where it failed.
+    end_std_m: float | None = None
     context_s: Mapping[str, float] = field(default_factory=dict[str, float], hash=False)
-    notes: str = ""  # of the track, joined by "; "
+    notes: str = ""
 
     @property
     def task(self) -> Task:
-        """Which recording it is of, and how it was tracked."""
+        """Recording and options of the row."""
         return Task(*(getattr(self, f.name) for f in fields(Task)))
 
     @property
     def failed(self) -> bool:
-        """Whether there is no track."""
+        """Whether the recording could not be tracked."""
         return self.status == _FAILED
 
 
@@ -78,7 +140,35 @@ def columns_of(contexts: Sequence[str]) -> tuple[str, ...]:
 
 
 def read_table(path: str | Path) -> list[Row]:
-    """Rows of a table that `track` writes, also while it grows; a last line that is cut short is left out."""
+    """Read the table of a batch. It can be read while the batch runs.
+
+    Parameters
+    ----------
+    path : str or Path
+        CSV file that `pdr_filter.batch.track` has written.
+
+    Returns
+    -------
+    list of Row
+        Rows in the order in which recordings finished. An incomplete last line is ignored.
+
+    Raises
+    ------
+    ValueError
+        If the file is not a table of a batch of this version, or is damaged.
+    OSError
+        If the file cannot be read.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import pdr_filter as pdr
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=10.0)]).save(f"{folder}/walk.zip")
+    ...     _ = pdr.batch.track([walk], out=f"{folder}/tracks.csv")
+    ...     [row.status for row in pdr.batch.read_table(f"{folder}/tracks.csv")]
+    ['done']
+    """
     return _parsed(Path(path).read_bytes(), Path(path))[0]
 
 
@@ -86,9 +176,10 @@ def read_table(path: str | Path) -> list[Row]:
 def opened(
     table: Path, retry_failed: bool, contexts: Sequence[str] = CONTEXTS
 ) -> Generator[tuple[list[Row], Callable[[Row], None]]]:
-    """The rows that are there, and what appends one; no line that is cut short is left.
+    """Open and lock a table. Yield its rows, and a function that appends a row.
 
-    ValueError for a table of other contexts.
+    An incomplete last line is removed. With `retry_failed`, rows of failed recordings are removed as well. ValueError
+    for a table with other contexts.
     """
     header = _header(contexts)
     table.parent.mkdir(parents=True, exist_ok=True)
@@ -101,7 +192,7 @@ def opened(
             raise ValueError(f"{table}: not a table of the contexts {', '.join(contexts)}; give another name")
         if retry_failed and any(row.failed for row in rows):
             rows = [row for row in rows if not row.failed]
-            # In place, under the lock; what a kill could lose here is done again.
+            # the file is rewritten in place to keep the lock; rows lost by a kill at this point are recomputed
             file.truncate(0)
             _append(file, header + "".join(_line(_cells(row, contexts)) for row in rows))
         else:
@@ -123,7 +214,7 @@ def _append(file: IO[bytes], text: str) -> None:
 
 
 def _lock(file: IO[bytes], table: Path) -> None:
-    """Keep others from writing; the lock goes with the process. Without `fcntl` (Windows) nothing is locked."""
+    """Lock the table against other batches until the process ends. On Windows, which has no `fcntl`, do nothing."""
     try:
         import fcntl
     except ImportError:
@@ -131,18 +222,20 @@ def _lock(file: IO[bytes], table: Path) -> None:
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
-        raise ValueError(f"{table}: another batch is writing this table") from error
+        raise ValueError(
+            f"{table}: another batch is writing this table: wait until it has finished, or give another name"
+        ) from error
 
 
 def _parsed(content: bytes, table: Path) -> tuple[list[Row], int]:
-    """Rows of complete lines, and how many bytes these have."""
+    """Return the rows of complete lines, and the number of bytes of these lines."""
     length = content.rfind(b"\n") + 1
     lines = content[:length].decode("utf-8", "surrogateescape").split("\n")[:-1]
     if not lines and not _line(_BEFORE)[:-1].encode().startswith(content[: len(_line(_BEFORE)) - 1]):
-        raise ValueError(f"{table}: not a table of a batch; give another name")
+        raise ValueError(f"{table}: this file exists and is not a table of a batch; give another name")
     contexts = _contexts_in(lines[0]) if lines else ()
     if contexts is None:
-        raise ValueError(f"{table}: not a table of a batch of this version; give another name")
+        raise ValueError(f"{table}: this file is not a table of a batch of this version; give another name")
     rows: list[Row] = []
     for number, line in enumerate(lines[1:], 2):
         try:
@@ -164,7 +257,7 @@ def _header(contexts: Sequence[str]) -> str:
 
 
 def _contexts_in(header: str) -> tuple[str, ...] | None:
-    """Contexts of the columns of a table; None for other columns."""
+    """Return the contexts in the columns of a table, or None if it has other columns."""
     try:
         columns = [of_csv_cell(cell) for cell in next(csv.reader([header]), [])]
     except csv.Error:
@@ -174,7 +267,7 @@ def _contexts_in(header: str) -> tuple[str, ...] | None:
 
 
 def _cells(row: Row, contexts: Sequence[str]) -> list[str]:
-    """Floats with all their digits, texts that no program takes for a formula: what is read back has the same bits."""
+    """Return the cells of a row. Floats have all digits, and texts are escaped so that spreadsheets run no formulas."""
     values = [
         *(getattr(row, name) for name in _BEFORE),
         *(row.context_s.get(name) for name in contexts),
@@ -202,7 +295,7 @@ def _of_cells(cells: Sequence[str], contexts: Sequence[str]) -> Row:
 
 
 def row_of(task: Task, result: Track) -> Row:
-    """The row of a track."""
+    """Return the row of a tracked recording."""
     seconds = result.context_seconds()
     end_m = result.end_position_m
     return Row(
@@ -220,7 +313,7 @@ def row_of(task: Task, result: Track) -> Row:
 
 
 def failed_row(task: Task, reason: str) -> Row:
-    """The row of a recording without a track."""
+    """Return the row of a recording that could not be tracked."""
     name = _one_line(Path(task.path).stem)
     return Row(**asdict(task), status=_FAILED, reason=_one_line(reason), name=name)
 
@@ -230,18 +323,18 @@ def _one_line(text: str) -> str:
 
 
 def tables(out: str | Path) -> tuple[Path, Path | None]:
-    """Where the rows grow, as CSV, and where they are written as parquet in the end, if that is asked for."""
+    """Return the path of the growing CSV file, and the path of the final Parquet file or None."""
     out = Path(out)
     if out.is_dir():
-        raise ValueError(f"{out} is a folder: give the table a name, such as {out / 'tracks.csv'}")
+        raise ValueError(f"{out} is a folder: give the path of a table, such as {out / 'tracks.csv'}")
     if out.suffix.lower() != ".parquet":
         return out, None
-    pandas_for_parquet(out)  # missing now, not after hours of work
+    pandas_for_parquet(out)  # raises now if pandas is missing, not after hours of work
     return out.with_suffix(".csv"), out
 
 
 def write_parquet(rows: Sequence[Row], path: Path, contexts: Sequence[str]) -> None:
-    """Write all rows at once; the file is there when it is whole."""
+    """Write all rows to a Parquet file atomically."""
     of_rows = [{**asdict(row), **{f"{name}_s": s for name, s in row.context_s.items()}} for row in rows]
     frame: Any = pandas_for_parquet(path).DataFrame(of_rows, columns=list(columns_of(contexts)))
     with whole_file(path) as file:

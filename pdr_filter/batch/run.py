@@ -1,7 +1,7 @@
-"""Many recordings: tracked on several processes or a Dask cluster, into a table that survives a kill.
+"""Tracking of many recordings on several processes or a Dask cluster, with a table that is kept if it is killed.
 
-Every recording is one call of `pdr_filter.track` with `recipes.for_recording`, on whatever process it runs: the numbers
-are those of one by one, to the last bit on the same machine and library versions.
+Each recording is tracked by one call of `pdr_filter.track` with `recipes.for_recording`. Results are therefore
+bit-identical to tracking the recordings one by one, with the same machine and library versions.
 """
 
 from __future__ import annotations
@@ -40,54 +40,70 @@ def track(
     gnss: GnssUse | None = None,
     retry_failed: bool = False,
 ) -> list[Row]:
-    """Rows of the recordings in the order of the paths, after all of them are in the table at `out`.
+    """Track many recordings in parallel, and write one table.
 
-    The table grows by one line for each recording that finishes, which is on the disk before the next is waited for.
-    Started again with the same table, recordings that are in it are not tracked again; a line that a kill cut short is
-    dropped. One process at a time can write a table.
+    The table grows by one line when a recording finishes, and each line is written to disk at once. If the batch is
+    started again with the same table, recordings in the table are not tracked again. An incomplete last line is
+    removed. Only one process at a time can write a table.
 
     Parameters
     ----------
-    paths
-        Recordings; a folder that is not a recording stands for all recordings in it.
-    recipe, weighting, file_format, height_m, calibration, gnss
-        As in `pdr_filter.track`; a recipe is made for each recording's person and placement. `calibration` may also
-        be the file of a person, and is not written.
-    out : path
+    paths : str, Path or iterable of these
+        Recordings. A folder that is not a recording is replaced by all recordings in it.
+    recipe : str, default "default"
+        Name of a recipe, which is called for the person and the placement of each recording.
+    weighting : {"imm", "wc", "hc"}, optional
+        Weighting of the contexts. The default is that of the recipe.
+    out : str or Path
         CSV file whose columns are the fields of `Row`, with one column for each context of the recipe. With the suffix
-        .parquet the rows grow in the CSV file beside it and are written as parquet in the end, which needs pandas and
-        pyarrow.
-    jobs : int
-        Processes on this machine; -1 for as many as there are cores. With 1 the work is done in this one,
-        where a recording that exhausts the memory takes the batch with it.
+        .parquet, the table grows in a CSV file with the same name, and is finally written as Parquet, which needs
+        pandas and pyarrow.
+    jobs : int, default 1
+        Number of processes on this machine, or -1 for the number of cores. With 1, recordings are tracked in the
+        calling process, which a recording that exhausts the memory ends.
     scheduler : str, optional
-        Address of a Dask scheduler, such as tcp://host:8786, instead of `jobs`. Its workers must see the same files
+        Address of a Dask scheduler, such as "tcp://host:8786", instead of `jobs`. Its workers must see the same files
         under the same paths and have the same version of this package.
     progress : callable, optional
-        Called with a `Progress` at the start and after every recording.
-    retry_failed : bool
-        Track those again that failed in an earlier run; their lines are taken out first.
+        Function that is called with a `Progress` at the start and after each recording.
+    file_format : str, optional
+        Format of the files. By default it is detected from their content.
+    height_m : float, optional
+        Height of all persons in m. By default the height in each recording is used.
+    calibration : str or Path, optional
+        File of a calibration or of a person, with step lengths. It is not changed.
+    gnss : {"filter", "align", "off"}, optional
+        Use of the locations in a recording, as in `pdr_filter.track`.
+    retry_failed : bool, default False
+        Whether recordings that failed in an earlier run are tracked again.
+
+    Returns
+    -------
+    list of Row
+        Rows in the order of the recordings.
 
     Raises
     ------
     ValueError
-        If an option cannot be used, or the table is of something else. What is wrong with a recording is in its row.
+        If an option is invalid, or if `out` is another kind of file. Errors of recordings are in their rows.
 
     Examples
     --------
+    >>> import tempfile
     >>> import pdr_filter as pdr
-    >>> path = pdr.simulate.demo_walk().save("walk.zip")
-    >>> (row,) = pdr.batch.track([path], out="tracks.csv")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=10.0)]).save(f"{folder}/walk.zip")
+    ...     (row,) = pdr.batch.track([path], out=f"{folder}/tracks.csv")
     >>> row.name, row.failed
-    ('demo_walk', False)
+    ('simulated_walk', False)
     """
-    asked = _asked(recipe, weighting, file_format, height_m, calibration, gnss)
+    options = _options(recipe, weighting, file_format, height_m, calibration, gnss)
     table, parquet = tables(out)
-    tasks = [replace(asked, path=path) for path in recordings_of(paths) if path != str(table.resolve())]
+    tasks = [replace(options, path=path) for path in recordings_of(paths) if path != str(table.resolve())]
     for task in tasks:
         if "\n" in task.path or "\r" in task.path:
             raise ValueError(
-                f"{task.path!r} has a line break in its name, which a line of a table cannot hold: rename it"
+                f"{task.path!r} has a line break in its name, which the table cannot store in one line: rename the file"
             )
     contexts = contexts_of(recipe)
     with opened(table, retry_failed, contexts) as (known, append):
@@ -111,7 +127,7 @@ def track(
 
 
 def track_one(task: Task) -> Row:
-    """The row of one recording; a failure is a row with its reason."""
+    """Track one recording and return its row. An error gives a row with its reason."""
     try:
         recording = read(task.path, task.file_format or None)
         if task.height_m is not None:
@@ -124,12 +140,12 @@ def track_one(task: Task) -> Row:
             person=task.calibration or None,
             gnss=cast(GnssUse, task.gnss) if task.gnss else None,
         )
-    except Exception as error:  # whatever a file provokes belongs beside the successes, not in place of them
+    except Exception as error:  # an error of one file must not end the batch
         return failed_row(task, reason_of(error))
     return row_of(task, result)
 
 
-def _asked(
+def _options(
     recipe: str,
     weighting: str | None,
     file_format: str | None,
@@ -137,7 +153,7 @@ def _asked(
     calibration: str | Path | None,
     gnss: str | None,
 ) -> Task:
-    """Task without its path; ValueError for what would otherwise be the reason of every row."""
+    """Return the task without its path. ValueError for options that would fail for every recording."""
     check_name(recipe)
     if weighting is not None and weighting not in WEIGHTINGS:
         raise ValueError(f'weighting must be "imm", "wc" or "hc", got {weighting!r}')

@@ -16,21 +16,22 @@ from typing import Any, cast
 Answering = Callable[[Any], Any]
 
 _MAX_REASON = 500
-# Numerical libraries would otherwise start as many threads in each process as there are cores.
+# Variables that limit the threads of numerical libraries, which would otherwise use all cores in each process.
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 
 
 class LostError(ConnectionError):
-    """Worker that has died, or does not answer."""
+    """Error for a worker process that has died or does not answer."""
 
 
 class WorkerProcess:
-    """Process that answers each request with the function `make(*arguments)`, which is called in the process.
+    """Process that answers requests with a function, which the process creates by calling `make(*arguments)`.
 
-    The process imports `make` by name, and not the main module of its parent, so scripts need no guard. `n_threads` is
-    for numerical libraries, unless the environment says it. The first request starts the process, and the first one
-    after its death starts it again. Each end sees the death of the other as the end of a pipe that no other process
-    holds, so a kill at any moment leaves no lock behind.
+    The process imports `make` by name and does not import the main module of its parent, so that scripts need no
+    `__main__` guard. `n_threads` limits the threads of numerical libraries unless the environment sets them. The first
+    request starts the process, and the first request after its death starts it again. Parent and process communicate
+    by pipes that no other process holds. The death of one side therefore closes the pipe of the other, and a kill
+    leaves no lock behind.
     """
 
     def __init__(self, make: Callable[..., Answering], *arguments: Any, n_threads: int | None = None) -> None:
@@ -41,14 +42,14 @@ class WorkerProcess:
         self._is_closed = False
 
     def ask(self, request: Any) -> Any:
-        """Return the answer to a request; LostError if the process ends before. One call at a time."""
+        """Return the answer to a request. LostError if the process ends before. Calls must not overlap."""
         pieces = [pickle.dumps(request)]
         if self._process is None:
             command = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import serve; serve()"
             pipe, environment = subprocess.PIPE, self._environment
             self._process = subprocess.Popen([sys.executable, "-c", command], stdin=pipe, stdout=pipe, env=environment)
             pieces.insert(0, self._begin)
-        if self._is_closed:  # in the meantime, by another thread
+        if self._is_closed:  # another thread has called `close`
             self._end()
             raise LostError("process was closed")
         to, answers = cast(Any, self._process.stdin), cast(Any, self._process.stdout)
@@ -61,23 +62,23 @@ class WorkerProcess:
             raise LostError(f"process died (exit code {self._end()})") from error
 
     def close(self) -> None:
-        """End the process for good, from any thread."""
+        """End the process permanently. This may be called from any thread."""
         self._is_closed = True
         self._end()
 
     def _end(self) -> int | None:
-        """End the process; return its exit code."""
+        """End the process and return its exit code."""
         process, self._process = self._process, None
         if process is None:
             return None
-        with suppress(OSError), process:  # closing its input fails if it is dead and has not read all
+        with suppress(OSError), process:  # closing the input fails if the process died before reading all of it
             process.kill()
         return process.returncode
 
 
 def serve() -> None:
     """Run the loop of a worker process: requests from standard input, answers to standard output."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal sends it to all processes; the parent ends this one
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl+C reaches all processes of a terminal; the parent ends this one
     sources, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)  # printed text must not mix with the answers
@@ -87,7 +88,7 @@ def serve() -> None:
         try:
             while True:
                 pieces.put(pickle.load(sources))
-        finally:  # the parent has ended, and no other process waits for the answer
+        finally:  # the parent has ended, so that nothing waits for the answer
             os._exit(1)
 
     Thread(target=read, daemon=True).start()
@@ -100,13 +101,15 @@ def serve() -> None:
 
 @contextmanager
 def dask_errors(scheduler: str) -> Generator[None]:
-    """Raise ValueError with a remedy where Dask is not installed or the scheduler does not answer."""
+    """Raise ValueError with a remedy if Dask is not installed or the scheduler does not answer."""
     try:
         yield
     except ImportError as error:
-        raise ValueError("a scheduler needs Dask: pip install 'dask[distributed]'") from error
+        raise ValueError("scheduler needs Dask, which is not installed: pip install 'dask[distributed]'") from error
     except (OSError, TimeoutError, ValueError) as error:
-        raise ValueError(f"no Dask scheduler at {scheduler}: {reason_of(error)}") from error
+        raise ValueError(
+            f"no Dask scheduler at {scheduler} ({reason_of(error)}): check the address, and that it runs"
+        ) from error
 
 
 def reason_of(error: BaseException) -> str:

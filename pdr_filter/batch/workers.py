@@ -1,4 +1,4 @@
-"""Work on many items: in this process, on several processes or on a Dask cluster, each result as it comes."""
+"""Parallel application of a function to many items, in one process, several processes or on a Dask cluster."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _CONNECT_S = 20.0
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """Why there is no result: the message of the exception, in one line."""
+    """Result of an item whose function raised or whose process died, with the message in one line."""
 
     reason: str
 
@@ -29,14 +29,44 @@ class Failure:
 def each(
     work: Callable[[T], R], items: Sequence[T], *, jobs: int = 1, scheduler: str | None = None
 ) -> Iterator[tuple[int, R | Failure]]:
-    """Number and result of every item exactly once, as they finish; a `Failure` where it raised or its process died.
+    """Apply a function to many items in parallel, and yield each result when it is finished.
 
-    This is what `track` runs on; reducing recordings to anything else, such as sums for a calibration, takes the same.
-    `work` is called with one item at a time and must be importable by name, as it runs in other processes; `jobs` and
-    `scheduler` are as in `track`.
+    `pdr_filter.batch.track` and `pdr_filter.batch.calibrate` use this function.
+
+    Parameters
+    ----------
+    work : callable
+        Function of one item. It must be importable by name if it runs in other processes.
+    items : sequence
+        Items, which must be picklable if the function runs in other processes.
+    jobs : int, default 1
+        Number of processes on this machine, or -1 for the number of cores. With 1, the function runs in this process.
+    scheduler : str, optional
+        Address of a Dask scheduler, such as "tcp://host:8786", instead of `jobs`.
+
+    Yields
+    ------
+    index : int
+        Index of the item. Each item is yielded exactly once.
+    result : object or Failure
+        Result of the function, or a `Failure` with the reason if the function raised or its process died.
+
+    Raises
+    ------
+    ValueError
+        If `jobs` is invalid, if `work` cannot be imported by other processes, or if the scheduler does not answer.
+    RuntimeError
+        If the Dask cluster fails.
+
+    Examples
+    --------
+    >>> import math
+    >>> import pdr_filter as pdr
+    >>> dict(pdr.batch.each(math.sqrt, [4.0, -1.0]))
+    {0: 2.0, 1: Failure(reason='math domain error')}
     """
     if jobs == 0 or jobs < -1:
-        raise ValueError(f"jobs must be a number of processes, or -1 for all cores, got {jobs}")
+        raise ValueError(f"jobs must be a positive number of processes, or -1 for all cores, got {jobs}")
     if not items:
         return
     if scheduler is not None:
@@ -56,9 +86,10 @@ def _guarded(work: Callable[[T], R], item: T) -> R | Failure:
 
 
 def _on_processes(work: Callable[[T], R], items: Sequence[T], jobs: int) -> Iterator[tuple[int, R | Failure]]:
-    """One thread for each process, which gives it one item after the other: so a death has a known item.
+    """Run items on worker processes, with a thread for each process that passes one item at a time.
 
-    An item whose process died is tried again at the end, alone: several large items at once can exhaust the memory.
+    The item at which a process died is therefore known. It is tried again alone at the end, because several large items
+    at the same time can exhaust the memory.
     """
     from joblib import cpu_count
 
@@ -66,7 +97,9 @@ def _on_processes(work: Callable[[T], R], items: Sequence[T], jobs: int) -> Iter
     n = min(n_cores if jobs == -1 else jobs, len(items))
     todo, results = deque(range(len(items))), SimpleQueue[tuple[int, Any]]()
     if getattr(work, "__module__", "") == "__main__":
-        raise ValueError(f"{work!r} runs in other processes: put it into a module that they can import")
+        raise ValueError(
+            f"{work!r} is defined in the main script, which other processes cannot import: move it to a module"
+        )
     workers = [WorkerProcess(partial, _guarded, work, n_threads=max(n_cores // n, 1)) for _ in range(n)]
 
     def run(worker: WorkerProcess) -> None:
@@ -75,13 +108,13 @@ def _on_processes(work: Callable[[T], R], items: Sequence[T], jobs: int) -> Iter
                 i = todo.popleft()
                 try:
                     results.put((i, worker.ask(items[i])))
-                except BaseException as error:  # any exception, as the loop below waits for this item
+                except BaseException as error:  # any exception, because the loop below waits for this item
                     results.put((i, error))
 
     died: list[int] = []
     try:
         for worker in workers:
-            # A daemon, because the program must be able to end in the middle of an item.
+            # daemon threads, so that the program can end while an item is processed
             Thread(target=run, args=(worker,), daemon=True).start()
         for _ in items:
             i, result = results.get()
@@ -95,7 +128,7 @@ def _on_processes(work: Callable[[T], R], items: Sequence[T], jobs: int) -> Iter
             try:
                 yield i, workers[0].ask(items[i])
             except LostError as error:
-                yield i, Failure(f"its {error}: too large, or it crashes it")
+                yield i, Failure(f"its {error}: the recording may be too large for the memory, or may crash a library")
     finally:
         todo.clear()
         for worker in workers:
@@ -108,7 +141,7 @@ def _on_cluster(work: Callable[[T], R], items: Sequence[T], scheduler: str) -> I
 
         client: Any = Client(scheduler, timeout=_CONNECT_S, set_as_default=False)
     with client:
-        # Not pure: Dask would otherwise give the result of an earlier call for the same path.
+        # pure=False, because Dask would otherwise return the result of an earlier call for the same path
         futures: list[Any] = [client.submit(_guarded, work, item, pure=False) for item in items]
         number = {future.key: i for i, future in enumerate(futures)}
         finished: Any = as_completed(futures, with_results=True, raise_errors=False, loop=client.loop)
@@ -117,13 +150,19 @@ def _on_cluster(work: Callable[[T], R], items: Sequence[T], scheduler: str) -> I
             if future.status == "finished":
                 yield i, result
             elif isinstance(error := _exception(result), KilledWorker):
-                # Dask gives up on what four workers in a row did not survive: not bad luck any more.
-                yield i, Failure("the workers that had it died: too large, or it crashes them")
-            else:  # no fault of the recording: the scheduler is gone, or the workers lack this package
+                # Dask raises this after four workers in a row have died with this item
+                yield (
+                    i,
+                    Failure(
+                        "its worker processes died: the recording may be too large for "
+                        "the memory, or may crash a library"
+                    ),
+                )
+            else:  # not caused by the recording: the scheduler has died, or the workers lack this package
                 raise RuntimeError(f"the cluster at {scheduler} failed ({future.status}): {error!r}")
-            futures[i] = None  # lets the cluster forget the result
+            futures[i] = None  # release the result on the cluster
 
 
 def _exception(result: Any) -> Any:
-    """From (type, value, traceback), which is what a future that failed gives in place of a result."""
+    """Return the exception of a failed future, whose result is (type, value, traceback)."""
     return result[1] if isinstance(result, tuple) and len(result) > 1 else result

@@ -1,4 +1,4 @@
-"""The command `pdr-filter`."""
+"""Command line `pdr-filter`."""
 
 from pdr_filter.cli.app import main
 

@@ -1,6 +1,7 @@
-"""The command `pdr-filter`: results on stdout, everything about the work on stderr.
+"""Command line `pdr-filter`. Results are on stdout; progress, warnings and errors are on stderr.
 
-Exit codes: 0 all well; 1 some of several files failed; 2 all of them did, or the options cannot be used; 130 stopped.
+Exit codes: 0 for success, 1 if some of several files failed, 2 if all files failed or an option is invalid, and 130 if
+the user interrupted the command.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from pdr_filter.version import __version__
 
 app = typer.Typer(
     name="pdr-filter",
-    help="Pedestrian dead reckoning: a phone's inertial recording in, a track with its uncertainty out.",
+    help="Pedestrian dead reckoning: estimate a track with its uncertainty from the inertial sensors of a phone.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -47,7 +48,9 @@ def _show_version(wanted: bool) -> None:
 
 @app.callback()
 def _options(
-    version: Annotated[bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show it.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version.")
+    ] = False,
 ) -> None:
     pass
 

@@ -1,4 +1,4 @@
-"""`pdr-filter calibrate` and `pdr-filter smooth`: what is made of whole recordings afterwards."""
+"""Commands `pdr-filter calibrate` and `pdr-filter smooth`, which process whole recordings offline."""
 
 from __future__ import annotations
 
@@ -28,42 +28,48 @@ from pdr_filter.values.sanitise import file_name
 
 @dataclass(frozen=True)
 class Estimation:
-    """What a calibration takes for granted."""
+    """Options of the calibration: model, loss, prior and persons."""
 
     model: Annotated[
         str | None,
-        typer.Option(help="Step length of walking: bounce, eq12, kim, tian or weinberg; else what left-out walks say."),
+        typer.Option(
+            help="Step-length model of walking: bounce, eq12, kim, tian or weinberg. Default: the model with the "
+            "smallest error on held-out walks."
+        ),
     ] = None
-    loss: Annotated[str, typer.Option(help="How wrong segments lose their weight: gnc, cauchy, huber or none.")] = "gnc"
+    loss: Annotated[str, typer.Option(help="Robust loss against wrong segments: gnc, cauchy, huber or none.")] = "gnc"
     prior: Annotated[
-        float | None, typer.Option(help="How far steps may be from usual ones, relative: 0.1 if not given.")
+        float | None, typer.Option(help="Relative standard deviation of the prior of step lengths. Default: 0.1.")
     ] = None
     subject: Annotated[
-        str | None, typer.Option(help="Name of the person of the recordings that do not say whose they are.")
+        str | None, typer.Option(help="Name of the person in recordings that do not name their person.")
     ] = None
     each_a_person: Annotated[
-        bool, typer.Option("--each-a-person", help="Recordings that do not say whose they are: one person each.")
+        bool,
+        typer.Option("--each-a-person", help="Take each recording that does not name its person as another person."),
     ] = False
 
 
 def calibrate(
     files: Files,
-    out: Annotated[Path, typer.Option(help="Where the calibration goes: NAME.json, with NAME.npz beside it.")],
+    out: Annotated[Path, typer.Option(help="Output file NAME.json. NAME.npz is written next to it.")],
     how: Estimation,
-    figure: Annotated[Path | None, typer.Option(help="Also draw it, as PNG, PDF or SVG.")] = None,
+    figure: Annotated[Path | None, typer.Option(help="Also draw the calibration, as PNG, PDF or SVG.")] = None,
     tables: Annotated[
-        Path | None, typer.Option(help="Folder for its parameters, covariance and segments, as CSV and LaTeX.")
+        Path | None, typer.Option(help="Folder for tables of parameters, covariance and segments, as CSV and LaTeX.")
     ] = None,
-    jobs: Annotated[int | None, typer.Option(min=1, help="Reduce recordings on N processes.")] = None,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, help="Number of processes that process recordings in parallel.")
+    ] = None,
     scheduler: Scheduler = None,
     resume: Annotated[
-        Path | None, typer.Option(help="Folder that keeps each reduced recording, to go on after a kill.")
+        Path | None, typer.Option(help="Folder for intermediate results, from which an interrupted run resumes.")
     ] = None,
 ) -> None:
-    """Calibrate step lengths on recordings with segments of known length, or waypoints.
+    """Calibrate step lengths on recordings with segments of known length or with waypoints.
 
-    Recordings that do not say whose they are are taken for one person. With --jobs, --scheduler or --resume recordings
-    that cannot be used are left out and named in the report.
+    All recordings that do not name their person are assumed to be of one person. With --jobs, --scheduler or --resume,
+    recordings that cannot be used are skipped and listed in the report.
     """
     import pdr_filter as pdr
     from pdr_filter.classifiers.model_files import file_pair
@@ -85,7 +91,7 @@ def calibrate(
         else:
             result = pdr.batch.calibrate(files, jobs=jobs or 1, scheduler=scheduler, resume=resume, **options)
         as_tables = {} if tables is None else {tables / name: rows for name, rows in result.tables().items()}
-        before = console.there(
+        before = console.existing(
             *file_pair(out), figure, *(Path(f"{stem}{suffix}") for stem in as_tables for suffix in (".csv", ".tex"))
         )
         written = [result.save(out)]
@@ -106,15 +112,21 @@ def smooth(
     placement: PlacementOptions,
     fixes: Annotated[
         Path | None,
-        typer.Option(help="CSV of fixes, time_s,east_m,north_m and perhaps std_m."),
+        typer.Option(help="CSV of position fixes with columns time_s, east_m, north_m and optionally std_m."),
     ] = None,
-    fix_std_m: Annotated[float, typer.Option("--fix-std", min=0.01, help="Standard deviation of a fix, m.")] = 1.0,
+    fix_std_m: Annotated[
+        float,
+        typer.Option("--fix-std", min=0.01, help="Standard deviation in m of waypoints, and of fixes without std_m."),
+    ] = 1.0,
     loop_closures: Annotated[
         Path | None,
-        typer.Option(help="CSV of two times at one place, first_s,second_s and perhaps std_m; with --fixes or alone."),
+        typer.Option(
+            help="CSV of pairs of times at which the pedestrian was at the same place, with columns first_s, second_s "
+            "and optionally std_m. Can be combined with --fixes."
+        ),
     ] = None,
     wifi_loops: Annotated[
-        bool, typer.Option("--wifi-loops", help="Close loops where the recording's own Wi-Fi is alike.")
+        bool, typer.Option("--wifi-loops", help="Detect loop closures from similar Wi-Fi scans of the recording.")
     ] = False,
     radio: RadioFile = None,
     ranges: RangesFile = None,
@@ -127,10 +139,12 @@ def smooth(
     out: Folder = None,
     file_format: Format = None,
 ) -> None:
-    """Smooth a whole recording against fixes and loop closures, or else its own waypoints or locations, if it has any.
+    """Smooth a whole recording with fixes and loop closures.
 
-    Times in the files are seconds of the recording. Files that pdr-filter app writes beside a recording are used:
-    fixes.csv, loop_closures.csv, person.json and walk.json.
+    Without any, use the recording's own waypoints or locations. Files that pdr-filter app writes beside a recording are
+    used: fixes.csv, loop_closures.csv, person.json and walk.json.
+
+    Times in the CSV files are seconds on the clock of the recording.
     """
     import pdr_filter as pdr
     from pdr_filter.io.fix_files import fixes_of_file, loop_closures_of_file
@@ -145,30 +159,30 @@ def smooth(
         known: dict[str, Any] = marked.arguments()
         closed = known.pop("loop_closures") if loop_closures is None else loop_closures_of_file(loop_closures)
         closed += wifi_loop_closures(recording) if wifi_loops else []
-        known_places: list[Any] = known.pop("fixes")
+        position_fixes: list[Any] = known.pop("fixes")
         if fixes is not None:
-            known_places = list(fixes_of_file(fixes, fix_std_m))
+            position_fixes = list(fixes_of_file(fixes, fix_std_m))
         where = {name: value for name, value in placement.arguments().items() if value is not None}
-        is_marked = bool(known or known_places or closed)
+        is_marked = bool(known or position_fixes or closed)
         if radio is not None:
             mapped = pdr.RadioMap.load(radio)
-            known_places += [*mapped.fixes(recording), *(mapped.grids(recording) if placement.plan else [])]
-        known_places += ranges_of(ranges, anchors, where.get("origin"))
+            position_fixes += [*mapped.fixes(recording), *(mapped.grids(recording) if placement.plan else [])]
+        position_fixes += ranges_of(ranges, anchors, where.get("origin"))
         is_given = is_marked or any(
             (fixes, loop_closures, radio, ranges, wifi_loops, loop, replace(placement, plan=None).given())
         )
         if recording.truth.waypoints is not None and not is_given:
-            known_places = waypoint_fixes(recording, fix_std_m)
+            position_fixes = waypoint_fixes(recording, fix_std_m)
         result = pdr.smooth(
             recording,
-            known_places,
+            position_fixes,
             loop_closures=closed,
             **{**known, **where, **({} if person is None else {"person": person}), **({"loop": True} if loop else {})},
         )
         track = result.track
         if out is not None:
             name = file_name(track.name)
-            before = console.files_of(out, name)
+            before = console.modified_ns(out, name)
             console.write_track(track, out, name)
             if track.origin is not None:
                 console.write_map(track, out / f"{name}.geojson")
@@ -180,4 +194,4 @@ def smooth(
         f"step scale {result.scale:.3f} ± {result.scale_std:.3f}"
     )
     console.say_written(out)
-    console.say_replaced(console.replaced_of(before))
+    console.say_replaced(console.overwritten(before))

@@ -1,4 +1,4 @@
-"""`pdr-filter compare`: the weightings HC, WC and IMM, or recipes, side by side."""
+"""Command `pdr-filter compare`, which compares the weightings HC, WC and IMM, or recipes."""
 
 from __future__ import annotations
 
@@ -22,16 +22,30 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Compared:
-    """Tracks of one recording by weighting or recipe; each is compared with the last one."""
+    """Tracks of one recording by weighting or recipe. The last track is the baseline of the comparison.
+
+    Attributes
+    ----------
+    recording : Recording
+        Recording that was tracked.
+    tracks : dict of str to Track
+        Track of each weighting or recipe.
+    rmse_m : dict of str to float
+        Position RMSE of each track; empty without --truth.
+    errors : Table
+        Errors of the tracks, from `evaluate.comparison_table`.
+    in_contexts : Table or None
+        Errors by context, from `evaluate.context_errors`; None without context labels.
+    """
 
     recording: Recording
     tracks: dict[str, Track]
-    rmse_m: dict[str, float]  # by track; empty without --truth
-    errors: Table  # from `evaluate.comparison_table`
-    in_contexts: Table | None  # from `evaluate.context_errors`; None without labels
+    rmse_m: dict[str, float]
+    errors: Table
+    in_contexts: Table | None
 
     def summary(self) -> dict[str, Any]:
-        """What is printed of it, as plain values."""
+        """Return the printed results as a dictionary of plain values."""
         rows = [
             {"track": name, **track.summary(), **({"rmse_m": self.rmse_m[name]} if name in self.rmse_m else {})}
             for name, track in self.tracks.items()
@@ -42,18 +56,21 @@ class Compared:
 def compare(
     files: Files,
     recipe: Annotated[
-        list[str] | None, typer.Option(help="A recipe, for each once: they are compared in place of the weightings.")
+        list[str] | None,
+        typer.Option(
+            help="Recipe to compare. Repeat the option for each recipe. Replaces the comparison of weightings."
+        ),
     ] = None,
     truth: Annotated[
         bool,
         typer.Option(
             "--truth",
-            help="Also how far off each is of the truth in the file, if it has one, turned and shifted to fit.",
+            help="Also show the position error against the ground truth of the recording, after rigid alignment.",
         ),
     ] = False,
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder for NAME.compare.html with all tracks, and for tables (CSV, LaTeX)."),
+        typer.Option(help="Folder for NAME.compare.html, which shows all tracks, and for tables (CSV, LaTeX)."),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -62,7 +79,7 @@ def compare(
     from pdr_filter.report.html import write_report
 
     written: set[str] = set()
-    without: list[str] = []  # recordings whose truth was asked for and is not there
+    without: list[str] = []  # names of recordings without ground truth
     replaced: list[Path] = []
 
     def compare_one(file: Path, progress: Callable[[float], None]) -> Compared:
@@ -80,7 +97,7 @@ def compare(
             without.append(recording.name)
         if out is not None:
             named = [replace(track, name=f"{recording.name}, {name}") for name, track in tracks.items()]
-            path = out / f"{console.unused(file_name(recording.name), written)}.compare.html"
+            path = out / f"{console.unique_name(file_name(recording.name), written)}.compare.html"
             if path.exists():
                 replaced.append(path)
             write_report(named, path, recording)
@@ -122,12 +139,12 @@ def _recipe_tracks(recording: Recording, names: Sequence[str], progress: Callabl
 
 
 def _known_places(recording: Recording) -> Table | None:
-    """The true positions, or the points that were passed; None if the file has neither."""
+    """Return the true positions or else the waypoints of a recording, or None if it has neither."""
     return recording.truth.position if recording.truth.position is not None else recording.truth.waypoints
 
 
 def _rmse_m(known: Table, track: Track) -> float:
-    """Root of the mean squared distance to the truth, after the turn and the shift that fit best."""
+    """Return the position RMSE against the ground truth, after the best rigid alignment."""
     import numpy as np
 
     import pdr_filter as pdr
@@ -139,8 +156,8 @@ def _rmse_m(known: Table, track: Track) -> float:
 
 def _print(compared: Sequence[Compared]) -> None:
     has_truth = any(found.rmse_m for found in compared)
-    columns = ["recording", "track", "steps", "distance", "against the last", "end east", "end north", "± at the end"]
-    table = console.new_table(*columns, "end apart", *(["off the truth"] if has_truth else []), n_keys=2)
+    columns = ["recording", "track", "steps", "distance", "less the last", "end east", "end north", "± at the end"]
+    table = console.new_table(*columns, "end to last end", *(["error (RMSE)"] if has_truth else []), n_keys=2)
     for found in compared:
         *_, reference = found.tracks.values()
         reference_end = reference.summary()
@@ -162,13 +179,13 @@ def _print(compared: Sequence[Compared]) -> None:
                 *([console.in_m(found.rmse_m[name]) if found.rmse_m else ""] if has_truth else []),
                 end_section=is_reference,
             )
-    table.caption = console.SURE
+    table.caption = console.STD_CAPTION
     console.print_table(table)
     console.print_notes([list(found.tracks.values())[-1] for found in compared])
 
 
 def _study(compared: Sequence[Compared]) -> Table | None:
-    """Means over people of what the truth says; None if no recording has any."""
+    """Return mean errors over persons, or None if no recording has ground truth."""
     import numpy as np
 
     import pdr_filter as pdr
@@ -176,13 +193,13 @@ def _study(compared: Sequence[Compared]) -> Table | None:
 
     if not any(np.isfinite(found.errors[name]).any() for found in compared for name in MEASURES):
         return None
-    # a recording that does not name its person is of a person of its own
+    # recordings without a name of the person count as different persons
     people = [found.recording.subject.id or f"recording {k}" for k, found in enumerate(compared)]
     return pdr.evaluate.study_table([found.errors for found in compared], people)
 
 
 def _write(study: Table, compared: Sequence[Compared], out: Path) -> list[Path]:
-    """Write study, recordings, and contexts of labelled recordings as CSV and LaTeX; return files that are replaced."""
+    """Write the tables of study, recordings and contexts as CSV and LaTeX, and return the files that were replaced."""
     import numpy as np
 
     from pdr_filter.evaluate import write_tables
@@ -197,24 +214,24 @@ def _write(study: Table, compared: Sequence[Compared], out: Path) -> list[Path]:
     labelled = [(found.recording.name, found.in_contexts) for found in compared if found.in_contexts is not None]
     if labelled:
         tables["contexts"] = joined(labelled)
-    before = console.there(*(out / f"{name}{suffix}" for name in tables for suffix in (".csv", ".tex")))
+    before = console.existing(*(out / f"{name}{suffix}" for name in tables for suffix in (".csv", ".tex")))
     for name, rows in tables.items():
         write_tables(rows, out / name)
     return before
 
 
 def _print_study(study: Table) -> None:
-    columns = ["error", "track", "recordings", "people", "bias", "mean size", "95 % of the mean", "less the last"]
+    columns = ["error", "track", "recordings", "persons", "bias", "mean size", "95 % of the mean", "less the last"]
     shown = console.new_table(*columns, n_keys=2)
     for row in study:
-        apart = "" if row["difference"] != row["difference"] else _between(row, "difference")
+        difference = "" if row["difference"] != row["difference"] else _with_interval(row, "difference")
         counts = str(row["n_recordings"]), str(row["n_people"])
-        numbers = f"{row['bias']:+.2f}", f"{row['mean']:.2f}", _range(row["low"], row["high"]), apart
+        numbers = f"{row['bias']:+.2f}", f"{row['mean']:.2f}", _range(row["low"], row["high"]), difference
         shown.add_row(str(row["measure"]), str(row["name"]), *counts, *numbers)
     console.print_table(shown)
 
 
-def _between(row: Any, name: str) -> str:
+def _with_interval(row: Any, name: str) -> str:
     return f"{row[name]:+.2f} ({_range(row[f'{name}_low'], row[f'{name}_high'])})"
 
 

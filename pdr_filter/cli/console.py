@@ -1,4 +1,4 @@
-"""What the commands print where: tables on stdout, progress, notes and errors on stderr; and how they end."""
+"""Output of the commands (tables on stdout, progress and errors on stderr), and their exit codes."""
 
 from __future__ import annotations
 
@@ -24,73 +24,78 @@ if TYPE_CHECKING:
     from pdr_filter.tracking.track import Track
     from pdr_filter.values.recording import Recording
 
-# Characters. Longer words of a table are split, so that one long file name does not squeeze the other columns.
+# Maximum width of a word in a table, in characters. Longer words are split, so that one long file name does not squeeze
+# the other columns.
 _WIDEST_WORD = 40
 _NUMBER = re.compile(r"[-+]?\d[\d.]*")
-_BETWEEN = 3  # cells between the columns of a table
+_COLUMN_GAP = 3  # characters between the columns of a table
 SOME_FAILED, UNUSABLE, STOPPED = 1, 2, 130
 
 T = TypeVar("T")
 
 
 def stderr() -> Console:
-    """Console of the messages; made when used, so that a redirected stderr is respected."""
+    """Return a console for messages. It is created at each call, so that a redirected stderr is respected."""
     return Console(stderr=True, highlight=False, soft_wrap=True)
 
 
 def escape(text: object) -> str:
-    """Text of a file or of its name as a console prints it: as text, without effect on the terminal."""
+    """Return untrusted text, such as a file name, without markup and control characters that affect the terminal."""
     return markup.escape(printable_lines(text))
 
 
 def message(error: Exception) -> str:
-    """An error's words, or its kind if it has none; lines that are a file to copy stay lines."""
+    """Return the message of an error, or the name of its class if the message is empty.
+
+    Line breaks are kept, because some messages contain the lines of a file to copy.
+    """
     if isinstance(error, OSError) and error.strerror and error.filename:
         remedy = {
-            errno.EEXIST: "a file is there where a folder is to be; give another name",
-            errno.ENOTDIR: "a part of this path is a file and not a folder; give another name",
-            errno.EISDIR: "a folder is there where a file is to be; give another name",
-            errno.ENOSPC: "the disk is full",
-            errno.ENOENT: "there is no such file or folder; check the path",
-            errno.EACCES: "this is not permitted; check who may write there",
+            errno.EEXIST: "a file with this name exists where a folder is needed; give another name",
+            errno.ENOTDIR: "a part of this path is a file, not a folder; give another name",
+            errno.EISDIR: "a folder with this name exists where a file is needed; give another name",
+            errno.ENOSPC: "the disk is full; free some space",
+            errno.ENOENT: "no such file or folder; check the path",
+            errno.EACCES: "permission denied; check the permissions of this path",
         }.get(error.errno or 0, error.strerror)
         return f"{error.filename}: {remedy}"
     lines = [line.rstrip() for line in str(error).splitlines() if line.strip()]
     return "\n".join(lines) or type(error).__name__
 
 
-def say_error(words: str) -> None:
-    """One line on stderr."""
-    stderr().print(f"[bold red]error:[/] {escape(words)}")
+def say_error(text: str) -> None:
+    """Print an error message on stderr."""
+    stderr().print(f"[bold red]error:[/] {escape(text)}")
 
 
-def there(*paths: Path | None) -> list[Path]:
-    """Those of the paths that are there before something is written to them."""
+def existing(*paths: Path | None) -> list[Path]:
+    """Return the paths that exist. Call it before writing, to know which files are replaced."""
     return [path for path in paths if path is not None and path.exists()]
 
 
 def say_replaced(paths: Sequence[Path]) -> None:
-    """Name the files that were there before."""
+    """Print the files that existed before and were replaced."""
     if paths:
-        stderr().print(f"replaced, as they were there before: {escape(', '.join(map(str, paths)))}")
+        stderr().print(f"replaced existing files: {escape(', '.join(map(str, paths)))}")
 
 
 def say_without_truth(names: Sequence[str]) -> None:
-    """Name the recordings that nothing can be held against."""
+    """Print the recordings for which no error can be computed."""
     if names:
-        words = "no true positions or waypoints in the file, so there is no error of"
-        stderr().print(f"{words} {escape(', '.join(names))}")
+        stderr().print(
+            f"no position error, because the file has no true positions or waypoints: {escape(', '.join(names))}"
+        )
 
 
 def say_written(folder: Path | None) -> None:
-    """Where files were written, if any were."""
+    """Print the folder to which files were written, unless it is None."""
     if folder is not None:
         stderr().print(f"files written to {escape(str(folder))}")
 
 
 @contextmanager
 def one_line_errors() -> Generator[None]:
-    """What cannot be used ends the command with one line that says why."""
+    """Turn ValueError and OSError into a one-line message and exit code 2."""
     try:
         yield
     except (ValueError, OSError) as error:
@@ -100,7 +105,10 @@ def one_line_errors() -> Generator[None]:
 
 @contextmanager
 def progress(what: str) -> Generator[Callable[..., None]]:
-    """A bar on stderr while it runs, if somebody watches; yields a function of the fraction done (and of what)."""
+    """Show a progress bar on stderr if it is a terminal.
+
+    Yield a function that takes the fraction done, and optionally a new description.
+    """
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
@@ -115,14 +123,20 @@ def progress(what: str) -> Generator[Callable[..., None]]:
 
 
 def recordings_of(paths: Sequence[Path]) -> list[Path]:
-    """The recordings that paths stand for: a folder, or a file that holds several, for each in it."""
+    """Return the paths of all recordings.
+
+    A folder, or a file with several recordings, is replaced by its recordings.
+    """
     from pdr_filter.io.folders import recordings_in
 
     found: list[Path] = []
     for path in paths:
         inside = recordings_in(path) if path.exists() else [path]
         if not inside:
-            raise ValueError(f"{path}: no recordings in this folder or below; pdr-filter info FILE says why of a file")
+            raise ValueError(
+                f"{path}: no recordings in this folder or its subfolders; pdr-filter info "
+                "FILE says why a file is not a recording"
+            )
         found += inside
     return found
 
@@ -130,7 +144,11 @@ def recordings_of(paths: Sequence[Path]) -> list[Path]:
 def each(
     files: Sequence[Path], work: Callable[[Path, Callable[[float], None]], T], as_json: bool = False
 ) -> tuple[list[T], dict[Path, str]]:
-    """Results of the files that can be used, and why the others cannot, which stderr says, or a JSON object."""
+    """Apply `work` to each file and return the results, and the error message of each file that failed.
+
+    Error messages are printed on stderr, and as JSON objects on stdout if `as_json` is true. Ctrl+C ends the command
+    and prints the files that remain.
+    """
     results: list[T] = []
     failed: dict[Path, str] = {}
     with progress("reading") as show:
@@ -147,8 +165,8 @@ def each(
                     say_error(reason)
                 left = f"{escape(str(file))}" + (f" and {n} more" if (n := len(files) - i - 1) else "")
                 stderr().print(
-                    f"stopped: {len(results)} of {len(files)} done, whose files are whole; to go on, give what is "
-                    f"left: {left}"
+                    f"stopped: {len(results)} of {len(files)} done, with complete output files; to continue, run the "
+                    f"command on the remaining files: {left}"
                 )
                 raise typer.Exit(STOPPED) from None
             except (ValueError, OSError) as error:
@@ -161,7 +179,10 @@ def each(
 
 
 def exit_if_failed(failed: Mapping[Path, str], n_files: int) -> None:
-    """End with the code of what failed, which is that of unusable input if all did; of one its reason has been said."""
+    """Exit with code 2 if all files failed, and with code 1 if some failed.
+
+    With several files, also print which files failed. The error of a single file has been printed before.
+    """
     if not failed:
         return
     if n_files == 1:
@@ -171,14 +192,14 @@ def exit_if_failed(failed: Mapping[Path, str], n_files: int) -> None:
 
 
 def print_json(value: Mapping[str, Any]) -> None:
-    """One object on one line."""
+    """Print a JSON object on one line."""
     typer.echo(json.dumps(value, allow_nan=False))
 
 
 def print_notes(tracks: Sequence[Track]) -> None:
-    """Print a line for each note; one that several tracks share, except for its numbers, stands once.
+    """Print the notes of tracks, one line each. Notes that differ only in their numbers are printed once.
 
-    Such a line has the number of tracks, and the numbers of the first one.
+    Such a line states the number of tracks, and has the numbers of the first track.
     """
     alike: dict[str, dict[int, str]] = {}
     for i, track in enumerate(tracks):
@@ -187,18 +208,18 @@ def print_notes(tracks: Sequence[Track]) -> None:
     for note, *more in (list(notes.values()) for notes in alike.values()):
         first = next(track.name for track in tracks if note in track.notes)
         of_all = f"{len(more) + 1} of {len(tracks)} recordings"
-        whose = first if not more else of_all if set(more) == {note} else f"{of_all}, such as {first}"
-        print_line(f"{whose}: {note}")
+        prefix = first if not more else of_all if set(more) == {note} else f"{of_all}, such as {first}"
+        print_line(f"{prefix}: {note}")
 
 
 def print_line(text: str) -> None:
-    """Print a line on stdout, broken between words on a terminal and never elsewhere, so that scripts can read it."""
+    """Print a line on stdout. It is wrapped between words on a terminal only, so that scripts can parse the output."""
     stdout = Console(highlight=False)
     stdout.print(markup.escape(printable(text)), soft_wrap=not stdout.is_terminal)
 
 
 def new_table(*columns: str, n_keys: int = 1) -> Table:
-    """A table with words in the first columns, which tell rows apart, and right-aligned numbers in the others."""
+    """Return an empty table. The first `n_keys` columns identify the rows; the others are right-aligned numbers."""
     from rich import box
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
@@ -208,9 +229,10 @@ def new_table(*columns: str, n_keys: int = 1) -> Table:
 
 
 def print_table(table: Table) -> None:
-    """Print a table, in several parts if it is wider than the terminal, so that no word is broken.
+    """Print a table. A table that is wider than the terminal is split into several parts, so that no word is broken.
 
-    Each part begins with the columns that tell rows apart. A pipe has no width: there the table is as wide as it needs.
+    Each part begins with the columns that identify the rows. If stdout is not a terminal, the table may be 160
+    characters wide.
     """
     console = Console(highlight=False)
     if not console.is_terminal:
@@ -229,16 +251,16 @@ def print_table(table: Table) -> None:
 
 
 def _least_width(column: Column) -> int:
-    """Width without a line break within a number, a name or a part of a list, and the space beside it."""
+    """Return the smallest width that breaks no number, name or list item, including the gap to the next column."""
     cells = [str(cell) for cell in column.cells]
     whole = cells if column.justify == "right" else [part for cell in cells for part in re.split(r"(?<=,) ", cell)]
-    return min(max(map(cell_len, [*str(column.header).split(), *whole]), default=0), _WIDEST_WORD) + _BETWEEN
+    return min(max(map(cell_len, [*str(column.header).split(), *whole]), default=0), _WIDEST_WORD) + _COLUMN_GAP
 
 
 def _part(table: Table, columns: Sequence[Column], width: int) -> Table:
-    """Some columns of a table; those of words are as wide as is left for them."""
-    widths = [_least_width(column) - _BETWEEN for column in columns]
-    left = width - sum(widths) - _BETWEEN * len(widths)
+    """Return a table of some columns. Left-aligned columns share the remaining width."""
+    widths = [_least_width(column) - _COLUMN_GAP for column in columns]
+    left = width - sum(widths) - _COLUMN_GAP * len(widths)
     part = Table(box=table.box, pad_edge=False)
     for column, least in zip(columns, widths, strict=True):
         wanted = max(map(cell_len, [str(column.header), *map(str, column.cells)]))
@@ -252,22 +274,22 @@ def _part(table: Table, columns: Sequence[Column], width: int) -> Table:
 
 
 def _broken_at_commas(cell: str, width: int) -> str:
-    """A list such as "walking 3 s, upstairs 1 s" in lines of this width that end with one of its commas."""
+    """Wrap a list such as "walking 3 s, upstairs 1 s" to a width, with line breaks only after commas."""
     return textwrap.fill(re.sub(r"(?<!,) ", "\0", cell), max(width, 1), break_on_hyphens=False).replace("\0", " ")
 
 
-# Below tables with a column "± at the end".
-SURE = "±: one standard deviation in the worst direction"
-_SMOOTHED = "smoothed from the whole recording; --online shows what a phone knew at each step"
+# Caption of tables with a column "± at the end".
+STD_CAPTION = "±: one standard deviation in the worst direction"
+_SMOOTHED = "smoothed from the whole recording; --online shows the estimates available at each step"
 
 
 def in_m(value: float, spec: str = "z.1f") -> str:
-    """A length."""
+    """Return a length in metres as text."""
     return f"{value:{spec}} m"
 
 
 def print_tracks(tracks: Sequence[Track]) -> None:
-    """A row for each track, their notes below."""
+    """Print a table with a row for each track, and the notes of the tracks below."""
     table = new_table("recording", "steps", "distance", "end east", "end north", "± at the end", "duration")
     table.add_column("contexts")
     for result in tracks:
@@ -283,7 +305,7 @@ def print_tracks(tracks: Sequence[Track]) -> None:
             f"{result.duration_s:.1f} s",
             ", ".join(f"{escape(name)} {value:.0f} s" for name, value in seconds.items() if value >= 0.5),
         )
-    table.caption = f"{SURE}\n {_SMOOTHED}" if any(track.is_smoothed for track in tracks) else SURE
+    table.caption = f"{STD_CAPTION}\n {_SMOOTHED}" if any(track.is_smoothed for track in tracks) else STD_CAPTION
     print_table(table)
     print_notes(tracks)
 
@@ -296,14 +318,18 @@ def estimates(
     progress: Callable[[float], None] | None,
     **options: Any,
 ) -> tuple[Track, ...]:
-    """The smoothed track of a recording, and the online one if both are wanted; with `online` that one alone.
+    """Return the smoothed track, followed by the online track if `with_both` is true.
 
-    `options` are those of `pdr_filter.track`.
+    With `online`, return the online track alone. `options` are passed to `pdr_filter.track` and `pdr_filter.smooth`.
+    ValueError for `online` with `loop`.
     """
     import pdr_filter as pdr
 
     if online and loop:
-        raise ValueError("--loop is known at the end of a walk, and --online shows what was known before: give one")
+        raise ValueError(
+            "--loop cannot be used with --online, because the loop is known only "
+            "when the walk has ended: omit one of them"
+        )
     if online:
         return (pdr.track(recording, progress=progress, **options),)
     smoothed = pdr.smooth(recording, loop=loop, progress=progress, **options).track
@@ -311,28 +337,31 @@ def estimates(
 
 
 def write_map(result: Track, path: Path) -> Path:
-    """The map file of a track, .geojson; one that lies nowhere on Earth says so in its name and content."""
+    """Write a track as GeoJSON and return the path.
+
+    A track without a geographic origin is written in local metres. The file name and the content then say so.
+    """
     return result.to_local_geojson(path) if result.origin is None else result.to_geojson(path)
 
 
 def write_track(result: Track, folder: Path, name: str) -> None:
-    """The table and the picture of a track."""
+    """Write the table NAME.csv and the picture NAME.png of a track."""
     result.to_csv(folder / f"{name}.csv")
     result.plot(folder / f"{name}.png")
 
 
-def files_of(folder: Path, name: str) -> dict[Path, int]:
-    """When each file of a track that is there was written, in ns."""
+def modified_ns(folder: Path, name: str) -> dict[Path, int]:
+    """Return the existing files NAME.* in a folder with their modification times in nanoseconds."""
     return {path: path.stat().st_mtime_ns for path in folder.glob(f"{glob_escape(name)}.*") if path.is_file()}
 
 
-def replaced_of(before: Mapping[Path, int]) -> list[Path]:
-    """Those files that were written anew since."""
+def overwritten(before: Mapping[Path, int]) -> list[Path]:
+    """Return the files whose modification time has changed since `before`."""
     return [path for path in sorted(before) if path.exists() and path.stat().st_mtime_ns != before[path]]
 
 
-def unused(name: str, written: set[str]) -> str:
-    """The name for the files of a track: a second recording of the same name gets a number."""
+def unique_name(name: str, written: set[str]) -> str:
+    """Return a file name that is not in `written`, and add it. A number is appended to a name that is already used."""
     found = name
     while found in written:
         found = f"{name}_{len(written) + 1}"

@@ -1,4 +1,4 @@
-"""`pdr-filter convert`: a file of any app as a recording, with what was guessed of its columns and why."""
+"""Command `pdr-filter convert`, which converts a file of any app to a recording and explains the column mapping."""
 
 from __future__ import annotations
 
@@ -13,28 +13,30 @@ from pdr_filter.values.sanitise import file_name, printable, printable_lines
 
 
 class PlatformOption(StrEnum):
-    """Whose sign an accelerometer has."""
+    """Platform of the phone, which decides the sign of the acceleration."""
 
     IOS = "ios"
     ANDROID = "android"
 
 
 def convert(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A file or folder of any app.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="File or folder of any app.")],
     mapping: Annotated[
-        Path | None, typer.Option("--map", help="TOML file that says which column is what; else it is guessed.")
+        Path | None, typer.Option("--map", help="TOML file with the column mapping. Default: the mapping is guessed.")
     ] = None,
     platform: Annotated[
-        PlatformOption | None, typer.Option(help="Where the file was recorded, if nothing in it shows the sign.")
+        PlatformOption | None,
+        typer.Option(
+            help="Platform of the phone, which decides the sign of the acceleration. Needed only when it cannot be "
+            "detected."
+        ),
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Where the recording goes: NAME_recording.zip beside FILE if not given.")
-    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Output file. Default: NAME_recording.zip next to FILE.")] = None,
 ) -> None:
-    """Convert a file to a recording, and show what its columns were taken for and why.
+    """Convert a file to a recording, and show the column mapping with its reasons.
 
-    The mapping of a table is written beside the recording, as NAME_recording.toml: correct it and give it with --map.
-    Nothing that is there is overwritten.
+    The column mapping of a table is written next to the recording, as NAME_recording.toml. If a column is mapped
+    wrongly, correct this file and pass it with --map. Existing files are never overwritten.
     """
     from pdr_filter.io.describe import reading_report
     from pdr_filter.io.detection import detect
@@ -47,7 +49,10 @@ def convert(
 
     with console.one_line_errors():
         if mapping is not None and platform is not None:
-            raise ValueError("--map says the sign, too: leave --platform out")
+            raise ValueError(
+                f"--platform {platform.value} and --map {mapping} both set the sign "
+                "of the acceleration: omit --platform"
+            )
         text = ""
         of_platform = None if platform is None else platform.value
         file = only_recording_in(file)
@@ -59,15 +64,17 @@ def convert(
         else:
             recording = read(file, platform=of_platform)
         to = out or outside(file.absolute())[0].with_name(f"{file_name(recording.name)}_recording.zip")
-        beside = to.with_suffix(".toml") if to.suffix else to.with_name(f"{to.name}.toml")
-        for path in (to, *([beside] if text else [])):
+        mapping_path = to.with_suffix(".toml") if to.suffix else to.with_name(f"{to.name}.toml")
+        for path in (to, *([mapping_path] if text else [])):
             if path.exists():
-                raise ValueError(f"{path} is there already, and is not overwritten: give --out another name")
+                raise ValueError(
+                    f"{path} already exists, and convert does not overwrite files: give --out another name"
+                )
         for line in (*reading_report(recording).lines(), *([""] if text else [])):
             typer.echo(printable(line))
         typer.echo(printable_lines(text), nl=False)
         written = [recording.save(to)]
         if text:
-            written.append(write_text(beside, text))
+            written.append(write_text(mapping_path, text))
     for path in written:
         console.stderr().print(f"written: {console.escape(str(path))}")

@@ -1,4 +1,4 @@
-"""The demonstration: one walk tracked, drawn, written as files and summed up on one screen."""
+"""Demonstration, which tracks one walk, writes report, picture, map and table, and prints a summary."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Column, Table
 
-from pdr_filter.cli.console import escape, estimates, files_of, replaced_of, unused, write_map
+from pdr_filter.cli.console import escape, estimates, modified_ns, overwritten, unique_name, write_map
 from pdr_filter.io.formats import read
 from pdr_filter.report import plot
 from pdr_filter.report.html import write_report
@@ -28,7 +28,21 @@ _BAR_CELLS = 30
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Demo:
-    """What the demonstration made."""
+    """Result of the demonstration.
+
+    Attributes
+    ----------
+    recording : Recording
+        Recording that was tracked.
+    track : Track
+        Smoothed track, or the online track with --online.
+    is_simulated : bool
+        Whether the recording is the simulated walk.
+    report, picture, geojson, csv : Path
+        Files that were written.
+    replaced : tuple of Path
+        Files that existed before and were overwritten.
+    """
 
     recording: Recording
     track: Track
@@ -37,15 +51,15 @@ class Demo:
     picture: Path
     geojson: Path
     csv: Path
-    replaced: tuple[Path, ...] = ()  # of these, what was there before
+    replaced: tuple[Path, ...] = ()
 
     def print(self, console: Console, said: set[str] | None = None) -> None:
-        """Print the summary, without the notes that `said` has, and add its notes to them."""
+        """Print the summary. Skip notes that are in `said`, and add the printed notes to `said`."""
         said = set() if said is None else said
         result = self.track
         console.print()
         if self.is_simulated:
-            console.print("[bold]A simulated walk[/]: nobody walked this, so the truth is known exactly.")
+            console.print("[bold]A simulated walk[/], whose ground truth is known exactly.")
         else:
             console.print(f"[bold]{escape(result.name)}[/] from {escape(self.recording.source)}", soft_wrap=True)
         console.print()
@@ -64,7 +78,7 @@ class Demo:
             ("report", self.report, "open it in a browser"),
             ("picture", self.picture, ""),
             ("map", self.geojson, _placed(result)),
-            ("table", self.csv, "one line a step"),
+            ("table", self.csv, "one row per step"),
         ):
             console.print(f"  {what:<10} {escape(str(path))}{remark and f' ({remark})'}", soft_wrap=True)
         if self.is_simulated:
@@ -81,19 +95,19 @@ def run_demo(
     online: bool = False,
     loop: bool = False,
 ) -> Demo:
-    """Track a file, or the simulated walk, and write report, picture, map file and table to a folder.
+    """Track a file, or the simulated walk if `file` is None, and write report, picture, map and table to a folder.
 
-    The track is the smoothed one, or with `online` what a phone knew at each step; the report has both. `written` has
-    the names of those before it, which it does not take.
+    The track is smoothed, or the online estimate if `online` is true. The report shows both. `written` contains the
+    names that earlier recordings of the same command use. The name of this recording is added to it.
     """
     is_simulated = file is None
     recording = demo_walk() if file is None else read(file)
     tracks = estimates(recording, online, loop, True, progress, gnss=gnss)
     result = tracks[0]
-    name = unused(file_name(result.name), set() if written is None else written)
-    before = files_of(out_dir, name)
+    name = unique_name(file_name(result.name), set() if written is None else written)
+    before = modified_ns(out_dir, name)
     picture = out_dir / f"{name}.png"
-    plot.track(result, picture, _true_way(recording) if is_simulated else None)
+    plot.track(result, picture, _true_path(recording) if is_simulated else None)
     done = Demo(
         recording=recording,
         track=result,
@@ -103,25 +117,25 @@ def run_demo(
         geojson=write_map(result, out_dir / f"{name}.geojson"),
         csv=result.to_csv(out_dir / f"{name}.csv"),
     )
-    return replace(done, replaced=tuple(replaced_of(before)))
+    return replace(done, replaced=tuple(overwritten(before)))
 
 
 def _placed(result: Track) -> str:
-    """How the map is placed."""
+    """Return a remark that says how the map is georeferenced."""
     if result.origin is None:
-        return "only its shape: nothing says where on Earth"
-    return "placed by the recording's own locations"
+        return "shape only, because the position on Earth is unknown"
+    return "georeferenced by the locations in the recording"
 
 
-def _true_way(recording: Recording) -> FloatArray:
+def _true_path(recording: Recording) -> FloatArray:
     position = recording.truth.position
     if position is None:
-        raise ValueError(f"{recording.name} has no true positions: give a simulated recording")
+        raise ValueError(f"{recording.name} has no true positions: use a simulated recording")
     return np.column_stack([position.east_m, position.north_m])
 
 
 def _facts(demo: Demo) -> Table:
-    """Steps, distance and end point; against the truth where the walk is simulated."""
+    """Return a table of steps, distance and end point, with the ground truth of a simulated walk."""
     result = demo.track
     end_m = result.end_position_m
     table = Table.grid("", "", "", padding=(0, 3))
@@ -130,27 +144,27 @@ def _facts(demo: Demo) -> Table:
     table.add_row("  distance", f"{result.distance_m:.1f} m", truth[1])
     table.add_row("  end", f"{end_m[0]:z.1f} m east, {end_m[1]:z.1f} m north", truth[2])
     if result.n_steps:
-        table.add_row("", f"± {result.position_std_m[-1]:.1f} m", "standard deviation, worst direction")
+        table.add_row("", f"± {result.position_std_m[-1]:.1f} m", "standard deviation in the worst direction")
     table.add_row("  duration", f"{result.duration_s:.0f} s", "")
     return table
 
 
 def _true_facts(recording: Recording, result: Track) -> tuple[str, str, str]:
-    """True steps and distance, and the end error of the report, after the true way was turned and shifted to fit."""
+    """Return texts with the true steps, the true distance, and the end error after rigid alignment as in the report."""
     truth = recording.truth
     if truth.steps is None or truth.segments is None:
-        raise ValueError(f"{recording.name} has no true steps and segments: give a simulated recording")
-    apart_m = track_data(result, recording, None, 1)["from_truth"][-1]
+        raise ValueError(f"{recording.name} has no true steps and segments: use a simulated recording")
+    end_error_m = track_data(result, recording, None, 1)["from_truth"][-1]
     distance_m = float(truth.segments.distance_m.sum())
     return (
         f"(truth: {len(truth.steps)})",
         f"(truth: {distance_m:.1f} m)",
-        f"({apart_m:.1f} m from the truth, turned to fit)",
+        f"(error {end_error_m:.1f} m after rigid alignment)",
     )
 
 
 def _context_bars(result: Track) -> Table:
-    """Seconds in each context, with a bar."""
+    """Return a table of the seconds in each context, with a bar."""
     table = Table.grid("", Column(justify="right"), "", padding=(0, 2))
     seconds = result.context_seconds()
     longest_s = max(seconds.values(), default=0.0)

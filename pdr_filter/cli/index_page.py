@@ -1,4 +1,4 @@
-"""The page that lists the tracks of a folder: one row each, with links to picture, report and table."""
+"""Index page of the tracks in a folder, with a row and links to picture, report and table for each track."""
 
 from __future__ import annotations
 
@@ -40,20 +40,26 @@ img {{ width: 12em; display: block }}
 <table><tr><th>recording</th><th>steps</th><th>distance</th><th>± at the end</th><th>duration</th><th></th></tr>
 {rows}
 </table>
-<p>{sure}</p>
+<p>{caption}</p>
 {failed}
 </body></html>
 """
 
 
 def write_index(tracks: Mapping[str, Track], failed: Mapping[Path, str], path: Path) -> Path:
-    """Write the page of the tracks, by the name of their files without suffix, and of what could not be tracked."""
+    """Write the index page and return its path.
+
+    `tracks` has the tracks by the names of their files without suffix. `failed` has the reason for each recording that
+    could not be tracked.
+    """
     from pdr_filter.values import how_many
 
     rows = "\n".join(_row(name, track) for name, track in tracks.items())
     reasons = "".join(f"<li>{_text(reason)}</li>" for reason in failed.values())
-    words = f"<h2>{len(failed)} could not be tracked</h2><ul>{reasons}</ul>" if failed else ""
-    return write_text(path, _PAGE.format(n=how_many(len(tracks), "track"), rows=rows, sure=console.SURE, failed=words))
+    failures = f"<h2>{len(failed)} could not be tracked</h2><ul>{reasons}</ul>" if failed else ""
+    return write_text(
+        path, _PAGE.format(n=how_many(len(tracks), "track"), rows=rows, caption=console.STD_CAPTION, failed=failures)
+    )
 
 
 def _row(name: str, track: Track) -> str:

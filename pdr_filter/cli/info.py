@@ -1,4 +1,4 @@
-"""`pdr-filter info`: what is in a recording."""
+"""Command `pdr-filter info`, which describes the contents of a recording."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pdr_filter.cli.options import AsJson, Files, Format
 
 
 def info(files: Files, file_format: Format = None, as_json: AsJson = False) -> None:
-    """Describe recordings: sensors, rates, gaps, plausibility of units, truth."""
+    """Describe recordings: sensors, sampling rates, gaps, plausibility of units, ground truth."""
     import pdr_filter as pdr
     from pdr_filter.io.describe import describe
 
@@ -34,7 +34,7 @@ def _print(description: dict[str, Any]) -> None:
     console.print_line(f"{description['name']}: {description['duration_s']:.1f} s, from {description['source']}")
     table = console.new_table("sensor", "unit", "samples", "rate", "gaps", "longest", "repeated", "backward", "empty")
     for stream in description["streams"]:
-        rate_hz = stream["mean_rate_hz"]  # the median is wrong where times come in whole milliseconds
+        rate_hz = stream["mean_rate_hz"]  # the median rate is wrong if timestamps are rounded to whole milliseconds
         table.add_row(
             stream["name"],
             stream["unit"],
@@ -49,7 +49,7 @@ def _print(description: dict[str, Any]) -> None:
     console.print_table(table)
     truth = ", ".join(f"{name} ({rows} rows)" for name, rows in description["truth_rows"].items())
     height_m = description["height_m"]
-    height = "not known, track it with --height" if height_m is None else f"{height_m:.2f} m"
+    height = "unknown (pdr-filter track --height sets it)" if height_m is None else f"{height_m:.2f} m"
     lines = [
         *description["units"],
         f"person's height: {height}; phone: {description['placement'] or 'not stated'}",

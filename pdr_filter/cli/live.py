@@ -1,4 +1,4 @@
-"""Command `pdr-filter live`: a server that tracks phones which send their samples."""
+"""Command `pdr-filter live`, a server that tracks the phones that send it samples."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from pdr_filter.values.recording import Recording
 
 
-# How often it is looked whether the server is to end.
-_LOOK_S = 0.1
+# Interval at which the server is checked for shutdown.
+_POLL_S = 0.1
 
 
 class Platform(StrEnum):
@@ -40,12 +40,24 @@ class Address:
     """Address of the server, and the token for access."""
 
     host: Annotated[
-        str, typer.Option(help="Address to listen at; 0.0.0.0 for phones in the same network, with a token then.")
+        str,
+        typer.Option(
+            help="Address on which the server listens. 0.0.0.0 accepts phones in the same network, with a token."
+        ),
     ] = "127.0.0.1"
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port; 0 for any free one.")] = 8000
-    token: Annotated[str | None, typer.Option(help="Part of the address; a random one if not given.")] = None
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port. 0 takes any free port.")] = 8000
+    token: Annotated[
+        str | None,
+        typer.Option(
+            help="Access token, which is part of the URL. Default: a random token if the server accepts other machines."
+        ),
+    ] = None
     https: Annotated[
-        bool, typer.Option("--https", help="With a certificate of its own, for the page that sends from a browser.")
+        bool,
+        typer.Option(
+            "--https",
+            help="Serve over HTTPS with a self-made certificate, which the page that sends from a browser needs.",
+        ),
     ] = False
 
     @property
@@ -63,7 +75,7 @@ class Address:
 
 @dataclass(frozen=True, slots=True)
 class Phones:
-    """Options about phones and pedestrians."""
+    """Options for phones and pedestrians."""
 
     platform: Annotated[
         Platform | None,
@@ -75,16 +87,21 @@ class Phones:
     height_m: Annotated[float | None, typer.Option("--height", min=0.5, max=2.6, help="Height of the person in m.")] = (
         None
     )
-    recipe: Annotated[str, typer.Option(help="Name of a recipe, or module:function for one of yours.")] = "default"
-    max_devices: Annotated[int, typer.Option(min=1, help="Phones at once.")] = 64
-    workers: Annotated[int, typer.Option(min=1, help="Processes that share the phones.")] = 1
+    recipe: Annotated[str, typer.Option(help="Name of a recipe, or module:function for a recipe of your own.")] = (
+        "default"
+    )
+    max_devices: Annotated[int, typer.Option(min=1, help="Maximum number of phones at the same time.")] = 64
+    workers: Annotated[int, typer.Option(min=1, help="Number of processes among which the phones are divided.")] = 1
     scheduler: Annotated[
         str | None,
-        typer.Option(help="A Dask cluster whose machines share the phones, such as tcp://host:8786; all see --record."),
+        typer.Option(
+            help="Address of a Dask cluster among whose machines the phones are divided, such as tcp://host:8786. All "
+            "machines need access to the folder of --record."
+        ),
     ] = None
 
     def check(self) -> None:
-        """ValueError for a recipe that does not exist, or that cannot be saved with a session."""
+        """Raise ValueError for a recipe that does not exist or cannot be saved with a session."""
         if self.recipe != "default":
             from pdr_filter.live.session import plain_config_bytes
             from pdr_filter.live.settings import Settings
@@ -97,33 +114,35 @@ class Sources:
     """Sources from which the server fetches samples."""
 
     phyphox: Annotated[
-        list[str] | None, typer.Option(metavar="HOST:PORT", help="A phone with phyphox, its remote access on.")
+        list[str] | None,
+        typer.Option(metavar="HOST:PORT", help="Address of a phone that runs phyphox with remote access enabled."),
     ] = None
     sensorserver: Annotated[
-        list[str] | None, typer.Option(metavar="HOST:PORT", help="An Android phone with SensorServer.")
+        list[str] | None, typer.Option(metavar="HOST:PORT", help="Address of an Android phone that runs SensorServer.")
     ] = None
     mqtt: Annotated[
         list[str] | None,
         typer.Option(
             metavar="URL",
-            help="Topic of an MQTT broker: mqtt://HOST/TOPIC or mqtts, with USER:PASSWORD@ before HOST if needed.",
+            help="Topic of an MQTT broker: mqtt://HOST/TOPIC or mqtts://HOST/TOPIC, with "
+            "USER:PASSWORD@ before HOST if needed.",
         ),
     ] = None
     replay: Annotated[Path | None, typer.Option(help="Replay this recording instead of listening to a phone.")] = None
     speed: Annotated[float, typer.Option(min=0.01, help="Playback speed relative to real time.")] = 1.0
 
     def walk(self) -> Recording | None:
-        """Recording that is replayed, or None."""
+        """Return the recording that is replayed, or None."""
         from pdr_filter.io.formats import read
 
         return None if self.replay is None else read(self.replay)
 
     def tasks(self, walk: Recording | None, shared: Live) -> list[Coroutine[Any, Any, None]]:
-        """Coroutines that fetch samples while the server runs."""
+        """Return coroutines that fetch samples while the server runs."""
         from pdr_filter.live import sources
 
-        def say(words: str) -> None:
-            console.say_error(words)
+        def say(text: str) -> None:
+            console.say_error(text)
 
         def take(name: str) -> sources.Taker:
             return sources.told(shared.take, name, say)
@@ -142,12 +161,14 @@ def live(
     address: Address,
     phones: Phones,
     sources: Sources,
-    record: Annotated[Path | None, typer.Option(help="Folder for recordings, from which a server goes on.")] = None,
-    tiles: Annotated[str, typer.Option(metavar="URL", help="Map tiles: an address with {z}, {x} and {y} in it.")] = "",
+    record: Annotated[
+        Path | None, typer.Option(help="Folder for recordings. A restarted server resumes the walks in it.")
+    ] = None,
+    tiles: Annotated[str, typer.Option(metavar="URL", help="URL of map tiles, which contains {z}, {x} and {y}.")] = "",
 ) -> None:
-    """Track phones while they walk: one page shows where each of them is, and how sure that is.
+    """Track phones in real time. A web page shows the position of each phone with its uncertainty.
 
-    Phones send with Sensor Logger, SensorServer, phyphox, MQTT or their browser; docs/live.md shows how.
+    Phones send with Sensor Logger, SensorServer, phyphox, MQTT or their browser, as described in docs/live.md.
     """
     with console.one_line_errors(), ExitStack() as opened:
         try:
@@ -157,7 +178,9 @@ def live(
             from pdr_filter.live.hub import Live
             from pdr_filter.live.server import app
         except ImportError as error:
-            raise ValueError(f'live needs a web server ({error}): pip install "pdr_filter[live]"') from None
+            raise ValueError(
+                f'the packages of the live server are not installed ({error}): pip install "pdr_filter[live]"'
+            ) from None
         from pdr_filter.live.access import is_loopback, made_token
         from pdr_filter.live.settings import Settings
 
@@ -184,21 +207,23 @@ def live(
         )
 
         def say(port: int) -> None:
-            _say(address, port, token)
+            _print_addresses(address, port, token)
 
         listening = opened.enter_context(bound(address.host, address.port))
         asyncio.run(_run(shared, uvicorn.Server(config), listening, partial(sources.tasks, walk), say))
 
 
 def bound(host: str, port: int) -> socket.socket:
-    """Bound socket; ValueError if the address is taken or not allowed."""
+    """Return a bound socket. ValueError if the address is in use or not permitted."""
     made = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
     made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         made.bind((host, port))
     except OSError as error:
         made.close()
-        raise ValueError(f"cannot listen at {host}, port {port}: {error.strerror}; see --host and --port") from None
+        raise ValueError(
+            f"cannot listen on {host}, port {port}: {error.strerror}; give another --host or --port"
+        ) from None
     return made
 
 
@@ -209,7 +234,7 @@ async def _run(
     tasks: Callable[[Live], list[Coroutine[Any, Any, None]]],
     say: Callable[[int], None],
 ) -> None:
-    """Serve with workers that run."""
+    """Start the workers, serve, and stop the workers at the end."""
     try:
         await shared.start()
         await served(server, listening, [*tasks(shared), until_exit(server, shared.end_readers)], say)
@@ -218,21 +243,21 @@ async def _run(
 
 
 async def until_exit(server: Any, end: Callable[[], None]) -> None:
-    """Call a function when the server is to end, such as one that ends the events of pages."""
+    """Call a function when the server shuts down, to close event streams: the server waits for open connections."""
     while not server.should_exit:
-        await asyncio.sleep(_LOOK_S)
+        await asyncio.sleep(_POLL_S)
     end()
 
 
 async def served(
     server: Any, listening: socket.socket, sources: list[Coroutine[Any, Any, None]], say: Callable[[int], None]
 ) -> None:
-    """Serve until Ctrl+C; sources begin when the server answers."""
+    """Serve until Ctrl+C. Sources start when the server accepts connections."""
     serving = asyncio.create_task(server.serve([listening]))
     while not (server.started or serving.done()):
         await asyncio.sleep(0.02)
     say(listening.getsockname()[1])
-    fetching = [asyncio.create_task(_told(source)) for source in sources]
+    fetching = [asyncio.create_task(_run_source(source)) for source in sources]
     try:
         await serving
     finally:
@@ -240,16 +265,16 @@ async def served(
             task.cancel()
 
 
-async def _told(source: Coroutine[Any, Any, None]) -> None:
-    """Run a source; show the error that ends it, so that the others go on."""
+async def _run_source(source: Coroutine[Any, Any, None]) -> None:
+    """Run a source and print the error that ends it, so that the other sources continue."""
     try:
         await source
     except (ValueError, OSError) as error:
         console.say_error(console.message(error))
 
 
-def _say(address: Address, port: int, token: str) -> None:
-    """Print the addresses, and a code for the camera of a phone."""
+def _print_addresses(address: Address, port: int, token: str) -> None:
+    """Print the URLs of the server, and a QR code for phones if there is a token."""
     import segno
 
     root, query = address.address(port), f"?token={token}" if token else ""
@@ -260,4 +285,4 @@ def _say(address: Address, port: int, token: str) -> None:
         out.print(f"browsers     {root}/phone{query}")
     if token:
         segno.make(f"{root}/{'phone' * address.https}{query}", micro=False).terminal(sys.stderr, compact=True)
-    out.print("Ctrl+C ends it.")
+    out.print("Press Ctrl+C to stop the server.")

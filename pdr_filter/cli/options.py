@@ -1,4 +1,4 @@
-"""Options that commands share, and groups of options: a parameter that is a dataclass is an option for each field."""
+"""Options shared by several commands, and option groups: dataclasses with a field for each option."""
 
 from __future__ import annotations
 
@@ -14,26 +14,30 @@ import typer
 from pdr_filter.values import Plan
 from pdr_filter.values.track_placement import GnssUse, NorthUse, TrackPlacement, texts
 
-Files = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings, or folders of them.")]
+Files = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings, or folders of recordings.")]
 Format = Annotated[
-    str | None, typer.Option("--format", help="Format of the files, if it is not to be found by their content.")
+    str | None, typer.Option("--format", help="Format of the files. Default: detected from their content.")
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="One JSON object a line for each file, nothing else on stdout.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print only a JSON object on stdout for each file, on one line.")]
 PersonFile = Annotated[
     Path | None,
     typer.Option(
         "--person",
         "--calibration",
-        help="Step lengths of the person: a file of pdr-filter calibrate, which stays as it is, or of pdr-filter "
-        "track, which adds the steps of each walk with fixes.",
+        help="File with the step lengths of the person. A calibration from pdr-filter calibrate is only read. A file "
+        "written by pdr-filter track is updated after each walk with fixes.",
     ),
 ]
 RadioFile = Annotated[
-    Path | None, typer.Option("--radio", help="Of pdr-filter radio: a map of this building's Wi-Fi, for fixes.")
+    Path | None,
+    typer.Option("--radio", help="Wi-Fi map of the building, from pdr-filter radio, which gives position fixes."),
 ]
-RangesFile = Annotated[Path | None, typer.Option("--ranges", help="CSV of distances to anchors, see docs/ranges.md.")]
+RangesFile = Annotated[
+    Path | None, typer.Option("--ranges", help="CSV of distances to anchors, as described in docs/ranges.md.")
+]
 AnchorsFile = Annotated[
-    Path | None, typer.Option("--anchors", help="GeoJSON points with a name each: where the anchors of --ranges are.")
+    Path | None,
+    typer.Option("--anchors", help="Positions of the anchors of --ranges: GeoJSON points, each with a name."),
 ]
 Folder = Annotated[Path | None, typer.Option(help="Folder for NAME.csv and NAME.png.")]
 
@@ -42,17 +46,22 @@ _TEXT = {name: text.split(". ")[0].replace("`", "").rstrip(".") + "." for name, 
 Gnss = Annotated[GnssUse | None, typer.Option(help=_TEXT.get("gnss"))]
 Online = Annotated[
     bool,
-    typer.Option("--online", help="What a phone knew at each step, in place of the walk smoothed as a whole."),
+    typer.Option("--online", help="Show the estimates that were available at each step, instead of the smoothed walk."),
 ]
 Loop = Annotated[
-    bool, typer.Option("--loop", help="The walk ended within 1 m of its start; not used if the walk contradicts it.")
+    bool,
+    typer.Option(
+        "--loop", help="State that the walk ended within 1 m of its start. Ignored if the walk contradicts it."
+    ),
 ]
-Scheduler = Annotated[str | None, typer.Option(help="The same on a Dask cluster, such as tcp://host:8786.")]
+Scheduler = Annotated[
+    str | None, typer.Option(help="Address of a Dask cluster that processes the recordings, such as tcp://host:8786.")
+]
 
 
 @dataclass(frozen=True, slots=True)
 class PlacementOptions:
-    """Place, north and floor plan of a track: `TrackPlacement` in words of a command line."""
+    """Options for place, north and floor plan of a track, which `arguments` converts to fields of `TrackPlacement`."""
 
     gnss: Gnss = None
     north: Annotated[
@@ -63,15 +72,18 @@ class PlacementOptions:
     heading: Annotated[str | None, typer.Option(metavar="DEG", help=_TEXT.get("heading_rad"))] = None
     plan: Annotated[Path | None, typer.Option(metavar="GEOJSON", help=_TEXT.get("plan"))] = None
     start: Annotated[
-        str | None, typer.Option(metavar="PLACE", help=f"{_TEXT.get('start')} A place is EAST,NORTH in m.")
+        str | None, typer.Option(metavar="PLACE", help=f"{_TEXT.get('start')} A position is EAST,NORTH in m.")
     ] = None
 
     def given(self) -> dict[str, Any]:
-        """The options that are given, by their names."""
+        """Return the options that were given, by name."""
         return {f"--{f.name}": value for f in fields(self) if (value := getattr(self, f.name)) is not None}
 
     def arguments(self) -> dict[str, Any]:
-        """The arguments of `pdr_filter.track` and `pdr_filter.smooth`; ValueError for options that cannot be used."""
+        """Return the keyword arguments for `pdr_filter.track` and `pdr_filter.smooth`.
+
+        ValueError for invalid options.
+        """
         placement = TrackPlacement(
             gnss=self.gnss,
             origin=_origin_deg(self.origin),
@@ -90,7 +102,7 @@ def _plan(path: Path) -> Plan:
 
 
 def _place(start: str | None) -> Any:
-    """The fix that EAST,NORTH is, or the name as it is."""
+    """Return a position fix for EAST,NORTH. Return any other text unchanged, because it names an area of the plan."""
     import numpy as np
 
     from pdr_filter.values import PositionFix
@@ -103,16 +115,18 @@ def _place(start: str | None) -> Any:
 
 
 def ranges_of(ranges: Path | None, anchors: Path | None, origin: tuple[float, float] | None) -> list[Any]:
-    """The fixes of --ranges and --anchors."""
+    """Return the range fixes of the files --ranges and --anchors. ValueError for anchors without ranges."""
     from pdr_filter.io.fix_files import ranges_of_file
 
     if ranges is None and anchors is not None:
-        raise ValueError(f"--anchors says where the anchors of ranges are, got {anchors} without --ranges: give both")
+        raise ValueError(
+            f"--anchors {anchors} has no effect without --ranges, the distances to these anchors: give both"
+        )
     return [] if ranges is None else list(ranges_of_file(ranges, anchors, origin=origin))
 
 
 def _origin_deg(text: str | None) -> tuple[float, float] | None:
-    """Latitude and longitude from LAT,LON."""
+    """Parse LAT,LON. Return latitude and longitude in degrees, or None if the option is not given."""
     from pdr_filter.values.origin import check_place
 
     if text is None:
@@ -126,7 +140,7 @@ def _origin_deg(text: str | None) -> tuple[float, float] | None:
 
 
 def _heading_rad(text: str | None) -> float | None:
-    """Radians from DEG."""
+    """Parse a heading in degrees. Return it in radians, or None if the option is not given."""
     if text is None:
         return None
     try:
@@ -139,7 +153,11 @@ def _heading_rad(text: str | None) -> float | None:
 
 
 def in_groups(command: Callable[..., None]) -> Callable[..., None]:
-    """The command as typer takes it, which knows no groups: fields of dataclasses as options, in place of these."""
+    """Return a command for typer, in which each field of an option group is a separate option.
+
+    typer does not support parameters that are dataclasses. The returned function has the fields as parameters, builds
+    the dataclasses from them, and calls `command`.
+    """
     groups: dict[str, Any] = {}
     parameters: list[inspect.Parameter] = []
     for parameter in inspect.signature(command, eval_str=True).parameters.values():
@@ -157,7 +175,7 @@ def in_groups(command: Callable[..., None]) -> Callable[..., None]:
             values[name] = group(**{f.name: values.pop(f.name) for f in fields(group)})
         command(**values)
 
-    # A terminal breaks the lines of each paragraph where it is full, not where the docstring does.
+    # line breaks within a paragraph of the docstring are removed, so that the terminal wraps at its own width
     paragraphs = (inspect.getdoc(command) or "").split("\n\n")
     run.__name__, run.__doc__ = command.__name__, "\n\n".join(" ".join(p.split()) for p in paragraphs)
     run.__annotations__ = {p.name: p.annotation for p in parameters}

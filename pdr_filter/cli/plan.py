@@ -1,4 +1,4 @@
-"""`pdr-filter plan`: what a floor plan was understood to be."""
+"""Command `pdr-filter plan`, which shows how a floor plan is interpreted."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ if TYPE_CHECKING:
 
 
 def plan(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A floor plan: GeoJSON, in metres or degrees.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Floor plan as GeoJSON, in metres or in degrees.")],
     out: Folder = None,
     as_json: AsJson = False,
 ) -> None:
-    """Say what a floor plan was understood to be, and draw it as NAME.png into the folder of --out."""
+    """Show how a floor plan is interpreted, and draw it as NAME.png into the folder of --out."""
     import pdr_filter as pdr
     from pdr_filter.report import plot
 
     with console.one_line_errors():
         read = pdr.FloorPlan.read(file)
         picture = None if out is None else out / f"{file_name(read.name)}.png"
-        before = console.there(picture)
+        before = console.existing(picture)
         if picture is not None:
             plot.plan(read, picture)
     if as_json:
@@ -42,13 +42,13 @@ def _print(plan: FloorPlan) -> None:
     from pdr_filter.values import how_many
 
     typer.echo(printable(f"{plan.name}: {how_many(len(plan.storeys), 'storey')}"))
-    table = console.new_table("floor", "east-west", "north-south", "outline", "to walk on", "features")
+    table = console.new_table("floor", "east-west", "north-south", "outline", "walkable area", "features")
     for storey in (s.summary() for s in plan.storeys):
         table.add_row(
             str(storey["floor"]),
             f"{storey['width_m']:.1f} m",
             f"{storey['height_m']:.1f} m",
-            "drawn" if storey["has_outline"] else "about the walls",
+            "drawn" if storey["has_outline"] else "hull of the walls",
             f"{storey['walkable_m2']:.0f} m2",
             ", ".join(f"{n} {kind}" for kind, n in storey["features"].items()),
         )

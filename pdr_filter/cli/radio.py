@@ -1,4 +1,4 @@
-"""`pdr-filter radio`: a map of the Wi-Fi of a building, for `track --radio` and `smooth --radio`."""
+"""Command `pdr-filter radio`, which fits the Wi-Fi map of a building for `track --radio` and `smooth --radio`."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from pdr_filter.cli.options import Files, Format
 
 def radio(
     files: Files,
-    out: Annotated[Path, typer.Option(help="Where the map goes: NAME.json, with NAME.npz beside it.")],
+    out: Annotated[Path, typer.Option(help="Output file NAME.json. NAME.npz is written next to it.")],
     file_format: Format = None,
 ) -> None:
-    """Fit a radio map on recordings of one building, or folders of them, that have Wi-Fi and waypoints."""
+    """Fit the Wi-Fi map of a building from recordings, or folders of recordings, with Wi-Fi scans and waypoints."""
     import pdr_filter as pdr
     from pdr_filter.io.folders import recordings_in
 
     with console.one_line_errors(), console.progress("fitting"):
         found = [path for file in files for path in (recordings_in(file) if file.is_dir() else [file])]
         fitted = pdr.RadioMap.fit(pdr.read(path, file_format) for path in found)
-        before = console.there(out, out.with_suffix(".npz"))
+        before = console.existing(out, out.with_suffix(".npz"))
         written = fitted.save(out)
     typer.echo(f"{fitted!r} of {len(fitted.card['walks'])} walks in {len(found)} recordings")
     console.stderr().print(f"written: {escape(str(written))}")

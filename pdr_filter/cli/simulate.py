@@ -1,4 +1,4 @@
-"""`pdr-filter simulate` and `pdr-filter demo`: a walk that nobody walked, as a recording, and what comes of it."""
+"""Commands `pdr-filter simulate`, which writes a simulated walk as a recording, and `pdr-filter demo`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class CarryingMode(StrEnum):
-    """Where the simulated phone is."""
+    """Carrying mode of the simulated phone."""
 
     TEXTING = "texting"
     POCKET = "pocket"
@@ -29,32 +29,32 @@ class CarryingMode(StrEnum):
 
 
 def simulate(
-    out: Annotated[Path, typer.Option(help="Zip file, or a folder if it has no suffix.")],
-    seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same walk.")] = 0,
+    out: Annotated[Path, typer.Option(help="Output: a zip file, or a folder if the name has no suffix.")],
+    seed: Annotated[int, typer.Option(min=0, help="Random seed. The same seed gives the same walk.")] = 0,
     carrying_mode: Annotated[
         CarryingMode | None,
         typer.Option(
             metavar="MODE",
-            help="Walk round a block with the phone in this carrying mode: texting, pocket, swinging or calling; "
-            "without it, the demonstration walk.",
+            help="Simulate a walk around a block with the phone in this carrying mode: texting, pocket, swinging or "
+            "calling. Default: the demonstration walk.",
         ),
     ] = None,
 ) -> None:
-    """Write a simulated walk with exact truth as a recording."""
+    """Write a simulated walk with exact ground truth as a recording."""
     import pdr_filter as pdr
     from pdr_filter.io.files.own_format import write_recording
 
     with console.one_line_errors():
         walk = pdr.simulate.demo_walk(seed) if carrying_mode is None else _block_walk(carrying_mode.value, seed)
-        before = console.there(out)
+        before = console.existing(out)
         path = write_recording(walk, out)
     typer.echo(path)
     console.say_replaced(before)
 
 
 def demo(
-    file: Annotated[Path | None, typer.Argument(metavar="[FILE]", help="A recording; else a simulated walk.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder for the files; a new temporary one if not given.")] = None,
+    file: Annotated[Path | None, typer.Argument(metavar="[FILE]", help="Recording. Default: a simulated walk.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for the files. Default: a new temporary folder.")] = None,
     gnss: Gnss = None,
     online: Online = False,
     loop: Loop = False,
@@ -75,15 +75,15 @@ def demo(
                 demos, failed = [run(None, show)], dict[Path, str]()
         else:
             demos, failed = console.each(files, run)
-    said = set[str]()
+    printed_notes = set[str]()
     for done in demos:
-        done.print(Console(highlight=False), said)
+        done.print(Console(highlight=False), printed_notes)
     console.say_replaced([path for done in demos for path in done.replaced])
     console.exit_if_failed(failed, len(files))
 
 
 def _block_walk(carrying_mode: str, seed: int) -> Recording:
-    """A walk round a block of 40 m by 25 m."""
+    """Return a simulated walk around a block of 40 m by 25 m."""
     from pdr_filter import simulate
 
     legs = [simulate.Leg("stationary", duration_s=5.0), simulate.Leg("walking", distance_m=40.0)]

@@ -1,4 +1,4 @@
-"""`pdr-filter track`: recordings to tracks, one by one or many into one table."""
+"""Command `pdr-filter track`, which tracks recordings one by one, or many recordings into one table."""
 
 from __future__ import annotations
 
@@ -36,19 +36,27 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """How a track is made."""
+    """Options for recipe, models, persistent files and fixes of a track."""
 
     recipe: Annotated[
-        str, typer.Option(help="Name of a recipe, such as default, or module:function for one of yours.")
+        str, typer.Option(help="Name of a recipe, such as default, or module:function for a recipe of your own.")
     ] = "default"
     weighting: Annotated[
         Literal["hc", "wc", "imm"] | None,
-        typer.Option(help="How contexts become step lengths; the recipe's own if not given."),
+        typer.Option(
+            help="Weighting of the contexts: highest context (hc), weighted context (wc) or interacting multiple model "
+            "(imm). Default: the weighting of the recipe."
+        ),
     ] = None
-    model: Annotated[Path | None, typer.Option(help="Context model (.npz) for windows with gyroscope.")] = None
-    transitions: Annotated[Path | None, typer.Option(help="transitions.json of pdr-filter train.")] = None
+    model: Annotated[Path | None, typer.Option(help="Context model (.npz) for recordings with a gyroscope.")] = None
+    transitions: Annotated[
+        Path | None, typer.Option(help="Context transitions: transitions.json from pdr-filter train.")
+    ] = None
     device: Annotated[
-        Path | None, typer.Option(help="What is known of the phone: read if it is there, and written anew.")
+        Path | None,
+        typer.Option(
+            help="File with the gyroscope bias of the phone. It is read if it exists, and updated after the walk."
+        ),
     ] = None
     person: PersonFile = None
     radio: RadioFile = None
@@ -58,34 +66,38 @@ class Method:
     loop: Loop = False
 
     def changes(self) -> Callable[[Config], Config]:
-        """What model and transitions change of a recipe; what cannot be used is refused before a file is read."""
+        """Return a function that puts --model and --transitions into a configuration.
+
+        ValueError or OSError for a recipe or file that cannot be used, before any recording is read.
+        """
         from pdr_filter import recipes
         from pdr_filter.classifiers.context_model import load_model
         from pdr_filter.classifiers.transition_files import load_transitions
 
         recipes.check_name(self.recipe)
         model = None if self.model is None else load_model(self.model)
-        learnt = None if self.transitions is None else load_transitions(self.transitions)
+        transitions = None if self.transitions is None else load_transitions(self.transitions)
 
         def changed(config: Config) -> Config:
             if model is not None:
                 config = recipes.with_context_model(config, model)
-            return config if learnt is None else recipes.with_transitions(config, learnt)
+            return config if transitions is None else recipes.with_transitions(config, transitions)
 
         return changed
 
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """What a file does not say of itself."""
+    """Options that complete the contents of a file."""
 
     file_format: Format = None
     height_m: Annotated[
-        float | None, typer.Option("--height", min=0.5, max=2.6, help="Height of the person in m, if not recorded.")
+        float | None,
+        typer.Option("--height", min=0.5, max=2.6, help="Height of the person in m. Replaces the recorded height."),
     ] = None
 
     def read(self, file: Path) -> Recording:
-        """The recording, of a person of that height."""
+        """Read a recording and set the height of the person if --height is given."""
         import pdr_filter as pdr
 
         recording = pdr.read(file, self.file_format)
@@ -94,52 +106,65 @@ class Source:
 
 @dataclass(frozen=True, slots=True)
 class OutputOptions:
-    """Files that are written."""
+    """Options for the files that are written."""
 
     out: Folder = None
     export: Annotated[
         list[str] | None,
-        typer.Option(metavar="KIND,...", help="Also NAME.KIND: csv, geojson, gpx, kml, parquet or tum, some of them."),
+        typer.Option(
+            metavar="KIND,...", help="Also write NAME.KIND for each KIND: csv, geojson, gpx, kml, parquet or tum."
+        ),
     ] = None
-    report: Annotated[bool, typer.Option("--report", help="Also NAME.html: one page with all there is to see.")] = False
-    parquet: Annotated[bool, typer.Option("--parquet", help="Also NAME.parquet, or the table of many so.")] = False
+    report: Annotated[
+        bool, typer.Option("--report", help="Also write NAME.html, a page with map, charts and notes.")
+    ] = False
+    parquet: Annotated[
+        bool,
+        typer.Option(
+            "--parquet",
+            help="Also write NAME.parquet. With --jobs or --scheduler, write the table as Parquet instead of CSV.",
+        ),
+    ] = False
 
     @property
     def table(self) -> Path:
-        """Of many recordings."""
+        """Path of the table of many recordings. ValueError without --out."""
         if self.out is None:
-            raise ValueError("--jobs and --scheduler make one table: say with --out in which folder")
+            raise ValueError("--jobs and --scheduler write one table, and its folder is not given: add --out FOLDER")
         return self.out / ("tracks.parquet" if self.parquet else "tracks.csv")
 
     @property
     def kinds(self) -> list[str]:
-        """Of the files that are asked for, each once; ValueError for those that nobody knows."""
-        asked = [kind.strip().lower() for part in self.export or () for kind in part.split(",")]
-        for kind in asked:
+        """Requested kinds of files, without duplicates. ValueError for an unknown kind."""
+        requested = [kind.strip().lower() for part in self.export or () for kind in part.split(",")]
+        for kind in requested:
             if kind not in _EXPORTS:
-                raise ValueError(f"--export writes {', '.join(_EXPORTS)}, got {kind!r}; give some of them, with commas")
-        return list(dict.fromkeys([*asked, *(["parquet"] if self.parquet else [])]))
+                raise ValueError(
+                    f"--export must be one or several of {', '.join(_EXPORTS)}, separated by commas, got {kind!r}"
+                )
+        return list(dict.fromkeys([*requested, *(["parquet"] if self.parquet else [])]))
 
     def check(self) -> None:
-        """ValueError for options that cannot be used, before a file is read."""
+        """Raise ValueError for options that cannot be used. Call it before files are read."""
         from pdr_filter.io.files.track_writers import pandas_for_parquet
 
         if "parquet" in self.kinds:
             pandas_for_parquet(self.out or Path())
 
     def write(self, tracks: Sequence[Track], recording: Recording, name: str) -> list[Path]:
-        """The files of one track; those that were there before, which are replaced, are returned.
+        """Write the files of one recording, and return the existing files that were replaced.
 
-        Tracks after the first one are in the report alone.
+        The first track is written to all files. Further tracks appear only in the report.
         """
         result = tracks[0]
         folder, kinds = self.out or Path(), self.kinds
-        before = console.files_of(folder, name)
-        nowhere = [kind for kind in kinds if kind in ("gpx", "kml")]
-        if nowhere and result.origin is None:
+        before = console.modified_ns(folder, name)
+        geographic = [kind for kind in kinds if kind in ("gpx", "kml")]
+        if geographic and result.origin is None:
             raise ValueError(
-                f"{result.name}: --export {','.join(nowhere)} needs a place on Earth, and nothing says where this walk "
-                "was: give --origin LAT,LON, with --heading DEG for its direction; geojson does without a place"
+                f"{result.name}: --export {','.join(geographic)} needs a geographic position, and the recording has no "
+                "usable locations: give --origin LAT,LON, with --heading DEG for the first walking direction, or "
+                "export geojson, which also stores local metres"
             )
         if self.out is not None:
             console.write_track(result, folder, name)
@@ -151,10 +176,10 @@ class OutputOptions:
             from pdr_filter.report.html import write_report
 
             write_report(tracks, folder / f"{name}.html", recording)
-        return console.replaced_of(before)
+        return console.overwritten(before)
 
 
-# How each kind of file is written.
+# Function that writes each kind of file.
 _EXPORTS: Mapping[str, Callable[[Track, Path, Recording], Path]] = {
     "csv": lambda track, path, _: track.to_csv(path),
     "geojson": lambda track, path, _: console.write_map(track, path),
@@ -167,13 +192,16 @@ _EXPORTS: Mapping[str, Callable[[Track, Path, Recording], Path]] = {
 
 @dataclass(frozen=True, slots=True)
 class WorkerOptions:
-    """Where many recordings are tracked."""
+    """Options for parallel processing of many recordings."""
 
-    jobs: Annotated[int | None, typer.Option(min=1, help="Many recordings at once: one table, which resumes.")] = None
+    jobs: Annotated[
+        int | None,
+        typer.Option(min=1, help="Number of processes. Writes one table, from which an interrupted run resumes."),
+    ] = None
     scheduler: Scheduler = None
 
     def make_one_table(self) -> bool:
-        """Whether it is one table that is asked for."""
+        """Return True if the results are written to one table."""
         return self.jobs is not None or self.scheduler is not None
 
 
@@ -186,17 +214,18 @@ def track(
     workers: WorkerOptions,
     as_json: AsJson = False,
 ) -> None:
-    """Track recordings: steps, distance, end point and contexts of each.
+    """Track recordings, and show steps, distance, end point and contexts of each.
 
-    The track is smoothed from the whole recording. The report shows the online track, too, which is what a phone knew
-    at each step; with --online all results are that one.
+    The track is smoothed from the whole recording. The report also shows the online track, that is, the estimates that
+    were available at each step. With --online, all results are of the online track.
 
     ± at the end is one standard deviation in the worst direction.
 
-    A folder stands for all recordings in it: with --out each gets its table, picture and report, and index.html lists
-    them. --jobs or --scheduler make one table in place of that, tracks.csv in the folder of --out: it grows as
-    recordings finish, and a run that was broken off goes on from it. Its tracks are online. Without --out nothing is
-    written.
+    A folder is replaced by all recordings in it. With --out, table, picture and report of each recording are written,
+    and index.html lists them. Without --out, nothing is written.
+
+    --jobs and --scheduler write one table for all recordings, tracks.csv in the folder of --out, with online tracks.
+    The table grows as recordings finish, and an interrupted run resumes from it.
     """
     import pdr_filter as pdr
     from pdr_filter.recipes.step_length_calibration import Calibration, read_person
@@ -215,7 +244,9 @@ def track(
         radio = None if method.radio is None else pdr.RadioMap.load(method.radio)
         ranges = ranges_of(method.ranges, method.anchors, where.get("origin"))
         if ranges and len(files) > 1:
-            raise ValueError(f"--ranges are of one recording, got {len(files)}: track them one by one")
+            raise ValueError(
+                f"--ranges are measured in one recording, got {len(files)} recordings: track them one by one"
+            )
     written: set[str] = set()
     replaced: list[Path] = []
     listed: dict[str, Track] = {}
@@ -246,7 +277,7 @@ def track(
             result.device.save(method.device)
         if method.person is not None and result.person is not None and not isinstance(person, Calibration):
             result.person.save(method.person)
-        name = console.unused(file_name(result.name), written)
+        name = console.unique_name(file_name(result.name), written)
         replaced.extend(output.write(tracks, recording, name))
         listed[name] = result
         if as_json:
@@ -257,7 +288,10 @@ def track(
     console.say_replaced(replaced)
     if tracks and method.person is not None and not method.person.exists():
         console.stderr().print(
-            console.escape(f"{method.person} is not there, and not written: no fix says how long the steps are")
+            console.escape(
+                f"{method.person} was not written, because no fixes show how long the "
+                "steps are: track a walk with fixes"
+            )
         )
     if output.out is not None and files != given and listed:
         with console.one_line_errors():
@@ -269,8 +303,8 @@ def track(
 
 
 def _check_one_table(method: Method, placement: PlacementOptions, output: OutputOptions, as_json: bool) -> None:
-    """ValueError for what is of one recording, where many make one table."""
-    of_one = {
+    """Raise ValueError for options of a single recording if many recordings are written to one table."""
+    single_options = {
         "--model": method.model,
         "--transitions": method.transitions,
         "--device": method.device,
@@ -282,10 +316,10 @@ def _check_one_table(method: Method, placement: PlacementOptions, output: Output
         "--report": output.report,
         "--json": as_json,
     }
-    if given := [name for name, value in of_one.items() if value]:
+    if given := [name for name, value in single_options.items() if value]:
         raise ValueError(
-            f"many recordings make one table, without {', '.join(given)}: leave it out, or give the files "
-            "themselves, without --jobs and --scheduler"
+            f"{', '.join(given)} cannot be used with --jobs or --scheduler, which write one table of many recordings: "
+            "omit one or the other"
         )
 
 
@@ -319,11 +353,12 @@ def _track_many(
                 calibration=method.person,
                 gnss=placement.gnss,
             )
-        except RuntimeError as error:  # a cluster that is gone
+        except RuntimeError as error:  # the cluster does not respond
             raise ValueError(console.message(error)) from error
         except KeyboardInterrupt:
             console.stderr().print(
-                f"stopped: what is done is in {console.escape(str(table))}; the same command goes on"
+                f"stopped: finished recordings are in {console.escape(str(table))}; "
+                "run the same command again to resume"
             )
             raise typer.Exit(console.STOPPED) from None
     failed = {Path(row.path): row.reason for row in rows if row.failed}

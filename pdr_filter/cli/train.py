@@ -1,4 +1,4 @@
-"""`pdr-filter train`: a context model from labelled recordings."""
+"""Command `pdr-filter train`, which fits a context model on labelled recordings."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pdr_filter.cli.console import escape
 
 
 class Classifier(StrEnum):
-    """Classifiers that files can hold."""
+    """Classifiers that can be saved to a file."""
 
     RVM = "rvm"
     FOREST = "forest"
@@ -23,15 +23,20 @@ class Classifier(StrEnum):
 
 @dataclass(frozen=True)
 class Fitting:
-    """Options of the model."""
+    """Options for the context model."""
 
     classifier: Annotated[
-        Classifier, typer.Option(help="Relevance vector machine, random forest, or regression and boosted trees.")
+        Classifier,
+        typer.Option(
+            help="Relevance vector machine (rvm), random forest (forest), or a blend "
+            "of logistic regression and boosted "
+            "trees (blend)."
+        ),
     ] = Classifier.RVM
     carrying_modes: Annotated[
-        bool, typer.Option("--carrying-modes", help="Learn where the phone is, in place of what the person does.")
+        bool, typer.Option("--carrying-modes", help="Learn the carrying mode of the phone instead of the context.")
     ] = False
-    name: Annotated[str, typer.Option(help="Of the model and its files; else contexts or carrying.")] = ""
+    name: Annotated[str, typer.Option(help="Name of the model and its files. Default: contexts or carrying.")] = ""
 
 
 def train(
@@ -40,23 +45,28 @@ def train(
     folder: Annotated[Path | None, typer.Argument(help="Folder of labelled recordings.")] = None,
     sequences: Annotated[
         Path | None,
-        typer.Option(help="In place of FOLDER: recordings for transitions of the shipped model, without training."),
+        typer.Option(
+            help="Folder of recordings from which only the transitions of the shipped "
+            "model are estimated. Replaces FOLDER."
+        ),
     ] = None,
 ) -> None:
-    """Fit a context model on labelled recordings of two people or more, with any names of contexts.
+    """Fit a context model on labelled recordings of at least two persons. Contexts may have any names.
 
-    A recording says whose it is by subject.id of its meta.json, or lies in a folder of its person: FOLDER/anna/1.zip.
-    Labels are those of truth_labels.csv. People are held out for the report on stdout.
+    The person of a recording is subject.id in its meta.json, or else the name of a folder: FOLDER/anna/1.zip. Labels
+    are read from truth_labels.csv. The report on stdout is from cross-validation with held-out persons.
     """
     if (folder is None) == (sequences is None):
-        console.say_error("give FOLDER, or --sequences FOLDER for transitions only: exactly one of the two")
+        console.say_error(
+            "give either FOLDER, or --sequences FOLDER for transitions only: exactly one of the two is needed"
+        )
         raise typer.Exit(console.UNUSABLE)
     before = {path: path.stat().st_mtime_ns for path in out.glob("*") if path.is_file()}
     if folder is not None:
         _fit(folder, out, how)
     elif sequences is not None:
         _estimate_transitions(sequences, out)
-    console.say_replaced(console.replaced_of(before))
+    console.say_replaced(console.overwritten(before))
 
 
 def _fit(folder: Path, out: Path, how: Fitting) -> None:
@@ -85,13 +95,13 @@ def _fit(folder: Path, out: Path, how: Fitting) -> None:
 
 
 def _person_of(path: Path, folder: Path) -> str:
-    """Name of the folder of a person in the folder of all recordings, "unnamed" for a recording beside these."""
+    """Return the name of the subfolder that contains a recording, or "unnamed" for a recording directly in `folder`."""
     parts = path.resolve().relative_to(folder.resolve()).parts
     return parts[0] if len(parts) > 1 else "unnamed"
 
 
 def _estimate_transitions(sequences: Path, out: Path) -> None:
-    """Write the transitions that recordings in a folder show for the shipped model."""
+    """Estimate the transitions of the shipped model from the recordings in a folder, and write them to a file."""
     from pdr_filter.io.folders import recordings_in
     from pdr_filter.offline.training.train_all import train as train_all
 

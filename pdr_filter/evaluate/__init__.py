@@ -1,7 +1,7 @@
-"""Figures that say how good a step detector, a classifier, a distance, a track, a covariance is: functions on arrays.
+"""Evaluation measures for step detectors, classifiers, distances, tracks and covariances.
 
-`comparison` knows recordings and tracks; it makes tables for several tracks of one recording, and `study` for those of
-many. Only `runs` and `conformance` run the filter.
+Most functions take arrays. `comparison` makes tables for several tracks of one recording, and `study` for several
+recordings. Only `runs` and `conformance` run the filter.
 """
 
 from pdr_filter.evaluate.classification import accuracy as accuracy

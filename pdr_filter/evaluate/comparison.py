@@ -1,4 +1,4 @@
-"""Several tracks of one recording beside its truth: recipes, and the weightings HC, WC and IMM."""
+"""Comparison of several tracks of one recording (of recipes or weightings) with its ground truth."""
 
 from __future__ import annotations
 
@@ -15,20 +15,35 @@ from pdr_filter.values.recording import Recording
 
 
 def comparison_table(recording: Recording, tracks: Mapping[str, TrackRows]) -> Table:
-    """A row for each track of the recording: `name, n_steps, distance_m`, and what its truth says, NaN without.
+    """Return a table with the errors of several tracks of one recording.
 
-    `step_error_percent`: number of steps against the true ones. `leg_error_percent`: steps' lengths in all truth
-    segments of known distance together. `rmse_m`: at the waypoints, after a turn and a move onto all of them.
-    `end_error_percent`: of the path, at the last waypoint, after a turn and a move onto those of the first 20 %.
-    `context_error_percent`: share of the windows whose most probable context is not that of the label at their end.
+    Parameters
+    ----------
+    recording : Recording
+        Recording with ground truth.
+    tracks : mapping of str to Track
+        Tracks of the recording by name.
+
+    Returns
+    -------
+    Table
+        A row for each track. Measures without the required ground truth are NaN. The columns are
+
+        - `name`, `n_steps`, `distance_m`.
+        - `step_error_percent`, the relative error of the step count.
+        - `leg_error_percent`, the relative error of the walked distance in all segments of known distance together.
+        - `rmse_m`, the position RMSE at the waypoints, after rigid alignment to all waypoints.
+        - `end_error_percent`, the position error at the last waypoint relative to the path length, after rigid
+          alignment to the waypoints of the first 20 % of the path.
+        - `context_error_percent`, the share of windows whose most probable context differs from the label at their end.
 
     Examples
     --------
     >>> import pdr_filter as pdr
     >>> from pdr_filter import evaluate
-    >>> walk = pdr.simulate.demo_walk()
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=20.0)])
     >>> rows = evaluate.comparison_table(walk, {w: pdr.track(walk, weighting=w) for w in ("hc", "imm")})
-    >>> rows.name.tolist(), bool((abs(rows.step_error_percent) < 5).all())
+    >>> rows.name.tolist(), bool((abs(rows.step_error_percent) < 10).all())
     (['hc', 'imm'], True)
     """
     rows = [_row(recording, t) for t in tracks.values()]
@@ -44,32 +59,113 @@ def comparison_table(recording: Recording, tracks: Mapping[str, TrackRows]) -> T
 
 
 def straight_leg_error_percent(recording: Recording, track: TrackRows) -> float:
-    """Error of the displacement over all truth segments of known distance together; ValueError without any.
+    """Return the relative error of the displacement in all straight segments of known distance together.
 
-    For segments that are walked straight: what `pdr_filter.calibrate` fits, and what a tape measure says.
+    Parameters
+    ----------
+    recording : Recording
+        Recording with truth segments of known distance, which were walked straight.
+    track : Track
+        Track of the recording.
+
+    Returns
+    -------
+    float
+        Error in per cent. A negative error means too short.
+
+    Raises
+    ------
+    ValueError
+        If there are no segments of known distance.
+
+    Notes
+    -----
+    The displacement between start and end of a segment is what `pdr_filter.calibrate` fits, and what a tape measures.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=20.0)])
+    >>> abs(pdr.evaluate.straight_leg_error_percent(walk, pdr.track(walk))) < 20
+    True
     """
     segments = recording.truth.segments
     known = None if segments is None else segments[segments.distance_m > 0]
     if known is None or not len(known):
-        raise ValueError(f"{recording.name or 'the recording'} has no truth segments of known distance")
+        raise ValueError(
+            f"{recording.name or 'the recording'} has no truth segments of "
+            "known distance: add truth_segments.csv "
+            "(docs/formats.md)"
+        )
     start_m = track.start_position_m
     found_m = moved_m(track.time_s, track.position_m, known["start_s"], known["end_s"], start_m)
     return float(percent_error(found_m.sum(), known["distance_m"].sum()))
 
 
 def in_truth_frame(recording: Recording, track: TrackRows) -> FloatArray:
-    """Start and positions of a track (K + 1, 2), turned and moved onto all waypoints of the recording."""
+    """Return a track after rigid alignment to all waypoints of the recording.
+
+    Parameters
+    ----------
+    recording : Recording
+        Recording with waypoints.
+    track : Track
+        Track of the recording.
+
+    Returns
+    -------
+    ndarray of shape (K + 1, 2)
+        Start and positions after each step in m, in the frame of the waypoints.
+
+    Raises
+    ------
+    ValueError
+        If the recording has no waypoints.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pdr_filter as pdr
+    >>> from dataclasses import replace
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=20.0)])
+    >>> walk = replace(walk, truth=replace(walk.truth, waypoints=walk.truth.position[::500]))
+    >>> track = pdr.track(walk)
+    >>> pdr.evaluate.in_truth_frame(walk, track).shape == (track.n_steps + 1, 2)
+    True
+    """
     estimate_m, reference_m = _at_waypoints(recording, track)
     if not len(reference_m):
-        raise ValueError(f"{recording.name or 'the recording'} has no waypoints: there is nothing to turn it onto")
+        raise ValueError(
+            f"{recording.name or 'the recording'} has no waypoints to align the track with: add truth_waypoints.csv"
+        )
     rotation, shift_m = rigid_fit(estimate_m, reference_m)
     return np.vstack([track.start_position_m, track.position_m]) @ rotation.T + shift_m
 
 
 def second_over_first(prob: FloatArray) -> FloatArray:
-    """Second-highest over highest probability, (N,) of (N, C): at or above the threshold, WC weights.
+    """Return the ratio of the second-highest to the highest probability.
 
-    The ratio of Algorithm 2 of Martinelli et al. 2018. 0 where one is certain, 1 where two are equal.
+    Parameters
+    ----------
+    prob : ndarray of shape (N, C)
+        Context probabilities.
+
+    Returns
+    -------
+    ndarray of shape (N,)
+        Ratio, 0 to 1. It is 0 if one context is certain, and 1 if the two most probable contexts are equally probable.
+
+    Notes
+    -----
+    The weighting WC weights the step lengths of all contexts if the ratio is at least a threshold (Martinelli et al.
+    2018, Algorithm 2).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pdr_filter as pdr
+    >>> pdr.evaluate.second_over_first(np.array([[0.8, 0.2], [0.5, 0.5]])).tolist()
+    [0.25, 1.0]
     """
     if not len(prob):
         return np.zeros(0)
@@ -93,9 +189,9 @@ def _row(recording: Recording, track: TrackRows) -> tuple[float, float, float, f
 
 
 def leg_error_percent(track: TrackRows, segments: Table) -> float:
-    """Error of the walked distance in all segments of known length together; NaN without segments.
+    """Return the relative error of the walked distance in all segments of known length together, NaN without segments.
 
-    The walked distance of a track knows better than its steps did when they were made.
+    The final estimate `walked_m` is used instead of the online step lengths.
     """
     if not len(segments):
         return np.nan
@@ -105,7 +201,7 @@ def leg_error_percent(track: TrackRows, segments: Table) -> float:
 
 
 def wrong_context_percent(track: TrackRows, labels: Table) -> float:
-    """Share of the windows that end in a label and whose most probable context is another one; NaN without any."""
+    """Return the per cent of wrong contexts among the windows that end in a label. NaN without such windows."""
     windows = track.windows
     ends_s = windows.time_s[:, None]
     row, label = np.nonzero((ends_s >= labels.start_s) & (ends_s < labels.end_s))
@@ -116,7 +212,7 @@ def wrong_context_percent(track: TrackRows, labels: Table) -> float:
 
 
 def _at_waypoints(recording: Recording, track: TrackRows) -> tuple[FloatArray, FloatArray]:
-    """Where the track is at the waypoints whose time and place are known, and where these are, (N, 2) each."""
+    """Return track positions and true positions at the waypoints with known time and position, (N, 2) each."""
     points = recording.truth.waypoints
     if points is None:
         return np.zeros((0, 2)), np.zeros((0, 2))

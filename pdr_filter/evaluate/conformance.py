@@ -1,4 +1,4 @@
-"""Checks of parts that users add: any blocks, saving, clocks and units, with messages that say what to change."""
+"""Checks of user-defined parts for their interfaces: block sizes, saving, clocks and units."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, Step, measur
 from pdr_filter.values.schema import missing_members
 from pdr_filter.values.serialisation import from_bytes, restored, to_bytes
 
-# Seconds of the walk that stages are given, and after which they are saved and loaded.
+# Duration of the test walk in s, and times at which states are saved and loaded.
 _WALK_S, _SAVED_AFTER_S = 18.0, (0.01, 4.3, 9.03, 13.33)
 _SHIFT_S = 1024.0
-# Steps of people take from 0.2 s, when they run, to 2.5 s, when they walk slowly or begin.
+# Range of step durations: 0.2 s for running, 2.5 s for slow walking or first steps.
 _MIN_STEP_S, _MAX_STEP_S = 0.2, 2.5
 _MIN_LENGTH_M, _MAX_LENGTH_M = 0.2, 2.5
 _FEWEST_STEPS = 6
@@ -34,19 +34,19 @@ _FEWEST_STEPS = 6
 
 @dataclass(frozen=True)
 class StageSamples:
-    """Blocks that a stage is given of some samples, and the steps that became known in them."""
+    """Inputs of a stage for some samples."""
 
     block: UniformBlock
     attitude: AttitudeBlock
     contexts: ContextBlock
-    steps: tuple[tuple[int, Step], ...] = ()  # numbered in the segment
-    first: int = 0  # number of the first sample
+    steps: tuple[tuple[int, Step], ...] = ()  # detected steps with the sample of their detection in the segment
+    first: int = 0  # number of the first sample in the segment
 
     def __len__(self) -> int:
         return len(self.block.time_s)
 
     def part(self, a: int, b: int) -> StageSamples:
-        """Samples a to b alone; the gap before the first one is not repeated."""
+        """Return the samples from a to b. Only a part with the first sample keeps the gap before it."""
 
         def cut(columns: Any) -> Any:
             values = {f.name: getattr(columns, f.name) for f in fields(columns)}
@@ -60,7 +60,7 @@ class StageSamples:
         return StageSamples(block, cut(self.attitude), cut(self.contexts), steps, self.first + a)
 
     def cut(self, edges: Sequence[int]) -> list[StageSamples]:
-        """The samples in non-empty pieces."""
+        """Return non-empty parts, cut at the given sample numbers."""
         n = len(self)
         return [self.part(a, b) for a, b in pairwise(sorted({0, *(e % n for e in edges), n}))]
 
@@ -76,7 +76,10 @@ class StageSamples:
 
 @lru_cache(maxsize=8)
 def stage_samples(rate_hz: float = 100.0, seed: int = 0) -> StageSamples:
-    """A noisy walk with a turn to the right; the phone comes out of a pocket, and its turn is unknown for 1 s."""
+    """Return a noisy simulated walk with a right turn.
+
+    The phone is taken out of a pocket, and the angular rate is missing for 1 s.
+    """
     legs = [
         Leg("walking", distance_m=12.0),
         Leg("walking", distance_m=18.0, turn_rad=np.pi / 2, carrying_mode="texting"),
@@ -101,14 +104,14 @@ def stage_samples(rate_hz: float = 100.0, seed: int = 0) -> StageSamples:
 
 
 class _Run:
-    """A stage of any kind, run in the same way."""
+    """Uniform interface to step detectors, heading stages and context stages."""
 
     def __init__(self, stage: Any) -> None:
         self.stage, self.name = stage, type(stage).__name__
         self.protocol = self._protocol()
         missing = missing_members(stage, self.protocol)
         if missing:
-            self.fail(f"has no {', '.join(missing)}; pdr_filter.protocols.{self.protocol.__name__} says what they are")
+            self.fail(f"has no {', '.join(missing)}; see pdr_filter.protocols.{self.protocol.__name__}")
 
     def _protocol(self) -> type:
         if hasattr(self.stage, "hop_s"):
@@ -130,12 +133,14 @@ class _Run:
             inputs.append(list(samples.steps))
         result = self.stage.update(state, *inputs)
         if not (isinstance(result, tuple) and len(result) == 2):
-            self.fail("update must return (state, found)")
+            self.fail("must return (state, found) from update")
         state, found = result
         kind = WindowContext if self.protocol is ContextStage else Step
         for item in found:
             if not (isinstance(item, tuple) and len(item) == 2 and isinstance(item[1], kind)):
-                self.fail(f"update must return (number of the sample, {kind.__name__}) pairs, got {str(item)[:80]}")
+                self.fail(
+                    f"must return (number of the sample, {kind.__name__}) pairs from update, got {str(item)[:80]}"
+                )
         return state, list(found)
 
     def over(self, pieces: Sequence[StageSamples], state: Any = None) -> tuple[Any, list[tuple[int, Any]]]:
@@ -153,20 +158,30 @@ class _Run:
 
 
 def bits(found: Sequence[tuple[int, Any]]) -> bytes:
-    """Bytes that are equal if and only if steps or windows are."""
+    """Return bytes that are equal if and only if the steps or windows are bit-identical."""
     return to_bytes(tuple(found))
 
 
 def check_stage(stage: Any) -> None:
-    """AssertionError if a stage does not keep to its protocol in `pdr_filter.protocols`.
+    """Check that a stage conforms to its interface in `pdr_filter.protocols`.
 
-    A step detector, a heading stage or a context stage is given a walk of 18 s, and must
+    The stage processes a simulated walk of 18 s. It must
 
-    - find the same, bit for bit, however the samples are cut into blocks;
-    - leave its earlier states as they are;
-    - go on from a saved state as if nothing had been;
-    - find the same at times that are shifted;
-    - find steps, headings or windows whose numbers are in the right units.
+    - give bit-identical results for any division of the samples into blocks;
+    - not modify states that were passed to it;
+    - continue identically from a saved state;
+    - give the same results when all times are shifted;
+    - return steps, headings or windows in the correct units.
+
+    Parameters
+    ----------
+    stage : StepDetector, HeadingStage or ContextStage
+        Stage to check. Its kind follows from its members.
+
+    Raises
+    ------
+    AssertionError
+        If a requirement is violated. The message names the requirement and the remedy.
 
     Examples
     --------
@@ -183,22 +198,23 @@ def check_stage(stage: Any) -> None:
         cut_state, found = run.over(pieces)
         if bits(found) != bits(whole) or bits(run.finish(cut_state)) != bits(run.finish(state)):
             run.fail(
-                "finds other things if the same samples come in other blocks: keep all that it remembers in the state, "
-                "and use no mean or filter over a whole block"
+                "gives different results if the same samples come in other blocks: "
+                "keep all memory in the state, and use "
+                "no mean or filter over a whole block"
             )
     few = samples.part(0, len(samples) // 2)
     if bits(run.over([few.part(k, k + 1) for k in range(len(few))])[1]) != bits(run.over([few])[1]):
-        run.fail("finds other things if samples come one by one: blocks may have any number of samples")
+        run.fail("gives different results if samples come one by one: blocks may have any number of samples")
     _check_states(run, samples, whole, state)
     _, late = run.over([samples.later(_SHIFT_S)])
     if [n for n, _ in late] != [n for n, _ in whole] or not np.allclose(
         [e.time_s for _, e in late], [e.time_s + _SHIFT_S for _, e in whole], rtol=0, atol=1e-6
     ):
-        run.fail(f"finds other things if all times are {_SHIFT_S:g} s later: times must count as differences only")
+        run.fail(f"gives different results if all times are {_SHIFT_S:g} s later: use only differences of times")
 
 
 def _check_states(run: _Run, samples: StageSamples, whole: list[tuple[int, Any]], end: Any) -> None:
-    """States can be used twice, and saved."""
+    """Check that states are not modified, and that a saved state continues identically."""
     rate_hz = len(samples) / _WALK_S
     for after_s in _SAVED_AFTER_S:
         first, second = samples.cut([round(after_s * rate_hz)])
@@ -207,7 +223,7 @@ def _check_states(run: _Run, samples: StageSamples, whole: list[tuple[int, Any]]
         once = run.over([second], state)[1]
         if bits(once) != bits(run.over([second], state)[1]) or bits([*before, *once]) != bits(whole):
             run.fail(
-                "changes a state that it was given: update and finish must return new states and leave others alone"
+                "changes a state that was passed to it: update and finish must return new states and not modify others"
             )
         try:
             loaded = restored(from_bytes(to_bytes(state, foreign=True)), run.stage.init())
@@ -216,21 +232,25 @@ def _check_states(run: _Run, samples: StageSamples, whole: list[tuple[int, Any]]
             return
         loaded, after = run.over([second], loaded)
         if bits([*before, *after, *run.finish(loaded)]) != bits([*whole, *run.finish(end)]):
-            run.fail("goes on differently from a saved state: hold everything that changes in the state")
+            run.fail("continues differently from a saved state: keep everything that changes in the state")
 
 
 def _check_units(run: _Run, samples: StageSamples, found: list[tuple[int, Any]]) -> None:
     numbers, times_s = [n for n, _ in found], samples.block.time_s
     if len(found) < _FEWEST_STEPS:
-        run.fail(f"finds {len(found)} steps or windows in 18 s of walking; at least {_FEWEST_STEPS} are expected")
+        run.fail(f"returns {len(found)} steps or windows in 18 s of walking; at least {_FEWEST_STEPS} are expected")
     if numbers != sorted(numbers) or not 0 <= numbers[0] <= numbers[-1] < len(samples):
-        run.fail(f"must number what it finds by the samples that reveal it, 0 to {len(samples) - 1}, in order")
+        run.fail(
+            f"must return results in order, with the number of the sample of their detection, 0 to {len(samples) - 1}"
+        )
     if run.protocol is ContextStage:
         _check_windows(run, found)
         return
     for number, step in found:
         if step.time_s > times_s[number] + 1e-9:
-            run.fail(f"finds a step at {step.time_s:.2f} s from samples up to {times_s[number]:.2f} s: not causal")
+            run.fail(
+                f"is not causal: it returns a step at {step.time_s:.2f} s from samples up to {times_s[number]:.2f} s"
+            )
     if run.is_detector:
         _check_steps(run, samples, [step for _, step in found])
     else:
@@ -241,42 +261,56 @@ def _check_steps(run: _Run, samples: StageSamples, steps: list[Step]) -> None:
     latency_s = float(run.stage.latency_s) + 1.0 / float(run.stage.rate_hz)
     for step in steps:
         if not (_MIN_STEP_S <= step.duration_s <= _MAX_STEP_S and abs(step.duration_s * step.frequency_hz - 1) < 1e-6):
-            run.fail(f"has a step of {step.duration_s} s and {step.frequency_hz} Hz; durations are in s")
+            run.fail(
+                f"returns a step of {step.duration_s} s and {step.frequency_hz} Hz; "
+                "durations are in s, frequencies in Hz"
+            )
         if not -1e-6 <= step.detected_time_s - step.time_s <= latency_s + 1e-6:
             run.fail(
-                f"knows a step {step.detected_time_s - step.time_s:.2f} s after its contact, and says that latency_s "
-                f"is {run.stage.latency_s:.2f}"
+                f"returns a step {step.detected_time_s - step.time_s:.2f} s after its "
+                "contact, which exceeds its latency_s "
+                f"of {run.stage.latency_s:.2f} s"
             )
     near = np.abs(np.subtract.outer([s.time_s for s in steps], samples.block.time_s)).min(axis=1)
     if near.max() > 0.02:
-        run.fail("has contacts at times without samples: time_s of a step is on the time base of the samples, in s")
+        run.fail("returns contacts at times without samples: time_s of a step is in s on the clock of the samples")
 
 
 def _check_headings(run: _Run, steps: list[Step]) -> None:
     std = np.array([s.walking_heading_std_rad for s in steps])
     if not (std > 0).all():
-        run.fail("needs a positive walking_heading_std_rad for each step, infinite where nothing is known")
+        run.fail("must return a positive walking_heading_std_rad for each step, infinite for an unknown heading")
     known = [s for s in steps if np.isfinite(s.walking_heading_std_rad)]
     if len(known) > _FEWEST_STEPS:
         turned = known[-1].walking_heading_rad - known[0].walking_heading_rad
         if abs(float(wrap_angle(turned - np.pi / 2))) > 1.2 or abs(turned) > 4 * np.pi:
-            run.fail(f"turns by {turned:.2f} rad where the person turned right by 1.57: headings are clockwise, in rad")
+            run.fail(f"returns a turn of {turned:.2f} rad for a right turn of 1.57 rad: headings are clockwise, in rad")
 
 
 def _check_windows(run: _Run, found: list[tuple[int, Any]]) -> None:
     shapes = {np.shape(window.prob) for _, window in found}
     if len(shapes) != 1:
-        run.fail(f"has probabilities of several shapes, {shapes}")
+        run.fail(f"returns probabilities of different shapes, {shapes}")
     for _, window in found:
         if not (np.all(window.prob >= 0) and abs(float(np.sum(window.prob)) - 1.0) < 1e-6):
-            run.fail(f"has context probabilities {window.prob} that are no probabilities with the sum one")
+            run.fail(f"returns context probabilities {window.prob}, which must be non-negative with sum one")
 
 
 def check_step_length(model: Any) -> None:
-    """AssertionError if a step-length model does not keep to `pdr_filter.protocols.StepLengthModel`.
+    """Check that a step-length model conforms to `pdr_filter.protocols.StepLengthModel`.
 
-    Shapes are looked at, and the Jacobian is compared with finite differences, on steps of a walk. A `StepLengthFit` is
-    checked with its parameters: then lengths must be those of steps, in m.
+    Shapes are checked, and the Jacobian is compared with finite differences, for the steps of a simulated walk.
+
+    Parameters
+    ----------
+    model : StepLengthModel or StepLengthFit
+        Model to check. A `StepLengthFit` is checked with its parameters, for which step lengths must be plausible
+        lengths in m.
+
+    Raises
+    ------
+    AssertionError
+        If a requirement is violated. The message names the requirement.
 
     Examples
     --------
@@ -302,24 +336,26 @@ def check_step_length(model: Any) -> None:
     if theta is not None:
         lengths_m = [float(length_and_jacobian(model, step, theta)[0]) for step in steps]
         if not _MIN_LENGTH_M < float(np.median(lengths_m)) < _MAX_LENGTH_M:
-            raise AssertionError(f"{name} gives walking steps of {np.median(lengths_m):.3g}; lengths are in m")
+            raise AssertionError(f"{name} gives walking steps of {np.median(lengths_m):.3g} m; lengths are in m")
 
 
 def _check_length(name: str, model: Any, step: Step, theta: FloatArray, is_linear: bool) -> None:
     length, jacobian = length_and_jacobian(model, step, theta)
     if np.shape(length) != () or np.shape(jacobian) != theta.shape:
         raise AssertionError(
-            f"{name} must give a number and a derivative {theta.shape}, got shapes {np.shape(length)} and "
+            f"{name} must return a number and a Jacobian of shape {theta.shape}, got shapes {np.shape(length)} and "
             f"{np.shape(jacobian)}"
         )
     if not (np.isfinite(length) and np.isfinite(jacobian).all()):
-        raise AssertionError(f"{name} must give finite numbers, got {length} and {jacobian} for {step}")
+        raise AssertionError(f"{name} must return finite numbers, got {length} and {jacobian} for {step}")
     many = np.stack([theta, 1.1 * theta, 0.9 * theta])
     if not is_linear and (np.shape(model.length_m(step, many)), np.shape(model.jacobian(step, many))) != (
         (3,),
         many.shape,
     ):
-        raise AssertionError(f"{name} must take theta with leading axes, (..., {len(theta)}), and give (...,) lengths")
+        raise AssertionError(
+            f"{name} must accept theta with leading axes, (..., {len(theta)}), and return lengths (...,)"
+        )
 
     def length_at(theta: FloatArray) -> FloatArray:
         return length_and_jacobian(model, step, theta)[0]
@@ -333,7 +369,7 @@ def _check_length(name: str, model: Any, step: Step, theta: FloatArray, is_linea
 
 
 def _differences(function: Any, at: FloatArray) -> Iterator[Any]:
-    """Derivatives of a function by finite differences, one after the other."""
+    """Yield the partial derivatives of a function by central differences."""
     for k in range(len(at)):
         small = np.zeros(len(at))
         small[k] = 1e-6 * max(abs(at[k]), 1.0)
@@ -341,7 +377,23 @@ def _differences(function: Any, at: FloatArray) -> Iterator[Any]:
 
 
 def check_fix(fix: Any, position_m: Sequence[float] = (1.0, 2.0), heading_rad: float = 0.3) -> None:
-    """AssertionError if a measurement does not keep to `pdr_filter.protocols.Fix` at a position and heading.
+    """Check that a measurement conforms to `pdr_filter.protocols.Fix`.
+
+    The Jacobian of the residual is compared with finite differences at a position and heading.
+
+    Parameters
+    ----------
+    fix : Fix
+        Measurement to check.
+    position_m : sequence of float, default (1.0, 2.0)
+        Position (east, north) in m at which the Jacobian is checked.
+    heading_rad : float, default 0.3
+        Walking heading in rad at which the Jacobian is checked.
+
+    Raises
+    ------
+    AssertionError
+        If a requirement is violated. The message names the requirement.
 
     Examples
     --------
@@ -351,7 +403,7 @@ def check_fix(fix: Any, position_m: Sequence[float] = (1.0, 2.0), heading_rad: f
     name = type(fix).__name__
     for attribute in ("time_s", "received_time_s", "measurement"):
         if not hasattr(fix, attribute):
-            raise AssertionError(f"{name} has no {attribute}; pdr_filter.protocols.Fix says what it is")
+            raise AssertionError(f"{name} has no {attribute}; see pdr_filter.protocols.Fix")
     pose = np.array([*position_m, heading_rad], dtype=float)
     try:
         _, jacobian, _ = measured(fix, pose[:2], heading_rad)

@@ -1,4 +1,4 @@
-"""Whether a covariance is the size of the errors: NEES, NIS, their bounds, and how often an ellipse holds the truth."""
+"""Consistency of covariances with actual errors: NEES, NIS, their bounds, and the coverage of ellipses."""
 
 from __future__ import annotations
 
@@ -10,32 +10,113 @@ from pdr_filter.values import FloatArray, check_cov
 
 
 def nees(error: FloatArray, cov: FloatArray) -> FloatArray:
-    """e^T P^-1 e of errors (N, D) and covariances (N, D, D), (N,): normalised estimation error squared.
+    """Return the normalised estimation error squared (NEES), e^T P^-1 e.
 
-    Chi-square with D degrees of freedom if the covariance is right; its mean is D (Bar-Shalom, Li and Kirubarajan 2001,
-    section 5.4.2). Larger means the filter is too sure. NaN where either is; ValueError for a covariance that is zero
-    along some direction, in which no error is of its size.
+    Parameters
+    ----------
+    error : ndarray of shape (N, D)
+        Errors, in any unit.
+    cov : ndarray of shape (N, D, D)
+        Covariances of the errors.
+
+    Returns
+    -------
+    ndarray of shape (N,)
+        NEES; NaN for NaN in the error or the covariance.
+
+    Raises
+    ------
+    ValueError
+        If a covariance is singular.
+
+    Notes
+    -----
+    If the covariances P are correct, the NEES is chi-square distributed with D degrees of freedom and mean D. A larger
+    mean shows that the covariances are too small (Y. Bar-Shalom, X. R. Li and T. Kirubarajan, "Estimation with
+    applications to tracking and navigation", 2001, section 5.4.2).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pdr_filter as pdr
+    >>> pdr.evaluate.nees(np.array([[2.0, 0.0]]), np.array([[[4.0, 0.0], [0.0, 1.0]]])).tolist()
+    [1.0]
     """
     check_cov(cov[np.isfinite(cov).all(axis=(-2, -1))], "cov")
     try:
         solved = np.linalg.solve(cov, error[..., None])
     except np.linalg.LinAlgError:
         row = int(np.argmin(np.abs(np.linalg.det(cov))))
-        raise ValueError(f"cov must be positive definite, number {row} is {cov[row].tolist()}: leave it out") from None
+        raise ValueError(
+            f"cov must be positive definite, but cov[{row}] is {cov[row].tolist()}: remove this row"
+        ) from None
     return np.einsum("ni,ni->n", error, solved[..., 0])
 
 
 def nis(innovation: FloatArray, innovation_cov: FloatArray) -> FloatArray:
-    """v^T S^-1 v of innovations (N, D), (N,): as `nees`, without any truth (Bar-Shalom et al. 2001, section 5.4.2)."""
+    """Return the normalised innovation squared (NIS), v^T S^-1 v, which needs no ground truth.
+
+    Parameters
+    ----------
+    innovation : ndarray of shape (N, D)
+        Innovations, that is, measurement minus prediction.
+    innovation_cov : ndarray of shape (N, D, D)
+        Covariances S of the innovations.
+
+    Returns
+    -------
+    ndarray of shape (N,)
+        NIS; NaN for NaN in the innovation or the covariance.
+
+    Raises
+    ------
+    ValueError
+        If a covariance is singular.
+
+    Notes
+    -----
+    In a consistent filter, the NIS is chi-square distributed with D degrees of freedom and mean D (Y. Bar-Shalom, X. R.
+    Li and T. Kirubarajan, "Estimation with applications to tracking and navigation", 2001, section 5.4.2).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pdr_filter as pdr
+    >>> pdr.evaluate.nis(np.array([[3.0]]), np.array([[[9.0]]])).tolist()
+    [1.0]
+    """
     return nees(innovation, innovation_cov)
 
 
 def mean_bounds(dof: int, n: int, prob: float = 0.95) -> tuple[float, float]:
-    """Between these is the mean of n independent chi-square numbers with this probability.
+    """Return the interval that contains the mean NEES or NIS of a consistent filter with a given probability.
 
-    Errors of one walk are not independent: count walks and not steps.
+    Parameters
+    ----------
+    dof : int
+        Degrees of freedom of each value, that is, the dimension of the error.
+    n : int
+        Number of independent values. Errors of one walk are not independent, so that n is the number of walks, not of
+        steps.
+    prob : float, default 0.95
+        Probability of the interval.
 
-    >>> low, high = mean_bounds(2, 50)
+    Returns
+    -------
+    low : float
+        Lower bound of the mean of n independent chi-square variables.
+    high : float
+        Upper bound.
+
+    Raises
+    ------
+    ValueError
+        If `dof` or `n` is less than 1, or if `prob` is not between 0 and 1.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> low, high = pdr.evaluate.mean_bounds(2, 50)
     >>> round(low, 2), round(high, 2)
     (1.48, 2.59)
     """
@@ -46,10 +127,39 @@ def mean_bounds(dof: int, n: int, prob: float = 0.95) -> tuple[float, float]:
 
 
 def ellipse_coverage(error: FloatArray, cov: FloatArray, prob: ArrayLike = (0.5, 0.95)) -> FloatArray:
-    """Share of errors (N, D) inside the ellipses that should hold them with these probabilities, same shape as `prob`.
+    """Return the share of errors inside the ellipses of given probabilities.
 
-    Inside is NEES <= chi-square quantile: for the 95 % ellipse in the plane 5.99. Errors that are not known count
-    neither way; NaN if none is.
+    Parameters
+    ----------
+    error : ndarray of shape (N, D)
+        Errors, in any unit.
+    cov : ndarray of shape (N, D, D)
+        Covariances of the errors.
+    prob : float or array_like, default (0.5, 0.95)
+        Probabilities of the ellipses. If the covariances are correct, the result equals them.
+
+    Returns
+    -------
+    ndarray
+        Share of errors inside each ellipse, with the shape of `prob`; NaN without valid errors. Rows with NaN are
+        ignored.
+
+    Raises
+    ------
+    ValueError
+        If a covariance is singular, or if a probability is not between 0 and 1.
+
+    Notes
+    -----
+    An error is inside if its NEES is at most the chi-square quantile, which is 5.99 for the 95 % ellipse in the plane.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pdr_filter as pdr
+    >>> error = np.random.default_rng(0).normal(size=(1000, 2))
+    >>> pdr.evaluate.ellipse_coverage(error, np.tile(np.eye(2), (1000, 1, 1)), 0.95).round(2)
+    np.float64(0.95)
     """
     levels = np.asarray(chi2.ppf(_checked(prob), error.shape[1]))
     squared = nees(error, cov)

@@ -1,4 +1,4 @@
-"""How far walked distances are off, in per cent of the true ones: bias and spread apart, together as RMSE."""
+"""Errors of walked distances in per cent of the true distances: bias, spread and RMSE."""
 
 from __future__ import annotations
 
@@ -12,9 +12,33 @@ from pdr_filter.values import FloatArray, Table, check_array, table
 
 
 def percent_error(estimate_m: ArrayLike, true_m: ArrayLike) -> FloatArray:
-    """100 (estimate - true) / true, same shape: %error of Martinelli et al. 2018, Table V. Negative is too short.
+    """Return the relative error of distances in per cent. A negative error means too short.
 
-    >>> float(percent_error(93.0, 100.0))
+    Parameters
+    ----------
+    estimate_m : array_like
+        Estimated distances in m.
+    true_m : array_like
+        True distances in m, positive.
+
+    Returns
+    -------
+    ndarray
+        100 (estimate - true) / true, with the broadcast shape of the arguments.
+
+    Raises
+    ------
+    ValueError
+        If a true distance is not positive.
+
+    Notes
+    -----
+    This is %error of Table V of Martinelli et al. 2018.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> float(pdr.evaluate.percent_error(93.0, 100.0))
     -7.0
     """
     true = np.asarray(true_m, dtype=float)
@@ -24,20 +48,62 @@ def percent_error(estimate_m: ArrayLike, true_m: ArrayLike) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class DistanceScores:
-    """Of N walks or legs, every one counting alike: rmse^2 = bias^2 + spread^2."""
+    """Summary of the distance errors of N walks or legs, which all have the same weight.
+
+    rmse^2 = bias^2 + spread^2.
+
+    Attributes
+    ----------
+    n : int
+        Number of walks or legs.
+    bias_percent : float
+        Mean error in per cent.
+    spread_percent : float
+        Standard deviation of the errors in per cent, with N in the denominator.
+    rmse_percent : float
+        Root mean square error (%RMSE) in per cent.
+    largest_percent : float
+        Largest absolute error in per cent.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> pdr.evaluate.distance_scores([-7.0, 1.0]).bias_percent
+    -3.0
+    """
 
     n: int
-    bias_percent: float  # mean
-    spread_percent: float  # standard deviation, N in the denominator
-    rmse_percent: float  # %RMSE, square root of the mean square
-    largest_percent: float  # of the absolute errors
+    bias_percent: float
+    spread_percent: float
+    rmse_percent: float
+    largest_percent: float
 
 
 def distance_scores(error_percent: ArrayLike) -> DistanceScores:
-    """Bias, spread and %RMSE of errors (N,) in per cent; NaN of none.
+    """Return bias, spread and RMSE of distance errors.
 
-    %RMSE is that of Martinelli et al. 2018, Table IV: their Table V gives it to the digit (7.93 and 5.19 for the
-    printed 7.9 and 5.2). Bias and spread apart, because a calibration takes the bias away and leaves the spread.
+    Parameters
+    ----------
+    error_percent : array_like of shape (N,)
+        Errors in per cent, from `percent_error`.
+
+    Returns
+    -------
+    DistanceScores
+        Summary of the errors; NaN without errors.
+
+    Notes
+    -----
+    Bias and spread are separate, because a calibration removes the bias but not the spread. The RMSE is %RMSE of
+    Table IV of Martinelli et al. 2018. Computed from their Table V, it is 7.93 and 5.19, which agrees with the printed
+    7.9 and 5.2.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> scores = pdr.evaluate.distance_scores([-7.0, 1.0])
+    >>> scores.bias_percent, scores.spread_percent, scores.rmse_percent
+    (-3.0, 4.0, 5.0)
     """
     error = np.asarray(error_percent, dtype=float).ravel()
     if not len(error):
@@ -47,11 +113,39 @@ def distance_scores(error_percent: ArrayLike) -> DistanceScores:
 
 
 def distance_table(estimate_m: ArrayLike, true_m: ArrayLike, context: Sequence[str]) -> Table:
-    """A row for each context of legs (N,) and one for all: `context, n, {bias, spread, rmse, largest}_percent`."""
+    """Return a table of distance errors for each context and for all legs.
+
+    Parameters
+    ----------
+    estimate_m : array_like of shape (N,)
+        Estimated lengths of the legs in m.
+    true_m : array_like of shape (N,)
+        True lengths of the legs in m, positive.
+    context : sequence of str
+        Context of each leg.
+
+    Returns
+    -------
+    Table
+        A row for each context and a row "all", with columns `context`, `n`, `bias_percent`, `spread_percent`,
+        `rmse_percent` and `largest_percent`.
+
+    Raises
+    ------
+    ValueError
+        If a true length is not positive, or if the numbers of legs and contexts differ.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> rows = pdr.evaluate.distance_table([9.0, 11.0], [10.0, 10.0], ["walking", "running"])
+    >>> dict(zip(rows.context.tolist(), rows.bias_percent.tolist()))
+    {'running': 10.0, 'walking': -10.0, 'all': 0.0}
+    """
     error = percent_error(estimate_m, true_m).ravel()
     of_leg = np.asarray(context, dtype=str)
     if len(of_leg) != len(error):
-        raise ValueError(f"{len(error)} legs and {len(of_leg)} contexts: give one for each")
+        raise ValueError(f"context must have one value for each of the {len(error)} legs, got {len(of_leg)}")
     names = [str(c) for c in np.unique(of_leg)]
     scores = [distance_scores(error[of_leg == c]) for c in names] + [distance_scores(error)]
     columns = ("n", "bias_percent", "spread_percent", "rmse_percent", "largest_percent")
@@ -61,9 +155,29 @@ def distance_table(estimate_m: ArrayLike, true_m: ArrayLike, context: Sequence[s
 
 
 def walked_m(time_s: FloatArray, step_length_m: FloatArray, start_s: ArrayLike, end_s: ArrayLike) -> FloatArray:
-    """Sum of the lengths (K,) of the steps that ended after each start and not after its end, (N,).
+    """Return the walked distance in time intervals: the sum of the step lengths in each interval.
 
-    `time_s` (K,) are the contacts that end the steps, ascending, as in `Track`. NaN where start or end is.
+    Parameters
+    ----------
+    time_s : ndarray of shape (K,)
+        Times of the contacts that end the steps in s, ascending, as in `Track`.
+    step_length_m : ndarray of shape (K,)
+        Lengths of the steps in m.
+    start_s, end_s : array_like of shape (N,)
+        Start and end of the intervals in s. A step belongs to an interval if start < time <= end.
+
+    Returns
+    -------
+    ndarray of shape (N,)
+        Walked distances in m; NaN if start or end is NaN.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pdr_filter as pdr
+    >>> time_s = np.array([1.0, 2.0, 3.0])
+    >>> pdr.evaluate.walked_m(time_s, np.array([0.7, 0.8, 0.6]), [1.0], [3.0]).round(2).tolist()
+    [1.4]
     """
     total_m = np.concatenate([[0.0], np.cumsum(step_length_m)])
     start, end = (np.searchsorted(time_s, t, side="right") for t in (start_s, end_s))

@@ -1,4 +1,4 @@
-"""The filter run several times on one recording, for a comparison."""
+"""Comparisons that run the filter several times on one recording."""
 
 from __future__ import annotations
 
@@ -22,9 +22,33 @@ from pdr_filter.values.recording import Recording
 def weighting_tracks(
     recording: Recording, config: Config | None = None, progress: Callable[[float], None] | None = None
 ) -> dict[str, Track]:
-    """Tracks of the recording with HC, WC and IMM, all else alike, by the default recipe if no `config` is given.
+    """Return tracks of a recording with the weightings HC, WC and IMM, with all other settings equal.
 
-    `progress` is called with the fraction done, 0 to 1.
+    Parameters
+    ----------
+    recording : Recording
+        Recording to track.
+    config : Config, optional
+        Configuration of the filter. The default is the default recipe for the person of the recording.
+    progress : callable, optional
+        Function that is called with the fraction done, 0 to 1.
+
+    Returns
+    -------
+    dict of str to Track
+        Tracks with the names "hc", "wc" and "imm". The recording's own locations are not used.
+
+    Raises
+    ------
+    ValueError
+        If the modes of the configuration do not match the contexts one to one.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=20.0)])
+    >>> list(pdr.evaluate.weighting_tracks(walk))
+    ['hc', 'wc', 'imm']
     """
     tracks: dict[str, Track] = {}
     for i, name in enumerate(WEIGHTINGS):
@@ -38,13 +62,47 @@ def weighting_tracks(
 
 
 def weighting_errors(recording: Recording, config: Config | None = None, lag_steps: int = 4) -> Table:
-    """What contexts cost: a row for each weighting, columns `weighting, distance_m, error_percent`.
+    """Return the distance errors that are caused by wrong contexts, for each weighting.
 
-    All take the same steps and lengths; the errors are against these lengths in the true contexts of the recording's
-    labels. Steps outside of the labels do not count. WC has the threshold 0.8, and 0, which always weights. The IMM is
-    as its steps were made; as walked distance, which knows of each step what was known in the end; with the evidence
-    of `lag_steps` more steps, two seconds of walking; and in hindsight. ValueError without labels, or if the modes of
-    the configuration are not the contexts, each once.
+    Parameters
+    ----------
+    recording : Recording
+        Recording with context labels (`truth.labels`).
+    config : Config, optional
+        Configuration of the filter. The default is the default recipe for the person of the recording.
+    lag_steps : int, default 4
+        Number of later steps that the lagged IMM estimate uses, by default two seconds of walking.
+
+    Returns
+    -------
+    Table
+        A row for each weighting and a row "contexts known", with columns `weighting`, `distance_m` and `error_percent`.
+
+    Raises
+    ------
+    ValueError
+        If no step is inside a label, or if the modes do not match the contexts one to one.
+
+    Notes
+    -----
+    All rows have the same steps and step-length models. The reference is the distance with the step length of the true
+    context of each step. Steps outside of all labels do not count.
+
+    "wc" has the threshold 0.8, and "wc, always" has the threshold 0. The IMM has four rows:
+
+    - "imm, as the steps were made": online estimates of the step lengths.
+    - "imm": mode probabilities smoothed over all later steps, as in `Track.walked_m`.
+    - "imm, lagged": mode probabilities smoothed over `lag_steps` later steps.
+    - "imm, smoothed": mode probabilities smoothed over all later steps, with the evidence weights of offline smoothing
+      (`Config.in_hindsight`).
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=20.0)])
+    >>> rows = pdr.evaluate.weighting_errors(walk)
+    >>> rows.weighting.tolist()[:3]
+    ['hc', 'wc', 'wc, always']
     """
     labels = recording.truth.labels
     config = config or default_config(recording)
@@ -60,7 +118,11 @@ def weighting_errors(recording: Recording, config: Config | None = None, lag_ste
             label[inside] = model.context_index.index(model.contexts.index(str(row["context"])))
     use = label >= 0
     if not use.any():
-        raise ValueError(f"no step of {recording.name} is inside a truth label with a known context: label it first")
+        raise ValueError(
+            f"no step of {recording.name} is inside a label with a context of the "
+            "configuration: add truth_labels.csv "
+            "(docs/formats.md)"
+        )
     length_m = np.array([model.lengths(step)[0] for step in steps_of(imm.steps)]).reshape(-1, len(model.modes))[use]
     known_m = length_m[np.arange(len(length_m)), label[use]].sum()
     in_hindsight = track(recording, config.in_hindsight().with_weighting("imm"), gnss="off").mode_prob
@@ -83,9 +145,34 @@ def weighting_errors(recording: Recording, config: Config | None = None, lag_ste
 
 
 def threshold_sweep(recording: Recording, config: Config, thresholds: Sequence[float]) -> Table:
-    """Distance with WC at each threshold, columns `threshold, distance_m`.
+    """Return the walked distance of the weighting WC for several thresholds.
 
-    0 is always WC, 1 is HC (Martinelli et al. 2018, Fig. 14).
+    Parameters
+    ----------
+    recording : Recording
+        Recording to track.
+    config : Config
+        Configuration of the filter.
+    thresholds : sequence of float
+        Thresholds of the ratio of the second-highest to the highest context probability. 0 always weights the step
+        lengths (WC), 1 takes that of the most probable context (HC).
+
+    Returns
+    -------
+    Table
+        A row for each threshold, with columns `threshold` and `distance_m`.
+
+    Notes
+    -----
+    Fig. 14 of Martinelli et al. 2018 shows this relation.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=20.0)])
+    >>> config = pdr.recipes.default()
+    >>> pdr.evaluate.threshold_sweep(walk, config, [0.0, 1.0]).threshold.tolist()
+    [0.0, 1.0]
     """
     tracks = [
         track(recording, replace(config, tracker=WeightedTracker(config.model, float(t))), gnss="off")
@@ -95,13 +182,43 @@ def threshold_sweep(recording: Recording, config: Config, thresholds: Sequence[f
 
 
 def epoch_distances(track: TrackRows, modes: Sequence[Mode]) -> tuple[FloatArray, FloatArray]:
-    """Arguments of `pdr_filter.filter.imm.weighting.weighted_distances`: (K, C) and (K + 1, C), of K + 1 windows.
+    """Return the distance between successive windows for each context, and the context probabilities.
 
-    Distances in m between one window's end and the next if every step had been of a context (Martinelli et al. 2018,
-    eq. 17 and 18), and the probabilities of all windows; the modes are `config.model.modes`, one for each context.
+    Parameters
+    ----------
+    track : Track
+        Track with K + 1 windows.
+    modes : sequence of Mode
+        Modes of the configuration (`config.model.modes`), exactly one for each context of the track.
+
+    Returns
+    -------
+    distance_m : ndarray of shape (K, C)
+        Distance in m from the end of each window to the end of the next, if all steps had the length of the context.
+    context_prob : ndarray of shape (K + 1, C)
+        Context probabilities of the windows.
+
+    Raises
+    ------
+    ValueError
+        If the modes do not match the contexts one to one.
+
+    Notes ----- The results are the arguments of `pdr_filter.filter.imm.weighting.weighted_distances` (Martinelli et al.
+    2018, eq. 17 and 18).
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=20.0)])
+    >>> modes = pdr.recipes.default().model.modes
+    >>> distance_m, prob = pdr.evaluate.epoch_distances(pdr.track(walk), modes)
+    >>> len(prob) - len(distance_m)
+    1
     """
     if sorted(m.context for m in modes) != sorted(track.contexts):
-        raise ValueError(f"one mode for each of {track.contexts} is needed, got {[m.context for m in modes]}")
+        raise ValueError(
+            f"modes must have exactly one mode for each of {track.contexts}, got {[m.context for m in modes]}"
+        )
     fit = {m.context: m.step_length for m in modes}
     steps = steps_of(track.steps)
     length_m = np.array([[fit[c].predict(s)[0] for c in track.contexts] for s in steps]).reshape(-1, len(fit))

@@ -1,4 +1,4 @@
-"""Tables as text and as files."""
+"""Formatting of tables as Markdown and LaTeX, and writing to files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pdr_filter.values import Table
 
 
 class Markdown(str):
-    """Text that a notebook shows typeset and `print` as it is."""
+    """Markdown text, which notebooks render and `print` shows unchanged."""
 
     __slots__ = ()
 
@@ -21,8 +21,23 @@ class Markdown(str):
 
 
 def markdown(rows: Table | Sequence[Mapping[str, object]], digits: int = 2) -> Markdown:
-    """A table with named columns, or one mapping for each row, as a markdown table; numbers with so many decimals.
+    """Return a table as Markdown.
 
+    Parameters
+    ----------
+    rows : Table or sequence of mapping
+        Table with named columns, or a mapping from column names to values for each row.
+    digits : int, default 2
+        Number of decimals of floats.
+
+    Returns
+    -------
+    Markdown
+        Text of the table, which notebooks render. NaN is "-".
+
+    Examples
+    --------
+    >>> from pdr_filter.evaluate import markdown
     >>> print(markdown([{"weighting": "hc", "distance_m": 101.234}]))
     | weighting | distance_m |
     |---|---|
@@ -39,9 +54,24 @@ def markdown(rows: Table | Sequence[Mapping[str, object]], digits: int = 2) -> M
 
 
 def latex(rows: Table, digits: int = 2) -> str:
-    r"""A table with named columns as a LaTeX `tabular`, which needs no package; numbers with so many decimals.
+    r"""Return a table as a LaTeX `tabular`, which needs no package.
 
+    Parameters
+    ----------
+    rows : Table
+        Table with named columns.
+    digits : int, default 2
+        Number of decimals of floats.
+
+    Returns
+    -------
+    str
+        Text of the table. NaN is "--".
+
+    Examples
+    --------
     >>> import numpy as np
+    >>> from pdr_filter.evaluate import latex
     >>> from pdr_filter.values import table
     >>> print(latex(table({"name": np.array(["hc"]), "error_percent": np.array([1.234])})))
     \begin{tabular}{lr}
@@ -62,7 +92,7 @@ def latex(rows: Table, digits: int = 2) -> str:
 
 
 def write_tables(rows: Table, stem: str | Path, digits: int = 2) -> tuple[Path, Path]:
-    """Write a table as STEM.csv, with all digits, and as STEM.tex, and return both paths."""
+    """Write a table as STEM.csv, with all digits, and as STEM.tex, with rounded floats, and return both paths."""
     stem = Path(stem)
     stem.parent.mkdir(parents=True, exist_ok=True)
     as_csv, as_tex = stem.with_name(stem.name + ".csv"), stem.with_name(stem.name + ".tex")
@@ -86,4 +116,4 @@ def _latex_cell(value: object, digits: int) -> str:
 def _cell(value: object, digits: int) -> str:
     if isinstance(value, float | np.floating):
         return "-" if value != value else f"{value:.{digits}f}"
-    return " ".join(str(value).split()).replace("|", "\\|")  # neither ends the cell nor the line
+    return " ".join(str(value).split()).replace("|", "\\|")  # escape characters that would end the cell or the line

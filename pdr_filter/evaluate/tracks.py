@@ -1,10 +1,9 @@
-"""How far a track is from the truth after a stated alignment: position, end, heading, trajectory errors.
+"""Errors of tracks after a stated alignment: position, end, heading and trajectory errors.
 
-Two conventions are about. `position_rmse_m` is the root of the mean squared distance, sqrt(mean |e|^2): the absolute
-trajectory error of Sturm et al. ("A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012) and of evo.
-`axis_rmse_m` is what the code of RoNIN (Herath, Yan and Furukawa, ICRA 2020, `source/metric.py`) and of those who took
-it over calls ATE: the mean is over both axes, so that the error of the same track is smaller by sqrt 2. Say which one a
-number is.
+There are two conventions for the absolute trajectory error (ATE). `position_rmse_m` is the root mean squared distance,
+sqrt(mean |e|^2), as in Sturm et al. ("A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012) and in evo.
+`axis_rmse_m` averages over both axes, so that it is smaller by sqrt 2. The code of RoNIN (Herath, Yan and Furukawa,
+ICRA 2020, `source/metric.py`) and its derivatives use it as ATE. Always state which convention a number has.
 """
 
 from __future__ import annotations
@@ -22,11 +21,37 @@ Alignment = Literal["none", "origin", "first", "all"]
 def positions_at(
     time_s: FloatArray, position_m: FloatArray, at_s: ArrayLike, start_position_m: ArrayLike = (0.0, 0.0)
 ) -> FloatArray:
-    """Positions (T, 2) of a track at any times (T,), linear between its steps; NaN where a time is.
+    """Return interpolated positions of a track at given times.
 
-    A track has a row for each step and begins at `start_position_m` (2,), which is `Track.start_position_m` where the
-    track is in the frame of fixes or of a plan. There it is until the first time that is asked for, or the first step
-    if that is earlier. After its last step it stays. Steps (K,), (K, 2) ascend in time.
+    Parameters
+    ----------
+    time_s : ndarray of shape (K,)
+        Times of the steps in s, ascending.
+    position_m : ndarray of shape (K, 2)
+        Position after each step in m.
+    at_s : array_like of shape (T,)
+        Times at which positions are returned, in s.
+    start_position_m : array_like of shape (2,), default (0.0, 0.0)
+        Position before the first step, `Track.start_position_m`. It differs from zero if the track is in the frame of
+        fixes or of a plan.
+
+    Returns
+    -------
+    ndarray of shape (T, 2)
+        Positions in m, NaN for NaN times.
+
+    Notes
+    -----
+    Positions are interpolated linearly between steps. Before the first step, the interpolation begins at the start
+    position at the first time of `at_s`. After the last step, the position is constant.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pdr_filter as pdr
+    >>> time_s, position_m = np.array([1.0, 2.0]), np.array([[0.0, 0.7], [0.0, 1.4]])
+    >>> pdr.evaluate.positions_at(time_s, position_m, [1.5, 3.0]).round(2).tolist()
+    [[0.0, 1.05], [0.0, 1.4]]
     """
     at = np.atleast_1d(np.asarray(at_s, dtype=float))
     way_m = np.vstack([np.asarray(start_position_m, dtype=float), np.reshape(position_m, (-1, 2))])
@@ -41,10 +66,36 @@ def moved_m(
     end_s: ArrayLike,
     start_position_m: ArrayLike = (0.0, 0.0),
 ) -> FloatArray:
-    """Distance between where a track is at each start and at its end, (N,): the length of legs that are straight.
+    """Return the displacement of a track in time intervals, which is the length of straight legs.
 
-    Shorter than the sum of the step lengths (`walked_m`), as headings waver: compare like with like. The track begins
-    as in `positions_at`.
+    Parameters
+    ----------
+    time_s : ndarray of shape (K,)
+        Times of the steps in s, ascending.
+    position_m : ndarray of shape (K, 2)
+        Position after each step in m.
+    start_s, end_s : array_like of shape (N,)
+        Start and end of the intervals in s.
+    start_position_m : array_like of shape (2,), default (0.0, 0.0)
+        Position before the first step, `Track.start_position_m`. It differs from zero if the track is in the frame of
+        fixes or of a plan.
+
+    Returns
+    -------
+    ndarray of shape (N,)
+        Distances in m between the positions at start and end.
+
+    See Also
+    --------
+    walked_m : Sum of the step lengths, which is larger because headings vary from step to step.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pdr_filter as pdr
+    >>> time_s, position_m = np.array([1.0, 2.0, 3.0]), np.array([[0.0, 0.7], [0.0, 1.4], [0.7, 1.4]])
+    >>> pdr.evaluate.moved_m(time_s, position_m, [1.0], [2.0]).round(2).tolist()
+    [0.7]
     """
     start, end = np.asarray(start_s, dtype=float), np.asarray(end_s, dtype=float)
     at_m = positions_at(time_s, position_m, np.concatenate([start, end]), start_position_m)
@@ -52,13 +103,52 @@ def moved_m(
 
 
 def path_m(position_m: FloatArray) -> FloatArray:
-    """Length of the line through points (N, 2) up to each of them, (N,)."""
+    """Return the path length up to each point.
+
+    Parameters
+    ----------
+    position_m : ndarray of shape (N, 2)
+        Points in m.
+
+    Returns
+    -------
+    ndarray of shape (N,)
+        Length in m of the line through the points, from the first point to each point.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pdr_filter as pdr
+    >>> pdr.evaluate.path_m(np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 5.0]])).tolist()
+    [0.0, 5.0, 6.0]
+    """
     legs_m = np.linalg.norm(np.diff(position_m, axis=0), axis=1)
     return np.append(0.0, np.cumsum(legs_m))[: len(position_m)]
 
 
 def first_of_path(reference_m: FloatArray, fraction: float = 0.2) -> BoolArray:
-    """Points (N,) in the first fraction of the path through (N, 2), and never fewer than three: two make no corner."""
+    """Return a mask of the points in the first part of a path.
+
+    Parameters
+    ----------
+    reference_m : ndarray of shape (N, 2)
+        Points of the path in m.
+    fraction : float, default 0.2
+        Fraction of the path length.
+
+    Returns
+    -------
+    ndarray of bool, shape (N,)
+        True for the points in this fraction, and at least for the first three points, because the rotation of two
+        points is uncertain.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pdr_filter as pdr
+    >>> pdr.evaluate.first_of_path(np.array([[0.0, float(k)] for k in range(21)])).sum()
+    np.int64(5)
+    """
     along_m = path_m(reference_m)
     if not len(along_m):
         return np.zeros(0, dtype=bool)
@@ -66,7 +156,31 @@ def first_of_path(reference_m: FloatArray, fraction: float = 0.2) -> BoolArray:
 
 
 def fitted(estimate_m: FloatArray, reference_m: FloatArray, use: BoolArray) -> FloatArray:
-    """All points (N, 2) of the estimate, turned and moved so that the used ones (N,) fit the reference best."""
+    """Return the estimate after rigid alignment of selected points to the reference.
+
+    Parameters
+    ----------
+    estimate_m : ndarray of shape (N, 2)
+        Estimated positions in m.
+    reference_m : ndarray of shape (N, 2)
+        True positions in m at the same times.
+    use : ndarray of bool, shape (N,)
+        Points that determine the rotation and the translation.
+
+    Returns
+    -------
+    ndarray of shape (N, 2)
+        All points of the estimate, rotated and translated.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pdr_filter as pdr
+    >>> reference_m = np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0]])
+    >>> estimate_m = reference_m + [3.0, 4.0]
+    >>> pdr.evaluate.fitted(estimate_m, reference_m, np.array([True, True, False])).round(6).tolist()
+    [[0.0, 0.0], [0.0, 10.0], [10.0, 10.0]]
+    """
     rotation, shift_m = rigid_fit(estimate_m[use], reference_m[use])
     return estimate_m @ rotation.T + shift_m
 
@@ -74,22 +188,52 @@ def fitted(estimate_m: FloatArray, reference_m: FloatArray, use: BoolArray) -> F
 def aligned(
     estimate_m: FloatArray, reference_m: FloatArray, align: Alignment = "none", fraction: float = 0.2
 ) -> FloatArray:
-    """The estimate (N, 2) in the frame of the reference (N, 2), never scaled.
+    """Return the estimate after alignment to the reference, without scaling.
 
-    none: as it is. origin: moved so that the first points agree, not turned. first: turned and moved onto the first
-    fraction of the path (never fewer than three points), what a user would see who knows where he started and where to.
-    all: onto all points, the error of the shape alone; no filter could know it on the way.
-    ValueError for points that are not known, and for none.
+    Parameters
+    ----------
+    estimate_m : ndarray of shape (N, 2)
+        Estimated positions in m.
+    reference_m : ndarray of shape (N, 2)
+        True positions in m at the same times.
+    align : {"none", "origin", "first", "all"}, default "none"
+        "none" returns the estimate unchanged. "origin" translates it so that the first points agree. "first" is a rigid
+        alignment to the first fraction of the path (at least three points), which corresponds to a user who knows start
+        and first direction. "all" is a rigid alignment to all points, which leaves only the error of the shape. A
+        filter could not know this alignment during the walk.
+    fraction : float, default 0.2
+        Fraction of the path that "first" uses.
+
+    Returns
+    -------
+    ndarray of shape (N, 2)
+        Aligned positions in m.
+
+    Raises
+    ------
+    ValueError
+        If positions are missing or NaN, if shapes differ, or if `align` is unknown.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pdr_filter as pdr
+    >>> reference_m = np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0]])
+    >>> estimate_m = reference_m + [3.0, 4.0]
+    >>> pdr.evaluate.aligned(estimate_m, reference_m, "origin").tolist()
+    [[0.0, 0.0], [0.0, 10.0], [10.0, 10.0]]
     """
     if estimate_m.shape != reference_m.shape or not len(reference_m):
         raise ValueError(
-            f"estimate and reference must be alike and of a point at least, got {estimate_m.shape} and "
+            f"estimate and reference must have the same shape and at least one point, got {estimate_m.shape} and "
             f"{reference_m.shape}"
         )
     for name, points_m in (("estimate", estimate_m), ("reference", reference_m)):
         if not np.isfinite(points_m).all():
             row = int(np.argmin(np.isfinite(points_m).all(axis=1)))
-            raise ValueError(f"{name} is not known at point {row}, {points_m[row]}: leave such points out of both")
+            raise ValueError(
+                f"{name} is not known at point {row}, {points_m[row]}: remove such points from both arrays"
+            )
     if align == "none":
         return estimate_m
     if align == "origin":
@@ -104,34 +248,170 @@ def aligned(
 def position_errors_m(
     estimate_m: FloatArray, reference_m: FloatArray, align: Alignment = "none", fraction: float = 0.2
 ) -> FloatArray:
-    """Distance of each point from the truth after the alignment, (N,)."""
+    """Return the position error of each point after alignment.
+
+    Parameters
+    ----------
+    estimate_m : ndarray of shape (N, 2)
+        Estimated positions in m.
+    reference_m : ndarray of shape (N, 2)
+        True positions in m at the same times.
+    align : {"none", "origin", "first", "all"}, default "none"
+        Alignment of the estimate, as in `aligned`: none, translation of the first point, or rigid alignment to the
+        first points or to all points.
+    fraction : float, default 0.2
+        Fraction of the path that "first" uses.
+
+    Returns
+    -------
+    ndarray of shape (N,)
+        Distances from the true positions in m.
+
+    Raises
+    ------
+    ValueError
+        If positions are missing or NaN, if shapes differ, or if `align` is unknown.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pdr_filter as pdr
+    >>> reference_m = np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0]])
+    >>> estimate_m = reference_m + [3.0, 4.0]
+    >>> pdr.evaluate.position_errors_m(estimate_m, reference_m).tolist()
+    [5.0, 5.0, 5.0]
+    """
     return np.linalg.norm(aligned(estimate_m, reference_m, align, fraction) - reference_m, axis=1)
 
 
 def position_rmse_m(
     estimate_m: FloatArray, reference_m: FloatArray, align: Alignment = "none", fraction: float = 0.2
 ) -> float:
-    """Root of the mean squared distance, sqrt(mean |e|^2) (Sturm et al. 2012)."""
+    """Return the position RMSE after alignment, sqrt(mean |e|^2), the absolute trajectory error (ATE).
+
+    Parameters
+    ----------
+    estimate_m : ndarray of shape (N, 2)
+        Estimated positions in m.
+    reference_m : ndarray of shape (N, 2)
+        True positions in m at the same times.
+    align : {"none", "origin", "first", "all"}, default "none"
+        Alignment of the estimate, as in `aligned`: none, translation of the first point, or rigid alignment to the
+        first points or to all points.
+    fraction : float, default 0.2
+        Fraction of the path that "first" uses.
+
+    Returns
+    -------
+    float
+        Root mean squared distance in m.
+
+    Raises
+    ------
+    ValueError
+        If positions are missing or NaN, if shapes differ, or if `align` is unknown.
+
+    See Also
+    --------
+    axis_rmse_m : RMSE over both axes, smaller by sqrt 2.
+
+    Notes
+    -----
+    This is the ATE of J. Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pdr_filter as pdr
+    >>> reference_m = np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0]])
+    >>> estimate_m = reference_m + [3.0, 4.0]
+    >>> pdr.evaluate.position_rmse_m(estimate_m, reference_m)
+    5.0
+    """
     return float(np.sqrt((position_errors_m(estimate_m, reference_m, align, fraction) ** 2).mean()))
 
 
 def axis_rmse_m(
     estimate_m: FloatArray, reference_m: FloatArray, align: Alignment = "none", fraction: float = 0.2
 ) -> float:
-    """Root of the mean squared error over both axes, `position_rmse_m` / sqrt 2: "ATE" of the code of RoNIN."""
+    """Return the RMSE over both axes after alignment, which is `position_rmse_m` / sqrt 2.
+
+    Parameters
+    ----------
+    estimate_m : ndarray of shape (N, 2)
+        Estimated positions in m.
+    reference_m : ndarray of shape (N, 2)
+        True positions in m at the same times.
+    align : {"none", "origin", "first", "all"}, default "none"
+        Alignment of the estimate, as in `aligned`: none, translation of the first point, or rigid alignment to the
+        first points or to all points.
+    fraction : float, default 0.2
+        Fraction of the path that "first" uses.
+
+    Returns
+    -------
+    float
+        Root mean squared error of a coordinate in m.
+
+    Raises
+    ------
+    ValueError
+        If positions are missing or NaN, if shapes differ, or if `align` is unknown.
+
+    Notes
+    -----
+    The code of RoNIN (S. Herath, H. Yan and Y. Furukawa, ICRA 2020) reports this value as ATE.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pdr_filter as pdr
+    >>> reference_m = np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0]])
+    >>> estimate_m = reference_m + [3.0, 4.0]
+    >>> round(pdr.evaluate.axis_rmse_m(estimate_m, reference_m), 3)
+    3.536
+    """
     error_m = aligned(estimate_m, reference_m, align, fraction) - reference_m
     return float(np.sqrt((error_m**2).mean()))
 
 
 def relative_error_m(estimate_m: FloatArray, reference_m: FloatArray, n_ahead: int) -> float:
-    """RTE: RMS over both axes of how much the displacement over so many points is off, e_i+n - e_i.
+    """Return the relative trajectory error (RTE), the RMS error of displacements over a number of points.
 
-    As the code of RoNIN has it, frames not turned onto each other at the start of each window; times sqrt 2 it is the
-    relative pose error of Sturm et al. 2012 in translation. Points must be equally far apart in time for it to
-    be one of a time.
+    Parameters
+    ----------
+    estimate_m : ndarray of shape (N, 2)
+        Estimated positions in m.
+    reference_m : ndarray of shape (N, 2)
+        True positions in m at the same times, equally spaced in time.
+    n_ahead : int
+        Number of points between start and end of a displacement.
 
-    RoNIN's code takes a minute, and for a shorter recording scales the error of the whole with the ratio of the times,
-    which this does not: choose another `n_ahead`.
+    Returns
+    -------
+    float
+        RMS over both axes of the displacement errors e_(i+n) - e_i, in m.
+
+    Raises
+    ------
+    ValueError
+        If `n_ahead` is not between 1 and N - 1.
+
+    Notes
+    -----
+    As in the code of RoNIN (S. Herath, H. Yan and Y. Furukawa, ICRA 2020), the frames are not aligned at the start of
+    each displacement. Multiplied by sqrt 2, the value is the translational relative pose error of Sturm et al. 2012.
+    RoNIN uses displacements over one minute. For shorter recordings it scales the error of the whole recording by the
+    ratio of the durations. This function does not; choose a smaller `n_ahead` instead.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pdr_filter as pdr
+    >>> reference_m = np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0]])
+    >>> estimate_m = reference_m + [3.0, 4.0]
+    >>> pdr.evaluate.relative_error_m(estimate_m, reference_m, 1)
+    0.0
     """
     if not 0 < n_ahead < len(estimate_m):
         raise ValueError(f"n_ahead must be from 1 to {len(estimate_m) - 1}, got {n_ahead}")
@@ -142,25 +422,98 @@ def relative_error_m(estimate_m: FloatArray, reference_m: FloatArray, n_ahead: i
 def end_error_percent(
     estimate_m: FloatArray, reference_m: FloatArray, align: Alignment = "none", fraction: float = 0.2
 ) -> float:
-    """Distance of the last point from the truth in per cent of the path through the reference."""
+    """Return the position error of the last point after alignment, in per cent of the true path length.
+
+    Parameters
+    ----------
+    estimate_m : ndarray of shape (N, 2)
+        Estimated positions in m.
+    reference_m : ndarray of shape (N, 2)
+        True positions in m at the same times.
+    align : {"none", "origin", "first", "all"}, default "none"
+        Alignment of the estimate, as in `aligned`: none, translation of the first point, or rigid alignment to the
+        first points or to all points.
+    fraction : float, default 0.2
+        Fraction of the path that "first" uses.
+
+    Returns
+    -------
+    float
+        End error in per cent.
+
+    Raises
+    ------
+    ValueError
+        If positions are missing or NaN, if shapes differ, or if `align` is unknown.
+        Also if the true path has no length.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pdr_filter as pdr
+    >>> reference_m = np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0]])
+    >>> estimate_m = reference_m + [3.0, 4.0]
+    >>> pdr.evaluate.end_error_percent(estimate_m, reference_m)
+    25.0
+    """
     error_m = position_errors_m(estimate_m, reference_m, align, fraction)[-1]
     length_m = path_m(reference_m)[-1]
     if not length_m > 0:
-        raise ValueError("the reference goes nowhere: the end error is relative to its path")
+        raise ValueError(
+            "reference_m has a path length of zero, to which the end error would be "
+            "relative: give at least two different "
+            "points"
+        )
     return float(100.0 * error_m / length_m)
 
 
 def directions_rad(position_m: FloatArray, min_moved_m: float = 0.1) -> FloatArray:
-    """Heading of each displacement between points (N, 2), (N - 1,), clockwise from north; NaN where it is too short."""
+    """Return the heading of the displacement between successive points.
+
+    Parameters
+    ----------
+    position_m : ndarray of shape (N, 2)
+        Positions (east, north) in m.
+    min_moved_m : float, default 0.1
+        Shortest displacement with a defined heading in m.
+
+    Returns
+    -------
+    ndarray of shape (N - 1,)
+        Headings in rad, clockwise from north; NaN for displacements that are too short.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pdr_filter as pdr
+    >>> pdr.evaluate.directions_rad(np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 1.0]])).round(3).tolist()
+    [0.0, 1.571]
+    """
     moved_m = np.diff(position_m, axis=0)
     heading = np.arctan2(moved_m[:, 0], moved_m[:, 1])
     return np.where(np.linalg.norm(moved_m, axis=1) >= min_moved_m, heading, np.nan)
 
 
 def heading_errors_rad(estimate_rad: ArrayLike, reference_rad: ArrayLike) -> FloatArray:
-    """Estimate less reference in [-pi, pi), same shape, one for each step; NaN where the reference is not known.
+    """Return heading errors, estimate minus reference, wrapped to [-pi, pi).
 
-    >>> heading_errors_rad([0.1], [2 * np.pi]).round(3)
+    Parameters
+    ----------
+    estimate_rad : array_like
+        Estimated headings in rad.
+    reference_rad : array_like
+        True headings in rad, NaN if unknown.
+
+    Returns
+    -------
+    ndarray
+        Errors in rad, NaN for unknown headings.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pdr_filter as pdr
+    >>> pdr.evaluate.heading_errors_rad([0.1], [2 * np.pi]).round(3)
     array([0.1])
     """
     return wrap_angle(np.asarray(estimate_rad, dtype=float) - np.asarray(reference_rad, dtype=float))

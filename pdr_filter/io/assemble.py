@@ -1,4 +1,4 @@
-"""From what the reader of an app's format parsed to a recording: one time base, unknown values, checks."""
+"""Conversion of parsed streams to a recording: common clock, missing values, and checks."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from pdr_filter.values.recording import Recording, Truth
 
 @dataclass
 class Parsed:
-    """Streams on any common time base and findings, filled by a reader."""
+    """Streams on a common clock, and findings, which a reader fills in."""
 
     path: Path
     source: str  # app or format, as the report names it
@@ -38,12 +38,12 @@ class Parsed:
     notes: list[str] = field(default_factory=list[str])
 
     def set_device(self, *words: str | None) -> None:
-        """Name the phone, as far as the file does."""
+        """Store the phone model, if the file names it."""
         if device := " ".join(word for word in words if word).strip():
             self.meta["device"] = device[: limits.MAX_NAME_CHARS]
 
     def recording(self) -> Recording:
-        """The recording, with times from the first accelerometer sample; RecordingError if it cannot be right."""
+        """Return the recording, with times from the first accelerometer sample. RecordingError if it is implausible."""
         where = str(self.path)
         if "accelerometer" not in self.streams:
             raise RecordingError(f"{where}: no accelerometer with gravity; record it and export again")
@@ -79,7 +79,7 @@ class Parsed:
                     self.meta[name] += type(self.meta[name])(by_s * per_s)
 
     def _check_up(self, streams: Mapping[str, Samples], where: str) -> None:
-        """The phone's own attitude says which way is up: the only witness of the sign of the accelerometer."""
+        """Check the sign of the accelerometer with the phone's own attitude, which shows the vertical."""
         cosine = up_cosine(streams["accelerometer"], streams["attitude"]) if "attitude" in streams else np.nan
         if np.isnan(cosine):
             return

@@ -1,4 +1,4 @@
-"""Checks that every reader makes: what cannot be right, as of the wrong unit, is refused, never mended."""
+"""Checks of all readers. Implausible data, such as in a wrong unit, are refused and never corrected."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def checked_streams(
     notes: list[str],
     is_unit_declared: bool = False,
 ) -> dict[str, Samples]:
-    """Streams with known times and values that can be right, the accelerometer first; RecordingError if one cannot.
+    """Return plausible streams with known times, the accelerometer first. RecordingError for an implausible stream.
 
     `found` holds times (N,) and values (N, d) by the name of the stream, as parsed; `zero_s` becomes time zero. What
     was left out or found odd is added to `notes`, which call a stream by its name and the suffix, as messages do. Where
@@ -50,7 +50,7 @@ def checked_streams(
 
 
 def with_time(time_s: FloatArray, where: str, notes: list[str]) -> BoolArray:
-    """Which rows have a time; a note says how many have none."""
+    """Return a mask of the rows with a time, and add a note about the others."""
     known = ~np.isnan(time_s)
     if not known.all():
         notes.append(f"{where}: {int((~known).sum())} rows without a time left out")
@@ -79,7 +79,7 @@ def up_cosine(accelerometer: Samples, attitude: Samples) -> float:
 
 
 def _time_notes(streams: Mapping[str, Samples], suffix: str) -> list[str]:
-    """Notes of streams whose times repeat, go back, or are not those of the accelerometer."""
+    """Return notes about streams whose times repeat, go backward, or do not overlap the accelerometer."""
     time_s = streams["accelerometer"].time_s
     notes: list[str] = []
     for name, samples in streams.items():

@@ -11,9 +11,9 @@ import numpy as np
 from pdr_filter.values import FloatArray, Samples, how_many, limits
 from pdr_filter.values.recording import Recording
 
-# A stream whose mean rate is below this part of the one that was asked for is named: phones often deliver half.
+# A stream is reported as slow if its mean rate is below this fraction of the requested rate. Phones often deliver half.
 DELIVERED_ENOUGH = 0.9
-# In `Recording.meta`: what the reader of another app's format found. Plain values, so that it survives being written.
+# Key of the reading report in `Recording.meta`. It has plain values, so that it can be saved with the recording.
 READING_KEY = "reading"
 
 STREAM_UNITS = {
@@ -27,7 +27,7 @@ STREAM_UNITS = {
     "location": "deg, m",
 }
 
-# Stream, quantity, unit, and where its median lies in a recording in the right unit.
+# Stream, quantity, unit, and range of its median in a recording with correct units.
 PLAUSIBLE = (
     ("accelerometer", "|specific force|", "m/s2", limits.SPECIFIC_FORCE_RANGE_MPS2),
     ("gyroscope", "|angular rate|", "rad/s", (0.0, limits.MAX_MEDIAN_ANGULAR_RATE_RADPS)),
@@ -39,30 +39,55 @@ PLAUSIBLE = (
 
 @dataclass(frozen=True, slots=True)
 class StreamDescription:
-    """One sensor stream in numbers. None where there are too few samples to know."""
+    """Statistics of one sensor stream. Values are None if there are too few samples.
+
+    Attributes
+    ----------
+    name, unit : str
+        Name and unit of the stream.
+    n_samples : int
+        Number of samples.
+    rate_hz : float or None
+        Delivered rate in Hz, 1 / median positive interval.
+    mean_rate_hz : float or None
+        Mean delivered rate in Hz, number of intervals / duration. Unlike `rate_hz`, it includes gaps and is correct
+        for rounded timestamps.
+    first_s, last_s : float or None
+        First and last time in s.
+    n_gaps : int
+        Number of intervals longer than 0.3 s and longer than 2.5 median intervals.
+    longest_gap_s : float
+        Longest gap in s, zero if there is none.
+    n_duplicates, n_backward : int
+        Number of times equal to, and before, the previous time.
+    n_missing_rows : int
+        Number of rows with a missing value in a column that is not completely empty.
+    requested_hz : float or None
+        Rate in Hz that the app requested, None if unknown.
+    """
 
     name: str
     unit: str
     n_samples: int
-    rate_hz: float | None  # delivered: 1 / median positive interval
-    mean_rate_hz: float | None  # delivered: intervals / time, so gaps and a coarse clock count
+    rate_hz: float | None
+    mean_rate_hz: float | None
     first_s: float | None
     last_s: float | None
-    n_gaps: int  # intervals longer than 0.3 s and than 2.5 median intervals
-    longest_gap_s: float  # zero without a gap
-    n_duplicates: int  # times equal to the one before
-    n_backward: int  # times before the one before
-    n_missing_rows: int  # rows with an empty value in a column that has others, as not each app writes altitudes
-    requested_hz: float | None = None  # None where the app does not say
+    n_gaps: int
+    longest_gap_s: float
+    n_duplicates: int
+    n_backward: int
+    n_missing_rows: int
+    requested_hz: float | None = None
 
     @property
     def is_slow(self) -> bool:
-        """Whether clearly less was delivered than requested."""
+        """Whether the delivered rate is clearly below the requested rate."""
         delivered_hz, asked_hz = self.mean_rate_hz, self.requested_hz
         return delivered_hz is not None and asked_hz is not None and delivered_hz < DELIVERED_ENOUGH * asked_hz
 
     def sentence(self) -> str:
-        """One line for people."""
+        """Return a summary of the stream in one line."""
         rate = "rate unknown" if self.mean_rate_hz is None else f"{self.mean_rate_hz:.1f} Hz delivered"
         if self.requested_hz is not None and self.mean_rate_hz is not None:
             rate += f", {self.requested_hz:.1f} Hz requested"
@@ -74,39 +99,107 @@ class StreamDescription:
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """Contents of a recording in plain values."""
+    """Contents of a recording as plain values; see `describe`.
+
+    Attributes
+    ----------
+    name, source : str
+        Name of the recording, and the file or app that it comes from.
+    duration_s : float
+        Duration in s.
+    streams : tuple of StreamDescription
+        Statistics of each sensor stream.
+    height_m : float or None
+        Height of the person in m, on which step lengths depend.
+    placement : str or None
+        Placement of the phone, as stated by the recording.
+    units : tuple of str
+        A sentence about the plausibility of the unit of each stream.
+    truth_rows : dict of str to int
+        Number of rows of each truth table.
+    notes : tuple of str
+        Findings of the reader: source, signs, units, clock, repairs and unusual data.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.io.describe import describe
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=5.0)])
+    >>> describe(walk).streams[0].unit
+    'm/s2'
+    """
 
     name: str
     source: str
     duration_s: float
     streams: tuple[StreamDescription, ...]
-    height_m: float | None  # height of the person, which step lengths depend on
-    placement: str | None  # place of the phone, as stated by the recording
-    units: tuple[str, ...]  # one sentence for each stream whose unit can be checked
-    truth_rows: dict[str, int]  # rows of each truth table that exists
-    notes: tuple[str, ...]  # what the reader found: source, signs, units, clock; what it repaired or found odd
+    height_m: float | None
+    placement: str | None
+    units: tuple[str, ...]
+    truth_rows: dict[str, int]
+    notes: tuple[str, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain dicts and lists that json can write."""
+        """Return the description as plain dictionaries and lists for JSON.
+
+        Returns
+        -------
+        dict
+            Fields of the description.
+        """
         return json.loads(json.dumps(asdict(self)))
 
 
 @dataclass(frozen=True, slots=True)
 class ReadingReport:
-    """How a recording was read, in words and numbers."""
+    """Report about the reading of a recording; see `reading_report`.
 
-    source: str  # app or format, with version and platform as far as the file says
-    found: tuple[str, ...]  # signs and units, one sentence for each decision
-    clock: str  # where time zero lies, and whose clock it is
+    Attributes
+    ----------
+    source : str
+        App or format, with version and platform if the file states them.
+    found : tuple of str
+        A sentence for each decision about signs and units.
+    clock : str
+        Clock of the timestamps, and its zero.
+    streams : tuple of StreamDescription
+        Statistics of each sensor stream.
+    notes : tuple of str
+        Repairs, and data that were not used.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.io.describe import reading_report
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=5.0)])
+    >>> reading_report(walk).clock
+    'seconds from the first accelerometer sample'
+    """
+
+    source: str
+    found: tuple[str, ...]
+    clock: str
     streams: tuple[StreamDescription, ...]
-    notes: tuple[str, ...]  # repairs and data that were not used
+    notes: tuple[str, ...]
 
     def lines(self) -> tuple[str, ...]:
-        """The report as lines of text."""
+        """Return the complete report as lines of text.
+
+        Returns
+        -------
+        tuple of str
+            Lines of `about`, a line for each stream, and the notes.
+        """
         return (*self.about(), *(stream.sentence() for stream in self.streams), *self.notes)
 
     def about(self) -> tuple[str, ...]:
-        """The lines that the streams themselves do not show: source, signs and units, clock, rates not delivered."""
+        """Return source, signs, units, clock and slow streams as lines of text.
+
+        Returns
+        -------
+        tuple of str
+            Lines of text.
+        """
         slow = [
             f"{stream.name}: {stream.requested_hz:.1f} Hz requested, {stream.mean_rate_hz:.1f} Hz delivered"
             for stream in self.streams
@@ -115,12 +208,37 @@ class ReadingReport:
         return (f"read as {self.source}", *self.found, f"clock: {self.clock}", *slow)
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain dicts and lists that json can write."""
+        """Return the report as plain dictionaries and lists for JSON.
+
+        Returns
+        -------
+        dict
+            Fields of the report.
+        """
         return json.loads(json.dumps(asdict(self)))
 
 
 def describe(recording: Recording) -> Description:
-    """Return rates, gaps, unit checks and truth of a recording, and how it was read if it is another app's."""
+    """Describe a recording: rates, gaps, plausibility of units, ground truth, and findings of the reader.
+
+    Parameters
+    ----------
+    recording : Recording
+        Recording to describe.
+
+    Returns
+    -------
+    Description
+        Contents of the recording. `pdr-filter info` prints them.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.io.describe import describe
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=5.0)])
+    >>> [stream.name for stream in describe(walk).streams]
+    ['accelerometer', 'gyroscope', 'magnetometer']
+    """
     report = reading_report(recording)
     return Description(
         name=recording.name,
@@ -136,7 +254,26 @@ def describe(recording: Recording) -> Description:
 
 
 def reading_report(recording: Recording) -> ReadingReport:
-    """Return the report of the reader, or that of the project's own format for recordings without one."""
+    """Return the report about the reading of a recording: source, signs, units, clock and rates.
+
+    Parameters
+    ----------
+    recording : Recording
+        Recording, such as from `pdr_filter.read`.
+
+    Returns
+    -------
+    ReadingReport
+        Report of the reader. A recording without one is described as in the project's own format.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.io.describe import reading_report
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=5.0)])
+    >>> reading_report(walk).lines()[0]
+    'read as own format'
+    """
     reading = _dict_of(recording.meta.get(READING_KEY))
     requested = _dict_of(reading.get("requested_hz")) or {"accelerometer": recording.meta.get("nominal_rate_hz")}
     found: Any = reading.get("found")
@@ -180,8 +317,8 @@ def describe_stream(name: str, samples: Samples, requested_hz: Any = None) -> St
 
 def median_norm(values: FloatArray) -> float:
     """Median Euclidean norm of the complete rows of values (N, d), in their unit; NaN if no row is complete."""
-    with np.errstate(over="ignore"):  # the square of an absurd value may be infinite; the median does not mind
-        squares = np.einsum("ij,ij->i", values, values)  # NaN of a row that is not complete
+    with np.errstate(over="ignore"):  # squares of absurd values may be infinite, which does not affect the median
+        squares = np.einsum("ij,ij->i", values, values)  # NaN for incomplete rows
     squares = squares[~np.isnan(squares)]
     return float(np.median(np.sqrt(squares))) if len(squares) else float("nan")
 

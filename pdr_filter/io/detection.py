@@ -1,4 +1,4 @@
-"""Which format a path holds, by its content."""
+"""Detection of the format of a file or folder from its content."""
 
 from __future__ import annotations
 
@@ -23,7 +23,10 @@ BINARIES = (".sqlite", ".db", ".mat")  # files in a zip or folder whose content 
 
 
 def detect(path: Path) -> str:
-    """The format of a file or folder, by its content; the project's own if nothing else fits, which then explains."""
+    """Return the format of a file or folder.
+
+    The default is the project's own format, whose reader explains the error.
+    """
     try:
         with open_members(path) as members:
             return _detect_among(members) if members.is_container else _detect_alone(members)
@@ -34,7 +37,7 @@ def detect(path: Path) -> str:
 
 
 def _detect_among(members: Members) -> str:
-    """The format of a zip or a folder."""
+    """Return the format of a zip file or a folder."""
     by_name = {PurePosixPath(name).name: name for name in members.names}
     if is_spreadsheet(members):
         return "table"
@@ -59,7 +62,7 @@ def _detect_among(members: Members) -> str:
 
 
 def _is_unknown_table(members: Members, name: str) -> bool:
-    """True for a text with rows of numbers that is not of the project's own format: reading says what it lacks."""
+    """Return True for a text with rows of numbers, for which the table reader explains what is missing."""
     head = members.head(name)
     if not name.lower().endswith(TEXTS) or head.startswith((b"time_s,", b"\xef\xbb\xbftime_s,")):
         return False
@@ -69,7 +72,7 @@ def _is_unknown_table(members: Members, name: str) -> bool:
 
 
 def _detect_alone(members: Members) -> str:
-    """The format of one file."""
+    """Return the format of a single file."""
     path, name = members.path, members.names[0]
     found = detect_file(members, name)
     if mapping_beside(path).is_file() and mapping_beside(path) != path:
@@ -85,7 +88,7 @@ def _detect_alone(members: Members) -> str:
 
 
 def detect_file(members: Members, name: str) -> str:
-    """The format that the first bytes of a file show; empty if none."""
+    """Return the format that the first bytes of a file show, or ""."""
     head = members.head(name)
     if head.startswith(SIGNATURE):
         return "ronin"

@@ -19,11 +19,38 @@ _MOST_DEG = 0.05
 
 
 def fixes_of_file(path: str | Path, std_m: float = 1.0) -> list[PositionFix | HeadingFix]:
-    """Fixes of a CSV file with the columns `time_s,east_m,north_m`, and `std_m` of each if the file has it.
+    r"""Read position fixes, and headings if the file has them, from a CSV file.
 
-    Two more columns, `heading_deg` and `heading_std_deg`, give the walking heading at the time of a fix, clockwise from
-    north. They are empty where the heading is not known.
-    Times are those of the samples. ValueError names the file, the line and the remedy.
+    Parameters
+    ----------
+    path : str or Path
+        CSV file with columns `time_s`, `east_m`, `north_m` and optionally `std_m`. Times are on the clock of the
+        samples. Two optional columns, `heading_deg` and `heading_std_deg`, give the walking heading at the time of a
+        fix, clockwise from north. They are empty where the heading is not known.
+    std_m : float, default 1.0
+        Standard deviation in m of fixes in a file without the column `std_m`.
+
+    Returns
+    -------
+    list of PositionFix and HeadingFix
+        Fixes in the order of the file.
+
+    Raises
+    ------
+    ValueError
+        If the file cannot be used. The message names the file, the row and the remedy.
+    OSError
+        If the file cannot be read.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> from pdr_filter.io.fix_files import fixes_of_file
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder, "fixes.csv")
+    ...     _ = path.write_text("time_s,east_m,north_m\n12.5,3.0,4.0\n")
+    ...     [(fix.time_s, fix.position_m.tolist()) for fix in fixes_of_file(path)]
+    [(12.5, [3.0, 4.0])]
     """
     file = Path(path)
     rows = _rows(file, ("time_s", "east_m", "north_m"), "fixes", std_m)
@@ -49,10 +76,11 @@ def ranges_of_file(
     std_m: float = 0.3,
     origin: Origin | tuple[float, float] | None = None,
 ) -> list[RangeFix]:
-    """Ranges of a CSV file with the columns `time_s,anchor,range_m`, and `std_m` of each if the file has it.
+    """Read ranges to anchors from a CSV file with columns `time_s`, `anchor`, `range_m` and optionally `std_m`.
 
-    `anchors` is the GeoJSON file of `anchors_of_file`. Without one, the columns `anchor_east_m,anchor_north_m` take the
-    place of `anchor`. Times are those of the samples. ValueError names the file, the row and the remedy.
+    `anchors` is the GeoJSON file for `anchors_of_file`. Without it, columns `anchor_east_m` and `anchor_north_m`
+    replace the column `anchor`. Times are on the clock of the samples. ValueError names the file, the row and the
+    remedy.
     """
     file = Path(path)
     if anchors is None:
@@ -84,10 +112,11 @@ def _range(file: Path, row: int, time_s: float, anchor_m: FloatArray, range_m: f
 
 
 def anchors_of_file(path: str | Path, origin: Origin | tuple[float, float] | None = None) -> Mapping[str, FloatArray]:
-    """Places of anchors by name, of the points of a GeoJSON FeatureCollection with a property `name` each.
+    """Read the positions of anchors by name from a GeoJSON FeatureCollection of points with a property `name`.
 
-    Coordinates are metres east and north, or longitude and latitude, which become metres from `origin`. A third
-    coordinate is the height of the anchor above the phone in m. ValueError names the file, the point and the remedy.
+    Coordinates are metres east and north, or longitude and latitude, which are converted to metres from `origin`. A
+    third coordinate is the height of the anchor above the phone in m. ValueError names the file, the point and the
+    remedy.
     """
     file = Path(path)
     content: Any = read_json(file, limits.MAX_PLAN_BYTES)
@@ -114,16 +143,16 @@ def anchors_of_file(path: str | Path, origin: Origin | tuple[float, float] | Non
         return found
     if here is None:
         raise ValueError(
-            f"{file}: the anchors are in degrees, and nothing says where on Earth the track has its zero; give the "
+            f"{file}: the anchors are in degrees, but the geographic origin of the track is unknown; give the "
             "anchors in metres, or --origin LAT,LON"
         )
     return {n: np.array([*here.east_north_m(float(p[1]), float(p[0])), *p[2:]]) for n, p in found.items()}
 
 
 def loop_closures_of_file(path: str | Path, std_m: float = 0.5) -> list[LoopClosure]:
-    """Loop closures of a CSV file with the columns `first_s,second_s`, and `std_m` of each if the file has it.
+    """Read loop closures from a CSV file with columns `first_s`, `second_s` and optionally `std_m`.
 
-    Times are those of the samples. ValueError names the file, the line and the remedy.
+    Times are on the clock of the samples. ValueError names the file, the row and the remedy.
     """
     rows = _rows(Path(path), ("first_s", "second_s"), "loop closures", std_m)
     back = next((k for k, (first_s, second_s, _) in enumerate(rows) if not first_s < second_s), None)
@@ -136,7 +165,7 @@ def loop_closures_of_file(path: str | Path, std_m: float = 0.5) -> list[LoopClos
 
 
 def _rows(file: Path, names: tuple[str, ...], what: str, std_m: float) -> list[list[float]]:
-    """Numbers of the columns, and of `std_m` after them: that of the file if it has this column."""
+    """Return the rows of the columns, followed by `std_m` from the file, or the given value without such a column."""
     table = TextTable([read_small(file, limits.MAX_WHOLE_BYTES)], str(file))
     columns = (*names, *(("std_m",) if "std_m" in table.fields else ()))
     values = table.parse(table.places(columns), []).values

@@ -1,4 +1,4 @@
-"""Recordings in folders and in files that hold several: the command line and `read` find the same ones."""
+"""Recordings in folders, and in files with several recordings."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def recordings_in(folder: str | Path) -> list[Path]:
 
 
 def only_recording_in(path: Path) -> Path:
-    """The path, or the only recording in a folder around it; RecordingError if there are several."""
+    """Return the path, or the only recording in the folder. RecordingError if there are several."""
     # A search of a whole home folder would take long, and links lead to files that were not given.
     below = list(islice(path.rglob("*"), limits.MAX_MEMBERS)) if path.is_dir() else []
     if path.is_dir():
@@ -85,7 +85,7 @@ def only_recording_in(path: Path) -> Path:
 
 
 def parts_of(path: Path) -> list[str]:
-    """Names to put behind the path of a file that holds several recordings, of each; none of any other file."""
+    """Return the names of the recordings in a file with several, to append to its path. Empty for any other file."""
     if not path.exists():
         return []
     with open_members(path) as members:

@@ -1,4 +1,4 @@
-"""The formats that are known, and reading a path of any of them."""
+"""Known file formats, and `read`, which reads a recording in any of them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ FORMATS: dict[str, Callable[[Path], Recording]] = {
     "table": read_table,
     "generic_csv": read_generic_csv,
 }
-# Formats of apps whose signs differ between iOS and Android.
+# Formats of apps whose acceleration signs differ between iOS and Android.
 OF_TWO_PLATFORMS: dict[str, Callable[[Path, str | None], Recording]] = {
     "sensor_logger": read_sensor_logger,
     "table": read_table,
@@ -38,31 +38,61 @@ PLATFORMS = ("ios", "android")
 
 
 def known_format(format: str) -> str:
-    """Return the name of a format as in `FORMATS`; ValueError if it is not known."""
+    """Return the name of a format as in `FORMATS`. ValueError for an unknown format."""
     name = format.lower().replace("-", "_")
     if name not in FORMATS:
-        raise ValueError(f"format is {format!r}; give one of {', '.join(FORMATS)}, or none to find it by content")
+        raise ValueError(
+            f"format is {format!r}; give one of {', '.join(FORMATS)}, or none to detect it from the content"
+        )
     return name
 
 
 def read(path: str | Path, format: str | None = None, platform: str | None = None) -> Recording:
-    """Return the recording at a path, a file or folder, whatever its format, or of the format of `FORMATS` given.
+    """Read a recording from a file or folder of any supported app.
 
-    The format is found by content, not by file name: the project's own, Sensor Logger, phyphox, GetSensorData (IPIN),
-    indoor-location-competition 2.0, CoreMotion tables (MotionSense), RoNIN, ROS 2 bags, tables of other apps (MATLAB
-    Mobile, Physics Toolbox, AndroSensor, HyperIMU, SensorLog, senslogs, spreadsheets), or any CSV file with a TOML file
-    beside it. `platform`, ios or android, is for those whose signs differ between the two, where the file names none.
-    A folder or a zip around one recording is that recording; a path may go on inside a zip or a log of several:
-    `export.zip/walk_2`.
-    `pdr_filter.io.describe.reading_report` of the result says what was found: source, signs, units, rates, clock.
-    A RecordingError (a ValueError) names the file, the column, the value and the remedy.
+    Parameters
+    ----------
+    path : str or Path
+        File or folder. A folder or zip file with exactly one recording stands for that recording. A path may continue
+        inside a zip file or a log with several recordings, such as "export.zip/walk_2".
+    format : str, optional
+        Name of a format in `pdr_filter.io.formats.FORMATS`. By default the format is detected from the content, not
+        from the file name.
+    platform : {"ios", "android"}, optional
+        Platform of the phone, for formats whose acceleration signs differ between the two. It is needed only if the
+        file does not show the platform.
+
+    Returns
+    -------
+    Recording
+        Sensor streams in SI units with a common clock, metadata, and ground truth if there is any.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be used. The message names the file, the column, the value and the remedy. It is a
+        ValueError.
+    ValueError
+        If `format` or `platform` is unknown.
+
+    See Also
+    --------
+    pdr_filter.io.describe.reading_report : Report of the detected source, signs, units, rates and clock.
+
+    Notes
+    -----
+    Supported are the project's own format, Sensor Logger, phyphox, GetSensorData (IPIN), indoor-location-competition
+    2.0, CoreMotion tables (MotionSense), RoNIN, ROS 2 bags, tables of other apps (MATLAB Mobile, Physics Toolbox,
+    AndroSensor, HyperIMU, SensorLog, senslogs, spreadsheets), and any CSV file with a TOML mapping next to it.
 
     Examples
     --------
     >>> import pdr_filter as pdr
-    >>> path = pdr.simulate.demo_walk().save("walk.zip")
-    >>> pdr.read(path)
-    Recording('demo_walk', 114.4 s, accelerometer, gyroscope, magnetometer)
+    >>> import tempfile
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=5.0)])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     pdr.read(walk.save(f"{folder}/walk.zip"))
+    Recording('simulated_walk', 4.3 s, accelerometer, gyroscope, magnetometer)
     >>> pdr.read("walk_2.zip")
     Traceback (most recent call last):
         ...
@@ -77,5 +107,5 @@ def read(path: str | Path, format: str | None = None, platform: str | None = Non
     if platform is None:
         return FORMATS[format](path)
     if format not in OF_TWO_PLATFORMS:
-        raise RecordingError(f"{path}: the signs of {format} are known, whatever the platform is; leave platform out")
+        raise RecordingError(f"{path}: the signs of {format} do not depend on the platform; omit platform")
     return OF_TWO_PLATFORMS[format](path, platform)

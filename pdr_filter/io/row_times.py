@@ -1,4 +1,4 @@
-"""Times of rows that are not those of the samples: rows out of order, and packs of samples with one time."""
+"""Repair of row times: rows out of order, and groups of samples with a single time."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _LOST = 1.5
 
 
 def in_order(streams: Streams, suffix: str, notes: list[str]) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Streams with the rows sorted that were moved within a table.
+    """Return streams with rows sorted by time, if rows were moved within a table.
 
     Moved rows fill a gap. After a backward clock jump rows lie between others, or far from all, and stay as recorded:
     the filter follows the clock. The accelerometer decides between the two for all sensors.
@@ -49,7 +49,7 @@ def in_order(streams: Streams, suffix: str, notes: list[str]) -> dict[str, tuple
 def spread(
     streams: Streams, is_clock: bool, rate_hz: float, notes: list[str]
 ) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Streams with a time for each sample of a pack that has one time, as Bluetooth sensors deliver them.
+    """Return streams with a time for each sample of a group with a single time, as Bluetooth sensors deliver them.
 
     The time of a pack is that of its last sample. `rate_hz` is that of the samples, 0 if it is to be estimated.
     `is_clock` says that the times were shown as dates, which a spreadsheet rounds to tenths and whole seconds.
@@ -94,7 +94,7 @@ def _n_late(time_s: FloatArray) -> int:
 
 
 def _order(time_s: FloatArray, n_late: int) -> IntArray | None:
-    """Order of the rows by time; None if sorting does not undo a move. So many rows are late."""
+    """Return the order of the rows by time, or None if sorting does not restore the original order."""
     order = np.argsort(time_s, kind="stable")
     apart_s, sorted_s = np.diff(time_s), np.diff(time_s[order])
     period_s = float(np.nanmedian(np.abs(apart_s[apart_s != 0])))

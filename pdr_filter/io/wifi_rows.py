@@ -1,4 +1,4 @@
-"""Wi-Fi of files: addresses as whole numbers, rows that cannot be used left out, when they were heard.
+"""Conversion of Wi-Fi rows: addresses as integers, times of reception, and removal of unusable rows.
 
 An address stands in a file as text. It is made a number before the table is parsed, so that a table of Wi-Fi is one of
 numbers like any other, with the same limits and messages.

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 TOKEN_COOKIE = "pdr_filter_token"
-# Sensor Logger with all its sensors at 100 Hz sends some 0.1 MB a second, and after a minute without network what has
-# gathered.
+# Sensor Logger sends about 0.1 MB per second with all sensors at 100 Hz. After a minute without network it sends all
+# messages of this minute at once.
 MAX_BODY_BYTES = 4 * 1024**2
 BYTES_PER_S = 1024**2
 BURST_BYTES = 16 * 1024**2

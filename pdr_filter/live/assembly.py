@@ -61,14 +61,14 @@ class Assembly:
     """State of a session between its messages, without the messages that wait."""
 
     kind: Kind | None = None
-    next_number: int = -1  # of the next message, from an app that counts; -1 before the first
-    given_up: tuple[tuple[int, int], ...] = ()  # first and last number of each hole that was given up
-    hole_s: float = np.nan  # time from which a hole is waited for; NaN without a hole
+    next_number: int = -1  # expected number of the next message if the app numbers them; -1 before the first
+    given_up: tuple[tuple[int, int], ...] = ()  # first and last number of each gap that is no longer waited for
+    hole_s: float = np.nan  # time since which missing messages are waited for; NaN if none is missing
     recent: tuple[str, ...] = ()  # digests of the last messages without a number
-    last_s: float = -np.inf  # of the samples that were passed on
-    ahead_s: float = 0.0  # added to times of the phone's clock, which was set back by so much
-    set_backs: tuple[tuple[float, float], ...] = ()  # time and size in s of each set-back
-    linear_s: FloatArray = field(default_factory=lambda: _NONE)  # linear acceleration that waits for gravity
+    last_s: float = -np.inf  # last time of the samples that were passed on
+    ahead_s: float = 0.0  # correction of the phone's clock after backward jumps
+    set_backs: tuple[tuple[float, float], ...] = ()  # time and size in s of each backward clock jump
+    linear_s: FloatArray = field(default_factory=lambda: _NONE)  # linear acceleration for which gravity has not arrived
     linear: FloatArray = field(default_factory=lambda: _NO_ROWS)
     gravity_s: FloatArray = field(default_factory=lambda: _NONE)  # the last of gravity
     gravity: FloatArray = field(default_factory=lambda: _NO_ROWS)
@@ -111,7 +111,7 @@ def take(
 
 
 def finish(state: Assembly, held: Sequence[Message], platform: str) -> tuple[Assembly, list[Message], list[Streams]]:
-    """Return the same as `take`, when no other message will come."""
+    """Return state, waiting messages and ready samples after the last message."""
     if state.kind is None:
         kind = _kind(held, platform, is_last=True)
         if isinstance(kind, str):
@@ -121,7 +121,7 @@ def finish(state: Assembly, held: Sequence[Message], platform: str) -> tuple[Ass
 
 
 def release(state: Assembly, held: Sequence[Message]) -> tuple[Assembly, list[Message], list[Streams]]:
-    """Return the same as `take`, without waiting for missing messages and for gravity any longer."""
+    """Return state, waiting messages and ready samples, without waiting any longer for missing messages or gravity."""
     return (state, list(held), []) if state.kind is None else _released(state, list(held), is_last=True)
 
 
@@ -136,7 +136,7 @@ def reason_to_wait(state: Assembly, held: Sequence[Message], platform: str) -> s
 
 
 def _counted(state: Assembly, held: Sequence[Message], message: Message) -> tuple[Assembly, bool]:
-    """State that knows the message, and whether it came before; LateError if its number was given up."""
+    """Return the state with the message counted, and whether it is a duplicate. LateError if it arrives too late."""
     number = message.number
     if number is None:
         digest = hashlib.sha256(message.source).hexdigest()[:16]
@@ -166,7 +166,7 @@ def _is_too_much(messages: Sequence[Message]) -> bool:
 def _released(
     state: Assembly, waiting: list[Message], is_last: bool = False
 ) -> tuple[Assembly, list[Message], list[Streams]]:
-    """Messages whose turn it is, as samples."""
+    """Return the samples of the messages that are next in order."""
     uncounted = [m for m in waiting if m.number is None]
     counted = sorted((m for m in waiting if m.number is not None), key=_number)
     ready: list[Streams] = []
@@ -239,7 +239,7 @@ def _kind_of(state: Assembly) -> Kind:
 
 
 def _latest_s(time_s: FloatArray) -> float:
-    """Latest time, without a few that are far ahead of all others, which no clock that is set back explains."""
+    """Return the latest time, ignoring a few outliers far ahead of all others."""
     latest_s = np.sort(time_s)[-_SET_BACK_SAMPLES:]
     far = np.flatnonzero(np.diff(latest_s) > _STALE_S)
     return float(latest_s[far[0]] if len(far) else latest_s[-1])
@@ -270,7 +270,7 @@ def _on_one_clock(state: Assembly, message: Message, kind: Kind) -> tuple[Assemb
 
 
 def _set_back(last_s: float, time_s: FloatArray, least_s: float) -> tuple[int, float]:
-    """Index of the first time that is so far behind the latest one before it, and how far; (N, 0) if none is."""
+    """Return index and size of the first backward clock jump in times, or (N, 0) if there is none."""
     behind_s = np.maximum.accumulate(np.concatenate([[last_s], time_s]))[:-1] - time_s
     (back,) = (behind_s > least_s).nonzero()
     return (int(back[0]), float(behind_s[back[0]])) if len(back) else (len(time_s), 0.0)
@@ -319,7 +319,7 @@ def _span_s(state: Assembly, message: Message) -> tuple[float, float]:
 
 
 def _moving(message: Message) -> Iterator[SensorRows]:
-    """Rows of the sensors whose times are those of the walk; a location may be from long before."""
+    """Return the rows of the motion sensors. The time of a location may be long before the walk."""
     for name in _MOVING:
         if name in message.rows:
             yield message.rows[name]
@@ -359,7 +359,7 @@ def _kind(messages: Sequence[Message], platform: str, is_last: bool = False) -> 
 
 
 def _check_rate(time: Any, unit_s: float) -> None:
-    """SessionError for times of the first samples that are so close to each other that their unit must be another."""
+    """Raise SessionError if the first times are so close to each other that their unit must be wrong."""
     span_s = float(time.max() - time.min()) * unit_s
     if len(time) < _RATE_SAMPLES or 2 * span_s * len(_MOVING) * limits.RATE_RANGE_HZ[1] > len(time):
         return
@@ -375,7 +375,7 @@ def _is_usable(name: str, first: Mapping[str, SensorRows | None]) -> bool:
 
 
 def _scale(force: str, first: Mapping[str, SensorRows | None], platform: str) -> tuple[float, str]:
-    """By what the numbers of a sensor are multiplied, and how that is known; SessionError if it is not."""
+    """Return the factor to the unit of a sensor, and the evidence for it. SessionError if the unit is unknown."""
     if force == FORCE:
         return (-1.0, "iOS: sign turned") if platform == "ios" else (1.0, "as it is")
     rows = first[GRAVITY] if force == LINEAR else first[RAW]

@@ -1,4 +1,4 @@
-"""A certificate for this machine, because browsers give the motion of a phone to https pages only."""
+"""Certificate for this machine, because browsers provide motion sensors only to https pages."""
 
 from __future__ import annotations
 

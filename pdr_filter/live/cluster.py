@@ -1,4 +1,4 @@
-"""Shares of the devices on other machines: actors of a Dask cluster.
+"""Actors of a Dask cluster, which serve shares of the devices on other machines.
 
 Dask keeps no copy of an actor. When its worker dies, an actor is created again at another worker, from the folder of
 the sessions, so all machines need to see the same folder. Only requests of the server make an actor write, so an actor

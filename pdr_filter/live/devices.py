@@ -52,7 +52,7 @@ class Devices:
                 _LOG.warning("%s: not loaded: %s", path, error)
 
     def take(self, body: bytes, device: str, session: str, platform: str, received_s: float) -> Event:
-        """Number of samples of a body, all of which are filtered and on the disk.
+        """Process the body of a message, and return its number of samples, which are then filtered and on the disk.
 
         MessageError, SessionError, LateError, FixError or BusyError if one of its messages cannot be used; the
         messages before it are taken.
@@ -136,12 +136,12 @@ class Devices:
         return made
 
     def whole(self) -> list[Event]:
-        """Events that show all sessions to a page that has seen nothing yet."""
+        """Return the events that show all sessions to a newly opened page."""
         self.settle(is_all=True)
         return [event for session in self.sessions.values() for event in session.whole()]
 
     def tick(self) -> None:
-        """Filter, tell and save the rest, and forget silent phones; to be called about once a second."""
+        """Filter and save the rest, send events, and remove silent phones. Call it about once per second."""
         self.settle()
         for key, session in list(self.sessions.items()):
             events = session.rest()

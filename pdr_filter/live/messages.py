@@ -290,7 +290,7 @@ _SINCE_1970 = tuple((10**k, 1e18 / 10**k, 4.1e18 / 10**k) for k in (0, 3, 6, 9))
 
 
 def _payload_times(times: Sequence[Any]) -> IntArray:
-    """Whole nanoseconds of times since 1970, which may be in seconds, milliseconds or microseconds.
+    """Convert times since 1970 in seconds, milliseconds, microseconds or nanoseconds to whole nanoseconds.
 
     Sensor Logger sends whole nanoseconds. Programs that imitate it send milliseconds or floats. Only floats can be
     seconds, because whole seconds are too coarse for samples.

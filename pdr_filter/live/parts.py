@@ -1,4 +1,4 @@
-"""Share of the devices that one process of this machine or one actor of a cluster filters.
+"""Share of the devices that one worker process or one actor of a cluster serves.
 
 It answers requests in their order, and returns events for pages with the answers.
 """

@@ -166,7 +166,7 @@ class AccessMiddleware:
         self.inner, self.token = inner, token
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass on, or refuse."""
+        """Pass a request on, or refuse it."""
         if scope["type"] not in ("http", "websocket"):
             await self.inner(scope, receive, send)
             return
@@ -210,7 +210,7 @@ _TOO_LONG = JSONResponse({"error": f"more than {MAX_BODY_BYTES} bytes in one mes
 
 
 async def body_of(request: Request, most: int = MAX_BODY_BYTES) -> bytes | None:
-    """Body of a request; None if it is too long, and then it is not read to its end."""
+    """Return the body of a request, or None if it is too long. The rest is then not read."""
     body = bytearray()
     async for part in request.stream():
         body += part

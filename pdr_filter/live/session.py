@@ -146,7 +146,7 @@ class DeviceSession:
         self._ready += ready
 
     def is_due(self, wait_s: float) -> bool:
-        """Whether samples of so much time wait, or any since twice as long.
+        """Return True if samples of this duration wait, or if any sample waits for twice as long.
 
         A worker that is behind so filters more at once, and needs less time for it.
         """
@@ -279,7 +279,7 @@ class DeviceSession:
         }
 
     def _about_changed(self) -> list[Event]:
-        """The `session` event, if it is another than the last one."""
+        """Return the `session` event if it has changed."""
         about = self.about()
         if about == self._told:
             return []
@@ -297,7 +297,7 @@ class DeviceSession:
         return events
 
     def _outcomes(self) -> list[Event]:
-        """Events of fixes, and of locations of the phone, whose outcome is new."""
+        """Return events for fixes and locations of the phone with a new outcome."""
         results = () if self.online is None else self.online.state.last_fixes
         new = [self._outcome(result) for result in results if result not in self._judged]
         self._judged = results

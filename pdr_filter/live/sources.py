@@ -202,7 +202,8 @@ def _joined(bodies: list[bytes]) -> dict[str, SensorRows]:
 
 # --- MQTT -------------------------------------------------------------------------------------------------------------
 
-# Not ws and wss: mosquitto 2.0 passes on some 40 kB/s over WebSocket, less than what one phone publishes.
+# WebSocket (ws, wss) is not supported, because mosquitto 2.0 forwards only about 40 kB/s over it, less than the data
+# rate of one phone.
 _MQTT_PORTS = {"mqtt": 1883, "mqtts": 8883}
 
 

@@ -1,7 +1,7 @@
-"""Recipes: functions that return a configuration. `default` is the one to use; the others are published systems.
+"""Recipes, which are functions that return a configuration. Use `default`; the others are published systems.
 
-Each function has the name of the module or sub-package that holds its parts, and is imported here so that
-`pdr_filter.recipes.martinelli2018` is the function.
+Each function has the name of the subpackage with its parts. It is imported here, so that
+`pdr_filter.recipes.martinelli2018` is the function and not the subpackage.
 """
 
 from pdr_filter.recipes.default import RECIPES as RECIPES

@@ -1,4 +1,4 @@
-"""The configuration of a filter."""
+"""Configuration of a filter, with methods that return changed copies."""
 
 from __future__ import annotations
 
@@ -39,10 +39,39 @@ from pdr_filter.values.track_placement import TrackPlacement
 
 @dataclass(frozen=True, eq=False)
 class Config:
-    """Everything about a filter that never changes; a recipe is a function that returns one.
+    """Configuration of a filter: all stages and parameters, which do not change during a walk.
 
-    `needs` names the sensor streams of `Recording`, besides the accelerometer, without which its tracks mean nothing
-    (its steps and contexts may do with less); `notes` say in plain words what to keep in mind about every track.
+    A recipe (`pdr_filter.recipes`) is a function that returns a configuration. The methods `with_...` return changed
+    copies.
+
+    Attributes
+    ----------
+    name : str
+        Name of the recipe.
+    sensing : Sensing
+        Stages before the filter: conditioning, attitude, step detection, contexts and walking heading.
+    tracker : Tracker
+        Filter over the steps, with its pedestrian model: an `ImmTracker` or a `WeightedTracker`.
+    climb_rate : ClimbRate
+        Estimation of the vertical speed from the barometer.
+    needs : tuple of str
+        Sensor streams of `Recording`, besides the accelerometer, without which tracks are meaningless. Steps and
+        contexts may need fewer streams.
+    notes : tuple of Note
+        Warnings that apply to every track of this configuration.
+    on_foot : bool, default False
+        Whether the configuration is for a sensor on the foot instead of a carried phone.
+    person : Person, optional
+        Person whose step lengths the modes have; see `with_person`.
+    on_plan : PlanStage, optional
+        Stage that constrains the track to a floor plan; see `with_plan`.
+    merger : StreamMerger
+        Merges sensor streams that arrive separately.
+
+    Raises
+    ------
+    ValueError
+        If the heading stage and the tracker have different models of the heading drift.
 
     Examples
     --------
@@ -54,49 +83,106 @@ class Config:
 
     name: str
     sensing: Sensing
-    tracker: Tracker[Any]  # any class of states: a recipe chooses the tracker when it is called
+    tracker: Tracker[Any]  # the state class is Any, because a recipe chooses the tracker at run time
     climb_rate: ClimbRate = field(default_factory=ClimbRate)
     needs: tuple[str, ...] = ()
     notes: tuple[Note, ...] = ()
-    on_foot: bool = False  # made for a sensor on the foot, not for a carried phone
-    person: Person | None = None  # whose step lengths the modes have
-    on_plan: PlanStage | None = None  # keeps the track on a floor plan
-    merger: StreamMerger = field(default_factory=StreamMerger)  # of sensors that arrive apart
+    on_foot: bool = False
+    person: Person | None = None
+    on_plan: PlanStage | None = None
+    merger: StreamMerger = field(default_factory=StreamMerger)
 
     def __post_init__(self) -> None:
         of_heading, drift = drift_of(self.sensing.heading), self.model.noise.heading_drift
         if of_heading is not None and of_heading != drift:
             raise ValueError(
-                f"the heading stage must reckon with the filter's heading drift, {drift}, got {of_heading}: give "
-                "one HeadingDrift to both"
+                "the heading stage must have the heading drift of the filter, "
+                f"{drift}, got {of_heading}: pass the same "
+                "HeadingDrift to both"
             )
         if self.sensing.context_set != self.model.context_set:
             object.__setattr__(self, "sensing", replace(self.sensing, context_set=self.model.context_set))
 
     @property
     def model(self) -> PedestrianModel:
-        """Modes, transitions, noise and evidence of the tracker."""
+        """Pedestrian model of the tracker: modes, transition probabilities, noise and evidence parameters."""
         return self.tracker.model
 
     @property
     def learns_directions(self) -> bool:
-        """Whether its steps say where the person walks against the phone."""
+        """Whether the heading stage estimates the walking direction relative to the phone."""
         return learns_directions(self.sensing.heading)
 
     def with_model(self, **changes: Any) -> Config:
-        """Return a copy in which some fields of the model have other values."""
+        """Return a copy in which some fields of the pedestrian model are changed.
+
+        Parameters
+        ----------
+        **changes
+            New values by field names of `PedestrianModel`, such as `evidence_exponent=0.5`.
+
+        Returns
+        -------
+        Config
+            Changed copy. This configuration is not modified.
+
+        Raises
+        ------
+        ValueError
+            If a value is not valid for the field.
+
+        Examples
+        --------
+        >>> import pdr_filter as pdr
+        >>> pdr.recipes.default().with_model(evidence_exponent=0.5).model.evidence_exponent
+        0.5
+        """
         return replace(self, tracker=replace(self.tracker, model=replace(self.model, **changes)))
 
     def with_device(self, device: Device) -> Config:
-        """Return a copy for a phone whose gyroscope bias is known."""
+        """Return a copy for a phone with known gyroscope bias.
+
+        Parameters
+        ----------
+        device : Device
+            Gyroscope bias of the phone with its covariance, from an earlier recording.
+
+        Returns
+        -------
+        Config
+            Changed copy. This configuration is not modified.
+        """
         attitude = self.sensing.attitude
         known = replace(attitude, bias=replace(attitude.bias, device=device))
         return replace(self, sensing=replace(self.sensing, attitude=known))
 
     def with_person(self, person: Person) -> Config:
-        """The same for a person whose step length is known; ValueError if it knows one already."""
+        """Return a copy with the step lengths of a person.
+
+        The step lengths of the modes are scaled to the person, and the uncertainty of the step scale is set to that of
+        the person. A note states the step length.
+
+        Parameters
+        ----------
+        person : Person
+            Step length of the person, estimated from the fixes of earlier walks.
+
+        Returns
+        -------
+        Config
+            Changed copy. This configuration is not modified.
+
+        Raises
+        ------
+        ValueError
+            If the configuration already has a person.
+        """
         if self.person is not None:
-            raise ValueError("the configuration knows a person already: pool the two with Person.pooled")
+            raise ValueError(
+                "the configuration already has a person: combine both with "
+                "Person.pooled, and pass the result to a recipe's "
+                "configuration"
+            )
         known = replace(self, tracker=replace(self.tracker, model=person.in_model(self.model)))
         walks = f"{len(person.sessions)} walk" + "s" * (len(person.sessions) != 1)
         text = f"step lengths of a person with typical steps of {person.step_length_m:.2f} m, of {walks}"
@@ -104,43 +190,100 @@ class Config:
         return replace(known, person=person, notes=notes if person.sessions else self.notes)
 
     def in_world_frame(self) -> Config:
-        """The same for fixes in a frame whose origin and north the track does not know, such as that of a map."""
+        """Return a copy for fixes in a frame with unknown origin and north, such as a map frame.
+
+        The filter then estimates position and rotation of the track in this frame from the fixes.
+
+        Returns
+        -------
+        Config
+            Changed copy. This configuration is not modified.
+        """
         return self.with_model(frame=UNKNOWN_FRAME)
 
     def with_magnetic_north(self, declination_rad: float, declination_std_rad: float = DECLINATION_STD_RAD) -> Config:
-        """The same in the world frame, with true north, of which the magnetometer says where it is.
+        """Return a copy that estimates true north from the magnetometer.
 
-        Fixes are then in a frame whose north is true north, too. The declination is by how much magnetic north is east
-        of it: `Origin.declination_rad`. ValueError for a recipe that does not learn where the person walks against the
-        phone.
+        The track is then in a frame with true north, and fixes must be in such a frame as well.
+
+        Parameters
+        ----------
+        declination_rad : float
+            Magnetic declination in rad, positive if magnetic north is east of true north; see `Origin.declination_rad`.
+        declination_std_rad : float, optional
+            Standard deviation of the declination in rad.
+
+        Returns
+        -------
+        Config
+            Changed copy. This configuration is not modified.
+
+        Raises
+        ------
+        ValueError
+            If the recipe does not estimate the walking direction relative to the phone.
         """
         if not self.learns_directions:
             raise ValueError(
-                f"recipe {self.name!r} does not learn where the person walks against the phone, so that north of the "
-                'magnetometer says nothing of the track: use recipe "default"'
+                f"recipe {self.name!r} does not estimate the walking direction relative to the phone, so that the "
+                'magnetometer gives no heading of the track: use recipe "default"'
             )
         rate_hz = self.sensing.conditioner.rate_hz
         north = MagneticNorth(rate_hz, declination_rad, declination_std_rad)
         return replace(self, sensing=replace(self.sensing, north=north)).in_world_frame()
 
     def with_plan(self, plan: Plan, start: PositionFix | str | None = None, seed: int = 0) -> Config:
-        """The same for a walk on a floor plan, in whose frame tracks are then.
+        """Return a copy that constrains tracks to a floor plan with a particle filter.
 
-        Where it begins: a `PositionFix`, the name of an area of the plan, or "anywhere"; if not given, where fixes or
-        the frame of the configuration put it. The same `seed` gives the same bits.
+        Tracks are then in the frame of the plan.
+
+        Parameters
+        ----------
+        plan : Plan
+            Floor plan, such as a `FloorPlan`.
+        start : PositionFix or str, optional
+            Start of the walk: a position, the name of an area of the plan, or "anywhere". By default the start follows
+            from the fixes, or is the zero of the plan frame if there are none.
+        seed : int, default 0
+            Seed of the random numbers. The same seed gives bit-identical results.
+
+        Returns
+        -------
+        Config
+            Changed copy. This configuration is not modified.
         """
-        # Only when called: a filter without a plan needs no maps.
+        # imported here, so that a filter without a plan does not load the maps
         from pdr_filter.maps.particle_filter import ParticleFilter
 
         placed = self if start is None else self.in_world_frame()
         return replace(placed, on_plan=ParticleFilter.of(plan, start, seed))
 
     def placed(self, placement: TrackPlacement) -> Config:
-        """Return the configuration on the floor plan of a placement, if it has one."""
+        """Return a copy with the floor plan and the start of a placement, or this configuration if it has no plan.
+
+        Parameters
+        ----------
+        placement : TrackPlacement
+            Place, north and floor plan of a track.
+
+        Returns
+        -------
+        Config
+            Changed copy, or this configuration.
+        """
         return self if placement.plan is None else self.with_plan(placement.plan, placement.start)
 
     def in_hindsight(self) -> Config:
-        """The same where later windows are known, too: a window says no more than its share of the time."""
+        """Return a copy for offline smoothing, with another weight of the context windows.
+
+        Overlapping windows share samples. Offline, the evidence of a window is tempered by `model.hindsight_exponent`,
+        so that no second of samples counts twice.
+
+        Returns
+        -------
+        Config
+            Changed copy. This configuration is not modified.
+        """
         return self.with_model(evidence_exponent=self.model.hindsight_exponent)
 
     def with_contexts(
@@ -153,16 +296,31 @@ class Config:
 
         Parameters
         ----------
-        model : ContextModel, two of them, or ContextStage
-            Names the contexts (`model.contexts`) and gives their probabilities. Of two models, the second is for
-            windows without gyroscope. Without it such windows are unknown, unless the model needs no gyroscope.
+        model : ContextModel, (ContextModel, ContextModel) or ContextStage
+            Classifier of the contexts, whose names are `model.contexts`. The second of two models classifies windows
+            without gyroscope. With a single model, such windows have no context, unless it needs no gyroscope.
         modes : sequence of Mode
-            What the contexts mean. "hc", "wc" and functions as weighting need one mode for each context. With "imm" a
-            context may have several modes or none; its probability then is evidence for none of them.
-        transition_prob : (M, M), optional
-            From each mode to each mode between two steps; rows sum to one. If not given, those that the model
-            estimated from its labels. A model without them gets those of `recipes.context_transitions`, which follow
-            from what the modes mean. Exponents of the evidence are those that the model estimated, or the present ones.
+            Motion models that define the contexts. The weightings "hc" and "wc" and functions need exactly one mode for
+            each context. With "imm" a context may have several modes. The probability of a context without a mode is
+            evidence for no mode.
+        transition_prob : array_like of shape (M, M), optional
+            Probability of changing from each mode (row) to each mode (column) between two steps. Rows sum to one. The
+            default is the matrix that the model estimated from its labels. For a model without such a matrix it is
+            `recipes.context_transitions`, which follows from the properties of the modes.
+
+        Returns
+        -------
+        Config
+            Changed copy. This configuration is not modified.
+
+        Raises
+        ------
+        ValueError
+            If model, modes and transition probabilities do not match, or if the configuration has a person.
+
+        Notes
+        -----
+        The exponents of the evidence are taken from the model if it estimated them, else they are unchanged.
 
         Examples
         --------
@@ -194,18 +352,47 @@ class Config:
         )
 
     def with_carrying_model(self, model: ContextModel | tuple[ContextModel, ContextModel]) -> Config:
-        """Return a copy with another model of where the phone is, fitted with `head="carrying_mode"`.
+        """Return a copy with another classifier of the carrying mode.
 
-        Of two models, the second is for windows without gyroscope. Without it such windows say nothing of the carrying
-        mode, unless the model needs no gyroscope. ValueError for a recipe without trained models of contexts.
+        Parameters
+        ----------
+        model : ContextModel or (ContextModel, ContextModel)
+            Model from `fit_contexts(..., head="carrying_mode")`. The second of two models classifies windows without
+            gyroscope. With a single model, such windows have no carrying mode, unless it needs no gyroscope.
+
+        Returns
+        -------
+        Config
+            Changed copy. This configuration is not modified.
+
+        Raises
+        ------
+        ValueError
+            If the recipe has no trained context models.
         """
         return replace(self, sensing=replace(self.sensing, contexts=with_carrying_models(model, self.sensing.contexts)))
 
     def with_modes(self, modes: Sequence[Mode], transition_prob: ArrayLike | None = None) -> Config:
         """Return a copy with other modes for the same contexts.
 
-        `transition_prob` (M, M) is between the modes from one step to the next. If not given, it stays as it is if the
-        modes are of the same contexts in the same order. Otherwise it is that of `recipes.context_transitions`.
+        Parameters
+        ----------
+        modes : sequence of Mode
+            New motion models.
+        transition_prob : array_like of shape (M, M), optional
+            Probability of changing from each mode (row) to each mode (column) between two steps. By default it is
+            unchanged if the new modes have the same contexts in the same order, and `recipes.context_transitions`
+            otherwise.
+
+        Returns
+        -------
+        Config
+            Changed copy. This configuration is not modified.
+
+        Raises
+        ------
+        ValueError
+            If the modes do not fit the contexts or the matrix, or if the configuration has a person.
         """
         if transition_prob is not None:
             prob = np.asarray(transition_prob)
@@ -217,9 +404,27 @@ class Config:
         return replace(self, tracker=replace(self.tracker, model=known), notes=self._notes_with(modes))
 
     def with_steps(self, steps: StepDetector[Any]) -> Config:
-        """Return a copy with another step detector; ValueError names what it lacks (`pdr_filter.protocols`).
+        """Return a copy with another step detector.
 
-        A UserWarning says if `OnlineFilter.save` cannot save its state.
+        Parameters
+        ----------
+        steps : StepDetector
+            Step detector with the interface `pdr_filter.protocols.StepDetector`.
+
+        Returns
+        -------
+        Config
+            Changed copy. This configuration is not modified.
+
+        Raises
+        ------
+        ValueError
+            If the detector lacks a member of the interface, which the message names.
+
+        Warns
+        -----
+        UserWarning
+            If `OnlineFilter.save` cannot save the state of the detector.
 
         Examples
         --------
@@ -233,52 +438,111 @@ class Config:
         return replace(self, sensing=replace(self.sensing, steps=steps))
 
     def with_heading(self, heading: HeadingStage) -> Config:
-        """Return a copy with another heading stage; ValueError names what it lacks (`pdr_filter.protocols`).
+        """Return a copy with another heading stage.
 
-        A UserWarning says if `OnlineFilter.save` cannot save its state.
+        Parameters
+        ----------
+        heading : HeadingStage
+            Heading stage with the interface `pdr_filter.protocols.HeadingStage`.
+
+        Returns
+        -------
+        Config
+            Changed copy. This configuration is not modified.
+
+        Raises
+        ------
+        ValueError
+            If the stage lacks a member of the interface, which the message names.
+
+        Warns
+        -----
+        UserWarning
+            If `OnlineFilter.save` cannot save the state of the stage.
         """
         check_members("heading", heading, HeadingStage)
         _warn_of_state(heading)
         return replace(self, sensing=replace(self.sensing, heading=heading))
 
     def with_step_length(self, name: str, fit: StepLengthFit) -> Config:
-        """Return a copy in which the named mode has this step length; ValueError if there is no such mode.
+        """Return a copy with another step-length model for one mode or context.
 
-        If `name` is a context and not a mode, all modes of that context get the step length.
+        Parameters
+        ----------
+        name : str
+            Name of a mode, or else of a context, all of whose modes get the step length.
+        fit : StepLengthFit
+            Step-length model with its parameters.
+
+        Returns
+        -------
+        Config
+            Changed copy. This configuration is not modified.
+
+        Raises
+        ------
+        ValueError
+            If there is no such mode or context, or if the configuration has a person.
+
+        Examples
+        --------
+        >>> import pdr_filter as pdr
+        >>> fit = pdr.known_length(1.1, 0.1)
+        >>> config = pdr.recipes.default().with_step_length("running", fit)
+        >>> [mode.name for mode in config.model.modes if mode.step_length is fit]
+        ['running']
         """
         named = [m.name for m in self.model.modes if m.name == name] or [
             m.name for m in self.model.modes if m.context == name
         ]
         if not named:
-            raise ValueError(f"no mode {name!r}, there are {', '.join(m.name for m in self.model.modes)}: name one")
+            raise ValueError(
+                f"no mode or context is named {name!r}: give one of {', '.join(m.name for m in self.model.modes)}"
+            )
         return self.with_modes([replace(m, step_length=fit) if m.name in named else m for m in self.model.modes])
 
     @property
     def contexts(self) -> tuple[str, ...]:
-        """Names of the contexts, C, in the order of all context probabilities."""
+        """Names of the C contexts, in the order of all context probabilities."""
         return self.model.contexts
 
     def _with_modes(self, modes: Sequence[Mode], **changes: Any) -> PedestrianModel:
-        """Return the model with other modes; ValueError where these would forget a person."""
+        """Return the pedestrian model with other modes.
+
+        ValueError if they would discard the step lengths of a person.
+        """
         if self.person is not None:
             raise ValueError(
-                "the configuration has the step length of a person, which other modes would not have: give modes and "
-                "step lengths first, then the person"
+                "the configuration has the step lengths of a person, which new modes would discard: set modes and step "
+                "lengths first, then call with_person"
             )
         return replace(self.model, modes=tuple(modes), **changes)
 
     def _notes_with(self, modes: Sequence[Mode]) -> tuple[Note, ...]:
-        """Notes without that on the height if no step length depends on it."""
+        """Return the notes, without the note about the height if no step length depends on the height."""
         if any(m.moves and hasattr(m.step_length.model, "height_m") for m in modes):
             return self.notes
         return tuple(note for note in self.notes if note.about != "height")
 
     def with_weighting(self, weighting: str | Weighting) -> Config:
-        """Return a copy with another weighting: "imm", "wc", "hc", or a function.
+        """Return a copy with another weighting of the contexts.
 
-        The function gets the context probabilities (C,) of a window and returns the weights (C,) of the step lengths
-        of the contexts, which are 0 or more and sum to one. ValueError if it returns anything else, or for another
-        name.
+        Parameters
+        ----------
+        weighting : {"imm", "wc", "hc"} or callable
+            "imm" is the interacting multiple model. "wc" weights the step lengths of the contexts by the context
+            probabilities. "hc" takes the step length of the most probable context. A function receives the context
+            probabilities (C,) of a window and returns non-negative weights (C,) with sum one.
+
+        Returns
+        -------
+        Config
+            Changed copy. This configuration is not modified.
+
+        Raises
+        ------
+        ValueError
+            If `weighting` is an unknown name. A function with invalid results raises when it is called.
 
         Examples
         --------
@@ -291,7 +555,7 @@ class Config:
         if not isinstance(weighting, str) and callable(weighting):
             return replace(self, tracker=WeightedTracker(self.model, function=weighting))
         if weighting not in WEIGHTINGS:
-            raise ValueError(f"weighting must be one of {WEIGHTINGS}, got {weighting!r}: name one, or give a function")
+            raise ValueError(f"weighting must be one of {WEIGHTINGS} or a function, got {weighting!r}")
         if weighting == self.tracker.weighting and getattr(self.tracker, "function", None) is None:
             return self
         if weighting == "imm":
@@ -302,7 +566,7 @@ class Config:
 
     @cached_property
     def fix_delay_s(self) -> float:
-        """How long a fix waits for the step that it falls into to be final."""
+        """Longest time in s that a fix waits until the step during which it was measured is final."""
         waits_s = self.tracker.waits_for_windows * self.sensing.window_hop_s
         return self.sensing.step_latency_s + self.sensing.steps.first_step_s + waits_s
 
@@ -310,9 +574,9 @@ class Config:
 def _transitions(
     contexts: tuple[str, ...], modes: Sequence[Mode], context_transition_prob: FloatArray | None
 ) -> FloatArray:
-    """Transition matrix (M, M) between modes, from that between their contexts (C, C) if that is known.
+    """Return the transition matrix (M, M) between modes, from the matrix (C, C) between their contexts if given.
 
-    Where some contexts have no mode, or several, only the default matrix can be used.
+    The default matrix is used if a context has no mode or several modes.
     """
     of_mode = [contexts.index(m.context) for m in modes if m.context in contexts]
     if context_transition_prob is None or sorted(of_mode) != list(range(len(contexts))):
@@ -321,7 +585,7 @@ def _transitions(
 
 
 def _warn_of_state(part: Any) -> None:
-    """Warn if the first state of a part cannot be saved, which a filter would else refuse only in the end."""
+    """Warn if the first state of a part cannot be saved, because `OnlineFilter.save` would fail only after a walk."""
     try:
         to_bytes(part.init(), foreign=True)
     except TypeError as error:
@@ -329,7 +593,7 @@ def _warn_of_state(part: Any) -> None:
 
 
 def check_config(config: object) -> None:
-    """ValueError unless it is a configuration."""
+    """Raise ValueError unless the argument is a configuration."""
     if not isinstance(config, Config):
         raise ValueError(
             f"config must be a Config, got {config!r}: call a recipe, such as pdr_filter.recipes.default()"

@@ -1,4 +1,4 @@
-"""Recipes: functions that return a configuration. `default` is the one to use; the others are published systems."""
+"""Default recipe, selection of recipes by name, and changes of the context model or the transitions."""
 
 from __future__ import annotations
 
@@ -40,13 +40,43 @@ from pdr_filter.values.recording import Recording, Subject, check_height
 
 
 def default(subject: Subject | None = None) -> Config:
-    """The recipe to use: adaptive steps behind a gate, contexts from attitude-free features, learnt walking heading.
+    """Return the default configuration, which is recommended for carried phones.
 
-    Of the subject only the height counts; how people differ in their step lengths beyond it is `scale_std`.
+    It has an adaptive step detector with a gate against false steps, contexts from attitude-free features, and an
+    estimate of the walking direction relative to the phone.
+
+    Parameters
+    ----------
+    subject : Subject, optional
+        Person who carries the phone. Only the height is used, for the step lengths. Without a height, step lengths are
+        those of a typical person, with a larger uncertainty, and a note says so.
+
+    Returns
+    -------
+    Config
+        Configuration of the filter.
+
+    Raises
+    ------
+    ValueError
+        If `subject` is not a `Subject`, or if its height is implausible.
+
+    Notes
+    -----
+    The uncertainty of a person's step lengths given the height is `filter.step_length.models.scale_std`.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> config = pdr.recipes.default()
+    >>> config.contexts
+    ('stationary', 'walking', 'upstairs', 'downstairs', 'sideways', 'running')
+    >>> config.tracker.weighting
+    'imm'
     """
     if not isinstance(subject, Subject | None):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise ValueError(
-            f"subject must be a Subject, got {subject!r}: such as that of a recording, or of recording.of_height(1.78)"
+            f"subject must be a Subject, got {subject!r}: pass recording.subject, or recording.of_height(1.78).subject"
         )
     height_m = subject.height_m if subject else None
     if height_m is not None:
@@ -54,10 +84,10 @@ def default(subject: Subject | None = None) -> Config:
     return replace(_for_height(height_m), notes=height_notes(subject))
 
 
-# Coefficients that stages derive once are then those of all recordings of a height: a millisecond of each.
+# Cached, because stages derive filter coefficients when they are created, which takes a millisecond per recording.
 @lru_cache(maxsize=16, typed=True)
 def _for_height(height_m: float | None) -> Config:
-    """The default but for its notes."""
+    """Return the default configuration without its notes."""
     drift = HeadingDrift()
     return Config(
         name="default",
@@ -79,15 +109,42 @@ def _for_height(height_m: float | None) -> Config:
 
 
 def with_context_model(config: Config, model: ContextModel) -> Config:
-    """Return the configuration with another context model for windows with gyroscope and the features that it needs.
+    """Return a configuration with another context model, for windows with gyroscope, and the features that it needs.
 
-    A model of only some of the contexts of the configuration leaves the modes of these. ValueError for a model of other
-    contexts, or of features that no feature set has.
+    Parameters
+    ----------
+    config : Config
+        Configuration to change. It is not modified.
+    model : ContextModel
+        Context model, such as from `fit_contexts`. If it knows only some contexts of the configuration, only the modes
+        of these contexts remain.
+
+    Returns
+    -------
+    Config
+        Changed copy.
+
+    Raises
+    ------
+    ValueError
+        If the model has contexts without a mode in the configuration, or needs unknown features.
+
+    See Also
+    --------
+    Config.with_contexts : Change the contexts and their modes.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> model = pdr.ContextModel.load("context")
+    >>> pdr.recipes.with_context_model(pdr.recipes.default(), model).contexts
+    ('stationary', 'walking', 'upstairs', 'downstairs', 'sideways', 'running')
     """
     if other := [label for label in model.labels if label not in config.contexts]:
         raise ValueError(
-            f"model {model.name!r} has the contexts {other}, for which recipe {config.name!r} has no modes: say what "
-            "they mean in a recipe of your own with config.with_contexts(model, modes)"
+            f"model {model.name!r} has the contexts {other}, for which recipe "
+            f"{config.name!r} has no modes: define their "
+            "modes in a recipe of your own with config.with_contexts(model, modes)"
         )
     if model.labels != config.contexts:
         return config.with_contexts(model, [m for m in config.model.modes if m.context in model.labels])
@@ -95,35 +152,84 @@ def with_context_model(config: Config, model: ContextModel) -> Config:
         if set(model.feature_names) <= set(contexts.windows.features.names):
             contexts = replace(contexts, models=replace(contexts.models, with_gyroscope=model))
             return replace(config, sensing=replace(config.sensing, contexts=contexts))
-    raise ValueError(f"model {model.name!r} needs features that no feature set has")
+    raise ValueError(
+        f"model {model.name!r} needs features that no feature set of this version has: train it again with this version"
+    )
 
 
 def with_transitions(config: Config, transitions: Transitions | str | Path) -> Config:
-    """The configuration with transition probabilities and exponents of the evidence that were estimated.
+    """Return a configuration with transition probabilities and evidence exponents estimated from recordings.
 
-    `transitions`, or the path of its file, is what `pdr-filter train` writes; the exponents in it are of the default's
-    context model. The weightings "hc" and "wc" take step lengths from the windows and not from transitions. ValueError
-    if the file cannot be used, or if the configuration has not one mode for each of its contexts.
+    The weightings "hc" and "wc" do not use transition probabilities, so that their step lengths do not change.
+
+    Parameters
+    ----------
+    config : Config
+        Configuration to change, with exactly one mode for each context of the transitions. It is not modified.
+    transitions : Transitions, str or Path
+        Transitions, or the path of a file that `pdr-filter train` has written. The exponents in it were estimated for
+        the context model of the default recipe.
+
+    Returns
+    -------
+    Config
+        Changed copy.
+
+    Raises
+    ------
+    ValueError
+        If the file cannot be used, or if the modes of the configuration do not match the contexts.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.classifiers.transition_files import Transitions
+    >>> prob = pdr.recipes.context_transitions()
+    >>> transitions = Transitions(prob, evidence_exponent=0.7, prior_exponent=0.2, counts=0 * prob)
+    >>> pdr.recipes.with_transitions(pdr.recipes.default(), transitions).model.evidence_exponent
+    0.7
     """
-    learnt = transitions if isinstance(transitions, Transitions) else load_transitions(transitions)
+    estimated = transitions if isinstance(transitions, Transitions) else load_transitions(transitions)
     contexts = [mode.context for mode in config.model.modes]
-    if sorted(contexts) != sorted(learnt.contexts):
+    if sorted(contexts) != sorted(estimated.contexts):
         raise ValueError(
-            f"transitions are between the contexts {learnt.contexts}, but recipe {config.name!r} has modes of "
-            f"{contexts}; give transition_prob to config.with_modes or config.with_contexts instead"
+            f"transitions are between the contexts {estimated.contexts}, but recipe {config.name!r} has modes of "
+            f"{contexts}; give transition_prob to config.with_modes or config.with_contexts"
         )
-    of_mode = [learnt.contexts.index(context) for context in contexts]
+    of_mode = [estimated.contexts.index(context) for context in contexts]
     return config.with_model(
-        transition_prob=learnt.transition_prob[np.ix_(of_mode, of_mode)],
-        evidence_exponent=learnt.evidence_exponent,
-        prior_exponent=learnt.prior_exponent,
+        transition_prob=estimated.transition_prob[np.ix_(of_mode, of_mode)],
+        evidence_exponent=estimated.evidence_exponent,
+        prior_exponent=estimated.prior_exponent,
     )
 
 
 def for_recording(name: str, recording: Recording) -> Config:
-    """The recipe of that name for the person and the placement of a recording; ValueError if there is none.
+    """Return the configuration of a recipe for the person and the phone placement of a recording.
 
-    `name` is one of `RECIPES`, that of an entry point of the group "pdr_filter.recipes", or "module:function".
+    Parameters
+    ----------
+    name : str
+        Name of a recipe in `RECIPES`, name of an entry point of the group "pdr_filter.recipes", or "module:function".
+    recording : Recording
+        Recording, whose subject is passed to the recipe. "zhou2019" also uses whether the sensor is on the foot.
+
+    Returns
+    -------
+    Config
+        Configuration of the filter.
+
+    Raises
+    ------
+    ValueError
+        If there is no such recipe, or if it does not return a `Config`.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=5.0)])
+    >>> pdr.recipes.for_recording("martinelli2018", walk).name
+    'martinelli2018'
     """
     if name == "zhou2019" and recording.is_on_foot:
         return zhou2019(recording.subject, placement="foot")
@@ -138,24 +244,26 @@ def contexts_of(name: str) -> tuple[str, ...]:
 def _called(name: str, subject: Subject | None) -> Config:
     config: Any = _named(name)(subject)
     if not isinstance(config, Config):
-        raise ValueError(f"recipe {name!r} must return a Config, got {config!r}: such as default().with_steps(...)")
+        raise ValueError(
+            f"recipe {name!r} must return a Config, got {config!r}: return, for example, default().with_steps(...)"
+        )
     return config
 
 
 def check_name(name: str) -> None:
-    """ValueError that lists the recipes if there is none of that name."""
+    """Raise ValueError for an unknown recipe name. The message lists all recipes."""
     _named(name)
 
 
-# Entry points of this group, which any installed distribution may have, are recipes.
+# Group of entry points with which installed packages can add recipes.
 ENTRY_POINTS = "pdr_filter.recipes"
 
 
 def _named(name: str) -> Callable[[Subject | None], Any]:
-    """The recipe of a name; a function without parameters is called without the subject."""
+    """Return the function of a recipe, which takes the subject. A function without parameters is wrapped."""
     if name in RECIPES:
         return RECIPES[name]
-    from importlib.metadata import entry_points  # for names that are not here
+    from importlib.metadata import entry_points  # slow import, needed only for other names
 
     installed = entry_points(group=ENTRY_POINTS)
     if ":" in name:
@@ -164,14 +272,14 @@ def _named(name: str) -> Callable[[Subject | None], Any]:
         recipe = installed[name].load()
     else:
         known = ", ".join(sorted({*RECIPES, *installed.names}))
-        raise ValueError(f"no recipe {name!r}; there are {known}, and module:function for one of yours")
+        raise ValueError(f"no recipe {name!r}; there are {known}. A recipe of your own is module:function")
     if not callable(recipe):
         raise ValueError(f"recipe {name!r} must be a function that returns a Config, got {recipe!r}")
     return recipe if inspect.signature(recipe).parameters else lambda _: recipe()
 
 
 def _function_of(name: str) -> Any:
-    """The function of "module:function"; the module may be in the working folder."""
+    """Import the function of "module:function". The module may be in the working directory."""
     module, _, function = name.partition(":")
     if (folder := str(Path.cwd())) not in sys.path:
         sys.path.insert(0, folder)
@@ -179,7 +287,7 @@ def _function_of(name: str) -> Any:
         return getattr(importlib.import_module(module), function)
     except (ImportError, AttributeError, ValueError) as error:
         raise ValueError(
-            f"recipe {name!r} cannot be imported ({error}); name a module that Python finds, such as a file "
+            f"recipe {name!r} cannot be imported ({error}): give an importable module, such as a file "
             f"{module.partition('.')[0] or 'mymodule'}.py in this folder, and a function in it"
         ) from None
 

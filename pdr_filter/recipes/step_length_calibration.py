@@ -1,4 +1,4 @@
-"""Step-length parameters of people, with covariance: saved, loaded, and used by the filter. Needs no gtsam."""
+"""Results of a step-length calibration: saved, loaded, and used by the filter. This module does not need gtsam."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 FORMAT = ArtefactFormat("calibration", 1, "calibrate again, or use the version that wrote it")
 _ARRAYS = ("theta", "theta_cov", "between_cov", "people", "people_cov", "heights_m")
-_SEGMENT = "segment_"  # before the names of the columns of `segments`
+_SEGMENT = "segment_"  # prefix of the column names of `segments` in a file
 _TEXTS, _FLAGS = ("subject", "recording", "context"), ("summed", "distrusted")
 _LENGTHS = ("distance_m", "predicted_m", "left_out_m", "stranger_m", "uncalibrated_m")
 _COLUMN_KINDS = {
@@ -47,22 +47,34 @@ _COLUMN_KINDS = {
     **dict.fromkeys(_FLAGS, "b"),
     **dict.fromkeys(("start_s", "end_s", "n_steps", "misfit", "weight", *_LENGTHS), "if"),
 }
-_LARGEST_STD = 1e3  # no step is longer, in m, and nobody as far from others: it says that nothing is known
-_MOST_PEOPLE, _MOST_NOTES = 20, 12  # in the report
-# Whose recordings are that do not say it: somebody who calibrates his own steps seldom gives himself a name.
+_LARGEST_STD = 1e3  # larger standard deviations (m, or relative) are rejected as nonsense
+_MOST_PEOPLE, _MOST_NOTES = 20, 12  # maximum number in the report
+# Person of recordings without a name, because users who calibrate their own steps rarely enter a name.
 UNNAMED = "unnamed"
-# Heights of one person, as two recordings state them, differ by less.
+# Maximum difference of the heights that two recordings of the same person state.
 _SAME_HEIGHT_M = 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class CalibratedPerson:
-    """What was found of one person."""
+    """Calibrated step-length parameters of one person.
+
+    Attributes
+    ----------
+    id : str
+        Name of the person.
+    height_m : float or None
+        Height of the person, which the step-length models use with the parameters.
+    k : mapping of str to ndarray of shape (p,)
+        Parameters of each context. Contexts without segments have the parameters of the population.
+    k_cov : mapping of str to ndarray of shape (p, p)
+        Covariance of the parameters. Contexts without segments have the covariance between persons.
+    n_segments : int
+        Number of segments of the person.
+    """
 
     id: str
-    height_m: float | None  # that of the models; the parameters belong to it
-    # Parameters (p,) of each context and their covariance (p, p). Of contexts without segments they are the
-    # population's, with the spread between people.
+    height_m: float | None
     k: Mapping[str, FloatArray]
     k_cov: Mapping[str, FloatArray]
     n_segments: int
@@ -70,41 +82,67 @@ class CalibratedPerson:
 
     @property
     def k0(self) -> float:
-        """First parameter of walking, or of the `main_context` of the calibration."""
+        """First parameter of the step-length model of the `main_context` of the calibration."""
         return float(self.k[self.main_context][0])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Calibration:
-    """Step-length parameters of a population and its people, per context.
+    """Step-length parameters of a population and of its persons, for each context.
+
+    `pdr_filter.calibrate` returns one, and `pdr_filter.track(recording, calibration=...)` uses it. Vectors of
+    parameters are the parameters of all contexts one after the other, in the order of `models`. P is their number, and
+    S is the number of persons.
 
     Parameters
     ----------
-    models : dict
+    models : dict of str to StepLengthModel
         Step-length model of each context.
-    theta, theta_cov : (P,), (P, P)
-        Of the population, all contexts one after the other in the order of `models`, and how well they are known.
-    between_cov : (P, P)
-        How people differ from it.
-    people, people_cov : (S, P), (S, P, P)
-    subject_ids : (S,)
-    heights_m : (S,)
-        NaN where unknown.
-    residual_std_m : dict
-        Of single steps in each context.
+    theta : ndarray of shape (P,)
+        Parameters of the population, which are used for persons who were not calibrated.
+    theta_cov : ndarray of shape (P, P)
+        Covariance of the estimate `theta`.
+    between_cov : ndarray of shape (P, P)
+        Covariance of the parameters between persons.
+    people : ndarray of shape (S, P)
+        Parameters of each person.
+    people_cov : ndarray of shape (S, P, P)
+        Covariance of the estimate `people`.
+    subject_ids : tuple of str
+        Names of the S persons.
+    heights_m : ndarray of shape (S,)
+        Heights of the persons in m, NaN if unknown.
+    residual_std_m : dict of str to float
+        Standard deviation of single steps about the model, in m, for each context.
     recording_std : float
-        How one person's scale differs between recordings, relative.
-    n_segments : dict
-        How many segments, in steps' shares, each context had.
-    segments : table
-        One row for each segment: `subject, recording, context, start_s, end_s, distance_m, n_steps, summed` (lengths
-        and not displacement), `predicted_m`, `left_out_m` (without this segment), `stranger_m` (without this person,
-        NaN for only one), `uncalibrated_m`, `misfit` (distance from what all others say, in standard deviations),
-        `weight`, `distrusted`.
+        Relative standard deviation of the step scale of one person between recordings.
+    n_segments : dict of str to float
+        Number of segments of each context. A segment counts for several contexts by their shares of its steps.
+    segments : Table
+        One row for each segment, with columns `subject`, `recording`, `context`, `start_s`, `end_s`, `distance_m`
+        (known), `n_steps`, `summed` (True if step lengths were summed instead of displacements), `predicted_m`
+        (in-sample), `left_out_m` (predicted without this segment), `stranger_m` (predicted without this person, NaN
+        if there is only one), `uncalibrated_m` (predicted by the prior), `misfit` (difference from the prediction of
+        all other segments in standard deviations), `weight` (robust weight) and `distrusted` (rejected as an outlier).
     notes : tuple of str
-        Warnings, what was left out, taken otherwise, or distrusted.
-    card : dict
-        Version, date and what else people should know.
+        Warnings, and reports about segments that were skipped, reinterpreted or rejected.
+    card : dict, optional
+        Version, date and other information about the calibration.
+
+    Raises
+    ------
+    ValueError
+        If shapes, contexts or numbers do not match.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> legs = [pdr.simulate.Leg("walking", distance_m=d, turn_rad=1.57) for d in (30.0, 20.0)]
+    >>> calibration = pdr.calibrate([pdr.simulate.simulate(legs)], model="tian")
+    >>> calibration
+    Calibration(walking; 1 people, 2 segments)
+    >>> sorted(calibration.subjects), calibration.k["walking"].shape
+    (['simulated'], (1,))
     """
 
     models: Mapping[str, StepLengthModel]
@@ -143,35 +181,38 @@ class Calibration:
 
     @property
     def contexts(self) -> tuple[str, ...]:
-        """Contexts that are the main one of a segment: those that a few doubtful steps hint at are not calibrated."""
+        """Calibrated contexts, which are the main context of at least one segment.
+
+        A context with only a few uncertain steps in segments of other contexts is not calibrated.
+        """
         found = set(self.segments.context.tolist())
         k, k_cov = self.k, self.k_cov
         return tuple(c for c in self.models if c in found and (k[c].any() or k_cov[c].any()))
 
     @property
     def main_context(self) -> str:
-        """Walking if it was calibrated, else the first context that was."""
+        """The context "walking" if it was calibrated, else the first calibrated context."""
         names = self.contexts or tuple(self.models)
         return "walking" if "walking" in names or not names else names[0]
 
     @property
     def k(self) -> dict[str, FloatArray]:
-        """Parameters of the population in each context."""
+        """Parameters (p,) of the population in each context."""
         return self._by_context(self.theta)
 
     @property
     def k_cov(self) -> dict[str, FloatArray]:
-        """How well the population's parameters are known."""
+        """Covariance (p, p) of the estimated parameters of the population in each context."""
         return self._blocks(self.theta_cov)
 
     @property
     def between(self) -> dict[str, FloatArray]:
-        """Covariance between people in each context."""
+        """Covariance (p, p) of the parameters between persons in each context."""
         return self._blocks(self.between_cov)
 
     @property
     def subjects(self) -> dict[str, CalibratedPerson]:
-        """The people, by id."""
+        """Calibrated persons by name."""
         return {
             name: CalibratedPerson(
                 name,
@@ -186,14 +227,24 @@ class Calibration:
 
     @property
     def distrusted(self) -> Table:
-        """Segments whose residual is beyond three standard deviations."""
+        """Segments that were rejected because their residual exceeds three standard deviations."""
         return self.segments[self.segments.distrusted].view(np.recarray)
 
     def person_of(self, subject: Subject | str | None = None) -> str | None:
-        """Whose parameters are used for somebody: an id, or None for the population's.
+        """Return the name of the calibrated person whose parameters apply to a subject.
 
-        Where a recording does not say whose it is, the calibration's only person, or the one who was calibrated without
-        a name; unless the heights of the two are known and differ.
+        A subject without a name is assumed to be the only person of the calibration, or the person who was calibrated
+        without a name, unless both heights are known and differ.
+
+        Parameters
+        ----------
+        subject : Subject or str, optional
+            Subject of a recording, or a name.
+
+        Returns
+        -------
+        str or None
+            Name in `subject_ids`, or None if the parameters of the population apply.
         """
         subject = Subject(id=subject) if isinstance(subject, str) else subject or Subject()
         names = self.subject_ids
@@ -206,10 +257,19 @@ class Calibration:
         return None if abs(apart_m) > _SAME_HEIGHT_M else name
 
     def fits(self, subject: Subject | str | None = None) -> dict[str, StepLengthFit]:
-        """Model, parameters and covariance in each context, for a person (`person_of`).
+        """Return the step-length models of all contexts with parameters and covariance for a person.
 
-        Of somebody who was not calibrated they are the population's; how people differ from it is not in `theta_cov`
-        then, but in `scale_std`: it is one factor for all steps of the person.
+        Parameters
+        ----------
+        subject : Subject or str, optional
+            Subject of a recording, or a name; `person_of` selects the calibrated person.
+
+        Returns
+        -------
+        dict of str to StepLengthFit
+            Step-length fit of each context. A subject who was not calibrated gets the parameters of the population. The
+            covariance then excludes the differences between persons, which are a common factor of all steps of a
+            person and are included in `scale_std`.
         """
         name = self.person_of(subject)
         theta, cov = self.theta, self.theta_cov
@@ -225,10 +285,20 @@ class Calibration:
         }
 
     def scale_std(self, subject: Subject | str | None = None) -> float:
-        """Relative standard deviation of all of a person's step lengths together, of walking if it was calibrated.
+        """Return the relative standard deviation of the common scale of all step lengths of a person.
 
-        It has how well the person is known (or how people differ, for somebody who was not calibrated), and how a
-        person differs between recordings.
+        It combines the uncertainty of the parameters in `main_context` with the variation between recordings of one
+        person. For a subject who was not calibrated it includes the variation between persons.
+
+        Parameters
+        ----------
+        subject : Subject or str, optional
+            Subject of a recording, or a name; `person_of` selects the calibrated person.
+
+        Returns
+        -------
+        float
+            Relative standard deviation.
         """
         context = self.main_context
         fit = self.fits(subject)[context]
@@ -238,10 +308,26 @@ class Calibration:
         return float(np.hypot(min(relative, 1.0), self.recording_std))
 
     def config(self, config: Config, subject: Subject | None = None) -> Config:
-        """The configuration with the calibrated step lengths of a person, how sure they are, and a note whose they are.
+        """Return a configuration with the calibrated step lengths of a person, and a note that names the person.
 
-        Contexts that no segment said anything about keep the lengths of the configuration. The uncertainty is one
-        factor of all steps of the walk, `scale_std`: errors of parameters do not differ from step to step.
+        Contexts that were not calibrated keep the step lengths of the configuration.
+
+        Parameters
+        ----------
+        config : Config
+            Configuration to change. It is not modified.
+        subject : Subject, optional
+            Subject of the recording; `person_of` selects the calibrated person.
+
+        Returns
+        -------
+        Config
+            Changed copy.
+
+        Notes
+        -----
+        The uncertainty of the parameters becomes the uncertainty of one factor for all steps, `scale_std`, because an
+        error of the parameters is the same in all steps of a walk.
         """
         fits = self.fits(subject)
         used = self.contexts
@@ -254,19 +340,25 @@ class Calibration:
         return replace(config.with_model(modes=modes, noise=noise), notes=(*notes, note))
 
     def _whose(self, subject: Subject | None) -> str:
-        """Whose parameters are used, in words."""
+        """Return a phrase that names the person whose parameters are used."""
         name, asked = self.person_of(subject), subject.id if subject else None
         n_people = len(self.subject_ids)
-        of_all = f"of the calibrated population ({how_many(n_people, 'person', 'people')})"
+        of_all = f"of the calibrated population ({how_many(n_people, 'person', 'persons')})"
         if asked is not None:
-            return f"of {asked}" if name else f"{of_all}, as {asked} was not calibrated"
+            return f"of {asked}" if name else f"{of_all}, because {asked} was not calibrated"
         if name is None:
-            return f"{of_all}, as the recording does not say whose it is"
-        which = "the calibrated person" if n_people == 1 else "who was calibrated without a name"
-        return f"of {name}, {which}, as the recording does not say whose it is"
+            return f"{of_all}, because the recording does not name its person"
+        which = "the only calibrated person" if n_people == 1 else "who was calibrated without a name"
+        return f"of {name}, {which}, because the recording does not name its person"
 
     def report(self) -> str:
-        """Parameters, errors and doubts as text."""
+        """Return parameters, errors and warnings as text.
+
+        Returns
+        -------
+        str
+            Several lines for a fixed-width font.
+        """
         of_all = _once(self.notes)
         notes = [f"- {note}" for note in of_all[:_MOST_NOTES]]
         if len(of_all) > _MOST_NOTES:
@@ -278,12 +370,15 @@ class Calibration:
         return f"```\n{self.report()}\n```"
 
     def tables(self) -> dict[str, Table]:
-        """Return the tables of a paper: `parameters`, `covariance` and `segments`.
+        """Return parameters, covariance and segments as tables, for example for a paper.
 
-        `parameters` has `context`, `parameter` (numbered from 0), `value`, `std` and `between_std` (of people).
-        `covariance` has a row for each pair of parameters: `context`, `parameter`, `other_context`,
-        `other_parameter`, `covariance`. `segments` are those of the calibration with `residual_m`, the known length
-        less that predicted without the segment.
+        Returns
+        -------
+        dict of str to Table
+            "parameters" has `context`, `parameter` (numbered from 0), `value`, `std` and `between_std` (standard
+            deviation between persons). "covariance" has a row for each pair of parameters: `context`, `parameter`,
+            `other_context`, `other_parameter`, `covariance`. "segments" has the columns of `segments` and `residual_m`,
+            the known length minus the length predicted without the segment.
         """
         parts = slices_of(self.models)[0]
         context = np.concatenate([np.full(part.stop - part.start, name) for name, part in parts.items()])
@@ -313,22 +408,48 @@ class Calibration:
         }
 
     def plot(self, path: str | Path | None = None) -> Figure:
-        """Known against predicted lengths of the segments and people with 95 % intervals, saved if a path is given.
+        """Draw the held-out errors of the segments, and the step lengths of the persons with 95 % intervals.
 
-        People are compared by the length in m of one and the same step, at one height.
+        Persons are compared by the length of the same typical step of `main_context`, in m.
+
+        Parameters
+        ----------
+        path : str or Path, optional
+            File to which the figure is saved. The suffix gives the format.
+
+        Returns
+        -------
+        matplotlib Figure
+            Figure that belongs to no window, so that it need not be closed.
         """
         from pdr_filter.report import plot
 
         main = self.main_context
         model, people = self.models[main], self.subjects
         lengths = {name: typical_step_m(model, p.k[main], p.k_cov[main]) for name, p in people.items()}
-        # A parameter that is each person's own without a tie has an infinite spread: there is no band then.
+        # parameters that are independent between persons have an infinite variance, for which no band is drawn
         spread = np.where(np.isfinite(self.between[main]), self.between[main], np.nan)
         population = typical_step_m(model, self.k[main], spread)
         return plot.calibration(self.segments, main, lengths, population, path)
 
     def save(self, path: str | Path) -> Path:
-        """Write `<name>.npz` (plain arrays) and `<name>.json` (the card) and return the path of the .json."""
+        """Write the calibration to two files, NAME.json (description) and NAME.npz (arrays).
+
+        Parameters
+        ----------
+        path : str or Path
+            Path of either file, or NAME without a suffix.
+
+        Returns
+        -------
+        Path
+            Path of the .json file.
+
+        Raises
+        ------
+        OSError
+            If a file cannot be written.
+        """
         arrays = {name: np.asarray(getattr(self, name)) for name in _ARRAYS}
         columns = self.segments.dtype.names or ()
         arrays |= prefixed(_SEGMENT, {name: np.asarray(self.segments[name]) for name in columns})
@@ -348,15 +469,15 @@ class Calibration:
         rows, n_people = self.segments, len(self.subject_ids)
         lines = [
             f"{how_many(len(rows), 'segment')}, {rows.distance_m.sum():.0f} m, "
-            f"{how_many(len(set(rows.recording)), 'recording')}, {how_many(n_people, 'person', 'people')}",
+            f"{how_many(len(set(rows.recording)), 'recording')}, {how_many(n_people, 'person', 'persons')}",
             "",
-            f"{'context':<12}{'segments':>9}{'residual':>10}  model, below it k +- std (people differ by)",
+            f"{'context':<12}{'segments':>9}{'residual':>10}  model, below it k +- std (std between persons)",
         ]
         for name in self.contexts:
             k, std = self.k[name], np.sqrt(np.diagonal(self.k_cov[name]))
             between = np.sqrt(np.diagonal(self.between[name]))
             values = ", ".join(
-                f"{a:.4g}" + (f" +- {b:.2g}" if b > 0 else " held") + (f" ({d:.2g})" if d > 0 else "")
+                f"{a:.4g}" + (f" +- {b:.2g}" if b > 0 else " fixed") + (f" ({d:.2g})" if d > 0 else "")
                 for a, b, d in zip(k, std, between, strict=True)
             )
             residual = f"{self.residual_std_m[name]:.3f} m"
@@ -370,11 +491,11 @@ class Calibration:
         for label, column in (
             ("uncalibrated (prior)", "uncalibrated_m"),
             ("calibrated, in sample", "predicted_m"),
-            ("calibrated, segment left out", "left_out_m"),
-            ("calibrated, person left out", "stranger_m"),
+            ("calibrated, segment held out", "left_out_m"),
+            ("calibrated, person held out", "stranger_m"),
         ):
             bias, spread, rms = _errors_percent(self.segments[column], self.segments.distance_m)
-            missing = "needs two people" if len(self.subject_ids) < 2 else "not determined"
+            missing = "needs two persons" if len(self.subject_ids) < 2 else "not determined"
             values = f"{bias:>+7.1f}{spread:>8.1f}{rms:>7.1f}" if np.isfinite(rms) else f"{missing:>22}"
             lines.append(f"{label:<34}{values}")
         (_, _, before), (_, _, stranger) = (
@@ -383,14 +504,14 @@ class Calibration:
         )
         if stranger > before:
             lines.append(
-                f"strangers' segments are {stranger:.1f} % off with it and {before:.1f} % without: use it for the "
-                "people who were calibrated"
+                f"segments of held-out persons have an RMS error of {stranger:.1f} % with this calibration and of "
+                f"{before:.1f} % without it: use it only for the calibrated persons"
             )
         return lines
 
     def _people_lines(self) -> list[str]:
         main, people, rows = self.main_context, self.subjects, cast(Any, self.segments)
-        lines = [f"{'person (segments left out)':<34}{'segments':>9}{'bias %':>7}{'RMS %':>7}  k of {main} +- std"]
+        lines = [f"{'person (segments held out)':<34}{'segments':>9}{'bias %':>7}{'RMS %':>7}  k of {main} +- std"]
         for name in self.subject_ids[:_MOST_PEOPLE]:
             person = people[name]
             own = rows[rows.subject == name]
@@ -399,7 +520,7 @@ class Calibration:
             values = ", ".join(f"{a:.4g} +- {b:.2g}" for a, b in zip(person.k[main], std, strict=True) if b > 0)
             lines.append(f"{_shortened(name):<34}{person.n_segments:>9}{bias:>+7.1f}{rms:>7.1f}  {values}")
         if len(self.subject_ids) > _MOST_PEOPLE:
-            lines.append(f"and {len(self.subject_ids) - _MOST_PEOPLE} more people")
+            lines.append(f"and {len(self.subject_ids) - _MOST_PEOPLE} more persons")
         return lines
 
     def _by_context(self, theta: FloatArray) -> dict[str, FloatArray]:
@@ -410,7 +531,7 @@ class Calibration:
 
 
 def _check_numbers(calibration: Calibration) -> None:
-    """Numbers that a filter can use: what one person's parameters are is known, however people differ."""
+    """Raise ValueError for numbers that the filter cannot use. Only `between_cov` may be infinite."""
     for name in ("theta", "people"):
         check_array(name, getattr(calibration, name))
     for name in ("theta_cov", "people_cov"):
@@ -420,41 +541,41 @@ def _check_numbers(calibration: Calibration) -> None:
             for of_context in cov.reshape(-1, *cov.shape[-2:])[:, part, part]:
                 check_cov(of_context, name)
     if not (np.diagonal(calibration.between_cov) >= 0).all():
-        raise ValueError("between_cov must have variances on its diagonal")
+        raise ValueError("between_cov must have variances, 0 or more, on its diagonal")
     heights_m, (least_m, largest_m) = calibration.heights_m, HEIGHT_RANGE_M
     if ((heights_m < least_m) | (heights_m > largest_m)).any():
         raise ValueError(f"heights_m must be {least_m} to {largest_m}, NaN where unknown, got {heights_m}")
     for name in ("residual_std_m", "n_segments"):
         if not set(calibration.models) <= set(getattr(calibration, name)):
-            raise ValueError(f"{name} must be there for each of {tuple(calibration.models)}")
+            raise ValueError(f"{name} must have a value for each context of models, {tuple(calibration.models)}")
     known = {**calibration.residual_std_m, "recording_std": calibration.recording_std}
     if not all(0 <= std <= _LARGEST_STD for std in known.values()):
         raise ValueError(f"residual_std_m and recording_std must be from 0 to {_LARGEST_STD}, got {known}")
     if calibration.main_context not in calibration.models:
-        raise ValueError("models must hold that of one context at least, got none")
+        raise ValueError("models must contain the model of at least one context, got none")
 
 
 def slices_of(models: Mapping[str, StepLengthModel]) -> tuple[dict[str, slice], int]:
-    """Where the parameters of each context are in theta (P,), and P."""
+    """Return the slice of each context in theta (P,), and P."""
     ends = np.cumsum([0, *(m.n_params for m in models.values())])
     return {name: slice(int(a), int(b)) for name, (a, b) in zip(models, pairwise(ends), strict=True)}, int(ends[-1])
 
 
 def of_height(model: StepLengthModel, height_m: float | None) -> StepLengthModel:
-    """The model for a person of this height; itself if it takes no height or none is known."""
+    """Return the model for a person of this height, or the model itself if it has no height or none is known."""
     if height_m is None or not hasattr(model, "height_m") or not is_dataclass(model):
         return model
     return replace(model, height_m=float(height_m))  # pyright: ignore[reportArgumentType, reportCallIssue, reportUnknownVariableType, reportGeneralTypeIssues, reportTypeVar]
 
 
 def typical_step_m(model: StepLengthModel, theta: FloatArray, cov: FloatArray) -> tuple[float, float]:
-    """Length of a typical step and its standard deviation under the covariance of theta, both in m."""
+    """Return the length of a typical step and its standard deviation given the covariance of theta, both in m."""
     length, jacobian = length_and_jacobian(model, TYPICAL_STEP, theta)
     return float(length), float(np.sqrt(jacobian @ cov @ jacobian))
 
 
 def _errors_percent(predicted_m: FloatArray, distance_m: FloatArray) -> tuple[float, float, float]:
-    """Bias, spread and RMS of the relative errors in %, NaN if there are none."""
+    """Return bias, standard deviation and RMS of the relative errors in per cent, NaN without errors."""
     error = 100 * (predicted_m / distance_m - 1)
     error = error[np.isfinite(error)]
     if len(error) == 0:
@@ -463,14 +584,44 @@ def _errors_percent(predicted_m: FloatArray, distance_m: FloatArray) -> tuple[fl
 
 
 def _shortened(name: str) -> str:
-    """A long name without its middle: its ends distinguish recordings."""
+    """Shorten a long name in the middle, because recordings differ at the start or at the end of their names."""
     return name if len(name) <= 32 else f"{name[:19]}...{name[-10:]}"
 
 
 def load_calibration(path: Calibration | str | Path, config: Config | None = None) -> Calibration:
-    """A saved calibration, from the path of its .json or .npz; ValueError names the file and the remedy.
+    """Load a calibration that `Calibration.save` has written.
 
-    `config` has the step-length models of classes outside of this package, which a file does not name.
+    Parameters
+    ----------
+    path : str, Path or Calibration
+        Path of the .json or the .npz file. A `Calibration` is returned unchanged.
+    config : Config, optional
+        Configuration with the step-length models whose classes are not part of this package. Such classes are not
+        stored in the file.
+
+    Returns
+    -------
+    Calibration
+        Calibration for `pdr_filter.track` and `pdr_filter.smooth`.
+
+    Raises
+    ------
+    ValueError
+        If the file is damaged, is not a calibration, or needs `config`. The message names the file.
+    OSError
+        If the file cannot be read.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.recipes.step_length_calibration import load_calibration
+    >>> legs = [pdr.simulate.Leg("walking", distance_m=d, turn_rad=1.57) for d in (30.0, 20.0)]
+    >>> calibration = pdr.calibrate([pdr.simulate.simulate(legs)], model="tian")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = calibration.save(f"{folder}/mine")
+    ...     load_calibration(path)
+    Calibration(walking; 1 people, 2 segments)
     """
     if isinstance(path, Calibration):
         return path
@@ -480,7 +631,7 @@ def load_calibration(path: Calibration | str | Path, config: Config | None = Non
 
 
 def read_person(person: Person | Calibration | str | Path, config: Config | None = None) -> Person | Calibration:
-    """A person, or a calibration that knows one, from what was saved of either; ValueError names the file."""
+    """Return a `Person` or a `Calibration`, loaded from a file if a path is given. ValueError names a bad file."""
     if isinstance(person, Person | Calibration):
         return person
     if not isinstance(person, str | PathLike):  # pyright: ignore[reportUnnecessaryIsInstance]
@@ -489,13 +640,13 @@ def read_person(person: Person | Calibration | str | Path, config: Config | None
 
 
 def with_steps_of(config: Config, person: Person | Calibration | str | Path, subject: Subject) -> Config:
-    """The configuration with the step lengths of a person, which may be one of those who were calibrated."""
+    """Return a configuration with the step lengths of a `Person`, or of the subject in a `Calibration`."""
     known = read_person(person, config)
     return known.config(config, subject) if isinstance(known, Calibration) else config.with_person(known)
 
 
 def _assemble(config: Config | None, description: Mapping[str, Any], arrays: Arrays) -> Calibration:
-    """Return the calibration; KeyError, TypeError or ValueError if anything is missing or does not fit."""
+    """Create a calibration from the contents of its files. KeyError, TypeError or ValueError for invalid contents."""
     return Calibration(
         models={name: _model_from_plain(name, m, config) for name, m in description["models"].items()},
         **cast(Any, {name: arrays[name] for name in _ARRAYS}),
@@ -510,15 +661,19 @@ def _assemble(config: Config | None, description: Mapping[str, Any], arrays: Arr
 
 
 def _once(notes: Sequence[str]) -> list[str]:
-    """Notes of which many end alike, as those of recordings do, once, with how many there are more."""
+    """Return the notes without repetitions.
+
+    Notes with the same text after the last colon, such as those of several recordings, become one note. It has the text
+    of the first, and the number of the others.
+    """
     alike: dict[str, list[str]] = {}
     for note in notes:
         alike.setdefault(note.rpartition(": ")[2], []).append(note)
-    return [f"{first} (and {len(more)} more alike)" if more else first for first, *more in alike.values()]
+    return [f"{first} (and {len(more)} similar notes)" if more else first for first, *more in alike.values()]
 
 
 def is_shipped(model: StepLengthModel) -> bool:
-    """True of the models of this package, which a file can name."""
+    """Return True for step-length models of this package, whose class names are stored in files."""
     return getattr(step_length, type(model).__name__, None) is type(model)
 
 
@@ -538,18 +693,21 @@ def _model_from_plain(context: str, plain: Mapping[str, Any], config: Config | N
         return _model_of(context, plain["n_params"], config)
     kind = getattr(step_length, str(plain["class"]), None)
     if not (isinstance(kind, type) and is_dataclass(kind) and hasattr(kind, "n_params")):
-        raise ValueError(f"no step-length model {plain['class']!r}")
+        raise ValueError(
+            f"no step-length model {plain['class']!r}: the file was written by another version of pdr_filter"
+        )
     values = {name: np.inf if v is None else float(v) for name, v in plain.items() if name not in ("class", "n_params")}
     return cast(StepLengthModel, kind(**values))
 
 
 def _model_of(context: str, n_params: Any, config: Config | None) -> StepLengthModel:
-    """The model that a configuration has for a context, in place of one that a file cannot name."""
+    """Return the step-length model of a context from a configuration, for a class that is not stored in the file."""
     modes = () if config is None else config.model.modes
     model = next((mode.step_length.model for mode in modes if mode.context == context), None)
     if model is None or is_shipped(model) or model.n_params != n_params:
         raise ValueError(
-            f"its step-length model of {context} is of a class outside of pdr_filter, with {n_params} parameters: give "
-            "the configuration that has it, config.with_step_length(...)"
+            f"the step-length model of {context} has a class outside of pdr_filter, "
+            f"with {n_params} parameters: pass the "
+            "configuration with this model, config.with_step_length(...)"
         )
     return model

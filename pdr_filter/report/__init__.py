@@ -1,6 +1,6 @@
-"""What people see of a track: plots, HTML reports, and where not to trust it."""
+"""Plots and HTML reports of tracks."""
 
 import lazy_loader
 
-# figures need matplotlib, which pages and palettes do not
+# loaded lazily, because only figures need matplotlib
 __getattr__, __dir__, __all__ = lazy_loader.attach(__name__, submodules=["plot"])

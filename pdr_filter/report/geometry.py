@@ -1,4 +1,4 @@
-"""What figures and pages draw alike, in numbers: 95 % ellipses along a track, round distances. Imports no plotting."""
+"""Geometry shared by figures and HTML pages: 95 % ellipses along a track, rounded distances. Imports no plotting."""
 
 from __future__ import annotations
 
@@ -12,15 +12,18 @@ from pdr_filter.maps.storey import Storey
 from pdr_filter.values import RADIUS_95, Cluster, FloatArray, TrackRows, Windows
 
 N_ELLIPSES = 8
-# Places that are less probable are not drawn.
+# Clusters of a floor plan with less probability are not drawn.
 _MIN_SHARE = 0.02
-# Fewer metres than this across look like a zoom into noise.
+# Minimum width of a map in metres. A smaller map of a short track would magnify noise.
 MIN_EXTENT_M = 4.0
 _WINDOW_S = 2.0
 
 
 def ellipse_rows(step_length_m: FloatArray) -> list[int]:
-    """Steps at which ellipses are drawn: the last, and one every so many metres before it; ascending."""
+    """Return indices of the steps at which ellipses are drawn, ascending.
+
+    They are at equal distances, plus the last step.
+    """
     walked_m = np.cumsum(step_length_m)
     marks_m = np.arange(1, N_ELLIPSES) * round_up(float(walked_m[-1]) / N_ELLIPSES)
     rows = np.searchsorted(walked_m, marks_m[marks_m < walked_m[-1]])
@@ -28,30 +31,37 @@ def ellipse_rows(step_length_m: FloatArray) -> list[int]:
 
 
 def ellipse_axes(cov_m2: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Half axes of 95 % ellipses, (N, 2) in m, the longer one last, and its angle from east, (N,), of (N, 2, 2)."""
+    """Return the axes of the 95 % ellipses of covariances (N, 2, 2).
+
+    The first value has the half axes in m, (N, 2), the longer one last. The second has the angle of the longer axis in
+    rad, counter-clockwise from east, (N,).
+    """
     variance, direction = np.linalg.eigh(cov_m2)
     return RADIUS_95 * np.sqrt(np.maximum(variance, 0.0)), np.arctan2(direction[:, 1, 1], direction[:, 0, 1])
 
 
 def ellipse_extent(cov_m2: FloatArray) -> FloatArray:
-    """How far 95 % ellipses reach to the east and to the north, (N, 2) in m, of (N, 2, 2)."""
+    """Return how far the 95 % ellipses of covariances (N, 2, 2) extend to the east and to the north, (N, 2) in m."""
     return RADIUS_95 * np.sqrt(np.maximum(np.diagonal(cov_m2, axis1=1, axis2=2), 0.0))
 
 
 def places_at(track: TrackRows, row: int) -> list[Cluster]:
-    """The places on a floor plan where a walk may be after a step, if there are several."""
+    """Return the possible positions (clusters) on a floor plan after a step, or an empty list if there is only one."""
     places = [c for c in track.clusters[row] if c.share >= _MIN_SHARE] if track.clusters else []
     return places if len(places) > 1 else []
 
 
 def storeys_of(plan: FloorPlan | None, floors: Iterable[int]) -> list[Storey]:
-    """The storeys that a track was on; of a plan with one storey that one, without a plan none."""
+    """Return the storeys of a plan that a track has visited.
+
+    The only storey of a plan is always returned. Without a plan the list is empty.
+    """
     seen = set(floors)
     return [s for s in plan.storeys if len(plan.storeys) == 1 or s.floor in seen] if plan is not None else []
 
 
 def round_up(value: float) -> float:
-    """The next of 1, 2, 5, 10, 20, 50 ... and their tenths."""
+    """Round up to the next value of the series ... 0.5, 1, 2, 5, 10, 20, 50 ..."""
     if not (value > 0 and math.isfinite(value)):
         return 1.0
     power = 10.0 ** math.floor(math.log10(value))
@@ -59,9 +69,9 @@ def round_up(value: float) -> float:
 
 
 def window_starts(windows: Windows, start_time_s: float) -> tuple[FloatArray, FloatArray]:
-    """Time from which each window's probabilities are drawn, and end of the window before it, both (W,).
+    """Return the drawn start of each window, and the end of the window before it, both (W,) in s.
 
-    They differ where windows are missing.
+    The two times differ where windows are missing.
     """
     previous_s = np.concatenate([[start_time_s], windows.time_s[:-1]])
     return np.maximum(previous_s, windows.time_s - _WINDOW_S), previous_s

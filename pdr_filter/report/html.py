@@ -1,8 +1,8 @@
-"""Tracks on one HTML page that needs nothing else: no network, no fonts, no other files.
+"""HTML report of tracks, a self-contained page without network access, fonts or other files.
 
-The page is `page/report.html`, with its style, its scripts and the numbers of `page_data` in it. Its content security
-policy forbids browsers to load anything and to run other scripts than these. Pictures over time are drawn by uPlot, the
-way by Leaflet: both lie in `assets` as npm has them (`.ci/vendor.py`).
+The page is the template `page/report.html`, filled with styles, scripts and the data of `page_data`. Its content
+security policy forbids the browser to load other files and to run other scripts. uPlot draws the charts over time, and
+Leaflet draws the path. Both are in `assets`, unchanged from npm (`.ci/vendor.py`).
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from pdr_filter.tracking import trust_report as trust
 from pdr_filter.values import TrackRows, how_many
 from pdr_filter.values.recording import Recording
 
-# Less of a context cannot be seen.
+# A context that never exceeds this probability is invisible in the chart, and is not listed.
 _VISIBLE_PROB = 0.01
 _SCRIPTS = ("assets/uPlot.iife.min.js", "assets/leaflet.js", "page/plane_map.js", "page/map.js", "page/report.js")
 _STYLES = ("assets/uPlot.min.css", "assets/leaflet.css", "page/plane_map.css", "page/report.css")
 _SMOOTHED_OR_ONLINE = (
-    "The smoothed track is the best estimate from the whole recording; the online track is what a phone knew at each "
-    "step."
+    "The smoothed track is the best estimate from the whole recording. The online track shows the estimates that were "
+    "available at each step."
 )
 _TRACK_COLOURS = (palette.BLUE, palette.ORANGE, palette.GREEN, palette.PURPLE, palette.YELLOW)
 
@@ -46,29 +46,95 @@ def write_report(
     recording: Recording | None = None,
     plan: FloorPlan | None = None,
 ) -> Path:
-    """Write the page of `html_report` and return its path; folders are created."""
+    """Write an HTML report of tracks to a file.
+
+    The page is self-contained: it needs no network, no fonts and no other files.
+
+    Parameters
+    ----------
+    tracks : TrackRows or sequence of TrackRows
+        One track, or several tracks in one frame, such as the tracks of several recipes.
+    path : str or Path
+        File to write, such as "walk.html". Missing folders are created.
+    recording : Recording, optional
+        Recording of the tracks. If given, the page also shows its ground truth, its locations and how it was read.
+    plan : FloorPlan, optional
+        Floor plan below the path, in the frame of the tracks. The default is the plan of each track.
+
+    Returns
+    -------
+    Path
+        Path of the file.
+
+    Raises
+    ------
+    ValueError
+        If `tracks` is empty.
+    OSError
+        If the file cannot be written.
+
+    See Also
+    --------
+    html_report : Return the page as text.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.report.html import write_report
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=10.0)])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = write_report(pdr.track(walk), f"{folder}/walk.html", walk)
+    ...     print(path.name, path.exists())
+    walk.html True
+    """
     return write_text(path, html_report(tracks, recording, plan))
 
 
 def html_report(
     tracks: TrackRows | Sequence[TrackRows], recording: Recording | None = None, plan: FloorPlan | None = None
 ) -> str:
-    """The page: way with 95 % ellipses, where not to trust it, contexts, speed, step lengths, how it was read.
+    """Return an HTML report of tracks as text.
 
-    Somebody who reads it moves and zooms the way, points at a step, or goes through the time.
+    The page shows the path with 95 % ellipses, warnings, contexts, speed and step lengths. It is interactive: the user
+    can move and zoom the path, select a step, and replay the walk.
 
     Parameters
     ----------
     tracks : TrackRows or sequence of TrackRows
-        One, or several in one frame, such as those of several recipes: one of them at a time is shown in full.
+        One track, or several tracks in one frame, such as the tracks of several recipes. The page shows one track at a
+        time in full, and the paths of the others as thin lines.
     recording : Recording, optional
-        What they were made from: the page shows its truth, its locations, and how it was read.
+        Recording of the tracks. If given, the page also shows its ground truth, its locations and how it was read.
     plan : FloorPlan, optional
-        What is drawn below the way, in the frame of the tracks; of each track its own if not given.
+        Floor plan below the path, in the frame of the tracks. The default is the plan of each track.
+
+    Returns
+    -------
+    str
+        Complete HTML document with all scripts, styles and data.
+
+    Raises
+    ------
+    ValueError
+        If `tracks` is empty.
+
+    See Also
+    --------
+    write_report : Write the page to a file.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.report.html import html_report
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=10.0)])
+    >>> page = html_report(pdr.track(walk), walk)
+    >>> page.startswith("<!DOCTYPE html>"), "Walking speed" in page
+    (True, True)
     """
     every = [tracks] if isinstance(tracks, TrackRows) else list(tracks)
     if not every:
-        raise ValueError("tracks of a report must be one or more, got none; give a track")
+        raise ValueError("tracks must contain at least one track, got none; pass a Track")
     names = _names(every)
     colours = [_TRACK_COLOURS[i % len(_TRACK_COLOURS)] for i in range(len(every))]
     data = [
@@ -79,7 +145,7 @@ def html_report(
     return _template().render(
         title=_title(every, recording),
         tracks=[
-            _words(track) | {"name": name, "colour": colour}
+            _texts(track) | {"name": name, "colour": colour}
             for track, name, colour in zip(every, names, colours, strict=True)
         ],
         reading=None if recording is None else _reading(recording, reading_report(recording), set(every[0].notes)),
@@ -112,7 +178,7 @@ def _asset(name: str) -> str:
 
 
 def _script(name: str) -> str:
-    """A script; one of others with their licence, which says that it must be there."""
+    """Return a script. A vendored library is preceded by its licence text, as the licence requires."""
     folder, file = name.split("/")
     if folder == "page":
         return _asset(name)
@@ -121,29 +187,29 @@ def _script(name: str) -> str:
 
 
 def _hash(script: str) -> str:
-    """How a content security policy names a script."""
+    """Return the hash of a script in the format of a content security policy."""
     return f"sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}"
 
 
 def _printable(value: Any) -> Any:
-    """Text without what a page cannot hold or would turn round: such characters become the replacement character."""
+    """Replace control characters, also those that change the text direction, by the replacement character."""
     if not isinstance(value, str) or isinstance(value, Markup):
         return value
     return "".join(c if c in "\t\n" or (c.isprintable() and not "\ud800" <= c <= "\udfff") else "�" for c in value)
 
 
-# --- words -----------------------------------------------------------------------------------------------------------
+# --- texts -----------------------------------------------------------------------------------------------------------
 
 
 def _title(tracks: Sequence[TrackRows], recording: Recording | None) -> str:
-    """The name of what was recorded, or of the only track."""
+    """Return the title of the page: the name of the recording, else of the only track, else the number of tracks."""
     if recording is not None and recording.name:
         return recording.name
     return tracks[0].name or "track" if len(tracks) == 1 else f"{len(tracks)} tracks"
 
 
 def _names(tracks: Sequence[TrackRows]) -> list[str]:
-    """By what tracks are told apart: names, and where these are alike the estimate, the weighting or a number."""
+    """Return distinct names of tracks. The estimate, the weighting or a number is added if names are equal."""
     estimates = [f"{t.name}, {t.estimate}" for t in tracks]
     for names in ([t.name for t in tracks], estimates, [f"{t.name}, {t.weighting}" for t in tracks]):
         if len(set(names)) == len(names):
@@ -151,8 +217,8 @@ def _names(tracks: Sequence[TrackRows]) -> list[str]:
     return [f"{i}: {track.name}, {track.weighting}" for i, track in enumerate(tracks, 1)]
 
 
-def _words(track: TrackRows) -> dict[str, Any]:
-    """What is said of a track beside its pictures."""
+def _texts(track: TrackRows) -> dict[str, Any]:
+    """Return the texts of the page about one track, by the names that the template uses."""
     return {
         "facts": _facts(track),
         "doubts": trust.problems(track),
@@ -161,7 +227,7 @@ def _words(track: TrackRows) -> dict[str, Any]:
         "seconds": _seconds(track),
         "floor_changes": [
             f"{c.start_s:.0f} to {c.end_s:.0f} s: from floor {c.from_floor} to floor {c.to_floor}, "
-            + ("nobody knows how" if c.how == "unknown" else f"by {c.how}")
+            + ("by unknown means" if c.how == "unknown" else f"by {c.how}")
             for c in track.floor_changes()
         ],
         "lengths": _lengths(track),
@@ -181,7 +247,7 @@ def _facts(track: TrackRows) -> str:
 
 
 def _seconds(track: TrackRows) -> list[tuple[str, str, str]]:
-    """Each context that occurs, its colour, and how long."""
+    """Return name, colour and duration of each context that occurs."""
     seconds, without_steps_s = track.context_seconds(), track.seconds_without_steps
     total_s = sum(seconds.values()) + without_steps_s
     if total_s <= 0:
@@ -203,11 +269,11 @@ def _lengths(track: TrackRows) -> str:
     if not len(length_m):
         return ""
     low, median, high = (float(q) for q in np.quantile(length_m, [0.05, 0.5, 0.95]))
-    return f"Each in the colour of its context. Median {median:.2f} m; nine of ten between {low:.2f} and {high:.2f} m."
+    return f"Coloured by context. Median {median:.2f} m, 5th to 95th percentile {low:.2f} to {high:.2f} m."
 
 
 def _reading(recording: Recording, report: ReadingReport, already_shown: set[str]) -> dict[str, Any]:
-    """Lines, and for each stream its values with whether they are odd."""
+    """Return the lines about a recording, and for each stream its values with a flag for unusual ones."""
     lines = [f"File: {recording.source}"] if recording.source else []
     lines += [trust.sentence(line) for line in report.about()]
     lines += [trust.sentence(note) for note in report.notes if note not in already_shown]

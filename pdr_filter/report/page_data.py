@@ -1,7 +1,7 @@
-"""What the page of a track shows, as plain numbers: columns of the steps and windows, the truth and the locations.
+"""Numbers shown on the HTML report: columns of steps and windows, ground truth, and locations.
 
-Numbers have as many digits as can be seen, and what is finer than a screen is left out, so that the page of a day is as
-quick as that of a minute.
+Numbers are rounded to the visible digits, and rows are thinned to the resolution of a screen, so that the page of a
+whole day loads as fast as the page of a minute.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from pdr_filter.tracking.trust_report import FARTHEST_M
 from pdr_filter.values import BoolArray, FloatArray, IntArray, TrackRows, interpolated, rigid_fit
 from pdr_filter.values.recording import Recording
 
-# Rows of all tracks of a page together: 120 bytes a step and 25 a window or a point make less than 1.3 MB.
+# Maximum number of rows of all tracks on a page. At 120 bytes per step and 25 per window or point they need < 1.3 MB.
 _MAX_STEPS, _MAX_WINDOWS, _MAX_POINTS = 8000, 4000, 2000
-# Of the places where a walk may be on a plan; those after them are improbable.
+# Maximum number of possible positions on a floor plan for each step. Further ones are improbable.
 _MAX_PLACES = 4
 
 
 def track_data(track: TrackRows, recording: Recording | None, plan: FloorPlan | None, n_tracks: int) -> dict[str, Any]:
-    """One of so many tracks."""
+    """Return the numbers of one track for the page. `n_tracks` tracks share the maximum number of rows."""
     shown = _shown_rows(track, _MAX_STEPS // n_tracks)
     position_m = track.position_m[shown]
     (major_m, minor_m), angle_rad = _ellipses(track.position_cov_m2[shown])
@@ -44,7 +44,9 @@ def track_data(track: TrackRows, recording: Recording | None, plan: FloorPlan | 
         "heading": _column(np.degrees(track.walking_heading_rad[shown]) % 360.0, 1),
         "speed": _column(track.smoothed_speed_mps[shown], 2),
         "speed_std": _column(track.smoothed_speed_std_mps[shown], 3),
-        "std": _column(np.where(np.isfinite(major_m), track.position_std_m[shown], np.nan), 1),  # as all reports say it
+        "std": _column(
+            np.where(np.isfinite(major_m), track.position_std_m[shown], np.nan), 1
+        ),  # as in all other outputs
         "major": _column(major_m, 2),
         "minor": _column(minor_m, 2),
         "angle": _column(angle_rad, 3),
@@ -70,7 +72,7 @@ def track_data(track: TrackRows, recording: Recording | None, plan: FloorPlan | 
 
 
 def _groups(track: TrackRows, shown: IntArray) -> dict[str, Any]:
-    """By what steps can be coloured: for each kind the names, their colours, and the number of each step's."""
+    """Return the groups by which steps are coloured (contexts, floors): names, colours, and the group of each step."""
     colours = palette.context_colours(track.contexts)
     kinds = {"contexts": _group(colours, track.context_prob[shown].argmax(axis=1))}
     floors = palette.floor_colours(track.floor.tolist())
@@ -85,25 +87,25 @@ def _group(colours: dict[str, str], number: IntArray) -> dict[str, Any]:
 
 
 def _column(values: ArrayLike, digits: int) -> list[float | None]:
-    """Numbers as JSON has them: without NaN, and short."""
+    """Return numbers for JSON, rounded, with None in place of NaN."""
     at = np.asarray(values, dtype=float)
     return [float(v) if math.isfinite(v) else None for v in np.round(at, digits)]
 
 
 def _percent(prob: FloatArray) -> list[list[int]]:
-    """A column of whole per cents for each context."""
+    """Return probabilities (N, C) as C lists of whole per cent."""
     return np.round(100 * np.nan_to_num(prob)).astype(int).T.tolist()
 
 
-def _every(n: int, most: int) -> IntArray:
-    """At most about so many of n rows, evenly, and the last."""
+def _subsample(n: int, most: int) -> IntArray:
+    """Return about `most` evenly spaced indices out of `n`, and the last index."""
     return np.unique([*range(0, n, math.ceil(max(n, 1) / max(most, 1))), n - 1]) if n else np.zeros(0, dtype=np.int64)
 
 
 def _shown_rows(track: TrackRows, most: int) -> IntArray:
-    usable: BoolArray = (np.abs(track.position_m) < FARTHEST_M).all(axis=1) & np.isfinite(track.time_s)  # NaN is not
+    usable: BoolArray = (np.abs(track.position_m) < FARTHEST_M).all(axis=1) & np.isfinite(track.time_s)  # False for NaN
     rows = np.flatnonzero(usable)
-    return rows[_every(len(rows), most)]
+    return rows[_subsample(len(rows), most)]
 
 
 def _end_s(track: TrackRows) -> float:
@@ -112,7 +114,10 @@ def _end_s(track: TrackRows) -> float:
 
 
 def _ellipses(cov_m2: FloatArray) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
-    """Half axes of 95 % ellipses, the longer one first, and its angle from east; NaN where nothing can be drawn."""
+    """Return the half axes of 95 % ellipses, the longer one first, and the angle of the longer one from east.
+
+    Values are NaN for covariances that are not finite or too large to draw.
+    """
     usable = (np.abs(cov_m2) < FARTHEST_M**2).all(axis=(1, 2))
     half_m, angle_rad = np.full((len(cov_m2), 2), np.nan), np.full(len(cov_m2), np.nan)
     half_m[usable], angle_rad[usable] = ellipse_axes(cov_m2[usable])
@@ -120,7 +125,7 @@ def _ellipses(cov_m2: FloatArray) -> tuple[tuple[FloatArray, FloatArray], FloatA
 
 
 def _with_ellipse(track: TrackRows, shown: IntArray, major_m: FloatArray) -> list[int]:
-    """Shown rows whose ellipse is always drawn."""
+    """Return the indices of shown steps whose ellipse is always drawn."""
     if not len(shown):
         return []
     nearest = np.clip(np.searchsorted(shown, ellipse_rows(track.step_length_m)), 0, len(shown) - 1)
@@ -128,12 +133,12 @@ def _with_ellipse(track: TrackRows, shown: IntArray, major_m: FloatArray) -> lis
 
 
 def _windows(track: TrackRows, most: int) -> dict[str, Any]:
-    """The windows, as many of them together as it takes to have no more columns than can be seen."""
+    """Return the context windows. More than `most` windows are averaged in groups."""
     windows = track.windows
     start_s, _ = window_starts(windows, track.start_time_s)
     end_s, prob = windows.time_s, windows.context_prob
     if len(windows) > most:
-        # By place and not by number, so that what is missing stays missing.
+        # windows are grouped by time instead of index, so that gaps stay visible
         middle_s = 0.5 * (start_s + end_s) - track.start_time_s
         _, first, count = np.unique(
             np.floor(most * middle_s / (_end_s(track) - track.start_time_s)), return_index=True, return_counts=True
@@ -144,7 +149,10 @@ def _windows(track: TrackRows, most: int) -> dict[str, Any]:
 
 
 def _places(track: TrackRows, row: int) -> list[list[float | None]]:
-    """Of each place where a walk may be after a step: per cent, east and north, half axes and angle of its ellipse."""
+    """Return the possible positions on a floor plan after a step.
+
+    Each has the probability in per cent, east and north, and half axes and angle of its ellipse.
+    """
     found: list[list[float | None]] = []
     for place in places_at(track, row)[:_MAX_PLACES]:
         (major_m, minor_m), angle_rad = _ellipses(place.position_cov_m2[np.newaxis])
@@ -154,7 +162,7 @@ def _places(track: TrackRows, row: int) -> list[list[float | None]]:
 
 
 def _plan(plan: FloorPlan | None, track: TrackRows) -> list[dict[str, Any]]:
-    """Shapes of the storeys that the track was on, those that lie below first."""
+    """Return the shapes of the storeys that the track has visited, in drawing order."""
     return [
         {
             "fill": colour if feature.is_area else None,
@@ -169,9 +177,10 @@ def _plan(plan: FloorPlan | None, track: TrackRows) -> list[dict[str, Any]]:
 
 
 def _truth(track: TrackRows, recording: Recording, shown: IntArray) -> dict[str, Any]:
-    """The true way, or its waypoints, turned and moved so that it fits the whole track best.
+    """Return the true path, or the waypoints, after rigid alignment to the whole track.
 
-    Nothing says how the frames of the two lie. How far a step is from the truth is known where the truth is a way.
+    The alignment is needed because the frames of truth and track are unrelated. The error of each step is added if the
+    true path is known, not for waypoints.
     """
     position, waypoints = recording.truth.position, recording.truth.waypoints
     table = position if position is not None else waypoints
@@ -184,7 +193,7 @@ def _truth(track: TrackRows, recording: Recording, shown: IntArray) -> dict[str,
         return {}
     rotation, shift_m = rigid_fit(way_m, _positions_at(track, shown, time_s))
     way_m = way_m @ rotation.T + shift_m
-    rows = _every(len(time_s), _MAX_POINTS)
+    rows = _subsample(len(time_s), _MAX_POINTS)
     found: dict[str, Any] = {"truth": _points(way_m[rows]) | {"points": position is None}}
     if position is not None:
         true_m = interpolated(track.time_s[shown], time_s, way_m)
@@ -193,20 +202,20 @@ def _truth(track: TrackRows, recording: Recording, shown: IntArray) -> dict[str,
 
 
 def _positions_at(track: TrackRows, shown: IntArray, at_s: FloatArray) -> FloatArray:
-    """Where the shown steps are at any times, (T, 2)."""
+    """Return the track positions (T, 2) at given times, interpolated between the shown steps."""
     time_s = np.append(track.start_time_s, track.time_s[shown])
     way_m = np.vstack([track.start_position_m, track.position_m[shown]])
     return interpolated(at_s, time_s, way_m)
 
 
 def _locations(track: TrackRows, recording: Recording) -> dict[str, Any]:
-    """The phone's own locations, if the track says where they are in its frame."""
+    """Return the locations of the phone in the frame of the track. Empty if the track is not georeferenced."""
     if recording.location is None or track.origin is None or not track.knows_north:
         return {}
     values = recording.location.values
     place_m = track.origin.east_north_m(values[:, 0], values[:, 1])
     usable = np.flatnonzero((np.abs(place_m) < FARTHEST_M).all(axis=1))
-    rows = usable[_every(len(usable), _MAX_POINTS)]
+    rows = usable[_subsample(len(usable), _MAX_POINTS)]
     return {"gps": _points(place_m[rows]) | {"accuracy": _column(values[rows, 3], 1)}} if len(rows) else {}
 
 

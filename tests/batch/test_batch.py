@@ -283,7 +283,7 @@ def test_a_calibration_of_many_has_the_bits_of_one_by_one_and_names_what_it_left
         name: person.k0 for name, person in expected.subjects.items()
     }
     assert set(found.subjects) == {"s0", "s1"}
-    assert [note for note in found.notes if "broken.zip" in note and "left out" in note]
+    assert [note for note in found.notes if "broken.zip" in note and "skipped" in note]
     assert seen == pytest.approx([(i + 1) / (N + 1) for i in range(N + 1)])
 
 
@@ -332,7 +332,7 @@ def test_a_calibration_that_was_killed_goes_on_with_what_it_had(
 
 def test_nothing_to_calibrate_with_is_told_with_the_reason_of_each(walks: Path, tmp_path: Path) -> None:
     (tmp_path / "broken.zip").write_text("no zip")
-    with pytest.raises(ValueError, match=r"nothing to calibrate with: .*broken\.zip"):
+    with pytest.raises(ValueError, match=r"no usable segments to calibrate with: .*broken\.zip"):
         batch.calibrate(tmp_path)
     with pytest.raises(ValueError, match="measure must be"):
         batch.calibrate(walks, measure="volume")
@@ -655,7 +655,7 @@ def test_what_the_work_prints_and_raises_does_not_disturb_the_results(capfd: pyt
 
 def test_work_that_other_processes_cannot_import_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(square_or_die, "__module__", "__main__")
-    with pytest.raises(ValueError, match="put it into a module"):
+    with pytest.raises(ValueError, match="move it to a module"):
         list(batch.each(square_or_die, [1, 2], jobs=2))
 
 

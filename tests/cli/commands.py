@@ -1,4 +1,4 @@
-"""Runs the command as somebody would."""
+"""Run commands in the test process, as from a terminal."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ def run(*arguments: object) -> Result:
 
 
 def one_line(text: str) -> str:
-    """The only line of a message; no traceback."""
+    """Return the text of a message of one line, without a traceback."""
     (line,) = text.strip().splitlines()
     return line
 
 
 def short_walk() -> pdr.Recording:
-    """Half a minute round a square of seven metres, which is tracked and drawn in a third of the time of the demo."""
+    """Simulated walk of half a minute around a square of 7 m, which is three times as fast to process as the demo."""
     legs = [pdr.simulate.Leg("walking", distance_m=7.0, turn_rad=turn) for turn in (0.0, *[np.pi / 2] * 3)]
     still = pdr.simulate.Leg("stationary", duration_s=4.0)
     return pdr.simulate.simulate([still, *legs], pdr.simulate.Gait(height_m=1.86), "pocket", name="short_walk")
 
 
 def demo_file(folder: Path) -> Path:
-    """The simulated walk as a file."""
+    """Simulated walk as a file."""
     return write_recording(pdr.simulate.demo_walk(), folder / "demo_walk.zip")

@@ -1,4 +1,4 @@
-"""The command line: what it prints where, and how it fails."""
+"""Command line: output on stdout and stderr, errors and exit codes."""
 
 from __future__ import annotations
 
@@ -34,18 +34,18 @@ def broken(tmp_path: Path) -> Path:
     return path
 
 
-# --- text of others ------------------------------------------------------------------------------------------------
+# --- untrusted text ------------------------------------------------------------------------------------------------
 
 
 def on_a_terminal(*arguments: object) -> str:
-    """What a command prints, with all escapes."""
+    """Return the output of a command with all escape sequences."""
     done = CliRunner().invoke(app, [str(a) for a in arguments], env={"COLUMNS": "200", "TERM": "dumb"}, color=True)
     return done.output
 
 
 @pytest.fixture(scope="module")
 def hostile(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of walks whose texts clear the terminal or are too long for a file name, and a broken one."""
+    """Folder of walks with texts that clear the terminal or are too long for a file name, and a broken file."""
     folder = tmp_path_factory.mktemp("hostile")
     walk = short_walk()
     labels = walk.truth.labels
@@ -55,7 +55,7 @@ def hostile(tmp_path_factory: pytest.TempPathFactory) -> Path:
     meta = {**walk.meta, "placement": "\x1b[2Jhand", "reading": {"source": "\x1b[2J", "clock": "\x9b2J"}}
     write_recording(replace(walk, meta=meta, truth=replace(walk.truth, labels=odd)), folder / "a.zip")
     write_recording(replace(walk, name="\u4e00" * 200), folder / "b.zip")
-    write_recording(replace(walk, name="\x1b[2J"), folder / "c\x1b[2J.zip")  # called after its file
+    write_recording(replace(walk, name="\x1b[2J"), folder / "c\x1b[2J.zip")  # the name is that of the file
     (folder / "broken\x1b[2J.zip").write_text("no zip file")
     return folder
 
@@ -116,8 +116,8 @@ def test_a_file_that_does_not_exist_is_named(tmp_path: Path) -> None:
         (["--heading", "north"], "--heading must be degrees clockwise from north"),
         (["--heading", "nan"], "--heading must be degrees clockwise from north"),
         (["--heading", "4000"], "--heading must be degrees clockwise from north"),
-        (["--export", "shp"], "csv, geojson, gpx, kml, parquet, tum, got 'shp'"),
-        (["--export", "csv,gpx"], "short_walk: --export gpx needs a place on Earth"),
+        (["--export", "shp"], "csv, geojson, gpx, kml, parquet, tum, separated by commas, got 'shp'"),
+        (["--export", "csv,gpx"], "short_walk: --export gpx needs a geographic position"),
         (["--origin", "43.77,11.25", "--gnss", "filter"], "and origin also defines them"),
     ],
 )
@@ -181,7 +181,7 @@ def test_compare_has_recipes_the_truth_a_page_of_all_and_json(walk: Path, tmp_pa
     text = page.read_text()
     assert "short_walk, susi2013" in text and "short_walk, default" in text
     again = run("compare", walk, *recipes, "--out", tmp_path)
-    assert "replaced" in again.stderr and "off the truth" not in again.stdout
+    assert "replaced" in again.stderr and "error (RMSE)" not in again.stdout
     table = run("compare", walk, *recipes, "--truth")
     assert f"{found['tracks'][0]['rmse_m']:.1f} m" in table.stdout
 
@@ -189,8 +189,8 @@ def test_compare_has_recipes_the_truth_a_page_of_all_and_json(walk: Path, tmp_pa
 def test_compare_of_a_file_without_truth_has_no_error_and_says_so(walk: Path, tmp_path: Path) -> None:
     bare = write_recording(replace(pdr.read(walk), name="bare", truth=Truth()), tmp_path / "w.zip")
     alone = run("compare", bare, "--truth")
-    assert (alone.exit_code, "off the truth" in alone.stdout) == (0, False)
-    assert "no true positions or waypoints in the file, so there is no error of bare" in one_line(alone.stderr)
+    assert (alone.exit_code, "error (RMSE)" in alone.stdout) == (0, False)
+    assert "because the file has no true positions or waypoints: bare" in one_line(alone.stderr)
     both = run("compare", walk, bare, "--truth", "--json")
     known, unknown = map(json.loads, both.stdout.splitlines())
     assert both.exit_code == 0
@@ -220,7 +220,7 @@ def test_a_simulated_walk_is_carried_as_asked(tmp_path: Path, mode: str) -> None
 
 
 def people_of(folder: Path, names: dict[str, str]) -> Path:
-    """A folder of labelled recordings that do not say whose they are, in a folder for each of three people."""
+    """Folder of labelled recordings without names of persons, with a subfolder for each of three persons."""
     for seed, person in enumerate(("anna", "ben", "carla")):
         legs = [pdr.simulate.Leg(c, duration_s=8.0) for c in ("stationary", "walking", "running", "walking")]
         walk = pdr.simulate.simulate(legs, pdr.simulate.Gait.random(seed), "pocket", seed=seed, name="walk")
@@ -236,7 +236,7 @@ def people_of(folder: Path, names: dict[str, str]) -> Path:
 def test_train_fits_any_folder_and_track_uses_a_model_of_some_of_the_default_contexts(
     tmp_path: Path, walk: Path
 ) -> None:
-    folder = people_of(tmp_path / "motionsense", {})  # the name of one of our data sets
+    folder = people_of(tmp_path / "motionsense", {})  # the name of a known data set
     result = run("train", folder, "--classifier", "forest", "--out", tmp_path / "mine")
     assert result.exit_code == 0, result.stderr
     assert "of 3 people: running " in result.stdout and "log loss" in result.stdout and "confusion" in result.stdout
@@ -297,14 +297,16 @@ def test_demo_without_a_folder_writes_nothing_into_the_working_directory(
 
 
 @pytest.mark.parametrize("command", ["simulate", "train"])
-def test_what_makes_new_files_asks_where(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str) -> None:
+def test_commands_that_create_files_require_a_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
     monkeypatch.chdir(tmp_path)
     result = run(command)
     assert (result.exit_code, "--out" in result.stderr) == (2, True)
     assert not list(tmp_path.iterdir())
 
 
-def test_what_was_there_before_is_named_by_every_command_that_writes(tmp_path: Path, walk: Path) -> None:
+def test_every_command_that_writes_names_the_files_it_replaced(tmp_path: Path, walk: Path) -> None:
     plan = tmp_path / "plan.geojson"
     wall = {"type": "LineString", "coordinates": [[0, 0], [10, 0], [10, 8], [0, 8], [0, 0]]}
     feature = {"type": "Feature", "properties": {"type": "wall"}, "geometry": wall}
@@ -317,8 +319,8 @@ def test_what_was_there_before_is_named_by_every_command_that_writes(tmp_path: P
     ):
         first, second = run(*command), run(*command)
         assert (first.exit_code, second.exit_code) == (0, 0), first.stderr
-        assert "replaced, as they were there before" not in first.stderr
-        assert "replaced, as they were there before" in second.stderr
+        assert "replaced existing files" not in first.stderr
+        assert "replaced existing files" in second.stderr
 
 
 def test_demo_of_a_folder_goes_on_after_a_bad_file_and_says_what_it_replaced(tmp_path: Path, walk: Path) -> None:
@@ -331,9 +333,9 @@ def test_demo_of_a_folder_goes_on_after_a_bad_file_and_says_what_it_replaced(tmp
     assert result.exit_code == 1
     assert "1 of 3 files failed" in result.stderr
     assert "replaced" not in result.stderr
-    assert len(list((tmp_path / "out").glob("*.csv"))) == 2  # of one name
+    assert len(list((tmp_path / "out").glob("*.csv"))) == 2  # both recordings have the same name
     again = run("demo", walk, "--out", tmp_path / "out")
-    assert "replaced, as they were there before" in one_line(again.stderr)
+    assert "replaced existing files" in one_line(again.stderr)
 
 
 def test_version_is_the_version_of_the_package() -> None:
@@ -380,14 +382,14 @@ def test_a_folder_is_all_its_recordings_for_info_and_compare_and_nothing_is_writ
     assert "no recordings in this folder" in one_line(run("info", tmp_path / "empty").stderr)
 
 
-def test_all_failed_is_one_code_whatever_the_number(broken: Path, tmp_path: Path) -> None:
+def test_the_exit_code_is_2_if_all_files_failed(broken: Path, tmp_path: Path) -> None:
     (tmp_path / "other.zip").write_bytes(b"no zip")
     assert run("info", broken).exit_code == run("info", broken, tmp_path / "other.zip").exit_code == 2
 
 
-def test_a_file_in_the_place_of_the_folder_is_said_in_words(walk: Path, tmp_path: Path) -> None:
+def test_a_file_in_place_of_an_output_folder_is_explained(walk: Path, tmp_path: Path) -> None:
     (tmp_path / "out").write_text("a file")
     result = run("track", walk, "--out", tmp_path / "out")
     assert result.exit_code == 2
     assert "Errno" not in result.stderr
-    assert "a file is there where a folder is to be" in one_line(result.stderr)
+    assert "a file with this name exists where a folder is needed" in one_line(result.stderr)

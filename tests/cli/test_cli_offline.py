@@ -1,4 +1,4 @@
-"""`pdr-filter calibrate` and `smooth`: what is made of whole recordings afterwards."""
+"""Commands `pdr-filter calibrate` and `pdr-filter smooth`."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def test_a_walk_is_smoothed_against_its_own_locations_where_it_was(tmp_path: Pat
     assert np.linalg.norm(here.east_north_m(latitude_deg, longitude_deg)[-1] - place_m[-1]) < 4.0
 
 
-def test_a_walk_of_which_no_place_is_known_is_smoothed_as_by_the_function(walk: Path, tmp_path: Path) -> None:
+def test_a_walk_without_known_places_is_smoothed_as_by_pdr_smooth(walk: Path, tmp_path: Path) -> None:
     recording = pdr.read(walk)
     bare = replace(recording, location=None, truth=replace(recording.truth, waypoints=None))
     result = run("smooth", bare.save(tmp_path / "bare.zip"), "--out", tmp_path)
@@ -183,10 +183,11 @@ def test_a_calibration_names_the_files_that_it_replaced_and_no_others(walk: Path
     assert "replaced" not in first.stderr
     assert (tmp_path / "me.npz").read_text() == "of something else"
     again = run("calibrate", walk, "--out", tmp_path / "me.csv").stderr.replace("\n", "")
-    assert f"replaced, as they were there before: {tmp_path / 'me.csv.json'}, {tmp_path / 'me.csv.npz'}" in again
+    assert f"replaced existing files: {tmp_path / 'me.csv.json'}, {tmp_path / 'me.csv.npz'}" in again
 
 
 def test_a_figure_of_no_known_kind_is_refused_before_a_file_is_read(tmp_path: Path) -> None:
     result = run("calibrate", tmp_path / "nowhere.zip", "--out", tmp_path / "me.json", "--figure", "me.xyz")
     assert result.exit_code == 2
-    assert "me.xyz: no kind of picture, got '.xyz'; use .png, .pdf, .svg" in one_line(result.stderr)
+    words = "me.xyz: pictures with the suffix '.xyz' are not supported; use .png, .pdf or .svg"
+    assert words in one_line(result.stderr)

@@ -1,4 +1,4 @@
-"""`pdr-filter track`: what it prints and writes of a recording, of many, and with a radio map."""
+"""Command `pdr-filter track`: output and files for one recording, for many, and with a radio map."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ def broken(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_person_whom_no_fix_measured_is_not_written_and_that_is_said(walk: Path, tmp_path: Path) -> None:
+def test_a_person_without_fixes_is_not_written_and_a_message_says_so(walk: Path, tmp_path: Path) -> None:
     result = run("track", walk, "--person", tmp_path / "me.json")
     assert result.exit_code == 0
-    assert "me.json is not there, and not written: no fix says" in result.stderr.replace("\n", "")
+    assert "me.json was not written, because no fixes show" in result.stderr.replace("\n", "")
     assert not (tmp_path / "me.json").exists()
 
 
@@ -73,9 +73,9 @@ def test_notes_stand_below_the_table_and_with_json_in_the_object(tmp_path: Path)
     assert with_json.stderr == ""
 
 
-def test_online_is_what_a_phone_knew_at_each_step_and_the_smoothed_walk_is_shown_without_it(walk: Path) -> None:
+def test_the_online_track_is_shown_with_online_and_the_smoothed_track_without(walk: Path) -> None:
     smoothed, online = run("track", walk), run("track", "--online", walk)
-    assert "--online shows what a phone knew at each step" in " ".join(smoothed.stdout.split())
+    assert "--online shows the estimates available at each step" in " ".join(smoothed.stdout.split())
     assert "--online" not in online.stdout
     summary = json.loads(run("track", "--online", "--json", walk).stdout)
     assert summary == pdr.track(pdr.read(walk)).summary()
@@ -87,19 +87,19 @@ def test_a_report_shows_the_smoothed_walk_first_and_the_online_track_one_click_a
     page = (tmp_path / "short_walk.html").read_text()
     assert page.index("short_walk, smoothed") < page.index("short_walk, online")
     assert page.count('name="track"') == 2
-    assert "The smoothed track is the best estimate from the whole recording; the online track is what" in page
+    assert "The smoothed track is the best estimate from the whole recording. The online track shows" in page
     assert run("track", walk, "--report", "--online", "--out", tmp_path / "online").exit_code == 0
     alone = (tmp_path / "online" / "short_walk.html").read_text()
     assert 'name="track"' not in alone
     assert "Online: each position is estimated from the samples up to its step." in alone
 
 
-def test_a_loop_is_stated_of_a_smoothed_walk_alone(walk: Path) -> None:
+def test_loop_is_refused_together_with_online(walk: Path) -> None:
     looped = json.loads(run("track", "--loop", "--json", walk).stdout)
     assert looped == pdr.smooth(pdr.read(walk), loop=True).track.summary()
     assert np.hypot(looped["end_east_m"], looped["end_north_m"]) < 1.0
     both = run("track", "--loop", "--online", walk)
-    assert (both.exit_code, "--loop is known at the end of a walk" in one_line(both.stderr)) == (2, True)
+    assert (both.exit_code, "--loop cannot be used with --online" in one_line(both.stderr)) == (2, True)
 
 
 @pytest.mark.parametrize("weighting", ["hc", "wc", "imm"])
@@ -232,8 +232,8 @@ def test_a_folder_of_recordings_makes_one_table_that_is_not_made_twice(walk: Pat
         assert len(lines) == 4
     result = run("track", folder, "--jobs", "1", "--json")
     assert result.exit_code == 2
-    assert "without --json: leave it out" in result.stderr
-    assert "say with --out in which folder" in run("track", folder, "--jobs", "1").stderr
+    assert "--json cannot be used with --jobs or --scheduler" in result.stderr
+    assert "add --out FOLDER" in run("track", folder, "--jobs", "1").stderr
 
 
 def test_a_folder_gets_a_page_of_all_with_picture_report_and_table_of_each(walk: Path, tmp_path: Path) -> None:
@@ -245,7 +245,7 @@ def test_a_folder_gets_a_page_of_all_with_picture_report_and_table_of_each(walk:
         result = run("track", tmp_path / "many", "--out", tmp_path / "out")
         assert result.exit_code == 1
         assert "1 of 3 files failed" in result.stderr
-        assert ("replaced, as they were there before" in " ".join(result.stderr.split())) == (n == 1)
+        assert ("replaced existing files" in " ".join(result.stderr.split())) == (n == 1)
     page = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
     for name in ("a", "b_i_"):
         for kind in ("csv", "png", "html"):
@@ -289,7 +289,7 @@ def test_a_report_is_one_page_beside_the_other_files(walk: Path, tmp_path: Path)
 
 @pytest.fixture(scope="module")
 def mapped(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a walk to be located, and in `known` those of the map."""
+    """Folder with a walk to be located, and a subfolder `known` with the walks of the map."""
     folder = tmp_path_factory.mktemp("radio")
     (folder / "known").mkdir()
     for seed in (1, 2):
@@ -317,7 +317,7 @@ def test_a_radio_map_that_cannot_be_used_is_refused_before_a_file_is_read(mapped
     missing = run("track", mapped / "walk3.zip", "--radio", tmp_path / "none.json")
     assert (missing.exit_code, "none.json: no such file" in one_line(missing.stderr)) == (2, True)
     many = run("track", mapped / "known", "--jobs", "2", "--out", tmp_path, "--radio", tmp_path / "none.json")
-    assert (many.exit_code, "without --radio" in one_line(many.stderr)) == (2, True)
+    assert (many.exit_code, "--radio cannot be used with" in one_line(many.stderr)) == (2, True)
     without = run("radio", write_recording(short_walk(), tmp_path / "w.zip"), "--out", tmp_path / "m")
     assert (without.exit_code, "no walk has Wi-Fi scans" in one_line(without.stderr)) == (2, True)
     assert not (tmp_path / "m.json").exists()

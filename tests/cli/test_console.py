@@ -26,13 +26,13 @@ WORDS = {
 
 
 def printed(capsys: pytest.CaptureFixture[str]) -> str:
-    """What was printed, without the styles of the terminal."""
+    """Return the printed text without terminal styles."""
     return re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
 
 
 @pytest.fixture
 def terminal(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
-    """A terminal without colours."""
+    """Text stream that claims to be a terminal without colours."""
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("NO_COLOR", "1")

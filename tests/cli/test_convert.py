@@ -1,4 +1,4 @@
-"""`pdr-filter convert`: the guess with its evidence, the mapping, the recording; nothing overwritten."""
+"""Command `pdr-filter convert`: guessed mapping with its evidence, recording, and protection of existing files."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_a_mapping_that_was_corrected_is_obeyed_and_nothing_is_overwritten(tmp_p
     before = out.read_bytes()
     again = RUN.invoke(app, ["convert", str(table), "--out", str(out)])
     assert again.exit_code == 2
-    assert "is there already, and is not overwritten" in " ".join(again.stderr.split())
+    assert "already exists, and convert does not overwrite files" in " ".join(again.stderr.split())
     assert out.read_bytes() == before
     mapping = tmp_path / "mine.toml"
     mapping.write_text((tmp_path / "first.toml").read_text().replace("sign = 1", "sign = -1"))
@@ -65,7 +65,7 @@ def test_a_folder_of_several_recordings_is_refused_with_their_names(tmp_path: Pa
     assert RUN.invoke(app, ["convert", str(tmp_path / "walks" / "a"), "--out", str(tmp_path / "a.zip")]).exit_code == 0
 
 
-def test_the_platform_says_the_sign_and_what_cannot_be_known_is_said(tmp_path: Path) -> None:
+def test_the_platform_sets_the_sign_and_an_unknown_sign_is_reported(tmp_path: Path) -> None:
     table = a_table(tmp_path, "time,ax,ay,az")
     refused = RUN.invoke(app, ["convert", str(table), "--out", str(tmp_path / "a.zip")])
     assert refused.exit_code == 2

@@ -1,4 +1,4 @@
-"""The demonstration: four files and a summary that is true."""
+"""Demonstration: four files and a correct summary."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_a_map_file_without_a_place_says_so_in_its_name_and_content_and_on_scree
     assert "not on Earth" in feature["properties"]["name"]
     places_deg = np.array(feature["geometry"]["coordinates"])[:, :2]
     assert np.abs(places_deg).max() < 0.01  # in the open sea, where a metre is a metre both ways
-    assert "only its shape: nothing says where on Earth" in printed(simulated)
+    assert "shape only, because the position on Earth is unknown" in printed(simulated)
 
 
 def test_the_picture_of_the_simulated_walk_shows_the_true_way(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -54,22 +54,22 @@ def test_the_picture_of_the_simulated_walk_shows_the_true_way(monkeypatch: pytes
     truth = demo.recording.truth.position
     run_demo(write_recording(demo.recording, tmp_path / "mine.zip"), tmp_path)
     np.testing.assert_array_equal(drawn[0], np.column_stack([truth.east_m, truth.north_m]))
-    assert drawn[1] is None  # of another recording nobody knows how its frame lies
+    assert drawn[1] is None  # the frame of another recording is unrelated to the track
 
 
 def test_the_summary_says_that_the_walk_is_simulated_and_what_is_true(simulated: Demo) -> None:
     text = printed(simulated)
     truth = simulated.recording.truth
     assert "simulated" in text
-    assert "nobody walked" in text
+    assert "ground truth is known exactly" in text
     assert f"truth: {len(truth.steps)}" in text
     assert f"truth: {truth.segments.distance_m.sum():.1f} m" in text
     assert f"{simulated.track.n_steps}" in text
     assert f"{simulated.track.distance_m:.1f} m" in text
 
 
-def test_the_demo_convinces(simulated: Demo) -> None:
-    """All contexts are there, the end is near, nothing is asked for."""
+def test_the_demo_shows_all_contexts_and_ends_close_to_the_true_end(simulated: Demo) -> None:
+    """The demo shows all contexts, ends close to the true end, and has no notes."""
     track, truth = simulated.track, simulated.recording.truth
     middle_s = track.windows.time_s - 1.0
     true = truth.labels.context[np.searchsorted(truth.labels.end_s, middle_s)]
@@ -87,7 +87,7 @@ def test_the_summary_names_the_files_the_uncertainty_and_the_next_step(simulated
     text = printed(simulated)
     for path in (simulated.report, simulated.picture, simulated.geojson, simulated.csv):
         assert str(path) in text
-    how_sure = f"± {simulated.track.position_std_m[-1]:.1f} m  +standard deviation, worst direction"
+    how_sure = f"± {simulated.track.position_std_m[-1]:.1f} m  +standard deviation in the worst direction"
     assert re.search(how_sure, text)
     assert "pdr-filter demo YOUR.zip" in text
     assert len(text.splitlines()) <= 24  # one screen
@@ -101,7 +101,7 @@ def test_the_demo_of_a_file_tracks_that_file_and_claims_no_truth(tmp_path: Path)
     text = printed(demo)
     assert str(file) in text
     assert "truth" not in text
-    assert "Next" not in text  # it ends with the own walk
+    assert "Next" not in text  # there is no next step after a recording of the user
 
 
 def test_the_map_is_where_the_locations_of_the_recording_say(tmp_path: Path) -> None:
@@ -116,7 +116,7 @@ def test_the_map_is_where_the_locations_of_the_recording_say(tmp_path: Path) -> 
     (feature,) = json.loads(demo.geojson.read_text())["features"]
     longitude_deg, latitude_deg = np.array(feature["geometry"]["coordinates"])[:, :2].T
     assert np.linalg.norm(here.east_north_m(latitude_deg, longitude_deg)[-1] - place_m[-1]) < 15.0
-    assert "placed by the recording's own locations" in printed(demo)
+    assert "georeferenced by the locations in the recording" in printed(demo)
     assert run_demo(file, tmp_path / "off", gnss="off").geojson.name.endswith(".local.geojson")
 
 
@@ -141,13 +141,13 @@ def test_the_end_error_on_the_screen_is_that_of_the_report_at_the_last_step(simu
     off = replace(simulated, track=replace(simulated.track, position_m=position_m))
     for demo in (simulated, off):
         data = track_data(demo.track, demo.recording, None, 1)
-        assert f"{data['from_truth'][-1]:.1f} m from the truth, turned to fit" in printed(demo)
+        assert f"{data['from_truth'][-1]:.1f} m after rigid alignment" in printed(demo)
         assert (data["from_truth"][-1] > 5.0) == (demo is off)
     data = track_data(simulated.track, simulated.recording, None, 1)
     assert f'"from_truth":{json.dumps(data["from_truth"], separators=(",", ":"))}' in simulated.report.read_text()
 
 
-def test_a_note_that_was_said_is_not_said_again(simulated: Demo) -> None:
+def test_a_printed_note_is_not_repeated(simulated: Demo) -> None:
     noted = replace(simulated, track=replace(simulated.track, notes=("the height is not known",)))
     console, said = Console(width=100, highlight=False), set[str]()
     with console.capture() as capture:

@@ -1,4 +1,4 @@
-"""Groups of options: dataclasses as parameters of a command."""
+"""Option groups: dataclasses as parameters of a command."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ def test_without_a_label_that_names_a_context_there_is_nothing_to_hold_contexts_
     labels = walk.truth.labels.copy()
     labels.context[:] = "swimming"
     for truth in (replace(walk.truth, labels=labels), Truth()):
-        with pytest.raises(ValueError, match="inside a truth label"):
+        with pytest.raises(ValueError, match="inside a label"):
             runs.weighting_errors(replace(walk, truth=truth))
 
 
@@ -180,5 +180,5 @@ def test_epochs_add_up_to_the_steps_between_the_first_and_the_last_window(
 
 
 def test_modes_that_miss_a_context_are_refused(config: pdr.Config, by_weighting: dict[str, pdr.Track]) -> None:
-    with pytest.raises(ValueError, match="one mode for each"):
+    with pytest.raises(ValueError, match="exactly one mode for each"):
         runs.epoch_distances(by_weighting["hc"], config.model.modes[:-1])

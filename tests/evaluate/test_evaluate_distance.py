@@ -59,7 +59,7 @@ def test_the_table_has_each_context_and_all() -> None:
 
 
 def test_a_leg_without_context_is_refused() -> None:
-    with pytest.raises(ValueError, match="one for each"):
+    with pytest.raises(ValueError, match="one value for each"):
         distance.distance_table([1.0, 2.0], [1.0, 1.0], ["walking"])
 
 

@@ -100,5 +100,5 @@ def test_a_tolerance_that_nothing_can_keep_is_refused(tolerance_s: float) -> Non
 
 
 def test_times_that_are_not_known_are_refused() -> None:
-    with pytest.raises(ValueError, match="found_s must be ascending and known"):
+    with pytest.raises(ValueError, match="found_s must be ascending without NaN"):
         steps.step_scores(np.arange(3.0), np.array([np.nan]))

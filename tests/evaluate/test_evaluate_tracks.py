@@ -84,14 +84,14 @@ def test_the_end_error_is_in_per_cent_of_the_path() -> None:
     reference = np.array([[0.0, 0.0], [30.0, 0.0], [30.0, 20.0]])
     estimate = reference + np.array([[0.0, 0.0], [0.0, 0.0], [3.0, 4.0]])
     assert tracks.end_error_percent(estimate, reference) == pytest.approx(10.0)
-    with pytest.raises(ValueError, match="goes nowhere"):
+    with pytest.raises(ValueError, match="path length of zero"):
         tracks.end_error_percent(np.zeros((3, 2)), np.zeros((3, 2)))
 
 
 def test_an_unknown_alignment_and_other_shapes_are_refused(way: np.ndarray) -> None:
     with pytest.raises(ValueError, match="none, origin, first or all"):
         tracks.aligned(way, way, "some")  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="alike"):
+    with pytest.raises(ValueError, match="same shape"):
         tracks.aligned(way[1:], way)
 
 
@@ -136,7 +136,7 @@ def test_points_that_are_not_known_are_refused_with_their_number(align: tracks.A
         for score in (tracks.position_rmse_m, tracks.axis_rmse_m, tracks.end_error_percent):
             with pytest.raises(ValueError, match=f"{name} is not known at point 2"):
                 score(*pair, align)
-    with pytest.raises(ValueError, match="a point at least"):
+    with pytest.raises(ValueError, match="at least one point"):
         tracks.position_rmse_m(known[:0], known[:0], align)
 
 

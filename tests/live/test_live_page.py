@@ -69,7 +69,8 @@ def test_the_path_grows_and_i_am_here_moves_it(server: Server, walk: Recording, 
         box = "document.getElementById('map')"
         place = browser.value(f"live.map.place({box}.clientWidth * 0.6, {box}.clientHeight * 0.5)")
         browser.click("#map", 0.6, 0.5)
-        browser.until("document.getElementById('said').textContent.endsWith('waits for the step that it falls into.')")
+        said = "document.getElementById('said').textContent"
+        browser.until(f"{said}.endsWith('waits until the current step is complete.')")
         assert browser.value(f"{SESSION}.fixes[0].place") == pytest.approx(place, abs=0.2)
         assert browser.value("document.getElementById('here').getAttribute('aria-pressed')") == "false"
         # the same with the keyboard alone

@@ -228,7 +228,7 @@ def test_an_own_step_length_is_used_in_its_mode_and_in_smoothing(visit: pdr.Reco
     for found in (pdr.track(walk, config=config), pdr.smooth(walk, config=config).track):
         assert np.median(found.step_length_m) == pytest.approx(0.5, abs=0.02)
     assert "height" not in [note.about for note in config.notes]
-    with pytest.raises(ValueError, match="no mode 'flying', there are stationary, walking"):
+    with pytest.raises(ValueError, match="no mode or context is named 'flying': give one of stationary, walking"):
         pdr.recipes.default().with_step_length("flying", fit)
 
 
@@ -316,7 +316,7 @@ def test_modes_of_a_configuration_that_knows_a_person_are_refused() -> None:
     from pdr_filter.filter.step_length.person import Session
 
     known = pdr.recipes.default().with_person(pdr.Person((Session(0.7, 0.02, 30),)))
-    with pytest.raises(ValueError, match="give modes and step lengths first"):
+    with pytest.raises(ValueError, match="set modes and step lengths first"):
         known.with_modes(known.model.modes)
 
 

@@ -1,4 +1,4 @@
-"""What tests of reports share: the demo's walk and its track."""
+"""Fixtures of the report tests: the demonstration walk and its track."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def recording() -> Recording:
 
 @pytest.fixture(scope="session")
 def track(recording: Recording) -> Track:
-    """On one storey, as most walks are."""
+    """Track of the demonstration walk on one storey."""
     found = pdr.track(recording)
     zeros = np.zeros(found.n_steps)
     return replace(found, height_m=zeros, floor=zeros.astype(np.int64), floor_passages=())

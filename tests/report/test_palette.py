@@ -1,4 +1,4 @@
-"""The colours of all pictures stand in one place."""
+"""Colours of all pictures are defined in one module."""
 
 from __future__ import annotations
 
@@ -31,6 +31,6 @@ def test_twelve_contexts_have_twelve_colours() -> None:
 
 
 def source(file: Path) -> str:
-    """Text in lower case; of a notebook without its stored pictures, which have colours of their own."""
+    """Return the text in lower case. Stored pictures of notebooks are removed, because they have other colours."""
     text = file.read_text(encoding="utf-8").lower()
     return "\n".join(line for line in text.splitlines() if '"image/' not in line and len(line) < 1000)

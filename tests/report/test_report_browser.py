@@ -1,4 +1,4 @@
-"""The HTML page of a track in a real browser: what somebody sees, points at and moves; nothing leaves the page."""
+"""HTML report in a real browser: drawing, pointing, zooming, and no network access."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def page(track: Track, recording: Recording, tmp_path_factory: pytest.TempPathFa
 
 
 def shown(browser: Browser) -> dict[str, str]:
-    """The table of the step that is shown."""
+    """Return the table of the selected step."""
     rows = browser.value("[...document.querySelectorAll('#step tr')].map(r => [...r.children].map(c => c.textContent))")
     return dict(rows)
 
@@ -51,19 +51,19 @@ def step_shown(browser: Browser) -> int:
 
 
 def seen(browser: Browser, selector: str) -> IntArray:
-    """Colours of an element as it is seen, (height, width, 3)."""
+    """Return a screenshot of an element, (height, width, 3)."""
     image = matplotlib.image.imread(io.BytesIO(browser.picture(selector)))
     return np.round(255 * image[..., :3]).astype(int)
 
 
 def colours_of(browser: Browser, selector: str) -> set[str]:
-    """All colours that are seen in an element, as #RRGGBB."""
+    """Return all colours in a screenshot of an element, as #RRGGBB."""
     pixels = np.unique(seen(browser, selector).reshape(-1, 3), axis=0)
     return {"#{:02X}{:02X}{:02X}".format(*pixel) for pixel in pixels}
 
 
 def picture(browser: Browser, name: str) -> str:
-    """A picture over time, to compare it with others."""
+    """Return a screenshot of a chart, to compare it with others."""
     return browser.value(f"document.querySelector('#{name} canvas').toDataURL()")
 
 
@@ -76,27 +76,27 @@ def scrub(browser: Browser, time_s: float) -> None:
 
 
 def way(browser: Browser) -> IntArray:
-    """The map at one time, to compare it with others: where the mouse is must not count."""
+    """Return a screenshot of the map, without the influence of the mouse position."""
     browser.hover("h1")
     scrub(browser, 30.0)
     return seen(browser, "#map")
 
 
 def is_same(one: IntArray, other: IntArray) -> bool:
-    """Whether two maps show the same, but for the edges of lines."""
+    """Return True if two screenshots are equal except at the edges of lines."""
     return float((np.abs(one - other).max(axis=2) > 100).mean()) < 1e-4
 
 
 def way_but(browser: Browser, before: IntArray) -> IntArray:
-    """The map as soon as it is another; the wheel waits for more turns."""
+    """Return a screenshot of the map when it has changed, because the wheel zooms with a delay."""
     end = time.monotonic() + 5.0
     while is_same(now := way(browser), before):
         assert time.monotonic() < end, "the map stays as it was"
     return now
 
 
-def test_a_page_that_loads_something_or_complains_would_be_noticed(browser: Browser, tmp_path: Path) -> None:
-    """Otherwise the next test could not fail."""
+def test_network_access_and_errors_of_a_page_are_detected(browser: Browser, tmp_path: Path) -> None:
+    """Without this check, the next test could not fail."""
     path = tmp_path / "bad.html"
     path.write_text("<!DOCTYPE html><img src='http://example.org/x.png'><script>console.error('no')</script>")
     browser.open(path)
@@ -139,13 +139,13 @@ def test_the_last_step_is_shown_first_with_its_numbers(browser: Browser, page: P
     assert said["step"] == f"{track.n_steps} of {track.n_steps}"
     assert said["length"] == f"{track.step_length_m[-1]:.2f} m"
     assert said["heading"] == f"{np.degrees(track.walking_heading_rad[-1]) % 360:.0f}°"
-    assert said["worst direction"] == f"± {track.position_std_m[-1]:.1f} m"
-    assert float(said["from the truth"].split()[0]) < 5.0
+    assert said["standard deviation"] == f"± {track.position_std_m[-1]:.1f} m"
+    assert float(said["position error"].split()[0]) < 5.0
     best = track.contexts[int(track.context_prob[-1].argmax())]
     assert f"{best}\n" in browser.words("#probabilities")
 
 
-def test_pointing_at_the_way_shows_the_step_there(browser: Browser, page: Path, track: Track) -> None:
+def test_pointing_at_the_path_selects_the_nearest_step(browser: Browser, page: Path, track: Track) -> None:
     browser.open(page)
     k = 60
     browser.hover("#map", *pixel_of(browser, *track.position_m[k]))
@@ -154,7 +154,7 @@ def test_pointing_at_the_way_shows_the_step_there(browser: Browser, page: Path, 
 
 
 def pixel_of(browser: Browser, east_m: float, north_m: float) -> tuple[float, float]:
-    """Share of the map's width and height at which a place is while all is shown."""
+    """Return the relative position of a place on the map while the whole path is shown."""
     inside = browser.value(
         "(() => { const c = document.createElement('div'); const m = document.getElementById('map');"
         "c.style.cssText = `position: fixed; width: ${m.clientWidth}px; height: ${m.clientHeight}px`;"
@@ -181,12 +181,12 @@ def test_the_time_can_be_scrubbed_and_played(browser: Browser, page: Path, track
     scrub(browser, 30.0)
     assert step_shown(browser) == np.searchsorted(track.time_s, 30.0, side="right")
     assert browser.words("#clock").startswith("0:30")
-    assert len(colours_of(browser, "#map") - whole) > 0  # what was not walked yet is faint
+    assert len(colours_of(browser, "#map") - whole) > 0  # steps after the selected time are faint
     browser.click("#play")
     browser.until(f"parseInt(document.querySelector('#step td').textContent) > {step_shown(browser)}")
 
 
-def test_the_way_is_moved_and_zoomed_and_shown_whole_again(browser: Browser, page: Path) -> None:
+def test_the_path_can_be_moved_zoomed_and_shown_whole_again(browser: Browser, page: Path) -> None:
     browser.open(page)
     whole = way(browser)
     browser.wheel("#map", -100)
@@ -201,13 +201,13 @@ def test_the_way_is_moved_and_zoomed_and_shown_whole_again(browser: Browser, pag
     browser.press("ArrowLeft")
     way_but(browser, nearer)
     browser.press("0")
-    browser.value("document.activeElement.blur()")  # which has a frame
+    browser.value("document.activeElement.blur()")  # a focused element has a frame
     assert is_same(way(browser), whole)
 
 
 @pytest.mark.parametrize("latitude_deg", [0.0, 48.1, -77.8])
 def test_metres_are_put_where_they_are_on_earth(browser: Browser, page: Path, latitude_deg: float) -> None:
-    """For tiles below a way. A kilometre from the origin it is wrong by 40 cm near a pole, by 10 cm in Europe."""
+    """Metres on map tiles. At 1 km from the origin the error is 40 cm near a pole and 10 cm in Europe."""
     browser.open(page)
     origin = pdr.Origin(latitude_deg, 11.575)
     places_m = np.array([[1000.0, 0.0], [0.0, 1000.0], [-600.0, -800.0]])
@@ -233,7 +233,7 @@ def test_several_tracks_are_chosen_from_and_each_has_its_own_words(
     browser.open(write_report([track, other], tmp_path / "page.html", recording, a_plan(tmp_path)))
     assert browser.complaints == []
     assert "Only the other has this" not in browser.words("body")
-    assert palette.ORANGE.upper() in colours_of(browser, "#map")  # the other beside it
+    assert palette.ORANGE.upper() in colours_of(browser, "#map")  # the other track is shown as well
     with_plan = way(browser)
     browser.click("[name=plan]")
     assert (way(browser) != with_plan).any(axis=2).mean() > 0.1  # the floor of the plan has a pale colour
@@ -245,7 +245,7 @@ def test_several_tracks_are_chosen_from_and_each_has_its_own_words(
 
 def test_tracks_that_coincide_are_all_seen(browser: Browser, track: Track, tmp_path: Path) -> None:
     walking = np.tile(np.eye(len(track.contexts))[track.contexts.index("walking")], (track.n_steps, 1))
-    level = replace(track, context_prob=walking)  # whose steps have one colour
+    level = replace(track, context_prob=walking)  # all steps have the same colour
     browser.open(write_report([replace(level, name=name) for name in ("one", "two", "three")], tmp_path / "page.html"))
     colours = browser.value("JSON.parse(document.getElementById('data').textContent).tracks.map(t => t.colour)")
     others = {colour.upper() for colour in colours[1:]}
@@ -270,14 +270,14 @@ def test_places_where_a_walk_may_be_are_drawn_for_the_step_that_is_shown(
     clusters = (places[:1],) * (track.n_steps - 1) + (places,)
     browser.open(write_report(replace(track, clusters=clusters), tmp_path / "page.html"))
     assert browser.complaints == []
-    assert shown(browser)["places"] == "60 %, 30 %"
+    assert shown(browser)["possible positions"] == "60 %, 30 %"
     assert "#BB3333" in colours_of(browser, "#map")
     browser.click("[name=places]")
     assert "#BB3333" not in colours_of(browser, "#map")
     browser.click("[name=places]")
     scrub(browser, 30.0)
     assert "#BB3333" not in colours_of(browser, "#map")
-    assert "places" not in shown(browser)
+    assert "possible positions" not in shown(browser)
 
 
 def test_anchors_of_ranges_are_drawn_and_can_be_hidden(browser: Browser, track: Track, tmp_path: Path) -> None:
@@ -315,7 +315,7 @@ def test_the_page_of_a_folder_is_no_wider_than_a_phone(browser: Browser, track: 
 
 
 @pytest.mark.parametrize("scale", [0.02, 4000.0], ids=["a room", "a country"])
-def test_a_way_of_any_size_fills_the_map(browser: Browser, track: Track, tmp_path: Path, scale: float) -> None:
+def test_a_path_of_any_size_fills_the_map(browser: Browser, track: Track, tmp_path: Path, scale: float) -> None:
     changed = replace(
         track,
         position_m=track.position_m * scale,
@@ -336,7 +336,7 @@ def test_a_recording_without_steps_has_a_page_without_complaints(browser: Browse
     rest = pdr.simulate.simulate(legs, name="rest")
     browser.open(write_report(pdr.track(rest), tmp_path / "page.html", rest))
     assert browser.complaints == []
-    assert "nothing to draw" in browser.words("#way")
+    assert "No steps were detected" in browser.words("#way")
     assert browser.value("document.getElementById('play').disabled")
 
 
@@ -347,7 +347,7 @@ def test_hostile_names_run_nothing_in_the_browser(
     bad = replace(recording, name=hostile, source=hostile, notes=(hostile,), meta={"reading": {"found": [hostile]}})
     tracks = [replace(track, name=hostile + n, notes=(hostile,), weighting=hostile) for n in "ab"]
     text = html_report(tracks, bad)
-    # Also without the policy, so that it is the escaping that holds.
+    # also without the security policy, to test the escaping alone
     for number, content in enumerate([text, re.sub(r"<meta http-equiv=.*?>\n", "", text)]):
         path = tmp_path / f"{number}.html"
         path.write_text(content, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The HTML page of a track: complete, self-contained, and safe whatever is in a recording."""
+"""HTML report: complete, self-contained, and safe for any contents of a recording."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def page(track: Track, recording: Recording) -> str:
 
 
 class Seen(HTMLParser):
-    """What an HTML parser finds, with the text as a reader sees it."""
+    """HTML parser that collects titles, scripts and the visible text."""
 
     def __init__(self, page: str) -> None:
         super().__init__(convert_charrefs=True)
@@ -67,7 +67,7 @@ class Seen(HTMLParser):
 
 
 def given(page: str) -> list[dict[str, Any]]:
-    """The numbers that the scripts of a page draw, for each track."""
+    """Return the data of each track in a page."""
     return json.loads(Seen(page).scripts[0])["tracks"]
 
 
@@ -76,14 +76,14 @@ def given(page: str) -> list[dict[str, Any]]:
 
 def test_the_page_has_every_part(page: str) -> None:
     assert Seen(page).titles[1:] == [
-        "Where not to trust it",
-        "Way",
+        "Warnings",
+        "Path",
         "Height (m)",
         "Contexts over time",
         "Walking speed (m/s)",
         "Step lengths (m)",
         "Heading",
-        "How it was read",
+        "Input data",
     ]
 
 
@@ -145,10 +145,8 @@ def test_contexts_fill_their_share_of_the_time(page: str, track: Track) -> None:
     assert area / area.sum() == pytest.approx(seconds / seconds.sum(), abs=0.01)
 
 
-def test_the_truth_is_turned_onto_the_track_and_what_is_left_is_said_of_each_step(
-    track: Track, recording: Recording
-) -> None:
-    """Wherever the frame of the truth lies, a track that is right has no error."""
+def test_the_truth_is_aligned_with_the_track_and_each_step_has_its_error(track: Track, recording: Recording) -> None:
+    """A correct track has no error for any frame of the truth."""
     truth = recording.truth.position
     true_m = np.column_stack([np.interp(track.time_s, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
     turned_m = true_m @ [[0.0, 1.0], [-1.0, 0.0]] + [5.0, 7.0]
@@ -180,7 +178,7 @@ def test_several_tracks_are_told_apart_by_name_weighting_or_number(track: Track)
     assert f"{track.name}, imm" in words
     assert f"{track.name}, hc" in words
     assert f"2: {track.name}, imm" in Seen(html_report([track, track])).words
-    with pytest.raises(ValueError, match="one or more, got none"):
+    with pytest.raises(ValueError, match="at least one track, got none"):
         html_report([])
 
 
@@ -195,7 +193,7 @@ def test_a_floor_plan_is_given_as_shapes_those_below_first(track: Track, tmp_pat
     assert given(html_report(track))[0]["plan"] == []
 
 
-def test_doubts_and_notes_are_all_there(recording: Recording) -> None:
+def test_all_warnings_and_notes_are_on_the_page(recording: Recording) -> None:
     blind = replace(recording, gyroscope=None, notes=("the clock was set back once",))
     track = pdr.track(blind)
     words = Seen(html_report(track, blind)).words
@@ -204,7 +202,7 @@ def test_doubts_and_notes_are_all_there(recording: Recording) -> None:
     assert all(doubt in words for doubt in doubts)
     assert "The clock was set back once." in words
     assert words.count("lock was set back once") == 1
-    assert "Nothing odd" not in words
+    assert "None." not in words
 
 
 def test_the_reading_report_is_all_there(page: str, recording: Recording) -> None:
@@ -216,7 +214,7 @@ def test_the_reading_report_is_all_there(page: str, recording: Recording) -> Non
     for stream in report.streams:
         assert stream.name in words
         assert f"{stream.n_samples:,}" in words
-    assert "How it was read" not in Seen(html_report(pdr.track(recording))).words
+    assert "Input data" not in Seen(html_report(pdr.track(recording))).words
 
 
 # --- self-contained and safe -----------------------------------------------------------------------------------------
@@ -233,14 +231,14 @@ def assert_self_contained(page: str) -> None:
     rules = dict(rule.split(maxsplit=1) for rule in policy.split("; "))
     assert rules.keys() == {"default-src", "style-src", "script-src"}
     assert rules["default-src"] == "'none'"
-    # Scripts only by the checksum of what they are.
+    # scripts are allowed only by their checksums
     assert re.fullmatch(r"('sha256-[\w+/=]{44}' ?)+", rules["script-src"])
 
 
 def test_the_page_loads_nothing_and_names_no_address(page: str) -> None:
     assert_self_contained(page)
     own = page
-    for library in ASSETS.glob("*.[cj]s*"):  # they name whose they are, and SVG's name space
+    for library in ASSETS.glob("*.[cj]s*"):  # libraries name their authors and the name space of SVG
         own = own.replace(library.read_text(encoding="utf-8"), "")
     assert not re.search(r"https?://|javascript:|data:[a-z]+/", own)
 
@@ -278,7 +276,7 @@ def test_a_recording_without_steps_has_a_page(recording: Recording) -> None:
     assert_self_contained(page)
     words = Seen(page).words
     assert "0 steps" in words
-    assert "nothing to draw" in words
+    assert "No steps were detected" in words
     assert given(page)[0]["time"] == []
 
 
@@ -302,7 +300,7 @@ def test_a_single_step_has_a_page(track: Track) -> None:
     assert len(given(page)[0]["time"]) == 1
 
 
-def test_the_page_says_in_which_frame_the_way_is_drawn_and_how_sure_its_end_is(track: Track) -> None:
+def test_the_page_states_the_frame_and_the_uncertainty_of_the_end(track: Track) -> None:
     placed = track.placed((48.137, 11.575))
     words = Seen(html_report(placed)).words
     assert placed.about_frame in words
@@ -310,7 +308,7 @@ def test_the_page_says_in_which_frame_the_way_is_drawn_and_how_sure_its_end_is(t
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
-def test_numbers_that_mean_nothing_are_left_out(track: Track, value: float) -> None:
+def test_non_finite_numbers_are_omitted(track: Track, value: float) -> None:
     position_m, cov_m2, speed = track.position_m.copy(), track.position_cov_m2.copy(), track.smoothed_speed_mps.copy()
     position_m[50:60], cov_m2[-1], speed[10] = value, value, np.nan
     page = html_report(replace(track, position_m=position_m, position_cov_m2=cov_m2, smoothed_speed_mps=speed))
@@ -339,7 +337,7 @@ def test_fixes_that_were_not_used_are_told(recording: Recording) -> None:
 
 
 def test_a_day_of_walking_is_a_page_of_less_than_one_and_a_half_megabytes(track: Track) -> None:
-    """Pages that browsers open at once: what is finer than a screen is left out."""
+    """The page opens fast, because rows beyond the resolution of a screen are omitted."""
     n = 500
     late_s = np.repeat(track.duration_s * np.arange(n), track.n_steps)
     steps = np.tile(track.steps, n)

@@ -217,7 +217,7 @@ def test_locations_use_north_with_a_heading_stage_of_another_package_unless_it_f
     class Unsure(DeviceHeading):
         learns_directions = False
 
-    with pytest.raises(ValueError, match="does not learn where the person walks"):
+    with pytest.raises(ValueError, match="does not estimate the walking direction"):
         config.with_heading(Unsure()).with_magnetic_north(0.0)
 
 
@@ -226,7 +226,7 @@ def test_missing_members_of_a_part_are_named() -> None:
         pdr.recipes.default().with_steps(DeviceHeading())  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="a class, not one of its instances"):
         pdr.recipes.default().with_heading(DeviceHeading)  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="no mode 'swimming'"):
+    with pytest.raises(ValueError, match="no mode or context is named 'swimming'"):
         pdr.recipes.default().with_step_length("swimming", FIT)
 
 
@@ -357,7 +357,7 @@ def test_a_calibrated_model_of_another_package_is_saved_and_loaded_with_its_conf
     path = tmp_path / "own.json"
     calibration.save(path)
     assert "RootOfRange" not in path.read_text()
-    with pytest.raises(ValueError, match="give the configuration"):
+    with pytest.raises(ValueError, match="pass the configuration"):
         pdr.track(walk, calibration=path)
     np.testing.assert_array_equal(pdr.track(walk, config=config, calibration=path).position_m, again.position_m)
 

@@ -242,7 +242,7 @@ def test_contradicting_sources_of_north_are_refused(walk: Recording) -> None:
         pdr.track(replace(walk, magnetometer=None), north="magnetic")
     with pytest.raises(MissingSensorError, match="no gyroscope"):
         pdr.track(replace(walk, gyroscope=None), north="magnetic")
-    with pytest.raises(ValueError, match="'martinelli2018' does not learn where the person walks"):
+    with pytest.raises(ValueError, match="'martinelli2018' does not estimate the walking direction"):
         pdr.track(walk, recipes.martinelli2018(), north="magnetic")
 
 

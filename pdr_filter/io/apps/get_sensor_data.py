@@ -102,7 +102,7 @@ def read_get_sensor_data(path: str | Path) -> Recording:
 
 
 def _check_columns(header: list[str], where: str) -> None:
-    """Refuse a log whose own header says that its lines have one time only, so that other columns stand elsewhere."""
+    """Refuse a log whose header states a single time per line, because all other columns are then shifted."""
     for line in header:
         declared = re.search(r"'ACCE;([^']*)'", line)
         if declared and "SensorTimestamp" not in declared[1]:
@@ -156,7 +156,7 @@ def _check_unit(parsed: Parsed, where: str) -> None:
 
 
 def _unit_beside(path: Path) -> str:
-    """Unit named in the TOML file of the log, or "" without such a file."""
+    """Return the unit named in the TOML file of the log, or "" without such a file."""
     toml = beside(path, path.with_suffix(".toml").name)
     if path.is_dir() or toml == path or not toml.is_file():
         return ""

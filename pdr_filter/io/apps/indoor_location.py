@@ -86,7 +86,7 @@ def read_indoor_location(path: str | Path) -> Recording:
 
 
 def _floor_number(name: str) -> float:
-    """Storey of a floor's name, 0 is the ground floor: F1 and 1F are 0, B1 is -1; NaN if it says nothing."""
+    """Return the storey for the name of a floor: 0 for F1 and 1F (ground floor), -1 for B1, NaN for unknown names."""
     match = re.fullmatch(r"([FBfb])(\d{1,2})|(\d{1,2})([FBfb])", name.strip())
     if match is None:
         return float("nan")

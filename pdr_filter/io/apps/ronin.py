@@ -83,7 +83,7 @@ def read_ronin(path: str | Path) -> Recording:
 
 
 def _read_arrays(file: Path, notes: list[str]) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """The times, and those of `ARRAYS` that the file has."""
+    """Return the times, and the arrays of `ARRAYS` that exist in the file."""
     try:
         import h5py  # pyright: ignore[reportMissingImports]
     except ImportError as error:
@@ -107,7 +107,7 @@ def _read_arrays(file: Path, notes: list[str]) -> tuple[FloatArray, dict[str, Fl
 
 
 def _array(data: Any, name: str, columns: int, file: Path, notes: list[str]) -> FloatArray | None:
-    """A data set as floats, (N,) or (N, columns); None if it is not there."""
+    """Return a data set as floats, (N,) or (N, columns), or None if it does not exist."""
     found: Any = _inside_file(data, name, file)
     if found is None:
         return None
@@ -126,7 +126,7 @@ def _array(data: Any, name: str, columns: int, file: Path, notes: list[str]) -> 
 
 
 def _inside_file(data: Any, name: str, file: Path) -> Any:
-    """The data set of this name, None if it is not there; what would open another file is refused before it does."""
+    """Return the data set of this name, or None if it does not exist. Links to other files are refused."""
     import h5py  # pyright: ignore[reportMissingImports]
 
     found = data
@@ -159,7 +159,7 @@ def _check_storage(found: Any, name: str, file: Path) -> None:
 
 
 def _check_chunks(found: Any, name: str, file: Path) -> None:
-    """Refuse a piece that unpacks to more than it should: hdf5 itself unpacks whatever there is."""
+    """Refuse a chunk that unpacks to more than its declared size, because hdf5 itself does not check this."""
     most = math.prod(found.chunks) * found.dtype.itemsize + 4  # a checksum has 4 bytes
     for i in range(found.id.get_num_chunks()):
         mask, piece = found.id.read_direct_chunk(found.id.get_chunk_info(i).chunk_offset)

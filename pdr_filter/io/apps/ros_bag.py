@@ -72,7 +72,7 @@ class _Topic:
         self._rows: list[tuple[float, ...]] = []
 
     def add(self, received_ns: int, content: bytes, where: str) -> None:
-        """A message; its own time, or that of its arrival if it has none."""
+        """Add a message with its own time, or with the time of its arrival if it has none."""
         if len(self._ns) >= limits.MAX_ARRAY_ROWS:
             raise RecordingError(f"{where}: more than {limits.MAX_ARRAY_ROWS} messages; cut the bag")
         try:
@@ -94,7 +94,7 @@ class _Topic:
 
 
 def _fill(parsed: Parsed, topics: dict[str, _Topic], seen: dict[str, str]) -> None:
-    """The streams of the topics: of each kind the one with most messages that say something."""
+    """Fill in the streams. For each kind of message, the topic with the most usable messages is taken."""
     imus = {name: topic for name, topic in topics.items() if topic.kind == IMU}
     parts = {"accelerometer": slice(7, 10), "gyroscope": slice(4, 7), "attitude": slice(0, 4)}
     chosen: dict[str, tuple[str, IntArray, FloatArray]] = {}

@@ -79,7 +79,10 @@ def looks_like(header: str) -> bool:
 
 
 def is_without_seconds_elapsed(members: Members) -> bool:
-    """True for an export of 2021, whose tables show less than its Metadata.csv."""
+    """Return True for an export of 2021, which has no column of elapsed seconds.
+
+    Its Metadata.csv has more information.
+    """
     by_stem = {PurePosixPath(name).stem.lower(): name for name in members.names if name.lower().endswith(".csv")}
     if not {"metadata", "accelerometer"} <= by_stem.keys():
         return False
@@ -202,7 +205,7 @@ def _specific_force(export: _Export, parsed: Parsed) -> tuple[str, NumberTable]:
 
 
 def _platform_by_content(export: _Export, parsed: Parsed, named: str) -> str:
-    """The platform that the sensors themselves show; RecordingError if they do not."""
+    """Return the platform that the sensor values show. RecordingError if they do not show it."""
     gravity, attitude = export.sensors.get("Gravity"), export.sensors.get("Orientation")
     if "TotalAcceleration" in export.sensors:
         parsed.notes.append("no platform in Metadata; taken as Android, because TotalAcceleration is Android's")
@@ -358,7 +361,7 @@ def _begun_ns(times: Iterable[tuple[str, str]]) -> int | None:
 
 
 def _without_stale(sensor: NumberTable, begun_ns: int | None, name: str, notes: list[str]) -> NumberTable:
-    """Without the values that the phone remembered from before the recording."""
+    """Remove values that the phone had stored before the recording."""
     if begun_ns is None:
         return sensor
     kept = sensor.whole.astype(np.float64) >= begun_ns - STALE_S * 1e9

@@ -13,7 +13,7 @@ from pdr_filter.values import FloatArray, limits
 
 
 class TaggedLog:
-    """The one text among the files of a recording, with the lines at its begin that begin with `comment`."""
+    """Single text file of a recording, with the comment lines at its start, which begin with `comment`."""
 
     def __init__(self, members: Members, comment: str) -> None:
         self.name = members.only_text()
@@ -93,7 +93,10 @@ def rotation_vector_quaternion(vector: FloatArray) -> FloatArray:
 
 
 def _ended(line: bytes, separator: bytes, tag_field: int, n_fields: Mapping[str, int]) -> bytes | None:
-    """A last line with its line feed; empty if its type is not read, None if the one before it has more fields."""
+    """Complete the last line with a line feed.
+
+    Return an empty line if its type is not read, and None if the previous line of its type has more fields.
+    """
     fields = line.split(separator)
     tag = fields[tag_field].decode("latin-1") if len(fields) > tag_field else ""
     if tag not in n_fields:

@@ -85,7 +85,7 @@ class Members:
         self.names = tuple(sorted(flat.get(name, name) for name in names))
 
     def where(self, name: str) -> str:
-        """How messages call a member."""
+        """Return the name of a member for messages."""
         return f"{self.path}" if self.path.name == name else f"{self.path}: {name}"
 
     def only_text(self) -> str:
@@ -244,7 +244,7 @@ def _check_any(path: Path, what: str, begin: bytes) -> None:
 
 
 def _refuse_others(path: Path, head: bytes) -> None:
-    """Say what a file is that is known and no recording."""
+    """Refuse a known kind of file that is not a recording, and name its kind."""
     kind = next((words for begin, words in _OTHERS.items() if head.lower().lstrip().startswith(begin.lower())), "")
     if head[_TAR_AT:].startswith(_TAR):
         kind = "a tar archive; unpack it and give the folder"
@@ -259,7 +259,7 @@ def zips_among(names: Sequence[str]) -> list[str]:
 
 
 def outside(path: Path) -> tuple[Path, str]:
-    """The file or folder that a path goes on inside of, and the rest; the path itself if nothing is there.
+    """Split a path inside a file or folder into the existing file or folder, and the rest.
 
     Inside a folder it is a trial: files that have its name beside that of their sensor.
     """
@@ -282,7 +282,7 @@ def _trial_path(name: str) -> str:
 
 
 def json_object(content: bytes, where: str) -> dict[str, Any]:
-    """The object that a small JSON file holds."""
+    """Return the object in a small JSON file."""
     try:
         value: Any = json.loads(content.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
@@ -293,7 +293,7 @@ def json_object(content: bytes, where: str) -> dict[str, Any]:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The content of a small TOML file."""
+    """Return the content of a small TOML file."""
     content = read_small(path, limits.MAX_TOML_BYTES)
     try:
         return tomllib.loads(content.decode("utf-8-sig"))
@@ -334,7 +334,7 @@ def _without_sensor_folders(names: Sequence[str]) -> dict[str, str]:
 
 
 def _are_of_sensors(folders: Iterable[str]) -> bool:
-    """Whether folders are called after an accelerometer and another sensor."""
+    """Return True if folders are named after an accelerometer and another sensor."""
     sensors = {quantity_of_file(name)[0] for name in folders} - {""}
     return len(sensors) > 1 and not sensors.isdisjoint((ACCELERATION, LINEAR))
 

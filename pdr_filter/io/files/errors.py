@@ -1,12 +1,25 @@
-"""The one error of the readers."""
+"""Error class of the readers."""
 
 from pdr_filter.values.sanitise import printable_lines
 
 
 class RecordingError(ValueError):
-    """A recording that cannot be used; the message names the file, the column, the value and the remedy.
+    """Error for a recording that cannot be used, a ValueError.
 
-    What is quoted of a file prints as text, whatever is in it.
+    The message names the file, the column, the value and the remedy.
+
+    Parameters
+    ----------
+    message : str
+        Text, which may quote untrusted files. Control characters are made printable.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> raise pdr.RecordingError("walk.csv: no column of time; add one")
+    Traceback (most recent call last):
+        ...
+    pdr_filter.io.files.errors.RecordingError: walk.csv: no column of time; add one
     """
 
     def __init__(self, message: str) -> None:

@@ -71,7 +71,40 @@ def read_recording(path: str | Path) -> Recording:
 
 
 def write_recording(recording: Recording, path: str | Path) -> Path:
-    """Write a recording, as `recording.save(path)` does."""
+    """Write a recording in the project's own format.
+
+    Parameters
+    ----------
+    recording : Recording
+        Recording to write.
+    path : str or Path
+        Zip file, or a folder if the name has no suffix. Files of another recording in the folder are replaced.
+
+    Returns
+    -------
+    Path
+        Path of the file or folder.
+
+    Raises
+    ------
+    OSError
+        If a file cannot be written.
+
+    See Also
+    --------
+    pdr_filter.Recording.save : Method with the same effect.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.io.files.own_format import write_recording
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=5.0)])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = write_recording(walk, f"{folder}/walk.zip")
+    ...     pdr.read(path).name
+    'simulated_walk'
+    """
     return recording.save(path)
 
 
@@ -132,7 +165,7 @@ def _name(path: Path, meta: Mapping[str, Any], notes: list[str]) -> str:
 
 
 def _is_usable(name: str) -> bool:
-    """Results are written to files of this name, so it must not lead to another folder."""
+    """Return True if a name is safe as a file name, because results are written to files of this name."""
     is_short = len(name) <= limits.MAX_NAME_CHARS
     return is_short and name.isprintable() and bool(name.strip(". ")) and not set(name) & set("/\\:")
 
@@ -140,7 +173,7 @@ def _is_usable(name: str) -> bool:
 def _read_stream(
     members: Members, name: str, columns: tuple[str, ...], notes: list[str]
 ) -> tuple[FloatArray, FloatArray]:
-    """Times and values of one sensor; none of an empty file."""
+    """Return times and values of one sensor, without rows for an empty file."""
     rows = TextTable(members.blocks(name), members.where(name), ",")
     if rows.is_empty and PurePosixPath(name).name != REQUIRED:
         return np.empty(0), np.empty((0, len(columns)))
@@ -149,7 +182,7 @@ def _read_stream(
 
 
 def _read_wifi(members: Members, name: str, notes: list[str]) -> Wifi | None:
-    """Access points that were heard; None of an empty file."""
+    """Return the Wi-Fi scans, or None for an empty file."""
     rows = TextTable(with_whole_addresses(members.blocks(name)), members.where(name), ",")
     if rows.is_empty:
         return None
@@ -158,7 +191,7 @@ def _read_wifi(members: Members, name: str, notes: list[str]) -> Wifi | None:
 
 
 def _read_truth(members: Members, name: str, columns: tuple[str, ...], notes: list[str]) -> Table | None:
-    """The rows of a truth table that have a time; None of an empty file."""
+    """Return the rows of a truth table with a time, or None for an empty file."""
     rows = TextTable(members.blocks(name), members.where(name), ",")
     if rows.is_empty:
         return None

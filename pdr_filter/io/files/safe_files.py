@@ -21,7 +21,7 @@ _KINDS = {stat.S_IFIFO: "a pipe", stat.S_IFCHR: "a device", stat.S_IFBLK: "a dev
 
 
 def open_regular(path: Path) -> IO[bytes]:
-    """A regular file, open for reading; RecordingError for a pipe, a device or a file that is nearly all holes."""
+    """Open a regular file for reading. RecordingError for a pipe, a device or a sparse file."""
     _check_kind(path, path.stat().st_mode)  # opening a device can already do something
     number = os.open(path, _FLAGS)
     try:
@@ -67,13 +67,13 @@ def inside(path: Path, *folders: Path) -> Path:
 
 
 def beside(path: Path, name: str) -> Path:
-    """The file of this name in the folder of another, or in the folder that the other is a link into."""
+    """Return the file of this name in the folder of another file, or in the folder to which the other is a link."""
     return inside(path.with_name(name), path.parent, path.resolve().parent)
 
 
 @contextmanager
 def whole_file(path: str | Path) -> Generator[IO[bytes]]:
-    """A file to write to, which is at the path when the block has ended without an error; its folder is created.
+    """Open a file for atomic writing. It appears at the path when the block ends without an error.
 
     Until then it has another name in the same folder, and whatever is at the path stays as it is. A link stays a link.
     What is no regular file, such as /dev/stdout, is written to as it is.
@@ -116,7 +116,7 @@ def write_files(contents: Mapping[Path, bytes]) -> None:
 
 
 def _sync(file: IO[bytes]) -> None:
-    """Some disks say only now that they are full."""
+    """Flush to disk, because some disks report only now that they are full."""
     file.flush()
     os.fsync(file.fileno())
 
@@ -128,7 +128,7 @@ def _check_kind(path: Path, mode: int) -> None:
 
 
 def _is_hollow(number: int, size: int) -> bool:
-    """Whether less of a file is on the disk than is believed of a zip file that claims this size."""
+    """Return True if too little of a file is on the disk for a zip file of this size (sparse file)."""
     if size <= limits.UNPACKED_FREELY_BYTES or not hasattr(os, "SEEK_DATA"):
         return False
     at = written = 0

@@ -199,7 +199,7 @@ def _is_text(name: str, members: Members) -> bool:
 
 
 def _nothing(sheets: Sequence[Sheet], path: Path) -> str:
-    """Why tables without a sensor that is known cannot be read, and the mapping to write."""
+    """Return the error for tables without a known sensor, with a mapping to complete."""
     sheet = sheets[0]
     if all(name.startswith("column ") for name in sheet.fields):
         head = next(sheet.parse.blocks(), b"")[:4096] if isinstance(sheet.parse, TextRows) else b""

@@ -1,7 +1,7 @@
-"""Tables in JSON, as SensorLog and loggers that people write leave them.
+"""Reader of JSON tables, as written by SensorLog and by self-made loggers.
 
-One object for each row, in an array or one behind the other; one object with an array for each column; or an array of
-rows for each sensor. What is inside an object is a column called `accelerometer.x`.
+Three layouts are read: an object for each row, in an array or one after the other; an object with an array for each
+column; and an array of rows for each sensor. A nested value is a column such as `accelerometer.x`.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _BEGIN = re.compile(rb"\s*(\{|\[\s*([\[{\]\"\d.-]|null|$))")  # brackets around 
 _SENSOR = ("sensor", "sensorType", "type", "name")  # keys whose value says of which sensor a row is
 _PLAIN = ("values", "value", "data", "payload", "fields")  # keys that do not name their content
 _AXES = ("x", "y", "z")
-ROWS_AT_ONCE = 10_000  # so that no more are in memory as objects
+ROWS_AT_ONCE = 10_000  # limit of the rows that are in memory as Python objects
 _MAX_DEPTH = 5
 _WHOLE = re.compile(r"[0-9]{1,19}(,[0-9]{1,19})*+")
 
@@ -257,7 +257,7 @@ def table_of_rows(rows: Sequence[Row], columns: Sequence[str], where: str, notes
 
 
 def _wholes(texts: list[str]) -> list[int | None]:
-    """Whole numbers, None of an empty text; ValueError for anything else."""
+    """Convert texts to integers, and empty texts to None. ValueError for anything else."""
     return [*map(int if _WHOLE.fullmatch(",".join(texts)) else whole_number, texts)]
 
 

@@ -23,8 +23,8 @@ Parse = Callable[[Sequence[int], int | None, list[str]], NumberTable]
 class Sheet:
     """A table: names of its columns, which of them are times, and its rows, which are parsed when used."""
 
-    name: str  # of the file without folder and suffix, of the sheet, variable or sensor
-    where: str  # for messages
+    name: str  # name of the file (without folder and suffix), sheet, variable or sensor
+    where: str  # description of the table for messages
     fields: tuple[str, ...]
     parse: Parse
     about: str = ""  # text above the table

@@ -2,18 +2,18 @@
 // Shows the events of the server. docs/live.md describes them.
 
 const byId = id => document.getElementById(id);
-// Of contexts by their place; with more than twelve they begin again.
+// Colours of the contexts by position; they repeat after twelve.
 const COLOURS = [
   "#9a9a9a", "#0072b2", "#cc6600", "#44aa99", "#c9a227", "#882255", "#55aa55", "#443300", "#112288", "#888855", "#8877ff", "#00a5bf",
 ];
-const ON_DARK = { 1: "#56b4e9", 2: "#e08a3c", 5: "#d77fae", 6: "#99dd99", 7: "#b9a27c", 8: "#8fa8ff", 9: "#b5b57a", 10: "#b3a8ff", 11: "#00ddff" }; // a contrast above 6
+const ON_DARK = { 1: "#56b4e9", 2: "#e08a3c", 5: "#d77fae", 6: "#99dd99", 7: "#b9a27c", 8: "#8fa8ff", 9: "#b5b57a", 10: "#b3a8ff", 11: "#00ddff" }; // colours with a contrast above 6 on dark
 const isDark = matchMedia("(prefers-color-scheme: dark)");
-const KEPT_S = 300; // of the charts
+const KEPT_S = 300; // time range of the charts
 const SILENT_MS = 5000; // longer than any batch period and most holes in a network
-const LATE_STEP_S = 1.5; // until then a speed of zero may be a step that is found late
+const LATE_STEP_S = 1.5; // a shorter speed of zero may be a step that is detected late
 const sessions = new Map(); // id: {about, path, now, fixes, anchors, history, origin, heardAt}
 let shown = "";
-let charts = null, charted = ""; // and the names of the contexts in them
+let charts = null, charted = ""; // charts, and the names of the contexts in them
 
 const map = new LiveMap(byId("map"), setHere);
 
@@ -27,7 +27,7 @@ const handlers = {
     const isNew = !sessions.get(event.id)?.about.id, known = session(event.id);
     known.about = event;
     known.heardAt = performance.now() - 1000 * (event.silent_s ?? 0);
-    // a phone that comes back with a new session is still the phone that somebody looks at
+    // keep showing a phone that has started a new session
     if (isNew && sessions.get(shown)?.about.device === event.device) shown = event.id;
     known.origin = event.origin;
     list();
@@ -35,7 +35,7 @@ const handlers = {
   track(event) {
     const known = session(event.id);
     known.path = event.path;
-    if (event.history) known.history = event.history; // to a page that comes late
+    if (event.history) known.history = event.history; // sent to a page that was opened later
     handlers.session(event);
   },
   path(event) {
@@ -45,7 +45,7 @@ const handlers = {
     const known = session(event.id);
     const [[ee, en], [, nn]] = event.position_cov_m2;
     const row = [event.time_s, ...event.position_m, ee, en, nn];
-    while (known.path.length && known.path.at(-1)[0] >= event.time_s) known.path.pop(); // told again, or better
+    while (known.path.length && known.path.at(-1)[0] >= event.time_s) known.path.pop(); // the event replaces earlier positions
     known.path.push(row);
   },
   now(event) {
@@ -56,7 +56,7 @@ const handlers = {
     known.heardAt = performance.now() - 1000 * event.silent_s;
     if (event.received_unix_s) known.delay_s = Math.max(Date.now() / 1000 - event.received_unix_s, 0);
   },
-  fix(event) { // that somebody gave; those of the phone's locations are not shown
+  fix(event) { // fixes from this page only; locations of the phone are not shown
     const { fixes, anchors } = session(event.id);
     if (event.anchor_m && event.accepted) anchors.set(String(event.anchor_m), event.anchor_m);
     if (event.kind === "position" && event.outcome === "waiting") fixes.push({ time_s: event.time_s, place: [event.east_m, event.north_m] });
@@ -83,7 +83,7 @@ function list() {
   const isNamedTwice = name => names.filter(other => other[1] === name).length > 1;
   const options = names.map(([id, name]) => new Option(isNamedTwice(name) ? `${name} (${id.slice(-4)})` : name, id));
   const listed = shownOptions => [...shownOptions].map(option => option.value + option.text).join();
-  if (listed(options) !== listed(select.options)) select.replaceChildren(...options); // an open list stays open
+  if (listed(options) !== listed(select.options)) select.replaceChildren(...options); // do not change the list without need, because that closes it
   if (!sessions.has(shown)) shown = [...sessions.keys()].at(-1) || "";
   select.value = shown;
   for (const id of ["way", "numbers"]) byId(id).hidden = !shown;
@@ -98,7 +98,7 @@ const largest = probabilities => {
   return known.length ? `${known[0][0]} ${Math.round(100 * known[0][1])}\u00a0%` : "–";
 };
 
-// Without magnetometer or location the first heading takes the place of north.
+// Without magnetometer or location, directions are relative to the first heading.
 const hasNorth = known => ["fixes", "north"].includes(known.about.frame);
 const placeWords = (known, [east, north]) => {
   const side = (v, above, below) => `${Math.abs(v).toFixed(1)} m ${v < 0 ? below : above}`;
@@ -141,14 +141,14 @@ function draw() {
   number("distance", () => `${now.distance_m.toFixed(1)} m`);
   text("speed", isLive ? `${(steadySpeeds(known.history).at(-1) ?? now.walking_speed_mps).toFixed(2)} m/s` : "–");
   number("heading", () => headingWords(known, now.walking_heading_rad));
-  byId("heading_name").title = hasNorth(known) ? "Clockwise from north" : "Turned from the first heading: nothing shows where north is";
+  byId("heading_name").title = hasNorth(known) ? "Clockwise from north" : "Relative to the first heading, because north is unknown";
   number("std", () => now.position_std_m === null ? "–" : `${now.position_std_m.toFixed(1)} m`);
   number("floor", () => String(now.floor));
   number("context", () => largest(now.context_prob));
   number("carrying", () => largest(now.carrying_prob));
   text("latency", isLive && now.latency_s !== null ? `${(now.latency_s + (known.delay_s || 0)).toFixed(1)} s` : "–");
   const n = now ? now.provisional_steps.length : 0;
-  const ahead = n ? `with ${n} ${n > 1 ? "steps" : "step"} that may still be none, dashed on the map` : "ahead of the last step, at the walking speed";
+  const ahead = n ? `with ${n} ${n > 1 ? "steps" : "step"} that may still be rejected, dashed on the map` : "extrapolated from the last step with the walking speed";
   text("where", now ? `At ${placeWords(known, now.position_m)}${now.is_provisional ? `: provisional, ${ahead}` : ""}.` : "");
   byId("rates").replaceChildren(...Object.entries(now ? now.rates_hz : {}).map(([name, rate]) => {
     const row = document.createElement("tr");
@@ -207,7 +207,7 @@ function drawCharts(known) {
 }
 
 new ResizeObserver(draw).observe(byId("charts"));
-setInterval(draw, 1000); // a silent phone brings no events
+setInterval(draw, 1000); // without events, the page must still show that a phone is silent
 
 isDark.addEventListener("change", () => {
   if (charts) for (const chart of Object.values(charts)) chart.destroy();
@@ -215,14 +215,14 @@ isDark.addEventListener("change", () => {
 });
 
 const OUTCOMES = {
-  waiting: "waits for the step that it falls into",
-  used: "was used", placed: "was used", turned: "was used", moved: "was used: with others it shows that the track was elsewhere",
-  frozen: "was not used: it repeats the last position while steps go on",
-  "nothing to compare": "waits in vain: no step is there that it says something of",
+  waiting: "waits until the current step is complete",
+  used: "was used", placed: "was used", turned: "was used", moved: "was used, and the track was moved to it together with other fixes",
+  frozen: "was not used, because it repeats the last position although the person walks",
+  "nothing to compare": "was not used, because there is no step at its time",
 };
 
 function sayFix({ place }, { outcome, nis }) {
-  const far = nis === null ? "it is of another time" : `the track is ${Math.sqrt(nis).toFixed(0)} standard deviations from it`;
+  const far = nis === null ? "there is no step at its time" : `the track is ${Math.sqrt(nis).toFixed(0)} standard deviations from it`;
   byId("said").className = ["rejected", "frozen"].includes(outcome) ? "wrong" : "";
   text("said", `Your fix at ${placeWords(sessions.get(shown), place)} ${OUTCOMES[outcome] ?? `was rejected: ${far}`}.`);
 }
@@ -233,10 +233,10 @@ async function setHere(east, north) {
     method: "POST", headers: { "Content-Type": "application/json" },
     body: JSON.stringify({ east_m: east, north_m: north, std_m: 1.0 }),
   });
-  if (answer.ok) return; // events say what becomes of it
+  if (answer.ok) return; // the result arrives as an event
   const content = await answer.json().catch(() => ({}));
   byId("said").className = "wrong";
-  text("said", content.error || "the fix was not taken");
+  text("said", content.error || "the server did not accept the position; try again");
 }
 
 function setPlacing(placing) {
@@ -258,7 +258,7 @@ byId("session").addEventListener("change", event => {
   draw();
 });
 byId("map").addEventListener("keydown", event => {
-  const keys = { // and Leaflet's
+  const keys = { // in addition to the keys of Leaflet
     f: () => map.setFollow(true), w: () => map.whole(),
     h: () => setPlacing(!map.placing), Escape: () => setPlacing(false),
     Enter: () => { if (map.placing) setHere(...map.place()); },
@@ -273,7 +273,7 @@ byId("address").textContent = new URL("data", location.href).href.split("?")[0] 
 const events = new EventSource("events" + location.search);
 events.onopen = () => text("connection", "connected");
 events.onerror = () => text("connection", "not connected, trying again");
-const DRAW_MS = 100, TOGETHER_MS = 15; // between two pictures; in which events come that belong together
+const DRAW_MS = 100, TOGETHER_MS = 15; // time between redraws; time within which events belong together
 let waits = false, drawnAt = 0;
 events.onmessage = message => {
   const event = JSON.parse(message.data);
@@ -290,4 +290,4 @@ fetch("sessions" + location.search).then(answer => answer.json()).then(content =
   map.tiles = content.tiles;
   draw();
 });
-window.live = { sessions, map }; // for tests, and for whoever looks
+window.live = { sessions, map }; // for tests and debugging

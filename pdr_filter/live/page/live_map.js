@@ -1,25 +1,25 @@
 "use strict";
-// Map of a growing way: position with its 95 % ellipse, heading, provisional steps, fixes and anchors, over tiles if any.
+// Map of a growing path: position with 95 % ellipse, heading, provisional steps, fixes and anchors, on map tiles if given.
 
-const MARGIN = 20; // pixels between the way and the edge of the map
-const FADE_MS = 1500; // as the animation of .former
+const MARGIN = 20; // pixels between the path and the edge of the map
+const FADE_MS = 1500; // duration of the animation of .former in live.css
 const ELLIPSE_95 = Math.sqrt(5.991); // chi-square of two degrees of freedom
 
 class LiveMap extends PlaneMap {
   constructor(box, onPlace) {
     super(box, name => getComputedStyle(document.documentElement).getPropertyValue(name).trim());
-    this.onPlace = onPlace; // called with east, north where somebody says "I am here"
+    this.onPlace = onPlace; // called with east and north of a position from "I am here"
     this.tiles = "";
     this.way = null;
-    this.origin = ""; // of what lies on tiles
-    this.drawn = { path: null, n: 0, last: null }; // to be drawn again when it is another
+    this.origin = ""; // geographic origin of the layers on tiles
+    this.drawn = { path: null, n: 0, last: null }; // drawn state, to detect changes
     this.path = L.polyline([], { weight: 3 }).addTo(this.leaflet);
     this.start = L.circleMarker(this.at(0, 0), { radius: 5, stroke: false, fillOpacity: 1 });
     this.provisional = L.polyline([], { renderer: this.above, className: "provisional", weight: 3, dashArray: "4 5" }).addTo(this.leaflet);
     this.within = L.polygon([], { renderer: this.above, className: "within", weight: 1.2, opacity: 0.7, fillOpacity: 0.12 }).addTo(this.leaflet);
     this.fixes = L.layerGroup().addTo(this.leaflet);
     this.cross = L.DomUtil.create("div", "cross rejected middle", box);
-    this.isWhole = true; // the whole way stays in view until the user zooms or drags
+    this.isWhole = true; // the whole path stays in view until the user zooms or drags
     this.setFollow(true);
     this.setPlacing(false);
     this.leaflet.on("click", event => { if (this.placing) this.onPlace(...this.frame.place(event.latlng)); });
@@ -45,7 +45,7 @@ class LiveMap extends PlaneMap {
 
   setFollow(follow) {
     this.follow = follow;
-    // who zooms while the map follows keeps the position in the middle
+    // zooming while the map follows keeps the position at the centre
     Object.assign(this.leaflet.options, follow ? { scrollWheelZoom: "center", touchZoom: "center" } : { scrollWheelZoom: true, touchZoom: true });
     this.box.dispatchEvent(new Event("followed"));
     this.keepUp();
@@ -69,7 +69,7 @@ class LiveMap extends PlaneMap {
     this.isFitting = false;
   }
 
-  // East and north of the corners of the way, with the start and the position.
+  // Return east and north of the bounding box of the path, with start and position.
   reach() {
     const [east, north] = this.position, { path } = this.way;
     const along = (k, ...more) => path.reduce(([low, high], row) => [Math.min(low, row[k]), Math.max(high, row[k])], [Math.min(0, ...more), Math.max(0, ...more)]);
@@ -88,7 +88,7 @@ class LiveMap extends PlaneMap {
     if (this.leaflet.latLngToContainerPoint(place).distanceTo(middle) > 1) this.leaflet.panTo(place, { animate: false });
   }
 
-  // Zoom out where the way does not fit any more, by a fifth more than needed so that it happens rarely.
+  // Zoom out if the path does not fit, by a fifth more than needed, so that it happens rarely.
   showAll() {
     const [easts, norths] = this.reach(), middle = this.follow ? this.position : this.place();
     const half = (values, at) => Math.max(...values.map(v => Math.abs(v - at)));
@@ -100,7 +100,7 @@ class LiveMap extends PlaneMap {
   }
 
   show(way, hasNorth) {
-    if (way !== this.way) { // another phone: nothing of the view of the last one fits
+    if (way !== this.way) { // another phone: reset the view
       this.isWhole = true;
       this.fitting(() => this.leaflet.setView(this.at(0, 0), Math.log2(10), { animate: false }));
     }
@@ -126,7 +126,7 @@ class LiveMap extends PlaneMap {
     this.stand(this.at(...this.position), now.walking_heading_rad);
   }
 
-  // Below it the plane, or the tiles that the user named, if it is known where on Earth it lies.
+  // Set the background: map tiles if they are configured and the geographic origin is known, else the grid.
   lieOn(origin) {
     if (String(origin) === this.origin) return;
     this.origin = String(origin);
@@ -137,7 +137,7 @@ class LiveMap extends PlaneMap {
     this.ground[origin ? "addTo" : "removeFrom"](this.leaflet);
   }
 
-  // Whose tiles they are stands on the map.
+  // Show the attribution of the tiles.
   tilesOf(address) {
     const host = new URL(address, location.href.replace(/[?#].*/, "")).hostname.replace("{s}.", "");
     const attribution = host.endsWith("openstreetmap.org") ? "© OpenStreetMap contributors" : host;
@@ -157,13 +157,13 @@ class LiveMap extends PlaneMap {
     else this.start.remove();
   }
 
-  // The path as it was drawn before a correction, over the new one until it has faded.
+  // Show the path before a correction on top of the new path, until it has faded.
   fadeOut(places) {
     const former = L.polyline(places, { renderer: this.above, className: "former", weight: 3, interactive: false }).addTo(this.leaflet);
     setTimeout(() => former.remove(), FADE_MS);
   }
 
-  // A cross that is faint while the fix waits; red if it did not fit.
+  // Draw a fix as a cross, faint while it waits and red if it was rejected.
   drawFixes(fixes) {
     this.fixes.clearLayers();
     for (const { place, outcome } of fixes) {

@@ -1,8 +1,8 @@
 "use strict";
-// DeviceMotion of this phone, in messages of our own layout over WebSocket (docs/live.md).
+// Send the DeviceMotion events of this phone over WebSocket. docs/live.md describes the messages.
 
 const PART_MS = 200;
-const KEPT = 600; // messages that wait for a connection: two minutes
+const KEPT = 600; // maximum number of messages that wait for a connection, two minutes
 const say = (words, wrong = false) => {
   document.getElementById("said").textContent = words;
   document.getElementById("said").className = wrong ? "wrong" : "";
@@ -17,7 +17,7 @@ class Sender {
     this.device = name;
     this.session = Array.from(crypto.getRandomValues(new Uint8Array(6)), b => b.toString(16).padStart(2, "0")).join("");
     this.number = 0;
-    this.waiting = []; // messages that were not acknowledged
+    this.waiting = []; // messages without acknowledgement
     this.samples = this.empty();
     this.seen = 0;
     this.hear = event => this.heard(event);
@@ -63,11 +63,11 @@ class Sender {
     const shown = document.getElementById("connection");
     this.socket.onopen = () => {
       shown.textContent = "connected";
-      this.waiting.forEach(message => this.socket.send(message)); // what came twice is known by its number
+      this.waiting.forEach(message => this.socket.send(message)); // the server recognises duplicates by their number
     };
     this.socket.onmessage = event => {
       const answer = JSON.parse(event.data);
-      if (answer.status === 503 || answer.status === 429) return this.socket.close(); // later, from where it was
+      if (answer.status === 503 || answer.status === 429) return this.socket.close(); // close, and retry later from the same message
       this.waiting.shift();
       if (answer.error) say(answer.error, true);
       else say(`${this.number} messages sent`);
@@ -97,11 +97,11 @@ async function start() {
     return;
   }
   if (typeof DeviceMotionEvent === "undefined" || !isSecureContext) {
-    say("This browser gives motion to https pages only: start the server with --https, or use an app.", true);
+    say("This browser provides motion sensors only to https pages: start the server with --https, or use an app.", true);
     return;
   }
   if (DeviceMotionEvent.requestPermission && await DeviceMotionEvent.requestPermission() !== "granted") {
-    say("The permission was not given: close the page, open it again and tap Start.", true);
+    say("Access to the motion sensors was denied: close the page, open it again, tap Start and allow access.", true);
     return;
   }
   navigator.wakeLock?.request("screen").catch(() => {});

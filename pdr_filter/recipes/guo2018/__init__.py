@@ -1,1 +1,1 @@
-"""Parts of Guo et al. 2018."""
+"""Parts of the recipe of Guo et al. 2018."""

@@ -1,11 +1,12 @@
-"""Does somebody walk, and where is the phone: Guo et al. 2018, sections 2.1 and 2.2.1.
+"""Context stage of Guo et al. 2018, sections 2.1 and 2.2.1: walking or stationary, and the pose of the phone.
 
-Every 0.6 s, without overlap: walking where delta_min < T < delta_max (eq. 1, `features.MotionLevel`), stationary
-elsewhere; and, while somebody walks, the pose by a random forest on the statistics of pitch and roll (Table 1). Before
-anybody walked all poses are alike; after a gap, too. Stairs and running are walking here.
+Windows of 0.6 s follow each other without overlap. A window is walking if delta_min < T < delta_max (eq. 1,
+`features.MotionLevel`) and stationary otherwise. In walking windows a random forest classifies the pose from statistics
+of pitch and roll (Table 1). Before the first walking window, and after a gap, all poses are equally probable. Stairs
+and running count as walking.
 
-docs/methods/guo2018.md has the deviations. delta_min and delta_max are fitted on motionsense, tyrex, humolire and
-ms_indoor (`pdr_filter.offline.training.guo2018_training`).
+Deviations from the paper are in docs/methods/guo2018.md. delta_min and delta_max are fitted on motionsense, tyrex,
+humolire and ms_indoor (`pdr_filter.offline.training.guo2018_training`).
 """
 
 from __future__ import annotations
@@ -23,19 +24,32 @@ _CONTEXTS = ("stationary", "walking")
 
 @dataclass(frozen=True, eq=False)
 class PoseContext(WindowStage[PoseWindowState, PoseWindow, FloatArray | None]):
-    """Walking or stationary, and the pose, every 0.6 s; a `ContextStage`.
+    """Context stage of Guo et al. 2018, which reports walking or stationary and the pose every 0.6 s.
 
-    What lasts from window to window, but not over a gap, is the pose (5,) of the last window in which somebody walked;
-    None before anybody did.
+    The memory between windows is the pose (5,) of the last walking window, or None before the first. It is reset at a
+    gap.
 
     Parameters
     ----------
+    windows : PoseWindows
+        Windows and their features.
     model : ContextModel
-        Of the carrying mode, on the 12 features `WITHOUT_LIGHT_AND_PROXIMITY`.
+        Classifier of the carrying mode on the 12 features `WITHOUT_LIGHT_AND_PROXIMITY`.
     min_level, max_level : float
-        delta_min and delta_max of eq. 1.
+        Range of the level of motion of a walking window, delta_min and delta_max of eq. 1, in m2/s4.
     min_level_accelerometer : float
-        delta_min where the angular rate is missing.
+        delta_min for windows without angular rate.
+
+    Raises
+    ------
+    ValueError
+        If a threshold is negative, or if the model does not classify carrying modes from the 12 features.
+
+    Examples
+    --------
+    >>> from pdr_filter.recipes.guo2018.contexts import PoseContext
+    >>> PoseContext().hop_s
+    0.6
     """
 
     windows: PoseWindows = field(default_factory=PoseWindows)
@@ -48,21 +62,42 @@ class PoseContext(WindowStage[PoseWindowState, PoseWindow, FloatArray | None]):
         check_numbers(self, zero=("min_level", "min_level_accelerometer"), infinite=("max_level",))
         if self.model.head != "carrying_mode" or self.model.feature_names != WITHOUT_LIGHT_AND_PROXIMITY:
             raise ValueError(
-                f"model {self.model.name!r} is no model of the carrying mode on the 12 features of pitch and roll: "
-                "give guo_pose, or one that `pdr_filter.offline.training.guo2018_training` made"
+                f"model {self.model.name!r} does not classify carrying modes from the 12 features of pitch and roll: "
+                "pass guo_pose, or a model from `pdr_filter.offline.training.guo2018_training`"
             )
 
     @property
     def name(self) -> str:
-        """The name of the model on the windows that it classified."""
+        """Name of the classifier in the reports of windows."""
         return f"{self.model.name}_without_light_and_proximity"
 
     def first_memory(self) -> FloatArray | None:
-        """The pose is unknown."""
+        """Return None, because the pose is unknown before the first walking window.
+
+        Returns
+        -------
+        None
+            Memory before the first window.
+        """
         return None
 
     def assess(self, memory: FloatArray | None, window: PoseWindow) -> tuple[FloatArray | None, WindowContext]:
-        """The pose after a window, and the result for the window."""
+        """Return the pose after a window, and the context of the window.
+
+        Parameters
+        ----------
+        memory : ndarray of shape (5,) or None
+            Pose probabilities of the last walking window, or None if there is none.
+        window : PoseWindow
+            Features of the window.
+
+        Returns
+        -------
+        memory : ndarray of shape (5,) or None
+            Pose probabilities after this window.
+        context : WindowContext
+            Context and carrying mode of the window.
+        """
         min_level = self.min_level if window.has_gyroscope else self.min_level_accelerometer
         is_walking = min_level < window.level < self.max_level  # eq. 1
         if is_walking:

@@ -1,8 +1,9 @@
-"""What Guo et al. 2018 compute from windows of 0.6 s: 18 pose features (Table 1) and the level of motion (eq. 1).
+"""Features of Guo et al. 2018 in windows of 0.6 s: 18 pose features (Table 1) and the level of motion (eq. 1).
 
-Deviations: docs/methods/guo2018.md. Angles are in radians, from the direction of up in the sensor frame; roll is about
-the y-axis, made continuous within a window, its mean in [-pi, pi). It is undefined where the y-axis is vertical, and
-noisy near it, as in a trouser pocket. The level of motion is computed at every sample (Table 2).
+Deviations from the paper are in docs/methods/guo2018.md. Pitch and roll are in radians and follow from the vertical
+direction in the sensor frame. Roll is about the y-axis. It is unwrapped within a window, with its mean in [-pi, pi).
+Roll is undefined for a vertical y-axis, and noisy near it, as in a trouser pocket. The level of motion is computed at
+every sample (Table 2).
 """
 
 from __future__ import annotations
@@ -30,10 +31,10 @@ WITHOUT_LIGHT_AND_PROXIMITY: tuple[str, ...] = NAMES[:12]
 
 
 def pitch_and_roll(up_sensor: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Pitch in [-pi/2, pi/2] and roll in [-pi, pi] of a device, each (N,), from unit vectors up (N, 3).
+    """Return pitch in [-pi/2, pi/2] and roll in [-pi, pi] of a device, each (N,), from unit vectors up (N, 3).
 
-    The device turns from flat, face up and y north, by yaw about z, then pitch about x, then roll about y, each by the
-    right-hand rule: R = R_z(yaw) R_x(pitch) R_y(roll), sensor to world. Then up = [-sin(roll) cos(pitch), sin(pitch),
+    The rotation from sensor to world is R = R_z(yaw) R_x(pitch) R_y(roll), with right-handed rotations from a device
+    that lies flat, face up, with y to the north. Then up = [-sin(roll) cos(pitch), sin(pitch),
     cos(roll) cos(pitch)]. Pitch is positive with the top edge up, roll with the right edge down. (Android's
     `getOrientation` has the same roll and the opposite pitch.)
     """
@@ -42,13 +43,14 @@ def pitch_and_roll(up_sensor: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def pose_features(window: FloatArray) -> FloatArray:
-    """Features of a window in the order of `NAMES`: (18,), or (12,) without light and proximity.
+    """Return the features of a window in the order of `NAMES`: (18,), or (12,) without light and proximity.
 
-    Rows of the window, (2, N) or (4, N): pitch and roll in radians, light in lux and proximity in cm.
+    The rows of the window, (2, N) or (4, N), are pitch and roll in radians, light in lux and proximity in cm.
     """
     if window.ndim != 2 or window.shape[0] not in (2, 4) or window.shape[1] == 0:
         raise ValueError(
-            f"a window has 2 rows (pitch, roll) or 4 (and light, proximity) and at least one sample, got {window.shape}"
+            f"window must have 2 rows (pitch, roll) or 4 rows (also light, proximity) and at least one sample, got "
+            f"shape {window.shape}"
         )
     angles = [_angle_statistics(window[0]), _angle_statistics(_continuous(window[1]))]
     return np.concatenate([*angles, *(_ambient_statistics(row) for row in window[2:])])
@@ -68,30 +70,31 @@ def _rms(values: FloatArray) -> float:
 
 
 def _continuous(angle_rad: FloatArray) -> FloatArray:
-    """The angle without jumps, its mean in [-pi, pi)."""
+    """Return the unwrapped angle, shifted so that its mean is in [-pi, pi)."""
     continuous = np.unwrap(angle_rad)
     turns = np.floor((continuous.mean() + np.pi) / (2 * np.pi))
     return continuous - 2 * np.pi * turns
 
 
-# alpha of eq. 1
+# Factor alpha of eq. 1.
 RATE_SCALE = 9.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionLevelState:
-    """The samples that later windows still need."""
+    """Samples that later windows need."""
 
-    n_samples: int  # seen so far in this segment
-    delay_line: FloatArray  # (6, L - 1) specific force, its square, squared angular rate, samples without angular rate
+    n_samples: int  # samples of this segment so far
+    # (6, L - 1): specific force, its squared norm, squared norm of the angular rate, 1 for samples without angular rate
+    delay_line: FloatArray
 
 
 @dataclass(frozen=True)
 class MotionLevel:
-    """How much a phone moves: eq. 1, causal, at every sample.
+    """Level of motion of a phone (eq. 1), causal, at every sample.
 
-    T_n = (1/N) sum_k (|f_k - mean f|^2 + 9.8 |w_k|^2), k over the last `window_s`, or over the samples so far at the
-    start of a segment; f the specific force (m/s2), w the angular rate (rad/s).
+    T_n = (1/N) sum_k (|f_k - mean f|^2 + 9.8 |w_k|^2), with specific force f in m/s2 and angular rate w in rad/s. The
+    sum is over the samples of the last `window_s`, or over all samples so far at the start of a segment.
     """
 
     rate_hz: float = 100.0
@@ -102,15 +105,15 @@ class MotionLevel:
 
     @property
     def window_samples(self) -> int:
-        """Length in samples."""
+        """Length of the window in samples."""
         return round(self.window_s * self.rate_hz)
 
     def init(self) -> MotionLevelState:
-        """State at the start of a segment."""
+        """Return the state at the start of a segment."""
         return MotionLevelState(0, np.zeros((6, self.window_samples - 1)))
 
     def update(self, state: MotionLevelState, block: UniformBlock) -> tuple[MotionLevelState, FloatArray, BoolArray]:
-        """New state, the level at each sample (N,), and whether its whole window has an angular rate (N,)."""
+        """Return the new state, the level (N,), and whether the angular rate is known in each window (N,)."""
         x, y, z = block.specific_force_mps2.T
         u, v, w = block.angular_rate_radps.T
         known = block.angular_rate_known
@@ -118,12 +121,12 @@ class MotionLevel:
             [x, y, z, x * x + y * y + z * z, np.where(known, u * u + v * v + w * w, 0.0), (~known).astype(float)]
         )
         line = np.concatenate([state.delay_line, new], axis=1)
-        # Every output is one dot product of the window's length, so cutting the signal elsewhere changes no bit.
+        # each output is one dot product over the window, so that results are bit-identical for any split into blocks
         sums = np.stack([np.convolve(row, np.ones(self.window_samples), mode="valid") for row in line])
         seen = np.minimum(state.n_samples + 1 + np.arange(sums.shape[1]), self.window_samples)
         x, y, z, force, rate, missing = sums / seen
         has_rate = missing == 0.0
-        # The difference of two numbers near g squared: nothing but rounding is negative.
+        # rounding can make the difference of two numbers near g^2 slightly negative
         level = np.maximum(force - (x * x + y * y + z * z), 0.0) + np.where(has_rate, RATE_SCALE * rate, 0.0)
         return MotionLevelState(state.n_samples + len(known), line[:, len(known) :]), level, has_rate
 
@@ -133,21 +136,21 @@ class PoseWindow(DescribedWindow):
     """Features of one window."""
 
     features: FloatArray  # (12,)
-    level: float  # of motion, over this window
+    level: float  # level of motion in this window
     has_gyroscope: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseWindowState:
-    """Samples that later windows still need."""
+    """Samples that later windows need."""
 
     level: MotionLevelState
-    buffer: WindowBuffer  # of pitch, roll, level of motion, whether it has an angular rate
+    buffer: WindowBuffer  # rows: pitch, roll, level of motion, 1 if its window has an angular rate
 
 
 @dataclass(frozen=True)
 class PoseWindows(SlidingWindows[PoseWindowState, PoseWindow]):
-    """Windows of pitch and roll, their features and the level of motion; causal."""
+    """Causal windows of pitch and roll, with their features and the level of motion."""
 
     window_s: float = 0.6
     hop_s: float = 0.6
@@ -157,13 +160,13 @@ class PoseWindows(SlidingWindows[PoseWindowState, PoseWindow]):
         return MotionLevel(self.rate_hz, self.window_s)
 
     def init(self) -> PoseWindowState:
-        """State at the start of a segment."""
+        """Return the state at the start of a segment."""
         return PoseWindowState(self._level.init(), no_samples(4))
 
     def update(
         self, state: PoseWindowState, block: UniformBlock, attitude: AttitudeBlock
     ) -> tuple[PoseWindowState, list[tuple[int, PoseWindow]]]:
-        """New state and the windows that became complete, each with the index of its last sample."""
+        """Return the new state and the completed windows, each with the index of its last sample."""
         level_state, level, has_rate = self._level.update(state.level, block)
         signals = np.vstack([*pitch_and_roll(attitude.up_sensor), level, has_rate.astype(float)])
         buffer, windows = self.cut(state.buffer, block.time_s, signals)

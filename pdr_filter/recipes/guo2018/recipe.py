@@ -1,4 +1,4 @@
-"""The recipe of Guo et al. 2018, and its step length."""
+"""Recipe of Guo et al. 2018, and its step-length model."""
 
 from __future__ import annotations
 
@@ -15,10 +15,28 @@ from pdr_filter.values.recording import Subject
 
 
 def chen_fit(height_m: float) -> StepLengthFit:
-    """Chen's model for a person of whom only the height is known: a = 0.371, b = 0.227 m s, c = 1 +- 0.08.
+    """Return the step-length model of Chen for a person of known height.
 
-    a and b are the values in general use for walking; Guo et al. do not print them. How far people differ from them is
-    put into c alone.
+    Parameters
+    ----------
+    height_m : float
+        Height of the person in m.
+
+    Returns
+    -------
+    StepLengthFit
+        Model `ChenStepLength` with the parameters a = 0.371, b = 0.227 m s and c = 1 +- 0.08.
+
+    Notes
+    -----
+    a and b are the values in general use for walking; Guo et al. do not print them. The variation between persons is
+    assigned to c alone.
+
+    Examples
+    --------
+    >>> from pdr_filter.recipes.guo2018.recipe import chen_fit
+    >>> chen_fit(1.75).theta.tolist()
+    [0.371, 0.227, 1.0]
     """
     return StepLengthFit(
         ChenStepLength(height_m), np.array([0.371, 0.227, 1.0]), np.diag([0.0, 0.0, 0.08]) ** 2, RESIDUAL_STD_M
@@ -26,10 +44,32 @@ def chen_fit(height_m: float) -> StepLengthFit:
 
 
 def guo2018(subject: Subject | None = None) -> Config:
-    """Guo et al. 2018: poses by a random forest, steps on the signal of the pose, Chen's step length.
+    """Return the configuration of Guo et al. 2018.
 
-    Needs a gyroscope; the height of the subject gives the step length. The recordings here have neither light nor
-    proximity: the forest uses the other 12 of the 18 features. docs/methods/guo2018.md has all deviations.
+    A random forest classifies the pose of the phone, steps are detected in a signal that depends on the pose, and the
+    step length is that of Chen. A gyroscope is required.
+
+    Parameters
+    ----------
+    subject : Subject, optional
+        Person who carries the phone. The height determines the step length.
+
+    Returns
+    -------
+    Config
+        Configuration of the filter.
+
+    Notes
+    -----
+    Light and proximity are usually not recorded, so that the forest uses only the other 12 of the 18 features. All
+    deviations from the paper are in docs/methods/guo2018.md.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> config = pdr.recipes.guo2018()
+    >>> config.name, config.needs
+    ('guo2018', ('gyroscope',))
     """
     return Config(
         name="guo2018",
@@ -39,8 +79,8 @@ def guo2018(subject: Subject | None = None) -> Config:
         notes=(
             Note(
                 "recipe",
-                "the pose is classified from pitch and roll alone (12 of 18 features): light and proximity are "
-                "not among the samples",
+                "the pose is classified from pitch and roll only (12 of 18 features), because light and proximity are "
+                "not recorded",
             ),
             *height_notes(subject),
         ),

@@ -1,14 +1,16 @@
-"""Steps as local maxima of a signal that depends on where the phone is: Guo et al. 2018, sections 2.2.2 and 2.2.3.
+"""Step detector of Guo et al. 2018, sections 2.2.2 and 2.2.3: local maxima of a signal that depends on the pose.
 
-While the level of motion is that of walking (eq. 1), a local maximum (criterion 1) of the low-passed signal of the pose
-(eq. 3 to 6) above mean + c_M standard deviations of the last seconds (criterion 2) is a step if the step frequency is
-one of people (criterion 3). All four signals are filtered all the time, so that a change of pose restarts no filter.
+Steps are detected while the level of motion is that of walking (eq. 1). A step must meet three criteria. It is a local
+maximum of the low-passed signal of the pose (eq. 3 to 6; criterion 1). It exceeds the mean of the last seconds by c_M
+standard deviations (criterion 2). The step frequency is possible for a person (criterion 3). All four signals are
+filtered at all times, so that no filter restarts when the pose changes.
 
-Deviations: docs/methods/guo2018.md. c_M = -omega_M / alpha of the paper; a maximum that comes too early after a step is
-dropped; after a pause longer than 1 / v_min a new bout begins. c_M, `statistics_s` and v_max were chosen on people 1 to
-6 of A. Brajdic and R. Harle, "Walk detection and step counting on unconstrained smartphones", UbiComp 2013,
-doi:10.1145/2493432.2493449, with the poses of the forest; people 7 to 13 had no say: the count error there is 2.9 %
-(mean absolute, 35 walks, median 1.4 %).
+Deviations from the paper are in docs/methods/guo2018.md. c_M is -omega_M / alpha of the paper. A maximum too soon after
+a step is dropped. A new bout begins after a pause longer than 1 / v_min.
+
+c_M, `statistics_s` and v_max were chosen on persons 1 to 6 of A. Brajdic and R. Harle, "Walk detection and step
+counting on unconstrained smartphones", UbiComp 2013, doi:10.1145/2493432.2493449, with the poses of the forest. On the
+held-out persons 7 to 13 the mean absolute count error is 2.9 % (35 walks, median 1.4 %).
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ from pdr_filter.sensing.steps.step_log import specific_force_magnitude
 from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray, IntArray, Step, check_numbers, replace_unchecked
 
 _TEXTING, _CALLING, _POCKET, _SWINGING = range(4)  # rows of the signals: eq. 3, 4, 5 and 6
-# The signal of each carrying mode, and last of an unknown one, which index -1 finds.
+# Signal of each carrying mode. The last entry, which index -1 selects, is the signal of an unknown mode.
 _SIGNAL_OF_MODE = np.array(
     [
         *({"texting": _TEXTING, "calling": _CALLING, "swinging": _SWINGING}.get(m, _POCKET) for m in CARRYING_MODES),
@@ -39,34 +41,51 @@ _SIGNAL_OF_MODE = np.array(
 
 @dataclass(frozen=True, eq=False)
 class PoseStepState(DetectorState):
-    """The last signals, filter memories, filtered signals, and the last accepted maximum."""
+    """State of the filters, the last filtered signals, and the last accepted maximum."""
 
     level: MotionLevelState
     zi: FloatArray | None  # (5, 4, 2); None before the first sample
-    recent: FloatArray  # (6, <= L + 1) the four filtered signals, whether somebody walks, row of the pose's signal
-    last_peak: float  # number of the sample, and a part, of the last accepted maximum; -inf before
+    recent: FloatArray  # (6, <= L + 1): four filtered signals, 1 if walking, row of the signal of the pose
+    last_peak: float  # fractional sample number of the last accepted maximum; -inf before the first
 
 
 @dataclass(frozen=True)
 class PoseStepDetector(BaseStepDetector[PoseStepState]):
-    """Causal step detector; a step is reported at most `latency_s`, 0.44 s, after its contact.
+    """Step detector of Guo et al. 2018, which finds local maxima of a signal that depends on the pose.
+
+    The detector is causal. A step is reported at most `latency_s`, 0.44 s, after its contact.
 
     Parameters
     ----------
-    low_pass_hz : float
-        Cutoff of the 10th-order Butterworth low-pass.
-    statistics_s : float
-        Length of the window of mean and standard deviation.
-    texting, calling, pocket, swinging : float
-        c_M of each pose: how many standard deviations above the mean a maximum must be.
-    max_step_hz : float
-        v_max.
+    rate_hz : float, default 100.0
+        Sampling rate of the blocks in Hz.
+    max_interval_s : float, default 2.0
+        Pause in s after which a new walking bout begins, 1 / v_min.
+    first_step_s : float, default 0.6
+        Duration in s of the first step of a bout, because no contact marks its start.
+    low_pass_hz : float, default 3.0
+        Cutoff of the 10th-order Butterworth low-pass in Hz.
+    statistics_s : float, default 2.0
+        Length in s of the window of mean and standard deviation.
+    texting, calling, pocket, swinging : float, default 0.45
+        Threshold c_M of each pose. A maximum must exceed the mean by this many standard deviations.
+    max_step_hz : float, default 3.0
+        Largest step frequency in Hz, v_max.
     min_level, max_level : float
-        delta_min and delta_max of eq. 1.
+        Range of the level of motion of walking, delta_min and delta_max of eq. 1, in m2/s4.
     min_level_accelerometer : float
-        delta_min where the angular rate is missing.
-    rate_hz, max_interval_s, first_step_s : float
-        Of every `BaseStepDetector`; `max_interval_s` is 1 / v_min.
+        delta_min without angular rate.
+
+    Raises
+    ------
+    ValueError
+        If a number is invalid, or if `max_interval_s` is shorter than a step at `max_step_hz`.
+
+    Examples
+    --------
+    >>> from pdr_filter.recipes.guo2018.steps import PoseStepDetector
+    >>> round(PoseStepDetector().latency_s, 2)
+    0.44
     """
 
     low_pass_hz: float = 3.0
@@ -84,11 +103,13 @@ class PoseStepDetector(BaseStepDetector[PoseStepState]):
         check_numbers(self, zero=("min_level", "min_level_accelerometer"), infinite=("max_level",))
         if not 1.0 / self.max_step_hz < self.max_interval_s:
             raise ValueError(
-                f"max_interval_s must be longer than a step at max_step_hz, got {self.max_interval_s} and "
-                f"{self.max_step_hz}"
+                f"max_interval_s must be longer than a step at max_step_hz, got {self.max_interval_s} s and "
+                f"{self.max_step_hz} Hz"
             )
         if round(self.statistics_s * self.rate_hz) < 3:
-            raise ValueError(f"statistics_s must be at least three samples, got {self.statistics_s}")
+            raise ValueError(
+                f"statistics_s must be at least three samples long, got {self.statistics_s} s at {self.rate_hz} Hz"
+            )
 
     @cached_property
     def _sos(self) -> FloatArray:
@@ -96,7 +117,7 @@ class PoseStepDetector(BaseStepDetector[PoseStepState]):
 
     @cached_property
     def _delay(self) -> tuple[FloatArray, FloatArray]:
-        """Frequencies, and by how many samples the low-pass delays a sinusoid."""
+        """Return frequencies, and the delay of the low-pass for a sinusoid in samples."""
         frequency_hz = np.linspace(0.01, self.max_step_hz, 330)
         return frequency_hz, phase_delay_s(self._sos, frequency_hz, self.rate_hz) * self.rate_hz
 
@@ -106,7 +127,7 @@ class PoseStepDetector(BaseStepDetector[PoseStepState]):
 
     @property
     def latency_s(self) -> float:
-        """Longest time from a contact to its detection."""
+        """Longest time in s from a contact to its detection."""
         return (math.ceil(float(self._delay[1].max())) + 2) / self.rate_hz
 
     @cached_property
@@ -118,18 +139,24 @@ class PoseStepDetector(BaseStepDetector[PoseStepState]):
         return round(self.statistics_s * self.rate_hz)
 
     def init(self) -> PoseStepState:
-        """State before the first sample of a segment."""
+        """Return the state before the first sample of a segment.
+
+        Returns
+        -------
+        PoseStepState
+            State to pass to `update`.
+        """
         line = np.zeros((6, self._n_line))
         return PoseStepState(self._log.init(), line, self._level.init(), None, np.empty((6, 0)), -np.inf)
 
     @property
     def _n_line(self) -> int:
-        return 1  # what stays where a gap or the end comes
+        return 1  # the last sample is kept at a gap or at the end
 
     def _signals(
         self, state: PoseStepState, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
     ) -> tuple[PoseStepState, FloatArray]:
-        """The four signals, whether somebody walks, and the row of the pose's signal, (6, N)."""
+        """Return the four signals, 1 for walking samples, and the row of the signal of the pose, (6, N)."""
         level_state, level, has_rate = self._level.update(state.level, block)
         lowest = np.where(has_rate, self.min_level, self.min_level_accelerometer)
         is_walking = (lowest < level) & (level < self.max_level)
@@ -143,10 +170,10 @@ class PoseStepDetector(BaseStepDetector[PoseStepState]):
         new = line[:, self._n_line :]
         low_passed, zi = filtered(self._sos, new[:4], state.zi)
         line = np.concatenate([state.recent, np.vstack([low_passed, new[4:]])], axis=1)
-        first -= state.recent.shape[1]  # number of the line's first sample
+        first -= state.recent.shape[1]  # number of the first sample of the line
         state = replace_unchecked(state, zi=zi)
         steps: list[tuple[int, Step]] = []
-        # Each sample is judged once, when the one after it is known.
+        # each sample is tested once, when the next sample is known
         for index in self._maxima(line, max(state.recent.shape[1] - 1, 1)):
             row = int(line[5, index])
             window = line[row, max(index + 1 - self._n_statistics, 0) : index + 1].copy()
@@ -158,14 +185,14 @@ class PoseStepDetector(BaseStepDetector[PoseStepState]):
         return replace_unchecked(state, recent=line[:, -self._n_statistics - 1 :].copy()), steps
 
     def _maxima(self, line: FloatArray, start: int) -> list[int]:
-        """Samples of a line, from a start on, that are local maxima of their pose's signal while somebody walks."""
+        """Return the walking samples of a line, from `start` on, that are local maxima of the signal of their pose."""
         line = line[:, start - 1 :]
         row = line[5, 1:-1].astype(np.int64)
         is_maximum = local_maxima(line[:4])[row, np.arange(len(row))]
         return (start + np.flatnonzero(is_maximum & (line[4, 1:-1] > 0))).tolist()
 
     def _accept(self, state: PoseStepState, peak: FloatArray, sample: int) -> tuple[PoseStepState, Step | None]:
-        """The step that a maximum of the filtered signal makes, if its frequency is that of a step (criterion 3)."""
+        """Return the new state, and the step of a maximum if its frequency is possible (criterion 3), else None."""
         at = sample + vertex(peak)
         interval_s = (at - state.last_peak) / self.rate_hz
         if interval_s * self.max_step_hz < 1.0:
@@ -181,7 +208,7 @@ class PoseStepDetector(BaseStepDetector[PoseStepState]):
 
 
 def feature_signals(block: UniformBlock) -> FloatArray:
-    """The signals of texting, calling, pocket and swinging, (4, N): eq. 3, 4, 5 and 6."""
+    """Return the signals of texting, calling, pocket and swinging, (4, N), which are eq. 3, 4, 5 and 6."""
     x, y, z = block.specific_force_mps2.T
     return np.stack(
         [
@@ -194,6 +221,9 @@ def feature_signals(block: UniformBlock) -> FloatArray:
 
 
 def signal_rows(carrying_mode: IntArray, angular_rate_known: BoolArray) -> IntArray:
-    """Row of `feature_signals` to use at each sample, (N,), from the carrying mode as `ContextBlock` has it."""
+    """Return the row of `feature_signals` for each sample, (N,), from the carrying mode of a `ContextBlock`.
+
+    Without angular rate, the signal of the pocket replaces that of a swinging hand.
+    """
     row = _SIGNAL_OF_MODE[carrying_mode]
     return np.where((row == _SWINGING) & ~angular_rate_known, _POCKET, row)

@@ -1,1 +1,1 @@
-"""Parts of Martinelli et al. 2018."""
+"""Parts of the recipe of Martinelli et al. 2018."""

@@ -1,9 +1,9 @@
-"""The 28 motion features of Martinelli et al. 2018, Table II, of one window of magnitudes.
+"""The 28 motion features of Martinelli et al. 2018, Table II, for one window of magnitudes.
 
-F6, F10 and F14 of the low-passed |a| are about the mean of |a| itself, as printed.
+F6, F10 and F14, of the low-passed |a|, are central moments about the mean of |a| itself, as printed.
 
-Deviations, each an error or a silence of the printed table: docs/methods/martinelli2018.md. F9 to F16 are standardised
-moments; the spectra and the zero-crossing rates are of the magnitude less its mean; F24 to F26 are in hertz.
+Deviations correct errors or omissions of the printed table (docs/methods/martinelli2018.md). F9 to F16 are standardised
+moments. Spectra and zero-crossing rates are computed after subtraction of the mean. F24 to F26 are in hertz.
 """
 
 from __future__ import annotations
@@ -25,28 +25,28 @@ NAMES: tuple[str, ...] = (
     *(f"peak_frequency_{s}_hz" for s in _OF[:3]),  # F24-F26
     *(f"zero_crossing_rate_{s}" for s in _OF[:2]),  # F27-F28
 )
-# The 18 that the paper's floating search selected (section V.B).
+# The 18 features that the floating search of the paper selected (section V.B).
 SELECTED_18: tuple[str, ...] = tuple(
     NAMES[i - 1] for i in (1, 2, 4, 5, 6, 9, 10, 14, 16, 17, 19, 20, 21, 22, 23, 24, 25, 27)
 )
 WITHOUT_MAGNETOMETER: tuple[str, ...] = tuple(n for n in NAMES if "magn" not in n)
 WITHOUT_GYROSCOPE: tuple[str, ...] = tuple(n for n in WITHOUT_MAGNETOMETER if "gyro" not in n)
 
-# Below this spread the third and fourth moments are rounding noise divided by itself; they are then those of a
-# constant: zero.
+# Below this standard deviation, the third and fourth standardised moments would be rounding noise. They are set to
+# zero, the value of a constant signal.
 _MIN_STD = 1e-9
 
 
 def features_28(magnitudes: FloatArray, rate_hz: float) -> FloatArray:
-    """F1 to F28 of a window, shape (28,), in the order of `NAMES`.
+    """Return F1 to F28 of a window, shape (28,), in the order of `NAMES`.
 
-    Rows of `magnitudes` (4, N): |a| and low-passed |a| in m/s2, |g| in rad/s, |m| in uT. A missing sensor is a row of
-    zeros, whose features are zero.
+    The rows of `magnitudes` (4, N) are |a| and low-passed |a| in m/s2, |g| in rad/s and |m| in uT. A missing sensor is
+    a row of zeros, whose features are zero.
     """
     n = magnitudes.shape[1]
     mean = magnitudes.mean(axis=1)
     centred = magnitudes - mean[:, None]
-    deviation = magnitudes - mean[[0, 0, 2, 3], None]  # of the low-passed |a| from the mean of |a|
+    deviation = magnitudes - mean[[0, 0, 2, 3], None]  # low-passed |a| is taken about the mean of |a|
     squared = deviation * deviation
     variance = squared.mean(axis=1)
     std = np.sqrt(variance)
@@ -78,15 +78,15 @@ _N_MAGNITUDES = WINDOW_SIGNALS.index("magnetic_field_ut") + 1
 
 @dataclass(frozen=True)
 class MagnitudeFeatures:
-    """The 28 features as a `FeatureSet`."""
+    """Feature set (`FeatureSet`) with the 28 features."""
 
     name: str = "martinelli"
     names: tuple[str, ...] = NAMES
-    # Table II does not give the cutoff: 5 Hz keeps the first harmonics of a step.
+    # Table II does not state the cutoff; 5 Hz keeps the first harmonics of a step
     low_pass_hz: float = 5.0
 
     def describe(self, windows: FloatArray, rate_hz: float) -> FloatArray:
-        """Features (W, 28) of the signals of windows (W, N_SIGNALS, N)."""
+        """Return the features (W, 28) of windows with signals (W, R, N)."""
         return np.array([features_28(window, rate_hz) for window in windows[:, :_N_MAGNITUDES]])
 
 

@@ -1,4 +1,4 @@
-"""The recipe of Martinelli et al. 2018."""
+"""Recipe of Martinelli et al. 2018."""
 
 from __future__ import annotations
 
@@ -18,14 +18,15 @@ from pdr_filter.sensing.features.feature_windows import FeatureWindows
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.values.recording import Subject
 
-# Eq. 12 for walking: fitted to 298 legs of known displacement (humolire, one person; ms_indoor, several surveyors) with
-# the priors k1 = 0.30 +- 0.05 m s (a person's own change of step length with cadence, which two sites with one cadence
-# each cannot show) and k2 = 0 +- 0.003. The default recipe has a model that carries over better between people, sites
-# and carrying modes (docs/methods/step_length.md).
+# Eq. 12 for walking, fitted to 298 legs of known displacement (humolire, one person; ms_indoor, several surveyors). The
+# priors are k1 = 0.30 +- 0.05 m s and k2 = 0 +- 0.003. The prior of k1 is needed because k1 is the change of a person's
+# step length with cadence, and each of the two sites has only one cadence. The step-length model of the default recipe
+# generalises better between persons, sites and carrying modes (docs/methods/step_length.md).
 _FREQUENCY_VARIANCE_WALKING = StepLengthFit(
     FrequencyVarianceStepLength(max_variance=8.0),
     theta=np.array([0.4298, 0.1776, -0.0020]),
-    # Of the fit: k0 and k1 are known badly, the length at 1.9 Hz to 1 cm. How people differ is in log_scale_std.
+    # Covariance of the fit: k0 and k1 are uncertain, but the length at 1.9 Hz is known to 1 cm. The variation between
+    # persons is in log_scale_std.
     theta_cov=np.array(
         [[1.825e-2, -9.432e-3, -1.185e-4], [-9.432e-3, 4.971e-3, 3.579e-5], [-1.185e-4, 3.579e-5, 9.574e-6]]
     ),
@@ -34,15 +35,37 @@ _FREQUENCY_VARIANCE_WALKING = StepLengthFit(
 
 
 def magnitude_contexts() -> LearnedContexts:
-    """Context stage on the features of Table II."""
+    """Return the context stage on the features of Table II."""
     models = ContextModels(shipped_model("context_martinelli_rvm"), shipped_model("context_martinelli_forest"))
     return LearnedContexts(FeatureWindows(features=TABLE_II), models)
 
 
 def martinelli2018(subject: Subject | None = None) -> Config:
-    """Martinelli et al. 2018: wavelet steps, relevance vector machine on the 28 features, weighted context.
+    """Return the configuration of Martinelli et al. 2018.
 
-    docs/methods/martinelli2018.md has all deviations.
+    Steps are detected in the wavelet transform of the specific force, a relevance vector machine classifies contexts
+    from 28 features, and step lengths are weighted by the context probabilities ("wc").
+
+    Parameters
+    ----------
+    subject : Subject, optional
+        Person who carries the phone. It has no effect, because the step length does not depend on the person.
+
+    Returns
+    -------
+    Config
+        Configuration of the filter.
+
+    Notes
+    -----
+    All deviations from the paper are in docs/methods/martinelli2018.md.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> config = pdr.recipes.martinelli2018()
+    >>> config.name, config.tracker.weighting
+    ('martinelli2018', 'wc')
     """
     return Config(
         name="martinelli2018",

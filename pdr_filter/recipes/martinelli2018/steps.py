@@ -1,10 +1,11 @@
-"""Steps as local maxima of the wavelet transform of the specific-force magnitude: Martinelli et al. 2018, section IV.
+"""Step detector of Martinelli et al. 2018, section IV: maxima of the wavelet transform of the force magnitude.
 
-|f| (eq. 1) is band-passed, then transformed at one scale (eq. 3). Both are linear, the transform at one scale is a
-short symmetric FIR filter and the wavelet has zero mean, so that wavelet and low-pass are one symmetric kernel, taken
-from pywt and run causally with a delay line: its delay is the same at every step frequency.
+The magnitude |f| (eq. 1) is band-passed and then transformed at one scale (eq. 3). Both operations are linear, and the
+transform at one scale is a short symmetric FIR filter with zero mean. Wavelet (from pywt) and low-pass are therefore
+combined to one symmetric kernel. It runs causally with a delay line, so that the delay is the same at every step
+frequency.
 
-Deviations: docs/methods/martinelli2018.md.
+Deviations from the paper are in docs/methods/martinelli2018.md.
 """
 
 from __future__ import annotations
@@ -25,36 +26,56 @@ from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, check_numbers, 
 
 @dataclass(frozen=True, eq=False)
 class WaveletDetectorState(ResponseState):
-    """The last magnitudes and their power, the last values of the transform, filter memory, and the last peaks."""
+    """Delay line, state of the filters, and level of the last peaks."""
 
-    power_zi: FloatArray  # (1, 2) of the low-pass of the squared magnitude
+    power_zi: FloatArray  # (1, 2) filter state of the low-pass of the squared magnitude
     peak_level_mps2: float  # running mean of accepted peaks
 
 
 @dataclass(frozen=True)
 class WaveletStepDetector(ResponseStepDetector[WaveletDetectorState]):
-    """Causal step detector; a step is reported `latency_s`, 0.8 s, after its contact.
+    """Step detector of Martinelli et al. 2018, which finds maxima of the wavelet transform of the force magnitude.
+
+    The detector is causal. A step is reported `latency_s`, 0.8 s, after its contact.
 
     Parameters
     ----------
-    wavelet : str
-        A real symmetric wavelet of pywt.
-    wavelet_frequency_hz : float
-        Where the transform responds most. The paper's scale 16 at 100 Hz is 1.6 Hz with the Mexican hat.
-    running_wavelet_frequency_hz : float
-        The same for running.
-    running_rms_mps2 : float
-        Root mean square of |f| - g over about half a second above which the faster scale is used. Jogging has 8 to
-        15 m/s2, brisk walking with the phone in a pocket 4 to 7.
-    low_pass_hz : float
-        Cutoff of the low-pass (Hamming window, 0.25 s) before the transform.
-    min_peak_mps2 : float
-        Smallest response that is a step. The response is scaled so that a sinusoid of amplitude 1 m/s2 at the
-        wavelet frequency gives 1 m/s2.
-    relative_peak : float
-        A step must also reach this part of the running mean of the last peaks.
-    min_interval_s : float
-        Two maxima closer than this are one step: heel strike, then push-off. 0.25 s allows 4 steps a second.
+    rate_hz : float, default 100.0
+        Sampling rate of the blocks in Hz.
+    max_interval_s : float, default 2.0
+        Pause in s after which a new walking bout begins.
+    first_step_s : float, default 0.6
+        Duration in s of the first step of a bout, because no contact marks its start.
+    wavelet : str, default "mexh"
+        Name of a real symmetric wavelet of pywt.
+    wavelet_frequency_hz : float, default 1.5
+        Frequency in Hz at which the response of the transform is largest, for walking. Scale 16 of the paper at 100 Hz
+        is 1.6 Hz with the Mexican hat.
+    running_wavelet_frequency_hz : float, default 2.8
+        Frequency in Hz at which the response of the transform is largest, for running.
+    running_rms_mps2 : float, default 6.5
+        Root mean square of |f| - g over about half a second, above which the wavelet for running is used. It is 8 to
+        15 m/s2 for jogging and 4 to 7 m/s2 for brisk walking with the phone in a pocket.
+    low_pass_hz : float, default 4.0
+        Cutoff in Hz of the low-pass (Hamming window, 0.25 s) before the transform.
+    min_peak_mps2 : float, default 0.35
+        Smallest response of a step. The response to a sinusoid of amplitude 1 m/s2 at the wavelet frequency is 1 m/s2.
+    relative_peak : float, default 0.2
+        Smallest response of a step relative to the running mean of the last peaks.
+    min_interval_s : float, default 0.25
+        Shortest time in s between two steps. A second maximum within this time is the push-off after the heel strike.
+        0.25 s allows 4 steps per second.
+
+    Raises
+    ------
+    ValueError
+        If a number is invalid.
+
+    Examples
+    --------
+    >>> from pdr_filter.recipes.martinelli2018.steps import WaveletStepDetector
+    >>> round(WaveletStepDetector().latency_s, 1)
+    0.8
     """
 
     uses_contexts: ClassVar[bool] = False
@@ -73,7 +94,7 @@ class WaveletStepDetector(ResponseStepDetector[WaveletDetectorState]):
 
     @cached_property
     def _kernels(self) -> tuple[FloatArray, FloatArray]:
-        """Low-passed wavelet for walking and for running, equally long, so that both have one delay."""
+        """Return the low-passed wavelets for walking and running, padded to the same length to have the same delay."""
         frequencies_hz = (self.wavelet_frequency_hz, self.running_wavelet_frequency_hz)
         kernels = [step_kernel(self.wavelet, f, self.low_pass_hz, self.rate_hz) for f in frequencies_hz]
         half = max(len(k) for k in kernels) // 2
@@ -93,7 +114,13 @@ class WaveletStepDetector(ResponseStepDetector[WaveletDetectorState]):
         return self.min_peak_mps2
 
     def init(self) -> WaveletDetectorState:
-        """State before the first sample of a segment."""
+        """Return the state before the first sample of a segment.
+
+        Returns
+        -------
+        WaveletDetectorState
+            State to pass to `update`.
+        """
         line = np.zeros((2, self._n_line))
         return WaveletDetectorState(self._log.init(), line, np.zeros((1, 2)), np.zeros((1, 2)), 0.0)
 
@@ -104,7 +131,7 @@ class WaveletStepDetector(ResponseStepDetector[WaveletDetectorState]):
     def _signals(
         self, state: WaveletDetectorState, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
     ) -> tuple[WaveletDetectorState, FloatArray]:
-        """Magnitude and its power, (2, N)."""
+        """Return the magnitude and its low-passed power, (2, N)."""
         magnitude = specific_force_magnitude(block.specific_force_mps2)
         from scipy.signal import sosfilt
 
@@ -112,7 +139,7 @@ class WaveletStepDetector(ResponseStepDetector[WaveletDetectorState]):
         return replace_unchecked(state, power_zi=power_zi), np.stack([magnitude, power])
 
     def _response(self, line: FloatArray) -> FloatArray:
-        # Every output is one dot product of the kernel's length, so cutting the signal elsewhere changes no bit.
+        # each output is one dot product with the kernel, so that results are bit-identical for any split into blocks
         walking, running = (np.convolve(line[0], kernel, mode="valid") for kernel in self._kernels)
         n_before = self._delay_samples
         is_running = line[1, n_before : n_before + len(walking)] > self.running_rms_mps2**2
@@ -129,18 +156,18 @@ class WaveletStepDetector(ResponseStepDetector[WaveletDetectorState]):
 
 
 def wavelet_kernel(wavelet: str, frequency_hz: float, rate_hz: float) -> FloatArray:
-    """Wavelet sampled at a rate: odd length, zero mean (eq. 2), unit gain at its frequency."""
-    import pywt  # with SciPy, what a filter of another recipe need not load
+    """Return a sampled wavelet with odd length, zero mean (eq. 2), and unit gain at its frequency."""
+    import pywt  # imported here, because other recipes need neither pywt nor SciPy
 
     scale = float(pywt.frequency2scale(wavelet, frequency_hz / rate_hz))
     psi, t = cast(Any, pywt).ContinuousWavelet(wavelet).wavefun(10)
-    # Beyond four scales the Mexican hat is below 0.5 % of its peak; a longer kernel only adds latency.
+    # beyond four scales, the Mexican hat is below 0.5 % of its peak, and a longer kernel would only add latency
     half = int(np.ceil(4.0 * scale))
     kernel = np.interp(np.arange(-half, half + 1) / scale, t, np.real(psi), left=0.0, right=0.0)
     return with_unit_gain(np.asarray(kernel - kernel.mean()), frequency_hz, rate_hz)
 
 
 def step_kernel(wavelet: str, frequency_hz: float, low_pass_hz: float, rate_hz: float) -> FloatArray:
-    """Low-passed wavelet: symmetric, odd length, zero mean, unit gain at its frequency."""
+    """Return a low-passed wavelet, symmetric, with odd length, zero mean, and unit gain at its frequency."""
     kernel = np.convolve(wavelet_kernel(wavelet, frequency_hz, rate_hz), low_pass_kernel(low_pass_hz, rate_hz))
     return with_unit_gain(kernel, frequency_hz, rate_hz)

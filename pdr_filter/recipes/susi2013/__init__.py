@@ -1,1 +1,1 @@
-"""Parts of Susi et al. 2013."""
+"""Parts of the recipe of Susi et al. 2013."""

@@ -1,29 +1,31 @@
-"""Motion modes of a handheld device by a multivariate decision tree: Susi et al. 2013, sections 5 and 6.3.
+"""Context stage of Susi et al. 2013, sections 5 and 6.3: motion modes of a handheld device by a decision tree.
 
-Four classes (section 5): static; the arm at rest while its owner walks (texting, phoning, or the device in a bag held
-in the hand); the device in a swinging hand; irregular motion that moves nobody. The tree asks whether it is static,
-then whether somebody walks, then whether the arm swings (section 6.3); each node after the first is a linear test w . x
-+ b > 0 of the six values of `tree_features`. docs/methods/susi2013.md has the deviations, and where it fails.
+There are four motion modes (section 5): static; walking with the arm at rest (texting, phoning, or the device in a bag
+in the hand); walking with the device in a swinging hand; and irregular motion without displacement. The tree tests in
+turn whether the device is static, whether the person walks, and whether the arm swings (section 6.3). Each node after
+the first is a linear test w . x + b > 0 of the six values of `tree_features`. Deviations from the paper and known
+failures are in docs/methods/susi2013.md.
 
-Where the numbers come from, and with which weights of the training sets:
+Sources of the numbers, and weights of the training sets:
 
-- Static: no window of walking in the training sets is below both limits, and 94 % of MotionSense's sitting and
-  standing (12 people) are.
-- The tests are logistic regressions on standardised values, rounded to one decimal: both classes equally heavy, but
-  walking three times as heavy as irregular motion (a step that is lost is not seen again).
-- Irregular: what people 1 to 6 of ubicomp13 do with the phone more than 1 s before or after the walk (A. Brajdic and
+- Static: no walking window of the training sets is below both limits, but 94 % of the sitting and standing windows of
+  MotionSense (12 persons) are.
+- The tests are logistic regressions on standardised values, rounded to one decimal. Both classes have the same weight,
+  except that walking has three times the weight of irregular motion, because a lost step cannot be recovered.
+- Irregular: motions of the phone more than 1 s before or after the walk, by persons 1 to 6 of ubicomp13 (A. Brajdic and
   R. Harle, "Walk detection and step counting on unconstrained smartphones", UbiComp 2013,
-  doi:10.1145/2493432.2493449). Only these weights are printed, nothing else of that data is here.
-- Walking: the walks of these six (hand, bag, shirt 35 %, trouser pockets 10 %), texting and phoning of Tyrex without
-  magnets (25 %), three recordings of humolire (`forward`, `straight`, `straight_reversed`, 10 %), swinging of Tyrex
-  without magnets (15 %) and of 24 simulated people (5 %). Windows slower than 0.5 m/s (by Tyrex's motion capture) are
-  left out.
-- Swinging: Tyrex without magnets (60 %), simulated people (40 %): one real person. Against texting, phoning and bags of
-  people 1 to 6 (50 %), Tyrex (30 %), humolire (20 %).
-- Probabilities are the purities of the leaves on the training windows, every class with the same mass.
+  doi:10.1145/2493432.2493449). This file contains only the fitted weights and no other data of that set.
+- Walking: the walks of these six persons (hand, bag, shirt 35 %, trouser pockets 10 %), texting and phoning of Tyrex
+  without magnets (25 %), three recordings of humolire (`forward`, `straight`, `straight_reversed`, 10 %), swinging of
+  Tyrex without magnets (15 %) and of 24 simulated persons (5 %). Windows slower than 0.5 m/s (by the motion capture of
+  Tyrex) are excluded.
+- Swinging: Tyrex without magnets (60 %, one real person) and simulated persons (40 %), against texting, phoning and
+bags
+  of persons 1 to 6 (50 %), Tyrex (30 %) and humolire (20 %).
+- Probabilities are the purities of the leaves on the training windows, with the same total weight for every class.
 
-Without angular rate nothing shows a swinging arm: one test of three values separates walking from irregular motion, and
-the four ways to hold a device stay equally probable.
+Without angular rate, a swinging arm cannot be detected. One test of three values then separates walking from irregular
+motion, and the four ways of holding a device are equally probable.
 """
 
 from __future__ import annotations
@@ -45,20 +47,22 @@ TREE_FEATURES: tuple[str, ...] = (
     "dominance_gyro",
     "log_ratio_to_gait_acc",
 )
-# Variances of a phone that lies still are near 1e-4 (m/s2)^2 or (rad/s)^2: below, a logarithm is of sensor noise.
+# Lower limit of variances before the logarithm. A phone at rest has about 1e-4 (m/s2)^2 or (rad/s)^2, which is sensor
+# noise.
 _MIN_VARIANCE = 1e-4
-# Steps a second of normal walking, and the least frequency that counts as one.
+# Step frequency of normal walking, and lower limit of frequencies before the logarithm.
 _GAIT_HZ, _MIN_FREQUENCY_HZ = 1.8, 0.2
 _CONTEXTS = ("stationary", "walking")
-# The ways to hold a device in which its arm does not swing; the paper knows no pocket.
+# Carrying modes with the arm at rest. The paper does not consider pockets.
 _AT_REST = ("texting", "calling", "bag")
 
 
 def tree_features(window: MotionWindow) -> FloatArray:
-    """What the nodes of the tree test, (6,), in the order of `TREE_FEATURES`.
+    """Return the features that the nodes of the tree test, (6,), in the order of `TREE_FEATURES`.
 
-    Logarithms of the variances of |f| (m/s2) and |omega| (rad/s) and of the mean square of |omega|; how much of each
-    is its dominant frequencies; and |ln(f_1 / 1.8 Hz)| of the dominant frequency of |f|.
+    They are the logarithms of the variances of |f| (m/s2) and |omega| (rad/s) and of the mean square of |omega|, the
+    shares of power in the dominant frequencies of |f| and |omega|, and |ln(f_1 / 1.8 Hz)| for the dominant frequency
+    f_1 of |f|.
     """
     variance = window.features[[_VARIANCE_ACC, _VARIANCE_GYRO]]
     log_energy = np.log(np.maximum([*variance, window.rotation_energy], _MIN_VARIANCE))
@@ -72,7 +76,7 @@ _FREQUENCY_ACC = NAMES.index("dominant_frequency_1_acc_hz")
 
 @dataclass(frozen=True)
 class Node:
-    """A multivariate test of a window: w . x + b > 0, x as in `TREE_FEATURES`."""
+    """Node of the tree with the linear test w . x + b > 0 for features x in the order of `TREE_FEATURES`."""
 
     weights: tuple[float, ...]
     bias: float
@@ -80,30 +84,44 @@ class Node:
     def __post_init__(self) -> None:
         check_numbers(self, signed=("weights", "bias"))
         if len(self.weights) != len(TREE_FEATURES):
-            raise ValueError(f"weights must be one for each of {TREE_FEATURES}, got {self.weights}")
+            raise ValueError(f"weights must have one value for each of {TREE_FEATURES}, got {self.weights}")
 
     def passes(self, features: FloatArray) -> bool:
-        """Whether features (6,) pass."""
+        """Return True if features (6,) pass the test."""
         return float((np.asarray(self.weights) * features).sum()) + self.bias > 0
 
 
 @dataclass(frozen=True)
 class MotionModeTree:
-    """Thresholds and leaves of the decision tree; one with, one without angular rate."""
+    """Decision tree of the motion modes.
 
-    name: str  # on the windows that it classified
-    static_variance_acc: float  # below this in (m/s2)^2, and
-    static_variance_gyro: float  # below this in (rad/s)^2, a device is static
-    walking: Node  # not irregular
-    swinging: Node  # walking with a swinging arm
-    leaves: tuple[tuple[float, ...], ...]  # probability of each of `MODES` (columns) in the leaf of each (rows)
+    Attributes
+    ----------
+    name : str
+        Name of the tree in the reports of windows.
+    static_variance_acc, static_variance_gyro : float
+        Limits of the variances of |f|, (m/s2)^2, and |omega|, (rad/s)^2. A device below both is static.
+    walking : Node
+        Test for walking against irregular motion.
+    swinging : Node
+        Test for a swinging arm against an arm at rest.
+    leaves : tuple of tuple of float
+        Probabilities of the `MODES` (columns) in the leaf of each mode (rows).
+    """
+
+    name: str
+    static_variance_acc: float
+    static_variance_gyro: float
+    walking: Node
+    swinging: Node
+    leaves: tuple[tuple[float, ...], ...]
 
     def __post_init__(self) -> None:
         check_numbers(self, infinite=("static_variance_acc", "static_variance_gyro"))
         check_transition_prob(np.array(self.leaves), len(MODES), "leaves")
 
     def classify(self, window: MotionWindow) -> str:
-        """The motion mode, one of `MODES`."""
+        """Return the motion mode of a window, one of `MODES`."""
         variance_acc, variance_gyro = (float(window.features[i]) for i in (_VARIANCE_ACC, _VARIANCE_GYRO))
         if variance_acc < self.static_variance_acc and variance_gyro < self.static_variance_gyro:
             return "static"
@@ -113,7 +131,7 @@ class MotionModeTree:
         return "swinging" if self.swinging.passes(features) else "arm_at_rest"
 
     def prob(self, mode: str) -> dict[str, float]:
-        """Probability of each of `MODES` in the leaf of `mode`."""
+        """Return the probability of each of `MODES` in the leaf of `mode`."""
         return dict(zip(MODES, self.leaves[MODES.index(mode)], strict=True))
 
 
@@ -125,7 +143,8 @@ TREE = MotionModeTree(
     swinging=Node((-1.2, -3.3, 7.8, -3.1, -1.0, 0.0), -3.5),
     leaves=((1.0, 0.0, 0.0, 0.0), (0.0, 0.88, 0.05, 0.07), (0.0, 0.06, 0.90, 0.04), (0.06, 0.03, 0.02, 0.89)),
 )
-# Without angular rate a walking window is one of four ways to hold a device, of which one swings; no window swings.
+# Without angular rate no window is classified as swinging. Walking windows belong equally to four ways of holding the
+# device, one of which is swinging.
 TREE_ACCELEROMETER = MotionModeTree(
     "susi2013_accelerometer",
     static_variance_acc=0.05,
@@ -138,11 +157,25 @@ TREE_ACCELEROMETER = MotionModeTree(
 
 @dataclass(frozen=True, eq=False)
 class MotionModes(WindowStage[MotionWindowState, MotionWindow, None]):
-    """Motion mode of every window as context, carrying mode and irregular motion; a `ContextStage`.
+    """Context stage of Susi et al. 2013, which converts motion modes to context and carrying mode.
 
-    Static is stationary. An arm at rest is walking, with texting, calling and a bag alike; a swinging one is walking
-    and swinging. Irregular motion is stationary with `irregular_prob`: nobody goes anywhere. Running and stairs count
-    as walking. Where nobody walks the device may be held in any of the four ways.
+    Static is the context "stationary". An arm at rest is "walking", with equal probabilities of texting, calling and
+    bag. A swinging hand is "walking" with the carrying mode "swinging". Irregular motion is "stationary" with
+    `irregular_prob`, because it has no displacement. Running and stairs count as walking. In windows without walking
+    the four carrying modes are equally probable.
+
+    Parameters
+    ----------
+    windows : MotionWindows
+        Windows and their features.
+    with_gyroscope, without_gyroscope : MotionModeTree
+        Decision trees for windows with and without angular rate.
+
+    Examples
+    --------
+    >>> from pdr_filter.recipes.susi2013.contexts import MotionModes
+    >>> MotionModes().hop_s
+    1.28
     """
 
     windows: MotionWindows = field(default_factory=MotionWindows)
@@ -150,10 +183,31 @@ class MotionModes(WindowStage[MotionWindowState, MotionWindow, None]):
     without_gyroscope: MotionModeTree = TREE_ACCELEROMETER
 
     def first_memory(self) -> None:
-        """Every window stands alone."""
+        """Return None, because windows are classified independently.
+
+        Returns
+        -------
+        None
+            Memory before the first window.
+        """
 
     def assess(self, memory: None, window: MotionWindow) -> tuple[None, WindowContext]:
-        """The result for a window."""
+        """Return the context of a window.
+
+        Parameters
+        ----------
+        memory : None
+            Not used.
+        window : MotionWindow
+            Features of the window.
+
+        Returns
+        -------
+        memory : None
+            None.
+        context : WindowContext
+            Context and carrying mode of the window.
+        """
         tree = self.with_gyroscope if window.has_gyroscope else self.without_gyroscope
         p = tree.prob(tree.classify(window))
         walking = p["arm_at_rest"] + p["swinging"]

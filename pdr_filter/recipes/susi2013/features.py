@@ -1,14 +1,16 @@
-"""Motion-mode features of a handheld device: Susi et al. 2013, sections 6.1 and 6.2.
+"""Features of Susi et al. 2013, sections 6.1 and 6.2, for the motion modes of a handheld device.
 
-Angular rate and specific force are low-passed (Butterworth, 10th order, 15 Hz), their norms taken (eq. 2) and the
-moving mean removed (eq. 3); windows of 256 samples at 100 Hz overlap by half. Features of each norm: energy (eq. 4-5),
-variance (eq. 6-7) and dominant frequencies of the short-time Fourier transform.
+Angular rate and specific force are low-passed (Butterworth, 10th order, 15 Hz). The moving mean of their norms (eq. 2)
+is removed (eq. 3). Windows of 256 samples at 100 Hz overlap by half. The features of each norm are energy (eq. 4-5),
+variance (eq. 6-7) and the dominant frequencies of the short-time Fourier transform.
 
-Equations 1 to 7 are missing or partly missing in the copy of the text at hand. Assumed from the words around them
-(docs/methods/susi2013.md): the moving mean of eq. 3 is causal and as long as the window, over the samples so far at the
-start of a segment; energy, variance and frequencies are of the norm less its moving mean; a frame of the transform is
-the window, with a Hann taper. Beside the features a window has the energy of the norm of the angular rate itself, and
-how much of it is its dominant frequencies.
+Equations 1 to 7 are missing or incomplete in the available copy of the paper. The following is assumed from the
+surrounding text (docs/methods/susi2013.md). The moving mean of eq. 3 is causal and as long as the window, or covers all
+samples so far at the start of a segment. Energy, variance and frequencies are computed after removal of the moving
+mean. A frame of the transform is the window, with a Hann taper.
+
+A window also has the energy of the norm of the angular rate itself, and the shares of power in the dominant
+frequencies.
 """
 
 from __future__ import annotations
@@ -40,15 +42,15 @@ NAMES: tuple[str, ...] = (
 )
 WITHOUT_GYROSCOPE: tuple[str, ...] = tuple(n for n in NAMES if "gyro" not in n)
 
-# A sinusoid of smaller amplitude is rounding noise: the spectrum of a constant has no frequency.
+# Smaller amplitudes are rounding noise. Without this limit, a constant signal would have dominant frequencies.
 _MIN_AMPLITUDE = 1e-9
 
 
 def motion_features(norms: FloatArray, rate_hz: float) -> FloatArray:
-    """Features of a window in the order of `NAMES`, shape (10,).
+    """Return the features of a window in the order of `NAMES`, shape (10,).
 
-    Rows of `norms` (2, N): filtered |f| in m/s2 and filtered |omega| in rad/s, each less its moving mean. A missing
-    sensor is a row of zeros, whose features are zero.
+    The rows of `norms` (2, N) are filtered |f| in m/s2 and filtered |omega| in rad/s, each minus its moving mean. A
+    missing sensor is a row of zeros, whose features are zero.
     """
     energy = (norms * norms).mean(axis=1)
     centred = norms - norms.mean(axis=1)[:, None]
@@ -58,12 +60,12 @@ def motion_features(norms: FloatArray, rate_hz: float) -> FloatArray:
 
 
 def dominant_frequencies(signal: FloatArray, rate_hz: float) -> FloatArray:
-    """Frequencies in hertz of the three highest maxima of the spectrogram of one frame, highest first, shape (3,).
+    """Return the frequencies in Hz of the three highest maxima of the spectrum of a frame, highest first, shape (3,).
 
-    They are multiples of rate_hz / N; zero stands for a maximum that does not exist.
+    They are multiples of rate_hz / N. A missing maximum is zero.
     """
     taper = _taper(len(signal))
-    # scaled so that a sinusoid in the middle of a bin has its amplitude
+    # scaled so that a sinusoid at the centre of a bin has its true amplitude
     amplitude = np.abs(np.fft.rfft(signal * taper)) / (0.5 * taper.sum())
     padded = np.concatenate([[-1.0], amplitude, [-1.0]])
     is_maximum = (amplitude > padded[:-2]) & (amplitude >= padded[2:]) & (amplitude > _MIN_AMPLITUDE)
@@ -75,10 +77,11 @@ def dominant_frequencies(signal: FloatArray, rate_hz: float) -> FloatArray:
 
 
 def dominance(norms: FloatArray) -> FloatArray:
-    """Part of the power of each row (d, N) that is in its three highest maxima above zero frequency, (d,), 0 to 1.
+    """Return the share of the power of each row (d, N) in its three highest spectral maxima, (d,), 0 to 1.
 
-    The power is that of the tapered row less its mean; a maximum counts with its two neighbours, which hold all of a
-    sinusoid in the middle of a bin. Nearly 1 for a swinging arm, small where nothing repeats; zero without motion.
+    The power is that of the tapered row after subtraction of its mean. Each maximum includes its two neighbours, which
+    together contain all power of a sinusoid at the centre of a bin. The share is nearly 1 for a swinging arm, small
+    for motion that is not periodic, and zero without motion.
     """
     return np.array([_dominance(row) for row in norms])
 
@@ -102,7 +105,10 @@ def _dominance(signal: FloatArray) -> float:
 
 
 def filtered_norms(sos: FloatArray, components: FloatArray, zi: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-    """|f| and |omega|, (2, N), of the filtered components (6, N) of both (eq. 2), and the new filter memory."""
+    """Return the norms of filtered force and angular rate, (2, N) (eq. 2), and the new filter state.
+
+    `components` (6, N) are the components of specific force and angular rate.
+    """
     low_passed, zi = filtered(sos, components, zi)
     return np.stack([specific_force_magnitude(low_passed[:3].T), specific_force_magnitude(low_passed[3:].T)]), zi
 
@@ -113,30 +119,32 @@ class MotionWindow(DescribedWindow):
 
     features: FloatArray  # (10,)
     has_gyroscope: bool
-    dominance: FloatArray  # (2,) of |f| and |omega|, see `dominance`
+    dominance: FloatArray  # (2,) share of power in the dominant frequencies of |f| and |omega|
     rotation_energy: float  # mean square of |omega| itself, rad2/s2; zero without gyroscope
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionWindowState:
-    """Filter memory, and samples that later windows still need."""
+    """Filter state, and samples that later windows need."""
 
     n_samples: int
     zi: FloatArray | None  # (5, 6, 2); None before the first sample
     delay_line: FloatArray  # (2, L - 1) filtered norms, for the moving mean
-    buffer: WindowBuffer  # of norms less their moving mean, |omega|, angular rate known
+    buffer: WindowBuffer  # rows: norms minus moving mean, |omega|, 1 if the angular rate is known
 
 
 @dataclass(frozen=True)
 class MotionWindows(SlidingWindows[MotionWindowState, MotionWindow]):
-    """Filtered norms, windows of them and their features; causal.
+    """Causal windows of filtered norms, and their features.
 
     Parameters
     ----------
-    rate_hz, window_s, hop_s : float
-        Of every `SlidingWindows`: 256 and 128 samples at 100 Hz.
-    low_pass_hz : float
-        Cutoff of the 10th-order Butterworth low-pass. At 15 Hz its delay is about 0.07 s.
+    rate_hz : float, default 100.0
+        Sampling rate of the blocks in Hz.
+    window_s, hop_s : float
+        Length and hop of the windows in s, 256 and 128 samples at 100 Hz.
+    low_pass_hz : float, default 15.0
+        Cutoff in Hz of the 10th-order Butterworth low-pass. At 15 Hz its delay is about 0.07 s.
     """
 
     window_s: float = 2.56
@@ -145,22 +153,22 @@ class MotionWindows(SlidingWindows[MotionWindowState, MotionWindow]):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _ = self._sos  # a wrong cutoff shows at once
+        _ = self._sos  # raises at once if the cutoff is invalid
 
     @cached_property
     def _sos(self) -> FloatArray:
         return butterworth(10, self.low_pass_hz, self.rate_hz)
 
     def init(self) -> MotionWindowState:
-        """State at the start of a segment."""
+        """Return the state at the start of a segment."""
         return MotionWindowState(0, None, np.zeros((2, self.window_samples - 1)), no_samples(4))
 
     def update(
         self, state: MotionWindowState, block: UniformBlock, attitude: AttitudeBlock
     ) -> tuple[MotionWindowState, list[tuple[int, MotionWindow]]]:
-        """New state and the windows that became complete, each with the index of its last sample.
+        """Return the new state and the completed windows, each with the index of its last sample.
 
-        The norms do not depend on the attitude.
+        The attitude is not used, because norms do not depend on it.
         """
         components = np.vstack([block.specific_force_mps2.T, block.angular_rate_radps.T])
         norms, zi = filtered_norms(self._sos, components, state.zi)
@@ -173,9 +181,9 @@ class MotionWindows(SlidingWindows[MotionWindowState, MotionWindow]):
         return state, [(window.last, self._describe(window)) for window in windows]
 
     def _moving_mean(self, line: FloatArray, n_before: int) -> FloatArray:
-        """Mean over the last L samples, or those so far, of each sample after the delay line (eq. 3)."""
+        """Return the mean over the last L samples, or all so far, at each sample after the delay line (eq. 3)."""
         length = self.window_samples
-        # Every output is one dot product of the kernel's length, so cutting the signal elsewhere changes no bit.
+        # each output is one dot product over the window, so that results are bit-identical for any split into blocks
         sums = np.stack([np.convolve(row, np.ones(length), mode="valid") for row in line])
         seen = np.minimum(n_before + 1 + np.arange(sums.shape[1]), length)
         return sums / seen

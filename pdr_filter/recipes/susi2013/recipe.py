@@ -1,4 +1,4 @@
-"""The recipe of Susi et al. 2013."""
+"""Recipe of Susi et al. 2013."""
 
 from __future__ import annotations
 
@@ -13,10 +13,32 @@ from pdr_filter.values.recording import Subject
 
 
 def susi2013(subject: Subject | None = None) -> Config:
-    """Susi et al. 2013: motion modes by a decision tree, minima of the norms of force or rotation.
+    """Return the configuration of Susi et al. 2013.
 
-    For a phone in the hand, at the ear or in a bag, with a gyroscope. The paper ends with the steps: their length is
-    the static one of the subject's height and gender, and the heading that of the device. docs/methods/susi2013.md.
+    A decision tree classifies the motion mode, and steps are minima of the norm of the specific force or of the angular
+    rate. The recipe is for a phone in the hand, at the ear or in a bag, and requires a gyroscope.
+
+    Parameters
+    ----------
+    subject : Subject, optional
+        Person who carries the phone. Height and gender determine the step length.
+
+    Returns
+    -------
+    Config
+        Configuration of the filter.
+
+    Notes
+    -----
+    The paper describes only step detection. The step length here is constant for a height and gender, and the heading
+    is that of the device. All deviations are in docs/methods/susi2013.md.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> config = pdr.recipes.susi2013()
+    >>> config.name, config.needs
+    ('susi2013', ('gyroscope',))
     """
     length = static_fit(height_of(subject), subject.gender if subject else None)
     return Config(
@@ -27,8 +49,9 @@ def susi2013(subject: Subject | None = None) -> Config:
         notes=(
             Note(
                 "recipe",
-                "susi2013 is made for a phone in the hand, at the ear or in a bag: a trouser pocket looks like a"
-                " swinging arm to it",
+                "susi2013 is for a phone in the hand, at the ear or in a bag: a "
+                "phone in a trouser pocket is classified "
+                "as a swinging hand",
             ),
             *height_notes(subject),
         ),

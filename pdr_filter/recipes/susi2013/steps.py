@@ -1,17 +1,18 @@
-"""Steps as minima of low-passed norms, chosen by motion mode: Susi et al. 2013, section 7.
+"""Step detector of Susi et al. 2013, section 7: minima of low-passed norms, selected by the motion mode.
 
-Specific force and angular rate are low-passed (Butterworth, 10th order, 3 Hz) and their norms taken. Each minimum that
-an adaptive threshold lets pass is a step: a minimum of |omega| where the device is in a swinging hand, of |f|
-otherwise, none where its owner stands or the motion is irregular.
+Specific force and angular rate are low-passed (Butterworth, 10th order, 3 Hz), and their norms are computed. Minima
+that pass an adaptive threshold are steps. The detector uses minima of |omega| for a device in a swinging hand, minima
+of |f| otherwise, and no minima while the person stands or the motion is irregular.
 
-The filter is causal: a contact is earlier than the minimum by its phase delay (0.34 to 0.40 s) at the step frequency,
-for |omega| at half of it, the frequency of the arm. A minimum of |f| is the middle of the step, half way between two
-contacts (0.41 of a step after Oxford's foot switches, which are read 0.05 s late); a minimum of |omega| is a contact,
-because the arm turns when the other foot touches the ground.
+The filter is causal, so that a contact is earlier than the minimum by the phase delay of the filter (0.34 to 0.40 s).
+The delay is taken at the step frequency for |f|, and at half of it, the frequency of the arm, for |omega|. A minimum of
+|f| is the middle of a step, half way between two contacts (0.41 of a step after the foot switches of Oxford, which are
+read 0.05 s late). A minimum of |omega| is a contact, because the arm reverses when the other foot touches the ground.
 
-Deviations: docs/methods/susi2013.md. A minimum must be below the mean of the window of 2.56 s around it by a part of
-the window's standard deviation, and the signal above it by as much since the minimum before. The mode at a sample is
-that of the window around it; both take 1.28 s of waiting.
+Deviations from the paper are in docs/methods/susi2013.md. A minimum must be below the mean of the surrounding window of
+2.56 s by a multiple of the standard deviation of the window. Since the previous minimum, the signal must have been
+above the mean by the same amount. The mode at a sample is the mode of the window around it. Both require 1.28 s of
+later samples.
 """
 
 from __future__ import annotations
@@ -29,27 +30,28 @@ from pdr_filter.sensing.steps.step_detector import BaseStepDetector, ContextBloc
 from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray, Step, check_numbers, replace_unchecked
 
 _SWINGING = CARRYING_MODES.index("swinging")
-# Step frequency at which the first minimum of a walk, which has none before it, is delayed.
+# Step frequency in Hz that gives the filter delay of the first minimum of a walk, which has no previous minimum.
 _TYPICAL_HZ = 1.8
-# A longer interval between minima is a pause: the contact is not half of it ago.
+# Longest step in s. A longer interval between minima contains a pause, so that half of it is not the time since
+# contact.
 _MAX_STEP_S = 1.0
 _FORCE, _RATE = 0, 1
 
 
 @dataclass(frozen=True)
 class Trough:
-    """What is known of the minimum that a norm goes through."""
+    """Minimum of a norm that is being tracked."""
 
-    armed: bool = False  # the norm was high since the minimum before
+    armed: bool = False  # the norm was above its upper threshold since the previous minimum
     sample: int = -1  # number of the lowest sample of the filtered norm; negative outside a trough
-    value: float = 0.0
-    chosen: bool = False  # whether the mode there is one that looks at this norm
-    before: int = -1  # number of the lowest sample of the trough before; negative without
+    value: float = 0.0  # norm at this sample
+    chosen: bool = False  # the motion mode at this sample uses this norm
+    before: int = -1  # number of the lowest sample of the previous trough; negative if there is none
 
 
 @dataclass(frozen=True, eq=False)
 class NormMinimaState(DetectorState):
-    """The last window of signals (`NormMinimaStepDetector._signals`), filter memory, and the troughs of the norms."""
+    """Last window of signals (`NormMinimaStepDetector._signals`), filter state, and troughs of the norms."""
 
     zi: FloatArray | None  # (5, 6, 2); None before the first sample
     last: FloatArray  # (6,) last specific force and angular rate
@@ -58,26 +60,45 @@ class NormMinimaState(DetectorState):
 
 @dataclass(frozen=True)
 class NormMinimaStepDetector(BaseStepDetector[NormMinimaState]):
-    """Causal step detector; it needs to know the motion mode, and without angular rate it looks at |f| alone.
+    """Step detector of Susi et al. 2013, which finds minima of the norm of force or angular rate.
 
-    Where the mode is unknown it takes somebody to walk whose arm does not swing.
+    The detector is causal and requires the motion mode. An unknown mode is treated as walking with the arm at rest.
+    Without angular rate, only the norm of the specific force is used.
 
     Parameters
     ----------
-    low_pass_hz : float
-        Cutoff of the 10th-order Butterworth low-pass. Steps faster than this (running) are lost.
-    window_s : float
-        Around a minimum; its mean and standard deviation are the threshold. That of the motion modes.
+    rate_hz : float, default 100.0
+        Sampling rate of the blocks in Hz.
+    max_interval_s : float, default 2.0
+        Pause in s after which a new walking bout begins.
+    first_step_s : float, default 0.6
+        Duration in s of the first step of a bout, because no contact marks its start.
+    low_pass_hz : float, default 3.0
+        Cutoff in Hz of the 10th-order Butterworth low-pass. Steps faster than this (running) are lost.
+    window_s : float, default 2.56
+        Length in s of the window around a minimum, whose mean and standard deviation define the threshold. It equals
+        the window of the motion modes.
     force_depth, rate_depth : float
-        How far below the mean a minimum is, and above it the signal before, in standard deviations of the window, for
-        |f| and |omega|. Chosen on people 1 to 6 of ubicomp13 (0.4 counts slow walkers' second harmonic, 0.6 loses
-        trouser pockets) and on one swinging walk of Tyrex.
+        Depth of a minimum below the mean, and height of the preceding maximum above it, in standard deviations of the
+        window, for |f| (0.5) and |omega| (0.2). Chosen on persons 1 to 6 of ubicomp13 and on one swinging walk of
+        Tyrex. For |f|, 0.4 counts the second harmonic of slow walkers, and 0.6 loses steps in trouser pockets.
     min_force_std_mps2, min_rate_std_radps : float
-        Smallest standard deviation of a window that can hold steps: a device at rest has none.
-    min_interval_s : float
-        Two contacts closer than this are one step; the low-pass leaves nothing faster.
-    max_wait_s : float
-        A trough ends so long after its lowest sample, if the signal does not rise before.
+        Smallest standard deviation of a window with steps, which excludes a device at rest.
+    min_interval_s : float, default 0.3
+        Shortest time in s between two contacts. The low-pass removes faster motion.
+    max_wait_s : float, default 0.5
+        Time in s after the lowest sample at which a trough ends, if the signal does not rise before.
+
+    Raises
+    ------
+    ValueError
+        If a number is invalid.
+
+    Examples
+    --------
+    >>> from pdr_filter.recipes.susi2013.steps import NormMinimaStepDetector
+    >>> round(NormMinimaStepDetector().latency_s, 1)
+    2.7
     """
 
     low_pass_hz: float = 3.0
@@ -91,7 +112,7 @@ class NormMinimaStepDetector(BaseStepDetector[NormMinimaState]):
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        _ = self._sos  # a wrong cutoff shows at once
+        _ = self._sos  # raises at once if the cutoff is invalid
 
     @cached_property
     def _sos(self) -> FloatArray:
@@ -99,13 +120,24 @@ class NormMinimaStepDetector(BaseStepDetector[NormMinimaState]):
 
     @cached_property
     def _delays(self) -> tuple[FloatArray, FloatArray]:
-        """Frequencies up to the cutoff, Hz, and the phase delay of the filter at them, s."""
-        # 0.01 of the cutoff to the next keeps the phase below pi between neighbours
+        """Return frequencies up to the cutoff in Hz, and the phase delay of the filter at them in s."""
+        # a spacing of 1 % of the cutoff keeps phase differences between neighbours below pi
         frequency_hz = np.linspace(0.0, self.low_pass_hz, 101)[1:]
         return frequency_hz, phase_delay_s(self._sos, frequency_hz, self.rate_hz)
 
     def delay_s(self, frequency_hz: float) -> float:
-        """Phase delay of the low-pass at a frequency, s; beyond the cutoff that of the cutoff."""
+        """Return the phase delay of the low-pass.
+
+        Parameters
+        ----------
+        frequency_hz : float
+            Frequency in Hz. Beyond the cutoff, the delay at the cutoff is returned.
+
+        Returns
+        -------
+        float
+            Phase delay in s.
+        """
         return float(np.interp(frequency_hz, *self._delays))
 
     @property
@@ -118,12 +150,18 @@ class NormMinimaStepDetector(BaseStepDetector[NormMinimaState]):
 
     @property
     def latency_s(self) -> float:
-        """Longest time from a contact to its detection, 2.7 s; typically it is 2.1 s."""
+        """Longest time in s from a contact to its detection, 2.7 s. It is typically 2.1 s."""
         slowest_s = 0.5 * _MAX_STEP_S + float(self._delays[1].max())
         return slowest_s + (self._half_samples + self._wait_samples + 2) / self.rate_hz
 
     def init(self) -> NormMinimaState:
-        """State before the first sample of a segment."""
+        """Return the state before the first sample of a segment.
+
+        Returns
+        -------
+        NormMinimaState
+            State to pass to `update`.
+        """
         line = np.zeros((6, self._n_line))
         return NormMinimaState(self._log.init(), line, None, np.zeros(6), (Trough(), Trough()))
 
@@ -134,7 +172,7 @@ class NormMinimaStepDetector(BaseStepDetector[NormMinimaState]):
     def _signals(
         self, state: NormMinimaState, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
     ) -> tuple[NormMinimaState, FloatArray]:
-        """|f|, |omega|, one at a sample, one where the rate is known, one where somebody may step, mode; (6, N)."""
+        """Return |f|, |omega|, flags (sample exists, rate is known, steps are possible), and carrying mode, (6, N)."""
         components = np.vstack([block.specific_force_mps2.T, block.angular_rate_radps.T])
         norms, zi = filtered_norms(self._sos, components, state.zi)
         known = np.stack([block.angular_rate_known, ~contexts.stands, contexts.carrying_mode]).astype(float)
@@ -142,11 +180,14 @@ class NormMinimaStepDetector(BaseStepDetector[NormMinimaState]):
         return replace_unchecked(state, zi=zi, last=components[:, -1].copy()), signals
 
     def _before(self, signals: FloatArray) -> FloatArray:
-        """Where there is no sample all rows are zero."""
+        """Return zeros in place of samples before the start."""
         return np.zeros((len(signals), self._n_line))
 
     def _continued(self, state: NormMinimaState) -> FloatArray:
-        """The last sample stays until it is through the filter; then there is none, which ends every trough too."""
+        """Return signals after the end: the last sample, repeated for the filter delay, and then zeros.
+
+        The zeros end every trough.
+        """
         n_stay = round(self.delay_s(self.low_pass_hz) * self.rate_hz)
         norms, _ = filtered_norms(self._sos, np.tile(state.last[:, None], n_stay), state.zi)
         n_nothing = self._half_samples + self._wait_samples + 1
@@ -181,11 +222,11 @@ class NormMinimaStepDetector(BaseStepDetector[NormMinimaState]):
     def _above_and_below(
         self, norm_line: FloatArray, is_sample: FloatArray, middle: FloatArray, norm: int
     ) -> tuple[list[bool], list[bool]]:
-        """Whether each middle sample is high, and low, against the window around it."""
+        """Return whether each middle sample is above the upper and below the lower threshold of its window."""
         depth = self.force_depth if norm == _FORCE else self.rate_depth
         min_std = self.min_force_std_mps2 if norm == _FORCE else self.min_rate_std_radps
         ones = np.ones(2 * self._half_samples)
-        # Every output is one dot product of the window's length, so cutting the signal elsewhere changes no bit.
+        # each output is one dot product over the window, so that results are bit-identical for any split into blocks
         number = np.maximum(np.convolve(is_sample, ones, mode="valid"), 1.0)
         mean = np.convolve(norm_line, ones, mode="valid") / number
         power = np.convolve(norm_line * norm_line, ones, mode="valid") / number
@@ -198,7 +239,10 @@ class NormMinimaStepDetector(BaseStepDetector[NormMinimaState]):
     def _follow(
         self, trough: Trough, first: int, norm: FloatArray, high: list[bool], low: list[bool], chosen: BoolArray
     ) -> tuple[Trough, list[tuple[int, Trough]]]:
-        """The trough after further samples, numbered from `first`, and those that ended, each with where it did."""
+        """Return the current trough after some samples, and the ended troughs with the sample of their end.
+
+        The samples are numbered from `first`.
+        """
         ended: list[tuple[int, Trough]] = []
         for i, value in enumerate(norm.tolist()):
             sample = first + i
@@ -215,7 +259,7 @@ class NormMinimaStepDetector(BaseStepDetector[NormMinimaState]):
     def _accept(
         self, state: NormMinimaState, known: int, norm: int, trough: Trough
     ) -> tuple[NormMinimaState, Step | None]:
-        """The step that a minimum makes, if it makes one."""
+        """Return the new state, and the step of a minimum, or None if the minimum is rejected."""
         if not trough.chosen:
             return state, None
         interval_s = (trough.sample - trough.before) / self.rate_hz if trough.before >= 0 else np.inf

@@ -1,1 +1,1 @@
-"""Parts of Tian et al. 2016."""
+"""Parts of the recipe of Tian et al. 2016."""

@@ -1,10 +1,12 @@
-"""How the phone is carried, as a machine of four states: Tian et al. 2016, section III-B, Table I.
+"""Context stage of Tian et al. 2016, section III-B, Table I: a state machine for the carrying mode.
 
-HOLDING (our `texting`), SWING (`swinging`) and POCKET (`pocket`) are left when the phone is turned fast; two seconds of
-TRANS (unknown) follow, in which the direction of gravity shows what comes next. A person walks while there are steps
-and stands when there has been none for two seconds (section III-C), during a transition as before it.
+The main modes are HOLDING (`texting` here), SWING (`swinging`) and POCKET (`pocket`). A fast rotation of the phone ends
+a main mode. The transition TRANS follows for two seconds, in which the direction of gravity determines the next main
+mode. The person walks while steps are detected, and stands after two seconds without a step (section III-C). This does
+not change during a transition.
 
-Thresholds are in the convention of iOS (`steps.ios_acceleration`). Deviations: docs/methods/tian2016.md.
+Thresholds follow the sign convention of iOS (`steps.ios_acceleration`). Deviations from the paper are in
+docs/methods/tian2016.md.
 """
 
 from __future__ import annotations
@@ -42,41 +44,43 @@ _CARRYING_MODE: Mapping[int, str] = {HOLDING: "texting", SWING: "swinging", POCK
 
 @dataclass(frozen=True)
 class MachineState:
-    """Where the machine is, and what it has seen of the window that decides what comes next."""
+    """Mode of the machine, and counts of samples in the window that determines the next mode."""
 
     mode: int
-    mode_before: int  # S_bt: the main mode before a transition
+    mode_before: int  # S_bt, the main mode before a transition
     n_window: int  # samples of the window so far
-    n_held: int  # of them those in which gravity is as in a phone that is held; without angular rate, screen up
-    n_on_edge: int  # and as in one on its long edge
-    n_face_down: int  # and in which the screen looks down
-    n_screen_up: int  # the last samples in a row in which it looks up
+    n_held: int  # samples with the gravity of a held phone; without angular rate, with the screen up
+    n_on_edge: int  # samples with the phone on its long edge
+    n_face_down: int  # samples with the screen down
+    n_screen_up: int  # latest consecutive samples with the screen up
 
 
 @dataclass(frozen=True)
 class CarryingMachine:
-    """The machine of Table I, sample by sample.
+    """State machine of Table I, which is updated sample by sample.
 
-    It sees transitions in the angular rate. Where that is missing, gravity alone decides: every `transition_s` the
-    phone is held if its screen looks up (g_z < -GH_z) in more than half of the samples, swinging if it lies on its long
-    edge in more than half, in a pocket otherwise. That is ours: the paper always has a gyroscope. An upright phone
-    is taken to be in a pocket there, because most are.
+    Transitions are detected in the angular rate. Without angular rate, gravity alone determines the mode every
+    `transition_s`. The mode is HOLDING if the screen is up (g_z < -GH_z) in more than half of the samples, SWING if the
+    phone is on its long edge in more than half, and POCKET otherwise. This is an extension, because the paper assumes a
+    gyroscope. An upright phone is then assigned to POCKET, which is the most frequent case.
 
     Parameters
     ----------
+    rate_hz : float, default 100.0
+        Sampling rate in Hz.
     rate_y_radps, rate_z_radps : float
-        R_y and R_z: faster about an axis that the mode watches (Table II), and the phone is being moved.
-    transition_s : float
-        How long a transition lasts.
-    held_y_g, held_z_g : float
-        GH_y and GH_z: gravity on y or z of a phone that is held, rolled by up to 30 degrees (eq. 7).
-    edge_x_g : float
-        GS_x: gravity on x of a phone in a swinging hand.
-    face_down_z_g : float
-        GS_z: gravity on z never reached on the way into a swinging hand.
-    held_again_s : float
-        A phone that was held and whose screen looks up (g_z < -GH_z) all through the end of the window, for this
-        long, was only turned, and is still held. Longer than the window: never, as printed.
+        Angular rates R_y and R_z that start a transition, about the axes that the mode monitors (Table II).
+    transition_s : float, default 2.0
+        Duration of a transition in s.
+    held_y_g, held_z_g : float, default 0.65
+        Gravity GH_y and GH_z on y or z of a held phone with a roll of up to 30 degrees (eq. 7), in g.
+    edge_x_g : float, default 0.9
+        Gravity GS_x on x of a phone in a swinging hand, in g.
+    face_down_z_g : float, default 0.4
+        Gravity GS_z on z that is never reached during a transition to a swinging hand, in g.
+    held_again_s : float, default 0.5
+        Duration in s at the end of the window. A held phone whose screen is up (g_z < -GH_z) during all of it was only
+        rotated, and stays in HOLDING. A value longer than the window disables this, as in the paper.
     """
 
     rate_hz: float = 100.0
@@ -93,13 +97,13 @@ class CarryingMachine:
         check_numbers(self, infinite=("held_again_s",))
 
     def init(self) -> MachineState:
-        """State before the first sample: held, because somebody has just started the program."""
+        """Return the state before the first sample: HOLDING, because the user has just started the app."""
         return _in_mode(HOLDING)
 
     def update(
         self, state: MachineState, angular_rate_radps: FloatArray, rate_known: BoolArray, up_sensor: FloatArray
     ) -> tuple[MachineState, IntArray]:
-        """New state and HOLDING, SWING, POCKET or TRANS for each sample."""
+        """Return the new state, and HOLDING, SWING, POCKET or TRANS for each sample (N,)."""
         held, on_edge, face_down, screen_up = self._gravity_conditions(up_sensor)
         moved = self._moved(angular_rate_radps, rate_known)
         n, n_window = len(rate_known), round(self.transition_s * self.rate_hz)
@@ -109,7 +113,7 @@ class CarryingMachine:
             if state.mode != TRANS and rate_known[i]:
                 stop = _first(moved[state.mode] | ~rate_known, i, n)
                 if stop < n and rate_known[stop]:
-                    # the sample that shows the motion is still of the mode before, as in Table I
+                    # the sample that shows the motion still has the previous mode, as in Table I
                     modes[i : stop + 1] = state.mode
                     state = replace_unchecked(_in_mode(state.mode), mode=TRANS)
                     i = stop + 1
@@ -118,7 +122,7 @@ class CarryingMachine:
                     state = _in_mode(state.mode)
                     i = stop
                 continue
-            # a window of a transition, or one without angular rate, which ends where the rate is back
+            # window of a transition, or window without angular rate, which ends when the rate is known again
             stop = min(i + n_window - state.n_window, n)
             if state.mode != TRANS:
                 stop = _first(rate_known, i, stop)
@@ -138,20 +142,20 @@ class CarryingMachine:
         return state, modes
 
     def _gravity_conditions(self, up_sensor: FloatArray) -> tuple[BoolArray, BoolArray, BoolArray, BoolArray]:
-        """Whether gravity is as in a held phone, on its long edge, with the screen down, and up; (N,) each."""
+        """Return whether the phone is held, on its long edge, has its screen down, and has its screen up; (N,) each."""
         gravity, _ = ios_acceleration(np.zeros_like(up_sensor), up_sensor)
         x, y, z = gravity.T
         held = ((y < -self.held_y_g) & (z < 0)) | ((z < -self.held_z_g) & (y < 0))
         return held, np.abs(x) > self.edge_x_g, z >= self.face_down_z_g, z < -self.held_z_g
 
     def _moved(self, angular_rate_radps: FloatArray, rate_known: BoolArray) -> BoolArray:
-        """Whether the phone is moved to another place, by the rates that each main mode watches (Table II), (3, N)."""
+        """Return whether the angular rate starts a transition in each main mode (Table II), (3, N)."""
         about_y = rate_known & (np.abs(angular_rate_radps[:, 1]) > self.rate_y_radps)
         about_z = rate_known & (np.abs(angular_rate_radps[:, 2]) > self.rate_z_radps)
         return np.stack([about_y | about_z, about_y, about_z])
 
     def _after_transition(self, state: MachineState) -> int:
-        """S_at of Table I, and HOLDING again for a phone that was only turned."""
+        """Return the mode after a transition, S_at of Table I, or HOLDING for a phone that was only rotated."""
         if state.mode_before in (SWING, POCKET):
             other = POCKET if state.mode_before == SWING else SWING
             return HOLDING if state.n_held > 0 else other
@@ -161,54 +165,67 @@ class CarryingMachine:
 
 
 def _in_mode(mode: int) -> MachineState:
-    """In a main mode, with nothing of a window seen."""
+    """Return the state at the start of a main mode, with an empty window."""
     return MachineState(mode, mode, 0, 0, 0, 0, 0)
 
 
 def _run_at_end(n_before: int, condition: BoolArray) -> int:
-    """How many samples in a row, up to the last, a condition has held; `n_before` before these."""
+    """Return for how many consecutive samples, up to the last, a condition holds, after `n_before` earlier samples."""
     ends = np.flatnonzero(~condition)
     return len(condition) - 1 - int(ends[-1]) if len(ends) else n_before + len(condition)
 
 
 def _by_gravity(state: MachineState) -> int:
-    """The mode of a window without angular rate, by what gravity was like in more than half of it."""
+    """Return the mode of a window without angular rate, from gravity in the majority of its samples."""
     if 2 * state.n_held > state.n_window:
         return HOLDING
     return SWING if 2 * state.n_on_edge > state.n_window else POCKET
 
 
 def _first(condition: BoolArray, start: int, stop: int) -> int:
-    """First index from `start` on at which a condition holds; `stop` if it does not before."""
+    """Return the first index in [start, stop) at which a condition holds, or `stop`."""
     found = np.flatnonzero(condition[start:stop])
     return start + int(found[0]) if len(found) else stop
 
 
 @dataclass(frozen=True, eq=False)
 class TianContextsState:
-    """The machine, its steps, and the last report."""
+    """State of machine and step detector, and the last report."""
 
     machine: MachineState
     detector: TianDetectorState
-    n_samples: int  # of this segment
-    last_contact: int  # number of the sample that revealed the last step; negative before the first
+    n_samples: int  # samples of this segment
+    last_contact: int  # sample at which the last step was detected; negative before the first
     walking: bool
-    reported_mode: int  # -1 before the first
+    reported_mode: int  # -1 before the first report
     n_silent: int  # samples since the last report
 
 
 @dataclass(frozen=True)
 class TianContexts:
-    """Context stage: the machine's mode, and walking or stationary.
+    """Context stage of Tian et al. 2016, which reports the carrying mode, and walking or stationary.
 
-    It reports at every change and once a second, and is certain: one probability is 1.
+    A report is made at every change and once per second. Probabilities are 0 or 1.
 
     Parameters
     ----------
+    machine : CarryingMachine
+        State machine of the carrying mode.
     steps : TianStepDetector
-        Whoever makes steps walks; the same detector as that of the recipe.
-    stationary_s : float
-        No step for so long, outside transitions, is standing: the step frequency is zero.
+        Step detector, which should equal that of the recipe. The person walks while it detects steps.
+    stationary_s : float, default 2.0
+        Time in s without a step, outside transitions, after which the person stands.
+
+    Raises
+    ------
+    ValueError
+        If `stationary_s` is not positive, or if machine and detector have different sampling rates.
+
+    Examples
+    --------
+    >>> from pdr_filter.recipes.tian2016.contexts import TianContexts
+    >>> TianContexts().hop_s
+    1.0
     """
 
     machine: CarryingMachine = field(default_factory=CarryingMachine)
@@ -218,36 +235,72 @@ class TianContexts:
     def __post_init__(self) -> None:
         check_numbers(self)
         if self.machine.rate_hz != self.steps.rate_hz:
-            raise ValueError(f"rate_hz must be one, got {self.machine.rate_hz} and {self.steps.rate_hz}")
+            raise ValueError(
+                f"machine and steps must have the same rate_hz, got {self.machine.rate_hz} and {self.steps.rate_hz}"
+            )
 
     @property
     def contexts(self) -> tuple[str, ...]:
-        """Names of the contexts, those of the default."""
+        """Names of the contexts, `pdr_filter.CONTEXTS`."""
         return CONTEXTS
 
     @property
     def rate_hz(self) -> float:
-        """Sampling rate of the blocks."""
+        """Sampling rate of the blocks in Hz."""
         return self.machine.rate_hz
 
     @property
     def hop_s(self) -> float:
-        """A report comes once a second, and at every change."""
+        """Longest time in s between reports."""
         return 1.0
 
     def init(self) -> TianContextsState:
-        """State before the first sample."""
+        """Return the state before the first sample.
+
+        Returns
+        -------
+        TianContextsState
+            State to pass to `update`.
+        """
         return TianContextsState(self.machine.init(), self.steps.init(), 0, -1, False, -1, 0)
 
     def after_gap(self, state: TianContextsState) -> TianContextsState:
-        """State at the start of a new segment: the mode lasts, a transition is over, nobody is known to walk."""
+        """Return the state after a gap: the main mode is kept, a transition has ended, and the person stands.
+
+        Parameters
+        ----------
+        state : TianContextsState
+            State before the gap.
+
+        Returns
+        -------
+        TianContextsState
+            State at the start of the next segment.
+        """
         mode = state.machine.mode_before
         return replace_unchecked(self.init(), machine=_in_mode(mode))
 
     def update(
         self, state: TianContextsState, block: UniformBlock, attitude: AttitudeBlock
     ) -> tuple[TianContextsState, list[tuple[int, WindowContext]]]:
-        """New state and the reports, each with the number of its last sample."""
+        """Process a block of samples.
+
+        Parameters
+        ----------
+        state : TianContextsState
+            State after the previous block.
+        block : UniformBlock
+            Specific force and angular rate at the sampling rate.
+        attitude : AttitudeBlock
+            Vertical direction in the sensor frame for each sample.
+
+        Returns
+        -------
+        state : TianContextsState
+            State after the block.
+        reports : list of (int, WindowContext)
+            Reports, each with the number of its last sample in the segment.
+        """
         n = len(block.time_s)
         machine, modes = self.machine.update(
             state.machine, block.angular_rate_radps, block.angular_rate_known, attitude.up_sensor
@@ -270,7 +323,7 @@ class TianContexts:
                     ("stationary", "walking"),
                     "tian2016",
                 )
-                # a change is of its own sample, all else of the samples since the last report
+                # a report of a change describes one sample, any other report all samples since the last report
                 n_described = 1 if changed[i] else n_silent
                 start_s = window.time_s - (n_described - 0.5) / self.rate_hz
                 reports.append(
@@ -289,7 +342,7 @@ class TianContexts:
         return state, reports
 
     def _walking(self, state: TianContextsState, modes: IntArray, revealed: list[int]) -> tuple[BoolArray, int]:
-        """Whether each sample of a block is of a walk, and the number of the sample that revealed the last step."""
+        """Return whether the person walks at each sample, and the sample at which the last step was detected."""
         walking = np.empty(len(modes), dtype=bool)
         is_walking, last = state.walking, state.last_contact
         steps = set(revealed)
@@ -297,7 +350,7 @@ class TianContexts:
             if i in steps:
                 is_walking, last = True, state.n_samples + i
             elif modes[i] == TRANS:
-                last += 1  # the pause does not count: nobody looks for steps
+                last += 1  # the time of a transition does not count, because steps are not detected in it
             elif state.n_samples + i - last > self.stationary_s * self.rate_hz:
                 is_walking = False
             walking[i] = is_walking

@@ -1,11 +1,12 @@
-"""Walking heading from yaw less an offset that is trained after each transition: Tian et al. 2016, section III-E.
+"""Heading stage of Tian et al. 2016, section III-E: yaw minus an offset that is estimated after each transition.
 
-A phone that is held points where its owner walks. One in a swinging hand or in a pocket is turned against that by an
-offset, which is taken from the first steps after the transition: they are assumed to go where the last step before it
-went (Table V). The yaw swings with hand and leg and is averaged over a step, in a pocket over two.
+A held phone points in the walking direction. A phone in a swinging hand or in a pocket is rotated by an offset. The
+offset is estimated from the first steps after the transition, which are assumed to have the direction of the last step
+before it (Table V). The yaw oscillates with hand and leg. It is averaged over a step, and over two steps in a pocket.
 
-Deviations: docs/methods/tian2016.md. A held phone's yaw is the direction in which its user looks, at right angles to
-its x axis; elsewhere it is the turn about the vertical, whose unknown zero the trained offset takes up.
+Deviations from the paper are in docs/methods/tian2016.md. The yaw of a held phone is the viewing direction of its user,
+which is perpendicular to the x axis of the phone. In other modes it is the rotation about the vertical, whose unknown
+zero is part of the estimated offset.
 """
 
 from __future__ import annotations
@@ -20,28 +21,29 @@ from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.steps.step_detector import ContextBlock
 from pdr_filter.values import FloatArray, Step, check_numbers, circular_mean, replace_unchecked, wrap_angle
 
-# Standard deviation of an angle of which nothing is known: uniform over the circle.
+# Standard deviation of an unknown angle, uniform over the circle.
 _ANY_ANGLE_RAD = float(np.pi / np.sqrt(3.0))
 _NAN = float("nan")
-# Longer than the longest step, 2 s, and the longest time until one is reported, that of a transition.
+# Length of the sample memory in s. It exceeds the longest step, 2 s, plus the longest delay of its report, which is
+# that of a transition.
 _MEMORY_S = 6.0
 
 
 def average_angle(angle_rad: FloatArray) -> float:
-    """Arithmetic mean of angles (N,) that lie within half a turn of each other, wherever they jump; [-pi, pi).
+    """Return the arithmetic mean, in [-pi, pi), of angles (N,) within half a turn of each other, in spite of wraps.
 
-    mean(a) + average(wrap(a_i - mean(a))) with the circular mean: what Table IV does where no yaw is near 0.
+    It is mean(a) + average(wrap(a_i - mean(a))) with the circular mean, which equals Table IV if no yaw is near 0.
     """
     middle = circular_mean(angle_rad)
     return float(wrap_angle(middle + float(np.mean(wrap_angle(angle_rad - middle)))))
 
 
 def viewing_direction(specific_force_mps2: FloatArray, attitude: AttitudeBlock) -> FloatArray:
-    """Where the user of a held phone looks: horizontal, at right angles to its x axis, (N,), clockwise, any zero.
+    """Return the viewing direction of the user of a held phone, (N,), in rad clockwise from an arbitrary zero.
 
-    With up u and x axis e, u x e is that direction in the sensor frame. The attitude gives specific force f both in
-    the sensor frame and along the horizontal axes of the world: the angles from it to either frame differ by the
-    heading. Undefined, and then 0, where f or the x axis is exactly vertical.
+    It is horizontal and perpendicular to the x axis of the phone, u x e in the sensor frame, with up u and x axis e.
+    The specific force f is known in the sensor frame and along the horizontal axes of the world. Its angles in the two
+    frames differ by the heading. The result is undefined, and then 0, if f or the x axis is exactly vertical.
     """
     f, up = specific_force_mps2, attitude.up_sensor
     along = f[:, 0] * up[:, 0] + f[:, 1] * up[:, 1] + f[:, 2] * up[:, 2]
@@ -53,44 +55,65 @@ def viewing_direction(specific_force_mps2: FloatArray, attitude: AttitudeBlock) 
 
 @dataclass(frozen=True, eq=False)
 class OffsetCompensationState:
-    """What the samples of the last seconds showed, and the offset or its training."""
+    """Samples of the last seconds, and the offset or the data for its estimate. NaN means unknown."""
 
     carried: CarriedState
-    n_samples: int = 0  # of this segment
-    # (3, n): time, state, and viewing direction less device heading, of the last samples
+    n_samples: int = 0  # samples of this segment
+    # (3, n): time, carrying state, and viewing direction minus device heading of the last samples
     recent: FloatArray = field(default_factory=lambda: np.empty((3, 0)))
-    viewing_zero_rad: float = _NAN  # viewing direction less device heading at the first held step
+    viewing_zero_rad: float = _NAN  # viewing direction minus device heading at the first held step
     mode: int = HOLDING  # main mode of the last step
-    moving: bool = False  # whether the last step was in a transition
-    direction_rad: float = _NAN  # of the last step; NaN if unknown
-    baseline_rad: float = _NAN  # O_b: that of the last step before the transition
+    moving: bool = False  # the last step was in a transition
+    direction_rad: float = _NAN  # direction of the last step
+    baseline_rad: float = _NAN  # O_b, direction of the last step before the transition
     n_since: int = 0  # steps since the transition
-    training_rad: FloatArray = field(default_factory=lambda: np.empty(0))  # step orientations with the offset included
-    offset_rad: float = _NAN  # NaN before it is trained
-    last_heading_rad: float = _NAN  # device heading of the step before, the other half of a pair in a pocket
+    training_rad: FloatArray = field(
+        default_factory=lambda: np.empty(0)
+    )  # device headings of the steps for the estimate of the offset
+    offset_rad: float = _NAN  # estimated offset
+    last_heading_rad: float = _NAN  # device heading of the previous step, for the mean over two steps in a pocket
     last_duration_s: float = _NAN
     last_time_s: float = _NAN
 
 
 @dataclass(frozen=True)
 class OffsetCompensation:
-    """Heading stage: adaptive offset compensation.
+    """Heading stage of Tian et al. 2016 with adaptive offset compensation.
 
-    `walking_heading_rad` is that of the device while it is held; the direction before the transition while steps
-    are filled in or an offset is trained; that of the device less the offset from then on. It is unknown (its standard
-    deviation is infinite) without angular rate, and after a gap until the phone is held again.
+    `walking_heading_rad` of a step is the device heading while the phone is held. During a transition, and until the
+    offset is estimated, it is the direction before the transition. Afterwards, it is the device heading minus the
+    offset. It is unknown (infinite standard deviation) without angular rate, and after a gap until the phone is held
+    again.
 
     Parameters
     ----------
-    n_swing : int
-        M_SWING: steps that train the offset of a swinging hand.
-    n_pocket : int
-        M_POCKET: steps until the offset of a pocket is trained.
-    n_omit : int
-        M_omit: of them those at the start that are left out, while the phone slides into place.
-    direction_std_rad : float
-        Given to every direction. The paper trusts them fully; its median errors are 1 to 5 degrees (Tables VIII, IX).
-        On winding walks in a room ours are 5 to 17: give more where other measurements of direction compete.
+    rate_hz : float, default 100.0
+        Sampling rate of the blocks in Hz.
+    n_swing : int, default 3
+        Number of steps that estimate the offset of a swinging hand, M_SWING.
+    n_pocket : int, default 6
+        Number of steps until the offset of a pocket is estimated, M_POCKET.
+    n_omit : int, default 2
+        Number of these steps that are skipped at the start, M_omit, while the phone slides into place.
+    transition_s : float, default 2.0
+        Longest duration of a transition in s.
+    direction_std_rad : float, default 0.1
+        Standard deviation of every direction in rad. The paper uses directions without uncertainty; its median errors
+        are 1 to 5 degrees (Tables VIII, IX). On winding walks in a room they are 5 to 17 degrees here. Use a larger
+        value if other measurements of the direction are combined with these.
+
+    Raises
+    ------
+    ValueError
+        If a number is invalid, or if `n_pocket` is less than `n_omit + 2`.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.recipes.tian2016.heading import OffsetCompensation
+    >>> heading = OffsetCompensation(direction_std_rad=0.2)
+    >>> pdr.recipes.tian2016().with_heading(heading).sensing.heading.direction_std_rad
+    0.2
     """
 
     rate_hz: float = 100.0
@@ -106,7 +129,8 @@ class OffsetCompensation:
         check_numbers(self, zero=("n_omit",))
         if self.n_pocket - self.n_omit < 2:
             raise ValueError(
-                f"n_pocket must be two more than n_omit, which are left out, got {self.n_pocket} and {self.n_omit}"
+                f"n_pocket must be at least n_omit + 2, because n_omit steps are skipped, got {self.n_pocket} and "
+                f"{self.n_omit}"
             )
 
     @property
@@ -114,11 +138,28 @@ class OffsetCompensation:
         return Carried(self.rate_hz, self.transition_s)
 
     def init(self) -> OffsetCompensationState:
-        """State before the first sample."""
+        """Return the state before the first sample.
+
+        Returns
+        -------
+        OffsetCompensationState
+            State to pass to `update`.
+        """
         return OffsetCompensationState(self._carried.init())
 
     def after_gap(self, state: OffsetCompensationState) -> OffsetCompensationState:
-        """State after a time without samples: only the zero of the viewing direction lasts."""
+        """Return the state after a gap, which keeps only the zero of the viewing direction.
+
+        Parameters
+        ----------
+        state : OffsetCompensationState
+            State before the gap.
+
+        Returns
+        -------
+        OffsetCompensationState
+            State at the start of the next segment.
+        """
         return replace_unchecked(self.init(), viewing_zero_rad=state.viewing_zero_rad)
 
     def update(
@@ -129,7 +170,28 @@ class OffsetCompensation:
         contexts: ContextBlock,
         steps: list[tuple[int, Step]],
     ) -> tuple[OffsetCompensationState, list[tuple[int, Step]]]:
-        """New state and the steps of a block with their walking headings."""
+        """Add walking headings to the steps that were detected with a block.
+
+        Parameters
+        ----------
+        state : OffsetCompensationState
+            State after the previous block.
+        block : UniformBlock
+            Specific force and angular rate at the sampling rate.
+        attitude : AttitudeBlock
+            Vertical direction and device heading for each sample.
+        contexts : ContextBlock
+            Context and carrying mode for each sample.
+        steps : list of (int, Step)
+            Steps, each with the number of the sample at which it was detected.
+
+        Returns
+        -------
+        state : OffsetCompensationState
+            State after the block.
+        steps : list of (int, Step)
+            Steps with `walking_heading_rad` and its standard deviation.
+        """
         carried, states = self._carried.update(state.carried, contexts.carrying_mode)
         turned = wrap_angle(viewing_direction(block.specific_force_mps2, attitude) - attitude.device_heading_rad)
         new = np.stack([block.time_s, states.astype(float), turned])
@@ -145,7 +207,22 @@ class OffsetCompensation:
     def finish(
         self, state: OffsetCompensationState, steps: list[tuple[int, Step]]
     ) -> tuple[OffsetCompensationState, list[tuple[int, Step]]]:
-        """The same for steps that a gap or the end revealed."""
+        """Add walking headings to the steps that were detected at a gap or at the end.
+
+        Parameters
+        ----------
+        state : OffsetCompensationState
+            State after the last block.
+        steps : list of (int, Step)
+            Steps, each with the number of the sample at which it was detected.
+
+        Returns
+        -------
+        state : OffsetCompensationState
+            State after these steps.
+        steps : list of (int, Step)
+            Steps with `walking_heading_rad` and its standard deviation.
+        """
         out: list[tuple[int, Step]] = []
         for number, step in steps:
             state, annotated = self._annotate(state, number, step)
@@ -155,14 +232,14 @@ class OffsetCompensation:
     def _annotate(
         self, state: OffsetCompensationState, number: int, step: Step
     ) -> tuple[OffsetCompensationState, Step]:
-        """New state and one step with its walking heading."""
+        """Return the new state, and a step with its walking heading."""
         samples = self._samples_of(state, number, step)
         mode = int(samples[1, -1]) if samples.shape[1] else state.mode
         if step.heading_unknown_s > 0.5 * step.duration_s:
-            # a baseline or an offset is of no use to a heading that stood still meanwhile
+            # without angular rate the heading was not updated, so that baseline and offset are invalid
             return replace_unchecked(self._forget(state), direction_rad=_NAN, baseline_rad=_NAN), step
         if mode == TRANS:
-            # filled in: the yaw is of the hand that moves the phone
+            # in a transition the yaw shows the motion of the hand, so that the last direction is kept
             return replace_unchecked(state, moving=True), self._directed(step, state.direction_rad, moved=True)
         moved = state.moving or mode != state.mode
         if mode != state.mode:
@@ -187,36 +264,36 @@ class OffsetCompensation:
         return state, self._directed(step, direction_rad, moved)
 
     def _forget(self, state: OffsetCompensationState) -> OffsetCompensationState:
-        """Without offset, before any training."""
+        """Return the state without an offset and without data for its estimate."""
         return replace_unchecked(state, n_since=0, training_rad=np.empty(0), offset_rad=_NAN, last_heading_rad=_NAN)
 
     def _compensated(self, state: OffsetCompensationState, step: Step) -> tuple[OffsetCompensationState, float]:
-        """New state and the direction of a step in a swinging hand or in a pocket (Table V)."""
+        """Return the new state, and the direction of a step in a swinging hand or in a pocket (Table V)."""
         if np.isnan(state.baseline_rad):
             return state, _NAN
         heading_rad = step.device_heading_rad
-        # the first step after a pause has no other half
+        # the first step after a pause cannot be averaged with the previous step
         follows = step.time_s - step.duration_s <= state.last_time_s + 0.01
         if state.mode == POCKET and follows and not np.isnan(state.last_heading_rad):
-            # mean over the samples of both steps
+            # mean over the samples of both steps, weighted by duration
             weight = step.duration_s / (step.duration_s + state.last_duration_s)
             heading_rad = weight * heading_rad + (1 - weight) * state.last_heading_rad
         if not np.isnan(state.offset_rad):
             return state, heading_rad - state.offset_rad
         n_omit, n_trained = (0, self.n_swing) if state.mode == SWING else (self.n_omit, self.n_pocket)
         in_training = state.n_since - n_omit
-        # in a pocket every second step ends a pair
+        # in a pocket, only every second step is used, because a heading is the mean of two steps
         if in_training > 0 and (state.mode == SWING or in_training % 2 == 0):
             state = replace_unchecked(state, training_rad=np.append(state.training_rad, heading_rad))
         if state.n_since >= n_trained:
             offset_rad = float(wrap_angle(average_angle(state.training_rad) - state.baseline_rad))
-            # the offset in the turn that continues the baseline, so that directions are not wrapped either
+            # add whole turns, because directions must continue the baseline without a wrap
             offset_rad += 2 * np.pi * round((heading_rad - offset_rad - state.baseline_rad) / (2 * np.pi))
             state = replace_unchecked(state, offset_rad=offset_rad)
         return state, state.baseline_rad
 
     def _samples_of(self, state: OffsetCompensationState, number: int, step: Step) -> FloatArray:
-        """Columns of `recent` during a step; not more of them than a whole memory before its detection."""
+        """Return the columns of `recent` during a step, at most `_MEMORY_S` before its detection."""
         first = state.n_samples - state.recent.shape[1]
         oldest = max(number - round(_MEMORY_S * self.rate_hz) + 1 - first, 0)
         remembered = state.recent[:, oldest:]
@@ -224,7 +301,10 @@ class OffsetCompensation:
         return remembered[:, a:b]
 
     def _directed(self, step: Step, direction_rad: float, moved: bool) -> Step:
-        """The step with its direction, if there is one; nothing is known of how a phone was moved meanwhile."""
+        """Return the step with its walking heading. An unknown direction (NaN) gets an infinite standard deviation.
+
+        If the phone was moved during the step (`moved`), the change of its heading offset is marked as unknown.
+        """
         known = not np.isnan(direction_rad)
         return replace_unchecked(
             step,

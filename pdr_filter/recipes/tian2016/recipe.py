@@ -1,4 +1,4 @@
-"""The recipe of Tian et al. 2016, and its step length."""
+"""Recipe of Tian et al. 2016, and its step-length model."""
 
 from __future__ import annotations
 
@@ -16,15 +16,18 @@ from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.values import FloatArray, Note, Step, check_numbers
 from pdr_filter.values.recording import Subject
 
-# k of men and women: text of eq. 9. Of the distances of ten people over 28 m Table VII has a standard deviation of
-# 2.30 m.
+# k of men and women, from the text of eq. 9. The relative standard deviation is from Table VII, in which the distances
+# of ten persons over 28 m have a standard deviation of 2.30 m.
 _K = {"M": 0.3139, "F": 0.2975}
 _RELATIVE_STD = 2.30 / 28
 
 
 @dataclass(frozen=True)
 class StaticFirstStepLength:
-    """L = k h sqrt(f), but L = k_1 h for the first step from rest, which has no frequency yet; theta = (k, k_1)."""
+    """Step length L = k h sqrt(f), or L = k_1 h for the first step from rest, which has no frequency.
+
+    theta = (k, k_1).
+    """
 
     height_m: float
     n_params: int = 2
@@ -33,28 +36,69 @@ class StaticFirstStepLength:
         check_numbers(self)
 
     def regressors(self, step: Step) -> FloatArray:
-        """(h sqrt(f), 0), or (0, h)."""
+        """Return (h sqrt(f), 0), or (0, h) for the first step from rest."""
         moving = TianStepLength(self.height_m).regressors(step)[0]
         return np.array([0.0, self.height_m]) if step.from_rest else np.array([moving, 0.0])
 
 
 def tian_fit(height_m: float, gender: str | None = None) -> StepLengthFit:
-    """Eq. 9 with the printed k; gender "M", "F" or unknown."""
+    """Return the step-length model of Tian et al. 2016, L = k h sqrt(f) (eq. 9), with the printed k.
+
+    Parameters
+    ----------
+    height_m : float
+        Height h of the person in m.
+    gender : {"M", "F"}, optional
+        Gender, which determines k (0.3139 or 0.2975). The default is the mean of both.
+
+    Returns
+    -------
+    StepLengthFit
+        Model `TianStepLength` with its parameter k and the variance between persons.
+
+    Examples
+    --------
+    >>> from pdr_filter.recipes.tian2016.recipe import tian_fit
+    >>> tian_fit(1.75, "M").theta.tolist()
+    [0.3139]
+    """
     return one_parameter_fit(TianStepLength(height_m), of_gender(_K, gender), _RELATIVE_STD)
 
 
 def recipe_fit(height_m: float, gender: str | None = None) -> StepLengthFit:
-    """Eq. 9, and eq. 2 for the first step from rest (section III-D), both with the printed k."""
+    """Return eq. 9, with eq. 2 for the first step from rest (section III-D), both with the printed k."""
     moving, first = tian_fit(height_m, gender), static_fit(height_m, gender)
     theta, variance = np.concatenate([moving.theta, first.theta]), [moving.theta_cov[0, 0], first.theta_cov[0, 0]]
     return StepLengthFit(StaticFirstStepLength(height_m), theta, np.diag(variance), moving.residual_std_m)
 
 
 def tian2016(subject: Subject | None = None) -> Config:
-    """Tian et al. 2016: carrying modes by a state machine, peaks of one axis, k h sqrt(f), heading compensated.
+    """Return the configuration of Tian et al. 2016.
 
-    Needs a gyroscope; height and gender of the subject give the step length, that of the first step from rest by the
-    static model. docs/methods/tian2016.md has all deviations.
+    A state machine tracks the carrying mode, steps are peaks of the acceleration along one axis, the step length is
+    k h sqrt(f), and the heading is compensated for the rotation of the phone. A gyroscope is required.
+
+    Parameters
+    ----------
+    subject : Subject, optional
+        Person who carries the phone. Height and gender determine the step length.
+
+    Returns
+    -------
+    Config
+        Configuration of the filter.
+
+    Notes
+    -----
+    The first step from rest has the length of the static model (eq. 2). All deviations from the paper are in
+    docs/methods/tian2016.md.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> config = pdr.recipes.tian2016()
+    >>> config.name, config.needs
+    ('tian2016', ('gyroscope',))
     """
     return Config(
         name="tian2016",
@@ -64,8 +108,8 @@ def tian2016(subject: Subject | None = None) -> Config:
         notes=(
             Note(
                 "recipe",
-                "tian2016 follows changes of the carrying mode: a phone that was put away before the recording "
-                "began is taken to be held",
+                "tian2016 tracks changes of the carrying mode from the start: a phone that was put into a pocket or a "
+                "bag before the recording began is assumed to be held in the hand",
             ),
             *height_notes(subject),
         ),

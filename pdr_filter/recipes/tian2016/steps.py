@@ -1,14 +1,14 @@
-"""Steps as peaks of the acceleration that suits how the phone is carried: Tian et al. 2016, section III-C.
+"""Step detector of Tian et al. 2016, section III-C: peaks of an acceleration that depends on the carrying mode.
 
-Held in front, the acceleration along the vertical (eq. 5, 6) is looked at; in a swinging hand that of the device's y
-axis, whose peaks of both signs are steps, because an arm swings once in two steps; in a pocket that of its z axis
-(Table III). While the phone moves from one place to another nothing can be detected: what the person walked
-meanwhile is filled in afterwards (eq. 8).
+For a held phone, peaks of the vertical acceleration (eq. 5, 6) are steps. In a swinging hand, the acceleration along
+the y axis of the device is used. Its peaks of both signs are steps, because an arm swings once in two steps. In a
+pocket, the acceleration along the z axis is used (Table III). During a transition of the phone no steps can be
+detected. These steps are added when the transition ends (eq. 8).
 
-The equations are in the convention of iOS: gravity and user acceleration in g, -1 on z for a phone that lies face up.
-`ios_acceleration` is the only place that converts.
+The equations follow the convention of iOS: gravity and user acceleration are in g, and gravity is -1 on z for a phone
+that lies face up. Only `ios_acceleration` converts to this convention.
 
-Deviations: docs/methods/tian2016.md.
+Deviations from the paper are in docs/methods/tian2016.md.
 """
 
 from __future__ import annotations
@@ -34,10 +34,11 @@ from pdr_filter.values import (
     replace_unchecked,
 )
 
-# The states of the paper's machine; the first three are also the rows of `step_signals`.
+# States of the machine of the paper. The first three are also the rows of `step_signals`.
 HOLDING, SWING, POCKET, TRANS = range(4)
 
-# Which of them each of `CARRYING_MODES` is. A phone at the ear hardly turns either, one in a bag lies as it likes.
+# State of each of `CARRYING_MODES`. A phone at the ear is treated as held, because it hardly rotates. A phone in a bag
+# is treated as in a pocket, because its orientation is arbitrary.
 _STATE_OF = np.array([{"swinging": SWING, "pocket": POCKET, "bag": POCKET}.get(m, HOLDING) for m in CARRYING_MODES])
 
 # Length of a transition: 100 samples at 50 Hz (section III-B).
@@ -45,9 +46,9 @@ TRANSITION_S = 2.0
 
 
 def ios_acceleration(specific_force_mps2: FloatArray, up_sensor: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Gravity and user acceleration as CoreMotion gives them, both (N, 3), in g.
+    """Return gravity and user acceleration in the convention of CoreMotion, both (N, 3), in g.
 
-    gravity + user acceleration = -f / g0: a phone that lies face up has gravity (0, 0, -1), and pushing it upwards
+    gravity + user acceleration = -f / g0. A phone that lies face up has gravity (0, 0, -1), and an upward acceleration
     gives a negative user acceleration on z.
     """
     gravity_g = -up_sensor
@@ -55,11 +56,11 @@ def ios_acceleration(specific_force_mps2: FloatArray, up_sensor: FloatArray) -> 
 
 
 def step_signals(specific_force_mps2: FloatArray, up_sensor: FloatArray) -> FloatArray:
-    """User acceleration in which steps are sought, (3, N), in g: vertical (HOLDING), y (SWING), z (POCKET); Table III.
+    """Return the signals for step detection, (3, N) in g: vertical (HOLDING), y (SWING) and z (POCKET); Table III.
 
-    The vertical one is a_uz sin(phi) + a_uy cos(phi) with phi = atan |g_z / g_y| (eq. 5, 6), that is
-    -(a_uy g_y + a_uz g_z) / sqrt(g_y^2 + g_z^2): as printed where g_y and g_z are negative, as they are for a phone
-    that somebody reads, and with the right sign elsewhere. Zero where both are.
+    They are user accelerations. The vertical one is a_uz sin(phi) + a_uy cos(phi) with phi = atan |g_z / g_y| (eq. 5,
+    6). It is computed as -(a_uy g_y + a_uz g_z) / sqrt(g_y^2 + g_z^2), which equals the printed form if g_y and g_z are
+    negative, as for a phone held for reading, and has the correct sign otherwise. It is zero if both are zero.
     """
     gravity, user = ios_acceleration(specific_force_mps2, up_sensor)
     in_plane = np.sqrt(gravity[:, 1] ** 2 + gravity[:, 2] ** 2)
@@ -69,7 +70,7 @@ def step_signals(specific_force_mps2: FloatArray, up_sensor: FloatArray) -> Floa
 
 @dataclass(frozen=True, slots=True)
 class CarriedState:
-    """The last main mode that was known, and for how many samples none has been."""
+    """Last known main mode, and number of samples since then."""
 
     main_mode: int
     n_unknown: int
@@ -77,10 +78,10 @@ class CarriedState:
 
 @dataclass(frozen=True)
 class Carried:
-    """The paper's state of each sample, from carrying modes that any context stage gives.
+    """Conversion of the carrying modes of any context stage to the states of the paper.
 
-    An unknown carrying mode is a transition, but for `transition_s` at most: then it is that before again. Before
-    anything is known the phone is held, because somebody has just started the program (section III-B).
+    An unknown carrying mode is a transition for at most `transition_s`, and then the previous main mode again. The
+    initial state is HOLDING, because the user has just started the app (section III-B).
     """
 
     rate_hz: float = 100.0
@@ -94,11 +95,11 @@ class Carried:
         return round(self.transition_s * self.rate_hz)
 
     def init(self) -> CarriedState:
-        """State before the first sample: held."""
+        """Return the state before the first sample, HOLDING."""
         return CarriedState(HOLDING, self._n_transition)
 
     def update(self, state: CarriedState, carrying_mode: IntArray) -> tuple[CarriedState, IntArray]:
-        """New state and HOLDING, SWING, POCKET or TRANS for each index into `CARRYING_MODES`, -1 unknown."""
+        """Return the new state, and HOLDING, SWING, POCKET or TRANS for each carrying mode (index, -1: unknown)."""
         n = len(carrying_mode)
         known = carrying_mode >= 0
         last_known = np.maximum.accumulate(np.where(known, np.arange(n), -1))
@@ -110,33 +111,51 @@ class Carried:
 
 @dataclass(frozen=True, eq=False)
 class TianDetectorState(DetectorState):
-    """The samples that wait for their future, filter memories, and the transition that is on."""
+    """Samples that need later samples, filter state, and the current transition."""
 
     carried: CarriedState
     low_pass_zi: FloatArray | None  # (n_sections, 3, 2); None before the first sample
-    transition_start: int  # number of its first sample; -1 outside
-    step_hz: float  # frequency of the last step; zero for the first from rest
+    transition_start: int  # number of the first sample of a transition; -1 outside a transition
+    step_hz: float  # frequency of the last step; zero after the first step from rest
 
 
 @dataclass(frozen=True)
 class TianStepDetector(BaseStepDetector[TianDetectorState]):
-    """Causal mode-aware step detector; a step is reported 0.2 s after its contact or after the transition.
+    """Step detector of Tian et al. 2016, which finds peaks of a signal that depends on the carrying mode.
+
+    The detector is causal. A step is reported 0.2 s after its contact, or at the end of a transition.
 
     Parameters
     ----------
+    rate_hz : float, default 100.0
+        Sampling rate of the blocks in Hz.
+    max_interval_s : float, default 2.0
+        Pause in s after which a new walking bout begins and the step frequency is zero.
+    first_step_s : float, default 0.6
+        Duration in s of the first step of a bout, because no contact marks its start.
     holding_peak_g, swing_peak_g, pocket_peak_g : float
-        Smallest peak that is a step. The paper prints one only, the 0.2 g of the walk in a pocket of Fig. 7, which
-        loses a fifth of the steps of other people.
-    low_pass_hz : float
-        Cutoff of the low-pass (Butterworth, second order): people make 0.5 to 5 steps a second.
-    min_interval_s : float
-        Two peaks closer than this are one step: criterion 1.
+        Smallest peak of a step in g, for each main mode. The paper prints only one value, 0.2 g for the walk in a
+        pocket of Fig. 7, which loses a fifth of the steps of other persons.
+    low_pass_hz : float, default 5.0
+        Cutoff in Hz of the second-order Butterworth low-pass. Step frequencies are 0.5 to 5 Hz.
+    min_interval_s : float, default 0.2
+        Shortest time in s between two steps (criterion 1).
     held_rejection_s, pocket_rejection_s : float
-        A peak followed by one of the other sense within this time is false: criterion 2; 6 and 3 samples at 50 Hz.
-    transition_s : float
-        Longest transition.
-    rate_hz, max_interval_s, first_step_s : float
-        Of every `BaseStepDetector`; after `max_interval_s` the step frequency is zero.
+        A peak that is followed by a peak of the opposite sign within this time in s is rejected (criterion 2). The
+        defaults are 6 and 3 samples at 50 Hz.
+    transition_s : float, default 2.0
+        Longest duration of a transition in s.
+
+    Raises
+    ------
+    ValueError
+        If a number is invalid.
+
+    Examples
+    --------
+    >>> from pdr_filter.recipes.tian2016.steps import TianStepDetector
+    >>> round(float(TianStepDetector().latency_s), 1)
+    2.2
     """
 
     holding_peak_g: float = 0.05
@@ -157,17 +176,17 @@ class TianStepDetector(BaseStepDetector[TianDetectorState]):
 
     @property
     def _filter_delay_s(self) -> float:
-        # group delay at low frequencies of a second-order Butterworth low-pass
+        # low-frequency group delay of a second-order Butterworth low-pass
         return np.sqrt(2.0) / (2.0 * np.pi * self.low_pass_hz)
 
     @property
     def _n_ahead(self) -> int:
-        """Samples after a peak that decide on it; the last of a rejection window is an extremum only with the next."""
+        """Number of later samples needed to accept a peak: the rejection window, and one more to detect an extremum."""
         return round(max(self.held_rejection_s, self.pocket_rejection_s) * self.rate_hz) + 1
 
     @property
     def latency_s(self) -> float:
-        """Longest time from a contact to its detection: a step at the start of a transition."""
+        """Longest time in s from a contact to its detection, for a step at the start of a transition."""
         return self.transition_s + self._n_ahead / self.rate_hz + self._filter_delay_s + 1.0 / self.rate_hz
 
     @cached_property
@@ -175,7 +194,13 @@ class TianStepDetector(BaseStepDetector[TianDetectorState]):
         return Carried(self.rate_hz, self.transition_s)
 
     def init(self) -> TianDetectorState:
-        """State before the first sample of a segment."""
+        """Return the state before the first sample of a segment.
+
+        Returns
+        -------
+        TianDetectorState
+            State to pass to `update`.
+        """
         line = np.zeros((4, self._n_line))
         return TianDetectorState(self._log.init(), line, self._carried.init(), None, -1, 0.0)
 
@@ -186,27 +211,30 @@ class TianStepDetector(BaseStepDetector[TianDetectorState]):
     def _signals(
         self, state: TianDetectorState, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
     ) -> tuple[TianDetectorState, FloatArray]:
-        """The three filtered signals and the state of each sample, (4, N)."""
+        """Return the three filtered signals and the state of each sample, (4, N)."""
         raw = step_signals(block.specific_force_mps2, attitude.up_sensor)
         carried, states = self._carried.update(state.carried, contexts.carrying_mode)
         signals, zi = filtered(self._low_pass_sos, raw, state.low_pass_zi)
         return replace_unchecked(state, carried=carried, low_pass_zi=zi), np.vstack([signals, states.astype(float)])
 
     def _continued(self, state: TianDetectorState) -> FloatArray:
-        """The signals go on straight, in the same mode: a transition that has not ended is not filled in."""
+        """Return signals after the end, extrapolated linearly in the same mode.
+
+        An unfinished transition therefore adds no steps.
+        """
         last, slope = state.line[:, -1:], state.line[:, -1:] - state.line[:, -2:-1]
-        slope[3] = 0.0  # the mode stays
+        slope[3] = 0.0  # the mode is constant
         return last + slope * np.arange(1, self._n_ahead + 1)
 
     def _detect(
         self, state: TianDetectorState, line: FloatArray, first: int
     ) -> tuple[TianDetectorState, list[tuple[int, Step]]]:
-        # Those decided on have one sample before them and `_n_ahead` after.
+        # a tested sample has one sample before it and `_n_ahead` after it
         n_new = line.shape[1] - self._n_line
         states = line[3, 1 : n_new + 1].astype(int)
         before = line[3, :n_new]
         peaks = self._peaks(line[:3], states)
-        # before the first sample there are only repeats of it
+        # samples with negative numbers are repetitions of the first sample and are skipped
         events = np.flatnonzero(peaks | ((states == TRANS) != (before == TRANS)))
         steps: list[tuple[int, Step]] = []
         for i in events.tolist():
@@ -221,7 +249,7 @@ class TianStepDetector(BaseStepDetector[TianDetectorState]):
         return state, steps
 
     def _peaks(self, signals: FloatArray, states: IntArray) -> BoolArray:
-        """Whether each sample that is decided on is a true peak of the signal of its mode."""
+        """Return whether each tested sample is an accepted peak of the signal of its mode."""
         n = len(states)
         middle = signals[:, 1:-1]
         is_max, is_min = local_maxima(signals), local_maxima(-signals)
@@ -241,7 +269,7 @@ class TianStepDetector(BaseStepDetector[TianDetectorState]):
     def _follow_transition(
         self, state: TianDetectorState, sample: int, mode: int, known: int
     ) -> tuple[TianDetectorState, list[Step]]:
-        """New state, and the steps of a transition that ends before this sample."""
+        """Return the new state, and the steps of a transition that ends before this sample (eq. 8)."""
         if mode == TRANS and state.transition_start < 0:
             at_s = self._log.time_s(state.log, sample)
             since_s = at_s - state.log.last_contact_s
@@ -255,7 +283,7 @@ class TianStepDetector(BaseStepDetector[TianDetectorState]):
         for i in range(n_steps):
             at = state.transition_start + (i + 0.5) * (sample - state.transition_start) / n_steps
             log, step = self._log.add(log, int(at), known, at - int(at))
-            # their length is that of the frequency which gave their number (section III-D)
+            # the step frequency that gives their number also gives their length (section III-D)
             hz = state.step_hz
             steps.append(replace_unchecked(step, duration_s=1.0 / hz, frequency_hz=hz, from_rest=False))
         return replace_unchecked(state, log=log, transition_start=-1), steps
@@ -263,7 +291,7 @@ class TianStepDetector(BaseStepDetector[TianDetectorState]):
     def _accept(
         self, state: TianDetectorState, peak: FloatArray, sample: int, known: int
     ) -> tuple[TianDetectorState, Step | None]:
-        """The step that a peak makes, if it makes one."""
+        """Return the new state, and the step of a peak, or None if the peak is rejected."""
         at = sample + vertex(peak) - self._filter_delay_s * self.rate_hz
         contact = int(np.floor(at))
         if not self._log.can_end(state.log, contact):
@@ -273,18 +301,18 @@ class TianStepDetector(BaseStepDetector[TianDetectorState]):
             return state, None
         first_of_bout = self._log.starts_bout(state.log, contact_s)
         log, step = self._log.add(state.log, contact, known, at - contact)
-        # of the first step from rest, and of it alone, no frequency is known: it is zero (section III-C)
+        # only the first step from rest has no frequency; it is zero (section III-C)
         step_hz = 0.0 if first_of_bout else step.frequency_hz
         return replace_unchecked(state, log=log, step_hz=step_hz), replace_unchecked(step, from_rest=first_of_bout)
 
 
 def n_filled_in(transition_s: float, step_frequency_hz: float) -> int:
-    """Steps during a transition: round(t f_s), half up (eq. 8)."""
+    """Return the number of steps during a transition, t f_s rounded half up (eq. 8)."""
     return int(np.floor(transition_s * step_frequency_hz + 0.5))
 
 
 def _any_after(extremum: BoolArray, n_after: int, n: int) -> BoolArray:
-    """Whether any of the `n_after` samples after each of the first n is an extremum."""
+    """Return whether any of the `n_after` samples after each of the first n samples is an extremum."""
     if n_after == 0:
         return np.zeros(n, dtype=bool)
     return np.asarray(sliding_window_view(extremum[1:], n_after)[:n].any(axis=1))

@@ -1,1 +1,1 @@
-"""Parts of Zhou et al. 2019."""
+"""Parts of the recipe of Zhou et al. 2019."""

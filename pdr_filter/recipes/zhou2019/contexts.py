@@ -1,11 +1,12 @@
-"""Standing, walking, running or irregular swing by a state machine: Zhou et al. 2019, section III, Table 1.
+"""Context stage of Zhou et al. 2019, section III, Table 1: a state machine for standing, walking, running and swing.
 
-The machine keeps its behaviour while the maximum of the filtered acceleration stays as it was (Condition 1). When it
-changes (Condition 2), features decide again: running by the DC component (6), else walking by variance and energy (5),
-else irregular swing by the DC component and energy (4), else standing (3). Deviations: docs/methods/zhou2019.md.
+The behaviour is kept while the maximum of the filtered acceleration is unchanged (Condition 1). After a change
+(Condition 2) the features are classified again: running by the DC component (Condition 6), else walking by variance
+and energy (5), else irregular swing by DC component and energy (4), else standing (3). Deviations from the paper are in
+docs/methods/zhou2019.md.
 
-The thresholds are trained (`FOOT`, `CARRIED`). The transition state lasts until a window that holds nothing from before
-the change was classified; windows of 2 s follow each other every second.
+The thresholds are trained (`FOOT`, `CARRIED`). The transition state ends with the first classified window without
+samples from before the change. Windows of 2 s overlap by 1 s.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from pdr_filter.sensing.contexts.context_stage import WindowContext, WindowStage
 from pdr_filter.values import FloatArray, check_numbers, replace_unchecked
 
 BEHAVIOURS: tuple[str, ...] = ("standing", "walking", "running", "irregular")
-# In irregular swing nobody moves.
+# Irregular swing has no displacement.
 _CONTEXT_OF = {"standing": "stationary", "walking": "walking", "running": "running", "irregular": "stationary"}
 _CONTEXTS_KNOWN = ("stationary", "walking", "running")
 _NAME = "Zhou et al. 2019, Table 1"
@@ -25,20 +26,32 @@ _NAME = "Zhou et al. 2019, Table 1"
 
 @dataclass(frozen=True)
 class BehaviourThresholds:
-    """Thresholds of Table 1 for one place of the sensor."""
+    """Thresholds of Table 1 for one placement of the sensor.
 
-    max_change_mps2: float  # T_a of Condition 1
-    running_dc_mps2: float  # T_f^R of Condition 6
-    walking_variance: float  # T_sigma^W of Condition 5, m2/s4
-    walking_energy: float  # T_E^W of Condition 5, m/s2
-    irregular_dc_mps2: float  # T_f^I of Condition 4
-    irregular_energy: float  # T_E^I of Condition 4, m/s2
+    Attributes
+    ----------
+    max_change_mps2 : float
+        Largest change of the maximum at which the behaviour is kept, T_a of Condition 1.
+    running_dc_mps2 : float
+        Smallest DC component of running, T_f^R of Condition 6.
+    walking_variance, walking_energy : float
+        Smallest variance in m2/s4 and energy in m/s2 of walking, T_sigma^W and T_E^W of Condition 5.
+    irregular_dc_mps2, irregular_energy : float
+        Smallest DC component and energy in m/s2 of irregular swing, T_f^I and T_E^I of Condition 4.
+    """
+
+    max_change_mps2: float
+    running_dc_mps2: float
+    walking_variance: float
+    walking_energy: float
+    irregular_dc_mps2: float
+    irregular_energy: float
 
     def __post_init__(self) -> None:
         check_numbers(self, zero=("max_change_mps2",), signed=("irregular_dc_mps2",))
 
     def classify(self, features: FloatArray) -> str:
-        """Behaviour of the features (3,) of a window: Conditions 6, 5, 4, 3, in this order."""
+        """Return the behaviour for the features (3,) of a window, by Conditions 6, 5, 4 and 3 in this order."""
         variance, dc_component, energy = features
         if dc_component > self.running_dc_mps2:
             return "running"
@@ -49,11 +62,12 @@ class BehaviourThresholds:
         return "standing"
 
 
-# On the foot, from the 24 trials of pyshoe, behaviour by the speed of the foot in motion capture (windows of 2 s):
-# standing (19 windows) has a variance below 0.02, |f_0| below 0.03 and an energy below 0.6; walking at 0.2 to 1.5 m/s,
-# sideways and backwards too (647), at least 0.76 and 5.0, f_0 at most 8.9; the one trial that runs, at 1.8 m/s (11),
-# f_0 7.4 to 12.1. T^W is below the slowest walking, T_f^R where the sum of both errors is smallest, T^I above standing.
-# Nobody swings a foot irregularly there: what is neither walking nor standing is called so.
+# Thresholds on the foot, from the 24 trials of pyshoe with the foot speed of motion capture (windows of 2 s). Standing
+# (19 windows) has a variance below 0.02, |f_0| below 0.03 and an energy below 0.6. Walking at 0.2 to 1.5 m/s, also
+# sideways and backwards (647 windows), has at least 0.76 and 5.0, and f_0 of at most 8.9. The only running trial, at
+# 1.8 m/s (11 windows), has f_0 of 7.4 to 12.1. T^W is below the slowest walking, T_f^R minimises the sum of both
+# errors, and T^I is above standing. The trials contain no irregular swing, which is here what is neither walking nor
+# standing.
 FOOT = BehaviourThresholds(
     max_change_mps2=1.0,
     running_dc_mps2=8.5,
@@ -63,11 +77,11 @@ FOOT = BehaviourThresholds(
     irregular_energy=1.0,
 )
 
-# Elsewhere on the body, from persons 1 to 6 of motionsense (front pocket: sitting, standing, walking, stairs, jogging)
-# and of ubicomp13 (seven places: walking, and the phone handled while nobody walks): T_f^R has the best mean recall of
-# standing, walking and running; T^W the smallest count error of `steps.zhou.CARRIED`, and the fewest false steps with
-# it; T_E^I is above 97 % of sitting and standing. f_0 at rest is the error of the accelerometer's scale, down to -0.7
-# on these phones: T_f^I lets all pass.
+# Thresholds elsewhere on the body, from persons 1 to 6 of motionsense (front pocket: sitting, standing, walking,
+# stairs, jogging) and of ubicomp13 (seven placements: walking, and handling of the phone without walking). T_f^R gives
+# the best mean recall of standing, walking and running. T^W gives the smallest count error of `steps.CARRIED` with the
+# fewest false steps. T_E^I is above 97 % of sitting and standing. f_0 at rest is the scale error of the accelerometer,
+# down to -0.7 on these phones, so that T_f^I has no effect.
 CARRIED = BehaviourThresholds(
     max_change_mps2=0.5,
     running_dc_mps2=2.2,
@@ -80,18 +94,36 @@ CARRIED = BehaviourThresholds(
 
 @dataclass(frozen=True, slots=True)
 class BehaviourMemory:
-    """Where the machine is."""
+    """State of the machine."""
 
-    behaviour: str  # of BEHAVIOURS; empty before the first window
-    last_max_mps2: tuple[float, ...]  # of the windows of the last window length, oldest first
-    n_transition: int  # windows that the transition state still lasts
+    behaviour: str  # one of BEHAVIOURS; empty before the first window
+    last_max_mps2: tuple[float, ...]  # maxima of the windows within the last window length, oldest first
+    n_transition: int  # remaining windows of the transition state
 
 
 @dataclass(frozen=True, eq=False)
 class BehaviourStage(WindowStage[BehaviourState, BehaviourWindow, BehaviourMemory]):
-    """Causal stage of the behaviours; a `ContextStage`. After a gap the behaviour has to show again.
+    """Context stage of Zhou et al. 2019, which reports the behaviour of each window.
 
-    The window is a whole number of hops.
+    After a gap the behaviour is classified again.
+
+    Parameters
+    ----------
+    windows : BehaviourWindows
+        Windows and their features. The window length must be a multiple of the hop.
+    thresholds : BehaviourThresholds
+        Thresholds for the placement of the sensor, `FOOT` or `CARRIED`.
+
+    Raises
+    ------
+    ValueError
+        If the window length is not a multiple of the hop.
+
+    Examples
+    --------
+    >>> from pdr_filter.recipes.zhou2019.contexts import CARRIED, BehaviourStage
+    >>> BehaviourStage(thresholds=CARRIED).hop_s
+    1.0
     """
 
     windows: BehaviourWindows = field(default_factory=lambda: BehaviourWindows(hop_s=1.0))
@@ -100,19 +132,40 @@ class BehaviourStage(WindowStage[BehaviourState, BehaviourWindow, BehaviourMemor
     def __post_init__(self) -> None:
         if self.windows.window_samples % self.windows.hop_samples:
             raise ValueError(
-                f"window_s must be a whole number of hops, got {self.windows.window_s} and {self.windows.hop_s}"
+                f"window_s must be a multiple of hop_s, got {self.windows.window_s} and {self.windows.hop_s}"
             )
 
     def first_memory(self) -> BehaviourMemory:
-        """No behaviour has shown."""
+        """Return the memory before the first window, with unknown behaviour.
+
+        Returns
+        -------
+        BehaviourMemory
+            Memory before the first window.
+        """
         return BehaviourMemory("", (), 0)
 
     def assess(self, memory: BehaviourMemory, window: BehaviourWindow) -> tuple[BehaviourMemory, WindowContext]:
-        """One cycle of Table 1."""
-        # windows from one to the first that shares no sample with it
+        """Run one cycle of Table 1 and return the context of a window.
+
+        Parameters
+        ----------
+        memory : BehaviourMemory
+            Memory after the previous window.
+        window : BehaviourWindow
+            Features of the window.
+
+        Returns
+        -------
+        memory : BehaviourMemory
+            Memory after this window.
+        context : WindowContext
+            Context and carrying mode of the window.
+        """
+        # number of hops from a window to the next window without common samples
         n = self.windows.window_samples // self.windows.hop_samples
         behaviour, last_max, n_transition = memory.behaviour, memory.last_max_mps2, memory.n_transition
-        is_known = len(last_max) == n  # whether there is a previous window
+        is_known = len(last_max) == n  # True if there is a previous window without common samples
         is_kept = is_known and abs(window.max_mps2 - last_max[0]) < self.thresholds.max_change_mps2  # Condition 1
         n_transition = max(n_transition - 1, 0) if is_kept else n
         if n_transition or not is_kept:
@@ -122,6 +175,6 @@ class BehaviourStage(WindowStage[BehaviourState, BehaviourWindow, BehaviourMemor
 
 
 def context_of(behaviour: str, time_s: float) -> WindowContext:
-    """The context of a behaviour, of the window that ends at a time."""
+    """Return the context of a behaviour, for a window that ends at `time_s`."""
     known = known_context(time_s, {_CONTEXT_OF[behaviour]: 1.0}, {}, _CONTEXTS_KNOWN, _NAME)
     return replace_unchecked(known, irregular_prob=float(behaviour == "irregular"))

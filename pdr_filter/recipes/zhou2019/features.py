@@ -1,13 +1,13 @@
-"""Behaviour features of a foot-mounted accelerometer: Zhou et al. 2019, section III.
+"""Features of Zhou et al. 2019, section III, for the behaviour of a person with an accelerometer on the foot.
 
-Acceleration a = |f - b| - g (eq. 2) with the bias b of a static start (eq. 3) is low-passed by a linear-phase FIR
-filter with a Hamming window; over 2 s its variance, DC component f_0 and energy (eq. 4) distinguish standing, walking,
+The acceleration a = |f - b| - g (eq. 2), with the bias b of a static start (eq. 3), is low-passed by a linear-phase FIR
+filter with a Hamming window. Variance, DC component f_0 and energy (eq. 4) over 2 s distinguish standing, walking,
 running and irregular swing.
 
-Deviations, beside those of docs/methods/zhou2019.md: up is taken along the mean specific force of the start unless it
-is given, because eq. 3 counts a tilt of 5 degrees as 0.85 m/s2 of bias; f_0 is the mean of a in m/s2, with its sign;
-the energy is the mean absolute coefficient of the two-sided transform, as printed, so that a sinusoid has its
-amplitude.
+Deviations, in addition to those in docs/methods/zhou2019.md: the vertical is the direction of the mean specific force
+of the start unless it is given, because eq. 3 would count a tilt of 5 degrees as a bias of 0.85 m/s2. f_0 is the mean
+of a in m/s2, with its sign. The energy is the mean absolute coefficient of the two-sided transform, as printed, so that
+the energy of a sinusoid is its amplitude.
 """
 
 from __future__ import annotations
@@ -34,9 +34,10 @@ NAMES: tuple[str, ...] = ("variance", "dc_component", "energy")
 
 
 def static_bias(static_mps2: FloatArray, up_sensor: FloatArray | None = None) -> FloatArray:
-    """Bias b = mean(f) - g up, m/s2, sensor frame, (3,), from specific force (N, 3) of a sensor at rest (eq. 3).
+    """Return the bias b = mean(f) - g up (eq. 3), (3,) in m/s2, from specific force (N, 3) of a sensor at rest.
 
-    `up_sensor` is a unit vector (3,); [0, 0, 1] is eq. 3 as printed. If not given, it is the direction of the mean.
+    `up_sensor` is a unit vector (3,) in the sensor frame. [0, 0, 1] is eq. 3 as printed. By default it is the direction
+    of the mean specific force.
     """
     mean = static_mps2.mean(axis=0)
     up = mean / np.sqrt((mean * mean).sum()) if up_sensor is None else up_sensor
@@ -44,52 +45,56 @@ def static_bias(static_mps2: FloatArray, up_sensor: FloatArray | None = None) ->
 
 
 def acceleration(specific_force_mps2: FloatArray, bias_mps2: FloatArray) -> FloatArray:
-    """Acceleration a = |f - b| - g in m/s2, shape (N,), of specific force (N, 3) with bias (3,) (eq. 2)."""
+    """Return the acceleration a = |f - b| - g in m/s2, (N,), from specific force (N, 3) and bias (3,) (eq. 2)."""
     return specific_force_magnitude(specific_force_mps2 - bias_mps2) - STANDARD_GRAVITY_MPS2
 
 
 def behaviour_features(acceleration_mps2: FloatArray) -> FloatArray:
-    """Variance (m2/s4), DC component f_0 and energy (m/s2; eq. 4) of a window (N,) of filtered acceleration, (3,)."""
+    """Return variance (m2/s4), DC component f_0 and energy (m/s2; eq. 4), (3,), of filtered acceleration (N,)."""
     n = len(acceleration_mps2)
     dc_component = acceleration_mps2.mean()
     centred = acceleration_mps2 - dc_component
-    coefficients = np.fft.fft(centred)  # the DC component is removed
+    coefficients = np.fft.fft(centred)  # without the DC component
     return np.array([(centred * centred).mean(), dc_component, np.abs(coefficients[1:]).sum() / n])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BehaviourWindow(DescribedWindow):
-    """Features of one window; its times are those of the motion, less the filter's delay."""
+    """Features of one window. Its times are corrected for the delay of the filter."""
 
     features: FloatArray  # (3,)
-    max_mps2: float  # of the filtered acceleration: what Condition 1 of Table 1 compares
+    max_mps2: float  # maximum of the filtered acceleration, for Condition 1 of Table 1
 
 
 @dataclass(frozen=True, eq=False)
 class BehaviourState:
-    """The bias, or the samples that it waits for; the filter's delay line; samples that later windows still need."""
+    """Bias or the samples collected for it, delay line of the filter, and samples that later windows need."""
 
-    waiting: FloatArray  # (B, 4): time, specific force; empty once the bias is known
+    waiting: FloatArray  # (B, 4): time, specific force; empty when the bias is known
     bias_mps2: FloatArray | None  # (3,); None before it is known
     delay_line: FloatArray  # (L - 1,) acceleration; empty before the first sample
-    buffer: WindowBuffer  # of filtered acceleration
+    buffer: WindowBuffer  # filtered acceleration
 
 
 @dataclass(frozen=True)
 class BehaviourWindows(SlidingWindows[BehaviourState, BehaviourWindow]):
-    """Filtered acceleration, windows of it and their features; causal.
+    """Causal windows of filtered acceleration, and their features.
 
     Parameters
     ----------
-    static_s : float
-        Length of the static start, at most the window, so that no window is late for it.
-    static_std_mps2 : float
-        If |f| spreads more than this over the start, or is not gravity, nobody stood still: the bias is taken as zero.
-        Over a second a standing foot stays below 0.05 m/s2 (pyshoe), a walking one above 1 m/s2.
-    low_pass_hz : float
-        Cutoff (-6 dB) of the FIR filter.
-    low_pass_s : float
-        Its length; it delays by half of this. 0.5 s of Hamming window roll off within 6.6 Hz.
+    rate_hz : float, default 100.0
+        Sampling rate of the blocks in Hz.
+    window_s, hop_s : float, default 2.0
+        Length and hop of the windows in s.
+    static_s : float, default 1.0
+        Length in s of the static start, at most that of the window, so that it delays no window.
+    static_std_mps2 : float, default 0.3
+        Largest standard deviation of |f| of a static start. The bias is zero if it is exceeded, or if |f| is far from
+        gravity. Over one second, a standing foot has less than 0.05 m/s2 (pyshoe), and a walking foot more than 1 m/s2.
+    low_pass_hz : float, default 10.0
+        Cutoff (-6 dB) of the FIR filter in Hz.
+    low_pass_s : float, default 0.5
+        Length of the FIR filter in s. Its delay is half of this. The transition band of 0.5 s is 6.6 Hz wide.
     """
 
     hop_s: float = 2.0
@@ -103,7 +108,9 @@ class BehaviourWindows(SlidingWindows[BehaviourState, BehaviourWindow]):
         if not 1 <= self.static_samples <= self.window_samples:
             raise ValueError(f"static_s must be positive and at most window_s, got {self.static_s} and {self.window_s}")
         if not 0 < self.low_pass_hz < 0.5 * self.rate_hz:
-            raise ValueError(f"low_pass_hz must be below half the rate, got {self.low_pass_hz} at {self.rate_hz} Hz")
+            raise ValueError(
+                f"low_pass_hz must be positive and below half the rate, got {self.low_pass_hz} at {self.rate_hz} Hz"
+            )
 
     @property
     def static_samples(self) -> int:
@@ -112,7 +119,7 @@ class BehaviourWindows(SlidingWindows[BehaviourState, BehaviourWindow]):
 
     @property
     def latency_s(self) -> float:
-        """Delay of the filter."""
+        """Delay of the filter in s."""
         return (len(self._taps) // 2) / self.rate_hz
 
     @cached_property
@@ -120,17 +127,17 @@ class BehaviourWindows(SlidingWindows[BehaviourState, BehaviourWindow]):
         return low_pass_kernel(self.low_pass_hz, self.rate_hz, self.low_pass_s)
 
     def init(self) -> BehaviourState:
-        """State at the start of a recording."""
+        """Return the state at the start of a recording."""
         return BehaviourState(np.empty((0, 4)), None, np.empty(0), no_samples(1))
 
     def after_gap(self, state: BehaviourState) -> BehaviourState:
-        """State at the start of a segment that keeps the bias: nobody stands still after every gap."""
+        """Return the state after a gap. The bias is kept, because the start of a segment need not be static."""
         return replace_unchecked(self.init(), bias_mps2=state.bias_mps2)
 
     def update(
         self, state: BehaviourState, block: UniformBlock, attitude: AttitudeBlock
     ) -> tuple[BehaviourState, list[tuple[int, BehaviourWindow]]]:
-        """New state and the windows that became complete, each with the index of the sample that completed it."""
+        """Return the new state and the completed windows, each with the index of the sample that completed it."""
         rows = np.concatenate([state.waiting, np.column_stack([block.time_s, block.specific_force_mps2])])
         bias = state.bias_mps2
         if bias is None:
@@ -138,10 +145,10 @@ class BehaviourWindows(SlidingWindows[BehaviourState, BehaviourWindow]):
                 return replace_unchecked(state, waiting=rows), []
             bias = self._bias(np.ascontiguousarray(rows[: self.static_samples, 1:]))
         a = acceleration(rows[:, 1:], bias)
-        # What was before the first sample is taken to be like it: a zero there would look like a blow.
+        # the first value is repeated before the start, because a zero there would act like a shock
         before = state.delay_line if len(state.delay_line) else np.full(len(self._taps) - 1, a[0])
         line = np.concatenate([before, a])
-        # Every output is one dot product of the kernel's length, so cutting the signal elsewhere changes no bit.
+        # each output is one dot product with the kernel, so that results are bit-identical for any split into blocks
         buffer, windows = self.cut(state.buffer, rows[:, 0], np.convolve(line, self._taps, mode="valid")[None])
         state = BehaviourState(np.empty((0, 4)), bias, line[len(a) :], buffer)
         return state, [(window.last, self._describe(window)) for window in windows]

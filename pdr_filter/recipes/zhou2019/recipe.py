@@ -1,4 +1,4 @@
-"""The recipe of Zhou et al. 2019."""
+"""Recipe of Zhou et al. 2019."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.values import Note
 from pdr_filter.values.recording import Subject
 
-# Eq. 14 (M7): fitted by tests/benchmarks/step_length.py, because the paper prints no parameters.
-# Carried: legs of two sites; on a foot: the way of the foot in 24 trials, of which those left out scatter by 16 %.
+# Eq. 14 (M7), fitted by tests/benchmarks/step_length.py, because the paper prints no parameters. Carried phones: fitted
+# on legs of two sites. Foot: fitted on the path of the foot in 24 trials, with a scatter of 16 % in held-out trials.
 _CARRIED_LENGTHS = (
     StepLengthFit(M7(), np.array([-0.690, -3.159, 4.351, -0.0084]), np.zeros((4, 4)), 0.10),
     StepLengthFit(M6(), np.array([0.552]), np.zeros((1, 1)), 0.10),
@@ -27,20 +27,48 @@ _FOOT_LENGTHS = (
 
 
 def zhou2019(subject: Subject | None = None, placement: str = "carried") -> Config:
-    """Zhou et al. 2019: behaviours by a state machine, crossings of reference lines, two-segment step length M7.
+    """Return the configuration of Zhou et al. 2019.
 
-    Made for a sensor on the foot, `placement="foot"`, where an event is a stride; `placement="carried"` is for a phone
-    elsewhere, where it is a step. Needs nothing of the subject and no gyroscope, but for the heading, which the paper
-    does not treat: it is that of the device. docs/methods/zhou2019.md has all deviations.
+    A state machine classifies the behaviour, steps are crossings of adaptive reference lines, and the step length is
+    the two-segment model M7. The paper is about a sensor on the foot.
+
+    Parameters
+    ----------
+    subject : Subject, optional
+        Person who carries the phone. It has no effect, because the step length does not depend on the person.
+    placement : {"carried", "foot"}, default "carried"
+        Placement of the sensor. On the foot, a detected event is a stride. For a phone carried elsewhere it is a step.
+
+    Returns
+    -------
+    Config
+        Configuration of the filter.
+
+    Raises
+    ------
+    ValueError
+        If `placement` is unknown.
+
+    Notes
+    -----
+    Steps and contexts need no gyroscope. The paper does not describe a heading, so that the heading of the device is
+    used, which needs one. All deviations are in docs/methods/zhou2019.md.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> config = pdr.recipes.zhou2019()
+    >>> config.name, config.on_foot
+    ('zhou2019', False)
     """
     if placement not in ("carried", "foot"):
         raise ValueError(f'placement must be "carried" or "foot", got {placement!r}')
     if placement == "foot":
         thresholds, detector, lengths = behaviours.FOOT, reference_lines.FOOT, _FOOT_LENGTHS
-        note = "zhou2019 on a foot: steps are two for each stride of the instrumented foot, the second one half way"
+        note = "zhou2019 on a foot: a stride counts as two steps, with the contact of the other foot assumed half way"
     else:
         thresholds, detector, lengths = behaviours.CARRIED, reference_lines.CARRIED, _CARRIED_LENGTHS
-        note = "zhou2019 is made for a sensor on the foot; here every event is a step of a carried phone"
+        note = "zhou2019 was designed for a sensor on the foot; here every detected event is a step of a carried phone"
     return Config(
         name="zhou2019",
         sensing=Sensing(contexts=behaviours.BehaviourStage(thresholds=thresholds), steps=detector),

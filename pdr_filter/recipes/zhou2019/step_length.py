@@ -1,9 +1,9 @@
-"""Step-length models M1 to M7 of Zhou et al. 2019, each with its equation in the paper.
+"""Step-length models M1 to M7 of Zhou et al. 2019, with the numbers of their equations.
 
 The classes are in `filter.step_length.models`. L is the length of a step in m, f the step frequency in Hz, h the body
-height in m, and a = |f| - g, in m/s2 over the samples of the step. k, k0, k1 and so on are the parameters theta of a
-`StepLengthFit`. The paper prints no values: `recipe` has those of M7, and `pdr_filter.calibrate` fits those of any
-model to known distances.
+height in m, and a = |f| - g the acceleration in m/s2 over the samples of the step. The parameters k, k0, k1, ... are
+theta of a `StepLengthFit`. The paper prints no values. `recipe` has values for M7, and `pdr_filter.calibrate` fits the
+parameters of any model to known distances.
 """
 
 from pdr_filter.filter.step_length.models import (

@@ -1,14 +1,15 @@
-"""Steps between crossings of adaptive reference lines: Zhou et al. 2019, section IV.
+"""Step detector of Zhou et al. 2019, section IV: crossings of adaptive reference lines.
 
-Acceleration a = |f| - g is low-passed as the behaviour asks for (stage 1), its dominant frequency f_D sets a window of
-one period (eq. 5, stage 2), the extrema in the window (eq. 6, stage 3) place the lines R_L, R_M, R_S (Table 2), and an
-event reaches from the first rise through R_M to the next fall through R_S (stage 4). Standing and irregular swing are
-not counted; what happens there waits until the behaviour is known to have been walking or running.
+The acceleration a = |f| - g is low-passed with a cutoff that depends on the behaviour (stage 1). Its dominant frequency
+f_D defines a window of one period (eq. 5, stage 2). The extrema in the window (eq. 6, stage 3) define the reference
+lines R_L, R_M and R_S (Table 2). An event lasts from the first rise through R_M to the next fall through R_S (stage 4).
+Events during standing and irregular swing are held, and count only if the behaviour turns out to be walking or running.
 
-An event of the paper is a stride of the instrumented foot: two steps. A phone elsewhere on the body feels both feet,
-and an event is a step. `steps_per_event` is 2 or 1; `FOOT` and `CARRIED` are the detectors for either.
+An event of the paper is a stride of the instrumented foot, that is, two steps. A phone elsewhere on the body senses
+both feet, so that an event is one step. `steps_per_event` is 2 or 1. `FOOT` and `CARRIED` are detectors for the two
+cases.
 
-Deviations, with reasons and figures: docs/methods/zhou2019.md.
+Deviations from the paper, with reasons and figures, are in docs/methods/zhou2019.md.
 """
 
 from __future__ import annotations
@@ -25,27 +26,37 @@ from pdr_filter.sensing.steps.step_detector import BaseStepDetector, ContextBloc
 from pdr_filter.sensing.steps.step_log import specific_force_magnitude
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Step, check_numbers, replace_unchecked
 
-# What the person does at a sample; walking, or unknown, is between them.
+# Codes of the behaviour at a sample. Walking and unknown are 1.
 _STATIONARY, _RUNNING = 0, 2
-# Spectrum lines 0.1 Hz apart: half a sample of a period of 0.7 s, far below what its width allows.
+# Spacing of the spectrum. At a period of 0.7 s it is much finer than the width of a spectral line.
 _LINE_SPACING_HZ = 0.1
-# A second of a foot on the ground or a phone on a table stays below; there is no dominant frequency in noise.
+# Standard deviation that a foot on the ground or a phone on a table does not exceed in a second. Such a signal is noise
+# without a dominant frequency.
 _QUIET_STD_MPS2 = 0.05
 
 
 @dataclass(frozen=True)
 class EventSearch:
-    """What differs between walking and running, and with the place of the sensor.
+    """Parameters of the event detection that depend on the behaviour and on the placement of the sensor.
 
-    f_D is the lowest line of the spectrum that stands out and has `harmonic_part` of the highest: the empirical
-    threshold against harmonics.
+    Attributes
+    ----------
+    cutoff_hz : float
+        Cutoff (-6 dB) of the FIR filter in Hz, the middle of the printed transition band (4 to 4.5 or 10 to 10.5 Hz).
+    min_frequency_hz, max_frequency_hz : float
+        Range of the dominant frequency f_D in Hz, of strides on a foot and of steps elsewhere.
+    harmonic_part : float
+        Smallest amplitude of f_D relative to the highest spectral line. f_D is the lowest local maximum of the spectrum
+        that reaches it, so that harmonics are not selected.
+    min_maximum_mps2 : float
+        Smallest threshold of maxima, T_L.
     """
 
-    cutoff_hz: float  # -6 dB, of the FIR filter: the middle of the printed transition, 4 to 4.5 or 10 to 10.5 Hz
-    min_frequency_hz: float  # where f_D is looked for: strides of a foot, steps elsewhere
+    cutoff_hz: float
+    min_frequency_hz: float
     max_frequency_hz: float
     harmonic_part: float
-    min_maximum_mps2: float  # smallest T_L
+    min_maximum_mps2: float
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -53,53 +64,75 @@ class EventSearch:
 
 @dataclass(frozen=True, eq=False)
 class ReferenceLines:
-    """The lines of a window, and the event that is under way."""
+    """Reference lines of a window, and the event in progress."""
 
-    large_mps2: float | None = None  # R_L; None while there was no maximum
+    large_mps2: float | None = None  # R_L; None before the first maximum
     small_mps2: float | None = None  # R_S
-    start: int | None = None  # filtered sample of START; None before it
-    last_end: float = -np.inf  # filtered sample of the END of the last event
+    start: int | None = None  # filtered sample at which the event started; None outside an event
+    last_end: float = -np.inf  # fractional filtered sample at which the last event ended
 
 
 @dataclass(frozen=True, eq=False)
 class ReferenceLineState(DetectorState):
-    """The last acceleration, the window that is being filled, its lines, and events of unknown behaviour."""
+    """Delay line, current window with its reference lines, and events whose behaviour is still unknown."""
 
     period_s: float  # 1 / f_D, the length of the window
-    buffer: FloatArray  # (3, B) filtered for walking, for running, what the person does
-    waiting: FloatArray  # (W, 2) sample of an event, dominant period in s
+    buffer: FloatArray  # (3, B): acceleration filtered for walking and for running, code of the behaviour
+    waiting: FloatArray  # (W, 2): sample of an event, dominant period in s
     window_start: int = 0  # filtered sample
-    is_running: bool = False  # in this window
+    is_running: bool = False  # behaviour of this window
     lines: ReferenceLines = ReferenceLines()
-    last_event: float = -np.inf  # sample of the last event that was given
+    last_event: float = -np.inf  # sample of the last reported event
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
-    """Causal step detector; a step is usually reported a window and 0.25 s after its contact, at most `latency_s`.
+    """Step detector of Zhou et al. 2019, which finds crossings of adaptive reference lines.
 
-    A contact is dated END, which on the foot of a slow walker may fall into the swing, half a stride early. Contacts of
-    an event that stands for several steps divide the time since the last event evenly, or the dominant period if it is
-    the first of a bout.
+    The detector is causal. A step is usually reported one window and 0.25 s after its contact, and at most `latency_s`.
 
     Parameters
     ----------
+    rate_hz : float, default 100.0
+        Sampling rate of the blocks in Hz.
+    max_interval_s : float, default 2.0
+        Pause in s after which a new walking bout begins.
+    first_step_s : float, default 0.6
+        Duration in s of the first step of a bout, because no contact marks its start.
     walking, running : EventSearch
-        By behaviour; what is not known to be running is taken for walking.
+        Parameters for the two behaviours. Any behaviour except running uses those of walking.
     steps_per_event : int
-        2 for a sensor on the foot, 1 elsewhere on the body.
+        Steps of an event: 2 for a sensor on the foot, 1 elsewhere on the body.
     relative_maximum : float
-        T_L is at least this part of R_L.
+        Smallest threshold of maxima, T_L, relative to R_L.
     min_line_part : float
-        R_S is at least this part of the way from the minimum to R_L.
+        Smallest height of R_S above the minimum, relative to the height of R_L above the minimum.
     min_period_part : float
-        Least time between ENDs as a part of the dominant period.
-    low_pass_s : float
-        Length of the FIR filters; they delay by half of this.
-    spectrum_s : float
-        Time before a window from which its dominant frequency comes.
-    hold_s : float
-        How long an event waits for walking or running, which is known only after a window of mostly that.
+        Shortest time between the ends of two events, relative to the dominant period.
+    low_pass_s : float, default 0.5
+        Length of the FIR filters in s. Their delay is half of this.
+    spectrum_s : float, default 4.0
+        Length in s of the signal from which the dominant frequency is estimated.
+    hold_s : float, default 2.75
+        Longest time in s that an event is held until the behaviour is known, which requires a window that is mostly
+        walking or running.
+
+    Raises
+    ------
+    ValueError
+        If a number is invalid, or if frequencies, cutoffs and rate are not in ascending order.
+
+    Notes
+    -----
+    The contact is the end of the event. On the foot of a slow walker, it may be in the swing phase, half a stride
+    early. The contacts of an event with several steps divide the time since the last event evenly, or the dominant
+    period for the first event of a bout.
+
+    Examples
+    --------
+    >>> from pdr_filter.recipes.zhou2019.steps import CARRIED
+    >>> CARRIED.steps_per_event
+    1
     """
 
     walking: EventSearch
@@ -117,7 +150,8 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
         for search in (self.walking, self.running):
             if not 0 < search.min_frequency_hz < search.max_frequency_hz < search.cutoff_hz < 0.5 * self.rate_hz:
                 raise ValueError(
-                    "min_frequency_hz, max_frequency_hz, cutoff_hz, half the rate must be positive and increase, got "
+                    "min_frequency_hz, max_frequency_hz, cutoff_hz and rate_hz / 2 must be "
+                    "positive and in ascending order, got "
                     f"{search.min_frequency_hz}, {search.max_frequency_hz}, {search.cutoff_hz}, {0.5 * self.rate_hz}"
                 )
 
@@ -137,18 +171,24 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
 
     @property
     def _bout_samples(self) -> float:
-        """Events further apart belong to different bouts."""
+        """Longest interval in samples between events of the same bout."""
         return self.steps_per_event * self.max_interval_s * self.rate_hz
 
     @property
     def latency_s(self) -> float:
-        """Longest time from a contact to its detection: an event that waits for its behaviour until it is dropped."""
+        """Longest time in s from a contact to its detection, for an event that is held for `hold_s`."""
         longest_window_s = 1.0 / min(self.walking.min_frequency_hz, self.running.min_frequency_hz)
         within_event_s = (self.steps_per_event - 1) * self.max_interval_s
         return self.hold_s + longest_window_s + within_event_s + (self._delay_samples + 1) / self.rate_hz
 
     def init(self) -> ReferenceLineState:
-        """State before the first sample of a segment."""
+        """Return the state before the first sample of a segment.
+
+        Returns
+        -------
+        ReferenceLineState
+            State to pass to `update`.
+        """
         period_s = 2.0 / (self.walking.min_frequency_hz + self.walking.max_frequency_hz)
         line = np.zeros((2, self._n_line))
         return ReferenceLineState(self._log.init(), line, period_s, np.empty((3, 0)), np.empty((0, 2)))
@@ -160,21 +200,21 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
     def _signals(
         self, state: ReferenceLineState, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
     ) -> tuple[ReferenceLineState, FloatArray]:
-        """Acceleration and what the person does, (2, N)."""
+        """Return the acceleration and the code of the behaviour, (2, N)."""
         a = specific_force_magnitude(block.specific_force_mps2) - STANDARD_GRAVITY_MPS2
         return state, np.vstack(
             [a, np.select([contexts.stands, contexts.runs], [_STATIONARY, _RUNNING], 1).astype(float)]
         )
 
     def _continued(self, state: ReferenceLineState) -> FloatArray:
-        """The last values stay until the window is complete."""
+        """Return signals after the end: the last values, repeated until the window is complete."""
         n_more = self._delay_samples + _window_samples(state.period_s, self.rate_hz)
         return np.repeat(state.line[:, -1:], n_more, axis=1)
 
     def _detect(
         self, state: ReferenceLineState, line: FloatArray, first: int
     ) -> tuple[ReferenceLineState, list[tuple[int, Step]]]:
-        # Every output is one dot product of the kernel's length, so cutting the signal elsewhere changes no bit.
+        # each output is one dot product with the kernel, so that results are bit-identical for any split into blocks
         filtered = [np.convolve(line[0], taps, mode="valid") for taps in self._taps]
         new = np.stack([*filtered, line[1, self._n_line :]])
         n_samples = first + new.shape[1]
@@ -187,12 +227,12 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
         return replace_unchecked(state, buffer=state.buffer[:, -n_kept:]), steps
 
     def _window(self, state: ReferenceLineState, first: int) -> tuple[ReferenceLineState, list[tuple[int, Step]]]:
-        """A complete window of the buffer from `first` on: its lines, events, and the length of the next."""
+        """Process a complete window, and set the length of the next window. The buffer starts at sample `first`."""
         window_end = state.window_start + _window_samples(state.period_s, self.rate_hz)
         begin, end = state.window_start - first, window_end - first
         search = self.running if state.is_running else self.walking
         past = np.ascontiguousarray(state.buffer[int(state.is_running), max(end - self._spectrum_samples, 0) : end])
-        # one sample more than the window, so that no extremum falls between two of them
+        # one sample more than the window, so that no extremum at a boundary is missed
         samples = state.buffer[int(state.is_running), max(begin - 2, 0) : end]
         lines = self._place(state.lines, samples, float(past.mean()), search)
         lines, ends = self._cross(lines, state.buffer[int(state.is_running), begin:end], state)
@@ -213,7 +253,7 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
     def _place(
         self, lines: ReferenceLines, samples: FloatArray, mean_mps2: float, search: EventSearch
     ) -> ReferenceLines:
-        """R_L and R_S after the extrema in the samples (eq. 6; rules 1 to 3)."""
+        """Return the lines with R_L and R_S updated by the extrema in the samples (eq. 6; rules 1 to 3)."""
         middle = samples[1:-1]
         large, small = lines.large_mps2, lines.small_mps2
         threshold = max(search.min_maximum_mps2, self.relative_maximum * (large or 0.0))  # T_L
@@ -229,7 +269,7 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
     def _cross(
         self, lines: ReferenceLines, window: FloatArray, state: ReferenceLineState
     ) -> tuple[ReferenceLines, list[float]]:
-        """Lines after a window, and the ENDs of events in it, in filtered samples and parts of them."""
+        """Return the lines after a window, and the ends of its events as fractional filtered samples."""
         large, small, start, last_end = lines.large_mps2, lines.small_mps2, lines.start, lines.last_end
         ends: list[float] = []
         if large is not None and small is not None:
@@ -241,7 +281,7 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
                     start = number if value >= median else None
                 elif value <= small:
                     start = None
-                    # Between windows the line may have moved across the signal: then the END is at the sample.
+                    # the line may have moved across the signal between windows; the event then ends at the sample
                     fraction = (previous - small) / (previous - value) if previous > small else 1.0
                     at = number - 1 + fraction
                     if at - last_end >= min_samples:
@@ -250,13 +290,16 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
                 previous = value
         window_end = state.window_start + len(window)
         if window_end - max(last_end, -np.inf if start is None else start) > self._bout_samples:
-            large = small = start = None  # the next bout may be gentler than the last blow of this one
+            large = small = start = None  # the next bout may have smaller maxima
         return ReferenceLines(large, small, start, last_end), ends
 
     def _release(
         self, state: ReferenceLineState, is_still: bool, known: int
     ) -> tuple[ReferenceLineState, list[tuple[int, Step]]]:
-        """Steps of the events that wait, if somebody walks or may; those that waited too long are dropped."""
+        """Return the steps of held events unless the person stands.
+
+        In that case, drop events held longer than `hold_s`.
+        """
         if is_still:
             oldest = known + 1 - self._delay_samples - self.hold_s * self.rate_hz
             return replace_unchecked(state, waiting=state.waiting[state.waiting[:, 0] >= oldest]), []
@@ -272,7 +315,7 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
         return replace_unchecked(state, waiting=np.empty((0, 2))), steps
 
     def _contact(self, state: ReferenceLineState, sample: float, known: int) -> tuple[ReferenceLineState, Step | None]:
-        """The step that a contact ends; None if there is no signal of it."""
+        """Return the new state, and the step that ends at a contact, or None if its samples are not available."""
         contact = int(np.floor(sample))
         if not self._log.can_end(state.log, contact):
             return state, None
@@ -281,18 +324,21 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
 
 
 def small_line_mps2(minimum_mps2: float, large_mps2: float, min_line_part: float = 0.0) -> float:
-    """R_S of a window: twice a positive minimum (rule 2), half of a negative one, at least a part above it."""
+    """Return R_S of a window: twice a positive minimum (rule 2) or half of a negative one, with a smallest height."""
     factor = 2.0 if minimum_mps2 > 0 else 0.5
     return max(factor * minimum_mps2, minimum_mps2 + min_line_part * (large_mps2 - minimum_mps2))
 
 
 def median_line_mps2(large_mps2: float, small_mps2: float) -> float:
-    """R_M = (R_L + R_S) / 4 (rule 4), between the lines where that is not (R_L < 3 R_S)."""
+    """Return R_M = (R_L + R_S) / 4 (rule 4), raised above R_S if it is not between the lines (R_L < 3 R_S)."""
     return max(0.25 * (large_mps2 + small_mps2), small_mps2 + 0.1 * (large_mps2 - small_mps2))
 
 
 def dominant_period_s(acceleration_mps2: FloatArray, search: EventSearch, rate_hz: float) -> float | None:
-    """1 / f_D of filtered acceleration (N,); None if it is shorter than a second, quiet, or no line stands out."""
+    """Return the dominant period 1 / f_D of filtered acceleration (N,) in s.
+
+    Return None if the signal is shorter than a second, is noise, or has no dominant frequency in the range.
+    """
     if len(acceleration_mps2) < rate_hz or acceleration_mps2.std() < _QUIET_STD_MPS2:
         return None
     centred = (acceleration_mps2 - acceleration_mps2.mean()) * np.hanning(len(acceleration_mps2))
@@ -306,11 +352,11 @@ def dominant_period_s(acceleration_mps2: FloatArray, search: EventSearch, rate_h
 
 
 def _window_samples(period_s: float, rate_hz: float) -> int:
-    """Length of a window, w = f_A / f_D (eq. 5)."""
+    """Return the length of a window in samples, w = f_A / f_D (eq. 5)."""
     return max(round(period_s * rate_hz), 1)
 
 
-# Chosen on every second trial of pyshoe, 24 trials of walking and running with the sensor on the foot.
+# Parameters chosen on every second of the 24 trials of pyshoe (walking and running, sensor on the foot).
 FOOT = ReferenceLineStepDetector(
     walking=EventSearch(4.25, 0.45, 1.25, harmonic_part=0.2, min_maximum_mps2=1.5),
     running=EventSearch(10.25, 0.9, 2.0, harmonic_part=0.2, min_maximum_mps2=4.0),
@@ -320,7 +366,8 @@ FOOT = ReferenceLineStepDetector(
     min_period_part=0.7,
 )
 
-# Chosen on persons 1 to 6 of ubicomp13, who carry phones in seven places; running has no recordings with known steps.
+# Parameters chosen on persons 1 to 6 of ubicomp13, with phones in seven placements. There are no running recordings
+# with known steps.
 CARRIED = ReferenceLineStepDetector(
     walking=EventSearch(4.25, 1.2, 2.6, harmonic_part=0.4, min_maximum_mps2=0.5),
     running=EventSearch(10.25, 2.0, 4.0, harmonic_part=0.4, min_maximum_mps2=3.0),

@@ -1,19 +1,19 @@
 "use strict";
-// The way of a report, with what lies beside and below it.
+// Map of the path of a report, with floor plan, locations, ground truth and other tracks.
 
 class WayMap extends PlaneMap {
   constructor(box, colour, onStep) {
     super(box, colour);
-    this.onStep = onStep; // called with the number of the step that somebody points at
-    this.hidden = new Set(); // layers
+    this.onStep = onStep; // called with the index of the step at the pointer
+    this.hidden = new Set(); // names of hidden layers
     this.tracks = [];
     this.chosen = 0;
-    this.groups = "floors"; // by what steps are coloured, if there is more than one
-    this.row = -1; // the last step that is shown in full
+    this.groups = "floors"; // grouping for the step colours, if there are several floors
+    this.row = -1; // index of the selected step
     this.isWhole = true;
-    this.still = L.layerGroup().addTo(this.leaflet); // what is the same at any time
-    this.now = L.layerGroup().addTo(this.leaflet); // and what is not
-    // A page around the report chooses steps by clicks alone, and takes clicks for other things.
+    this.still = L.layerGroup().addTo(this.leaflet); // layers that do not depend on the selected step
+    this.now = L.layerGroup().addTo(this.leaflet); // layers of the selected step
+    // A page around the report selects steps by clicks alone, and uses clicks for marks.
     this.followsMouse = true;
     this.isTaking = false;
     this.leaflet.on("mousemove click", event => {
@@ -28,7 +28,7 @@ class WayMap extends PlaneMap {
 
   get track() { return this.tracks[this.chosen]; }
 
-  // The step nearest to a place, unless all are farther from it than so many pixels.
+  // Select the step nearest to a position, if it is within this many pixels.
   point(latlng, within) {
     const { east, north } = this.track, place = this.frame.place(latlng);
     let best = -1, least = (within / this.scale) ** 2;
@@ -60,7 +60,7 @@ class WayMap extends PlaneMap {
 
   wayOf(track) { return [this.at(...track.start), ...this.places(track)]; }
 
-  // All anew: another track, other colours, other layers.
+  // Redraw everything after a change of track, colours or layers.
   draw() {
     const shown = name => !this.hidden.has(name), { track } = this;
     this.still.clearLayers();
@@ -71,7 +71,8 @@ class WayMap extends PlaneMap {
     const others = shown("other tracks") ? this.tracks.filter(t => t !== track) : [];
     others.forEach(t => this.still.addLayer(L.polyline(this.wayOf(t), { color: t.colour, weight: 2 })));
     this.drawWay(track);
-    // Where they coincide each shows on the chosen one, in dashes that take turns; a canvas knows no dashOffset.
+    // Tracks that coincide with the chosen one are also drawn on top of it, with interleaved dashes.
+    // The offset is part of dashArray, because the canvas renderer does not support dashOffset.
     others.forEach((t, k) => {
       const dashArray = [0, 20 * k, 10, 20 * (others.length - k) - 10];
       this.still.addLayer(L.polyline(this.wayOf(t), { color: t.colour, weight: 2, lineCap: "butt", dashArray }));
@@ -93,7 +94,7 @@ class WayMap extends PlaneMap {
   }
 
   drawPlan(plan) {
-    const opacity = Number(this.colour("--plan")); // its colours are made for white paper
+    const opacity = Number(this.colour("--plan")); // plan colours are chosen for a white background
     for (const { fill, edge, rings } of plan) {
       const places = rings.map(ring => ring.map(place => this.at(...place)));
       const options = { color: edge, weight: 1.2, opacity };
@@ -115,11 +116,11 @@ class WayMap extends PlaneMap {
     if (truth.points) places.forEach(place => this.dot(place, 3, "--truth"));
   }
 
-  // Every step in the colour of its group; those after the shown time are faint.
+  // Draw all steps in the colour of their group. Steps after the selected step are faint.
   drawWay(track) {
     const { group, colours } = track.groups[this.groups] ?? track.groups.contexts;
     this.way = this.wayOf(track);
-    this.runs = []; // steps that follow each other in one group: its number, the first, and that after the last
+    this.runs = []; // runs of consecutive steps of one group: [group, first index, last index + 1]
     group.forEach((own, k) => {
       if (k && own === group[k - 1]) this.runs.at(-1)[2] = k + 1;
       else this.runs.push([own, k, k + 1]);
@@ -135,7 +136,7 @@ class WayMap extends PlaneMap {
     this.walkedBy = inColours(1);
   }
 
-  // The ways of a group's steps before one of them.
+  // Paths of the runs of a group that begin before step `until`, cut off at this step.
   runsUntil(own, until) {
     return this.runs.filter(([of, from]) => of === own && from < until)
       .map(([, from, to]) => this.way.slice(from, Math.min(to, until) + 1));
@@ -151,7 +152,7 @@ class WayMap extends PlaneMap {
     return major[k] === null ? [] : this.ellipse([east[k], north[k]], major[k], minor[k], angle[k]);
   }
 
-  // One step in full.
+  // Show the selected step with its ellipse and its possible positions.
   show(row) {
     const { track, now } = this, shape = { renderer: this.above, weight: 1.2 };
     this.row = row;
@@ -164,7 +165,7 @@ class WayMap extends PlaneMap {
     }
     now.addLayer(L.polygon(this.ellipseOf(row), { ...shape, className: "within", fillOpacity: 0.16, opacity: 0.9 }));
     if (track.places && !this.hidden.has("places")) {
-      // Where on the plan the walk may be, if in several places, with how probable each is.
+      // possible positions on the floor plan, with their probabilities
       for (const [percent, east, north, ...of] of track.places[row]) {
         const dashed = { ...shape, className: "maybe", fillOpacity: 0.05, dashArray: "6 4" };
         now.addLayer(L.polygon(this.ellipse([east, north], ...of), dashed));

@@ -1,28 +1,27 @@
 "use strict";
-// A map of a plane, metres east and north, by Leaflet: squares and a bar to measure by. What lies on it is for who
-// extends it.
+// Map in metres east and north, drawn by Leaflet, with grid and scale bar. Subclasses add the contents.
 
-const ELLIPSE_CORNERS = 64; // the chords are then within 0.1 % of the curve
-// Nothing that lies on these maps is pressed.
+const ELLIPSE_CORNERS = 64; // the chords deviate by less than 0.2 % of the radius from the ellipse
+// Objects on these maps do not react to clicks.
 L.Path.mergeOptions({ interactive: false });
 L.Marker.mergeOptions({ interactive: false, keyboard: false });
 L.Polyline.mergeOptions({ smoothFactor: 0.5 });
-L.Polygon.mergeOptions({ smoothFactor: 0 }); // otherwise ellipses have corners
-// Whole pixels make a curve crooked.
+L.Polygon.mergeOptions({ smoothFactor: 0 }); // no simplification, which would give ellipses corners
+// Do not round to whole pixels, which would make curves jagged.
 L.Map.include({ latLngToLayerPoint(place) { return this.project(place).subtract(this.getPixelOrigin()); } });
 const NAVIGATION = {
-  zoomSnap: 0, zoomDelta: 0.6, wheelPxPerZoomLevel: 120, keyboardPanDelta: 60, // a bit nearer or farther
-  zoomControl: false, doubleClickZoom: false, attributionControl: false, // pages have their own
+  zoomSnap: 0, zoomDelta: 0.6, wheelPxPerZoomLevel: 120, keyboardPanDelta: 60, // finer steps than the defaults of Leaflet
+  zoomControl: false, doubleClickZoom: false, attributionControl: false, // the pages have their own controls
 };
 
-// What Leaflet reckons with: metres where nothing lies below the way, ...
+// Coordinates of Leaflet: metres if there are no map tiles ...
 const PLANE = {
-  options: { crs: L.CRS.Simple, minZoom: -17, maxZoom: 8 }, // pixels per metre are a power of two
+  options: { crs: L.CRS.Simple, minZoom: -17, maxZoom: 8 }, // zoom levels are powers of two of pixels per metre
   at: (east, north) => L.latLng(north, east),
   place: ({ lat, lng }) => [lng, lat],
 };
 
-// ... degrees where there are tiles. Near the origin a metre of the plane is one of WGS 84.
+// ... and degrees on map tiles. Near the origin, a metre of the plane is a metre of WGS 84.
 function world([latitude, longitude]) {
   const a = 6378137, e2 = 0.00669437999014, sine = Math.sin(latitude * Math.PI / 180), w = 1 - e2 * sine ** 2;
   const northPerDegree = Math.PI / 180 * a * (1 - e2) / w ** 1.5;
@@ -37,19 +36,19 @@ function world([latitude, longitude]) {
 class PlaneMap {
   constructor(box, colour) {
     this.box = box;
-    this.colour = colour; // of a name in the style
+    this.colour = colour; // function: colour of a CSS variable
     this.frame = PLANE;
     const isCalm = matchMedia("(prefers-reduced-motion: reduce)").matches;
     const moves = { zoomAnimation: !isCalm, fadeAnimation: !isCalm, inertia: !isCalm };
-    const padding = 0.5; // of the map's size on each side, so that there is a way where somebody drags to
+    const padding = 0.5; // drawn margin relative to the map size, so that the path is visible while the map is dragged
     const renderer = L.canvas({ padding }), below = L.svg({ padding, pane: "squares" });
-    this.above = L.svg({ padding, pane: "now" }); // of what changes often: nothing else is drawn again
+    this.above = L.svg({ padding, pane: "now" }); // separate renderer for frequent changes, so that other layers are not redrawn
     this.leaflet = L.map(box, { ...NAVIGATION, ...moves, ...PLANE.options, renderer }).setView(this.at(0, 0), Math.log2(10));
     if (isCalm) this.leaflet.panBy = (by, options) => L.Map.prototype.panBy.call(this.leaflet, by, { ...options, animate: false });
     this.leaflet.createPane("squares").style.zIndex = 150;
     this.leaflet.createPane("now").style.zIndex = 450;
     for (const each of [below, renderer, this.above]) each.addTo(this.leaflet);
-    // A jump leaves them between pixels until something moves.
+    // After a jump, layers would lie between pixels until the next movement.
     this.leaflet.on("viewreset", () => this.leaflet.fire("moveend"));
     this.squares = L.polyline([], { renderer: below, className: "squares" }).addTo(this.leaflet);
     this.walker = this.mark(this.at(0, 0), "walker", "<svg viewBox='-12 -16 24 32'><path d='M0-15 9.5 11 0 5.5-9.5 11Z'/></svg>");
@@ -61,12 +60,12 @@ class PlaneMap {
 
   at(east, north) { return this.frame.at(east, north); }
 
-  // East and north of a place in the box, the middle of it at first.
+  // Return east and north of a point of the box in pixels, by default of its centre.
   place(x = this.box.clientWidth / 2, y = this.box.clientHeight / 2) {
     return this.frame.place(this.leaflet.containerPointToLatLng([x, y]));
   }
 
-  // Pixels per metre in the middle.
+  // Pixels per metre at the centre.
   get scale() {
     const [east, north] = this.place();
     return this.leaflet.project(this.at(east + 1, north)).x - this.leaflet.project(this.at(east, north)).x;
@@ -74,7 +73,7 @@ class PlaneMap {
 
   zoom(factor) { this.leaflet.zoomIn(Math.log2(factor)); }
 
-  // Show all of these, and so many metres at least.
+  // Fit the view to these coordinates, with a minimum extent in metres.
   fit(easts, norths, least) {
     const reach = values => {
       const low = values.reduce((a, b) => Math.min(a, b)), high = values.reduce((a, b) => Math.max(a, b));
@@ -85,7 +84,7 @@ class PlaneMap {
     this.leaflet.fitBounds([this.at(west, south), this.at(east, north)], { animate: false, reset: true });
   }
 
-  // From now on in another frame; what lies on the map must be put there again.
+  // Change the coordinates of the map. The caller must add all layers again.
   lieIn(frame) {
     const [east, north] = this.place(), { scale } = this;
     this.frame = frame;
@@ -94,7 +93,7 @@ class PlaneMap {
     this.leaflet.setView(this.at(east, north), Math.log2(scale / this.scale), { reset: true });
   }
 
-  // Half axes in metres; the angle of the major one, counter-clockwise from east.
+  // Return the corners of an ellipse. Half axes are in metres; the angle of the major axis is counter-clockwise from east.
   ellipse([east, north], major, minor, angle) {
     const cosine = Math.cos(angle), sine = Math.sin(angle);
     return Array.from({ length: ELLIPSE_CORNERS }, (_, k) => {
@@ -103,19 +102,19 @@ class PlaneMap {
     });
   }
 
-  // Something of a size on the screen; its style is that of the class.
+  // Return a marker of a fixed size in pixels, styled by its CSS class.
   mark(place, name, content = "", size = null) {
     const icon = L.divIcon({ className: name, html: content, iconSize: size && [size, size] });
     return L.marker(place, { icon });
   }
 
-  // Somebody is there and walks this way, clockwise from north.
+  // Place the arrow of the pedestrian, with a heading clockwise from north.
   stand(place, headingRad) {
     this.walker.setLatLng(place).addTo(this.leaflet);
     this.walker.getElement().firstChild.style.transform = `rotate(${headingRad}rad)`;
   }
 
-  // Squares, and how many metres one is wide.
+  // Draw the grid and the scale bar.
   measure() {
     const { scale } = this, { x: width, y: height } = this.leaflet.getSize();
     const target = 60 / scale, power = 10 ** Math.floor(Math.log10(target));

@@ -1,11 +1,11 @@
 "use strict";
-// One step is shown at a time, on the map, in the table and in the pictures over time: `show` is the only place for it.
+// One step is selected at a time. Only `show` updates it, on the map, in the table and in the charts over time.
 (() => {
   const byId = id => document.getElementById(id);
   const root = document.documentElement;
   const colour = name => getComputedStyle(root).getPropertyValue(name).trim();
   const { tracks } = JSON.parse(byId("data").textContent);
-  const BOUT_PAUSE_S = 2.5; // steps further apart belong to different bouts: the speed between them is not known
+  const BOUT_PAUSE_S = 2.5; // a longer pause separates bouts; the speed between bouts is unknown
   const PLAY_S = 20;
   let track = tracks[0], charts = [], isFollowing = false, playing = null;
 
@@ -13,7 +13,7 @@
   map.tracks = tracks;
   map.whole();
 
-  // --- words ---------------------------------------------------------------------------------------------------------
+  // --- texts ---------------------------------------------------------------------------------------------------------
 
   const clock = (s, digits = 0) => {
     const whole = Math.floor(s / 60), rest = (s - 60 * whole).toFixed(digits).padStart(digits ? 3 + digits : 2, "0");
@@ -37,15 +37,15 @@
       ["speed", t.speed[k] === null ? "–" : `${number(t.speed[k], 2)} ± ${number(t.speed_std[k], 2)} m/s`],
       ["walked", `${number(t.walked[k], 1)} m`],
       ["east, north", `${number(t.east[k], 1)}, ${number(t.north[k], 1)} m`],
-      ["worst direction", `± ${number(t.std[k], 1)} m`],
+      ["standard deviation", `± ${number(t.std[k], 1)} m`],
     ];
     if (t.height) found.push(["height, floor", `${number(t.height[k], 1)} m, ${t.floor[k]}`]);
-    if (t.places?.[k].length) found.push(["places", t.places[k].map(([percent]) => `${percent} %`).join(", ")]);
-    if (t.from_truth) found.push(["from the truth", `${number(t.from_truth[k], 1)} m`]);
+    if (t.places?.[k].length) found.push(["possible positions", t.places[k].map(([percent]) => `${percent} %`).join(", ")]);
+    if (t.from_truth) found.push(["position error", `${number(t.from_truth[k], 1)} m`]);
     return found;
   }
 
-  function tell(k) {
+  function describe(k) {
     const table = byId("step"), bars = byId("probabilities");
     table.replaceChildren();
     bars.replaceChildren();
@@ -68,9 +68,9 @@
     });
   }
 
-  // --- one time for all ----------------------------------------------------------------------------------------------
+  // --- selected time ------------------------------------------------------------------------------------------------
 
-  // The last step at or before a time, or the first.
+  // Index of the last step at or before a time, or 0.
   function stepAt(time) {
     let low = 0, high = track.time.length;
     while (low < high) {
@@ -82,7 +82,7 @@
 
   function show(k, time = track.time[k]) {
     map.show(k);
-    tell(k);
+    describe(k);
     if (k < 0) return;
     byId("time").value = time;
     byId("clock").textContent = `${clock(time, 1)} of ${clock(track.end_s, 0)}`;
@@ -115,7 +115,7 @@
     byId("play").setAttribute("aria-label", playing ? "pause" : "play");
   }
 
-  // --- pictures over time --------------------------------------------------------------------------------------------
+  // --- charts over time ----------------------------------------------------------------------------------------------
 
   const axis = (values, size) => ({
     stroke: () => colour("--faint"), font: "12px system-ui, sans-serif", values, size,
@@ -148,7 +148,7 @@
         }],
       },
     }, data, place);
-    // Double click: all of it, where uPlot knows only the steps.
+    // A double click shows the whole walk. The default of uPlot would show only the range of the steps.
     made.over.addEventListener("dblclick", () => made.setScale("x", { min: track.start_s, max: track.end_s }));
     return made;
   }
@@ -157,7 +157,7 @@
   const hidden = { stroke: "transparent", points: { show: false } };
   const drawn = name => ({ stroke: () => colour(name), width: 1.6, points: { show: false } });
 
-  // Middle and 95 % interval, with a break where nobody stepped.
+  // Value and 95 % interval, interrupted at pauses between steps.
   function banded(middle, std, floor = -Infinity) {
     const data = [[], [], [], []];
     track.time.forEach((time, k) => {
@@ -234,8 +234,8 @@
     list.replaceChildren();
     const all = { ellipses: track.ellipses.length, truth: track.truth, GPS: track.gps, plan: track.plan.length,
       places: track.places, anchors: track.anchors, "other tracks": tracks.length > 1 };
-    const words = { ellipses: "95 % ellipses", truth: "truth, moved to fit", GPS: "locations of the phone", plan: "floor plan",
-      places: "places where it may be", anchors: "anchors of ranges" };
+    const words = { ellipses: "95 % ellipses", truth: "ground truth, aligned", GPS: "locations of the phone", plan: "floor plan",
+      places: "possible positions", anchors: "anchors of ranges" };
     for (const [name, is_there] of Object.entries(all)) {
       if (!is_there) continue;
       const box = element("label", "", element("li", "", list)), tick = document.createElement("input");
@@ -250,7 +250,7 @@
     }
   }
 
-  // What the colours of the way mean; where there are storeys, by storey or by context.
+  // Legend of the path colours, by storey or by context.
   function colours() {
     const list = byId("colours"), kinds = Object.keys(track.groups);
     const kind = kinds.includes(map.groups) ? map.groups : "contexts", { names, colours: of, group } = track.groups[kind];
@@ -282,7 +282,7 @@
     layers();
     colours();
     build();
-    map.row = -1; // of the track before
+    map.row = -1; // the row belongs to the previous track
     map.draw();
     show(track.time.length - 1, track.end_s);
   }
@@ -316,7 +316,7 @@
     root.classList.add("printed");
     paint("light");
     fit();
-    map.leaflet.invalidateSize(); // draws it at once
+    map.leaflet.invalidateSize(); // draws immediately, before printing
   });
   addEventListener("afterprint", () => {
     root.classList.remove("printed");

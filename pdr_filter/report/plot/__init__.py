@@ -1,7 +1,7 @@
-"""Figures for papers: functions that draw into axes that are given, or into a new figure.
+"""Figures of tracks and calibrations. Functions draw into given axes or into a new figure, and return the axes.
 
-Each returns its axes; `save` writes their figure, as PDF or SVG in vector form with its fonts. Figures belong to no
-window and to no pyplot state, so nothing has to be closed.
+`save` writes the figure of the axes to a file. PDF and SVG files are vector graphics with embedded fonts. Figures
+belong to no window and to no pyplot state, so that they need not be closed.
 """
 
 from pdr_filter.report.plot.calibration_plots import calibration as calibration

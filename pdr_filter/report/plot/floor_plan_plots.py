@@ -1,4 +1,4 @@
-"""Floor plans in axes, under what else is drawn there."""
+"""Drawing of floor plans, alone or as a background of tracks."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from matplotlib.transforms import Bbox
 from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.maps.storey import Feature, Storey
 from pdr_filter.report.palette import INK, PLAN_COLOURS, WALL
-from pdr_filter.report.plot.figures import AS_IT_IS, beside, new_figure, save
+from pdr_filter.report.plot.figures import PLAIN_TEXT, add_legend, new_figure, save
 
 
 def draw_storey(axes: Axes, storey: Storey) -> None:
-    """Draw a storey into axes, which stay as wide as they are."""
+    """Draw a storey as a background. The limits of the axes do not change."""
     for kind, colour in PLAN_COLOURS.items():
         areas = [f for f in storey.features if f.kind == kind and f.is_area]
         axes.add_collection(
@@ -34,9 +34,35 @@ def draw_storey(axes: Axes, storey: Storey) -> None:
 
 
 def plan(plan: FloorPlan, path: str | pathlib.Path | None = None) -> Figure:
-    """Figure of all storeys of a plan, with the names of its areas; saved if a path is given.
+    """Draw all storeys of a floor plan, with the names of the areas.
 
-    Of names that would lie on each other only that of the largest area is written.
+    If names would overlap, only the name of the largest area is written.
+
+    Parameters
+    ----------
+    plan : FloorPlan
+        Floor plan to draw. Each storey gets axes of its own.
+    path : str or Path, optional
+        File to which the figure is saved. The suffix gives the format; missing folders are created.
+
+    Returns
+    -------
+    matplotlib Figure
+        Figure that belongs to no window and to no pyplot state, so that it need not be closed.
+
+    Examples
+    --------
+    >>> import json, pathlib, tempfile
+    >>> import pdr_filter as pdr
+    >>> floor = {"type": "Polygon", "coordinates": [[[0, 0], [6, 0], [6, 4], [0, 4], [0, 0]]]}
+    >>> feature = {"type": "Feature", "properties": {"type": "floor"}, "geometry": floor}
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = pathlib.Path(folder, "office.geojson")
+    ...     _ = file.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+    ...     plan = pdr.FloorPlan.read(file)
+    >>> figure = pdr.plot.plan(plan)
+    >>> figure.axes[0].get_xlabel()
+    'east (m)'
     """
     figure = new_figure((8.0, 6.0 * len(plan.storeys)))
     for axes, storey in zip(np.atleast_1d(figure.subplots(len(plan.storeys), 1)), plan.storeys, strict=True):
@@ -45,10 +71,10 @@ def plan(plan: FloorPlan, path: str | pathlib.Path | None = None) -> Figure:
         axes.update_datalim(points)
         axes.autoscale_view()
         axes.set(aspect="equal", xlabel="east (m)", ylabel="north (m)")
-        axes.set_title(f"{plan.name}, floor {storey.floor}", loc="left", color=INK, **AS_IT_IS)
+        axes.set_title(f"{plan.name}, floor {storey.floor}", loc="left", color=INK, **PLAIN_TEXT)
         kinds = [kind for kind in PLAN_COLOURS if any(f.kind == kind for f in storey.features)]
         handles = [Patch(facecolor=PLAN_COLOURS[kind], edgecolor=WALL, label=kind) for kind in kinds]
-        beside(axes, handles)
+        add_legend(axes, handles)
     for axes, storey in zip(figure.axes, plan.storeys, strict=True):
         _write_names(axes, storey)
     if path is not None:
@@ -57,17 +83,17 @@ def plan(plan: FloorPlan, path: str | pathlib.Path | None = None) -> Figure:
 
 
 def _write_names(axes: Axes, storey: Storey) -> None:
-    """Names of areas where there is room for them, those of the largest first, in axes that are laid out otherwise."""
+    """Write the names of areas, the largest area first, unless they overlap. The axes need their final layout."""
     named = [f for f in storey.features if f.name and f.kind != "floor"]
     written = list[Bbox]()
     figure = axes.get_figure(root=True)
     if figure is None:
-        raise ValueError("the axes belong to no figure: make them with Figure.subplots")
+        raise ValueError("the axes belong to no figure; create them with Figure.subplots")
     figure.draw_without_rendering()
     for feature in sorted(named, key=lambda f: -float(np.ptp(f.lines[0], axis=0).prod())):
         middle = 0.5 * (feature.lines[0].min(axis=0) + feature.lines[0].max(axis=0))
         style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 6, "color": INK, "clip_on": True}
-        words = axes.annotate(feature.name[:20], middle, **style, **AS_IT_IS)
+        words = axes.annotate(feature.name[:20], middle, **style, **PLAIN_TEXT)
         box = words.get_window_extent()
         if any(box.overlaps(other) for other in written):
             words.remove()

@@ -1,4 +1,4 @@
-"""A walk: its way in the plane with its uncertainty, heights, step lengths, context probabilities over time."""
+"""Figures of a walk: path with uncertainty, heights, step lengths, and context probabilities over time."""
 
 from __future__ import annotations
 
@@ -26,24 +26,45 @@ from pdr_filter.report.geometry import (
     window_starts,
 )
 from pdr_filter.report.palette import FAINT, INK, context_colours, floor_colours
-from pdr_filter.report.plot.figures import AS_IT_IS, beside, given_or_new, lined, new_figure, save
+from pdr_filter.report.plot.figures import PLAIN_TEXT, add_grid, add_legend, given_or_new, new_figure, save
 from pdr_filter.report.plot.floor_plan_plots import draw_storey
 from pdr_filter.values import FloatArray, TrackRows, Windows, how_many
 
 _SIZE_IN = (8.0, 9.0)
 _MAX_NOTES = 3
-# A context that never has this probability is a hair line in the stack and has no place in the legend.
+# A context that never reaches this probability is almost invisible in the chart, and is omitted from the legend.
 _VISIBLE_PROB = 0.1
 _PLACE_STYLE: dict[str, Any] = {"fill": False, "edgecolor": palette.WRONG, "linestyle": (0, (4, 2)), "zorder": 7}
 
 
 def track(track: TrackRows, path: str | Path | None = None, reference_m: FloatArray | None = None) -> Figure:
-    """Figure of the track, coloured by context with 95 % ellipses, above the context probabilities over time.
+    """Draw the path of a track with 95 % ellipses, and the context probabilities over time below.
 
-    A track over several storeys is coloured by storey, and one that left the height of its start has a profile.
-    The figure belongs to no window and to no pyplot state, so nothing has to be closed. It is saved if a path is given,
-    whose suffix says the format; folders are created. `reference_m` (N, 2) is the true way, east and north in
-    the frame of the track, drawn as it is.
+    The path is coloured by context, or by storey if there are several storeys. A track that is not level also gets a
+    height profile.
+
+    Parameters
+    ----------
+    track : TrackRows
+        Track to draw, such as a `Track`.
+    path : str or Path, optional
+        File to which the figure is saved. The suffix gives the format; missing folders are created.
+    reference_m : ndarray of shape (N, 2), optional
+        True path, east and north in m in the frame of the track. It is drawn without alignment.
+
+    Returns
+    -------
+    matplotlib Figure
+        Figure that belongs to no window and to no pyplot state, so that it need not be closed.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=10.0)])
+    >>> track = pdr.track(walk)
+    >>> figure = pdr.plot.track(track)
+    >>> len(figure.axes)
+    2
     """
     figure = new_figure(_SIZE_IN)
     if track.is_level:
@@ -69,11 +90,35 @@ def way(
     reference_m: FloatArray | None = None,
     plan: FloorPlan | None = None,
 ) -> Axes:
-    """Draw the way from the start through all steps with 95 % ellipses, east to the right and north up, in metres.
+    """Draw the path of a track with 95 % ellipses, east to the right and north up, in metres.
 
-    `reference_m` (N, 2) is the true way, and `plan` lies below it, that of the track if none is given; both are in the
-    frame of the track. Where a plan leaves several places for the end, each is drawn with its probability. Anchors of
-    ranges that were used are triangles.
+    The path is coloured by context, or by storey if there are several storeys. If the track may have ended at several
+    positions of a floor plan, each is drawn with its probability. Anchors of ranges are drawn as triangles.
+
+    Parameters
+    ----------
+    track : TrackRows
+        Track to draw, such as a `Track`.
+    ax : matplotlib Axes, optional
+        Axes to draw into. By default a new figure is created.
+    reference_m : ndarray of shape (N, 2), optional
+        True path, east and north in m in the frame of the track. It is drawn without alignment.
+    plan : FloorPlan, optional
+        Floor plan below the path, in the frame of the track. The default is the plan of the track, if it has one.
+
+    Returns
+    -------
+    matplotlib Axes
+        `ax`, or the axes of the new figure (`ax.figure`).
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=10.0)])
+    >>> track = pdr.track(walk)
+    >>> ax = pdr.plot.way(track)
+    >>> ax.get_xlabel(), ax.get_ylabel()
+    ('east (m)', 'north (m)')
     """
     axes = given_or_new(ax, (5.6, 5.0))
     for storey in storeys_of(plan or plan_of(track), track.floor):
@@ -90,7 +135,7 @@ def way(
             of_context = context_colours(track.contexts)
             colour = [of_context[track.contexts[i]] for i in track.context_prob.argmax(axis=1)]
         parts = np.stack([way_m[:-1], way_m[1:]], axis=1)
-        # A dark line under the coloured one: light colours stay visible on white.
+        # a dark line below the coloured line keeps light colours visible on white
         axes.plot(*way_m.T, color=INK, linewidth=4.2, solid_capstyle="round", zorder=3)
         axes.add_collection(LineCollection(list(parts), colors=colour, linewidths=3.0, capstyle="round", zorder=4))
     else:
@@ -100,14 +145,33 @@ def way(
     axes.plot(*way_m[-1], marker="s", markersize=7, markerfacecolor=INK, **marker)
     axes.plot(*track.anchors_m.T, marker="^", markersize=7, markerfacecolor="white", **marker)
     _frame_plane(axes, np.vstack([way_m, track.anchors_m, *([] if reference_m is None else [reference_m])]))
-    beside(axes, _plane_legend(track, reference_m is not None))
+    add_legend(axes, _plane_legend(track, reference_m is not None))
     return axes
 
 
 def heights(track: TrackRows, ax: Axes | None = None) -> Axes:
-    """Draw the height above the start over time with its 95 % interval, each step in the colour of its storey.
+    """Draw the height above the start over time, with its 95 % interval. Steps are coloured by storey.
 
-    A new figure names the storeys; below `way`, whose legend has them, they need no other.
+    Parameters
+    ----------
+    track : TrackRows
+        Track to draw, such as a `Track`.
+    ax : matplotlib Axes, optional
+        Axes to draw into. By default a new figure with a legend of the storeys is created.
+
+    Returns
+    -------
+    matplotlib Axes
+        `ax`, or the axes of the new figure (`ax.figure`).
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=10.0)])
+    >>> track = pdr.track(walk)
+    >>> ax = pdr.plot.heights(track)
+    >>> ax.get_ylabel()
+    'height (m)'
     """
     axes = given_or_new(ax, (5.6, 2.4))
     unit_s, unit = _time_unit(track)
@@ -117,18 +181,42 @@ def heights(track: TrackRows, ax: Axes | None = None) -> Axes:
     axes.plot(at, track.height_m, color=FAINT, linewidth=0.8)
     axes.scatter(at, track.height_m, s=5, c=[colours[floor] for floor in track.floor], zorder=3)
     axes.set(xlabel=f"time ({unit})", ylabel="height (m)")
-    lined(axes)
+    add_grid(axes)
     if ax is None and len(colours) > 1:
-        beside(axes, _floor_legend(colours))
+        add_legend(axes, _floor_legend(colours))
     return axes
 
 
 def step_lengths(track: TrackRows, ax: Axes | None = None) -> Axes:
-    """Draw the length of each step beside those of its context, with the median and the middle half of each context."""
+    """Draw the step lengths by context, with the median and the quartiles of each context.
+
+    Each dot is one step, drawn in the column of its most probable context.
+
+    Parameters
+    ----------
+    track : TrackRows
+        Track to draw, such as a `Track`.
+    ax : matplotlib Axes, optional
+        Axes to draw into. By default a new figure is created.
+
+    Returns
+    -------
+    matplotlib Axes
+        `ax`, or the axes of the new figure (`ax.figure`).
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=10.0)])
+    >>> track = pdr.track(walk)
+    >>> ax = pdr.plot.step_lengths(track)
+    >>> ax.get_ylabel()
+    'step length (m)'
+    """
     axes = given_or_new(ax)
     colours, best = context_colours(track.contexts), track.context_prob.argmax(axis=1)
     occurring = np.unique(best)
-    rng = np.random.default_rng(0)  # so that a figure is the same again
+    rng = np.random.default_rng(0)  # fixed seed, so that figures are reproducible
     for place, context in enumerate(occurring):
         length_m = track.step_length_m[best == context]
         low, median, high = np.quantile(length_m, [0.25, 0.5, 0.75])
@@ -140,27 +228,46 @@ def step_lengths(track: TrackRows, ax: Axes | None = None) -> Axes:
     axes.set_xticks(range(len(occurring)), names)
     axes.set(xlim=(-0.6, max(len(occurring), 1) - 0.4), ylabel="step length (m)")
     axes.set_ylim(bottom=0.0)
-    lined(axes)
+    add_grid(axes)
     return axes
 
 
 def contexts(track: TrackRows, ax: Axes | None = None) -> Axes:
-    """Draw the context probabilities of the windows as a stack over time, steps as ticks above it.
+    """Draw the context probabilities of the windows over time as a stacked area, with ticks at the steps.
 
-    A new figure names the contexts; below `way`, whose legend has them, they need no other.
+    Parameters
+    ----------
+    track : TrackRows
+        Track to draw, such as a `Track`.
+    ax : matplotlib Axes, optional
+        Axes to draw into. By default a new figure with a legend of the contexts is created.
+
+    Returns
+    -------
+    matplotlib Axes
+        `ax`, or the axes of the new figure (`ax.figure`).
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=10.0)])
+    >>> track = pdr.track(walk)
+    >>> ax = pdr.plot.contexts(track)
+    >>> ax.get_xlabel()
+    'time (s); ticks on top are steps'
     """
     axes = given_or_new(ax, (5.6, 2.0))
     windows = track.windows
     unit_s, unit = _time_unit(track)
     if len(windows):
-        edge_s, prob = _stairs(windows, track.start_time_s)
+        edge_s, prob = _step_curve(windows, track.start_time_s)
         upper = np.cumsum(prob, axis=1)
         lower = upper - prob
         for i, colour in enumerate(context_colours(windows.contexts).values()):
             axes.fill_between(edge_s / unit_s, lower[:, i], upper[:, i], color=colour, linewidth=0)
     else:
         axes.text(0.5, 0.5, "no context windows", transform=axes.transAxes, ha="center", va="center", color=FAINT)
-    # With thousands of steps thin ticks become a grey band that still shows where nobody walked.
+    # thousands of thin ticks form a grey band, in which pauses are still visible
     width = float(np.clip(150.0 / max(track.n_steps, 1), 0.1, 0.8))
     axes.vlines(track.time_s / unit_s, 1.04, 1.14, color=INK, linewidth=width, snap=False)
     end_s = max([track.start_time_s + track.duration_s, *track.time_s[-1:], *windows.time_s[-1:]])
@@ -168,7 +275,7 @@ def contexts(track: TrackRows, ax: Axes | None = None) -> Axes:
     axes.set(ylim=(0.0, 1.18), yticks=[0.0, 0.5, 1.0], ylabel="context\nprobability")
     axes.set_xlabel(f"time ({unit}); ticks on top are steps")
     if ax is None and len(windows):
-        beside(axes, _context_legend(track))
+        add_legend(axes, _context_legend(track))
     return axes
 
 
@@ -176,8 +283,8 @@ def _time_unit(track: TrackRows) -> tuple[float, str]:
     return (60.0, "min") if track.duration_s > 600 else (1.0, "s")
 
 
-def _stairs(windows: Windows, start_time_s: float) -> tuple[FloatArray, FloatArray]:
-    """Times and probabilities of a curve, constant in each window; a row of NaN breaks it where windows are missing."""
+def _step_curve(windows: Windows, start_time_s: float) -> tuple[FloatArray, FloatArray]:
+    """Return times and probabilities of a piecewise constant curve. Rows of NaN mark missing windows."""
     starts_s, previous_s = window_starts(windows, start_time_s)
     time_s = np.stack([starts_s, windows.time_s], axis=1).ravel()
     prob = np.repeat(windows.context_prob, 2, axis=0)
@@ -186,7 +293,7 @@ def _stairs(windows: Windows, start_time_s: float) -> tuple[FloatArray, FloatArr
 
 
 def _draw_ellipses(axes: Axes, track: TrackRows) -> None:
-    """95 % ellipses at the end and every so many metres before it."""
+    """Draw 95 % ellipses at equal distances along the track and at its end."""
     rows = ellipse_rows(track.step_length_m)
     half_m, angle_rad = ellipse_axes(track.position_cov_m2[rows])
     axes.add_collection(
@@ -202,13 +309,13 @@ def _draw_ellipses(axes: Axes, track: TrackRows) -> None:
             zorder=1,
         )
     )
-    # Collections of ellipses do not widen the axes: their bounding boxes do.
+    # matplotlib ignores ellipse collections when it sets the limits of axes, so their bounding boxes are added
     reach_m = ellipse_extent(track.position_cov_m2[rows])
     axes.update_datalim(np.vstack([track.position_m[rows] - reach_m, track.position_m[rows] + reach_m]))
 
 
 def _draw_places(axes: Axes, track: TrackRows) -> None:
-    """Where on a plan the walk may have ended, if in several places: 95 % ellipses and probabilities."""
+    """Draw the possible end positions on a floor plan, with 95 % ellipses and probabilities, if there are several."""
     for place in places_at(track, -1):
         ((minor_m, major_m),), (angle_rad,) = ellipse_axes(place.position_cov_m2[np.newaxis])
         ellipse = Ellipse((0, 0), 2 * major_m, 2 * minor_m, angle=np.degrees(angle_rad), **_PLACE_STYLE)
@@ -241,7 +348,7 @@ def _frame_plane(axes: Axes, points_m: FloatArray) -> None:
     axes.margins(0.05)
     axes.autoscale_view()
     axes.set(xlabel="east (m)", ylabel="north (m)")
-    lined(axes)
+    add_grid(axes)
 
 
 def _floor_legend(colours: dict[int, str]) -> list[Line2D]:
@@ -269,7 +376,7 @@ def _plane_legend(track: TrackRows, has_reference: bool) -> list[Line2D | Patch]
     if track.n_steps:
         handles.append(Patch(**_ellipse_style("facecolor", "edgecolor"), label="95 % ellipse"))
     if track.n_steps and places_at(track, -1):
-        handles.append(Patch(**_PLACE_STYLE, label="may have ended here"))
+        handles.append(Patch(**_PLACE_STYLE, label="possible end"))
     if has_reference:
         handles.append(Line2D([], [], color=INK, linewidth=1.2, linestyle=(0, (2, 2)), label="truth"))
     return handles
@@ -283,7 +390,7 @@ def _write_title(axes: Axes, track: TrackRows) -> None:
     axes.set_title(facts, loc="left", fontsize=11.5, color=INK, pad=10)
     name = textwrap.shorten(track.name, 60, placeholder="...")
     above: dict[str, Any] = {"xycoords": "axes fraction", "textcoords": "offset points"}
-    axes.annotate(name, (0.0, 1.0), (0.0, 32.0), **above, **AS_IT_IS, fontsize=15, fontweight="bold", color=INK)
+    axes.annotate(name, (0.0, 1.0), (0.0, 32.0), **above, **PLAIN_TEXT, fontsize=15, fontweight="bold", color=INK)
 
 
 def _write_notes(figure: Figure, notes: tuple[str, ...]) -> None:
@@ -293,4 +400,4 @@ def _write_notes(figure: Figure, notes: tuple[str, ...]) -> None:
     if len(notes) > _MAX_NOTES:
         shown.append(f"and {len(notes) - _MAX_NOTES} more notes")
     text = "\n".join(textwrap.fill(note, 110) for note in shown)
-    figure.supxlabel(text, x=0.02, ha="left", fontsize=9, color=FAINT, **AS_IT_IS)
+    figure.supxlabel(text, x=0.02, ha="left", fontsize=9, color=FAINT, **PLAIN_TEXT)

@@ -150,7 +150,7 @@ def test_a_configuration_with_a_person_notes_the_step_length(learnt: pdr.Person)
     assert not any("height is not known" in note for note in notes)
     assert any(f"{learnt.step_length_m:.2f} m, of 1 walk" in note for note in notes)
     assert config.with_person(pdr.Person()).notes == config.notes
-    with pytest.raises(ValueError, match="pool the two"):
+    with pytest.raises(ValueError, match="combine both"):
         config.with_person(learnt).with_person(learnt)
 
 

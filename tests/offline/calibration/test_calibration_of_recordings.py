@@ -233,7 +233,7 @@ def test_the_report_has_warnings_about_the_calibration_before_repeated_notes_abo
     lines = found.report().splitlines()
     (of_turns,) = [i for i, line in enumerate(lines) if "turns in" in line]
     assert lines[of_turns].startswith("- walk 0: turns in 0.0-")
-    assert lines[of_turns].endswith("instead of step vectors (and 19 more alike)")
+    assert lines[of_turns].endswith("instead of step vectors (and 19 similar notes)")
     (of_contexts,) = [i for i, line in enumerate(lines) if "no segments of" in line]
     assert of_contexts < of_turns
 
@@ -305,13 +305,13 @@ def test_a_calibrated_track_names_the_person_of_its_step_lengths(walk: tuple[Rec
         notes = found.config(pdr.recipes.default(), subject).notes
         return next(n.text for n in notes if n.about == "step lengths")
 
-    assert "of unnamed, the calibrated person, as the recording does not say whose it is" in noted(one, Subject())
-    assert "of the calibrated population (1 person), as bob was not calibrated" in noted(one, Subject(id="bob"))
-    assert "of the calibrated population (2 people), as the recording does not say" in noted(two, Subject())
+    assert "of unnamed, the only calibrated person, because the recording does not name" in noted(one, Subject())
+    assert "of the calibrated population (1 person), because bob was not calibrated" in noted(one, Subject(id="bob"))
+    assert "of the calibrated population (2 persons), because the recording does not name" in noted(two, Subject())
     assert noted(two, Subject(id="b")) == "step lengths of b: walking"
     np.testing.assert_array_equal(one.fits()["walking"].theta, one.subjects["unnamed"].k["walking"])
     anna = calibrate(twice, tracks=[track] * 2, subject="anna")
-    assert "of anna, the calibrated person, as the recording does not say whose it is" in noted(anna, Subject())
+    assert "of anna, the only calibrated person, because the recording does not name" in noted(anna, Subject())
     assert one.scale_std() < one.scale_std("bob")
     tall = calibrate([replace(r, meta={"subject": {"height_m": 1.9}}) for r in twice], tracks=[track] * 2)
     assert tall.person_of(Subject(height_m=1.89)) == "unnamed"
@@ -322,7 +322,7 @@ def test_the_report_has_people_errors_and_outliers_and_the_figure_is_drawn(
     calibration: Calibration, tmp_path: Path
 ) -> None:
     text = calibration.report()
-    for words in ("3 segments, 36 m", "BounceStepLength", "simulated", "segment left out", "needs two people"):
+    for words in ("3 segments, 36 m", "BounceStepLength", "simulated", "segment held out", "needs two persons"):
         assert words in text
     assert all(len(line) <= 80 for line in text.splitlines() if not line.startswith("- "))
     assert calibration.plot(tmp_path / "new" / "figure.png").axes

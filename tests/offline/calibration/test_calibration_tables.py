@@ -35,4 +35,4 @@ def test_the_report_states_if_the_calibration_makes_other_people_worse(
     columns = {name: segments[name] for name in segments.dtype.names or ()}
     stranger_m = segments.distance_m + off_m * np.array([1.0, -1.0, 1.0])
     changed = replace(calibration, segments=table({**columns, "stranger_m": stranger_m}))
-    assert ("strangers' segments are" in changed.report()) == is_said
+    assert ("segments of held-out persons have" in changed.report()) == is_said

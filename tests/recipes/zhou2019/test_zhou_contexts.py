@@ -181,7 +181,7 @@ def test_after_a_gap_the_behaviour_has_to_show_anew_and_the_bias_stays() -> None
 
 
 def test_a_window_that_is_no_whole_number_of_hops_is_refused() -> None:
-    with pytest.raises(ValueError, match="whole number of hops"):
+    with pytest.raises(ValueError, match="multiple of hop_s"):
         BehaviourStage(BehaviourWindows(hop_s=0.7), thresholds=FOOT)
 
 

@@ -1,4 +1,4 @@
-"""Figures of papers: what they show is what they were given, in axes of others or their own."""
+"""Figures draw the given data, into given axes or into new axes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from pdr_filter.values import CONTEXTS, Cluster
 
 
 def offsets(axes: Axes) -> list[np.ndarray]:
-    """Of the dots, one array for each call of scatter."""
+    """Return the positions of the dots, an array for each call of scatter."""
     return [np.asarray(dots.get_offsets()) for dots in axes.collections if isinstance(dots, PathCollection)]
 
 
@@ -52,7 +52,7 @@ def test_each_place_where_a_walk_may_have_ended_is_drawn_with_its_probability() 
     assert (first.width, first.height) == pytest.approx((2 * 2.448 * 2, 2 * 2.448), rel=1e-3)
     assert abs(first.angle) == pytest.approx(90.0)
     assert [t.get_text() for t in axes.texts] == ["62 %", "31 %"]
-    assert "may have ended here" in [t.get_text() for t in axes.get_legend().get_texts()]
+    assert "possible end" in [t.get_text() for t in axes.get_legend().get_texts()]
     alone = plot.way(replace(track, clusters=((),) * 11 + ((here,),)))
     assert not alone.texts
 
@@ -97,7 +97,7 @@ def test_errors_of_a_right_covariance_lie_along_the_chi_square_density() -> None
     middle = 0.5 * (edges[1:] + edges[:-1])
     np.testing.assert_allclose(share, chi2.pdf(middle, 2), atol=0.02)
     labels = [t.get_text() for t in axes.get_legend().get_texts()]
-    assert "95 % ellipse: holds 95 %" in labels
+    assert "95 % ellipse: contains 95 %" in labels
     with pytest.raises(ValueError, match="finite value, got none"):
         plot.nees(np.full(3, np.nan))
 

@@ -1,4 +1,4 @@
-"""Pictures: written, right where numbers can be checked, robust where there is little or much to draw."""
+"""Figures of walks: files, numbers in the drawing, and few or many steps."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PNG = b"\x89PNG"
 
 
 def make_track(n_steps: int, n_windows: int, notes: tuple[str, ...] = ()) -> Track:
-    """A walk to the north-east, contexts in turn, covariance growing with the steps."""
+    """Return a track to the north-east with alternating contexts and a growing covariance."""
     number = np.arange(1, n_steps + 1)
     step = Step(0.5, 1.0, 0.5, 2.0, 3.0, 4.0, -3.0, 14.0, 6.0, 2.0, 0.0, 0.0)
     prob = np.eye(len(CONTEXTS))
@@ -147,7 +147,7 @@ def test_ellipses_hold_95_percent() -> None:
     np.testing.assert_allclose(drawn_cov, track.position_cov_m2[-1], rtol=1e-3)
 
 
-def test_metres_are_as_long_to_the_north_as_to_the_east() -> None:
+def test_north_and_east_have_the_same_scale() -> None:
     assert plot.track(make_track(30, 10)).axes[0].get_aspect() == 1.0
 
 
@@ -214,7 +214,7 @@ def lab(linear_rgb: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("vision", VISION)
-def test_contexts_can_be_told_apart_by_colour_with_any_colour_vision(vision: str) -> None:
+def test_context_colours_are_distinct_for_any_colour_vision(vision: str) -> None:
     seen = []
     for colour in context_colours().values():
         srgb = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255
@@ -253,14 +253,14 @@ def test_names_on_a_plan_do_not_lie_on_each_other(tmp_path: Path) -> None:
         read_plan(tmp_path, "hall", "a room of a long name", "another room here", "a third room there")
     ).axes[0]
     words = [text for text in axes.texts if text.get_text()]
-    assert words[0].get_text() == "a room of a long nam"  # that of the largest
+    assert words[0].get_text() == "a room of a long nam"  # the name of the largest room
     boxes = [text.get_window_extent() for text in words]
     assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
     assert len(words) < 3
 
 
 def read_plan(folder: Path, name: str, *rooms: str) -> FloorPlan:
-    """A hall of 30 m, and rooms of which each lies in the one before."""
+    """Return a plan with a hall of 30 m and nested rooms."""
     areas = [("floor", name, 15.0), *(("room", room, 5.0 - 0.1 * k) for k, room in enumerate(rooms))]
     features = [
         {

@@ -361,7 +361,7 @@ def test_a_stage_with_another_heading_drift_than_the_filter_is_refused() -> None
     config = default()
     assert config.sensing.heading.drift is config.model.noise.heading_drift
     other = MotionNoise(HeadingDrift(random_walk_rad_per_sqrt_s=0.02))
-    with pytest.raises(ValueError, match="give one HeadingDrift to both"):
+    with pytest.raises(ValueError, match="pass the same HeadingDrift to both"):
         config.with_model(noise=other)
 
 
