@@ -1,7 +1,9 @@
-"""The pictures of the documentation that are not figures of a benchmark: the data flow and two tracks.
+"""The pictures of the documentation that are not figures of a benchmark: the data flow, tracks, and the gallery.
 
 usage: .venv/bin/python -m docs.images.make [NAME...]
-NAME is data_flow, demo_track, online_or_smoothed or real_track; all without NAME.
+NAME is data_flow, demo_track, online_or_smoothed, real_track or gallery; all without NAME.
+
+The gallery is the code of docs/gallery.md, run in this folder.
 
 SVG, and the same bytes for the same tracks. The README's picture, real_track, is PNG, which every page that shows a
 README can display; it needs the real recordings (`tests/data_folder.py`) and is left as it is without them.
@@ -9,6 +11,8 @@ README can display; it needs the real recordings (`tests/data_folder.py`) and is
 
 from __future__ import annotations
 
+import os
+import re
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -165,6 +169,16 @@ PICTURES: dict[str, Callable[[], Figure | None]] = {
 }
 
 
+def gallery() -> None:
+    """Run each example of docs/gallery.md by itself, which stores its picture in the working directory."""
+    os.chdir(HERE)
+    page = (HERE.parent / "gallery.md").read_text("utf-8")
+    for code in re.findall(r"^```python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL):
+        exec(compile(code, "docs/gallery.md", "exec"), {})
+    for plan in HERE.glob("*.geojson"):
+        plan.unlink()
+
+
 def main() -> None:
     mpl.rcParams["svg.hashsalt"] = "pdr_filter"
     wanted = sys.argv[1:]
@@ -177,6 +191,8 @@ def main() -> None:
         else:
             figure.savefig(HERE / name, dpi=120, metadata={"Date": None} if name.endswith("svg") else None)
             print(f"{HERE / name} written")
+    if not wanted or "gallery" in wanted:
+        gallery()
 
 
 if __name__ == "__main__":
