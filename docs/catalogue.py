@@ -147,6 +147,12 @@ def refusal_lists() -> str:
     )
 
 
+def moved_modules() -> str:
+    """Markdown table of former and present names of modules."""
+    rows = (line.split() for line in (PACKAGE / "former_modules.txt").read_text("utf-8").splitlines())
+    return "\n".join(["| former | present |", "|---|---|", *(f"| `{old}` | `{new}` |" for old, new in rows)])
+
+
 def _shown(text: str) -> str:
     """Text as code, so that no character of it is markup."""
     return f"`{' '.join(text.split())}`"
