@@ -15,7 +15,12 @@ from pathlib import Path
 PACKAGE = Path(__file__).resolve().parents[1] / "pdr_filter"
 ANY = "…"
 # Subjects of notes that are lists of texts, by the folder of their module. `Note` objects name their subject.
-SUBJECTS = {"sensing": "samples", "io": "reading", "offline/smoothing": "smoothing", "offline/calibration": "calibration"}
+SUBJECTS = {
+    "sensing": "samples",
+    "io": "reading",
+    "offline/smoothing": "smoothing",
+    "offline/calibration": "calibration",
+}
 
 
 @dataclass(frozen=True)
@@ -155,4 +160,4 @@ def moved_modules() -> str:
 
 def _shown(text: str) -> str:
     """Text as code, so that no character of it is markup."""
-    return f"`{' '.join(text.split())}`"
+    return f"`` {' '.join(text.split())} ``"

@@ -20,7 +20,7 @@ from typing import Any
 import pdr_filter
 
 sys.path.insert(0, str(Path(__file__).parent))
-import catalogue  # noqa: E402
+import catalogue
 
 project = "pdr_filter"
 author = "The pdr_filter developers"

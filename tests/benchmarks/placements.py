@@ -153,15 +153,17 @@ def expected(tables: Tables, arguments: argparse.Namespace) -> None:
         errors = [e for place in at for e, _ in counts[place]]
         people = {who for place in at for _, who in counts[place]}
         distance, position_m, path_m = np.array([f for group in groups for f in found[group]]).T
-        lines.append([
-            carried,
-            f"{100 * np.mean(errors):.1f}, {100 * np.percentile(errors, 90):.1f}",
-            f"{len(errors)}, {len(people)}",
-            f"{100 * distance.mean():.1f}, {100 * distance.max():.1f}",
-            f"{np.median(position_m):.1f}, {position_m.max():.1f}",
-            f"{np.median(path_m):.0f}",
-            len(distance),
-        ])
+        lines.append(
+            [
+                carried,
+                f"{100 * np.mean(errors):.1f}, {100 * np.percentile(errors, 90):.1f}",
+                f"{len(errors)}, {len(people)}",
+                f"{100 * distance.mean():.1f}, {100 * distance.max():.1f}",
+                f"{np.median(position_m):.1f}, {position_m.max():.1f}",
+                f"{np.median(path_m):.0f}",
+                len(distance),
+            ]
+        )
     columns = ["phone", "steps %: mean, 90 %", "walks, people", "distance %: mean, largest"]
     columns += ["position m: median, largest", "path m", "walks"]
     tables.write("expected_accuracy", columns, lines, "Absolute errors of the default recipe.")
