@@ -14,7 +14,7 @@ recipes: oxiod against its continuous reference, at the times of the steps: RMSE
 translation onto the whole reference; median over the walks of a group. The reference is averaged over half a second,
 and on the trolley, where there are no steps, taken every second.
 
-corridors: the same figure without axes, with them as they come, and in hindsight; how many walks surely kept to them in
+corridors: the same figure without axes, with them as they come, and smoothed; how many walks surely kept to them in
 the end. They were chosen on humolire and ms_indoor, not on the others.
 
 trust: how often a track is off by more than its 95 % ellipse, after the truth is turned and moved into the track's
@@ -200,7 +200,7 @@ def corridors(tables: Tables, arguments: argparse.Namespace) -> None:
         [g, len(v), *(f"{np.median(v[:, k]):.2f}, {v[:, k].mean():.2f}" for k in range(3)), int(v[:, 3].sum())]
         for g, v in grouped(rows).items()
     ]
-    columns = ["walks of", "n", "without axes", "with", "in hindsight", "sure"]
+    columns = ["walks of", "n", "without axes", "with", "smoothed", "sure"]
     tables.write("corridors", columns, lines, "RMSE in m: median, mean.")
 
 
@@ -229,7 +229,7 @@ def trust(tables: Tables, arguments: argparse.Namespace) -> None:
                 for o, d in zip(off[late], doubted[late], strict=True)
             ]
     lines = [[g, len(v), *(f"{100 * v[:, k].mean():.0f} %" for k in range(3))] for g, v in grouped(rows).items()]
-    tables.write("trust", ["walks of", "places", "off", "off and not said", "said"], lines)
+    tables.write("trust", ["walks of", "places", "outside", "outside, without a warning", "with a warning"], lines)
 
 
 WALKING = ("texting", "phoning", "swinging", "frontpocket", "backpocket")
