@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import get_args
@@ -12,14 +11,12 @@ import numpy as np
 import pytest
 
 import pdr_filter as pdr
+from docs import catalogue
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import Samples
 from pdr_filter.values.notes import NoteSubject
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "docs"))
-import catalogue  # noqa: E402  # pyright: ignore[reportMissingImports]
-
 NOTES, REFUSALS = catalogue.messages()
 PAGE = (ROOT / "docs" / "messages.md").read_text("utf-8")
 
