@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_filter.offline.smoothing.preintegration import Increments, turned
+from pdr_filter.offline.smoothing.preintegration import Increments, scaled_rotation
 from pdr_filter.values import PositionFix
 
 STEP_S = 0.5
@@ -72,6 +72,6 @@ def simulated_walk(
         [[0.0], np.cumsum(rng.normal(size=n_steps) * np.sqrt(scale_var))]
     )
     noise = np.einsum("kab,kb->ka", np.linalg.cholesky(cov), rng.normal(size=(n_steps, 2)))
-    moved = np.einsum("kab,kb->ka", turned(walked_with, scale[:-1]), steps.displacement_m + noise)
+    moved = np.einsum("kab,kb->ka", scaled_rotation(walked_with, scale[:-1]), steps.displacement_m + noise)
     position = np.concatenate([np.zeros((1, 2)), np.cumsum(moved, axis=0)])
     return Walk(steps, position, np.concatenate([[start], walked_with + drift]), scale)

@@ -78,7 +78,7 @@ def test_a_person_of_whom_one_value_cannot_be_is_refused(content: Any, tmp_path:
     path.write_text(json.dumps(person()))
     assert pdr.Person.load(path) == pdr.Person((Session(0.7, 0.03, 3),))
     path.write_text(json.dumps(content))
-    with pytest.raises(ValueError, match=r"anna.json: no person file of pdr_filter .*write one with"):
+    with pytest.raises(ValueError, match=r"anna.json: not a person file of pdr_filter .*write one with"):
         pdr.Person.load(path)
 
 
@@ -100,10 +100,10 @@ def plan_with(change: Callable[[dict[str, Any]], object], path: Path) -> Path:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda c: c.update(features=3), "no GeoJSON FeatureCollection .*features no list"),
-        (lambda c: c.update(properties=[1]), "no GeoJSON FeatureCollection .*properties no object"),
-        (lambda c: c["features"].insert(0, 3), "feature 0 is no feature with properties, got 3"),
-        (lambda c: c["features"][0].update(properties=[3]), "feature 0 is no feature with properties"),
+        (lambda c: c.update(features=3), "not a GeoJSON FeatureCollection .*features not a list"),
+        (lambda c: c.update(properties=[1]), "not a GeoJSON FeatureCollection .*properties not an object"),
+        (lambda c: c["features"].insert(0, 3), "feature 0 is not a feature with properties, got 3"),
+        (lambda c: c["features"][0].update(properties=[3]), "feature 0 is not a feature with properties"),
         (lambda c: c["features"][0]["properties"].update(floor=float("inf")), "feature 0 .* has floor inf"),
         (lambda c: c["features"][0]["geometry"]["coordinates"][0].__setitem__(1, [1500, -1500]), ".*square kilometres"),
     ],

@@ -85,7 +85,7 @@ def test_an_app_that_only_filters_runs_where_gtsam_is_not_installed() -> None:
 # Three groups, in the order in which they may import: each package those before it.
 FRAMEWORK = ["values", "classifiers", "sensing", "filter", "recipes", "tracking", "simulate", "offline", "evaluate"]
 DATA = ["io", "datasets"]
-APPLICATIONS = ["maps", "report", "batch", "live", "cli"]
+APPLICATIONS = ["maps", "report", "batch", "live", "workbench", "cli"]
 PACKAGES = [*FRAMEWORK, *DATA, *APPLICATIONS]
 PACKAGE = Path(__file__).resolve().parents[1] / "pdr_filter"
 
@@ -138,11 +138,11 @@ def package_of(module: str) -> str:
     return module.partition(".")[0]
 
 
-# Modules beside the packages: names for users alone, which nothing in the package imports.
-FOR_USERS = ["protocols", "testing"]
+# Modules outside the packages: names for users and `python -m pdr_filter`. Nothing in the package imports them.
+FOR_USERS = ["protocols", "testing", "__main__"]
 
 
-def test_there_are_sixteen_packages_and_beside_them_only_names_for_users() -> None:
+def test_there_are_seventeen_packages_and_beside_them_only_names_for_users() -> None:
     imports = imports_of_modules()
     assert {package_of(module) for module in imports} == {"", "version", *PACKAGES, *FOR_USERS}
     assert {path.stem for path in PACKAGE.glob("*.py")} == {"__init__", "version", *FOR_USERS}

@@ -51,7 +51,7 @@ def test_a_damaged_filter_is_refused(number: int) -> None:
 
 def test_a_saved_filter_of_which_one_digit_has_changed_is_refused() -> None:
     text = zlib.decompress(good_filter("default", located=False))
-    with pytest.raises(ValueError, match="its checksum is another one"):
+    with pytest.raises(ValueError, match="the checksum does not match"):
         from_bytes(zlib.compress(text.replace(b'"height_m": 1.7', b'"height_m": 1.8')))
 
 
@@ -82,7 +82,7 @@ ATTITUDE_OF_CONFIG = ("value", "dict", "config", "fields", "sensing", "fields", 
         ((*SENSING, "cadence"), {"tuple": [{"tuple": [1.0]}]}, "cadence of SensingState must be"),
         ((*SENSING, "processed_s"), 1e31, "processed_s of SensingState must be"),
         ((*SENSING, "n_samples"), 2**70, "n_samples of SensingState must be"),
-        ((*STATE, "n_climbs_used"), -1, "n_climbs_used of State is a number of things, got -1"),
+        ((*STATE, "n_climbs_used"), -1, "n_climbs_used of State must be a non-negative count, got -1"),
         ((*SENSING, "rattle", "fields", "extra"), 1.0, "RattleState has no extra"),
     ],
 )

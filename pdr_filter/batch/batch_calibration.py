@@ -57,6 +57,7 @@ def calibrate(
     No samples travel. For models that are linear in their parameters, as all by default, not even steps do, but their
     sums for each segment. Then all segments are solved for at once, in the order of the paths, so the result has the
     same bits wherever the work was done. Recordings that cannot be used are left out, with their reason in the notes.
+    Tracks are those of the default recipe: for other contexts or parts give `pdr_filter.calibrate` their config.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ from pdr_filter.batch.workers import each
 from pdr_filter.filter.imm.weighting import WEIGHTINGS
 from pdr_filter.io.folders import recordings_of
 from pdr_filter.io.formats import known_format, read
-from pdr_filter.recipes import check_name, for_recording
+from pdr_filter.recipes import check_name, contexts_of, for_recording
 from pdr_filter.recipes.step_length_calibration import read_person
 from pdr_filter.tracking import whole_recording as recording_run
 from pdr_filter.values.recording import check_height
@@ -54,8 +54,9 @@ def track(
         As in `pdr_filter.track`; a recipe is made for each recording's person and placement. `calibration` may also
         be the file of a person, and is not written.
     out : path
-        CSV file with the columns `COLUMNS`. With the suffix .parquet the rows grow in the CSV file beside it and are
-        written as parquet in the end, which needs pandas and pyarrow.
+        CSV file whose columns are the fields of `Row`, with one column for each context of the recipe. With the suffix
+        .parquet the rows grow in the CSV file beside it and are written as parquet in the end, which needs pandas and
+        pyarrow.
     jobs : int
         Processes on this machine; -1 for as many as there are cores. With 1 the work is done in this one,
         where a recording that exhausts the memory takes the batch with it.
@@ -88,12 +89,16 @@ def track(
             raise ValueError(
                 f"{task.path!r} has a line break in its name, which a line of a table cannot hold: rename it"
             )
-    with opened(table, retry_failed) as (known, append):
+    contexts = contexts_of(recipe)
+    with opened(table, retry_failed, contexts) as (known, append):
         rows = {row.task: row for row in known}
         clock = None if progress is None else Clock(tasks, rows, progress)
         todo = [task for task in tasks if task not in rows]
         for i, result in each(track_one, todo, jobs=jobs, scheduler=scheduler):
             row = result if isinstance(result, Row) else failed_row(todo[i], result.reason)
+            if not row.failed and tuple(row.context_s) != contexts:
+                names = ", ".join(row.context_s)
+                row = failed_row(todo[i], f"its contexts are {names}, not those of the recipe for an unknown person")
             if row.task not in rows:
                 append(row)
                 rows[row.task] = row
@@ -101,7 +106,7 @@ def track(
                     clock.after(row)
     result = [rows[task] for task in tasks]
     if parquet is not None:
-        write_parquet(result, parquet)
+        write_parquet(result, parquet, contexts)
     return result
 
 

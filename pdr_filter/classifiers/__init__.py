@@ -1,1 +1,1 @@
-"""Classifiers as plain arrays: predicting, the model files, the relevance vector machine, transitions of contexts."""
+"""Classifiers as plain arrays: prediction, model files, the relevance vector machine, and transition probabilities."""

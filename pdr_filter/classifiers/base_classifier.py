@@ -1,4 +1,4 @@
-"""What the stored machines share: plain arrays out and in, and rows that are checked before they are classified."""
+"""Base classes of stored classifiers: conversion to and from plain arrays, and checks of the rows to classify."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from pdr_filter.values import FloatArray, IntArray, pickled, read_only
 
 
 class Stored:
-    """Base of a frozen dataclass of numbers, strings and arrays, which are stored as arrays of the same names."""
+    """Base class of frozen dataclasses of numbers, strings and arrays. Each field is stored as an array of its name."""
 
     __slots__ = ()
     __reduce__ = pickled
 
     def to_arrays(self) -> Arrays:
-        """Return the plain arrays that `from_arrays` takes, integers as int32."""
+        """Return the fields as plain arrays for `from_arrays`. Integers are int32."""
         arrays = {f.name: np.asarray(getattr(self, f.name)) for f in fields(cast(Any, self)) if f.init}
         return {name: a.astype(np.int32) if a.dtype.kind == "i" else a for name, a in arrays.items()}
 
     @classmethod
     def from_arrays(cls, arrays: Arrays) -> Self:
-        """Return what `to_arrays` wrote; KeyError or ValueError if it is something else."""
+        """Create an object from the arrays of `to_arrays`. KeyError or ValueError for other arrays."""
         stored = [f for f in fields(cast(Any, cls)) if f.init and (f.name in arrays or f.default is MISSING)]
         return cls(**{f.name: arrays[f.name] if arrays[f.name].ndim else arrays[f.name].item() for f in stored})
 
@@ -37,7 +37,7 @@ class Stored:
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
     def _make_integers(self, *names: str) -> None:
-        """Replace fields by read-only int64 copies; floats are refused, not rounded."""
+        """Replace fields by read-only int64 copies. ValueError for floats, which are not rounded."""
         for name in names:
             array = np.asarray(getattr(self, name))
             if not np.issubdtype(array.dtype, np.integer):
@@ -48,44 +48,47 @@ class Stored:
 
 
 class Machine(Stored, ABC):
-    """A trained classifier: standardised features in, class probabilities out, in NumPy only."""
+    """Base class of trained classifiers: standardised features in, class probabilities out, in NumPy only."""
 
     __slots__ = ()
 
     @property
     @abstractmethod
     def n_features(self) -> int:
-        """Number of features, F."""
+        """Number F of features."""
 
     @property
     @abstractmethod
     def n_classes(self) -> int:
-        """Number of classes, K."""
+        """Number K of classes."""
 
     def predict_proba(self, X: ArrayLike) -> FloatArray:
-        """Class probabilities of rows, (N, F) to (N, K), each row summing to one.
+        """Return the class probabilities (N, K) of rows (N, F). Each row of the result sums to one.
 
-        A row has the same bits alone and in any batch. ValueError for another shape, NaN or infinite features, naming
-        the place.
+        The result for a row does not depend on the other rows, to the last bit. ValueError for another shape, and for
+        NaN or infinite features, with their row and column.
         """
         rows = np.asarray(X, dtype=np.float64)
         if rows.ndim != 2 or rows.shape[1] != self.n_features:
-            raise ValueError(f"X must be (N, {self.n_features}), got {rows.shape}: give the features of the training")
+            raise ValueError(f"X must be (N, {self.n_features}), got {rows.shape}: give the features used in training")
         finite = np.isfinite(rows)
         if not finite.all():
             row, column = np.argwhere(~finite)[0]
             raise ValueError(
                 f"feature {column} is {rows[row, column]} in row {row}: leave such rows out or fill in a value"
             )
-        return self._of_rows(rows)
+        return self._predict(rows)
 
     @abstractmethod
-    def _of_rows(self, rows: FloatArray) -> FloatArray:
-        """Probabilities (N, K) of checked rows (N, F)."""
+    def _predict(self, rows: FloatArray) -> FloatArray:
+        """Return the probabilities (N, K) of rows (N, F) that have been checked."""
 
 
 def row_by_row(of_row: Callable[[FloatArray], FloatArray], rows: FloatArray, n_classes: int) -> FloatArray:
-    """Probabilities (N, K) of rows, one after the other: sums of a batch have other bits than those of a row."""
+    """Return the probabilities (N, K) of rows, computed one by one.
+
+    Sums over a batch can differ in the last bits from sums over a single row.
+    """
     result = np.empty((len(rows), n_classes))
     for i, row in enumerate(rows):
         result[i] = of_row(row)

@@ -1,7 +1,7 @@
-"""A linear classifier and boosted trees with one voice.
+"""Blend of a linear classifier and boosted trees.
 
-The linear one goes on sensibly where there is no training data, the trees know what depends on what; on people left out
-their mean is better than either (docs/benchmarks.md).
+The linear classifier extrapolates well beyond the training data, and the trees model interactions of features. On
+held-out people, their mean is better than either (docs/benchmarks.md).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _LINEAR, _TREES = "linear_", "trees_"  # prefixes of the arrays
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Blend(Machine):
-    """p proportional to (p_linear p_trees)^(1/2): the mean of the logits, of the same features and classes."""
+    """Mean of the logits of a linear classifier and of boosted trees: p is proportional to (p_linear p_trees)^(1/2)."""
 
     linear: SoftmaxRegression
     trees: BoostedTrees
@@ -30,29 +30,29 @@ class Blend(Machine):
     def __post_init__(self) -> None:
         linear, trees = ((part.n_features, part.n_classes) for part in (self.linear, self.trees))
         if linear != trees:
-            raise ValueError(f"the parts must be of the same features and classes, got {linear} and {trees}")
+            raise ValueError(f"both parts must have the same numbers of features and classes, got {linear} and {trees}")
 
     @property
     def n_features(self) -> int:
-        """Number of features, F."""
+        """Number F of features."""
         return self.linear.n_features
 
     @property
     def n_classes(self) -> int:
-        """Number of classes, K."""
+        """Number K of classes."""
         return self.linear.n_classes
 
-    def _of_rows(self, rows: FloatArray) -> FloatArray:
+    def _predict(self, rows: FloatArray) -> FloatArray:
         relative = np.sqrt(self.linear.predict_proba(rows) * self.trees.predict_proba(rows))
         return relative / relative.sum(axis=1, keepdims=True)
 
     def to_arrays(self) -> Arrays:
-        """Return the plain arrays that `from_arrays` takes."""
+        """Return the arrays of both parts, with prefixed names, for `from_arrays`."""
         return prefixed(_LINEAR, self.linear.to_arrays()) | prefixed(_TREES, self.trees.to_arrays())
 
     @classmethod
     def from_arrays(cls, arrays: Arrays) -> Self:
-        """Return what `to_arrays` wrote; KeyError or ValueError if it is something else."""
+        """Create a blend from the arrays of `to_arrays`. KeyError or ValueError for other arrays."""
         return cls(
             SoftmaxRegression.from_arrays(of_prefix(_LINEAR, arrays)),
             BoostedTrees.from_arrays(of_prefix(_TREES, arrays)),

@@ -1,4 +1,4 @@
-"""Gradient-boosted trees as plain arrays: scikit-learn trains them, NumPy predicts with them.
+"""Gradient-boosted trees as plain arrays, trained by scikit-learn and evaluated in NumPy.
 
 This module does not import scikit-learn.
 """
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoostedTrees(TreeMachine):
-    """p = softmax(baseline + sum over rounds of the leaves' values), one tree for each class and round.
+    """Gradient-boosted trees: p = softmax(baseline + sum of the leaf values), with one tree for each class and round.
 
     Friedman, "Greedy function approximation: a gradient boosting machine", Annals of Statistics 29, 2001, Algorithm 6.
-    The trees are round after round, in each round the classes in order.
+    The trees are ordered by round, and within a round by class.
     """
 
-    value: FloatArray  # (n_nodes,) of a leaf; not used in other nodes
+    value: FloatArray  # (n_nodes,) values of the leaves; unused for other nodes
     baseline: FloatArray  # (K,) logits before the first round
 
     def __post_init__(self) -> None:
@@ -37,21 +37,22 @@ class BoostedTrees(TreeMachine):
         n_classes = len(self.baseline) if self.baseline.ndim == 1 else 0
         if n_classes < 2 or n_trees % n_classes:
             raise ValueError(
-                f"baseline must be of 2 or more classes, and {n_trees} trees one for each class and round, "
+                f"baseline must have 2 or more classes, whose number divides the number of trees ({n_trees}), "
                 f"got shape {self.baseline.shape}"
             )
 
     @property
     def n_classes(self) -> int:
-        """Number of classes, K."""
+        """Number K of classes."""
         return len(self.baseline)
 
     @classmethod
     def from_sklearn(cls, boosting: HistGradientBoostingClassifier) -> BoostedTrees:
-        """Return the fitted trees as arrays; classes stay in the order of `boosting.classes_`.
+        """Convert fitted trees of scikit-learn to arrays. The classes keep the order of `boosting.classes_`.
 
-        Exact for features that are float32 numbers and that are not categories. Of two classes scikit-learn has one
-        tree a round, for the logit of the second: here it is twice there, with half of the logit for and against.
+        The conversion is exact for numerical features in float32. For two classes scikit-learn has one tree per round,
+        for the logit of the second class. It becomes two trees here, with half of the logit for the second class and
+        half against the first.
         """
         fitted: Any = boosting
         halves = (-0.5, 0.5) if len(fitted.classes_) == 2 else (1.0,)
@@ -72,11 +73,11 @@ class BoostedTrees(TreeMachine):
         baseline = np.outer(np.ravel(fitted._baseline_prediction), halves).ravel()
         return cls(trees, np.where(trees.is_leaf, of_nodes, 0.0), baseline)
 
-    def _of_rows(self, rows: FloatArray) -> FloatArray:
-        """Softmax of the leaves' values, added round after round."""
+    def _predict(self, rows: FloatArray) -> FloatArray:
+        """Return the softmax of the leaf values, summed in the order of the rounds."""
         sums: list[FloatArray] = [np.zeros((0, self.n_classes))]
         for leaves in self.trees.leaves(rows):
             values = self.value.take(leaves).reshape(-1, self.n_classes, leaves.shape[1])
-            # `accumulate` adds in order by definition; `sum` may take another order for another shape
+            # `accumulate` adds in order by definition. The order of `sum` depends on the shape.
             sums.append(np.add.accumulate(values, axis=0)[-1].T)
         return softmax(np.concatenate(sums) + self.baseline)

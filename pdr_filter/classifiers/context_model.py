@@ -1,7 +1,7 @@
-"""Context models: a trained machine with all that is needed to use it, in files without code.
+"""Context models: a trained classifier with everything needed to use it, in files without code.
 
 A model is `<name>.npz` (plain arrays) and `<name>.json` (feature names, classes and the model card: data, date,
-versions, metrics). Reading one never unpickles anything, and what is read is checked before it is used.
+versions, metrics). Reading never unpickles anything, and all content is checked before it is used.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ from pdr_filter.values import (
     read_only,
 )
 
-# Version 2: heads, temperature, limit of the features, familiarity.
+# Version 2 added heads, temperature, the limit of the features, and familiarity.
 FORMAT = ArtefactFormat("context_model", 2, "train it again, or use the version that wrote it")
 
 # Default labels of each kind of model: contexts or carrying modes.
 HEADS: dict[str, tuple[str, ...]] = {"context": CONTEXTS, "carrying_mode": CARRYING_MODES}
-# Level walking, up and down, of which a model that guards stairs knows the windows on stairs.
+# Default labels of level walking, stairs up and stairs down, for models with familiarity of stairs.
 STAIRS_LABELS = ("walking", "upstairs", "downstairs")
 # Machines by their names in files.
 MACHINES: dict[str, type[Machine]] = {
@@ -51,76 +51,87 @@ MACHINES: dict[str, type[Machine]] = {
     "relevance_vectors": RelevanceVectors,
     "softmax": SoftmaxRegression,
 }
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")  # also a file name everywhere
-_NUMBERS = ("temperature", "slip", "feature_limit")  # stored as arrays of their own names, as are these:
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")  # a valid file name on all systems
+# Numbers and arrays that are stored as arrays of the same names.
+_NUMBERS = ("temperature", "slip", "feature_limit")
 _ARRAYS = ("training_prior", "feature_mean", "feature_scale")
-_LEAST = 1e-30  # that divides: what is divided stays a number
-# prefixes of the arrays of parts
+_MIN_DIVISOR = 1e-30  # smallest divisor, so that quotients do not overflow
+# Prefixes of the arrays of parts.
 _MACHINE, _FAMILIARITY, _STAIRS = "machine_", "familiarity_", "stairs_"
 
-# Of the steps of a day: of 6,000 are ten flights of 16 up stairs, and as many down.
-_OF_A_DAY = read_only(np.array([0.94, 0.03, 0.03]))
+# Shares of level steps, steps up and steps down of a day: of 6,000 steps, ten flights of 16 steps lead up and ten down.
+_DAILY_STEP_SHARES = read_only(np.array([0.94, 0.03, 0.03]))
 
-# In a wheel the models are inside the package, in a checkout at the top level.
+# Models are inside the package in a wheel, and at the top level in a checkout.
 _PACKAGE = Path(__file__).resolve().parents[1]
 _SHIPPED = (_PACKAGE / "models", _PACKAGE.parent / "models")
 
 
 class Assessment(NamedTuple):
-    """What a model says of one window, and what of it is not known."""
+    """Result of a model for one window: probabilities, and dissimilarity to the training data."""
 
-    prob: FloatArray  # (L,) of the labels
-    unknown_share: float  # how unlike all training windows it is, 0 to 1
-    stairs_unknown_share: float  # how unlike all stairs in training; by that share stairs are not told from walking
+    prob: FloatArray  # (L,) probabilities of the labels
+    unknown_share: float  # dissimilarity to all training windows, 0 to 1
+    stairs_unknown_share: float  # dissimilarity to the training windows on stairs, 0 to 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContextModel:
-    """Features of one window in, calibrated probabilities out.
+    """Trained classifier of contexts or carrying modes: features of a window in, calibrated probabilities out.
+
+    F is the number of features, K the number of classes in the training data, and L the number of labels.
 
     Parameters
     ----------
     name : str
-        Also the name of its files.
-    feature_names : (F,)
-        Features in the order that `predict` takes them.
-    classes : (K,)
-        The labels that the machine distinguishes, a part of `labels`, in the machine's order.
-    training_prior : (L,)
-        Shares of `labels` in the training data, summing to one; zero for labels that the model has not seen.
-    feature_mean, feature_scale : (F,)
-        The machine sees (features - mean) / scale; zeros and ones for a forest.
+        Name of the model and of its files.
+    feature_names : tuple of str, length F
+        Features, in the order of the input of `predict`.
+    classes : tuple of str, length K
+        Labels in the training data, in the order of the machine. A subset of `labels`.
+    training_prior : array_like, shape (L,)
+        Share of each label in the training data. The shares sum to one, and are zero for labels that are not in the
+        data.
+    feature_mean, feature_scale : array_like, shape (F,)
+        Standardisation of the features: (features - mean) / scale. Zeros and ones for a forest.
     machine : Machine
-        Class probabilities in the order of `classes`.
+        Classifier that returns probabilities in the order of `classes`.
     card : dict
-        What people should know: data, date, versions, metrics. Anything that JSON holds.
+        Model card: data, date, versions, metrics. Any JSON values.
     head : {"context", "carrying_mode"}
-        What is distinguished.
-    temperature : float
-        Divides the logits, `probability_calibration.tempered`; fitted on people not in training.
-    slip : float
-        Probability that a window is something else and any class alike, `probability_calibration.slipped`; fitted with
-        the temperature.
-    feature_limit : float
-        Standardised features are cut at plus and minus this: what training has not seen must not be able to outvote
-        everything that it has.
+        Kind of the labels.
+    temperature : float, default 1.0
+        Divisor of the logits (`probability_calibration.tempered`), fitted on held-out people.
+    slip : float, default 0.0
+        Probability that a window belongs to any class with equal probability (`probability_calibration.slipped`),
+        fitted with the temperature.
+    feature_limit : float, default inf
+        Standardised features are cut at plus and minus this value, so that an unfamiliar value of one feature cannot
+        dominate all other features.
     familiarity : Familiarity, optional
-        Knows how far from the training windows a window is; without it nothing is ever unknown.
+        Distance of a window to the training windows. Without it the unknown share is always zero.
     stairs : Familiarity, optional
-        The same of the training windows on stairs: where a window is like none of them, whatever tells stairs from
-        level walking was learnt of other places for the phone, and `not_told_apart` takes its place.
-    labels : (L,), optional
-        Names in the order of the probabilities. If not given, those of the default: `CONTEXTS` or `CARRYING_MODES`.
-    stairs_labels : (3,)
-        Labels of level walking, of stairs up and of stairs down that `stairs` is about.
-    transition_prob : (L, L), optional
-        Between `labels` from one step to the next, estimated from the labels of the training; rows sum to one.
+        Distance of a window to the training windows on stairs. For a window unlike all of them, the features that
+        distinguish stairs were learned with the phone in other places. `blend_stairs_with_prior` then replaces the
+        distinction.
+    labels : tuple of str, length L, optional
+        Labels, in the order of the probabilities. The default is `CONTEXTS` or `CARRYING_MODES`.
+    stairs_labels : tuple of str, length 3
+        Labels of level walking, stairs up and stairs down, to which `stairs` applies.
+    transition_prob : array_like, shape (L, L), optional
+        Transition probabilities between labels from one step to the next, estimated from the labels of the training
+        data. Rows sum to one.
     evidence_exponent, prior_exponent : float, optional
-        Of the evidence of a window, as in `PedestrianModel`, chosen on the labels of the training.
+        Exponents of the evidence of a window, as in `PedestrianModel`, chosen on the labels of the training data.
     features : FeatureSet, optional
-        Computes the features of windows, if they are none of the package's own. Files do not hold it.
-    needs_gyroscope : bool
-        False if the model learnt from windows without angular rate.
+        Computes the features of windows, if they are not features of this package. Files do not contain it.
+    needs_gyroscope : bool, default True
+        False if the model was trained on windows without angular rate.
+
+    Raises
+    ------
+    ValueError
+        If the parts do not fit together.
 
     Examples
     --------
@@ -168,13 +179,31 @@ class ContextModel:
 
     @property
     def contexts(self) -> tuple[str, ...]:
-        """Names of what the model distinguishes, in the order of the probabilities."""
+        """Labels of the model, in the order of the probabilities."""
         return self.labels
 
     def renamed(self, names: Mapping[str, str]) -> ContextModel:
-        """Return a copy with renamed labels; ValueError for a key that is not a label of the model."""
+        """Return a copy with renamed labels.
+
+        Parameters
+        ----------
+        names : mapping of str to str
+            New names by present labels.
+
+        Returns
+        -------
+        ContextModel
+            Copy with the new names.
+
+        Raises
+        ------
+        ValueError
+            If a key is not a label of the model.
+        """
         if unknown := set(names) - set(self.labels):
-            raise ValueError(f"no label {', '.join(sorted(unknown))} in {self.labels}: give the present names as keys")
+            raise ValueError(
+                f"names has unknown labels {', '.join(sorted(unknown))}: use labels of {self.labels} as keys"
+            )
         level, up, down = (names.get(label, label) for label in self.stairs_labels)
         return replace(
             self,
@@ -184,22 +213,67 @@ class ContextModel:
         )
 
     def predict(self, features: FloatArray) -> FloatArray:
-        """Probabilities in the order of `labels`, (L,), summing to one, from the features of one window (F,).
+        """Return the probabilities of all labels for one window.
 
-        Labels that the model has not seen get zero. Raises ValueError for NaN, naming the feature.
+        Parameters
+        ----------
+        features : ndarray, shape (F,)
+            Features of the window.
+
+        Returns
+        -------
+        ndarray, shape (L,)
+            Probabilities in the order of `labels`, which sum to one. Zero for labels that are not in the training data.
+
+        Raises
+        ------
+        ValueError
+            If the shape is wrong, or a feature is NaN or infinite. The message names the feature.
         """
         return self.assess(features)[0]
 
     def assess(self, features: FloatArray) -> Assessment:
-        """Probabilities as `predict` gives them, and how much is unknown (`Familiarity`)."""
+        """Return the probabilities for one window, and its dissimilarity to the training data.
+
+        Parameters
+        ----------
+        features : ndarray, shape (F,)
+            Features of the window.
+
+        Returns
+        -------
+        Assessment
+            Probabilities of all labels, and unknown shares (`Familiarity`).
+
+        Raises
+        ------
+        ValueError
+            If the shape is wrong, or a feature is NaN or infinite. The message names the feature.
+        """
         return self.assess_all(np.asarray(features)[None])[0]
 
     def assess_all(self, features: FloatArray) -> list[Assessment]:
-        """What `assess` says of each of many windows, from their features (W, F): the same bits."""
-        values = np.ascontiguousarray(features, dtype=np.float64)  # sums along another axis have other bits
+        """Return the result of `assess` for many windows, identical to the last bit.
+
+        Parameters
+        ----------
+        features : ndarray, shape (W, F)
+            Features of the windows.
+
+        Returns
+        -------
+        list of Assessment
+            Probabilities and unknown shares, one for each window.
+
+        Raises
+        ------
+        ValueError
+            If the shape is wrong, or a feature is NaN or infinite. The message names the feature.
+        """
+        values = np.ascontiguousarray(features, dtype=np.float64)  # sums depend on the memory layout in the last bits
         if values.ndim != 2 or values.shape[1] != len(self.feature_names):
             raise ValueError(
-                f"model {self.name!r} takes {len(self.feature_names)} features of a window, got shape "
+                f"model {self.name!r} needs {len(self.feature_names)} features of each window, got shape "
                 f"{values.shape[1:]}"
             )
         finite = np.isfinite(values)
@@ -214,27 +288,49 @@ class ContextModel:
             np.zeros(len(values)) if known is None else known.unknown_share(standardised)
             for known in (self.familiarity, self.stairs)
         )
-        prob = not_told_apart(self._of_standardised(standardised), unlike_stairs, self._level_and_stairs)
+        prob = blend_stairs_with_prior(self._predict_standardised(standardised), unlike_stairs, self._level_and_stairs)
         prob = prob / prob.sum(axis=1, keepdims=True)
         return [Assessment(*each) for each in zip(prob, unknown.tolist(), unlike_stairs.tolist(), strict=True)]
 
     def standardised(self, features: FloatArray) -> FloatArray:
-        """Features (..., F) as shares of the training windows' spread, not yet cut at the limit."""
+        """Standardise features by the mean and the spread of the training windows.
+
+        Parameters
+        ----------
+        features : ndarray, shape (..., F)
+            Features of windows.
+
+        Returns
+        -------
+        ndarray, shape (..., F)
+            Standardised features, not cut at `feature_limit`.
+        """
         return (features - self.feature_mean) / self.feature_scale
 
     def probabilities(self, features: FloatArray) -> FloatArray:
-        """Probabilities (W, L) of many windows at once, from their features (W, F)."""
+        """Return the probabilities of all labels for many windows.
+
+        Parameters
+        ----------
+        features : ndarray, shape (W, F)
+            Features of the windows.
+
+        Returns
+        -------
+        ndarray, shape (W, L)
+            Probabilities in the order of `labels`.
+        """
         standardised = self.standardised(features)
-        prob = self._of_standardised(standardised)
+        prob = self._predict_standardised(standardised)
         if self.stairs is None:
             return prob
-        return not_told_apart(prob, self.stairs.unknown_share(standardised), self._level_and_stairs)
+        return blend_stairs_with_prior(prob, self.stairs.unknown_share(standardised), self._level_and_stairs)
 
     @property
     def _level_and_stairs(self) -> list[int]:
         return [] if self.stairs is None else [self.labels.index(label) for label in self.stairs_labels]
 
-    def _of_standardised(self, rows: FloatArray) -> FloatArray:
+    def _predict_standardised(self, rows: FloatArray) -> FloatArray:
         cut = np.clip(rows, -self.feature_limit, self.feature_limit)
         prob = np.zeros((len(rows), len(self.labels)))
         known = slipped(tempered(self.machine.predict_proba(cut), self.temperature), self.slip)
@@ -242,10 +338,24 @@ class ContextModel:
         return prob
 
     def save(self, folder: str | Path) -> Path:
-        """Write `<name>.npz` and `<name>.json` into the folder and return the path of the .npz.
+        """Write `<name>.npz` and `<name>.json`.
 
-        Features of a function are not written: give the function to `load` again. ValueError for a classifier of
-        another library, which says how to keep it.
+        A feature function is not written: give it to `load` again.
+
+        Parameters
+        ----------
+        folder : str or Path
+            Folder of the files.
+
+        Returns
+        -------
+        Path
+            The written .npz.
+
+        Raises
+        ------
+        ValueError
+            If the classifier is of another library. The message names other ways to keep it.
         """
         arrays: Arrays = {name: np.asarray(getattr(self, name)) for name in (*_ARRAYS, *_NUMBERS)}
         if self.familiarity is not None:
@@ -273,29 +383,50 @@ class ContextModel:
 
     @staticmethod
     def load(name_or_path: str | Path, features: FeatureSet | FeatureFunction | None = None) -> ContextModel:
-        """Return a shipped model by its name, the model at a path to its .npz or .json, or the only one in a folder.
+        """Load a shipped model by name, a model by its path, or the only model in a folder.
 
-        `features` are those that the model was fitted with, if they are none of the package's own: files hold no code.
-        ValueError that names the file and the remedy if it is missing, damaged or not what it says.
+        Parameters
+        ----------
+        name_or_path : str or Path
+            Name of a shipped model, path of a .npz or .json, or folder.
+        features : FeatureSet or callable, optional
+            Features that the model was fitted with, if they are not features of this package, because files contain no
+            code.
+
+        Returns
+        -------
+        ContextModel
+            The model.
+
+        Raises
+        ------
+        ValueError
+            If a file is missing, damaged, or of another kind. The message names file and remedy.
         """
         path = folder = Path(name_or_path)
         if folder.is_dir():
             names = FORMAT.names_in(folder)
             if len(names) != 1:
                 raise ValueError(
-                    f"{folder}: {len(names)} context models are in this folder: give the path of a .npz in it"
+                    f"{folder}: the folder has {len(names)} context models, not one: give the path of a .npz in it"
                 )
             path = folder / f"{names[0]}.npz"
         model = load_model(path if folder.is_dir() else name_or_path)
         return model if features is None else replace(model, features=feature_set_of(features))
 
     def report(self) -> str:
-        """Return the card in words: data, people, held-out scores and confusion, one fact a line."""
-        return "\n".join(_lines_of(self.card))
+        """Return the model card as text: data, people, held-out scores and confusion.
+
+        Returns
+        -------
+        str
+            One fact per line.
+        """
+        return "\n".join(_card_lines(self.card))
 
 
-def _lines_of(card: Mapping[str, Any]) -> list[str]:
-    """Lines of a report of a card; facts that the card does not have are left out."""
+def _card_lines(card: Mapping[str, Any]) -> list[str]:
+    """Return the lines of the report of a model card, without facts that the card does not have."""
     n_windows: dict[str, int] = card.get("n_windows", {})
     scores: dict[str, Any] = card.get("leave_one_subject_out", {})
     confusion: dict[str, dict[str, int]] = scores.get("confusion", {})
@@ -320,34 +451,54 @@ def _lines_of(card: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def not_told_apart(prob: FloatArray, share: FloatArray, level_and_stairs: list[int]) -> FloatArray:
-    """Context probabilities (..., C), a share (...) of those of walking and stairs being divided as a day is.
+def blend_stairs_with_prior(prob: FloatArray, share: FloatArray, level_and_stairs: list[int]) -> FloatArray:
+    """Return context probabilities (..., C) in which a share of walking and stairs follows the prior of a day.
 
-    `level_and_stairs` are the indices of level walking, of up and of down.
+    The share (...) of the probability of walking and stairs is distributed as the steps of a day, and the rest is kept.
+    `level_and_stairs` are the indices of level walking, stairs up and stairs down.
     """
     if not np.any(share):
         return prob
     share, gait = share[..., None], prob[..., level_and_stairs]
     result = prob.copy()
-    result[..., level_and_stairs] = (1 - share) * gait + share * gait.sum(axis=-1, keepdims=True) * _OF_A_DAY
+    result[..., level_and_stairs] = (1 - share) * gait + share * gait.sum(axis=-1, keepdims=True) * _DAILY_STEP_SHARES
     return result
 
 
 def load_model(name_or_path: str | Path) -> ContextModel:
-    """Return a shipped model by its name, or the model at a path to its .npz or .json.
+    """Load a shipped model by name, or a model by its path.
 
-    Raises ValueError that names the file and the remedy if it is missing, damaged or not what it says.
+    Parameters
+    ----------
+    name_or_path : str or Path
+        Name of a shipped model, or path of a .npz or .json.
+
+    Returns
+    -------
+    ContextModel
+        The model.
+
+    Raises
+    ------
+    ValueError
+        If a file is missing, damaged, or of another kind. The message names file and remedy.
+
+    Examples
+    --------
+    >>> from pdr_filter.classifiers.context_model import load_model
+    >>> load_model("context").head
+    'context'
     """
     return FORMAT.read(_find(name_or_path), _assemble)
 
 
 def available_models() -> tuple[str, ...]:
-    """Names of the shipped models, sorted."""
+    """Return the names of the shipped models, sorted."""
     return tuple(sorted({name for folder in _SHIPPED for name in FORMAT.names_in(folder)}))
 
 
 def _find(name_or_path: str | Path) -> str | Path:
-    """Return the path of a model's files, with or without an ending."""
+    """Return the path of the files of a model, with or without suffix."""
     text = str(name_or_path)
     is_name = isinstance(name_or_path, str) and not text.endswith((".npz", ".json")) and _NAME.fullmatch(text)
     if not is_name:
@@ -356,11 +507,11 @@ def _find(name_or_path: str | Path) -> str | Path:
         if file_pair(folder / text)[0].is_file():
             return folder / text
     known = ", ".join(available_models()) or "none"
-    raise ValueError(f"{text}: no shipped model of that name (there are: {known}); give a name or a path to a .npz")
+    raise ValueError(f"{text}: no shipped model of that name (there are: {known}): give a name or a path to a .npz")
 
 
 def _assemble(description: Mapping[str, Any], arrays: Arrays) -> ContextModel:
-    """Return the model; KeyError, TypeError or ValueError if anything is missing or does not fit."""
+    """Return the model of a file. KeyError, TypeError or ValueError if anything is missing or does not fit."""
     kind = description["machine"]
     if kind not in MACHINES:
         raise ValueError(f"machine is {kind!r}, not one of {tuple(MACHINES)}")
@@ -385,9 +536,11 @@ def _assemble(description: Mapping[str, Any], arrays: Arrays) -> ContextModel:
 
 
 def _check(model: ContextModel) -> None:
-    """Raise ValueError unless the parts of the model fit together."""
+    """Raise ValueError unless the parts of a model fit together."""
     if not _NAME.fullmatch(model.name):
-        raise ValueError(f"name {model.name!r} must be letters, digits, dots, dashes: it becomes a file name")
+        raise ValueError(
+            f"name must be letters, digits, dots and dashes, as it becomes a file name, got {model.name!r}"
+        )
     if model.head not in HEADS:
         raise ValueError(f"head must be one of {tuple(HEADS)}, got {model.head!r}")
     for label in model.labels:
@@ -402,14 +555,14 @@ def _check(model: ContextModel) -> None:
         raise ValueError(f"classes must be different labels out of {model.labels}, got {model.classes}")
     if (model.machine.n_features, model.machine.n_classes) != (n_features, n_classes):
         raise ValueError(
-            f"the machine has {model.machine.n_features} features and {model.machine.n_classes} classes, "
-            f"the names say {n_features} and {n_classes}"
+            f"the machine has {model.machine.n_features} features and {model.machine.n_classes} classes, but there are "
+            f"{n_features} feature_names and {n_classes} classes"
         )
     for name in ("feature_mean", "feature_scale"):
         check_array(name, getattr(model, name), shape=(n_features,), remedy="give one for each feature")
-    if not (model.feature_scale > _LEAST).all():
-        raise ValueError(f"feature_scale must be above {_LEAST}; use one for a feature that does not vary")
-    if not (_LEAST < model.temperature < np.inf and model.feature_limit > 0):
+    if not (model.feature_scale > _MIN_DIVISOR).all():
+        raise ValueError(f"feature_scale must be above {_MIN_DIVISOR}: use 1 for a constant feature")
+    if not (_MIN_DIVISOR < model.temperature < np.inf and model.feature_limit > 0):
         raise ValueError(
             f"temperature and feature_limit must be positive, got {model.temperature} and {model.feature_limit}"
         )
@@ -417,9 +570,9 @@ def _check(model: ContextModel) -> None:
         raise ValueError(f"slip must be a probability, got {model.slip}")
     for name, known in (("familiarity", model.familiarity), ("stairs", model.stairs)):
         if known is not None and known.axes.shape[1] != n_features:
-            raise ValueError(f"{name} is of {known.axes.shape[1]} features, the names say {n_features}")
+            raise ValueError(f"{name} has {known.axes.shape[1]} features, but there are {n_features} feature_names")
     if model.stairs is not None and model.head != "context":
-        raise ValueError(f"stairs are a context, the model classifies the {model.head}")
+        raise ValueError(f"stairs is only for a model of contexts, got head {model.head!r}: leave stairs out")
     if model.stairs is not None and not set(model.stairs_labels) <= set(model.labels):
         raise ValueError(f"stairs_labels must be three of {model.labels}, got {model.stairs_labels}")
     if model.transition_prob is not None:
@@ -431,8 +584,8 @@ def _check(model: ContextModel) -> None:
     given = model.feature_names if model.features is None else model.features.names
     if missing := sorted(set(model.feature_names) - set(given)):
         raise ValueError(
-            f"features must have {missing[:5]}, which the model was fitted with, got {given[:5]}: give the features of "
-            "the training"
+            f"features must include {missing[:5]}, which the model was fitted with, got {given[:5]}: give the features "
+            "used in training"
         )
     prior = model.training_prior
     if prior.shape != (len(model.labels),) or not (prior >= 0).all() or not np.isclose(prior.sum(), 1.0, atol=1e-9):

@@ -14,42 +14,42 @@ from pdr_filter.values import FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForeignClassifier(Machine):
-    """A fitted object with `predict_proba` and `classes_`. ValueError if its probabilities cannot be used.
+    """Fitted classifier of another library, with `predict_proba` and `classes_`. ValueError for invalid probabilities.
 
-    It classifies one row at a time: most libraries give a row other last bits in a batch than alone.
+    It classifies one row at a time, because most libraries give a row other last bits in a batch than alone.
     """
 
     estimator: Any
-    features: int  # F
+    features: int  # number F of features
 
     def __post_init__(self) -> None:
         prob = np.asarray(self.estimator.predict_proba(np.zeros((1, self.features))), dtype=np.float64)
         if prob.shape != (1, self.n_classes) or not (prob >= 0).all() or not np.isclose(prob.sum(), 1.0, atol=1e-6):
             raise ValueError(
                 f"predict_proba of {self.kind} must return a probability for each of {self.n_classes} classes_, which "
-                f"sum to one, got {prob} for one row: give a classifier of probabilities"
+                f"sum to one, got {prob} for one row: give a classifier that returns probabilities"
             )
 
     @property
     def kind(self) -> str:
-        """Name of the class of the object."""
+        """Name of the class of the classifier."""
         return type(self.estimator).__name__
 
     @property
     def n_features(self) -> int:
-        """Number of features, F."""
+        """Number F of features."""
         return self.features
 
     @property
     def n_classes(self) -> int:
-        """Number of classes, K."""
+        """Number K of classes."""
         return len(self.estimator.classes_)
 
-    def _of_rows(self, rows: FloatArray) -> FloatArray:
+    def _predict(self, rows: FloatArray) -> FloatArray:
         return row_by_row(lambda row: self.estimator.predict_proba(row[None])[0], rows, self.n_classes)
 
     def to_arrays(self) -> Arrays:
-        """Raise ValueError: an object of another library is code, not arrays."""
+        """Raise ValueError, because a classifier of another library contains code and cannot be stored as arrays."""
         raise ValueError(
             f"a classifier of another library ({self.kind}) cannot be saved, because files hold arrays and no code: "
             "keep the model with joblib.dump(model, path), which executes code when it is loaded; or pass the "

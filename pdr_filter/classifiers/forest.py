@@ -1,4 +1,4 @@
-"""A random forest as plain arrays: scikit-learn trains it, NumPy predicts with it.
+"""Random forest as plain arrays, trained by scikit-learn and evaluated in NumPy.
 
 This module does not import scikit-learn.
 """
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Forest(TreeMachine):
-    """The mean of the class probabilities of trees."""
+    """Random forest: mean of the class probabilities of its trees."""
 
-    probability: FloatArray  # (n_nodes, C) of a leaf, summing to one; not used in other nodes
+    probability: FloatArray  # (n_nodes, C) class probabilities of the leaves, which sum to one; unused for other nodes
 
     def __post_init__(self) -> None:
         self._make_read_only("probability")
@@ -34,14 +34,14 @@ class Forest(TreeMachine):
 
     @property
     def n_classes(self) -> int:
-        """Number of classes, C."""
+        """Number C of classes."""
         return self.probability.shape[1]
 
     @classmethod
     def from_sklearn(cls, forest: RandomForestClassifier) -> Forest:
-        """Return the fitted forest as arrays; classes stay in the order of `forest.classes_`."""
+        """Convert a fitted forest of scikit-learn to arrays. The classes keep the order of `forest.classes_`."""
         if forest.n_outputs_ != 1:
-            raise ValueError(f"the forest predicts {forest.n_outputs_} outputs; train one forest for each")
+            raise ValueError(f"the forest must have one output, got {forest.n_outputs_}: train one forest for each")
         each: list[Any] = [estimator.tree_ for estimator in forest.estimators_]
         trees = Trees.concatenated(
             int(each[0].n_features),
@@ -50,12 +50,12 @@ class Forest(TreeMachine):
             [tree.children_left for tree in each],
             [tree.children_right for tree in each],
         )
-        value = np.concatenate([tree.value[:, 0, :] for tree in each])  # fractions of the rows that came by
+        value = np.concatenate([tree.value[:, 0, :] for tree in each])  # class shares of the training rows of a node
         return cls(trees, np.where(trees.is_leaf[:, None], value, 0.0))
 
-    def _of_rows(self, rows: FloatArray) -> FloatArray:
-        """Mean over the trees of their leaves, added one after the other."""
-        # `accumulate` adds in order by definition; `sum` may take another order for another shape
+    def _predict(self, rows: FloatArray) -> FloatArray:
+        """Return the mean of the leaf probabilities over the trees, summed in the order of the trees."""
+        # `accumulate` adds in order by definition. The order of `sum` depends on the shape.
         sums = [
             np.add.accumulate(self.probability.take(leaves, axis=0), axis=0)[-1]
             for leaves in self.trees.leaves(rows)  # (T, n, C)

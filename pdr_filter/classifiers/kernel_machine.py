@@ -1,6 +1,6 @@
-"""Trained relevance vectors as plain arrays: probabilities in NumPy only, some tens of microseconds a row.
+"""Trained relevance vector machines as plain arrays: prediction in NumPy only, in some tens of microseconds per row.
 
-`pdr_filter.classifiers.rvm` trains them and needs scikit-learn; this module does not import it.
+`pdr_filter.classifiers.rvm` trains them and needs scikit-learn. This module does not import it.
 """
 
 from __future__ import annotations
@@ -18,24 +18,39 @@ LINKS = ("sigmoid", "softmax")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RelevanceVectors(Machine):
-    """Relevance vector machines, one for each class, that share their relevance vectors.
+    """Relevance vector machines, one for each class, with common relevance vectors.
 
     Machine k has the logit t_k(x) = sum_m weights[k, m] phi[basis[k, m]](x) (eq. 4 of Martinelli et al. 2018), where
-    phi_0(x) = 1 is the bias and phi_r(x) = K(x, vectors[r - 1]). Machines that use fewer than m vectors are filled up
-    with weight zero.
+    phi_0(x) = 1 is the bias and phi_r(x) = K(x, vectors[r - 1]). Machines with fewer than m basis functions are padded
+    with weights of zero.
+
+    Attributes
+    ----------
+    kernel : {"rbf", "linear"}
+        "rbf": K(x, v) = exp(-||x - v||^2 / (2 width^2)) (eq. 5). "linear": K(x, v) = x . v.
+    width : float
+        sigma_G of eq. 5, in units of the features. Unused by the linear kernel.
+    vectors : ndarray, shape (R, F)
+        Relevance vectors of all machines. R may be zero.
+    basis : ndarray of int, shape (K, m)
+        Basis functions of each machine: 0 is the bias, r is the vector r - 1.
+    weights : ndarray, shape (K, m)
+        Posterior means of the weights (eq. 10), for two or more classes.
+    cov_factor : ndarray, shape (K, m, m)
+        Factor G of the posterior covariance G^T G of the weights (eq. 10). The variance of the logit is ||G phi||^2.
+        Zeros mean no moderation.
+    link : {"sigmoid", "softmax"}
+        Conversion of logits to probabilities: `normalised_sigmoids` for one-against-all machines, or
+        `moderated_softmax` for competing logits.
     """
 
-    kernel: str  # "rbf": K(x, v) = exp(-||x - v||^2 / (2 width^2)) (eq. 5), or "linear": K(x, v) = x . v
-    width: float  # sigma_G of eq. 5, in units of the features; not used by the linear kernel
-    vectors: FloatArray  # (R, F) of all machines; R may be zero
-    basis: IntArray  # (K, m) basis functions of each machine: 0 the bias, r the vector r - 1
-    weights: FloatArray  # (K, m) posterior mean (eq. 10), K at least two
-    # (K, m, m) factor G of the weights' posterior covariance G^T G (eq. 10): the variance of the logit is ||G phi||^2.
-    # All zeros: no moderation.
+    kernel: str
+    width: float
+    vectors: FloatArray
+    basis: IntArray
+    weights: FloatArray
     cov_factor: FloatArray
-    # From logits to probabilities: `normalised_sigmoids` (each machine knows its class from all others) or, where the
-    # logits compete, `moderated_softmax`.
-    link: str = "sigmoid"  # files of version 0.1 have none
+    link: str = "sigmoid"  # the default is for files of version 0.1, which have no link
 
     def __post_init__(self) -> None:
         self._make_read_only("vectors", "weights", "cov_factor")
@@ -44,22 +59,25 @@ class RelevanceVectors(Machine):
 
     @property
     def n_features(self) -> int:
-        """Number of features, F."""
+        """Number F of features."""
         return self.vectors.shape[1]
 
     @property
     def n_classes(self) -> int:
-        """Number of classes, K."""
+        """Number K of classes."""
         return len(self.weights)
 
-    def _of_rows(self, rows: FloatArray) -> FloatArray:
-        return row_by_row(self._of_row, rows, self.n_classes)
+    def _predict(self, rows: FloatArray) -> FloatArray:
+        return row_by_row(self._predict_row, rows, self.n_classes)
 
-    def _of_row(self, row: FloatArray) -> FloatArray:
+    def _predict_row(self, row: FloatArray) -> FloatArray:
         return (normalised_sigmoids if self.link == "sigmoid" else moderated_softmax)(*self._logits(row))
 
     def _logits(self, features: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean and variance (K,) of the logits of a row (F,), without BLAS, whose order depends on the shapes."""
+        """Return mean and variance (K,) of the logits of a row (F,).
+
+        BLAS is not used, because its order of summation depends on the shapes.
+        """
         phi = np.ones(len(self.vectors) + 1)
         if self.kernel == "rbf":
             difference = self.vectors - features
@@ -72,40 +90,42 @@ class RelevanceVectors(Machine):
 
 
 def normalised_sigmoids(logit: FloatArray, variance: FloatArray) -> FloatArray:
-    """Class probabilities (K,) from the one-against-all logits and their variances, (K,) each.
+    """Return class probabilities (K,) from one-against-all logits and their variances, (K,) each.
 
-    p_k is proportional to sigma(kappa(variance_k) logit_k), with kappa(v) = (1 + pi v / 8)^(-1/2): the sigmoid averaged
-    over the uncertainty of the logit (MacKay 1992; Bishop 2006, eq. 4.153 and 4.154).
+    p_k is proportional to sigma(kappa(variance_k) logit_k), with kappa(v) = (1 + pi v / 8)^(-1/2). This is the sigmoid
+    averaged over the uncertainty of the logit (MacKay 1992; Bishop 2006, eq. 4.153 and 4.154).
     """
     moderated = logit / np.sqrt(1.0 + np.pi / 8.0 * variance)
-    return softmax(-np.logaddexp(0.0, -moderated))  # in logarithms: far from all classes every sigmoid underflows
+    return softmax(-np.logaddexp(0.0, -moderated))  # in logarithms, because all sigmoids underflow far from all classes
 
 
 def moderated_softmax(logit: FloatArray, variance: FloatArray) -> FloatArray:
-    """Class probabilities (K,) from competing logits and their variances, (K,) each.
+    """Return class probabilities (K,) from competing logits and their variances, (K,) each.
 
-    p_k is proportional to 1 / sum_j exp(-kappa(variance_k + variance_j) (logit_k - logit_j)), j over all classes, with
-    kappa as in `normalised_sigmoids` and 1 for j = k (a mean-field form of Lu, Ie and Sha 2020). With no
-    variance it is the softmax, with two classes the moderated sigmoid of the difference.
+    p_k is proportional to 1 / sum_j exp(-kappa(variance_k + variance_j) (logit_k - logit_j)), with j over all classes,
+    kappa as in `normalised_sigmoids`, and 1 for j = k (a mean-field form of Lu, Ie and Sha 2020). Without variance it
+    is the softmax. For two classes it is the moderated sigmoid of the difference.
     """
     kappa = 1.0 / np.sqrt(1.0 + np.pi / 8.0 * (variance[:, None] + variance))
     advantage = kappa * (logit - logit[:, None])  # [k, j]: of j over k
-    most = advantage.max(axis=1)  # not negative: a class has no advantage over itself
+    most = advantage.max(axis=1)  # not negative, because the advantage of a class over itself is 0
     return softmax(-most - np.log(np.exp(advantage - most[:, None]).sum(axis=1)))
 
 
 def _check(machine: RelevanceVectors) -> None:
-    """Raise ValueError unless the arrays belong together and are finite."""
+    """Raise ValueError unless the arrays have matching shapes and finite values."""
     if machine.kernel not in KERNELS:
         raise ValueError(f"kernel must be one of {KERNELS}, got {machine.kernel!r}")
     if machine.link not in LINKS:
         raise ValueError(f"link must be one of {LINKS}, got {machine.link!r}")
     check_array("width", machine.width, "positive")
     if machine.vectors.ndim != 2 or machine.weights.ndim != 2 or len(machine.weights) < 2:
-        raise ValueError(f"vectors (R, F), weights (K > 1, m): got {machine.vectors.shape}, {machine.weights.shape}")
+        raise ValueError(
+            f"vectors must be (R, F) and weights (K > 1, m), got {machine.vectors.shape}, {machine.weights.shape}"
+        )
     shape = machine.weights.shape
     if machine.basis.shape != shape or machine.cov_factor.shape != (*shape, shape[1]):
-        raise ValueError(f"shapes of weights {shape}, basis {machine.basis.shape} and cov_factor disagree")
+        raise ValueError(f"shapes of weights {shape}, basis {machine.basis.shape} and cov_factor do not match")
     if machine.basis.size and not 0 <= machine.basis.min() <= machine.basis.max() <= len(machine.vectors):
         raise ValueError(f"basis must hold 0 (bias) to {len(machine.vectors)} (last relevance vector)")
     for name in ("vectors", "weights", "cov_factor"):

@@ -1,7 +1,7 @@
-"""What training and calibration leave behind, in files without code: `<name>.json`, and `<name>.npz` for arrays.
+"""Files of trained models and calibrations, without code: `<name>.json`, and `<name>.npz` for arrays.
 
-The .json says what it is (`kind`, `format_version`) and holds a checksum of the .npz, which holds plain arrays. Reading
-never unpickles anything. Whatever is wrong with a file is one ValueError that names the file and the remedy.
+The .json contains the kind, the version of the format, and a checksum of the .npz, which contains plain arrays. Reading
+never unpickles anything. All errors of a file are ValueErrors that name the file and the remedy.
 """
 
 from __future__ import annotations
@@ -27,41 +27,41 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class ArtefactFormat:
-    """One kind of artefact and the version of its format."""
+    """Kind of artefact with the version of its file format."""
 
-    kind: str  # in the .json, and in messages
-    version: int  # that is written, and the only one that is read
-    remedy: str  # what to do about files that cannot be used
+    kind: str  # name of the kind, in the .json and in messages
+    version: int  # version that is written, and the only one that is read
+    remedy: str  # end of the message about a file that cannot be used
 
     def write(self, path: str | Path, description: Mapping[str, Any], arrays: Arrays | None = None) -> None:
         """Write `<path>.json`, and `<path>.npz` if there are arrays.
 
-        TypeError, before anything is written, for a description that JSON cannot hold; ValueError for a NaN, which JSON
-        has not, and for more than `read` takes.
+        TypeError, before anything is written, for a description that JSON cannot represent. ValueError for NaN, which
+        JSON cannot represent either, and for more data than `read` accepts.
         """
-        # Only when called: classifiers are arrays, and open no files.
+        # Imported late, because this package must not import the readers and writers of files.
         from pdr_filter.io.files.safe_files import write_files
 
         content: dict[str, Any] = {"format_version": self.version, "kind": self.kind, **description}
         packed = None if arrays is None else _packed(arrays)
         if packed is not None:
-            # Files of two trainings have the same names and shapes: only this shows that they do not belong together.
+            # The checksum detects a .json and a .npz of different trainings, which have the same names and shapes.
             content["npz_sha256"] = hashlib.sha256(packed).hexdigest()
         text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False, default=_plain) + "\n"
         n_bytes, n_text = sum(array.nbytes for array in (arrays or {}).values()), len(text.encode())
         if n_bytes > limits.MAX_UNPACKED_BYTES or n_text > limits.MAX_DESCRIPTION_BYTES:
             raise ValueError(
-                f"{self.kind} with {n_bytes} bytes of arrays and {n_text} of text: {limits.MAX_UNPACKED_BYTES} and "
-                f"{limits.MAX_DESCRIPTION_BYTES} are read at most, make it smaller"
+                f"{self.kind} has {n_bytes} bytes of arrays and {n_text} of text, but at most "
+                f"{limits.MAX_UNPACKED_BYTES} and {limits.MAX_DESCRIPTION_BYTES} can be read: make it smaller"
             )
         json_path, npz_path = file_pair(path)
         write_files({json_path: text.encode(), **({} if packed is None else {npz_path: packed})})
 
     def read(self, path: str | Path, build: Callable[[dict[str, Any], Arrays], T]) -> T:
-        """What `build` makes of the description and the arrays (none if the .json has no checksum of any).
+        """Return the object that `build` creates from the description and the arrays.
 
-        ValueError if a file is missing, damaged, of another kind or version, or if `build` fails or makes something
-        whose fields are not what they are declared as.
+        There are no arrays if the .json has no checksum of a .npz. ValueError if a file is missing, damaged, or of
+        another kind or version, if `build` fails, or if a field of its result is not of its declared type.
         """
         from pdr_filter.io.files.safe_files import read_small
 
@@ -75,13 +75,13 @@ class ArtefactFormat:
             built = build(description, {} if checksum is None else _unpacked(npz_path, checksum))
             check_whole(built)
             return built
-        except Exception as error:  # whatever a damaged file provokes
+        except Exception as error:  # a damaged file can raise any exception
             what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
             noun = self.kind.replace("_", " ")
             raise ValueError(f"{json_path}: not usable as {noun}: {what}; {self.remedy}") from error
 
     def is_at(self, path: str | Path) -> bool:
-        """Whether a file says that it is of this kind; what else is wrong with it is for `read`."""
+        """True if a file states that it is of this kind. Other errors of the file are found by `read`."""
         from pdr_filter.io.files.safe_files import read_small
 
         try:
@@ -90,11 +90,11 @@ class ArtefactFormat:
             return False
 
     def names_in(self, folder: Path) -> list[str]:
-        """Names of the artefacts of this kind in a folder, which may hold others."""
+        """Return the names of the artefacts of this kind in a folder, which may contain other files."""
         return [path.stem for path in folder.glob("*.json") if _kind(json.loads(path.read_text("utf-8"))) == self.kind]
 
     def _checked(self, text: str) -> dict[str, Any]:
-        """Return the content of a .json; ValueError if it is of another kind or version."""
+        """Return the content of a .json. ValueError if it is of another kind or version."""
         description: Any = json.loads(text)
         if _kind(description) != self.kind:
             raise ValueError(f"its kind is {_kind(description)!r}, not {self.kind!r}")
@@ -106,23 +106,23 @@ class ArtefactFormat:
 
 
 def file_pair(path: str | Path) -> tuple[Path, Path]:
-    """Paths of the .json and the .npz, from either or from both without their ending."""
+    """Return the paths of the .json and the .npz, given either path, or both without suffix."""
     stem = re.sub(r"\.(npz|json)$", "", str(path))
     return Path(f"{stem}.json"), Path(f"{stem}.npz")
 
 
 def prefixed(prefix: str, arrays: Arrays) -> Arrays:
-    """Arrays of a part, its name before theirs."""
+    """Return arrays with a prefix before their names."""
     return {prefix + name: array for name, array in arrays.items()}
 
 
 def of_prefix(prefix: str, arrays: Arrays) -> Arrays:
-    """Return what `prefixed` took, out of the arrays of a whole."""
+    """Return the arrays whose names have a prefix, without the prefix: the inverse of `prefixed`."""
     return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
 
 
 def _kind(description: Any) -> Any:
-    """Return the kind that a .json names; context models of early versions name none."""
+    """Return the kind stated by a .json. Context models of early versions do not state it."""
     if not isinstance(description, dict):
         return None
     found = cast(dict[str, Any], description)
@@ -136,11 +136,14 @@ def _packed(arrays: Arrays) -> bytes:
 
 
 def _unpacked(path: Path, checksum: str) -> Arrays:
-    """Return the arrays of a .npz; ValueError if it is another one, damaged, or holds anything but plain arrays."""
+    """Return the arrays of a .npz.
+
+    ValueError if its checksum differs, it is damaged, or it contains anything but arrays.
+    """
     from pdr_filter.io.files.safe_files import read_small
 
     if not path.is_file():
-        raise ValueError(f"{path.name} is missing beside it, copy both files")
+        raise ValueError(f"{path.name} is missing in the same folder, copy both files")
     content = read_small(path, limits.MAX_WHOLE_BYTES)
     if hashlib.sha256(content).hexdigest() != checksum:
         raise ValueError(f"{path.name} is damaged or belongs to another .json, copy both files again")
@@ -151,12 +154,12 @@ def _unpacked(path: Path, checksum: str) -> Arrays:
             raise ValueError(f"{path.name} claims {claimed} bytes of arrays, more than {limits.MAX_UNPACKED_BYTES}")
         with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
             return {name: arrays[name] for name in arrays.files}
-    except Exception as error:  # whatever a damaged zip provokes
+    except Exception as error:  # a damaged zip file can raise any exception
         raise ValueError(f"{path.name} does not hold plain arrays ({error})") from error
 
 
 def _plain(value: Any) -> Any:
-    """Return NumPy numbers and arrays as what JSON holds."""
+    """Return NumPy numbers and arrays as JSON values."""
     if isinstance(value, np.generic | np.ndarray):
         return cast(Any, value).tolist()
     raise TypeError(f"JSON cannot hold a {type(value).__name__}; make it a number or a string")

@@ -1,7 +1,7 @@
-"""Relevance vector machine of many classes: sparse Bayesian classification with probabilities (Tipping 2001).
+"""Relevance vector machine for several classes: sparse Bayesian classification with probabilities (Tipping 2001).
 
 The model is that of section V-C of Martinelli et al. 2018 (eq. 4-9), trained by `pdr_filter.classifiers.rvm_training`.
-The iteration that the paper prints (eq. 10, 11) is `tests.oracles.rvm_reference`.
+The iteration as printed in the paper (eq. 10, 11) is `tests.oracles.rvm_reference`.
 """
 
 from __future__ import annotations
@@ -29,23 +29,24 @@ from pdr_filter.values import FloatArray, IntArray, check_array
 
 MULTI_CLASS = ("one_against_all", "multinomial")
 
-# Widths tried by kernel_width="cv", as shares of the median distance. The median itself, which is used when no width is
-# given, had the lowest mean log loss of 0.35 to 4 times the median over 22 problems (docs/methods/rvm.md).
+# Kernel widths of the search with kernel_width="cv", relative to the median distance. The default is the median, which
+# had the lowest mean log loss of all widths from 0.35 to 4 times the median over 22 problems (docs/methods/rvm.md).
 WIDTH_GRID = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
 
-# Candidates from which the kernel width is estimated: the median of half a million distances is as good as any.
+# Maximum number of candidates for the median distance. They have half a million distances.
 _MAX_WIDTH_ROWS = 1000
-_MAX_SEARCH_SAMPLES = 300  # candidates during the search for a width: it needs the order of the log losses only
-# Entries of the matrix of basis functions, 0.4 GB: with more rows, fewer of them are candidates.
+# Number of candidates in the search for a width, which only needs the order of the log losses.
+_MAX_SEARCH_SAMPLES = 300
+# Maximum size of the matrix of basis functions, 0.4 GB. With more rows, fewer of them are candidates.
 _MAX_ENTRIES = 50_000_000
-# Passes of one class before it is the next one's turn (multinomial), and rounds in all.
+# Passes of one class before the next class is trained (multinomial), and maximum number of rounds.
 _PASSES_A_ROUND = 4
 _MAX_ROUNDS = 10
 
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """What training may use for each class, and when it stops; see `RelevanceVectorClassifier`."""
+    """Limits of the training of each class, and its stopping criterion (see `RelevanceVectorClassifier`)."""
 
     max_basis: int
     max_iter: int
@@ -53,7 +54,7 @@ class Budget:
 
 
 def basis_functions(X: FloatArray, vectors: FloatArray, kernel: str, width: float) -> FloatArray:
-    """Basis functions at the rows, (1 + R, N): ones for the bias, then K(x, v) of each vector (eq. 5)."""
+    """Return the basis functions at the rows, (1 + R, N): ones for the bias, then K(x, v) of each vector (eq. 5)."""
     functions = np.ones((len(vectors) + 1, len(X)))
     if kernel == "rbf":
         gram = cdist(vectors, X, "sqeuclidean")
@@ -65,7 +66,7 @@ def basis_functions(X: FloatArray, vectors: FloatArray, kernel: str, width: floa
 
 
 def median_distance(vectors: FloatArray) -> float:
-    """Median Euclidean distance between pairs of different vectors (R, F), 1 if there is none."""
+    """Return the median Euclidean distance between pairs of different vectors (R, F), or 1 if there are none."""
     spread = np.unique(np.linspace(0, len(vectors) - 1, min(len(vectors), _MAX_WIDTH_ROWS)).astype(np.int64))
     distances = pdist(vectors[spread])
     distances = distances[distances > 0]
@@ -75,10 +76,10 @@ def median_distance(vectors: FloatArray) -> float:
 def train_one_against_all(
     functions: FloatArray, label: IntArray, weight: FloatArray, n_classes: int, budget: Budget
 ) -> list[Trained]:
-    """K machines, each for its class against all others; with two classes the first mirrors the second.
+    """Train K machines, each for its class against all others. For two classes, the first machine mirrors the second.
 
-    A machine is a `Trained` on the bias and the candidates as basis functions (R, N); label (N,) is 0 to K - 1, weight
-    (N,) how often each row counts.
+    Each machine is a `Trained` on the basis functions (R, N), which are the bias and the candidates. `label` (N,) is 0
+    to K - 1, and `weight` (N,) is the weight of each row.
     """
     no_offset = np.zeros(len(label))
     machines: list[Trained] = []
@@ -87,18 +88,18 @@ def train_one_against_all(
         machines.append(_train(functions, likelihood, None, budget.max_iter, budget))
     if n_classes != 2:
         return machines
-    p = machines[0].posterior  # the other class has the opposite logit with the same covariance
+    p = machines[0].posterior  # the other class has the negative logit with the same covariance
     return [replace(machines[0], posterior=replace(p, mean=-p.mean, logit=-p.logit)), machines[0]]
 
 
 def train_multinomial(
     functions: FloatArray, label: IntArray, weight: FloatArray, n_classes: int, budget: Budget
 ) -> list[Trained]:
-    """K machines with competing logits, p_k = exp(t_k) / sum_j exp(t_j), for three classes or more.
+    """Train K >= 3 machines with competing logits, p_k = exp(t_k) / sum_j exp(t_j).
 
-    While the others stand still, ln p_k = ln sigma(t_k + o_k) with the offset o_k = -ln sum_{j != k} exp(t_j). All
-    classes begin where one-against-all ends, and take turns until a round raises the joint value by less than `tol` a
-    class.
+    While the other logits are fixed, ln p_k = ln sigma(t_k + o_k) with the offset o_k = -ln sum_{j != k} exp(t_j). All
+    classes start from the one-against-all solution. They are trained in turn until a round raises the joint value by
+    less than `tol` per class.
     """
     targets = [(label == k).astype(np.float64) for k in range(n_classes)]
     trained = train_one_against_all(functions, label, weight, n_classes, budget)
@@ -127,7 +128,10 @@ def train_multinomial(
 
 
 def _joint_value(logit: FloatArray, label: IntArray, weight: FloatArray, trained: Sequence[Trained]) -> float:
-    """Log likelihood of the softmax plus every machine's Occam factor, ln p(w*) + ln |Delta| / 2, in nats."""
+    """Return the log-likelihood of the softmax plus the Occam factors, in nats.
+
+    The Occam factor of a machine is ln p(w*) + ln |Delta| / 2.
+    """
     chosen = logit[label, np.arange(len(label))]
     value = float(weight @ (chosen - np.asarray(logsumexp(logit, axis=0))))
     for one in trained:
@@ -146,7 +150,7 @@ def _train(
 def assemble(
     machines: Sequence[Trained], vectors: FloatArray, kernel: str, width: float, link: str, moderate: bool
 ) -> RelevanceVectors:
-    """Machines (K), trained on the bias and `vectors` (R, F), as arrays; vectors that none uses are left out."""
+    """Return K machines, trained on the bias and `vectors` (R, F), as arrays without unused vectors."""
     used = np.unique(np.concatenate([[0], *(machine.posterior.basis for machine in machines)]))  # with the bias
     size = max(len(machine.posterior.basis) for machine in machines)
     basis = np.zeros((len(machines), size), dtype=np.int64)
@@ -162,7 +166,7 @@ def assemble(
 
 
 def stratified_rows(labels: IntArray, n_rows: int, random: np.random.RandomState) -> IntArray:
-    """Choose about `n_rows` rows (ascending indices), each class in proportion but at least once."""
+    """Return ascending indices of about `n_rows` random rows, each class in proportion but at least once."""
     if n_rows >= len(labels):
         return np.arange(len(labels))
     chosen: list[IntArray] = []
@@ -174,64 +178,72 @@ def stratified_rows(labels: IntArray, n_rows: int, random: np.random.RandomState
 
 
 class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
-    """Sparse kernel classifier with probabilities for two or more classes.
+    """Relevance vector machine: sparse kernel classifier with probabilities, for two or more classes.
 
-    Scale the features before (for instance to unit variance): the kernel takes their distances as they are. Training
-    never runs longer than its budgets allow; a ConvergenceWarning says which were used up.
+    Scale the features first, for example to unit variance, because the kernel uses their Euclidean distances. The
+    training time is bounded by the limits below. A ConvergenceWarning names the limits that were reached.
 
     Parameters
     ----------
-    kernel : str
+    kernel : {"rbf", "linear"}, default "rbf"
         "rbf": one candidate basis function exp(-||x - x_i||^2 / (2 kernel_width^2)) for each training row (eq. 5).
-        "linear": one candidate for each feature, x_j over its root mean square, so that relevance selects features.
-        (Inner products with the training rows span the same functions with more candidates than dimensions.)
-    kernel_width : float, "cv" or None
-        sigma_G of eq. 5 in units of the features. None: the median distance between candidates. "cv": the
-        lowest cross-validated log loss of 0.5 to 4 times the median distance, in the time of some 20 trainings.
-        (The evidence prefers narrower kernels than the log loss of new rows does.)
-    multi_class : str
-        "one_against_all": a machine for each class against all others, sigmoids divided by their sum (the paper).
-        "multinomial": machines whose logits compete in a softmax; half as long again to train, with fewer vectors.
-        With two classes both are the same.
-    class_weight : dict, "balanced" or None
-        Factor by which the rows of a class count; "balanced": all classes count the same, and the rows N in all.
-    max_samples : int or None
-        At most about this many training rows, drawn class by class in proportion, become candidates for relevance
-        vectors; all rows always count in the likelihood. Time grows with N max_samples max_basis. None: every row is
-        a candidate, up to 50 million entries of the kernel matrix.
-    max_basis : int
-        Basis functions of each class at most, the bias included.
-    moderate : bool
-        Average the probabilities over the uncertainty of the logits (Bishop 2006, eq. 4.153). It lowers the log loss
+        "linear": one candidate for each feature, x_j divided by its root mean square, so that relevance selects
+        features. (Inner products with the training rows would span the same functions with more candidates than
+        dimensions.)
+    kernel_width : float, "cv" or None, default None
+        sigma_G of eq. 5, in units of the features. None: the median distance between candidates. "cv": the width with
+        the lowest cross-validated log loss, from 0.5 to 4 times the median distance, in the time of about 20 trainings.
+        (The evidence would prefer narrower kernels than the log loss of new rows does.)
+    multi_class : {"one_against_all", "multinomial"}, default "one_against_all"
+        "one_against_all": one machine for each class against all others, with normalised sigmoids (the paper).
+        "multinomial": machines whose logits compete in a softmax, with 1.5 times the training time and fewer vectors.
+        For two classes both are equal.
+    class_weight : dict, "balanced" or None, default None
+        Factor on the weight of the rows of each class. "balanced": all classes have the same total weight, and the rows
+        have a total weight of N.
+    max_samples : int or None, default 1000
+        Approximate maximum number of candidates for relevance vectors, drawn from the rows in proportion to the
+        classes. All rows always count in the likelihood. The training time is proportional to N max_samples max_basis.
+        None: every row is a candidate, up to 50 million entries of the kernel matrix.
+    max_basis : int, default 100
+        Maximum number of basis functions of each class, including the bias.
+    moderate : bool, default True
+        Average the probabilities over the uncertainty of the logits (Bishop 2006, eq. 4.153). This lowers the log loss
         most for narrow kernels.
-    max_iter : int
-        Passes of each class at most: refreshed posteriors.
-    tol : float
-        A class is trained when two passes in a row each raise its log evidence by less than half of this, in nats.
-    cv : int or splitter
-        Folds for kernel_width="cv": a number (stratified, whole `groups` if they are given) or any scikit-learn
+    max_iter : int, default 100
+        Maximum number of passes (updates of the posterior) for each class.
+    tol : float, default 1.0
+        Training of a class stops when two consecutive passes each raise its log evidence by less than half of this, in
+        nats.
+    cv : int or splitter, default 3
+        Folds for kernel_width="cv": a number (stratified, with whole `groups` if they are given) or a scikit-learn
         splitter.
-    random_state : int, RandomState or None
-        Draws the candidates if there are more than `max_samples` rows. Nothing else is random.
+    random_state : int, RandomState or None, default 0
+        Source of randomness for drawing candidates from more than `max_samples` rows. Nothing else is random.
 
     Attributes
     ----------
-    classes_ : (K,)
-        Class labels, sorted; columns of `predict_proba`.
-    relevance_vectors_ : (R, F)
-        Vectors that any of the machines kept.
+    classes_ : ndarray, shape (K,)
+        Sorted class labels: the columns of `predict_proba`.
+    relevance_vectors_ : ndarray, shape (R, F)
+        Relevance vectors of all machines.
     kernel_width_ : float
-        The width that was used.
+        Kernel width in use.
     cv_log_loss_ : dict
-        Cross-validated log loss of each width that was tried; empty unless kernel_width="cv".
-    log_evidence_ : (K,)
-        Log evidence of each machine, in nats. For comparisons of one problem's settings, not across data.
+        Cross-validated log loss by kernel width. Empty unless kernel_width="cv".
+    log_evidence_ : ndarray, shape (K,)
+        Log evidence of each machine, in nats. It compares settings on the same data, not different data.
     n_iter_ : int
-        Passes of the class that needed most.
+        Largest number of passes of a class.
     machine_ : RelevanceVectors
-        All that prediction needs, as plain arrays; store this.
+        Trained machines as plain arrays, for prediction and storage.
     n_features_in_ : int
-        Features of a row, F.
+        Number F of features.
+
+    References
+    ----------
+    .. [1] Tipping, "Sparse Bayesian learning and the relevance vector machine", JMLR 1, 2001.
+    .. [2] Martinelli et al. 2018, section V-C.
 
     Examples
     --------
@@ -276,24 +288,49 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
     def fit(
         self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None, groups: ArrayLike | None = None
     ) -> RelevanceVectorClassifier:
-        """Train on rows X (N, F) and labels y (N,), and return the classifier itself.
+        """Train the classifier.
 
-        A row of weight w (`sample_weight` (N,)) counts as if it were there w times; 0 leaves it out. `groups` (N,), for
-        instance people, stay whole in the folds of kernel_width="cv".
+        Parameters
+        ----------
+        X : array_like, shape (N, F)
+            Rows of features.
+        y : array_like, shape (N,)
+            Class label of each row.
+        sample_weight : array_like, shape (N,), optional
+            Weight of each row: a row of weight w counts like w rows. Rows of weight 0 are ignored.
+        groups : array_like, shape (N,), optional
+            Groups, such as people, that are not divided by the folds of kernel_width="cv".
+
+        Returns
+        -------
+        RelevanceVectorClassifier
+            The classifier itself.
+
+        Raises
+        ------
+        ValueError
+            If a setting or an array is invalid.
+
+        Warns
+        -----
+        ConvergenceWarning
+            If a limit of the training was reached.
         """
         self._check_settings()
         rows, labels, weight, group = self._checked(X, y, sample_weight, groups)
         self.classes_, label = np.unique(labels, return_inverse=True)
         if len(self.classes_) < 2:
-            raise ValueError(f"only one class in y ({self.classes_[0]!r}): a classifier needs at least two classes")
+            raise ValueError(
+                f"y must have at least two classes, got only {self.classes_[0]!r}: give rows of another class"
+            )
         weight = weight * self._class_factors(label, weight)[label]
         self.cv_log_loss_: dict[float, float] = {}
-        # One thread: on a busy computer BLAS threads wait for each other, and training took eight times as long.
+        # One thread, because BLAS threads wait for each other on a busy computer: training took eight times as long.
         with threadpool_limits(limits=1, user_api="blas"):
             candidates, messages = self._candidates(rows, label, weight)
             self.kernel_width_ = self._width(rows, label, weight, group, candidates)
             machines, self.machine_ = self._fitted(rows, label, weight, candidates, self.kernel_width_)
-        messages += self._used_up(machines)
+        messages += self._budget_messages(machines)
         if messages:
             warnings.warn("; ".join(messages), ConvergenceWarning, stacklevel=2)
         self.n_iter_ = max(machine.n_passes for machine in machines)
@@ -302,18 +339,40 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
         return self
 
     def predict_proba(self, X: ArrayLike) -> FloatArray:
-        """Class probabilities of rows, (N, F) to (N, K), each row summing to one."""
+        """Return the class probabilities of rows.
+
+        Parameters
+        ----------
+        X : array_like, shape (N, F)
+            Rows of features.
+
+        Returns
+        -------
+        ndarray, shape (N, K)
+            Probabilities in the order of `classes_`. Each row sums to one.
+        """
         check_is_fitted(self)
         rows: Any = validate_data(self, cast(Any, X), dtype=np.float64, reset=False)
         return self.machine_.predict_proba(rows)
 
     def predict(self, X: ArrayLike) -> NDArray[Any]:
-        """Most probable class of each row, (N, F) to (N,)."""
+        """Return the most probable class of each row.
+
+        Parameters
+        ----------
+        X : array_like, shape (N, F)
+            Rows of features.
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            Class labels.
+        """
         best = self.predict_proba(X).argmax(axis=1)
         return self.classes_[best]
 
     def _check_settings(self) -> None:
-        """Raise ValueError that names a setting which makes no sense."""
+        """Raise ValueError that names an invalid setting."""
         if self.kernel not in KERNELS:
             raise ValueError(f"kernel must be one of {KERNELS}, got {self.kernel!r}")
         if self.multi_class not in MULTI_CLASS:
@@ -322,18 +381,18 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
         if isinstance(width, str) and width != "cv":
             raise ValueError(f'kernel_width must be a number, "cv" or None, got {width!r}')
         if width is not None and not isinstance(width, str):
-            check_array("kernel_width", width, "positive", remedy="it is in units of the features")
+            check_array("kernel_width", width, "positive", remedy="give it in units of the features")
         if self.max_samples is not None and self.max_samples < 1:
             raise ValueError(f"max_samples must be at least 1 or None, got {self.max_samples}")
         for name in ("max_basis", "max_iter"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
-        check_array("tol", self.tol, "positive", remedy="it is in nats")
+        check_array("tol", self.tol, "positive", remedy="give it in nats")
 
     def _checked(
         self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None, groups: ArrayLike | None
     ) -> tuple[FloatArray, NDArray[Any], FloatArray, NDArray[Any] | None]:
-        """Rows, labels, weights and groups as arrays of one length, rows of weight zero left out."""
+        """Return rows, labels, weights and groups as arrays of equal length, without rows of weight zero."""
         checked: Any = validate_data(self, cast(Any, X), cast(Any, y), dtype=np.float64)
         rows: FloatArray = checked[0]
         labels: NDArray[Any] = checked[1]
@@ -343,7 +402,7 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
             weight = np.full(len(rows), float(weight))
         check_array("sample_weight", weight, "0 or more", (len(rows),), "give one for each row")
         if not weight.any():
-            raise ValueError("sample_weight must not be zero for all rows")
+            raise ValueError("sample_weight must be positive for at least one row, got only zeros")
         group = None if groups is None else np.asarray(groups)
         if group is not None and group.shape != (len(rows),):
             raise ValueError(f"groups must be ({len(rows)},), one for each row, got {group.shape}")
@@ -351,7 +410,7 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
         return rows[counts], labels[counts], weight[counts], None if group is None else group[counts]
 
     def _class_factors(self, label: IntArray, weight: FloatArray) -> FloatArray:
-        """Factor of each class's rows, (K,)."""
+        """Return the weight factor of each class, (K,)."""
         if self.class_weight is None:
             return np.ones(len(self.classes_))
         if isinstance(self.class_weight, str):
@@ -363,7 +422,10 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
         return factors
 
     def _candidates(self, rows: FloatArray, label: IntArray, weight: FloatArray) -> tuple[FloatArray, list[str]]:
-        """Candidates for relevance vectors, (R, F), different and sorted, and what to say if not all rows are some."""
+        """Return the unique, sorted candidates for relevance vectors (R, F).
+
+        Also return a message if not all rows are candidates.
+        """
         if self.kernel == "linear":
             size = np.sqrt(weight @ rows**2 / weight.sum())
             return np.diag(1.0 / np.where(size > 0, size, 1.0)), []
@@ -373,37 +435,39 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
         messages: list[str] = []
         if len(chosen) < len(rows):
             limit = "max_samples" if self.max_samples is not None and self.max_samples <= room else "memory"
-            messages.append(f"{len(chosen)} of {len(rows)} rows are candidates for relevance vectors ({limit})")
+            messages.append(f"only {len(chosen)} of {len(rows)} rows are candidates for relevance vectors ({limit})")
         return np.unique(rows[chosen], axis=0), messages
 
     def _fitted(
         self, rows: FloatArray, label: IntArray, weight: FloatArray, candidates: FloatArray, width: float
     ) -> tuple[list[Trained], RelevanceVectors]:
-        """Trained machines, and the same as arrays for prediction."""
+        """Return the trained machines, and their arrays for prediction."""
         functions = basis_functions(rows, candidates, self.kernel, width)
         budget = Budget(self.max_basis, self.max_iter, self.tol)
         n_classes = int(label.max()) + 1
-        multinomial = self.multi_class == "multinomial" and n_classes > 2  # of two, one logit can as well be zero
+        multinomial = self.multi_class == "multinomial" and n_classes > 2  # for two classes one logit is redundant
         trainer = train_multinomial if multinomial else train_one_against_all
         machines = trainer(functions, label, weight, n_classes, budget)
         link = "softmax" if multinomial else "sigmoid"
         return machines, assemble(machines, candidates, self.kernel, width, link, self.moderate)
 
-    def _used_up(self, machines: Sequence[Trained]) -> list[str]:
-        """What to say about budgets that were used up."""
+    def _budget_messages(self, machines: Sequence[Trained]) -> list[str]:
+        """Return messages about the limits that training reached."""
         passes = [c for c, m in zip(self.classes_.tolist(), machines, strict=True) if m.out_of_passes]
         basis = [c for c, m in zip(self.classes_.tolist(), machines, strict=True) if m.out_of_basis]
         messages: list[str] = []
         if passes:
-            messages.append(f"the evidence still rises for classes {passes}: raise max_iter={self.max_iter} or tol")
+            messages.append(
+                f"training stopped before convergence for classes {passes}: raise max_iter={self.max_iter} or tol"
+            )
         if basis:
-            messages.append(f"classes {basis} would use more basis functions: raise max_basis={self.max_basis}")
+            messages.append(f"classes {basis} reached the limit of basis functions: raise max_basis={self.max_basis}")
         return messages
 
     def _width(
         self, rows: FloatArray, label: IntArray, weight: FloatArray, group: NDArray[Any] | None, candidates: FloatArray
     ) -> float:
-        """Kernel width that is given, guessed or chosen by cross-validation."""
+        """Return the kernel width that is given, estimated, or chosen by cross-validation."""
         if self.kernel == "linear":
             return 1.0
         if isinstance(self.kernel_width, int | float | np.number):
@@ -417,7 +481,7 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
         return min(self.cv_log_loss_, key=lambda width: self.cv_log_loss_[width])
 
     def _folds(self, rows: FloatArray, label: IntArray, group: NDArray[Any] | None) -> list[tuple[IntArray, IntArray]]:
-        """Rows to train on and to score, for each fold; folds that train on one class are left out."""
+        """Return the rows for training and for scoring of each fold, without folds that train on a single class."""
         splitter: Any = self.cv
         if isinstance(splitter, int):
             if group is None:
@@ -425,7 +489,8 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
             else:
                 splitter = StratifiedGroupKFold(splitter)
         with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message="The least populated class")  # such rows are not scored
+            # Classes with fewer rows than folds are not scored.
+            warnings.filterwarnings("ignore", message="The least populated class")
             folds = list(splitter.split(rows, label, group)) if hasattr(splitter, "split") else list(splitter)
         folds = [(fit, score) for fit, score in folds if len(np.unique(label[fit])) > 1]
         if not folds:
@@ -440,7 +505,10 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
         folds: Sequence[tuple[IntArray, IntArray]],
         width: float,
     ) -> float:
-        """Weighted mean log loss in nats of rows left out, of classes that their fold has seen."""
+        """Return the weighted mean log loss of held-out rows, in nats.
+
+        Only rows whose class is in the training rows of their fold count.
+        """
         loss, total = 0.0, 0.0
         for fit, score in folds:
             seen, fit_label = np.unique(label[fit], return_inverse=True)

@@ -1,12 +1,13 @@
-"""Fast sparse Bayesian learning: marginal-likelihood maximisation, many basis functions at a time.
+"""Fast sparse Bayesian learning: maximisation of the marginal likelihood with many basis functions per pass.
 
-With all other weights fixed, the log evidence depends on the precision alpha_m of a weight's prior through the sparsity
-s_m and quality q_m of its basis function (Faul and Tipping 2002; Tipping and Faul 2003, "Fast Marginal Likelihood
-Maximisation for Sparse Bayesian Models", AISTATS), and is highest at alpha_m = s_m^2 / (q_m^2 - s_m) if q_m^2 > s_m,
-else at infinity (delete the function). Where Tipping and Faul take one such action and refresh the posterior, here one
-pass takes many, and is tried again with less if it lowers the evidence. docs/methods/rvm.md has the equations and says
-what else differs. The posterior is Laplace's approximation for any log-concave likelihood. `classifiers.rvm` has the
-classifiers that call it.
+With all other weights fixed, the log evidence depends on the precision alpha_m of the prior of a weight through the
+sparsity s_m and the quality q_m of its basis function (Faul and Tipping 2002; Tipping and Faul 2003, "Fast Marginal
+Likelihood Maximisation for Sparse Bayesian Models", AISTATS). Its maximum is at alpha_m = s_m^2 / (q_m^2 - s_m) if
+q_m^2 > s_m. Otherwise it is at infinity, and the function is deleted.
+
+Tipping and Faul change one function and update the posterior. Here, one pass changes many functions, and is repeated
+with a smaller step if it lowers the evidence. docs/methods/rvm.md has the equations and the other differences. The
+posterior is the Laplace approximation for any log-concave likelihood. The classifiers are in `classifiers.rvm`.
 """
 
 from __future__ import annotations
@@ -20,64 +21,67 @@ from scipy.special import expit
 
 from pdr_filter.values import BoolArray, FloatArray, IntArray
 
-# Functions added in one pass at most. They are chosen from the best `_SHORTLIST` with their mutual covariances, so that
-# one of two similar functions is taken and not both; more than 20 at once are mostly deleted again.
+# Maximum number of functions added in one pass. They are chosen from the best `_SHORTLIST` with their mutual
+# covariances, so that only one of two similar functions is added. Of more than 20, most are deleted again.
 _MAX_ADDED = 20
 _SHORTLIST = 60
-# Share of the functions that one pass may delete: with wide kernels many look useless together but not one by one.
+# Maximum share of functions deleted in one pass. With wide kernels, many functions are redundant one by one, but not
+# all of them together.
 _MAX_DELETED_SHARE = 0.2
-_START_ALPHA = 1e-2  # prior precision of the weights before the first pass: logits of ten are plausible
-# Lower bound of an alpha: beyond it the prior is flat to double precision and the Hessian may lose its rank.
+_START_ALPHA = 1e-2  # prior precision of the weights before the first pass, for logits of about ten
+# Lower bound of an alpha. Below it the prior is flat in double precision, and the Hessian may be singular.
 _MIN_ALPHA = 1e-10
-# A function whose presence is worth less than this many nats is deleted: it costs time and moves nothing.
-_MIN_WORTH = 1e-3
-# Of two functions whose parts that the model does not explain correlate more than this, a pass adds one.
+# Minimum evidence gain of a function, in nats. Functions with less are deleted, because they only cost time.
+_MIN_EVIDENCE_GAIN = 1e-3
+# If the unexplained parts of two functions have a higher correlation, a pass adds only one of them.
 _MAX_CORRELATION = 0.99
-# A candidate is a combination of the functions in the model, up to rounding, when this share of it is unexplained.
+# A candidate with a smaller unexplained share is, up to rounding, a combination of the functions in the model.
 _MIN_UNEXPLAINED = 1e-6
-# The mode is found when another Newton step would raise the log posterior by less than this many nats.
+# The search for the mode ends when a Newton step would raise the log posterior by less than this, in nats.
 _MODE_TOLERANCE = 1e-8
 _MAX_NEWTON_STEPS = 100
-_MIN_BOLDNESS = 0.1  # how bold a pass is: the step in ln alpha and the numbers added and deleted are multiplied by it
-_BLOCK = 64  # basis functions whose s and q are computed together: a block and its square stay in the cache
+# Minimum step size of a pass. The step size multiplies the steps in ln alpha, and the numbers of additions and
+# deletions.
+_MIN_STEP_SIZE = 0.1
+_BLOCK = 64  # functions whose s and q are computed together, so that a block and its square fit into the cache
 
 
 class Likelihood(Protocol):
-    """Log-concave likelihood of the targets as a function of the logits t (N,), independent from row to row."""
+    """Log-concave likelihood of the targets as a function of the logits t (N,), independent for each row."""
 
     def log_likelihood(self, logit: FloatArray) -> float:
-        """Logarithm of p(y | t) in nats."""
+        """Return ln p(y | t), in nats."""
         ...
 
     def slope(self, logit: FloatArray) -> FloatArray:
-        """Derivative d ln p / d t_n, (N,)."""
+        """Return the derivatives d ln p / d t_n, (N,)."""
         ...
 
     def curvature(self, logit: FloatArray) -> FloatArray:
-        """beta_n = -d^2 ln p / d t_n^2, (N,), not negative."""
+        """Return beta_n = -d^2 ln p / d t_n^2, (N,), which are not negative."""
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bernoulli:
-    """Targets 0 or 1 with p(y_n = 1) = sigma(t_n + offset_n), row n counted weight_n times."""
+    """Likelihood of targets 0 or 1 with p(y_n = 1) = sigma(t_n + offset_n) and row weights weight_n."""
 
     target: FloatArray  # (N,)
     weight: FloatArray  # (N,) positive
     offset: FloatArray  # (N,) nats
 
     def log_likelihood(self, logit: FloatArray) -> float:
-        """Eq. 8 of Martinelli et al. 2018, in nats."""
+        """Return the log-likelihood in nats (eq. 8 of Martinelli et al. 2018)."""
         t = logit + self.offset
-        # y ln sigma(t) + (1 - y) ln(1 - sigma(t)) = y t - ln(1 + e^t), which does not overflow
+        # y ln sigma(t) + (1 - y) ln(1 - sigma(t)) = y t - ln(1 + e^t), where the right side does not overflow.
         return float(self.weight @ (self.target * t - np.logaddexp(0.0, t)))
 
     def slope(self, logit: FloatArray) -> FloatArray:
-        """Weighted y - sigma(t), (N,)."""
+        """Return the weighted y - sigma(t), (N,)."""
         return self.weight * (self.target - expit(logit + self.offset))
 
     def curvature(self, logit: FloatArray) -> FloatArray:
-        """Weighted sigma(t) (1 - sigma(t)), (N,)."""
+        """Return the weighted sigma(t) (1 - sigma(t)), (N,)."""
         probability = expit(logit + self.offset)
         return self.weight * probability * (1.0 - probability)
 
@@ -101,29 +105,32 @@ class Posterior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trained:
-    """Where training ended, how it got there and which budgets it used up."""
+    """Result of a training: posterior, number of passes, history of the evidence, and limits that were reached."""
 
     posterior: Posterior
     n_passes: int
-    log_evidence: tuple[float, ...] = field(repr=False)  # before the first and after every pass; it never falls
-    out_of_passes: bool
-    out_of_basis: bool  # functions that would have raised the evidence found no room
+    log_evidence: tuple[float, ...] = field(repr=False)  # before the first and after every pass; it never decreases
+    out_of_passes: bool  # stopped by the limit of passes
+    out_of_basis: bool  # stopped by the limit of functions, though more would raise the evidence
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Proposal:
-    """What a pass would do: the next alphas, where infinite means delete, and functions to add."""
+    """Changes proposed for a pass: new alphas, functions to delete, and functions to add."""
 
     alpha: FloatArray  # (M,)
     delete: BoolArray  # (M,)
-    added: IntArray  # (P,) in the order of their worth
+    added: IntArray  # (P,) in descending order of their evidence gain
     added_alpha: FloatArray  # (P,)
-    gain: float  # nats that the additions promise
-    crowded: bool  # more functions wait to be deleted than one pass may
+    gain: float  # expected evidence gain of the additions, nats
+    has_postponed_deletions: bool  # more deletions are due than one pass may do
 
 
 def spread_start(likelihood: Likelihood, functions: FloatArray, n_functions: int) -> Posterior:
-    """Posterior with the bias and up to `n_functions` - 1 others, at equal distances in the order of `functions`."""
+    """Return a posterior with the bias and other functions, at equal intervals of `functions`.
+
+    There are up to `n_functions` in total.
+    """
     n = max(1, min(n_functions, len(functions)))
     basis = np.unique(np.linspace(0, len(functions) - 1, n).astype(np.int64))
     alpha = np.full(len(basis), _START_ALPHA)
@@ -139,33 +146,38 @@ def train(
     max_passes: int = 100,
     tol: float = 1.0,
 ) -> Trained:
-    """Alphas of (locally) maximal evidence with the posterior that they imply.
+    """Return the alphas with (locally) maximal evidence, and their posterior.
 
-    `functions` (R, N) are the candidates at the N rows, the bias (ones) first: one a row, so that a block of functions
-    is contiguous. `start` is where another training ended, perhaps with another likelihood (else `spread_start`).
-    Training stops when two passes together raise the log evidence by less than `tol` nats.
+    `functions` (R, N) are the candidates at the N rows, with the bias (ones) first. One function is one row, so that
+    blocks of functions are contiguous. `start` is the posterior of an earlier training, possibly with another
+    likelihood. The default is `spread_start`. Training stops when two consecutive passes each raise the log evidence by
+    less than `tol` / 2.
     """
     if start is None:
         now = spread_start(likelihood, functions, max_basis)
     else:
         now = posterior(likelihood, functions, start.basis, start.alpha, start.mean, start.logit)
     evidence = [now.log_evidence]
-    boldness, n_passes, settled = 1.0, 0, 0
+    step_size, n_passes, settled = 1.0, 0, 0
     while n_passes < max_passes:
         proposal = propose(likelihood, functions, now)
-        refreshed, boldness, tried = _raise_evidence(
-            likelihood, functions, now, proposal, boldness, max_basis, max_passes - n_passes
+        refreshed, step_size, tried = _raise_evidence(
+            likelihood, functions, now, proposal, step_size, max_basis, max_passes - n_passes
         )
         n_passes += tried
         full = proposal.gain >= tol and len(now.basis) >= max_basis and not proposal.delete.any()
         if refreshed is None:
-            return Trained(now, n_passes, tuple(evidence), boldness >= _MIN_BOLDNESS, full)
-        settled = settled + 1 if refreshed.log_evidence - now.log_evidence < 0.5 * tol and not proposal.crowded else 0
+            return Trained(now, n_passes, tuple(evidence), step_size >= _MIN_STEP_SIZE, full)
+        settled = (
+            settled + 1
+            if refreshed.log_evidence - now.log_evidence < 0.5 * tol and not proposal.has_postponed_deletions
+            else 0
+        )
         now = refreshed
         evidence.append(now.log_evidence)
         if settled == 2:
             return Trained(now, n_passes, tuple(evidence), False, full)
-        boldness = min(1.0, 2.0 * boldness)
+        step_size = min(1.0, 2.0 * step_size)
     return Trained(now, n_passes, tuple(evidence), True, len(now.basis) >= max_basis)
 
 
@@ -174,49 +186,56 @@ def _raise_evidence(
     functions: FloatArray,
     now: Posterior,
     proposal: Proposal,
-    boldness: float,
+    step_size: float,
     max_basis: int,
     max_tries: int,
 ) -> tuple[Posterior | None, float, int]:
-    """First posterior of higher evidence, None if there is none, with the boldness and the number of tries it took."""
+    """Return a posterior with higher evidence, the step size, and the number of tries.
+
+    The posterior is None if all tries fail.
+    """
     for tried in range(1, max_tries + 1):
-        refreshed = act(likelihood, functions, now, proposal, boldness, max_basis - len(now.basis))
+        refreshed = apply(likelihood, functions, now, proposal, step_size, max_basis - len(now.basis))
         if refreshed.log_evidence > now.log_evidence:
-            return refreshed, boldness, tried
-        boldness *= 0.5  # roll back and try less
-        if boldness < _MIN_BOLDNESS:
-            return None, boldness, tried
-    return None, boldness, max_tries
+            return refreshed, step_size, tried
+        step_size *= 0.5  # discard the result and try a smaller step
+        if step_size < _MIN_STEP_SIZE:
+            return None, step_size, tried
+    return None, step_size, max_tries
 
 
 def propose(likelihood: Likelihood, functions: FloatArray, now: Posterior) -> Proposal:
-    """Next alphas, deletions and additions, each best when nothing else changes."""
+    """Return the proposed changes: new alphas, deletions and additions. Each is optimal if nothing else changes."""
     s, q = inside_factors(now)
     relevance = q**2 - s
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         alpha = np.where(relevance > 0, s**2 / relevance, np.inf)
-    delete = (relevance <= 0) | (worth(s, q) < _MIN_WORTH)
-    # a function that should go but may not yet keeps its alpha
+    delete = (relevance <= 0) | (evidence_gain(s, q) < _MIN_EVIDENCE_GAIN)
+    # A function whose deletion is postponed keeps its alpha.
     alpha = np.clip(np.where(delete, now.alpha, alpha), _MIN_ALPHA, None)
     allowed = max(1, int(_MAX_DELETED_SHARE * len(now.basis)))
-    crowded = bool(delete.sum() > allowed)
-    if crowded:
+    has_postponed_deletions = bool(delete.sum() > allowed)
+    if has_postponed_deletions:
         order = np.argsort(np.where(delete, relevance / s, np.inf), kind="stable")
         delete = np.isin(np.arange(len(delete)), order[:allowed])
-    # Also while many wait to be deleted: what is added then replaces some of them, by far better than deleting first.
+    # Functions are also added while deletions are postponed, because the new ones replace some of the old ones. The
+    # result is much better than with deletions first.
     added, added_alpha, gain = additions(likelihood, functions, now)
-    return Proposal(alpha, delete, added, added_alpha, gain, crowded)
+    return Proposal(alpha, delete, added, added_alpha, gain, has_postponed_deletions)
 
 
-def act(
-    likelihood: Likelihood, functions: FloatArray, now: Posterior, proposal: Proposal, boldness: float, room: int
+def apply(
+    likelihood: Likelihood, functions: FloatArray, now: Posterior, proposal: Proposal, step_size: float, room: int
 ) -> Posterior:
-    """Posterior after a share (0 to 1) of what is proposed, with at most `room` functions more than now."""
-    alpha = now.alpha * (proposal.alpha / now.alpha) ** boldness
-    doomed = np.flatnonzero(proposal.delete)
-    doomed = doomed[: int(np.ceil(boldness * len(doomed)))]
-    keep = np.isin(np.arange(len(alpha)), doomed, invert=True)
-    n_added = min(int(np.ceil(boldness * len(proposal.added))), room + len(doomed))
+    """Return the posterior after a share (the step size, 0 to 1) of the proposed changes.
+
+    The number of functions grows by at most `room`.
+    """
+    alpha = now.alpha * (proposal.alpha / now.alpha) ** step_size
+    deleted = np.flatnonzero(proposal.delete)
+    deleted = deleted[: int(np.ceil(step_size * len(deleted)))]
+    keep = np.isin(np.arange(len(alpha)), deleted, invert=True)
+    n_added = min(int(np.ceil(step_size * len(proposal.added))), room + len(deleted))
     basis = np.concatenate([now.basis[keep], proposal.added[:n_added]])
     order = np.argsort(basis)
     alpha = np.concatenate([alpha[keep], proposal.added_alpha[:n_added]])[order]
@@ -225,23 +244,30 @@ def act(
 
 
 def inside_factors(now: Posterior) -> tuple[FloatArray, FloatArray]:
-    """Sparsity s and quality q (M,) of the functions in the model: 1 / Delta_mm = alpha_m + s_m, w_m = q_m Delta_mm."""
+    """Return sparsity s and quality q (M,) of the functions in the model.
+
+    They follow from 1 / Delta_mm = alpha_m + s_m and w_m = q_m Delta_mm.
+    """
     variance = now.variance
     s = np.maximum(1.0 / variance - now.alpha, np.finfo(float).eps / variance)
     return s, now.mean / variance
 
 
-def worth(s: FloatArray, q: FloatArray) -> FloatArray:
-    """Nats that a function adds at its best alpha: ((q^2 - s) / s + ln(s / q^2)) / 2 where q^2 > s, else zero."""
+def evidence_gain(s: FloatArray, q: FloatArray) -> FloatArray:
+    """Return the evidence gain of functions at their best alphas, in nats.
+
+    ((q^2 - s) / s + ln(s / q^2)) / 2 where q^2 > s, else zero.
+    """
     ratio = np.maximum(q**2 / s, 1.0)
     return 0.5 * (ratio - 1.0 - np.log(ratio))
 
 
 def outside_factors(likelihood: Likelihood, functions: FloatArray, now: Posterior) -> tuple[FloatArray, FloatArray]:
-    """S and Q of the functions outside the model, there equal to s and q, (R,) each; S is infinite inside.
+    """Return S and Q, (R,) each, which equal s and q for functions outside of the model.
 
-    Q = phi^T g and S = phi^T B phi - ||G Phi^T B phi||^2, its matrix product, most of the training time, in single
-    precision: S decides here only which functions are looked at closely.
+    For functions in the model, S is infinite. Otherwise Q = phi^T g and S = phi^T B phi - ||G Phi^T B phi||^2. The
+    matrix product in S takes most of the training time. It is computed in single precision, because S is only used here
+    to select the shortlist.
     """
     beta, slope = likelihood.curvature(now.logit), likelihood.slope(now.logit)
     projection = ((functions[now.basis] * beta).T @ now.cov_factor.T).astype(np.float32)  # (N, M)
@@ -251,20 +277,20 @@ def outside_factors(likelihood: Likelihood, functions: FloatArray, now: Posterio
         size[i : i + _BLOCK] = block**2 @ beta
         explained[i : i + _BLOCK] = np.sum((block.astype(np.float32) @ projection) ** 2, axis=1)
     sparsity = size - explained
-    sparsity[sparsity <= _MIN_UNEXPLAINED * size] = np.inf  # adds nothing to what is there
+    sparsity[sparsity <= _MIN_UNEXPLAINED * size] = np.inf  # a combination of functions in the model
     sparsity[now.basis] = np.inf
     return sparsity, functions @ slope
 
 
 def additions(likelihood: Likelihood, functions: FloatArray, now: Posterior) -> tuple[IntArray, FloatArray, float]:
-    """Functions to add (P,), best first, their alphas (P,) and the nats that they promise.
+    """Return the functions to add (P,), best first, their alphas (P,), and the sum of their evidence gains in nats.
 
-    The best of the `_SHORTLIST` is added, S and Q of the others are updated for its presence, and so on.
+    The best function of the shortlist is added, S and Q of the others are updated for its presence, and so on.
     """
     sparsity, quality = outside_factors(likelihood, functions, now)
-    value = worth(sparsity, quality)
+    value = evidence_gain(sparsity, quality)
     short = np.argsort(-value, kind="stable")[:_SHORTLIST]
-    short = short[value[short] > _MIN_WORTH]
+    short = short[value[short] > _MIN_EVIDENCE_GAIN]
     weighted = functions[short] * likelihood.curvature(now.logit)
     explained = weighted @ functions[now.basis].T @ now.cov_factor.T
     size = weighted @ functions[short].T
@@ -277,10 +303,10 @@ def additions(likelihood: Likelihood, functions: FloatArray, now: Posterior) -> 
     gain = 0.0
     for _ in range(min(_MAX_ADDED, len(short))):
         s = np.where(np.diag(mutual) > least, np.diag(mutual), np.inf)
-        s[alike[chosen].any(axis=0)] = np.inf  # what was chosen is like itself
-        value = worth(s, quality)
+        s[alike[chosen].any(axis=0)] = np.inf  # includes the chosen functions, which correlate with themselves
+        value = evidence_gain(s, quality)
         best = int(np.argmax(value))
-        if value[best] <= _MIN_WORTH:
+        if value[best] <= _MIN_EVIDENCE_GAIN:
             break
         alpha = max(float(s[best] ** 2 / (quality[best] ** 2 - s[best])), _MIN_ALPHA)
         chosen.append(best)
@@ -300,10 +326,11 @@ def posterior(
     start: FloatArray,
     start_logit: FloatArray,
 ) -> Posterior:
-    """Laplace posterior for given alphas, by Newton's method with Levenberg's damping.
+    """Return the Laplace posterior for given alphas, from Newton's method with Levenberg damping.
 
-    The search begins at the best of three: one step of reweighted least squares from `start_logit` (N,), the weights
-    `start` (M,), and the bias alone (saturated sigmoids make the others crawl). All lead to the same mode.
+    The search starts at the best of three points: one step of reweighted least squares from `start_logit` (N,), the
+    weights `start` (M,), and the bias alone. The last avoids slow convergence when sigmoids are saturated. All three
+    lead to the same mode.
     """
     phi = functions[basis]
     if not len(basis):
@@ -326,33 +353,36 @@ def posterior(
             step, gain = _levenberg_step(precision, gradient, damping)
             proposed = objective(weights + step)
         if gain < _MODE_TOLERANCE or proposed <= value:
-            break  # or no gain is left above rounding: this is the mode
+            break  # no gain above rounding: this is the mode
         weights, value = weights + step, proposed
         logit = weights @ phi
         precision = _precision(phi, likelihood.curvature(logit), alpha)
         damping = 0.1 * damping if damping > 1e-3 else 0.0
     factor, scale = _scaled_cholesky(precision)
-    # ln p(y) = ln p(y | w*) p(w* | alpha) + (M / 2) ln 2 pi + ln |Delta| / 2; the 2 pi cancel
+    # ln p(y) = ln p(y | w*) p(w* | alpha) + (M / 2) ln 2 pi + ln |Delta| / 2. The terms with 2 pi cancel.
     log_evidence = value + 0.5 * float(np.sum(np.log(alpha))) + float(np.sum(np.log(scale / np.diag(factor))))
     return Posterior(basis, alpha, weights, solve_triangular(factor, np.diag(scale), lower=True), logit, log_evidence)
 
 
 def _reweighted(likelihood: Likelihood, phi: FloatArray, alpha: FloatArray, logit: FloatArray) -> FloatArray:
-    """Weights (M,) by one step of reweighted least squares from any logits (N,): Delta Phi^T B (t + B^-1 g)."""
+    """Return the weights (M,) after one step of reweighted least squares from logits (N,).
+
+    They are Delta Phi^T B (t + B^-1 g).
+    """
     beta = likelihood.curvature(logit)
     factor, scale = _scaled_cholesky(_precision(phi, beta, alpha))
     return scale * cho_solve((factor, True), scale * (phi @ (beta * logit + likelihood.slope(logit))))
 
 
 def _empty(likelihood: Likelihood, functions: FloatArray) -> Posterior:
-    """Posterior of a model without functions: every logit is zero."""
+    """Return the posterior of a model without functions, whose logits are zero."""
     logit = np.zeros(functions.shape[1])
     nothing = np.zeros(0)
     return Posterior(np.zeros(0, np.int64), nothing, nothing, np.zeros((0, 0)), logit, likelihood.log_likelihood(logit))
 
 
 def _precision(phi: FloatArray, beta: FloatArray, alpha: FloatArray) -> FloatArray:
-    """Phi^T B Phi + A, the inverse of Delta (Martinelli et al. 2018, eq. 10), (M, M)."""
+    """Return Phi^T B Phi + A, (M, M), the inverse of Delta (Martinelli et al. 2018, eq. 10)."""
     scaled = phi * np.sqrt(beta)
     precision = scaled @ scaled.T
     precision[np.diag_indices_from(precision)] += alpha
@@ -360,14 +390,20 @@ def _precision(phi: FloatArray, beta: FloatArray, alpha: FloatArray) -> FloatArr
 
 
 def _levenberg_step(precision: FloatArray, gradient: FloatArray, damping: float) -> tuple[FloatArray, float]:
-    """Newton step (M,) with the diagonal of the Hessian raised by a share, and half of its product with the slope."""
+    """Return the damped Newton step (M,), and half of its product with the gradient.
+
+    Damping raises the diagonal of the Hessian by a share.
+    """
     factor, scale = _scaled_cholesky(precision, damping)
     step = scale * cho_solve((factor, True), scale * gradient)
     return step, 0.5 * float(gradient @ step)
 
 
 def _scaled_cholesky(precision: FloatArray, damping: float = 0.0) -> tuple[FloatArray, FloatArray]:
-    """Lower L and scale d with L L^T = d_i H_ij d_j + damping I, unit diagonal; damping grows until it is definite."""
+    """Return lower L and scale d with L L^T = d_i H_ij d_j + damping I, where the scaled matrix has a unit diagonal.
+
+    The damping is raised until the matrix is positive definite.
+    """
     scale = 1.0 / np.sqrt(np.diag(precision))
     scaled = precision * scale[:, None] * scale
     while True:

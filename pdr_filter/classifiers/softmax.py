@@ -1,4 +1,4 @@
-"""Multinomial logistic regression as plain arrays: probabilities in NumPy only, some microseconds a row."""
+"""Multinomial logistic regression as plain arrays: prediction in NumPy only, in some microseconds per row."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pdr_filter.values import FloatArray, check_array, softmax
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SoftmaxRegression(Machine):
-    """p_k = softmax_k(w_k . x + b_k) of standardised features x."""
+    """Multinomial logistic regression: p_k = softmax_k(w_k . x + b_k) of standardised features x."""
 
     weights: FloatArray  # (K, F) w
     intercept: FloatArray  # (K,) b
@@ -25,14 +25,14 @@ class SoftmaxRegression(Machine):
 
     @property
     def n_features(self) -> int:
-        """Number of features, F."""
+        """Number F of features."""
         return self.weights.shape[1]
 
     @property
     def n_classes(self) -> int:
-        """Number of classes, K."""
+        """Number K of classes."""
         return len(self.weights)
 
-    def _of_rows(self, rows: FloatArray) -> FloatArray:
-        # sums along the last axis: a row has the same bits alone and among others
+    def _predict(self, rows: FloatArray) -> FloatArray:
+        # Sums along the last axis do not depend on the other rows, to the last bit.
         return softmax((self.weights * rows[:, None, :]).sum(axis=2) + self.intercept)

@@ -20,6 +20,7 @@ from pdr_filter.cli.radio import radio
 from pdr_filter.cli.simulate import demo, simulate
 from pdr_filter.cli.track import track
 from pdr_filter.cli.train import train
+from pdr_filter.cli.workbench import app as workbench
 from pdr_filter.version import __version__
 
 app = typer.Typer(
@@ -29,7 +30,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for command in (track, info, convert, plan, train, compare, calibrate, smooth, radio, simulate, demo, live):
+for command in (track, info, convert, plan, train, compare, calibrate, smooth, radio, simulate, demo, live, workbench):
     app.command()(in_groups(command))
 
 

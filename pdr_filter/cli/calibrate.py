@@ -121,39 +121,49 @@ def smooth(
     anchors: AnchorsFile = None,
     person: PersonFile = None,
     loop: Loop = False,
+    marks: Annotated[
+        bool, typer.Option(help="Use the files of marks beside the recording, where no option replaces them.")
+    ] = True,
     out: Folder = None,
     file_format: Format = None,
 ) -> None:
     """Smooth a whole recording against fixes and loop closures, or else its own waypoints or locations, if it has any.
 
-    Times in the files are seconds of the recording.
+    Times in the files are seconds of the recording. Files that pdr-filter app writes beside a recording are used:
+    fixes.csv, loop_closures.csv, person.json and walk.json.
     """
     import pdr_filter as pdr
     from pdr_filter.io.fix_files import fixes_of_file, loop_closures_of_file
+    from pdr_filter.maps.marks import Marks, read_marks
     from pdr_filter.offline.smoothing.observations import waypoint_fixes
     from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
 
     before: dict[Path, int] = {}
     with console.one_line_errors(), console.progress("smoothing"):
-        recording = pdr.read(file, file_format)
-        closed = [] if loop_closures is None else loop_closures_of_file(loop_closures)
+        marked = read_marks(file) if marks else Marks(file)
+        recording = marked.recording(pdr.read(file, file_format))
+        known: dict[str, Any] = marked.arguments()
+        closed = known.pop("loop_closures") if loop_closures is None else loop_closures_of_file(loop_closures)
         closed += wifi_loop_closures(recording) if wifi_loops else []
-        known_places = [] if fixes is None else fixes_of_file(fixes, fix_std_m)
-        where = placement.arguments()
+        known_places: list[Any] = known.pop("fixes")
+        if fixes is not None:
+            known_places = list(fixes_of_file(fixes, fix_std_m))
+        where = {name: value for name, value in placement.arguments().items() if value is not None}
+        is_marked = bool(known or known_places or closed)
         if radio is not None:
             mapped = pdr.RadioMap.load(radio)
             known_places += [*mapped.fixes(recording), *(mapped.grids(recording) if placement.plan else [])]
         known_places += ranges_of(ranges, anchors, where.get("origin"))
-        is_given = any((fixes, loop_closures, radio, ranges, wifi_loops, loop, replace(placement, plan=None).given()))
+        is_given = is_marked or any(
+            (fixes, loop_closures, radio, ranges, wifi_loops, loop, replace(placement, plan=None).given())
+        )
         if recording.truth.waypoints is not None and not is_given:
             known_places = waypoint_fixes(recording, fix_std_m)
         result = pdr.smooth(
             recording,
             known_places,
-            person=person,
             loop_closures=closed,
-            loop=loop,
-            **where,
+            **{**known, **where, **({} if person is None else {"person": person}), **({"loop": True} if loop else {})},
         )
         track = result.track
         if out is not None:
@@ -162,6 +172,8 @@ def smooth(
             console.write_track(track, out, name)
             if track.origin is not None:
                 console.write_map(track, out / f"{name}.geojson")
+    if marked.names:
+        console.stderr().print(f"marks used: {escape(', '.join(str(marked.folder / n) for n in marked.names))}")
     console.print_tracks([track])
     typer.echo(
         f"{len(result.observations)} observations, {len(result.rejected)} not used; "

@@ -186,11 +186,11 @@ def live(
         def say(port: int) -> None:
             _say(address, port, token)
 
-        bound = opened.enter_context(_bound(address.host, address.port))
-        asyncio.run(_run(shared, uvicorn.Server(config), bound, partial(sources.tasks, walk), say))
+        listening = opened.enter_context(bound(address.host, address.port))
+        asyncio.run(_run(shared, uvicorn.Server(config), listening, partial(sources.tasks, walk), say))
 
 
-def _bound(host: str, port: int) -> socket.socket:
+def bound(host: str, port: int) -> socket.socket:
     """Bound socket; ValueError if the address is taken or not allowed."""
     made = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
     made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -205,33 +205,33 @@ def _bound(host: str, port: int) -> socket.socket:
 async def _run(
     shared: Live,
     server: Any,
-    bound: socket.socket,
+    listening: socket.socket,
     tasks: Callable[[Live], list[Coroutine[Any, Any, None]]],
     say: Callable[[int], None],
 ) -> None:
     """Serve with workers that run."""
     try:
         await shared.start()
-        await _served(server, bound, [*tasks(shared), _readers_ended(server, shared)], say)
+        await served(server, listening, [*tasks(shared), until_exit(server, shared.end_readers)], say)
     finally:
         await shared.stop()
 
 
-async def _readers_ended(server: Any, shared: Live) -> None:
-    """End the events of pages when the server is to end."""
+async def until_exit(server: Any, end: Callable[[], None]) -> None:
+    """Call a function when the server is to end, such as one that ends the events of pages."""
     while not server.should_exit:
         await asyncio.sleep(_LOOK_S)
-    shared.end_readers()
+    end()
 
 
-async def _served(
-    server: Any, bound: socket.socket, sources: list[Coroutine[Any, Any, None]], say: Callable[[int], None]
+async def served(
+    server: Any, listening: socket.socket, sources: list[Coroutine[Any, Any, None]], say: Callable[[int], None]
 ) -> None:
     """Serve until Ctrl+C; sources begin when the server answers."""
-    serving = asyncio.create_task(server.serve([bound]))
+    serving = asyncio.create_task(server.serve([listening]))
     while not (server.started or serving.done()):
         await asyncio.sleep(0.02)
-    say(bound.getsockname()[1])
+    say(listening.getsockname()[1])
     fetching = [asyncio.create_task(_told(source)) for source in sources]
     try:
         await serving

@@ -1,8 +1,8 @@
-"""Public recordings for everybody: from the places where their owners published them, into a cache, with licences.
+"""Public recordings, downloaded from the sites of their owners into a cache, with their licences.
 
-`fetch("humolire")` downloads what its owners published and writes it as recordings in the project's own format, with
-person, labels and truth; a folder of your own is used in place of the network if the environment variable PDR_DATA
-names one with a folder of the data set's name. Downloads need `pip install "pdr_filter[datasets]"`.
+`fetch("humolire")` downloads a data set and writes it as recordings in the format of this package, with person, labels
+and ground truth. To use local files instead, set the environment variable PDR_DATA to a folder that contains a folder
+with the name of the data set. Downloads need `pip install "pdr_filter[datasets]"`.
 """
 
 from __future__ import annotations
@@ -24,31 +24,66 @@ from pdr_filter.io.folders import recordings_in
 from pdr_filter.values.recording import Recording
 
 _GITHUB = "https://raw.githubusercontent.com"
-_RAW = ".raw"  # in a folder of recordings what begins with a point is no recording
+_RAW = ".raw"  # the readers skip names that begin with a dot
 _ATTRIBUTION = "ATTRIBUTION.txt"
 _CHECKSUMS = "SHA256SUMS"
 
 
 @dataclass(frozen=True, slots=True)
 class Dataset:
-    """What is public of a data set, and under which terms."""
+    """Source, licence and conversion of a public data set.
+
+    Attributes
+    ----------
+    title : str
+        Title and short description.
+    licence : str
+        Licence of the files.
+    attribution : str
+        Publication or owner to cite.
+    home : str
+        Address of the folder of the files. It should contain a commit, so that the files cannot change.
+    files : tuple of str
+        Paths of the files below `home`.
+    sha256 : tuple of str, default ()
+        Checksums of `files` in the same order, or empty if they are unknown.
+    or_home : str, default ""
+        Address of the newest state of the same folder, for files that are missing in the commit.
+    recordings : callable, optional
+        Function from the folder of the raw files to recordings. The default reads all recordings that the readers find.
+    plan : callable, optional
+        Function from the folder of the raw files to the floor plan: GeoJSON in metres, in the frame of the ground
+        truth.
+
+    Examples
+    --------
+    >>> from pdr_filter.datasets import DATASETS
+    >>> DATASETS["humolire"].licence
+    'CC BY 4.0'
+    """
 
     title: str
     licence: str
     attribution: str
-    home: str  # address that its files lie under; with a commit in it, they cannot change
-    files: tuple[str, ...]  # paths below it
-    sha256: tuple[str, ...] = ()  # of the files, in the same order; none where it is not known
-    or_home: str = ""  # the newest state of the same place, for a file that is not in the commit
-    recordings: Callable[[Path], Iterable[Recording]] = from_raw.as_found  # from the folder of the raw files
-    plan: Callable[[Path], dict[str, Any]] | None = None  # its floor plan, GeoJSON in metres of its truth
+    home: str
+    files: tuple[str, ...]
+    sha256: tuple[str, ...] = ()
+    or_home: str = ""
+    recordings: Callable[[Path], Iterable[Recording]] = from_raw.as_found
+    plan: Callable[[Path], dict[str, Any]] | None = None
 
     def about(self) -> str:
-        """Title, licence, attribution and how far what comes is checked, as lines."""
+        """Return title, licence, attribution, source and verification of the data set.
+
+        Returns
+        -------
+        str
+            Lines of text.
+        """
         checked = (
             "checked: sha256 of each file"
             if len(self.sha256) == len(self.files)
-            else f"checked: no sha256 is known yet, only the commit in the address; {_CHECKSUMS} has those of what came"
+            else f"checked: only the commit in the address, no sha256 is known yet; {_CHECKSUMS} has those received"
         )
         terms = f"licence: {self.licence}\nattribution: {self.attribution}"
         return f"{self.title}\n{terms}\nfrom: {self.home}\n{checked}\n"
@@ -60,7 +95,7 @@ _HUMOLIRE = (
     "forward",
     *(f"weinberg_sequences/{n}{way}" for n in "123" for way in "fr"),
 )
-_LANDMARKS = ("forward", "weinberg_sequences/1f", "weinberg_sequences/5r")  # of each way
+_LANDMARKS = ("forward", "weinberg_sequences/1f", "weinberg_sequences/5r")  # one file for each route
 _SENSLOGS = ("accelerometer-calibrated.txt", "gyroscope-calibrated.txt", "record.properties", "references.txt")
 DATASETS: dict[str, Dataset] = {
     "humolire": Dataset(
@@ -101,44 +136,62 @@ DATASETS: dict[str, Dataset] = {
 
 
 def fetch(name: str, folder: str | Path | None = None) -> list[Path]:
-    """Return the paths of the recordings of a data set, sorted; those that are not there yet are downloaded.
+    """Return the paths of the recordings of a data set, and download missing ones.
 
-    They are zips in the project's own format, with person, labels and truth as far as these are published, in
-    `folder / name`; a floor plan, where there is one, is `maps/NAME.geojson` in the same folder. What was downloaded
-    is kept in `.raw` beside the zips, with its checksums in `SHA256SUMS`, as `sha256sum --check` reads them: no public
-    address could be reached when the table of data sets was written, so that there are none to compare with yet.
+    The recordings are zip files in the format of this package, in `folder / name`. They contain person, labels and
+    ground truth as far as these are published. A floor plan, if there is one, is `folder / "maps" / "NAME.geojson"`.
 
     Parameters
     ----------
     name : str
-        One of `DATASETS`, or the name of a folder in PDR_DATA.
+        One of `DATASETS`, or the name of a folder in the folder that the environment variable PDR_DATA names.
     folder : str or Path, optional
-        Where the data sets are kept, one folder each; `cache_folder` if not given.
+        Folder of the data sets, with one folder for each. The default is `cache_folder()`.
 
     Returns
     -------
     list of Path
-        Files for `pdr_filter.read`.
+        Files for `pdr_filter.read`, sorted.
 
     Raises
     ------
     ValueError
-        For a name that is not known, a checksum that differs, or without the package for downloads.
+        If the name is unknown, if a checksum differs, or if the package for downloads is not installed.
     ConnectionError
-        If its home cannot be reached; the message says what else can be done.
+        If the site cannot be reached.
+
+    Notes
+    -----
+    Downloaded files are kept in `.raw` next to the zip files. Their checksums are in `SHA256SUMS`, in the format of
+    `sha256sum --check`. No public address could be reached when the table of data sets was written. The table therefore
+    contains no checksums to compare with yet.
+
+    Examples
+    --------
+    A local data set, without a download:
+
+    >>> import os
+    >>> from unittest import mock
+    >>> import pdr_filter as pdr
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("stationary", duration_s=2.0)])
+    >>> os.makedirs("data/mine")
+    >>> _ = walk.save("data/mine/walk.zip")
+    >>> with mock.patch.dict(os.environ, {"PDR_DATA": "data"}):
+    ...     [path.name for path in pdr.datasets.fetch("mine")]
+    ['walk.zip']
     """
     local = os.environ.get("PDR_DATA")
     if local and (Path(local) / name).is_dir():
         return recordings_in(Path(local) / name)
     if name not in DATASETS:
         raise ValueError(
-            f"name is {name!r}; known are {', '.join(DATASETS)}, and the folders in the one that PDR_DATA names "
-            f"({local or 'not set'})"
+            f"data set {name!r} is unknown: give one of {', '.join(DATASETS)}, or the name of a folder in the folder "
+            f"of the environment variable PDR_DATA ({local or 'not set'})"
         )
     dataset = DATASETS[name]
     folder = Path(folder) if folder is not None else cache_folder()
     to = folder / name
-    if not (to / _ATTRIBUTION).is_file():  # written last
+    if not (to / _ATTRIBUTION).is_file():  # this file is written last
         print(dataset.about(), end="", file=sys.stderr)
         _download(name, dataset, to / _RAW)
         _write(name, dataset, to, folder / "maps" / f"{name}.geojson")
@@ -146,12 +199,12 @@ def fetch(name: str, folder: str | Path | None = None) -> list[Path]:
 
 
 def cache_folder() -> Path:
-    """Where data sets are kept if no folder is given: where programs of the user keep what can be had again."""
+    """Return the default folder of the data sets: the user's cache folder for reproducible files."""
     return Path(_pooch().os_cache("pdr_filter"))
 
 
 def _write(name: str, dataset: Dataset, to: Path, plan: Path) -> None:
-    """The recordings and the floor plan, from what was downloaded."""
+    """Write the recordings and the floor plan from the downloaded files."""
     raw = to / _RAW
     for archive in raw.rglob("*.zip"):
         _unpack(archive)
@@ -168,6 +221,7 @@ def _write(name: str, dataset: Dataset, to: Path, plan: Path) -> None:
 
 
 def _download(name: str, dataset: Dataset, raw: Path) -> None:
+    """Download the missing files of a data set, from the commit or else from the newest state."""
     pooch = _pooch()
     pooch.get_logger().setLevel("WARNING")
     known = dict(zip(dataset.files, dataset.sha256, strict=False))
@@ -180,21 +234,27 @@ def _download(name: str, dataset: Dataset, raw: Path) -> None:
             try:
                 pooch.retrieve(url, known.get(file), place.name, place.parent)
                 break
-            except ValueError as error:  # the checksum
-                raise ValueError(f"{name}: {url} is not what it was ({error}); tell us, and do not use it") from error
+            except ValueError as error:  # wrong checksum
+                raise ValueError(
+                    f"{name}: {url} has changed since its checksum was recorded ({error}): do not use the file, and "
+                    "report this to the maintainers of pdr_filter"
+                ) from error
             except OSError as error:
                 if "404" in str(error) and dataset.or_home and home != dataset.or_home:
-                    print(f"{file} is not in that commit: its newest state is taken", file=sys.stderr)
+                    print(f"{file} is missing in the recorded commit: downloading its newest state", file=sys.stderr)
                     continue
                 raise ConnectionError(
-                    f"{name}: {url} cannot be had ({type(error).__name__}: {str(error)[:200]}); connect to the network "
-                    "and call it again, which goes on where it was, or copy the data set to a folder "
-                    f"{name} in one that the environment variable PDR_DATA names"
+                    f"{name}: {url} cannot be downloaded ({type(error).__name__}: {str(error)[:200]}); connect to the "
+                    "network and call fetch again, which resumes the download, or copy the data set to a folder "
+                    f"{name} in the folder of the environment variable PDR_DATA"
                 ) from error
 
 
 def _unpack(archive: Path) -> None:
-    """The texts of a zip, beside it, within the bounds of the readers; once."""
+    """Extract the text files of a zip next to it, unless they exist.
+
+    The limits of the readers on sizes apply.
+    """
     with open_members(archive) as members:
         for name in members.names:
             place = archive.with_suffix("") / name
@@ -204,8 +264,9 @@ def _unpack(archive: Path) -> None:
 
 
 def _pooch():
+    """Return the module pooch, or raise an error that says how to install it."""
     try:
         import pooch
     except ImportError as error:
-        raise ValueError('downloads need one more package: pip install "pdr_filter[datasets]"') from error
+        raise ValueError('downloads need the package pooch: pip install "pdr_filter[datasets]"') from error
     return pooch

@@ -1,7 +1,7 @@
-"""Recordings from what the owners of data sets published: with person, labels and truth, in the project's format.
+"""Conversion of published data sets to recordings with person, labels and ground truth.
 
-Each function takes the folder of the raw files. What is known of the people and of the way is in files of its own
-there, or in the publication.
+Each function takes the folder of the raw files. Information about people and routes is in further files of that folder,
+or in the publication.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from pdr_filter.io.tables.any_table import read_table
 from pdr_filter.values import FloatArray, Table, limits, table
 from pdr_filter.values.recording import Recording, Truth
 
-_LEAST_LEG_M = 5.0
-# Corridors are parallel to the axes of the plan; the landmarks of a leg along one are less than this off, those round a
-# corner 9 degrees and more.
-_MOST_OFF_RAD = np.radians(5.0)
-# The first step swings by this, and half a second before that the person begins to move.
+_MIN_LEG_M = 5.0
+# Corridors are parallel to the axes of the plan. The landmarks of a leg along a corridor deviate by less than this,
+# those of a leg round a corner by at least 9 degrees.
+_MAX_OFF_RAD = np.radians(5.0)
+# Deviation of the force that marks the first step. The person begins to move half a second before it.
 _SWING_MPS2, _BEFORE_S, _SETTLED_S = 2.0, 0.5, 0.3
-# Which landmarks were passed, where it is not said beside a walk: both routes were walked again and again.
+# Walk whose folder has the landmarks of the route, for walks without a file of landmarks.
 _ROUTES = {
     **dict.fromkeys(("straight", "weinberg_sequences/2f", "weinberg_sequences/3f"), "weinberg_sequences/1f"),
     **dict.fromkeys(("straight_reversed", *(f"weinberg_sequences/{n}r" for n in "123")), "weinberg_sequences/5r"),
@@ -42,29 +42,35 @@ _ACTIVITIES = {
 
 
 def as_found(raw: Path) -> Iterator[Recording]:
-    """The recordings in a folder as the readers find them."""
+    """Yield the recordings of a folder as the readers find them, without further ground truth."""
     for path in recordings_in(raw):
         yield read(path)
 
 
 def humolire(raw: Path) -> Iterator[Recording]:
-    """Walks with the landmarks that were passed, and the legs along corridors as stretches of known length."""
+    """Yield the walks of HuMoLIRe.
+
+    Ground truth are the passed landmarks, and the legs along corridors as segments of known length.
+    """
     walks = raw / "imus" / "1"
     for references in sorted(walks.rglob("references.txt")):
         folder = references.parent
         walk = folder.relative_to(walks).as_posix()
         recording = read(folder)
-        zero_s = next(_rows(folder / "accelerometer-calibrated.txt"))[1]  # of the sensor's clock
+        zero_s = next(_rows(folder / "accelerometer-calibrated.txt"))[1]  # start of the sensor clock
         clicked_s = np.array([row[0] for row in _rows(references)]) - zero_s
         points_m = _landmarks(walks / _ROUTES.get(walk, walk) / "keypoints.json")
         if len(points_m) != len(clicked_s) + 1:
-            raise RecordingError(f"{references}: {len(clicked_s)} clicks and {len(points_m) - 1} landmarks; tell us")
+            raise RecordingError(
+                f"{references}: {len(clicked_s)} clicks and {len(points_m) - 1} landmarks, but their numbers must be "
+                "equal; report this to the maintainers of pdr_filter"
+            )
         time_s = np.concatenate([[_begin_s(recording)], clicked_s])
         leg_m, begin_s, end_s = np.diff(points_m, axis=0), time_s[:-1], time_s[1:]
         length_m = np.linalg.norm(leg_m, axis=1)
         off_rad = np.abs((np.arctan2(leg_m[:, 1], leg_m[:, 0]) + np.pi / 4) % (np.pi / 2) - np.pi / 4)
-        straight = (length_m >= _LEAST_LEG_M) & (off_rad < _MOST_OFF_RAD)
-        straight[0] = False  # when it began was not clicked
+        straight = (length_m >= _MIN_LEG_M) & (off_rad < _MAX_OFF_RAD)
+        straight[0] = False  # the start of the first leg was not clicked
         truth = Truth(
             waypoints=_waypoints(time_s, points_m, 0.0),
             segments=table(
@@ -86,7 +92,10 @@ def humolire(raw: Path) -> Iterator[Recording]:
 
 
 def motionsense(raw: Path) -> Iterator[Recording]:
-    """One activity each, of the people that the figures in the docs are of: the first twelve."""
+    """Yield the recordings of the first twelve people of MotionSense, one activity each.
+
+    Figures in the documentation are for these people.
+    """
     people = {row["code"]: row for row in _csv(raw / "data_subjects_info.csv")}
     for path in sorted(raw.rglob("sub_*.csv")):
         code, trial = path.stem.removeprefix("sub_"), path.parent.name
@@ -112,7 +121,7 @@ def motionsense(raw: Path) -> Iterator[Recording]:
 
 
 def ms_indoor(raw: Path) -> Iterator[Recording]:
-    """Walks with the points of the floor map that the surveyor marked."""
+    """Yield the walks of Indoor Location Competition 2.0, with the surveyed points of the floor plan."""
     for path in sorted(raw.glob("*/path_data_files/*.txt")):
         recording = read_indoor_location(path)
         waypoints = recording.truth.waypoints
@@ -126,7 +135,10 @@ def ms_indoor(raw: Path) -> Iterator[Recording]:
 
 
 def humolire_plan(raw: Path) -> dict[str, Any]:
-    """The walls of its floor, in metres of the landmarks: from pixels of a picture that is 915 high, y downwards."""
+    """Return the walls of the floor of HuMoLIRe, in metres in the frame of the landmarks.
+
+    The source has pixels of a picture of height 915, with y downwards.
+    """
     path = raw / "maps" / "map_data.json"
     content = json_object(read_small(path, limits.MAX_WHOLE_BYTES), str(path))
     scale_m = float(content["scale"])
@@ -148,21 +160,24 @@ def humolire_plan(raw: Path) -> dict[str, Any]:
 
 
 def _named(recording: Recording, name: str, truth: Truth, meta: dict[str, Any]) -> Recording:
+    """Return the recording with another name, ground truth and additional metadata."""
     return replace(recording, name=name, truth=truth, meta={**recording.meta, **meta})
 
 
 def _waypoints(time_s: FloatArray, points_m: FloatArray, floor: float) -> Table:
+    """Return a table of waypoints on one floor."""
     east_m, north_m = points_m.T
     return table({"time_s": time_s, "east_m": east_m, "north_m": north_m, "floor": np.full(len(time_s), floor)})
 
 
 def _label(begin_s: float, end_s: float, context: str, carrying_mode: str) -> Table:
+    """Return a table with one label."""
     row = {"start_s": begin_s, "end_s": end_s, "context": context, "carrying_mode": carrying_mode}
     return table({name: [value] for name, value in row.items()})
 
 
 def _begin_s(recording: Recording) -> float:
-    """When the person begins to move."""
+    """Return the time at which the person begins to move."""
     force = recording.accelerometer
     swing = np.abs(np.linalg.norm(force.values, axis=1) - np.median(np.linalg.norm(force.values, axis=1)))
     moving = (swing > _SWING_MPS2) & (force.time_s > _SETTLED_S)
@@ -170,17 +185,18 @@ def _begin_s(recording: Recording) -> float:
 
 
 def _landmarks(path: Path) -> FloatArray:
-    """The starting position and the landmarks, in the order in which they were passed, shape (N, 2)."""
+    """Return the starting position and the landmarks in the order of the route, (N, 2)."""
     content = json_object(read_small(path, limits.MAX_SMALL_BYTES), str(path))
     points = [content["starting_position"], *(content[str(i)] for i in range(int(content["count"])))]
     return np.array([[point["x"], point["y"]] for point in points], dtype=float)
 
 
 def _rows(path: Path) -> Iterator[list[float]]:
-    """The lines of numbers of a text of senslogs."""
+    """Return the numeric lines of a text file of senslogs."""
     lines = read_small(path, limits.MAX_MEMBER_BYTES).decode("utf-8", "replace").splitlines()
     return (list(map(float, line.split())) for line in lines if line[:1].isdigit())
 
 
 def _csv(path: Path) -> list[dict[str, str]]:
+    """Return the rows of a CSV file."""
     return list(csv.DictReader(read_small(path, limits.MAX_SMALL_BYTES).decode("utf-8-sig").splitlines()))

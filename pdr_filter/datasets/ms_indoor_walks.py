@@ -1,4 +1,4 @@
-"""Which walks of Indoor Location Competition 2.0 are taken, by storey: those that the figures in the docs are of."""
+"""Walks of Indoor Location Competition 2.0 to download, by storey. Figures in the documentation are for these walks."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Events in, rows of a track out: step lengths, motion, the IMM, the weightings, fixes."""
+"""Filter that turns steps, context windows and fixes into track rows with covariances."""

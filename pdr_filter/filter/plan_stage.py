@@ -10,7 +10,7 @@ from pdr_filter.values import Fix, FixOutcome, FloatArray, FloorPassage, Note, O
 
 
 class PlanStart(Protocol):
-    """Where the walk begins on the plan."""
+    """Start of the walk on the plan."""
 
     @property
     def floor(self) -> int:
@@ -19,7 +19,7 @@ class PlanStart(Protocol):
 
 
 class PlanState(Protocol):
-    """State of a plan stage: all that changes."""
+    """State of a plan stage."""
 
     @property
     def heading_rad(self) -> float:
@@ -28,32 +28,32 @@ class PlanState(Protocol):
 
 
 class PlanStage(Protocol):
-    """A stage that follows the tracker's events on a floor plan.
+    """Stage that processes the events of a tracker on a floor plan.
 
-    `pdr_filter.maps.particle_filter.ParticleFilter` is one. Each method returns the state after one event, and
-    `pedestrian` is the state of the tracker after that event.
+    `pdr_filter.maps.particle_filter.ParticleFilter` is the implementation. Each `on_` method returns the state after
+    one event. Its argument `pedestrian` is the state of the tracker after the same event.
     """
 
     @property
     def plan(self) -> Plan:
-        """The floor plan."""
+        """Floor plan."""
         ...
 
     @property
     def start(self) -> PlanStart | None:
-        """Where the walk begins, None if the tracker shows it."""
+        """Start of the walk, or None if the tracker determines it."""
         ...
 
     def init(self) -> Any:
-        """State before the first step."""
+        """Return the state before the first step."""
         ...
 
     def on_step(self, state: Any, update: StepUpdate, pedestrian: PedestrianState, model: PedestrianModel) -> Any:
-        """State after a step."""
+        """Return the state after a step."""
         ...
 
     def on_gap(self, state: Any, gap_s: float, model: PedestrianModel) -> Any:
-        """State after a time without samples."""
+        """Return the state after a time without samples."""
         ...
 
     def on_fix(
@@ -65,17 +65,17 @@ class PlanStage(Protocol):
         model: PedestrianModel,
         floor: int,
     ) -> Any:
-        """State after a fix that the tracker has used or rejected."""
+        """Return the state after a fix that the tracker has used or rejected."""
         ...
 
     def on_passage(self, state: Any, passage: FloorPassage, pedestrian: PedestrianState, model: PedestrianModel) -> Any:
-        """State after the pedestrian has reached another storey."""
+        """Return the state after the pedestrian has reached another storey."""
         ...
 
     def place(self, state: Any, reckoned: tuple[FloatArray, FloatArray]) -> OnPlan | None:
-        """Estimate of the position on the plan, None before there is one."""
+        """Return the estimate of the position on the plan, or None before the first one."""
         ...
 
     def notes(self, state: Any) -> list[Note]:
-        """Warnings about the plan and the walk."""
+        """Return warnings about the plan and the walk."""
         ...

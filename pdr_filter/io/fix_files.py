@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,19 +12,35 @@ import numpy as np
 from pdr_filter.io.files.safe_files import read_json, read_small
 from pdr_filter.io.tables.text_table import TextTable, text_rows
 from pdr_filter.offline.smoothing.observations import LoopClosure
-from pdr_filter.values import FloatArray, Origin, PositionFix, RangeFix, limits
+from pdr_filter.values import FloatArray, HeadingFix, Origin, PositionFix, RangeFix, limits
 
 # Anchors in degrees span less than 5.6 km, and anchors in metres more than 5 cm.
 _MOST_DEG = 0.05
 
 
-def fixes_of_file(path: str | Path, std_m: float = 1.0) -> list[PositionFix]:
+def fixes_of_file(path: str | Path, std_m: float = 1.0) -> list[PositionFix | HeadingFix]:
     """Fixes of a CSV file with the columns `time_s,east_m,north_m`, and `std_m` of each if the file has it.
 
+    Two more columns, `heading_deg` and `heading_std_deg`, give the walking heading at the time of a fix, clockwise from
+    north. They are empty where the heading is not known.
     Times are those of the samples. ValueError names the file, the line and the remedy.
     """
-    rows = _rows(Path(path), ("time_s", "east_m", "north_m"), "fixes", std_m)
-    return [PositionFix(t, np.array([east, north]), std**2 * np.eye(2)) for t, east, north, std in rows]
+    file = Path(path)
+    rows = _rows(file, ("time_s", "east_m", "north_m"), "fixes", std_m)
+    found: list[PositionFix | HeadingFix] = [
+        PositionFix(t, np.array([east, north]), std**2 * np.eye(2)) for t, east, north, std in rows
+    ]
+    table = TextTable([read_small(file, limits.MAX_WHOLE_BYTES)], str(file))
+    if "heading_deg" not in table.fields:
+        return found
+    headings = table.parse(table.places(("heading_deg", "heading_std_deg")), []).values
+    for k, (row, (heading_deg, heading_std_deg)) in enumerate(zip(rows, headings.tolist(), strict=True)):
+        if math.isfinite(heading_deg):
+            try:
+                found.append(HeadingFix(row[0], math.radians(heading_deg), math.radians(heading_std_deg)))
+            except ValueError as error:
+                raise ValueError(f"{file}, row {k + 1}: heading_std_deg must be positive ({error})") from None
+    return found
 
 
 def ranges_of_file(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import lru_cache
 from itertools import islice
 from pathlib import Path, PurePosixPath
 
@@ -155,11 +156,19 @@ def _parts_in(path: Path) -> list[str]:
     """
     try:
         if path.is_file():
-            return parts_of(path)
+            found = path.stat()
+            return list(_parts_of_version(path, found.st_size, found.st_mtime_ns))
         members = Members(path)
         return recordings_among(members, [name for name in members.names if name[0] != "."])
     except Exception:
         return []  # something is wrong with one of them, which its row will say
+
+
+@lru_cache(maxsize=20_000)
+def _parts_of_version(path: Path, n_bytes: int, changed_ns: int) -> tuple[str, ...]:
+    """Recordings in a file, remembered until it changes: a program may look at a large folder again and again."""
+    del n_bytes, changed_ns
+    return tuple(parts_of(path))
 
 
 def _is_mapped(path: Path) -> bool:

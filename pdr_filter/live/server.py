@@ -60,7 +60,7 @@ class Site:
     async def page(self, request: Request) -> Response:
         """Serve the page of the tracks, or that for the browser of a phone."""
         name = {"/": "index.html", "/phone": "phone.html"}[request.url.path]
-        return FileResponse(PAGE / name, headers=_policy(self.tiles))
+        return FileResponse(PAGE / name, headers=page_headers(self.tiles))
 
     async def asset(self, request: Request) -> Response:
         """Serve scripts and styles of the pages."""
@@ -68,7 +68,7 @@ class Site:
         path = next((p for folder in (PAGE, *_SHARED) if (p := folder / name).is_file()), None)
         if path is None or path.suffix not in (".js", ".css", ".txt"):
             return PlainTextResponse("not found", 404)
-        return FileResponse(path, headers=_policy(self.tiles))
+        return FileResponse(path, headers=page_headers(self.tiles))
 
     async def authority(self, _: Request) -> Response:
         """Serve the certificate of the authority."""
@@ -80,7 +80,7 @@ class Site:
 
     async def data(self, request: Request) -> Response:
         """Take the messages of a phone."""
-        body = await _body(request)
+        body = await body_of(request)
         return _TOO_LONG if body is None else _json(await self.live.take(body, **_named(request)))
 
     async def stream(self, socket: WebSocket) -> None:
@@ -101,7 +101,7 @@ class Site:
         if about is None:
             return JSONResponse({"error": "no such session"}, 404)
         try:
-            content: Any = json.loads(await _body(request) or b"")
+            content: Any = json.loads(await body_of(request) or b"")
         except (ValueError, RecursionError):
             return JSONResponse({"error": "not JSON; send east_m, north_m and perhaps std_m"}, 400)
         body = json.dumps({"device": about["device"], "session": about["session"], "fix": content}).encode()
@@ -120,7 +120,7 @@ class Site:
         if key not in tracks:
             return JSONResponse({"error": "no such session"}, 404)
         content = json.dumps(geojson(tracks[key]))
-        return Response(content, media_type="application/geo+json", headers=_attachment(f"{key}.geojson"))
+        return Response(content, media_type="application/geo+json", headers=attachment(f"{key}.geojson"))
 
     async def recording(self, request: Request) -> Response:
         """Return the recording as a zip file."""
@@ -128,7 +128,7 @@ class Site:
         if key not in self.live.sessions:  # otherwise a name from outside would become a path
             return JSONResponse({"error": "no such session"}, 404)
         content = await asyncio.to_thread(_zipped, self.live.folder / key)
-        return Response(content, media_type="application/zip", headers=_attachment(f"{key}.zip"))
+        return Response(content, media_type="application/zip", headers=attachment(f"{key}.zip"))
 
     async def events(self, _: Request) -> Response:
         """Send events as server-sent events."""
@@ -209,12 +209,12 @@ class AccessMiddleware:
 _TOO_LONG = JSONResponse({"error": f"more than {MAX_BODY_BYTES} bytes in one message; send smaller ones"}, 413)
 
 
-async def _body(request: Request) -> bytes | None:
+async def body_of(request: Request, most: int = MAX_BODY_BYTES) -> bytes | None:
     """Body of a request; None if it is too long, and then it is not read to its end."""
     body = bytearray()
     async for part in request.stream():
         body += part
-        if len(body) > MAX_BODY_BYTES:
+        if len(body) > most:
             return None
     return bytes(body)
 
@@ -229,11 +229,12 @@ def _named(asked: HTTPConnection) -> dict[str, str]:
     return {name: asked.query_params.get(name, "")[:200] for name in ("device", "session", "platform")}
 
 
-def _attachment(name: str) -> dict[str, str]:
+def attachment(name: str) -> dict[str, str]:
+    """Headers of a file that a browser saves."""
     return {"Content-Disposition": f'attachment; filename="{name}"'}
 
 
-def _policy(tiles: str) -> dict[str, str]:
+def page_headers(tiles: str) -> dict[str, str]:
     """Headers that let the page load nothing from other servers, except the tiles that the user named."""
     where = urlsplit(tiles)
     images = f"'self' data: {where.scheme}://{where.netloc}" if tiles else "'self' data:"

@@ -337,7 +337,7 @@ class DeviceSession:
         frame = online.state.tracker.pedestrian.frame
         if not frame.is_known or all(place is None for place in self._starts):
             return []
-        self._turn_at, drawn = time.monotonic(), frame.drawn()
+        self._turn_at, drawn = time.monotonic(), frame.at_most_probable_rotation()
         for row, start in zip(self.path, self._starts, strict=True):
             if start is not None:
                 place = drawn.world(start)

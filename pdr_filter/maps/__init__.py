@@ -1,1 +1,1 @@
-"""Floor plans, and the particle filter that keeps a track inside of them."""
+"""Floor plans and radio maps, and the particle filter that keeps a track on a floor plan."""

@@ -1,4 +1,4 @@
-"""What it costs to walk against a floor plan, as fields over its cells."""
+"""Costs of walking against a floor plan, as fields over its cells."""
 
 from __future__ import annotations
 
@@ -12,38 +12,83 @@ from pdr_filter.maps.storey import CELL_M, LIFT, OUTSIDE, ROOM, STAIRS, WALL, St
 from pdr_filter.values import BoolArray, FloatArray, check_numbers
 
 _Field = NDArray[np.float32]
-# Directions that are looked in from each cell.
+# Number of directions tested from each cell.
 _N_DIRECTIONS = 16
-# How far from a lift its ride seems to end: the first step out of it, and what a track is off within a few steps.
-_BESIDE_M = 1.0
+# Standard deviation of the distance between a lift and the end of its ride: the first step out of the lift, and the
+# error of a track over a few steps.
+_LIFT_STD_M = 1.0
 
 
 @dataclass(frozen=True)
 class Terrain:
-    """Costs of a step, minus logarithms of how much less probable it is than one in the open.
+    """Costs of steps that contradict the floor plan.
 
-    Nothing is impossible: plans lack doors, and people enter shops. A hundredth for each wall and each room lets a walk
-    that goes on for some ten metres where the plan says no win against one that would have to turn there. How dear
-    they are matters little: with 2.3, 4.6 and 9 for wall and room the median error on storey F1 of the mall was 2.70,
-    2.60 and 2.61 m.
+    A cost is the negative logarithm of the probability of a step relative to a step in the open. No step is impossible,
+    because plans lack doors and people enter shops.
+
+    Attributes
+    ----------
+    wall : float, default 4.6
+        Cost of crossing a wall.
+    room : float, default 4.6
+        Cost of entering a room without a door. At its edge, the cost rises over the depth `soft_m`.
+    outside : float, default 6.0
+        Cost of leaving the outline of the storey.
+    stay_room : float, default 0.3
+        Cost of each step that ends in a room without a door, or in a wall.
+    stay_outside : float, default 1.0
+        Cost of each step that ends outside the outline.
+    off_stairs : float, default 2.3
+        Cost of a step on stairs away from the drawn stairs.
+    off_lift : float, default 4.6
+        Cost of a ride in a lift away from the drawn lifts.
+    soft_m : float, default 0.5
+        Accuracy of drawn edges.
+    look_m : float, default 3.0
+        Distance that must be free for a direction to count as free.
+    leg_m : float, default 6.0
+        Distance after which the pedestrian chooses a new direction.
+
+    Raises
+    ------
+    ValueError
+        If a cost is negative or a distance is not positive.
+
+    Notes
+    -----
+    4.6 is the negative logarithm of a hundredth. One crossing at this cost allows a walk that goes straight on for some
+    ten metres to win against a walk that would have to turn at the wall. The exact value matters little. Costs of 2.3,
+    4.6 and 9 for wall and room gave median errors of 2.70, 2.60 and 2.61 m on storey F1 of the mall.
+
+    `stay_room` and `stay_outside` replace the information that walls give in a corridor. Inside a room, a wall or
+    outside, no wall distinguishes a wrong path from a right one. The costs are those that noisy steps in a corridor
+    have on average. `stay_room` was chosen among 0 to 1 on storey F1 of the mall. `stay_outside` is a judgement, made
+    after a look at the office of humolire.
+
+    Every `leg_m`, the pedestrian chooses among the directions in which `look_m` is free. In a corridor few directions
+    are free. A step that stays in the corridor is therefore stronger evidence for the corridor than a step in a hall is
+    for the hall. On storeys F1 and B1 of the mall, `look_m` of 1.5, 3, 5 and 10 m were tried, each with an equal
+    `leg_m`. 3 m had the smallest errors. `leg_m` of 3 m has smaller errors there than 6 m, but not on the other
+    storeys. With 3 m, two of nine walks through the office of humolire with unknown start were wrong with a small
+    covariance; with 6 m none.
+
+    Examples
+    --------
+    >>> from pdr_filter.maps.crossing_costs import Terrain
+    >>> Terrain().wall
+    4.6
+    >>> Terrain(room=2.3).room  # rooms that are often entered
+    2.3
     """
 
     wall: float = 4.6
-    room: float = 4.6  # of entering one without a door; its stairs to the depth of `soft_m`
-    outside: float = 6.0  # of leaving the outline
-    # Of each step in a room, in masonry or beyond the outline, where no wall tells a wrong way from a right one: what
-    # the steps of somebody in a corridor cost, because their noise leads into walls. That of rooms was chosen among 0
-    # to 1 on storey F1 of the mall. That of the outside is a judgement, made after a look at the office of humolire.
+    room: float = 4.6
+    outside: float = 6.0
     stay_room: float = 0.3
     stay_outside: float = 1.0
-    off_stairs: float = 2.3  # of a step on stairs beside those that are drawn
-    off_lift: float = 4.6  # of a ride in a lift somewhere else than in those that are drawn
-    soft_m: float = 0.5  # how well edges are drawn
-    # People choose where to go anew every `leg_m`, among the directions in which `look_m` are free. In a corridor
-    # there are few: steps that stay in it say more for it than steps in a hall say for the hall. On storeys F1
-    # and B1 of the mall looks of 1.5, 3, 5 and 10 m, each as long as the leg, were tried: 3 m had the smallest
-    # errors. Legs of 3 m have smaller ones there than of 6 m, not on the other storeys, and were wrong and sure
-    # on two walks of nine through the office of humolire whose start was not known; 6 m on none.
+    off_stairs: float = 2.3
+    off_lift: float = 4.6
+    soft_m: float = 0.5
     look_m: float = 3.0
     leg_m: float = 6.0
 
@@ -53,15 +98,26 @@ class Terrain:
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """One storey under the feet of particles."""
+    """Cost fields of one storey.
+
+    Attributes
+    ----------
+    storey : Storey
+        Storey with its cells.
+    terrain : Terrain
+        Costs of crossing.
+    """
 
     storey: Storey
     terrain: Terrain
 
     @cached_property
     def height(self) -> _Field:
-        """Cost of being in each cell, flat: a step pays for what it climbs, and goes down for nothing."""
-        from scipy.ndimage import distance_transform_edt  # here, because a filter without a plan need not load SciPy
+        """Cost of being in each cell, flat.
+
+        A step pays for an increase of this field. A decrease is free, so leaving a room costs nothing.
+        """
+        from scipy.ndimage import distance_transform_edt  # imported late: a filter without a plan need not load SciPy
 
         cells, terrain = self.storey.cells, self.terrain
         closed = (cells == ROOM) | (cells == OUTSIDE)
@@ -70,20 +126,27 @@ class Ground:
         top[[ROOM, WALL, OUTSIDE]] = terrain.room, terrain.wall, terrain.outside
         return np.asarray(top[cells] * np.where(closed, share, 1.0), dtype=np.float32).ravel()
 
-    def of_anybody(self, from_m: FloatArray, length_m: float) -> FloatArray:
-        """What a step from positions (N, 2) would cost if people chose any direction, (N,): as a share of a leg."""
+    def choice_cost(self, from_m: FloatArray, length_m: float) -> FloatArray:
+        """Return the expected cost (N,) of a step from positions (N, 2) if the pedestrian chose any direction.
+
+        The cost of a whole leg is prorated to the step length `length_m`.
+        """
         index, inside = self.storey.index(from_m)
-        return length_m / self.terrain.leg_m * np.where(inside, self._of_looks[index], 0.0)
+        return length_m / self.terrain.leg_m * np.where(inside, self._choice_costs[index], 0.0)
 
     @cached_property
-    def of_storey(self) -> float:
-        """What a metre costs on average who knows nothing of the plan: from anywhere, in any direction."""
+    def mean_cost_per_m(self) -> float:
+        """Mean cost per metre of a random walk: from any walkable cell, in any direction."""
         walkable = self.storey.cells.ravel() <= LIFT
-        return -float(np.log(np.exp(-self._of_looks[walkable]).mean())) / self.terrain.look_m if walkable.any() else 0.0
+        return (
+            -float(np.log(np.exp(-self._choice_costs[walkable]).mean())) / self.terrain.look_m
+            if walkable.any()
+            else 0.0
+        )
 
     @cached_property
-    def _of_looks(self) -> _Field:
-        """Minus the logarithm of the mean probability of going `look_m` from each cell, over all directions, flat."""
+    def _choice_costs(self) -> _Field:
+        """Negative log of the mean probability of walking `look_m` from each cell, over all directions, flat."""
         n_rows, n_columns = self.storey.cells.shape
         height, n = self.height.reshape(n_rows, n_columns), round(self.terrain.look_m / CELL_M)
         around = np.pad(height, n, constant_values=self.terrain.outside)
@@ -97,7 +160,7 @@ class Ground:
         return -np.log(prob / _N_DIRECTIONS).ravel()
 
     def heights(self, position_m: FloatArray) -> FloatArray:
-        """Cost of being at positions (..., 2)."""
+        """Return the cost of being at positions (..., 2)."""
         index, inside = self.storey.index(position_m)
         return np.where(inside, self.height[index], self.terrain.outside)
 
@@ -109,17 +172,21 @@ class Ground:
         return CELL_M * np.asarray(distance_transform_edt(self.storey.cells != LIFT), dtype=np.float32).ravel()
 
     def lift_costs(self, position_m: FloatArray) -> FloatArray:
-        """Cost of having left a lift at positions (N, 2): that of where lifts and doors are about a metre away."""
+        """Return the cost (N,) of having left a lift at positions (N, 2).
+
+        The distance to the nearest drawn lift has a normal likelihood with a standard deviation of one metre. The cost
+        is limited by `Terrain.off_lift`, and zero on a storey without lifts.
+        """
         if not (self.storey.cells == LIFT).any():
             return np.zeros(len(position_m))
         index, inside = self.storey.index(position_m)
         away_m = np.where(inside, self._to_lift_m[index], np.inf)
-        return -np.logaddexp(-0.5 * (away_m / _BESIDE_M) ** 2, -self.terrain.off_lift)
+        return -np.logaddexp(-0.5 * (away_m / _LIFT_STD_M) ** 2, -self.terrain.off_lift)
 
     def costs(self, from_m: FloatArray, to_m: FloatArray, on_stairs: BoolArray) -> tuple[FloatArray, FloatArray]:
-        """Cost of steps (N, 2) to (N, 2), and the part of it for what they went through, (N,) each.
+        """Return the costs (N,) of steps from (N, 2) to (N, 2), and the part of them that comes from crossings (N,).
 
-        The way is looked at in every cell: no step is so long that a wall is between two looks.
+        The path is sampled in every cell, so that no wall lies between two samples.
         """
         from_m = np.ascontiguousarray(from_m)
         way_m = to_m - from_m

@@ -1,4 +1,4 @@
-"""Floor plans: where people can walk."""
+"""Floor plans: the walkable areas of a building, by storey."""
 
 from __future__ import annotations
 
@@ -13,10 +13,25 @@ from pdr_filter.values import Origin, TrackRows
 
 @dataclass(frozen=True, eq=False)
 class FloorPlan:
-    """Where people can walk: one or several storeys, in metres east and north.
+    """Floor plan of a building with one or several storeys, in metres east and north.
 
-    Read one with `FloorPlan.read`. Rooms are not entered, unless a door leads there or the walk says so; walls and the
-    outline are not crossed, unless the walk says so.
+    Read one with `FloorPlan.read`. A particle filter on the plan avoids rooms without a door, and crossing walls or the
+    outline. Such crossings are improbable, not impossible, so the steps can overrule the plan.
+
+    Attributes
+    ----------
+    name : str
+        Name of the plan.
+    storeys : tuple of Storey
+        Storeys, the lowest first.
+    origin : Origin or None
+        Geographic position of east = north = 0, if the plan is in degrees or an origin was given.
+    notes : tuple of str
+        Remarks about features that were interpreted, such as unknown types.
+
+    See Also
+    --------
+    pdr_filter.Config.with_plan : Configuration that keeps a track on a plan.
 
     Examples
     --------
@@ -32,17 +47,51 @@ class FloorPlan:
     """
 
     name: str
-    storeys: tuple[Storey, ...]  # from the lowest
-    origin: Origin | None = None  # where on Earth zero is, if the plan was in degrees
+    storeys: tuple[Storey, ...]
+    origin: Origin | None = None
     notes: tuple[str, ...] = ()
 
     @classmethod
     def read(cls, path: str | Path, origin: Origin | tuple[float, float] | None = None) -> FloorPlan:
-        """The plan of a GeoJSON file; ValueError that names the feature and the remedy. See `maps.geojson`."""
+        """Return the floor plan of a GeoJSON file.
+
+        Parameters
+        ----------
+        path : str or Path
+            A GeoJSON FeatureCollection. Each feature has a property "type" ("floor", "wall", "room", "door", "stairs"
+            or "lift", or one of their synonyms), and optionally "floor" and "name". Coordinates are metres east and
+            north, or longitude and latitude in degrees.
+        origin : Origin or tuple of float, optional
+            Latitude and longitude of the origin of the plan, in degrees. The default for a plan in degrees is its
+            middle.
+
+        Returns
+        -------
+        FloorPlan
+            The plan in metres east and north.
+
+        Raises
+        ------
+        ValueError
+            If the file cannot be read or a feature is not valid. The message names the feature and the remedy.
+        ImportError
+            If shapely is not installed.
+        """
         return cls(*read_plan(path, origin))
 
     def storey(self, floor: int) -> Storey | None:
-        """The storey of a number; None if it is not drawn."""
+        """Return the storey with a given number.
+
+        Parameters
+        ----------
+        floor : int
+            Number of the storey, 0 for the ground floor.
+
+        Returns
+        -------
+        Storey or None
+            The storey, or None if the plan does not have it.
+        """
         return next((s for s in self.storeys if s.floor == floor), None)
 
     def __repr__(self) -> str:
@@ -50,10 +99,17 @@ class FloorPlan:
         return f"FloorPlan({self.name!r}, floors {floors}, {sum(len(s.features) for s in self.storeys)} features)"
 
     def summary(self) -> dict[str, Any]:
-        """What the plan was understood to be."""
+        """Return a summary of the interpreted plan.
+
+        Returns
+        -------
+        dict
+            Name, notes, and for each storey its size in m, its walkable area in m^2 and its number of features per
+            kind.
+        """
         return {"name": self.name, "storeys": [s.summary() for s in self.storeys], "notes": list(self.notes)}
 
 
 def plan_of(track: TrackRows) -> FloorPlan | None:
-    """The floor plan that a track was kept on, None if there was none."""
+    """Return the floor plan that constrained a track, or None if there was none."""
     return track.plan if isinstance(track.plan, FloorPlan) else None

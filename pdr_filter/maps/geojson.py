@@ -1,4 +1,7 @@
-"""Floor plans from GeoJSON, in metres or degrees; what does not fit is refused with its feature and the remedy."""
+"""Reader of floor plans in GeoJSON, in metres or degrees.
+
+Invalid features raise a ValueError that names the feature and the remedy.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ from pdr_filter.io.files.safe_files import read_json
 from pdr_filter.maps.storey import CELL_M, FREE, LIFT, MARGIN_M, OUTSIDE, ROOM, STAIRS, WALL, Feature, Storey
 from pdr_filter.values import FloatArray, IntArray, Origin, limits, read_only
 
-# Words for the kinds of features, in property "type".
+# Accepted values of the property "type", by kind of feature.
 _KINDS = {
     "floor": ("floor", "outline", "storey", "level", "corridor"),
     "wall": ("wall",),
@@ -27,29 +30,29 @@ _KINDS = {
 }
 _KIND_OF = {word: kind for kind, words in _KINDS.items() for word in words}
 _AREAS = ("floor", "room", "stairs", "lift")
-# Buildings: fewer metres across is a drawing in other units, and so is more.
+# Allowed extent of a building in metres. A smaller or larger extent shows that the drawing uses other units.
 _LEAST_M, _MOST_M = 2.0, 3000.0
-# Cells of all storeys: a square kilometre, which malls do not have.
+# Largest number of cells of all storeys together: one square kilometre, more than any shopping mall.
 _MOST_CELLS = 25_000_000
-# Cells that are looked at together.
+# Cells tested per block, which limits the memory.
 _BLOCK_CELLS = 1_000_000
-# Degrees: 0.05 are 5.6 km. Metres of a building span more.
+# Largest extent of a plan in degrees (5.6 km). A building in metres always spans more than 0.05.
 _MOST_DEG = 0.05
-# Of the walls' hull, which is the outline where none is drawn.
-_BESIDE_M = 1.0
-# A door leads to what is this near: drawings do not meet exactly.
+# Margin of the outline around the convex hull of the features, if no outline is drawn.
+_OUTLINE_MARGIN_M = 1.0
+# A door opens all walls and rooms within this distance, because drawn edges do not meet exactly.
 _NEAR_M = 0.3
 
 
 @dataclass(frozen=True, slots=True)
-class _Drawn:
-    """A feature as it was read."""
+class _RawFeature:
+    """A feature as read from the file; `shape` is a shapely geometry."""
 
     number: int
     kind: str
     name: str
     floor: int
-    shape: Any  # of shapely
+    shape: Any
 
     def __str__(self) -> str:
         return f"feature {self.number}" + (f" ({self.name!r})" if self.name else "")
@@ -58,11 +61,11 @@ class _Drawn:
 def read_plan(
     path: str | Path, origin: Origin | tuple[float, float] | None = None
 ) -> tuple[str, tuple[Storey, ...], Origin | None, tuple[str, ...]]:
-    """Name, storeys, place on Earth and notes of a GeoJSON FeatureCollection: the fields of a `FloorPlan`.
+    """Return the name, storeys, origin and notes of a GeoJSON FeatureCollection, which are the fields of a `FloorPlan`.
 
-    Each feature has a property "type", and may have "floor" and "name".
-    Coordinates are metres east and north, or longitude and latitude. The latter become metres from `origin`, or from
-    the middle of the plan.
+    Each feature has a property "type", and may have "floor" and "name". Coordinates are metres east and north, or
+    longitude and latitude. Longitudes and latitudes are converted to metres from `origin`, by default from the middle
+    of the plan. Invalid files raise ValueError.
     """
     path = Path(path)
     if not path.exists():
@@ -71,14 +74,14 @@ def read_plan(
         content = read_json(path, limits.MAX_PLAN_BYTES)
         features, properties = content["features"], content.get("properties") or {}
         if content["type"] != "FeatureCollection" or not isinstance(features, list) or not isinstance(properties, dict):
-            raise ValueError(f"type {content['type']}, features no list, or properties no object")
+            raise ValueError(f"type {content['type']}, features not a list, or properties not an object")
     except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path}: no GeoJSON FeatureCollection ({error}); export one from QGIS") from None
+        raise ValueError(f"{path}: not a GeoJSON FeatureCollection ({error}); export one from QGIS") from None
     notes: list[str] = []
     try:
         drawn = [_drawn(i, f, properties.get("floor", 0), notes) for i, f in enumerate(features)]
         if not drawn:
-            raise ValueError("no features; draw the outline of the floor, or walls")
+            raise ValueError("the plan has no features; draw the outline of the floor, or walls")
         drawn, here = _in_metres(drawn, None if origin is None else Origin.of(origin))
         for d in drawn:
             _check_shape(d)
@@ -87,23 +90,24 @@ def read_plan(
         if (n_cells := sum(np.prod(_grid(part)[1]) for part in of_floor.values())) > _MOST_CELLS:
             raise ValueError(
                 f"the storeys have {n_cells * CELL_M**2 / 1e6:.1f} square kilometres together, more than "
-                f"{_MOST_CELLS * CELL_M**2 / 1e6:g}; draw one building, and look for a point that is far off"
+                f"{_MOST_CELLS * CELL_M**2 / 1e6:g}; draw a single building, and check for points far outside of it"
             )
         storeys = tuple(_storey(floor, part) for floor, part in of_floor.items())
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
-    name = html.unescape(str(content.get("name") or path.stem))  # some exports write &amp;
+    name = html.unescape(str(content.get("name") or path.stem))  # some exporters write &amp;
     return name, storeys, here, tuple(dict.fromkeys(notes))
 
 
-def _drawn(number: int, feature: Any, floor: Any, notes: list[str]) -> _Drawn:
+def _drawn(number: int, feature: Any, floor: Any, notes: list[str]) -> _RawFeature:
+    """Return one feature of the file, checked; append remarks about interpreted types to `notes`."""
     try:
         import shapely.geometry
     except ImportError:
         raise ImportError('floor plans need shapely: pip install "pdr_filter[maps]"') from None
     properties: Any = feature.get("properties") or {} if isinstance(feature, dict) else None
     if not isinstance(properties, dict):
-        raise ValueError(f"feature {number} is no feature with properties, got {str(feature)[:60]}; delete it")
+        raise ValueError(f"feature {number} is not a feature with properties, got {str(feature)[:60]}; delete it")
     name, word = html.unescape(str(properties.get("name") or "")), str(properties.get("type") or "").lower()
     which = f"feature {number}" + (f" ({name!r})" if name else "")
     if not word:
@@ -111,16 +115,18 @@ def _drawn(number: int, feature: Any, floor: Any, notes: list[str]) -> _Drawn:
     kind = _KIND_OF.get(word)
     try:
         shape = shapely.geometry.shape(feature["geometry"])
-    except Exception as error:  # whatever a damaged geometry provokes
-        raise ValueError(f"{which} has no geometry that can be read ({error}); draw it again, or delete it") from None
+    except Exception as error:  # damaged geometries raise many kinds of exceptions
+        raise ValueError(f"{which} has a geometry that cannot be read ({error}); draw it again, or delete it") from None
     is_area = shape.geom_type in ("Polygon", "MultiPolygon")
     if kind is None:
         if not is_area:
-            raise ValueError(f"{which} is a {word!r}, got a {shape.geom_type}; use one of {', '.join(_KIND_OF)}")
+            raise ValueError(
+                f"{which} has the unknown type {word!r} and is a {shape.geom_type}; use one of {', '.join(_KIND_OF)}"
+            )
         kind = "room"
-        notes.append(f"features of type {word!r} are taken for rooms, which nobody enters")
+        notes.append(f"features of the unknown type {word!r} are treated as rooms without a door")
     if kind in _AREAS and not is_area:
-        raise ValueError(f"{which} is a {kind} and a {shape.geom_type}; draw it as a polygon")
+        raise ValueError(f"{which} is a {kind} drawn as a {shape.geom_type}; draw it as a polygon")
     if shape.geom_type not in ("Polygon", "MultiPolygon", "LineString", "MultiLineString"):
         raise ValueError(f"{which} is a {shape.geom_type}; draw it as a line or a polygon")
     try:
@@ -129,53 +135,60 @@ def _drawn(number: int, feature: Any, floor: Any, notes: list[str]) -> _Drawn:
         raise ValueError(
             f"{which} has floor {properties.get('floor')!r}; give a whole number, 0 at the ground"
         ) from None
-    return _Drawn(number, kind, name, storey, shape)
+    return _RawFeature(number, kind, name, storey, shape)
 
 
-def _in_metres(drawn: Sequence[_Drawn], origin: Origin | None) -> tuple[list[_Drawn], Origin | None]:
+def _in_metres(drawn: Sequence[_RawFeature], origin: Origin | None) -> tuple[list[_RawFeature], Origin | None]:
+    """Return the features in metres, and the origin.
+
+    Raises ValueError for coordinates that are neither metres of one building nor degrees.
+    """
     import shapely
 
     for d in drawn:
         if d.shape.is_empty or not np.isfinite(shapely.get_coordinates(d.shape)).all():
-            raise ValueError(f"{d} has no coordinates, or such that are no numbers; draw it again, or delete it")
+            raise ValueError(f"{d} has no coordinates, or not finite ones; draw it again, or delete it")
     points = np.concatenate([shapely.get_coordinates(d.shape) for d in drawn])
     low, high = points.min(axis=0), points.max(axis=0)
     span = float((high - low).max())
     if span <= _MOST_DEG and (np.abs(points) <= [180.0, 180.0]).all():
         if np.abs(points[:, 1]).max() > 90:
-            raise ValueError(f"{drawn[0]} has a latitude of {points[0, 1]}; longitude comes first: exchange the two")
+            raise ValueError(
+                f"{drawn[0]} has a latitude of {points[0, 1]}; GeoJSON has the longitude first: swap the coordinates"
+            )
         middle = Origin(float(0.5 * (low[1] + high[1])), float(0.5 * (low[0] + high[0])))
         if origin is not None and np.linalg.norm(origin.east_north_m(middle.latitude_deg, middle.longitude_deg)) > 1e4:
             raise ValueError(
-                f"the plan is about latitude {middle.latitude_deg:.4f}, longitude {middle.longitude_deg:.4f}, more "
-                "than 10 km from the origin; longitude comes first in GeoJSON: are the two exchanged?"
+                f"the plan is near latitude {middle.latitude_deg:.4f}, longitude {middle.longitude_deg:.4f}, more "
+                "than 10 km from the origin; GeoJSON has the longitude first: check the order of the coordinates"
             )
         here = origin or middle
 
         def metres(coordinates: FloatArray) -> FloatArray:
             return here.east_north_m(coordinates[:, 1], coordinates[:, 0])
 
-        return [_Drawn(d.number, d.kind, d.name, d.floor, shapely.transform(d.shape, metres)) for d in drawn], here
+        return [_RawFeature(d.number, d.kind, d.name, d.floor, shapely.transform(d.shape, metres)) for d in drawn], here
     if not _LEAST_M <= span <= _MOST_M:
         raise ValueError(
-            f"the plan spans {span:g}, and buildings {_LEAST_M:g} to {_MOST_M:g} m; give metres, or longitude and "
-            "latitude in degrees, not millimetres, feet or pixels"
+            f"the plan spans {span:g}, but a building spans {_LEAST_M:g} to {_MOST_M:g} m; give metres, or longitude "
+            "and latitude in degrees, not millimetres, feet or pixels"
         )
     return list(drawn), origin
 
 
-def _check_shape(drawn: _Drawn) -> None:
+def _check_shape(drawn: _RawFeature) -> None:
+    """Raise ValueError if the geometry of a feature is invalid, for example with crossing lines."""
     from shapely.validation import explain_validity
 
     if not drawn.shape.is_valid:
         raise ValueError(
-            f"{drawn} is no proper {drawn.kind} ({explain_validity(drawn.shape)}); draw it again without crossing "
+            f"{drawn} is not a valid {drawn.kind} ({explain_validity(drawn.shape)}); draw it again without crossing "
             "lines, or repair it with Fix geometries in QGIS"
         )
 
 
-def _grid(drawn: Sequence[_Drawn]) -> tuple[FloatArray, IntArray]:
-    """South-west corner of the cells of a storey (2,), m, and the number of columns and rows (2,)."""
+def _grid(drawn: Sequence[_RawFeature]) -> tuple[FloatArray, IntArray]:
+    """Return the south-west corner (2,) of the cells of a storey in m, and the numbers of columns and rows (2,)."""
     import shapely
 
     points = np.concatenate([shapely.get_coordinates(d.shape) for d in drawn])
@@ -183,13 +196,17 @@ def _grid(drawn: Sequence[_Drawn]) -> tuple[FloatArray, IntArray]:
     return south_west, np.ceil((points.max(axis=0) + MARGIN_M - south_west) / CELL_M).astype(int)
 
 
-def _storey(floor: int, drawn: Sequence[_Drawn]) -> Storey:
+def _storey(floor: int, drawn: Sequence[_RawFeature]) -> Storey:
+    """Return the storey of the given features.
+
+    The areas are rasterised first, then the walls, without the parts at doors.
+    """
     import shapely
 
     of_kind = {kind: [d for d in drawn if d.kind == kind] for kind in _KINDS}
     if not of_kind["floor"] and not of_kind["wall"]:
         raise ValueError(
-            f'floor {floor} has neither an outline nor walls; draw a polygon of type "floor" about what people walk on'
+            f'floor {floor} has neither an outline nor walls; draw a polygon of type "floor" around the walkable area'
         )
     south_west, (n_columns, n_rows) = _grid(drawn)
     east = south_west[0] + CELL_M * (np.arange(n_columns) + 0.5)
@@ -197,7 +214,7 @@ def _storey(floor: int, drawn: Sequence[_Drawn]) -> Storey:
     cells = np.full((n_rows, n_columns), OUTSIDE, dtype=np.uint8)
 
     def fill(shape: Any, kind: int) -> None:
-        """Cells whose middle is inside of an area."""
+        """Set the cells with their centre inside an area to a kind."""
         shapely.prepare(shape)
         (x0, y0), (x1, y1) = np.reshape(shape.bounds, (2, 2))
         columns, (first, end) = slice(*np.searchsorted(east, [x0, x1])), np.searchsorted(north, [y0, y1])
@@ -209,9 +226,9 @@ def _storey(floor: int, drawn: Sequence[_Drawn]) -> Storey:
 
     doors = [d.shape for d in of_kind["door"]]
     near = shapely.unary_union(doors).buffer(_NEAR_M) if doors else shapely.Polygon()
-    # without an outline the floor is what the walls are about
+    # without a drawn outline, the floor is the convex hull of the features with a margin
     drawn_parts = shapely.GeometryCollection([d.shape for d in drawn])
-    outlines = [d.shape for d in of_kind["floor"]] or [drawn_parts.convex_hull.buffer(_BESIDE_M)]
+    outlines = [d.shape for d in of_kind["floor"]] or [drawn_parts.convex_hull.buffer(_OUTLINE_MARGIN_M)]
     for outline in outlines:
         fill(outline, FREE)
     walls: list[Any] = [
@@ -238,7 +255,7 @@ def _storey(floor: int, drawn: Sequence[_Drawn]) -> Storey:
 
 
 def _draw_line(cells: NDArray[np.uint8], south_west_m: FloatArray, line: Any) -> None:
-    """Cells that a line runs through are wall: points at a quarter of a cell leave no gap to step through."""
+    """Set the cells along a line to WALL. Points a quarter of a cell apart leave no gap between wall cells."""
     import shapely
 
     for part in shapely.get_parts(line):
@@ -250,7 +267,8 @@ def _draw_line(cells: NDArray[np.uint8], south_west_m: FloatArray, line: Any) ->
             cells[row, column] = WALL
 
 
-def _feature(drawn: _Drawn) -> Feature:
+def _feature(drawn: _RawFeature) -> Feature:
+    """Return the shape as a `Feature`: the rings of a polygon, or the parts of a line."""
     import shapely
 
     is_area = drawn.shape.geom_type.endswith("Polygon")

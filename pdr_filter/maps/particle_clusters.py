@@ -1,4 +1,4 @@
-"""Many weighted particles in a few numbers."""
+"""Summaries of weighted particles: mean, covariance, clusters and the number needed."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import numpy as np
 
 from pdr_filter.values import Cluster, FloatArray, IntArray, OnPlan, read_only
 
-# Particles in cells of this side that touch, corners included, are one place: nobody cares for gaps of a metre.
+# Cell size for clustering. Particles in touching cells, corners included, belong to one cluster.
 _CELL_M = 1.0
-# Fewer than this share are stragglers, and no place of their own.
+# Clusters with a smaller share of the weight are stragglers and are not reported.
 _LEAST_SHARE = 0.01
 
 
@@ -19,16 +19,17 @@ def on_plan(
     elsewhere: float = 0.0,
     there: tuple[FloatArray, FloatArray] | None = None,
 ) -> OnPlan:
-    """What particles at positions (N, 2), with weights (N,) that sum to one and walking headings (N,), say.
+    """Return the mean, covariance and clusters of weighted particles.
 
-    With the probability `elsewhere` the walk is where none of them is: `there`, with a mean (2,) and a covariance
-    (2, 2), if that is known. The mean is that of the particles all the same, which is where people walk, and the
-    covariance the mean square of both about it.
+    The particles have positions (N, 2), weights (N,) that sum to one, and walking headings (N,). With the probability
+    `elsewhere`, no particle is at the true position. `there` is the mean (2,) and the covariance (2, 2) of the position
+    in that case, or None if unknown. The returned mean is that of the particles in any case, because it is a walkable
+    position. The covariance is the mean square of both alternatives about that mean.
     """
     mean, cov = moments(position_m, weight)
-    cov = reaching(mean, cov, elsewhere, there)
+    cov = inflated_cov(mean, cov, elsewhere, there)
     heading = np.arctan2(weight @ np.sin(heading_rad), weight @ np.cos(heading_rad))
-    group = groups(position_m)
+    group = cluster_numbers(position_m)
     share = np.bincount(group, weight)
     order = [int(g) for g in np.argsort(-share, kind="stable") if share[g] >= _LEAST_SHARE]
     clusters: list[Cluster] = []
@@ -40,10 +41,14 @@ def on_plan(
     return OnPlan(mean, cov, float(heading), tuple(clusters), len(weight), ess)
 
 
-def reaching(
+def inflated_cov(
     mean_m: FloatArray, cov_m2: FloatArray, elsewhere: float, there: tuple[FloatArray, FloatArray] | None
 ) -> FloatArray:
-    """Mean square about a mean (2,), where with the probability `elsewhere` the walk is `there`, if that is known."""
+    """Return the covariance inflated by the probability `elsewhere` that the position is distributed as `there`.
+
+    The result is the mean square of the mixture about `mean_m` (2,). `there` is a mean (2,) and a covariance (2, 2). If
+    it is None, the covariance is returned unchanged.
+    """
     if there is None:
         return cov_m2
     away = there[0] - mean_m
@@ -58,9 +63,9 @@ def moments(position_m: FloatArray, weight: FloatArray) -> tuple[FloatArray, Flo
     return read_only(mean), read_only(0.5 * (cov + cov.T))
 
 
-def groups(position_m: FloatArray) -> IntArray:
-    """Number of the group of each position (N, 2): those that hang together."""
-    from scipy.ndimage import label  # here, because a filter without a plan need not load SciPy
+def cluster_numbers(position_m: FloatArray) -> IntArray:
+    """Return the cluster number (N,) of each position (N, 2). Positions in touching cells belong to one cluster."""
+    from scipy.ndimage import label  # imported late: a filter without a plan need not load SciPy
 
     cell = np.floor(position_m / _CELL_M).astype(np.int64)
     cell -= cell.min(axis=0)
@@ -73,11 +78,12 @@ def groups(position_m: FloatArray) -> IntArray:
 
 
 def n_needed(cell: IntArray, least: int, most: int) -> int:
-    """How many particles keep the distance to the distribution small that those in cells (N, d) come from.
+    """Return the number of particles that represent their distribution accurately, between `least` and `most`.
 
-    Of k cells that are taken, n = (k - 1) / (2 e) (1 - a + z sqrt(a))^3, a = 2 / (9 (k - 1)), keeps the
-    Kullback-Leibler distance below e = 0.05 with a probability of 99 % (D. Fox, "Adapting the sample size in particle
-    filters through KLD-sampling", Int. J. Robotics Research 22, 2003).
+    `cell` (N, d) holds the cell of each particle. With k occupied cells, n = (k - 1) / (2 e) (1 - a + z sqrt(a))^3, a =
+    2 / (9 (k - 1)), keeps the Kullback-Leibler distance to the true distribution below e = 0.05 with a probability of
+    99 % (D. Fox, "Adapting the sample size in particle filters through KLD-sampling", Int. J. Robotics Research 22,
+    2003).
     """
     cell = cell - cell.min(axis=0)
     flat = np.ravel_multi_index(tuple(cell.T), tuple(cell.max(axis=0) + 1))

@@ -1,21 +1,33 @@
-"""A particle filter behind the tracker: many pedestrians who make the same steps, of whom the plan keeps those who can.
+"""Particle filter that keeps a tracked walk on a floor plan.
 
-A particle is a place on the plan, a heading offset and a log scale, as the states of the tracker's modes, the turn from
-the frame of the start to the plan, and what it went through of late. A step leads it on as `filter.imm.motion_model`
-says, in a mode drawn from the tracker's probabilities; the direction that strides show is used in closed form, given
-the particle (a Kalman update of its offset, as in a Rao-Blackwellised filter). What the plan makes of the step weighs
-it (`Terrain`), and so do fixes that the tracker used. A step along a corridor weighs more than one in a hall: people
-choose where to go among the ways that are free, and whom few are free to is found on one of them by chance less often.
-Without it noise, which leads into walls, would draw the particles out of the corridors.
+The filter runs behind the tracker. All particles take the steps that the tracker reports, and a particle that crosses a
+wall loses weight. A particle holds a position on the plan, a heading offset and a log scale, which correspond to the
+states of the tracker's modes. It also holds the rotation from the frame of the start to the plan, and the cost of the
+walls, rooms and outlines that it crossed recently.
 
-The tracker stays what it is without a plan. From it the particles come: at a start that is given, at each fix while
-fixes leave the turn of the track open, and again where nothing on the plan fits the steps any more. So the plan cannot
-lead the track away for good. From an unknown start particles can lose the walk, few as they are for so many places:
-those that are left then pay more for the plan than somebody would who walks at random. That is counted as doubt.
+Prediction: each step moves a particle according to `filter.imm.motion_model`, in a mode drawn from the tracker's mode
+probabilities. The walking direction estimated from the strides is used in closed form: given the particle, a Kalman
+update of its heading offset, as in a Rao-Blackwellised filter.
 
+Weights: a step has a likelihood on the plan (`Terrain`), and so have the fixes that the tracker used. The likelihood of
+a step is divided by its mean over all directions, because the pedestrian chooses one of the free directions. In a
+corridor few directions are free, so a step along the corridor increases the weight more than a step in a hall. Without
+this division, noise would pull the particles out of corridors, because noisy steps hit corridor walls more often than
+the walls of a hall.
+
+Initialisation: particles are drawn at the given start, or from the tracker's estimate. They are drawn again at each fix
+while the rotation of the track is still unknown, and when no particle fits the steps any more. The tracker itself does
+not use the plan. A wrong plan therefore cannot lead the track away permanently.
+
+Lost walks: from an unknown start, the particles may be too few to cover all positions, and the true position can be
+lost. The remaining particles then pay more for the plan than a random walk would. That excess is accumulated in
+`ParticleState.doubt`, the log odds that no particle is at the true position.
+
+References
+----------
 M. S. Arulampalam et al., "A tutorial on particle filters for online nonlinear/non-Gaussian Bayesian tracking", IEEE
-Trans. Signal Processing 50, 2002. The doubt is akin to the augmented localisation of S. Thrun, W. Burgard and D. Fox,
-"Probabilistic Robotics", 2005, section 8.3.5.
+Trans. Signal Processing 50, 2002. The log odds are similar to the augmented localisation of S. Thrun, W. Burgard and D.
+Fox, "Probabilistic Robotics", 2005, section 8.3.5.
 """
 
 from __future__ import annotations
@@ -35,17 +47,17 @@ from pdr_filter.maps.crossing_costs import Ground, Terrain
 from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.maps.particle_clusters import n_needed, on_plan
 from pdr_filter.maps.particle_motion import (
+    CROSSED,
     EAST,
     N_COLUMNS,
     NORTH,
     OFFSET,
     SCALE,
-    THROUGH,
     TURN,
-    backwards,
-    led_on,
+    advance_offsets,
+    earlier_positions,
+    extended_path,
     rotated,
-    turned,
 )
 from pdr_filter.maps.start_area import ANYWHERE, Start, start_of
 from pdr_filter.values import (
@@ -74,81 +86,170 @@ from pdr_filter.values import (
 )
 from pdr_filter.values.mixtures import log_sum, softmax
 
-# Side of the cells in which particles are counted for their number: metres, and a twelfth of a circle.
+# Cell size for counting the occupied cells, which sets the number of particles: metres, and a twelfth of a circle.
 _COUNT_M, _COUNT_RAD = 1.0, math.pi / 6
-# Particles are counted every so many steps, and whenever they are drawn again.
+# Steps between two adjustments of the number of particles. The number is also adjusted at each resampling.
 _COUNT_STEPS = 8
-# After drawing again from some of them, their scales differ by so much: the steps' own noise moves all else.
+# Standard deviation added to the log scale after resampling, which separates the copies of one particle. All other
+# columns are separated by the noise of the next steps.
 _SCALE_JITTER = 0.005
-# Half of the particles without weight: they are drawn again.
+# Resample if the effective sample size falls below this share of the number of particles.
 _RESAMPLE_SHARE = 0.5
-# Fewer than this many have all the weight: the set is degenerate.
+# Below this effective sample size the particle set is degenerate and is drawn again.
 _LEAST_EFFECTIVE = 5.0
-# One measurement in a thousand is an outlier that nothing explains.
+# Prior odds of an outlier are one to a thousand. This limits how much a single measurement can lower a weight.
 _OUTLIER_LOG_ODDS = math.log(1000.0)
-# A fix that turns the track says more than particles that were drawn before can show, if it takes more than a tenth of
-# them: they are drawn from the tracker, which knows the turn in closed form.
-_SHOWN_SHARE = 0.9
-# Log odds that the walk is where no particle is. Even, where particles were drawn from a whole area: they are too few
-# to hold every heading and scale at every place. One to a hundred where they were placed, and never less: plans are
-# wrong. At a hundred to one nothing on the plan fits; limits of 2.3 to 9.2 gave the same medians on storey F1 of the
-# mall within 0.1 m.
+# If a fix that rotates the track leaves an effective sample size below this share, the particles are drawn again from
+# the tracker. The old particles cannot represent the new rotation well, and the tracker has it in closed form.
+_MIN_SAMPLE_SHARE = 0.9
+# Log odds that no particle is at the true position. The initial value is 0 (even odds) if particles were drawn from a
+# whole area, because they are too few to cover every heading and scale at every position. At a known position the
+# initial value is one to a hundred. It never falls below that, because plans have errors. At a hundred to one, no
+# particle fits the steps, and they are drawn again. Upper limits of 2.3 to 9.2 gave the same medians on storey F1 of
+# the mall within 0.1 m.
 _DOUBT_OF_AREA, _LEAST_DOUBT, _MOST_DOUBT = 0.0, -4.6, 4.6
-# What a particle went through is forgotten with this factor a step: those who went through a wall are few at first, and
-# it takes some steps until all others are gone.
+# Forgetting factor per step of the crossing cost of a particle. Particles that crossed a wall are few at first. It
+# takes some steps until the particles that did not cross have lost their weight.
 _THROUGH_MEMORY = 0.95
 _MAX_EVENTS = 16
-# What the lengths of steps are off besides, each for itself: people stop, turn and walk around others. Without it the
-# scale has to explain that. The legs of the storeys F1 and B1 of ms_indoor, about 8 m and 11 steps long, are off by
-# 0.9 m whatever their length, of which two taps of 0.5 m on a plan make 0.7. Of 0, 0.1, 0.15 and 0.2 m the last had the
-# smallest errors there, and regions of 95 % that held 96 and 97 % (94 and 95 without).
+# Additional independent variance of each step length: people stop, turn and walk around others. Without it, the scale
+# would have to explain these variations. On storeys F1 and B1 of ms_indoor, legs of about 8 m and 11 steps have errors
+# of 0.9 m whatever their length. Two waypoints tapped on a plan, each with an error of 0.5 m, explain 0.7 m of that. Of
+# 0, 0.1, 0.15 and 0.2 m, the last had the smallest errors there. Its 95 % regions held 96 and 97 % of the waypoints (94
+# and 95 % without the additional variance).
 _UNEVEN_VAR_M2 = 0.2**2
 
 
 @dataclass(frozen=True, slots=True)
 class PlanEvent:
-    """Where the plan and the steps contradict each other."""
+    """Contradiction between the floor plan and the steps.
+
+    Attributes
+    ----------
+    time_s : float
+        Time of the step.
+    what : str
+        "wall", "room" or "outline" if most of the weight has crossed that feature, or "lost" if no particle fits the
+        steps.
+    name : str
+        Name of the room, or an empty string.
+    """
 
     time_s: float
-    what: str  # "wall", "room" or "outline" that the walk goes through, or "lost": nothing on the plan fits
-    name: str  # of the room
+    what: str
+    name: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParticleState:
-    """All that changes."""
+    """State of the particle filter after one event.
 
-    particles: FloatArray = field(default_factory=lambda: np.empty((0, N_COLUMNS)))  # (N, 6)
-    weight: FloatArray = field(default_factory=lambda: np.empty(0))  # (N,) sums to one
-    parent: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))  # (N,) of before; none: newly drawn
-    # (R, 4) time, east, north and device heading after the last steps, each as long as the modes say and in the
-    # direction of the device
+    Attributes
+    ----------
+    particles : array (N, 6)
+        Columns as in `maps.particle_motion`: east and north in m, heading offset in rad, log scale, rotation of the
+        track frame in rad, recent crossing cost.
+    weight : array (N,)
+        Weights, which sum to one.
+    parent : array (N,)
+        Index of the ancestor in the previous state. Empty if the particles were newly drawn.
+    way : array (R, 4)
+        Time, east, north and device heading after each of the last R steps. The step lengths are means over the modes,
+        and the steps point in the direction of the device.
+    heading_rad : float
+        Device heading at the last step.
+    turned_rad : float
+        Total rotation of the tracker's frame that the particles already include (see `_turned_rad`).
+    compass : Compass or None
+        Compass density that is already included in the weights.
+    last_fix_s : float
+        Time of the last position fix.
+    last_grid_s : float
+        Time of the last grid fix.
+    doubt : float
+        Log odds that no particle is at the true position.
+    n_draws : int
+        Number of random draws so far. The next random numbers depend only on the seed and this number.
+    events : tuple of PlanEvent
+        The latest contradictions between plan and steps.
+    n_lost : int
+        Number of times that the particles were drawn again because none fitted the steps.
+    """
+
+    particles: FloatArray = field(default_factory=lambda: np.empty((0, N_COLUMNS)))
+    weight: FloatArray = field(default_factory=lambda: np.empty(0))
+    parent: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     way: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
-    heading_rad: float = 0.0  # of the device at the last step
-    turned_rad: float = 0.0  # see `_turned_rad`
-    compass: Compass | None = None  # as it was used
-    last_fix_s: float = -math.inf  # of a position
+    heading_rad: float = 0.0
+    turned_rad: float = 0.0
+    compass: Compass | None = None
+    last_fix_s: float = -math.inf
     last_grid_s: float = -math.inf
-    doubt: float = 0.0  # log odds that no particle is where the walk is
-    n_draws: int = 0  # of random numbers: the next ones follow from seed and number alone
-    events: tuple[PlanEvent, ...] = ()  # the last ones
-    n_lost: int = 0  # how often nothing on the plan fitted
+    doubt: float = 0.0
+    n_draws: int = 0
+    events: tuple[PlanEvent, ...] = ()
+    n_lost: int = 0
 
     @property
     def elsewhere(self) -> float:
-        """Probability that no particle is where the walk is."""
+        """Probability that no particle is at the true position."""
         return 1.0 / (1.0 + math.exp(-self.doubt))
 
 
 @dataclass(frozen=True, eq=False)
 class ParticleFilter:
-    """Where the steps of a tracker lead on a floor plan; each state follows from the one before and an event alone.
+    """Particle filter that moves the steps of a tracker along a floor plan.
 
-    The number of particles follows what they are spread over, from `n_least` to `n_most`.
+    The filter itself never changes: each method returns a new state, computed from the previous state and one event.
+    The number of particles adapts to the area that they cover, between `n_least` and `n_most`.
+
+    Attributes
+    ----------
+    plan : FloorPlan
+        The floor plan.
+    start : Start or None, default None
+        Start position or start area on the plan. None starts from the position of the tracker.
+    terrain : Terrain
+        Costs of crossing walls, rooms and the outline.
+    n_least : int, default 1000
+        Smallest number of particles.
+    n_most : int, default 50000
+        Largest number of particles.
+    seed : int, default 0
+        Seed of the random numbers. Equal seeds and events give equal states.
+
+    Raises
+    ------
+    ValueError
+        If a number is not positive (the seed may be zero), or `n_least` is above `n_most`.
+
+    See Also
+    --------
+    pdr_filter.Config.with_plan : Configuration with a floor plan; the usual way to use this filter.
+
+    References
+    ----------
+    M. S. Arulampalam et al., "A tutorial on particle filters for online nonlinear/non-Gaussian Bayesian tracking", IEEE
+    Trans. Signal Processing 50, 2002.
+
+    Examples
+    --------
+    >>> import json, pdr_filter as pdr
+    >>> from pathlib import Path
+    >>> from pdr_filter.maps.particle_filter import ParticleFilter
+    >>> corners = [[-9, -9], [9, -9], [9, 9], [-9, 9], [-9, -9]]
+    >>> hall = {"type": "Feature", "properties": {"type": "floor", "name": "hall"},
+    ...         "geometry": {"type": "Polygon", "coordinates": [corners]}}
+    >>> _ = Path("hall.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": [hall]}))
+    >>> particles = ParticleFilter.of(pdr.FloorPlan.read("hall.geojson"), start="hall")
+    >>> particles.n_least, particles.n_most
+    (1000, 50000)
+    >>> len(particles.init().weight)  # particles are drawn at the first step
+    0
     """
 
     plan: FloorPlan
-    start: Start | None = None  # None: where the tracker is
+    start: Start | None = None
     terrain: Terrain = field(default_factory=Terrain)
     n_least: int = 1000
     n_most: int = 50_000
@@ -161,25 +262,66 @@ class ParticleFilter:
 
     @classmethod
     def of(cls, plan: Plan, start: PositionFix | str | None = None, seed: int = 0) -> ParticleFilter:
-        """The filter on a plan from a start: a place, the name of an area, or "anywhere"."""
+        """Return the filter for a plan, with an optional start.
+
+        Parameters
+        ----------
+        plan : FloorPlan
+            The floor plan.
+        start : PositionFix or str, optional
+            Start position, the name of an area of the plan, or "anywhere" for all walkable cells of a storey. None, the
+            default, starts from the position of the tracker.
+        seed : int, default 0
+            Seed of the random numbers.
+
+        Returns
+        -------
+        ParticleFilter
+            Filter with default costs and numbers of particles.
+
+        Raises
+        ------
+        ValueError
+            If `plan` is not a `FloorPlan`, or the plan does not have the start.
+        """
         if not isinstance(plan, FloorPlan):
             raise ValueError(
-                f"plan must be a FloorPlan, got {plan!r}: pdr_filter.FloorPlan.read(path) makes one of a file"
+                f"plan must be a FloorPlan, got {plan!r}: read one from a file with pdr_filter.FloorPlan.read(path)"
             )
         return cls(plan, None if start is None else start_of(plan, start), seed=seed)
 
     @cached_property
     def _grounds(self) -> dict[int, Ground]:
+        """Costs of each storey, by its number."""
         return {storey.floor: Ground(storey, self.terrain) for storey in self.plan.storeys}
 
     def ground(self, floor: int) -> Ground | None:
-        """The storey that somebody is on: of a plan with one storey that one, whatever its number."""
+        """Return the costs of a storey.
+
+        Parameters
+        ----------
+        floor : int
+            Number of the storey, 0 for the ground floor. Ignored if the plan has only one storey.
+
+        Returns
+        -------
+        Ground or None
+            Costs of the cells of the storey, or None if the plan does not have it.
+        """
         if len(self._grounds) == 1:
             return next(iter(self._grounds.values()))
         return self._grounds.get(floor)
 
     def init(self) -> ParticleState:
-        """No particles: they are drawn at the first step, or fix, that places the track."""
+        """Return the initial state, without particles.
+
+        Particles are drawn at the first step, or at the first fix that places the track.
+
+        Returns
+        -------
+        ParticleState
+            State without particles.
+        """
         return ParticleState()
 
     # --- events -------------------------------------------------------------------------------------------------------
@@ -191,19 +333,39 @@ class ParticleFilter:
         pedestrian: PedestrianState,
         model: PedestrianModel,
     ) -> ParticleState:
-        """State after a step, and what the tracker knows then."""
+        """Return the state after a step.
+
+        Each particle takes the step in a mode drawn from the mode probabilities. Its weight is multiplied by the
+        likelihood of the walking direction and by the plan's probability of the step.
+
+        Parameters
+        ----------
+        state : ParticleState
+            State before the step.
+        update : StepUpdate
+            The step and the tracker's estimate after it.
+        pedestrian : PedestrianState
+            State of the tracker after the step.
+        model : PedestrianModel
+            Motion model of the tracker.
+
+        Returns
+        -------
+        ParticleState
+            State after the step. It has no particles until a start or a fix has placed the track.
+        """
         step = update.step
         rng, state = self._random(state)
         ground = self.ground(update.floor)
         length_m, _, own_var_m2, parameter_std_m = model.lengths(step)
         mean_m = float(update.mode_prob @ length_m)
-        # the parameters of the lengths are off once for a person, as the scale is
+        # the error of the step-length parameters is one draw per person, as that of the scale, not one per step
         scale_std = float(update.mode_prob @ parameter_std_m) / mean_m if mean_m > 0 else 0.0
         is_first = len(state.way) == 0 or update.gap_before_s > 0
         since_s = step.duration_s if is_first else step.time_s - state.way[-1, 0]
         state = _in_turned_frame(state, pedestrian)
         is_placed = pedestrian.frame.is_joined or pedestrian.frame.turn is not None
-        state = replace(state, way=led_on(state.way, step, mean_m), heading_rad=step.device_heading_rad)
+        state = replace(state, way=extended_path(state.way, step, mean_m), heading_rad=step.device_heading_rad)
         if len(state.weight) == 0:
             if self.start is not None:
                 return self._from_start(state, self.start, pedestrian, model, rng, scale_std)
@@ -212,7 +374,7 @@ class ParticleFilter:
         x, from_m = state.particles.copy(), state.particles[:, :2]
         z, prob = rng.standard_normal((4, n)), np.cumsum(update.mode_prob)[:-1]
         mode = np.searchsorted(prob, rng.random(n), side="right")
-        log_weight = turned(x, step, pedestrian, model, since_s, mode, z[0])
+        log_weight = advance_offsets(x, step, pedestrian, model, since_s, mode, z[0])
         own_std_m = np.sqrt(own_var_m2 + _UNEVEN_VAR_M2)
         scaled_m = np.exp(x[:, SCALE]) * (length_m[mode] + own_std_m[mode] * z[1])
         own = model.directions
@@ -225,22 +387,39 @@ class ParticleFilter:
         noise = model.noise
         x[:, SCALE] = noise.log_scale_memory * x[:, SCALE] + math.sqrt(noise.log_scale_drift_var) * z[3]
         state, log_compass = _with_compass(state, pedestrian)
-        state, _ = _weighed(replace(state, particles=x, parent=np.arange(n)), log_weight + log_compass)
+        state, _ = _reweighted(replace(state, particles=x, parent=np.arange(n)), log_weight + log_compass)
         if ground is not None:
             up, down = model.on_stairs
             cost, through = ground.costs(from_m, x[:, :2], (up + down)[mode] > 0)
-            x[:, THROUGH] = _THROUGH_MEMORY * x[:, THROUGH] + through
-            # whoever pays more for the plan than somebody who knows nothing of it, is not where he is thought to be
+            x[:, CROSSED] = _THROUGH_MEMORY * x[:, CROSSED] + through
+            # particles that pay more for the plan than a random walk on this storey are probably at a wrong position
             log_share = math.log(float(state.weight @ np.exp(-cost)))
-            doubt = max(state.doubt - log_share - mean_m * ground.of_storey, _LEAST_DOUBT)
-            state, _ = _weighed(state, ground.of_anybody(from_m, mean_m) - cost)
-            state = self._noted(replace(state, doubt=doubt), step.time_s, ground)
+            doubt = max(state.doubt - log_share - mean_m * ground.mean_cost_per_m, _LEAST_DOUBT)
+            state, _ = _reweighted(state, ground.choice_cost(from_m, mean_m) - cost)
+            state = self._with_contradiction(replace(state, doubt=doubt), step.time_s, ground)
         if state.doubt > _MOST_DOUBT or _n_effective(state) < _LEAST_EFFECTIVE:
-            return self._again(state, pedestrian, model, ground, rng, scale_std, step.time_s)
+            return self._drawn_again(state, pedestrian, model, ground, rng, scale_std, step.time_s)
         return self._resampled(state, rng, must_count=update.index % _COUNT_STEPS == 0)
 
     def on_gap(self, state: ParticleState, gap_s: float, model: PedestrianModel) -> ParticleState:
-        """State after a time without samples, in which anybody may have gone anywhere at a walk."""
+        """Return the state after a time without samples.
+
+        Positions and headings diffuse, because the pedestrian may have walked in any direction.
+
+        Parameters
+        ----------
+        state : ParticleState
+            State before the gap.
+        gap_s : float
+            Length of the gap.
+        model : PedestrianModel
+            Motion model of the tracker, which gives the variances.
+
+        Returns
+        -------
+        ParticleState
+            State after the gap.
+        """
         if len(state.weight) == 0:
             return state
         rng, state = self._random(state)
@@ -259,9 +438,32 @@ class ParticleFilter:
         model: PedestrianModel,
         floor: int,
     ) -> ParticleState:
-        """State after a fix of position or heading that the tracker used, or of a grid; and what it knows then.
+        """Return the state after a fix.
 
-        Any other measurement weighs the particles whether the tracker used it or not: they need no linear update.
+        Position and heading fixes change the weights only if the tracker used them. Grid fixes, ranges and other
+        measurements do so whether or not the tracker used them, because particles do not need a linear update. Such
+        measurements are ignored if they are from before the first remembered step. Speeds and standstills are always
+        ignored.
+
+        Parameters
+        ----------
+        state : ParticleState
+            State before the fix.
+        fix : Fix
+            The measurement.
+        outcome : FixOutcome
+            Result of the fix in the tracker, such as "used", "placed", "turned" or "moved".
+        pedestrian : PedestrianState
+            State of the tracker after the fix.
+        model : PedestrianModel
+            Motion model of the tracker.
+        floor : int
+            Current storey, 0 for the ground floor.
+
+        Returns
+        -------
+        ParticleState
+            State after the fix.
         """
         if len(state.way) == 0 or isinstance(fix, SpeedFix | Standstill):
             return state
@@ -281,50 +483,83 @@ class ParticleFilter:
         x, then = state.particles, interpolated(fix.time_s, state.way[:, 0], state.way[:, 1:4])
         if isinstance(fix, HeadingFix):
             error = wrap_angle(fix.walking_heading_rad - then[2] - x[:, OFFSET])
-            state, _ = _weighed(state, -0.5 * (error / fix.std_rad) ** 2)
+            state, _ = _reweighted(state, -0.5 * (error / fix.std_rad) ** 2)
         elif isinstance(fix, GridFix):
-            there = fix.log_likelihood_at(backwards(x, state.way[-1, 1:3] - then[:2]))
-            state, _ = _weighed(state, there / repetition(fix, state.last_grid_s))
+            there = fix.log_likelihood_at(earlier_positions(x, state.way[-1, 1:3] - then[:2]))
+            state, _ = _reweighted(state, there / repetition(fix, state.last_grid_s))
             state = replace(state, last_grid_s=fix.time_s)
         elif not isinstance(fix, PositionFix):
-            there = backwards(x, state.way[-1, 1:3] - then[:2])
-            state, _ = _weighed(state, _log_density(fix, there, then[2] + x[:, OFFSET]))
+            there = earlier_positions(x, state.way[-1, 1:3] - then[:2])
+            state, _ = _reweighted(state, _log_density(fix, there, then[2] + x[:, OFFSET]))
         else:
-            error = backwards(x, state.way[-1, 1:3] - then[:2]) - fix.position_m
+            error = earlier_positions(x, state.way[-1, 1:3] - then[:2]) - fix.position_m
             cov = repetition(fix, state.last_fix_s) * fix.cov_m2
-            state, _ = _weighed(state, -0.5 * ((error @ np.linalg.inv(cov)) * error).sum(axis=1))
+            state, _ = _reweighted(state, -0.5 * ((error @ np.linalg.inv(cov)) * error).sum(axis=1))
             state = replace(state, last_fix_s=fix.time_s)
         state = replace(state, parent=np.arange(len(state.weight)))
         n_effective = _n_effective(state)
-        if outcome == "turned" and self.start is None and n_effective < _SHOWN_SHARE * len(state.weight):
+        if outcome == "turned" and self.start is None and n_effective < _MIN_SAMPLE_SHARE * len(state.weight):
             return self._from_tracker(state, pedestrian, ground, rng, 0.0)
         if n_effective < _LEAST_EFFECTIVE:
-            return self._again(state, pedestrian, model, ground, rng, 0.0, fix.time_s)
+            return self._drawn_again(state, pedestrian, model, ground, rng, 0.0, fix.time_s)
         return self._resampled(state, rng, must_count=False)
 
     def on_passage(
         self, state: ParticleState, passage: FloorPassage, pedestrian: PedestrianState, model: PedestrianModel
     ) -> ParticleState:
-        """State after somebody has come to another storey: who took a lift was in one."""
+        """Return the state after a change of storey.
+
+        After a ride in a lift, particles far from every lift of the new storey lose weight. Stairs do not change the
+        state.
+
+        Parameters
+        ----------
+        state : ParticleState
+            State before the change.
+        passage : FloorPassage
+            Time, storeys and kind of the passage ("lift" or stairs).
+        pedestrian : PedestrianState
+            State of the tracker after the change.
+        model : PedestrianModel
+            Motion model of the tracker.
+
+        Returns
+        -------
+        ParticleState
+            State on the new storey.
+        """
         ground = self.ground(passage.to_floor)
         if passage.how != "lift" or ground is None or len(state.weight) == 0 or len(state.way) == 0:
             return state
         rng, state = self._random(state)
         then_m = interpolated(passage.end_s, state.way[:, 0], state.way[:, 1:3])
-        out_m = backwards(state.particles, state.way[-1, 1:3] - then_m)
-        state, _ = _weighed(state, -ground.lift_costs(out_m))
+        out_m = earlier_positions(state.particles, state.way[-1, 1:3] - then_m)
+        state, _ = _reweighted(state, -ground.lift_costs(out_m))
         state = replace(state, parent=np.arange(len(state.weight)))
         if _n_effective(state) < _LEAST_EFFECTIVE:
-            return self._again(state, pedestrian, model, ground, rng, 0.0, passage.end_s)
+            return self._drawn_again(state, pedestrian, model, ground, rng, 0.0, passage.end_s)
         return self._resampled(state, rng, must_count=False)
 
-    # --- what is known ------------------------------------------------------------------------------------------------
+    # --- estimates
+    # -----------------------------------------------------------------------------------------------------
 
     def place(self, state: ParticleState, reckoned: tuple[FloatArray, FloatArray]) -> OnPlan | None:
-        """Where the particles are; None before there are some.
+        """Return the position estimate of the particles.
 
-        As far as the walk may be where none of them is, it is where dead reckoning says, if that begins on the plan:
-        the covariance reaches there.
+        Without a given start, dead reckoning begins on the plan too. With the probability that no particle is at the
+        true position, the covariance then includes the dead-reckoned position.
+
+        Parameters
+        ----------
+        state : ParticleState
+            State after a step.
+        reckoned : tuple of array (2,) and array (2, 2)
+            Dead-reckoned position in m and its covariance in m^2.
+
+        Returns
+        -------
+        OnPlan or None
+            Mean, covariance and clusters of the particles, or None before the first particles.
         """
         if len(state.weight) == 0:
             return None
@@ -333,14 +568,25 @@ class ParticleFilter:
         return on_plan(state.particles[:, :2], state.weight, heading_rad, state.elsewhere, there)
 
     def notes(self, state: ParticleState) -> list[Note]:
-        """Where the plan and the steps contradict each other, in words."""
+        """Return warnings about contradictions between the plan and the steps.
+
+        Parameters
+        ----------
+        state : ParticleState
+            State with the latest events.
+
+        Returns
+        -------
+        list of Note
+            One note per event, with its time and likely cause.
+        """
         notes: list[Note] = []
         for event in state.events:
             words = {
-                "wall": "the walk goes through a wall: a door that the plan lacks?",
-                "room": f"the walk enters {event.name or 'a room'}, to which the plan has no door",
-                "outline": "the walk leaves the outline of the floor: is the plan complete?",
-                "lost": "nothing on the plan fits the steps: the track begins again from dead reckoning",
+                "wall": "the walk crosses a wall: check whether the plan lacks a door there",
+                "room": f"the walk enters {event.name or 'a room'}, to which the plan has no door: add it if it exists",
+                "outline": "the walk leaves the outline of the floor: check whether the plan is complete",
+                "lost": "nothing on the plan fits the steps: the track starts again from dead reckoning",
             }[event.what]
             notes.append(Note("plan", f"about {event.time_s:.0f} s {words}"))
         return notes
@@ -348,14 +594,23 @@ class ParticleFilter:
     # --- parts --------------------------------------------------------------------------------------------------------
 
     def _random(self, state: ParticleState) -> tuple[Generator, ParticleState]:
-        """The random numbers of the next event: they follow from the seed and its number, whatever came before."""
+        """Return the random number generator of the next event, and the state that counts the draw.
+
+        The numbers depend only on the seed and the number of draws before, not on earlier random numbers. A restored
+        state therefore continues identically.
+        """
         numbers = Generator(Philox(key=self.seed, counter=[0, 0, 0, state.n_draws]))
         return numbers, replace(state, n_draws=state.n_draws + 1)
 
     def _from_tracker(
         self, state: ParticleState, pedestrian: PedestrianState, ground: Ground | None, rng: Generator, scale_std: float
     ) -> ParticleState:
-        """Particles of the tracker's normal distribution, or of its density over all turns while it is open."""
+        """Return the state with particles drawn from the tracker's estimate.
+
+        The tracker's estimate is a normal distribution. While the rotation of the track is unknown, the rotations are
+        drawn from the tracker's density over all angles. `scale_std` is added to the uncertainty of the log scale, in
+        quadrature.
+        """
         x, combined = pedestrian.estimates.combined
         P = combined.copy()
         P[:2, :2] += pedestrian.estimates.consider_cov_m2
@@ -363,7 +618,7 @@ class ParticleFilter:
         open_turn = None if pedestrian.frame.is_joined else pedestrian.frame.turn
         n = min((2 if open_turn is None else 5) * self.n_least, self.n_most)
         particles = np.zeros((n, N_COLUMNS))
-        # a variance that is zero has no factor
+        # the small diagonal keeps the Cholesky factorisation valid where a variance is zero
         particles[:, :4] = x + rng.standard_normal((n, 4)) @ np.linalg.cholesky(P + 1e-12 * np.eye(4)).T
         if open_turn is not None:
             open_turn = open_turn.with_compass(pedestrian.frame.compass)
@@ -373,7 +628,7 @@ class ParticleFilter:
             particles[:, :2] += math.sqrt(open_turn.centre_var_m2) * rng.standard_normal((n, 2))
             particles[:, OFFSET] += angle_rad
             particles[:, TURN] = angle_rad
-        return self._begun(state, particles, pedestrian, ground)
+        return self._with_particles(state, particles, pedestrian, ground)
 
     def _from_start(
         self,
@@ -384,7 +639,11 @@ class ParticleFilter:
         rng: Generator,
         scale_std: float,
     ) -> ParticleState:
-        """Particles at the start, turned any way that the heading fixes and the compass so far allow."""
+        """Return the state with particles drawn at the start position or in the start area.
+
+        The rotation of the track is uniform over all angles, or follows the heading fixes and the compass received so
+        far.
+        """
         n = self.n_most
         x, P = pedestrian.estimates.combined
         particles = np.zeros((n, N_COLUMNS))
@@ -397,13 +656,15 @@ class ParticleFilter:
         particles[:, OFFSET] += math.sqrt(P[HEADING_OFFSET, HEADING_OFFSET]) * rng.standard_normal(n)
         scale_std = math.hypot(scale_std, model.noise.log_scale_std)
         particles[:, SCALE] = scale_std * rng.standard_normal(n)
-        state = self._begun(state, particles, pedestrian, None, _DOUBT_OF_AREA if len(start.cells) else _LEAST_DOUBT)
+        state = self._with_particles(
+            state, particles, pedestrian, None, _DOUBT_OF_AREA if len(start.cells) else _LEAST_DOUBT
+        )
         if pedestrian.frame.north is None and pedestrian.frame.compass is not None:
             state, log_weight = _with_compass(replace(state, compass=None), pedestrian)
-            state, _ = _weighed(state, log_weight)
+            state, _ = _reweighted(state, log_weight)
         return state
 
-    def _begun(
+    def _with_particles(
         self,
         state: ParticleState,
         particles: FloatArray,
@@ -411,7 +672,7 @@ class ParticleFilter:
         ground: Ground | None,
         doubt: float = _LEAST_DOUBT,
     ) -> ParticleState:
-        """State with new particles, where somebody can be."""
+        """Return the state with new particles of equal weight. Costs of `ground`, if given, then change the weights."""
         n = len(particles)
         state = replace(
             state,
@@ -422,9 +683,9 @@ class ParticleFilter:
             compass=pedestrian.frame.compass,
             doubt=doubt,
         )
-        return state if ground is None else _weighed(state, -ground.heights(particles[:, :2]))[0]
+        return state if ground is None else _reweighted(state, -ground.heights(particles[:, :2]))[0]
 
-    def _again(
+    def _drawn_again(
         self,
         state: ParticleState,
         pedestrian: PedestrianState,
@@ -434,7 +695,11 @@ class ParticleFilter:
         scale_std: float,
         time_s: float,
     ) -> ParticleState:
-        """State whose particles are drawn again, because what they say cannot be: from the tracker, or anywhere."""
+        """Return the state with particles drawn again, after no particle fitted the steps.
+
+        The particles come from the tracker if its track is placed on the plan, otherwise from all walkable cells of the
+        storey.
+        """
         events = (*state.events, PlanEvent(time_s, "lost", ""))[-_MAX_EVENTS:]
         state = replace(state, events=events, n_lost=state.n_lost + 1)
         if pedestrian.frame.is_joined or pedestrian.frame.turn is not None or ground is None:
@@ -443,9 +708,12 @@ class ParticleFilter:
         return self._from_start(state, anywhere, pedestrian, model, rng, scale_std)
 
     def _resampled(self, state: ParticleState, rng: Generator, must_count: bool) -> ParticleState:
-        """State with as many particles as are needed, of one weight, if too few of them have weight or too many are.
+        """Return the state resampled to the number of particles needed, or unchanged if resampling is not necessary.
 
-        One random number draws all (low variance): a particle of weight w comes w n times, rounded up or down.
+        Resampling takes place if the effective sample size is too small, or if less than half of the particles are
+        needed. It is systematic (low variance): a single random number draws all particles, and a particle of weight w
+        is copied w n times, rounded up or down. `must_count` checks the number needed even if the effective sample size
+        is sufficient.
         """
         n = len(state.weight)
         too_few = _n_effective(state) < _RESAMPLE_SHARE * n
@@ -463,22 +731,22 @@ class ParticleFilter:
         parent = state.parent[chosen] if len(state.parent) else state.parent
         return replace(state, particles=particles, weight=np.full(needed, 1.0 / needed), parent=parent)
 
-    def _noted(self, state: ParticleState, time_s: float, ground: Ground) -> ParticleState:
-        """State with an event, if most of the weight has gone through what the plan draws."""
+    def _with_contradiction(self, state: ParticleState, time_s: float, ground: Ground) -> ParticleState:
+        """Return the state with a new event, if most of the weight has recently crossed a feature of the plan."""
         t = self.terrain
-        if float(state.weight @ state.particles[:, THROUGH]) < 0.5 * min(t.wall, t.room, t.outside):
+        if float(state.weight @ state.particles[:, CROSSED]) < 0.5 * min(t.wall, t.room, t.outside):
             return state
-        what, name = ground.storey.what_is_near(state.weight @ state.particles[:, :2])
+        what, name = ground.storey.crossed_feature(state.weight @ state.particles[:, :2])
         particles = state.particles.copy()
-        particles[:, THROUGH] = 0.0
+        particles[:, CROSSED] = 0.0
         events = (*state.events, PlanEvent(time_s, what, name))[-_MAX_EVENTS:]
         return replace(state, particles=particles, events=events)
 
 
 def _turned_rad(pedestrian: PedestrianState) -> float:
-    """By how much heading fixes and position fixes have turned the frame of the tracker's states so far."""
+    """Return the total angle in rad by which heading fixes and position fixes have rotated the tracker's frame."""
     frame = pedestrian.frame
-    return sum(a.angle_rad for a in (frame.north, frame.alignment, *frame.moves) if a is not None)
+    return sum(a.angle_rad for a in (frame.north, frame.alignment, *frame.relocations) if a is not None)
 
 
 def _in_turned_frame(state: ParticleState, pedestrian: PedestrianState) -> ParticleState:
@@ -501,17 +769,18 @@ def _with_compass(state: ParticleState, pedestrian: PedestrianState) -> tuple[Pa
     return replace(state, compass=new), log_weight
 
 
-def _weighed(state: ParticleState, log_weight: FloatArray) -> tuple[ParticleState, float]:
-    """State with log weights (N,) on top, and the logarithm of the mean weight that these were."""
+def _reweighted(state: ParticleState, log_weight: FloatArray) -> tuple[ParticleState, float]:
+    """Return the state with log weights (N,) added, and the log of the mean factor that this applied to the weights."""
     with np.errstate(divide="ignore"):
         total = np.log(state.weight) + log_weight
     return replace(state, weight=softmax(total)), log_sum(total)
 
 
 def _log_density(fix: Measurement, position_m: FloatArray, heading_rad: FloatArray) -> FloatArray:
-    """Log density (N,) of a measurement at positions (N, 2) and walking headings (N,); an outlier costs a limited odds.
+    """Return the log density (N,) of a measurement at positions (N, 2) and walking headings (N,).
 
-    Of a range that of direct and reflected paths together.
+    An outlier lowers the density by at most `_OUTLIER_LOG_ODDS` relative to the best particle. The density of a range
+    is a mixture of direct and reflected paths.
     """
     if isinstance(fix, RangeFix):
         residual, _ = range_residuals(position_m, fix.anchor_m[:2], fix.up_m, fix.range_m)
@@ -524,4 +793,5 @@ def _log_density(fix: Measurement, position_m: FloatArray, heading_rad: FloatArr
 
 
 def _n_effective(state: ParticleState) -> float:
+    """Return the effective sample size, 1 / sum of the squared weights."""
     return 1.0 / float((state.weight**2).sum())

@@ -1,4 +1,4 @@
-"""How particles are led on over a step: their columns, and what each learns of its heading."""
+"""Motion of particles over a step: the particle columns, rotations, and the update of the heading offset."""
 
 from __future__ import annotations
 
@@ -12,33 +12,40 @@ from pdr_filter.filter.imm.pedestrian_state import PedestrianState
 from pdr_filter.filter.imm.step_history import TRAIL_STEPS
 from pdr_filter.values import FloatArray, IntArray, Step, wrap_angle
 
-EAST, NORTH, OFFSET, SCALE, TURN, THROUGH = range(6)
+# Columns of a particle: position, heading offset, log scale, rotation of the track frame, recent crossing cost.
+EAST, NORTH, OFFSET, SCALE, TURN, CROSSED = range(6)
 
 
 N_COLUMNS = 6
 
 
-def led_on(way: FloatArray, step: Step, length_m: float) -> FloatArray:
-    """The way (R, 4) with one step more, in the direction of the device."""
+def extended_path(way: FloatArray, step: Step, length_m: float) -> FloatArray:
+    """Return the path (R, 4) extended by one step of `length_m` in the direction of the device.
+
+    Rows are time, east, north and device heading. Only the last `TRAIL_STEPS` rows are kept.
+    """
     heading_rad = step.device_heading_rad
     last = way[-1, 1:3] if len(way) else np.zeros(2)
     to = last + length_m * np.array([math.sin(heading_rad), math.cos(heading_rad)])
     return np.concatenate([way, [[step.time_s, *to, heading_rad]]])[-TRAIL_STEPS:]
 
 
-def backwards(particles: FloatArray, since_m: FloatArray) -> FloatArray:
-    """Where particles (N, 6) were before a way (2,) in the direction of the device: each with its offset and scale."""
+def earlier_positions(particles: FloatArray, since_m: FloatArray) -> FloatArray:
+    """Return the positions (N, 2) of particles (N, 6) before a displacement (2,) in the direction of the device.
+
+    The displacement is rotated and scaled by the heading offset and the scale of each particle.
+    """
     return particles[:, :2] - np.exp(particles[:, [SCALE]]) * rotated(since_m[None], particles[:, OFFSET])
 
 
 def rotated(vector_m: FloatArray, angle_rad: FloatArray) -> FloatArray:
-    """Vectors (N, 2) east, north turned clockwise by angles (N,)."""
+    """Return vectors (N, 2), east and north, rotated clockwise by angles (N,)."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     east, north = vector_m.T
     return np.column_stack([c * east + s * north, c * north - s * east])
 
 
-def turned(
+def advance_offsets(
     x: FloatArray,
     step: Step,
     pedestrian: PedestrianState,
@@ -47,10 +54,11 @@ def turned(
     mode: IntArray,
     z: FloatArray,
 ) -> FloatArray:
-    """Lead the heading offsets of particles over a step, in place; log weights (N,).
+    """Move the heading offsets of particles over a step, in place, and return log weights (N,).
 
-    o_k = o_{k-1} + N(0, q), and strides show v = o_k + N(0, r): o_k is drawn from its distribution given v, and
-    the weight is that of v given o_{k-1}, N(o_{k-1}, q + r).
+    The offset is a random walk, o_k = o_{k-1} + N(0, q). The strides measure it as v = o_k + N(0, r). The new offset
+    o_k is drawn from its distribution given v, and the weight is the likelihood of v given o_{k-1}, N(o_{k-1}, q + r).
+    `x` are the particles (N, 6), `mode` (N,) their modes, and `z` (N,) standard normal numbers.
     """
     measured, unmeasured = model.noise.heading_drift.variances_rad2(
         since_s, step.heading_unknown_s, step.yaw_bias_std_radps, model.directions.drift_rad2_per_s

@@ -1,4 +1,4 @@
-"""One storey of a floor plan: what is where, as shapes to draw and as a grid to walk on."""
+"""One storey of a floor plan, as shapes to draw and as a grid of cells to walk on."""
 
 from __future__ import annotations
 
@@ -11,25 +11,40 @@ from numpy.typing import NDArray
 
 from pdr_filter.values import BoolArray, FloatArray, IntArray
 
-# What a cell is. Those up to `LIFT` are walked on.
+# Kinds of cells. Cells up to `LIFT` are walkable.
 FREE, STAIRS, LIFT, ROOM, WALL, OUTSIDE = range(6)
-# Side of a cell: plans are off by more, and 300 m x 300 m are 2.3 million cells.
+# Cell size. Plans have larger errors, and 300 m x 300 m are 2.3 million cells.
 CELL_M = 0.2
-# Room around what is drawn.
+# Margin of the grid around the drawn features.
 MARGIN_M = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Feature:
-    """One shape of a plan."""
+    """One shape of a floor plan.
 
-    kind: str  # "floor", "wall", "room", "door", "stairs" or "lift"
-    name: str  # empty if it has none
-    lines: tuple[FloatArray, ...]  # (N, 2) each, east and north: rings of an area, or the lines of a wall
+    Attributes
+    ----------
+    kind : str
+        "floor", "wall", "room", "door", "stairs" or "lift".
+    name : str
+        Name, or an empty string.
+    lines : tuple of array (N, 2)
+        East and north in m: the rings of an area, or the lines of a wall.
+    is_area : bool
+        True for a polygon.
+    """
+
+    kind: str
+    name: str
+    lines: tuple[FloatArray, ...]
     is_area: bool
 
     def contains(self, position_m: FloatArray) -> BoolArray:
-        """Whether positions (..., 2) are in the area: a ray to the east crosses its rings an odd number of times."""
+        """Return True for each position (..., 2) inside the area. Lines contain no position.
+
+        A position is inside if a ray to the east crosses the rings an odd number of times.
+        """
         east, north = position_m[..., 0], position_m[..., 1]
         inside = np.zeros(east.shape, dtype=bool)
         for ring in self.lines if self.is_area else ():
@@ -42,42 +57,60 @@ class Feature:
 
 @dataclass(frozen=True, eq=False)
 class Storey:
-    """One storey: its shapes, and the same as cells."""
+    """One storey of a floor plan: its shapes and its grid of cells.
+
+    Attributes
+    ----------
+    floor : int
+        Number of the storey, 0 for the ground floor.
+    features : tuple of Feature
+        Shapes as drawn.
+    south_west_m : array (2,)
+        South-west corner of the first cell, east and north.
+    cells : array (rows, columns) of uint8
+        Kind of each cell: FREE, STAIRS, LIFT, ROOM, WALL or OUTSIDE. Rows run north and columns east.
+    """
 
     floor: int
     features: tuple[Feature, ...]
-    south_west_m: FloatArray  # (2,) corner of the first cell
-    cells: NDArray[np.uint8]  # (rows to the north, columns to the east): FREE, STAIRS, LIFT, ROOM, WALL or OUTSIDE
+    south_west_m: FloatArray
+    cells: NDArray[np.uint8]
 
     @property
     def has_stairs(self) -> bool:
-        """Whether stairs are drawn."""
+        """True if the plan shows stairs on this storey."""
         return any(f.kind == "stairs" for f in self.features)
 
     @property
     def middles_m(self) -> FloatArray:
-        """Middle of each cell, (rows, columns, 2)."""
+        """Centre of each cell, shape (rows, columns, 2)."""
         n_rows, n_columns = self.cells.shape
         east, north = np.meshgrid(np.arange(n_columns) + 0.5, np.arange(n_rows) + 0.5)
         return self.south_west_m + CELL_M * np.stack([east, north], axis=-1)
 
     def index(self, position_m: FloatArray) -> tuple[IntArray, BoolArray]:
-        """Flat index of the cell of each position (..., 2), and whether it is on the grid; off it the index is 0."""
-        # axis by axis: loops over the two of each position take three times as long
+        """Return the flat index of the cell of each position (..., 2), and whether the position is on the grid.
+
+        The index is 0 for positions off the grid.
+        """
+        # axis by axis, because broadcasting over the pairs takes three times as long
         column, row = ((position_m[..., k] - self.south_west_m[k]) / CELL_M for k in range(2))
         n_rows, n_columns = self.cells.shape
         inside = (row >= 0) & (row < n_rows) & (column >= 0) & (column < n_columns)
-        # on the grid the whole part is the floor
+        # truncation equals the floor for positions on the grid, and is faster
         column, row = column.astype(np.int64), row.astype(np.int64)
         return np.where(inside, row * n_columns + column, 0), inside
 
     def kind_at(self, position_m: FloatArray) -> IntArray:
-        """What is at positions (..., 2)."""
+        """Return the kind of the cell at each position (..., 2), OUTSIDE off the grid."""
         index, inside = self.index(position_m)
         return np.where(inside, self.cells.ravel()[index], OUTSIDE)
 
     def summary(self) -> dict[str, Any]:
-        """What it was understood to be."""
+        """Return a summary of the interpreted storey.
+
+        Sizes are in m, the walkable area is in m^2, and features are counted per kind.
+        """
         kinds = sorted({f.kind for f in self.features})
         height_m, width_m = (round(n * CELL_M - 2 * MARGIN_M, 1) for n in self.cells.shape)
         walkable_m2 = float((self.cells <= LIFT).sum()) * CELL_M**2
@@ -90,8 +123,11 @@ class Storey:
             "walkable_m2": round(walkable_m2, 1),
         }
 
-    def what_is_near(self, position_m: FloatArray) -> tuple[str, str]:
-        """What a walk that ends at a position (2,) has gone through: "room", "outline" or "wall", and its name."""
+    def crossed_feature(self, position_m: FloatArray) -> tuple[str, str]:
+        """Return the kind and the name of the feature that a walk ending at a position (2,) has crossed.
+
+        The kind is "room", "outline" or "wall". Only a room has a name.
+        """
         kind = int(self.kind_at(position_m))
         if kind == OUTSIDE:
             return "outline", ""

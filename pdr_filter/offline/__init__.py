@@ -1,1 +1,1 @@
-"""What looks at whole recordings: calibration and smoothing; gtsam is imported only here."""
+"""Processing of whole recordings: calibration, smoothing and training. Only these modules import gtsam."""

@@ -1,8 +1,9 @@
-"""Wrong observations: robust losses, and graduated non-convexity, which finds them without a good start.
+"""Robust losses for wrong observations, and graduated non-convexity, which needs no good initial estimate.
 
-H. Yang et al., "Graduated non-convexity for robust spatial perception", IEEE RA-L 5, 2020. A control parameter mu turns
-the loss from a convex one into truncated least squares: what is beyond a limit does not count at all. A loss that only
-counts it for little lets a fifth of wrong segments double the noise that the calibration finds.
+A control parameter mu changes the loss step by step from a convex one into truncated least squares, in which residuals
+beyond a limit have no influence (H. Yang et al., "Graduated non-convexity for robust spatial perception", IEEE RA-L 5,
+2020). A loss that only reduces the influence of such residuals is not sufficient. With a fifth of wrong segments, it
+doubles the noise that the calibration estimates.
 """
 
 from __future__ import annotations
@@ -14,25 +15,27 @@ import numpy as np
 from pdr_filter.values import FloatArray
 
 LOSSES = ("none", "huber", "cauchy", "gnc")
-# Tuning constants in standard deviations: Huber's and Cauchy's lose 5 % of efficiency on normal errors (Zhang,
-# "Parameter estimation techniques", Image and Vision Computing 15, 1997).
+# Tuning constants of the Huber and Cauchy losses in standard deviations. Both lose 5 % of efficiency on normal errors
+# (Zhang, "Parameter estimation techniques", Image and Vision Computing 15, 1997).
 _HUBER, _CAUCHY = 1.345, 2.385
-# A residual of more than so many standard deviations is wrong: one good one in 370. Truncated least squares leaves it
-# out; it loses 3 % of efficiency on normal errors.
-DISTRUST = 3.0
-# Where the graduation of a calibration ends: weights fall from 1 to 0 between 2.7 and 3.4 standard deviations. With a
-# jump, the estimation of the noise could go round in circles.
+# Residuals above this many standard deviations are outliers: one in 370 correct ones. Truncated least squares ignores
+# outliers and loses 3 % of efficiency on normal errors.
+OUTLIER_STDS = 3.0
+# Final mu of a calibration. Weights then fall from 1 to 0 between 2.7 and 3.4 standard deviations. With a jump, the
+# estimate of the noise could oscillate.
 _LAST_MU = 4.0
-# By how much mu changes in an iteration. The paper has 1.4 (section V); with 2 the same segments and fixes are left out
-# (docs/tables/smoothing_coverage.md, and groups of people with 10 and 20 % of wrong segments) in half the time.
+# Factor on mu per iteration. The paper has 1.4 (section V). With 2, the same segments and fixes are rejected in half
+# the time (docs/tables/smoothing_coverage.md, and groups of people with 10 and 20 % of wrong segments).
 GNC_FACTOR = 2.0
-_HUBER_ITERATIONS = 5  # a redescending loss needs a start that outliers did not choose
+_HUBER_ITERATIONS = 5  # a redescending loss needs an initial estimate that outliers did not determine
 
 
 def weights(misfit: FloatArray, loss: str, mu: float = 1.0) -> FloatArray:
-    """Weights w(u) of residuals u in standard deviations; `mu` is the control parameter of the graduated non-convexity.
+    """Return the weights w(u) of residuals u in standard deviations.
 
-    Huber min(1, k / |u|); Cauchy 1 / (1 + (u / k)^2); "gnc" those of truncated least squares (`truncated_weights`).
+    "huber" is min(1, k / |u|), "cauchy" is 1 / (1 + (u / k)^2), and "gnc" is the weight of truncated least squares
+    (`truncated_weights`). `mu` is the control parameter of the graduated non-convexity. Raises ValueError for an
+    unknown loss.
     """
     if loss == "none":
         return np.ones_like(misfit)
@@ -41,17 +44,17 @@ def weights(misfit: FloatArray, loss: str, mu: float = 1.0) -> FloatArray:
     if loss == "cauchy":
         return 1 / (1 + (misfit / _CAUCHY) ** 2)
     if loss == "gnc":
-        return truncated_weights(misfit**2, np.full(misfit.shape, DISTRUST**2), mu)
+        return truncated_weights(misfit**2, np.full(misfit.shape, OUTLIER_STDS**2), mu)
     raise ValueError(f"loss must be one of {', '.join(LOSSES)}, got {loss!r}")
 
 
 @cache
 def moments(loss: str, mu: float = 1.0) -> tuple[float, float]:
-    """E w u^2 / E w and the information factor of a loss on standard normal residuals.
+    """Return E w u^2 / E w and the information factor of a loss, for standard normal residuals u.
 
-    The first makes the scale consistent: sum w u^2 / sum w tends to it, whatever the share of residuals of weight zero.
-    The second, (E w u^2)^2 / (E psi^2 E w) with psi = w u, multiplies the weights and makes covariances those of an
-    M-estimate, E psi^2 / (E psi')^2.
+    The first value makes the estimated scale consistent: sum w u^2 / sum w tends to it, whatever the share of residuals
+    with weight zero. The second value is (E w u^2)^2 / (E psi^2 E w) with psi = w u. Multiplied with the weights, it
+    gives the covariances of an M-estimate, E psi^2 / (E psi')^2.
     """
     u = np.linspace(-9, 9, 20001)
     density = np.exp(-0.5 * u**2) / np.sqrt(2 * np.pi) * (u[1] - u[0])
@@ -61,25 +64,29 @@ def moments(loss: str, mu: float = 1.0) -> tuple[float, float]:
 
 
 def next_stage(loss: str, iteration: int, largest: float, mu: float) -> tuple[str, float, bool]:
-    """Loss and control parameter of the next iteration, and whether they are final; `largest` is the largest misfit."""
+    """Return the loss and the control parameter of the next iteration, and whether they are final.
+
+    `largest` is the largest absolute residual in standard deviations.
+    """
     if loss == "cauchy" and iteration < _HUBER_ITERATIONS:
         return "huber", 1.0, False
     if loss == "gnc":
-        start = truncated_start(max((largest / DISTRUST) ** 2, 1.0))
+        start = truncated_start(max((largest / OUTLIER_STDS) ** 2, 1.0))
         mu = min(round(start if iteration == 1 else GNC_FACTOR * mu, 4), _LAST_MU)
         return loss, mu, mu == _LAST_MU
     return loss, 1.0, True
 
 
 def truncated_start(excess: float) -> float:
-    """Control parameter to begin with, for the largest squared residual over its limit."""
+    """Return the initial control parameter for the largest ratio of a squared residual to its limit."""
     return 1 / max(2 * excess - 1, 1e-12)
 
 
 def truncated_weights(squared: FloatArray, limit: FloatArray, mu: float) -> FloatArray:
-    """Weights of squared residuals that count up to a limit (eq. 14 of the paper).
+    """Return the weights of squared residuals in truncated least squares (eq. 14 of the paper).
 
-    1 below, 0 above, and a smooth change between that gets steeper as mu grows.
+    Weights are 1 well below `limit`, 0 well above it, and change smoothly between. A larger mu makes the change
+    steeper.
     """
     between = np.sqrt(limit * mu * (mu + 1) / np.maximum(squared, 1e-12)) - mu
     below, above = squared <= limit * mu / (mu + 1), squared >= limit * (mu + 1) / mu

@@ -9,6 +9,7 @@ from pdr_filter.recipes.default import attitude_free_contexts as attitude_free_c
 from pdr_filter.recipes.default import check_name as check_name
 from pdr_filter.recipes.default import context_modes as context_modes
 from pdr_filter.recipes.default import context_transitions as context_transitions
+from pdr_filter.recipes.default import contexts_of as contexts_of
 from pdr_filter.recipes.default import default as default
 from pdr_filter.recipes.default import for_recording as for_recording
 from pdr_filter.recipes.default import guo2018 as guo2018

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -17,8 +18,8 @@ from pdr_filter.filter.imm.motion_model import Mode
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.tracker import Tracker
 from pdr_filter.filter.imm.transition_probabilities import context_transitions
-from pdr_filter.filter.imm.weighted_tracker import WeightedTracker, Weighting
-from pdr_filter.filter.imm.weighting import HC, WEIGHTINGS
+from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
+from pdr_filter.filter.imm.weighting import HC, WEIGHTINGS, Weighting
 from pdr_filter.filter.plan_stage import PlanStage
 from pdr_filter.filter.step_length.models import StepLengthFit
 from pdr_filter.filter.step_length.person import Person
@@ -32,6 +33,7 @@ from pdr_filter.sensing.heading.magnetic_north import MagneticNorth
 from pdr_filter.sensing.steps.detector_protocol import StepDetector
 from pdr_filter.sensing.stream_merging import StreamMerger
 from pdr_filter.values import DECLINATION_STD_RAD, FloatArray, Note, Plan, PositionFix, check_members
+from pdr_filter.values.serialisation import to_bytes
 from pdr_filter.values.track_placement import TrackPlacement
 
 
@@ -173,6 +175,7 @@ class Config:
         ('resting', 'level', 'upstairs', 'downstairs', 'sideways', 'running')
         """
         stage = stage_of(model, self.sensing.contexts)
+        _warn_of_state(stage)
         estimated = model[0] if isinstance(model, tuple) else model
         labelled = getattr(estimated, "transition_prob", None)
         prob = _transitions(stage.contexts, modes, labelled) if transition_prob is None else np.asarray(transition_prob)
@@ -216,6 +219,8 @@ class Config:
     def with_steps(self, steps: StepDetector[Any]) -> Config:
         """Return a copy with another step detector; ValueError names what it lacks (`pdr_filter.protocols`).
 
+        A UserWarning says if `OnlineFilter.save` cannot save its state.
+
         Examples
         --------
         >>> import pdr_filter as pdr
@@ -224,11 +229,16 @@ class Config:
         True
         """
         check_members("steps", steps, StepDetector)
+        _warn_of_state(steps)
         return replace(self, sensing=replace(self.sensing, steps=steps))
 
     def with_heading(self, heading: HeadingStage) -> Config:
-        """Return a copy with another heading stage; ValueError names what it lacks (`pdr_filter.protocols`)."""
+        """Return a copy with another heading stage; ValueError names what it lacks (`pdr_filter.protocols`).
+
+        A UserWarning says if `OnlineFilter.save` cannot save its state.
+        """
         check_members("heading", heading, HeadingStage)
+        _warn_of_state(heading)
         return replace(self, sensing=replace(self.sensing, heading=heading))
 
     def with_step_length(self, name: str, fit: StepLengthFit) -> Config:
@@ -308,6 +318,14 @@ def _transitions(
     if context_transition_prob is None or sorted(of_mode) != list(range(len(contexts))):
         return context_transitions([mode.meaning for mode in modes])
     return context_transition_prob[np.ix_(of_mode, of_mode)]
+
+
+def _warn_of_state(part: Any) -> None:
+    """Warn if the first state of a part cannot be saved, which a filter would else refuse only in the end."""
+    try:
+        to_bytes(part.init(), foreign=True)
+    except TypeError as error:
+        warnings.warn(f"OnlineFilter.save will refuse the state of {type(part).__name__}: {error}", stacklevel=3)
 
 
 def check_config(config: object) -> None:

@@ -35,7 +35,7 @@ from pdr_filter.sensing.heading.walking_heading import WalkingHeading
 from pdr_filter.sensing.steps.adaptive_detector import AdaptiveStepDetector
 from pdr_filter.sensing.steps.contact_time_smoothing import EvenSteps
 from pdr_filter.sensing.steps.step_gate import StepGate
-from pdr_filter.values import CONTEXTS, HeadingDrift
+from pdr_filter.values import HeadingDrift
 from pdr_filter.values.recording import Recording, Subject, check_height
 
 
@@ -103,16 +103,16 @@ def with_transitions(config: Config, transitions: Transitions | str | Path) -> C
 
     `transitions`, or the path of its file, is what `pdr-filter train` writes; the exponents in it are of the default's
     context model. The weightings "hc" and "wc" take step lengths from the windows and not from transitions. ValueError
-    if the file cannot be used, or if the modes of the configuration are not the contexts, each once.
+    if the file cannot be used, or if the configuration has not one mode for each of its contexts.
     """
     learnt = transitions if isinstance(transitions, Transitions) else load_transitions(transitions)
     contexts = [mode.context for mode in config.model.modes]
-    if sorted(contexts) != sorted(CONTEXTS):
+    if sorted(contexts) != sorted(learnt.contexts):
         raise ValueError(
-            f"transitions are between the contexts {CONTEXTS}, but recipe {config.name!r} has modes of {contexts}; "
-            "give its model a transition_prob of its own"
+            f"transitions are between the contexts {learnt.contexts}, but recipe {config.name!r} has modes of "
+            f"{contexts}; give transition_prob to config.with_modes or config.with_contexts instead"
         )
-    of_mode = [CONTEXTS.index(context) for context in contexts]
+    of_mode = [learnt.contexts.index(context) for context in contexts]
     return config.with_model(
         transition_prob=learnt.transition_prob[np.ix_(of_mode, of_mode)],
         evidence_exponent=learnt.evidence_exponent,
@@ -127,7 +127,16 @@ def for_recording(name: str, recording: Recording) -> Config:
     """
     if name == "zhou2019" and recording.is_on_foot:
         return zhou2019(recording.subject, placement="foot")
-    config: Any = _named(name)(recording.subject)
+    return _called(name, recording.subject)
+
+
+def contexts_of(name: str) -> tuple[str, ...]:
+    """Return the names of the contexts of a recipe, given its name as in `for_recording`."""
+    return _called(name, None).contexts
+
+
+def _called(name: str, subject: Subject | None) -> Config:
+    config: Any = _named(name)(subject)
     if not isinstance(config, Config):
         raise ValueError(f"recipe {name!r} must return a Config, got {config!r}: such as default().with_steps(...)")
     return config

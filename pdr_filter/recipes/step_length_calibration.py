@@ -66,11 +66,12 @@ class CalibratedPerson:
     k: Mapping[str, FloatArray]
     k_cov: Mapping[str, FloatArray]
     n_segments: int
+    main_context: str = "walking"  # of the calibration
 
     @property
     def k0(self) -> float:
-        """First parameter of walking."""
-        return float(self.k["walking"][0])
+        """First parameter of walking, or of the `main_context` of the calibration."""
+        return float(self.k[self.main_context][0])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -149,8 +150,9 @@ class Calibration:
 
     @property
     def main_context(self) -> str:
-        """Walking if it was calibrated, else the first that was."""
-        return "walking" if "walking" in self.contexts or not self.contexts else self.contexts[0]
+        """Walking if it was calibrated, else the first context that was."""
+        names = self.contexts or tuple(self.models)
+        return "walking" if "walking" in names or not names else names[0]
 
     @property
     def k(self) -> dict[str, FloatArray]:
@@ -177,6 +179,7 @@ class Calibration:
                 self._by_context(self.people[s]),
                 self._blocks(self.people_cov[s]),
                 int(np.sum(self.segments.subject == name)),
+                self.main_context,
             )
             for s, name in enumerate(self.subject_ids)
         }
@@ -424,7 +427,7 @@ def _check_numbers(calibration: Calibration) -> None:
     if not all(0 <= std <= _LARGEST_STD for std in known.values()):
         raise ValueError(f"residual_std_m and recording_std must be from 0 to {_LARGEST_STD}, got {known}")
     if calibration.main_context not in calibration.models:
-        raise ValueError(f"models must hold that of {calibration.main_context}, got {tuple(calibration.models)}")
+        raise ValueError("models must hold that of one context at least, got none")
 
 
 def slices_of(models: Mapping[str, StepLengthModel]) -> tuple[dict[str, slice], int]:

@@ -60,6 +60,8 @@ def track_data(track: TrackRows, recording: Recording | None, plan: FloorPlan | 
         data["height"] = _column(track.height_m[shown], 2)
         data["height_std"] = _column(track.height_std_m[shown], 3)
         data["floor"] = track.floor[shown].tolist()
+    if len(track.anchors_m):
+        data["anchors"] = _points(track.anchors_m)
     if any(places := [_places(track, row) for row in shown]):
         data["places"] = places
     if recording is not None:

@@ -1,1 +1,1 @@
-"""Samples in, events out: uniform samples, attitude, bias, steps, contexts and walking headings."""
+"""Sensor processing: conditioning, attitude, gyroscope bias, steps, contexts and walking headings."""

@@ -1,9 +1,9 @@
-"""Which way is up, and how far the device has turned about it: the vqf filter as a causal stage.
+"""Attitude of the device: the direction of up and the heading change, from the VQF filter as a causal stage.
 
 VQF: D. Laidig, T. Seel, "VQF: Highly accurate IMU orientation estimation with bias estimation and magnetic disturbance
-rejection", Information Fusion 91 (2023), doi:10.1016/j.inffus.2022.10.014. Its state is carried as plain values, so
-that a filter can be saved in the middle of a walk. Its bias estimation is off: `pdr_filter.sensing.gyroscope_bias` does
-it.
+rejection", Information Fusion 91 (2023), doi:10.1016/j.inffus.2022.10.014. The state of VQF is carried as plain values,
+so that a filter can be saved during a walk. The bias estimation of VQF is off:
+`pdr_filter.sensing.gyroscope_bias` estimates the bias.
 """
 
 from __future__ import annotations
@@ -21,11 +21,13 @@ from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.gyroscope_bias import BiasWindow, GyroBias, GyroBiasState
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, check_numbers, replace_unchecked
 
-# The device turns about up by what a rotation that leaves gravity's tilt alone would: against an attitude tilted by
-# theta an error of the tilt enters the heading times tan(theta / 2), 0.6 at 60 degrees. Then a new one is needed.
+# Cosine of the largest tilt against the reference attitude, 60 degrees. At a tilt theta, an error of the inclination
+# enters the heading (the twist about up) times tan(theta / 2), which is 0.6 at 60 degrees. Beyond that a new reference
+# attitude is taken.
 _MAX_TILT_COS = 0.5
 
-# Columns of the samples that wait for a whole window of the bias; the field and 1 side by side, to be turned alike.
+# Columns of the samples buffered for a complete bias window. The field and the constant 1 are adjacent, because
+# `_mean_rotated` multiplies both by the products of the quaternions.
 _RATE, _FORCE, _FIELD, _ONE, _QUAT = slice(0, 3), slice(3, 6), slice(6, 9), 9, slice(10, 14)
 _FIELD_AND_ONE = slice(6, 10)
 _HEADING, _RATE_KNOWN, _FIELD_KNOWN = 14, 15, 16
@@ -34,49 +36,126 @@ _NO_SAMPLES = np.empty((0, 17))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AttitudeBlock:
-    """Attitude of the device for each uniform sample, and what follows from it."""
+    """Attitude of the device at each uniform sample, with the quantities derived from it.
 
-    vertical_mps2: FloatArray  # (N,) specific force along up, minus standard gravity
-    horizontal_mps2: FloatArray  # (N, 2) east, north of the attitude's own frame (its north is the first heading)
-    up_sensor: FloatArray  # (N, 3) unit vector up, sensor frame: what gravity direction means here
-    device_heading_rad: FloatArray  # (N,) clockwise from the first heading, not wrapped
-    yaw_bias_std_radps: FloatArray = field(default_factory=lambda: np.empty(0))  # (N,) error of the heading's rate
-    heading_error_rad: FloatArray = field(default_factory=lambda: np.empty(0))  # (N,) that biases found late have left
-    heading_error_var_rad2: FloatArray = field(default_factory=lambda: np.empty(0))  # (N,)
-    heading_lost_var_rad2: FloatArray = field(default_factory=lambda: np.empty(0))  # (N,) gained by the bias so far
-    quat: FloatArray = field(default_factory=lambda: np.empty((0, 4)))  # (N, 4) wxyz, sensor to the attitude's frame
+    The attitude frame is east, north, up, where north is the first heading of the device.
+
+    Attributes
+    ----------
+    vertical_mps2 : FloatArray
+        Specific force along up minus standard gravity, shape (N,), m/s2.
+    horizontal_mps2 : FloatArray
+        Specific force along east and north of the attitude frame, shape (N, 2), m/s2.
+    up_sensor : FloatArray
+        Unit vector up in the sensor frame, shape (N, 3).
+    device_heading_rad : FloatArray
+        Heading of the device, clockwise from the first heading, not wrapped, shape (N,), rad.
+    yaw_bias_std_radps : FloatArray
+        Standard deviation of the gyroscope bias about the vertical, shape (N,), rad/s. It is the standard deviation of
+        the rate of the heading error.
+    heading_error_rad : FloatArray
+        Estimated error of `device_heading_rad`, shape (N,), rad: the turn accumulated by wrong bias estimates of
+        earlier times. Subtract it to correct the heading.
+    heading_error_var_rad2 : FloatArray
+        Variance of `heading_error_rad`, shape (N,), rad2.
+    heading_lost_var_rad2 : FloatArray
+        Heading variance added by the uncertain bias since the start, without reductions by measurements, shape (N,),
+        rad2.
+    quat : FloatArray
+        Unit quaternions wxyz that rotate the sensor frame to the attitude frame, shape (N, 4).
+    """
+
+    vertical_mps2: FloatArray
+    horizontal_mps2: FloatArray
+    up_sensor: FloatArray
+    device_heading_rad: FloatArray
+    yaw_bias_std_radps: FloatArray = field(default_factory=lambda: np.empty(0))
+    heading_error_rad: FloatArray = field(default_factory=lambda: np.empty(0))
+    heading_error_var_rad2: FloatArray = field(default_factory=lambda: np.empty(0))
+    heading_lost_var_rad2: FloatArray = field(default_factory=lambda: np.empty(0))
+    quat: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
 
 
 @dataclass(frozen=True, eq=False)
 class AttitudeState:
-    """The state of vqf as plain values, the heading turned so far, and the bias of the gyroscope."""
+    """State of VQF, the heading so far, and the state of the bias estimation.
 
-    vqf: Mapping[str, Any] | None  # None before the first sample
+    Attributes
+    ----------
+    vqf : mapping or None
+        State of VQF as plain values. None before the first sample.
+    device_heading_rad : float
+        Heading of the last sample, clockwise, not wrapped, rad.
+    reference_quat : FloatArray or None
+        Attitude from which the twist is measured, shape (4,). None means the attitude of the next sample.
+    twist_rad : float
+        Twist of the last sample against the reference, clockwise, rad.
+    bias : GyroBiasState
+        State of the bias estimation.
+    window : FloatArray
+        Samples since the last complete bias window, shape (R, 17).
+    """
+
+    vqf: Mapping[str, Any] | None
     device_heading_rad: float
-    reference_quat: FloatArray | None  # (4,) attitude against which the device turns; None: the next one
-    twist_rad: float  # of the last sample against the reference
+    reference_quat: FloatArray | None
+    twist_rad: float
     bias: GyroBiasState
-    window: FloatArray  # (R, 17) samples since the last whole window of the bias
+    window: FloatArray
 
 
 @dataclass(frozen=True)
 class AttitudeEstimator:
-    """Gravity direction and heading change from specific force, angular rate and the drift of the magnetic field.
+    """Causal stage that estimates the direction of up and the heading of the device from uniform samples.
 
-    The heading is the turn about up of the attitude against an earlier one (its twist in the swing-twist
-    decomposition): with q the quaternion of the sensor's attitude now and q_0 then, d = q q_0*, the heading is
-    psi = -2 atan2(d_z, d_w). This has no singular attitude short of upside down, and long before that a new reference
-    takes over. Unlike the integral of the angular rate about the vertical it comes back when the device does: while up
-    goes round a cone of half angle theta, that integral gains the solid angle 2 pi (1 - cos theta) each round. (It is
-    the noncommutativity that J. E. Bortz, "A new mathematical formulation for strapdown inertial navigation", IEEE
-    Trans. Aerospace and Electronic Systems 7(1), 1971, doi:10.1109/TAES.1971.310252, treats.)
+    The specific force corrects the inclination. The angular rate, less its estimated bias, gives the heading change.
+    The magnetic field enters only through the bias.
 
     Parameters
     ----------
-    tau_acc_s : float
-        Time constant of the inclination correction (VQF default).
-    bias : GyroBias
-        How the bias of the gyroscope is learnt. Its estimate after a window is taken off the samples of the next.
+    rate_hz : float, default 100
+        Sampling rate of the blocks, Hz.
+    tau_acc_s : float, default 3
+        Time constant of the inclination correction, s (the default of VQF).
+    bias : GyroBias, optional
+        Estimation of the gyroscope bias. The estimate after a window is subtracted from the samples of the next window.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is not a positive number.
+
+    Notes
+    -----
+    The heading is the twist about up of the attitude against an earlier reference attitude (swing-twist decomposition).
+    With the quaternion q of the sensor's attitude now and q_0 of the reference, d = q q_0*, and the heading is
+    psi = -2 atan2(d_z, d_w). It is singular only upside down, and at 60 degrees of tilt a new reference is taken.
+
+    Unlike the integral of the angular rate about the vertical, this heading returns when the device returns. While up
+    moves around a cone of half angle theta, that integral gains the solid angle 2 pi (1 - cos theta) in each
+    revolution. This is the noncommutativity treated by J. E. Bortz, "A new mathematical formulation for strapdown
+    inertial navigation", IEEE Trans. Aerospace and Electronic Systems 7(1), 1971, doi:10.1109/TAES.1971.310252.
+
+    Examples
+    --------
+    A phone that lies face up and turns clockwise by 90 degrees in one second:
+
+    >>> import numpy as np
+    >>> from pdr_filter.sensing.attitude import AttitudeEstimator
+    >>> from pdr_filter.sensing.conditioning import Conditioner
+    >>> from pdr_filter.values import ImuBlock
+    >>> time_s = np.arange(0.0, 3.0, 0.01)
+    >>> force, rate = np.zeros((300, 3)), np.zeros((300, 3))
+    >>> force[:, 2] = 9.81
+    >>> rate[100:200, 2] = -np.pi / 2
+    >>> conditioner, estimator = Conditioner(), AttitudeEstimator()
+    >>> samples = ImuBlock(time_s, force, rate, magnetic_field_ut=np.full((300, 3), np.nan))
+    >>> _, (uniform,) = conditioner.update(conditioner.init(), samples)
+    >>> state, attitude = estimator.update(estimator.init(), uniform)
+    >>> np.rad2deg(attitude.device_heading_rad[[50, 250]]).round(1) + 0.0
+    array([ 0., 90.])
+    >>> attitude.up_sensor[250].round(3) + 0.0
+    array([0., 0., 1.])
     """
 
     rate_hz: float = 100.0
@@ -88,26 +167,48 @@ class AttitudeEstimator:
 
     @cached_property
     def _initial(self) -> Mapping[str, Any]:
+        """State of VQF before the first sample."""
         return self._filter().state
 
     @cached_property
     def _window_samples(self) -> int:
+        """Samples of a bias window."""
         return max(round(self.bias.window_s * self.rate_hz), 1)
 
     def init(self) -> AttitudeState:
-        """State before the first sample."""
+        """Return the state before the first sample.
+
+        Returns
+        -------
+        AttitudeState
+            Initial state.
+        """
         return AttitudeState(None, 0.0, None, 0.0, self.bias.init(), _NO_SAMPLES)
 
-    def _filter(self) -> Any:  # vqf has no types
+    def _filter(self) -> Any:  # vqf has no type hints
         return VQF(1.0 / self.rate_hz, tauAcc=self.tau_acc_s, motionBiasEstEnabled=False, restBiasEstEnabled=False)
 
     def after_gap(self, state: AttitudeState) -> AttitudeState:
-        """State that forgets the smoothed gravity, because the device may have been turned, and keeps the bias."""
+        """Return the state after a gap, which keeps the gyroscope bias and forgets the smoothed gravity.
+
+        The device may have been turned during the gap, so the inclination starts again from the next sample. The
+        heading continues with its last value.
+
+        Parameters
+        ----------
+        state : AttitudeState
+            State before the gap.
+
+        Returns
+        -------
+        AttitudeState
+            State before the first sample after the gap.
+        """
         if state.vqf is None:
             return state
         return replace_unchecked(
             state,
-            # vqf starts its low-pass afresh from NaN, exactly as at the first sample
+            # NaN makes vqf initialise its low-pass with the next sample, exactly as at the first sample
             vqf={**state.vqf, "accLpState": self._initial["accLpState"]},
             reference_quat=None,
             twist_rad=0.0,
@@ -116,10 +217,24 @@ class AttitudeEstimator:
         )
 
     def update(self, state: AttitudeState, block: UniformBlock) -> tuple[AttitudeState, AttitudeBlock]:
-        """New state and the attitude of each sample.
+        """Return the new state and the attitude of each sample of a block.
 
-        A missing angular rate enters as zero: the inclination then follows the specific force alone, and the heading
-        stands still; the filter behind it has to widen its heading covariance.
+        A missing angular rate enters as zero. The inclination then follows the specific force alone, and the heading
+        stays constant, so the caller must inflate the heading covariance.
+
+        Parameters
+        ----------
+        state : AttitudeState
+            State after the previous block.
+        block : UniformBlock
+            Uniform samples that follow, N samples.
+
+        Returns
+        -------
+        state : AttitudeState
+            New state.
+        attitude : AttitudeBlock
+            Attitude of each sample.
         """
         estimator = self._filter()
         if state.vqf is not None:
@@ -130,7 +245,7 @@ class AttitudeEstimator:
             end = min(begin + self._window_samples, len(rows))
             biases.append(state.bias)
             lengths.append(end - first)
-            state = self._turn(state, estimator, rows[first:end])
+            state = self._estimate_attitudes(state, estimator, rows[first:end])
             if end - begin == self._window_samples:
                 state = replace_unchecked(state, bias=self.bias.update(state.bias, _bias_window(rows[begin:end])))
                 begin = end
@@ -154,16 +269,17 @@ class AttitudeEstimator:
         )
         return replace_unchecked(state, vqf=estimator.state, window=rows[begin:].copy()), attitude
 
-    def _turn(self, state: AttitudeState, estimator: Any, rows: FloatArray) -> AttitudeState:
-        """State after samples of one window, whose attitudes and headings are filled in."""
+    def _estimate_attitudes(self, state: AttitudeState, estimator: Any, rows: FloatArray) -> AttitudeState:
+        """Return the state after the samples of one bias window; fill in their attitudes and headings in place."""
         rate = rows[:, _RATE_KNOWN, None] * (rows[:, _RATE] - state.bias.bias_radps)
         rows[:, _QUAT] = estimator.updateBatch(rate, np.ascontiguousarray(rows[:, _FORCE]))["quat6D"]
         return self._follow_heading(state, rows, rate[0])
 
     def _follow_heading(self, state: AttitudeState, rows: FloatArray, first_rate_radps: FloatArray) -> AttitudeState:
-        """State after consecutive attitudes, whose headings are filled in.
+        """Return the state after consecutive attitudes; fill in the headings of the rows in place.
 
-        One without reference is the first, and has turned by its angular rate (3,).
+        Without a reference, the first attitude becomes the reference, and its heading change is taken from its angular
+        rate `first_rate_radps` (3,).
         """
         quat, turned, start = rows[:, _QUAT], np.empty(len(rows)), 0
         reference, twist_rad = state.reference_quat, state.twist_rad
@@ -189,7 +305,7 @@ class AttitudeEstimator:
 
 
 def _rows(waiting: FloatArray, block: UniformBlock) -> FloatArray:
-    """The samples that wait and those of a block, whose attitudes and headings are still to be filled in."""
+    """Return the buffered samples followed by those of a block, with attitudes and headings not yet filled in."""
     rows = np.empty((len(waiting) + len(block.time_s), waiting.shape[1]))
     rows[: len(waiting)], new = waiting, rows[len(waiting) :]
     new[:, _RATE], new[:, _FORCE] = block.angular_rate_radps, block.specific_force_mps2
@@ -199,11 +315,11 @@ def _rows(waiting: FloatArray, block: UniformBlock) -> FloatArray:
 
 
 def _bias_window(rows: FloatArray) -> BiasWindow:
-    """What the bias needs of a whole window."""
+    """Return the statistics of a complete window that the bias estimation uses."""
     mean = np.add.reduce(rows) / len(rows)
     away = rows[:, :6] - mean[:6]
     rate_x, rate_y, rate_z, force_x, force_y, force_z = (np.add.reduce(away * away) / len(rows)).tolist()
-    up, field_ut = _mean_turned(rows[:, _QUAT], rows[:, _FIELD_AND_ONE], mean[_FIELD])
+    up, field_ut = _mean_rotated(rows[:, _QUAT], rows[:, _FIELD_AND_ONE], mean[_FIELD])
     return BiasWindow(
         angular_rate_radps=mean[_RATE],
         angular_rate_std_radps=math.sqrt(rate_x + rate_y + rate_z),
@@ -217,9 +333,9 @@ def _bias_window(rows: FloatArray) -> BiasWindow:
 
 
 def _real_and_along_up(quat: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Real and up part of d = q q_0*, by which attitudes (N, 4) are turned from a reference (4,).
+    """Return the parts d_w and d_z of d = q q_0*, the rotation of attitudes q (N, 4) from a reference q_0 (4,).
 
-    The twist, the clockwise turn about up without the tilt, is -2 atan2(d_z, d_w); the tilt theta has
+    The twist, which is the clockwise turn about up without the tilt, is -2 atan2(d_z, d_w). The tilt theta satisfies
     d_w^2 + d_z^2 = (1 + cos theta) / 2.
     """
     w, x, y, z = quat.T
@@ -228,19 +344,19 @@ def _real_and_along_up(quat: FloatArray, reference: FloatArray) -> tuple[FloatAr
 
 
 def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Row by row, written out so that no sum order can change."""
+    """Return the dot products of rows (N, 3), written out so that the order of additions is fixed."""
     return a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2]
 
 
 def _variance_along(up: FloatArray, cov: FloatArray) -> FloatArray:
-    """Quadratic form up' C up for directions (N, 3) and symmetric matrices (N, 3, 3)."""
+    """Return the quadratic form u' C u for directions u (N, 3) and symmetric matrices C (N, 3, 3)."""
     x, y, z = up.T
     diagonal = cov[:, 0, 0] * x * x + cov[:, 1, 1] * y * y + cov[:, 2, 2] * z * z
     return diagonal + 2.0 * (cov[:, 0, 1] * x * y + cov[:, 0, 2] * x * z + cov[:, 1, 2] * y * z)
 
 
 def _up_in_sensor_frame(quat: FloatArray) -> FloatArray:
-    """Third row of the sensor-to-world rotation matrix of unit quaternions wxyz (N, 4)."""
+    """Return the third row of the sensor-to-world rotation matrix for unit quaternions wxyz (N, 4), shape (N, 3)."""
     w, x, y, z = quat.T
     up = np.empty((len(quat), 3))
     up[:, 0], up[:, 1], up[:, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
@@ -248,7 +364,7 @@ def _up_in_sensor_frame(quat: FloatArray) -> FloatArray:
 
 
 def _horizontal(quat: FloatArray, vector: FloatArray) -> FloatArray:
-    """East and north (N, 2) of vectors in the sensor frame, written out so that no sum order can change."""
+    """Return east and north (N, 2) of sensor-frame vectors (N, 3), with a fixed order of additions."""
     w, x, y, z = quat.T
     a, b, c = vector.T
     zz, xy, wz = z * z, x * y, w * z
@@ -258,12 +374,13 @@ def _horizontal(quat: FloatArray, vector: FloatArray) -> FloatArray:
     return horizontal
 
 
-def _mean_turned(
+def _mean_rotated(
     quat: FloatArray, vector_and_one: FloatArray, mean_vector: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Mean up (3,) in the sensor frame, and mean (3,) of vectors turned by (N, 4) to east, north and up.
+    """Return the mean up vector (3,) in the sensor frame, and the mean (3,) of vectors rotated to east, north and up.
 
-    From mean products of q_i, q_j and v_k; the vectors (N, 4), whose mean is given, have a fourth part v_3 = 1.
+    Both are computed from the mean products of q_i, q_j and v_k. `vector_and_one` (N, 4) holds the vectors and v_3 = 1,
+    and `mean_vector` (3,) is the mean of the vectors.
     """
     pairs = (quat[:, :, None] * quat[:, None, :]).reshape(len(quat), 16)
     of_pairs = (pairs.T @ vector_and_one / len(quat)).reshape(4, 4, 4).tolist()

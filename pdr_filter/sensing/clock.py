@@ -1,10 +1,15 @@
-"""Which times of samples to believe: stragglers and glitches are dropped, clocks that are set back are followed.
+"""Time stamps of samples: drop late samples and glitches, follow backward clock jumps.
 
-Samples come in order, mostly. A row behind the last one is a repeat or a straggler, and so are some in a row; fifty
-without one in order are a clock that was set back, if it runs at all. A row far ahead is a gap if the next one is there
-too, a glitch otherwise; over a minute ahead fifty must agree. The track's time runs on whatever the clock does, and
-`ClockState.offset_s` is what takes a time of the samples, of a fix or of a barometer, to it. Of a recording all is
-known, and `one_clock` leaves nothing to follow.
+Samples usually come in order. These rules handle the exceptions:
+
+- A row whose time is not after the last accepted time is a repeat or a late sample, and is dropped.
+- If `CLOCK_RESET_SAMPLES` rows in a row lie behind, and their times increase at least once, the clock was set back.
+- A row more than `max_gap_s` ahead follows a gap if the next row is ahead too. Otherwise it is a glitch.
+- A row more than a minute ahead must be confirmed by `CLOCK_RESET_SAMPLES` rows.
+
+The clock of the track never goes back. `ClockState.offset_s` converts times of samples, fixes and the barometer from
+the sample clock to the track clock. In a finished recording all backward clock jumps are known in advance, and
+`one_clock` removes them.
 """
 
 from __future__ import annotations
@@ -20,31 +25,52 @@ import numpy as np
 from pdr_filter.values import Fix, FloatArray, IntArray, Samples, Standstill, replace_unchecked
 from pdr_filter.values.recording import Recording
 
-# So many samples in a row that contradict the clock are right.
+# Rows in a row that must contradict the clock before the clock is taken to be set back, or far ahead.
 CLOCK_RESET_SAMPLES = 50
-# A gap that one sample more can prove: phones sleep for seconds. Longer ones are rare, glitches of two samples are not.
-_PLAIN_GAP_S = 60.0
-# Rows that are looked at together: where every second time repeats, no row is looked at much more often than once.
+# Longest gap that a second sample confirms, in s. Phones sleep for seconds. Longer gaps are rare, whereas glitches of
+# two samples occur.
+_SHORT_GAP_S = 60.0
+# Rows tested together for increasing times. The limit keeps the cost linear when every second time repeats, because
+# each repeat ends a run and the remaining rows are tested again.
 _RUN_ROWS = 256
 
 
 @dataclass(frozen=True, eq=False)
 class ClockState:
-    """Whether to believe the next time."""
+    """State of the check of times.
 
-    last_s: float = -np.inf  # of the last accepted row, on the track's time base
-    offset_s: float = 0.0  # track time less sample time; changes when the sample clock is set back
-    held: tuple[FloatArray, ...] = field(default=())  # rows after a gap, until those that follow confirm it
-    behind_s: float = -np.inf  # of the last row that is behind
-    moving: bool = False  # whether one of these is later than the one before
-    n_behind: int = 0  # rows in a row that are behind
-    n_deaf: int = 0  # rows since the last accepted one
+    Attributes
+    ----------
+    last_s : float
+        Time of the last accepted row on the track clock, s.
+    offset_s : float
+        Track time minus sample time, s. It changes when the sample clock is set back.
+    held : tuple of FloatArray
+        Rows after a possible gap, shape (C,) each, held until later rows confirm the gap.
+    behind_s : float
+        Time of the last row that lies behind the last accepted one, on the track clock, s.
+    moving : bool
+        True if the time of any of the `n_behind` rows is later than that of the row before it. False means that the
+        clock stands still.
+    n_behind : int
+        Consecutive rows that lie behind the last accepted one.
+    n_deaf : int
+        Rows received since the last accepted one.
+    """
+
+    last_s: float = -np.inf
+    offset_s: float = 0.0
+    held: tuple[FloatArray, ...] = field(default=())
+    behind_s: float = -np.inf
+    moving: bool = False
+    n_behind: int = 0
+    n_deaf: int = 0
 
 
-def follow(clock: ClockState, rows: FloatArray, max_gap_s: float) -> tuple[ClockState, FloatArray, int, int]:
-    """New state, the rows (N, C) with believable increasing times, how many were dropped, how often the clock jumped.
+def accept_rows(clock: ClockState, rows: FloatArray, max_gap_s: float) -> tuple[ClockState, FloatArray, int, int]:
+    """Return the new state, the accepted rows (N, C), and the numbers of dropped rows and clock jumps.
 
-    The first column is the time, on the samples' time base; that of the result is the track's.
+    The first column is the time: on the sample clock in the input, on the track clock and increasing in the result.
     """
     accepted: list[FloatArray] = [rows[:0]]
     n_dropped = n_jumps = start = 0
@@ -55,7 +81,7 @@ def follow(clock: ClockState, rows: FloatArray, max_gap_s: float) -> tuple[Clock
             start += len(in_order)
             if len(in_order) == _RUN_ROWS or start == len(rows):
                 continue
-        clock, out, dropped, jumps = _believe(clock, rows[start], max_gap_s)
+        clock, out, dropped, jumps = _accept_or_hold(clock, rows[start], max_gap_s)
         clock = replace_unchecked(clock, n_deaf=0 if out else clock.n_deaf + 1)
         accepted += [row[None] for row in out]
         n_dropped, n_jumps, start = n_dropped + dropped, n_jumps + jumps, start + 1
@@ -63,18 +89,26 @@ def follow(clock: ClockState, rows: FloatArray, max_gap_s: float) -> tuple[Clock
 
 
 def _in_order(clock: ClockState, rows: FloatArray, max_gap_s: float) -> tuple[ClockState, FloatArray]:
-    """As many of the next rows as follow each other, of a clock that is in doubt about nothing."""
+    """Return the new state and the leading rows whose times increase without a gap, with times on the track clock.
+
+    No row may be held or behind in the given state.
+    """
     moved = rows.copy()
     moved[:, 0] += clock.offset_s
     steps_s = moved[:, 0] - np.concatenate([[clock.last_s], moved[:-1, 0]])
-    # the very first sample has nothing to be far ahead of
+    # The first sample of all has no predecessor: its step is infinite and is accepted.
     (stops,) = (~((steps_s > 0) & ((steps_s <= max_gap_s) | np.isinf(steps_s)))).nonzero()
     moved = moved[: stops[0]] if len(stops) else moved
     return (replace_unchecked(clock, last_s=float(moved[-1, 0]), n_deaf=0) if len(moved) else clock), moved
 
 
-def _believe(clock: ClockState, row: FloatArray, max_gap_s: float) -> tuple[ClockState, list[FloatArray], int, int]:
-    """One row: accepted with those held before it, dropped, or held itself."""
+def _accept_or_hold(
+    clock: ClockState, row: FloatArray, max_gap_s: float
+) -> tuple[ClockState, list[FloatArray], int, int]:
+    """Return the new state, the accepted rows, and the numbers of dropped rows and clock jumps, after one row.
+
+    The row is accepted together with the held rows, held itself, or dropped.
+    """
     moved = row.copy()
     moved[0] += clock.offset_s
     time_s = float(moved[0])
@@ -87,44 +121,52 @@ def _believe(clock: ClockState, row: FloatArray, max_gap_s: float) -> tuple[Cloc
         return replace_unchecked(clock, held=(moved,)), [], 0, 0
     first_s, latest_s = float(clock.held[0][0]), float(clock.held[-1][0])
     if time_s < first_s:
-        # the clock is where it was: what is held was a glitch
+        # The clock continues from before the held rows, so the held rows were a glitch.
         n_held = len(clock.held)
-        clock, out, dropped, jumps = _believe(replace_unchecked(clock, held=()), row, max_gap_s)
+        clock, out, dropped, jumps = _accept_or_hold(replace_unchecked(clock, held=()), row, max_gap_s)
         return clock, out, dropped + n_held, jumps + 1
     if time_s <= latest_s:
         return clock, [], 1, 0
     held = (*clock.held, moved)
-    if first_s - clock.last_s > _PLAIN_GAP_S and len(held) < CLOCK_RESET_SAMPLES:
+    if first_s - clock.last_s > _SHORT_GAP_S and len(held) < CLOCK_RESET_SAMPLES:
         return replace_unchecked(clock, held=held), [], 0, 0
     return replace_unchecked(clock, held=(), last_s=time_s), list(held), 0, 0
 
 
 def _behind(clock: ClockState, time_s: float, max_gap_s: float) -> tuple[ClockState, list[FloatArray], int, int]:
-    """After a row that is not after the last one: it is dropped, and the clock set back if there were many."""
+    """Return the new state, no rows, and the numbers of dropped rows and clock jumps, after a row that lies behind.
+
+    The row is dropped. After `CLOCK_RESET_SAMPLES` such rows whose times increase, the clock was set back, and the
+    offset changes.
+    """
     clock = replace_unchecked(
         clock, behind_s=time_s, moving=clock.moving or time_s > clock.behind_s > -np.inf, n_behind=clock.n_behind + 1
     )
     if clock.n_behind < CLOCK_RESET_SAMPLES or not clock.moving:
         return clock, [], 1, 0
-    # what comes next follows after a gap of unknown length, of which the dropped samples are a part
+    # The duration between the last accepted row and the next one is unknown, because rows were dropped. The offset adds
+    # twice `max_gap_s`, so that the later stages see a gap.
     offset_s = clock.offset_s + clock.last_s - time_s + 2 * max_gap_s
     return ClockState(clock.last_s, offset_s), [], 1 + len(clock.held), 1
 
 
 class _SetBack(NamedTuple):
-    """A clock that was set back between two samples."""
+    """A backward clock jump between two samples. Times are on the sample clock."""
 
-    begin_s: float  # the first time of the stretch before
-    before_s: float  # its last one
-    after_s: float  # the first time after
-    ahead_s: float  # what all times after it lack
+    begin_s: float  # first time of the stretch of samples before the jump
+    before_s: float  # last time of this stretch
+    after_s: float  # first time after the jump
+    ahead_s: float  # offset that makes the times after the jump continue those before it
 
 
 AnyFix = TypeVar("AnyFix", bound=Fix)
 
 
 def moved(fix: AnyFix, offset_s: float) -> AnyFix:
-    """A fix on the track's time base."""
+    """Return a fix whose times are shifted by `offset_s`, in s, from the sample clock to the track clock.
+
+    Raises ValueError for a foreign class whose times cannot be set.
+    """
     if offset_s == 0.0:
         return fix
     received_s = None if fix.received_time_s is None else fix.received_time_s + offset_s
@@ -141,43 +183,45 @@ def moved(fix: AnyFix, offset_s: float) -> AnyFix:
             object.__setattr__(later, name, value)
         except AttributeError:
             raise ValueError(
-                f"the clock of the samples was set back, and {name} of {type(fix).__name__} cannot be set: make time_s "
-                "and received_time_s attributes"
+                f"{name} of {type(fix).__name__} cannot be set, which is needed because the clock of the samples was "
+                "set back: make time_s and received_time_s plain attributes"
             ) from None
     return later
 
 
 def one_clock(recording: Recording, fixes: Iterable[AnyFix] = ()) -> tuple[Recording, tuple[AnyFix, ...]]:
-    """The same on one clock: where that of the accelerometer was set back, all times after it go on from before.
+    """Return the recording and the fixes with all backward clock jumps of the accelerometer removed.
 
-    Other streams and fixes, in recorded order, are set back where their own times fall there; where none does, as
-    in a stream that was sorted, each belongs to the stretch in whose time it is. Truth stays as it is.
+    After each jump, all times continue from before it. Other streams and fixes, in recorded order, change where their
+    own times fall back by the same jump. A stream without such a fall, for example because it was sorted, is assigned
+    by time: each sample belongs to the stretch of the accelerometer that contains its time. The ground truth is not
+    changed. A note on the recording states each jump.
     """
     set_backs, fixes = _set_backs(recording.accelerometer.time_s), tuple(fixes)
     if not set_backs:
         return recording, fixes
     offsets_s = np.cumsum([0.0, *(s.ahead_s for s in set_backs)])
     streams = {
-        name: Samples(stream.time_s + offsets_s[_stretch(stream.time_s, set_backs)], stream.values)
+        name: Samples(stream.time_s + offsets_s[_n_set_backs_before(stream.time_s, set_backs)], stream.values)
         for name, stream in recording.streams.items()
     }
-    of_fixes = offsets_s[_stretch(np.array([fix.time_s for fix in fixes]), set_backs)]
-    words = (f"the clock was set back by {s.before_s - s.after_s:.1f} s after {s.before_s:.1f} s" for s in set_backs)
-    notes = (*recording.notes, *(f"{text}: times go on from there" for text in words))
+    fix_offsets_s = offsets_s[_n_set_backs_before(np.array([fix.time_s for fix in fixes]), set_backs)]
+    jumps = (f"the clock was set back by {s.before_s - s.after_s:.1f} s after {s.before_s:.1f} s" for s in set_backs)
+    notes = (*recording.notes, *(f"{jump}: later times continue from there" for jump in jumps))
     wifi = recording.wifi
     if wifi is not None:
-        wifi = dataclasses.replace(wifi, time_s=wifi.time_s + offsets_s[_stretch(wifi.time_s, set_backs)])
-    on_one = dataclasses.replace(recording, **streams, wifi=wifi, notes=notes)
-    return on_one, tuple(moved(fix, float(offset_s)) for fix, offset_s in zip(fixes, of_fixes, strict=True))
+        wifi = dataclasses.replace(wifi, time_s=wifi.time_s + offsets_s[_n_set_backs_before(wifi.time_s, set_backs)])
+    unified = dataclasses.replace(recording, **streams, wifi=wifi, notes=notes)
+    return unified, tuple(moved(fix, float(offset_s)) for fix, offset_s in zip(fixes, fix_offsets_s, strict=True))
 
 
 def _set_backs(time_s: FloatArray, max_gap_s: float = 0.3) -> list[_SetBack]:
-    """Where `follow` would follow a clock back, in order."""
+    """Return the backward clock jumps that `accept_rows` detects in times (N,), in order."""
     index = np.flatnonzero(np.isfinite(time_s))
     known_s = time_s[index]
     if (known_s < np.maximum.accumulate(known_s)).sum() < CLOCK_RESET_SAMPLES:
         return []
-    _, rows, _, _ = follow(ClockState(), np.column_stack([known_s, np.arange(float(len(known_s)))]), max_gap_s)
+    _, rows, _, _ = accept_rows(ClockState(), np.column_stack([known_s, np.arange(float(len(known_s)))]), max_gap_s)
     at = rows[:, 1].astype(int)
     changes = np.flatnonzero(np.abs(np.diff(rows[:, 0] - known_s[at])) > 1e-6)
     spacing_s = float(np.median(np.diff(rows[:, 0])))
@@ -190,20 +234,22 @@ def _set_backs(time_s: FloatArray, max_gap_s: float = 0.3) -> list[_SetBack]:
     return result
 
 
-# Streams start and end this much apart.
-_APART_S = 1.0
+# Tolerance for the start and end of a stretch, in s, because the streams of a phone do not start and end together.
+_STRETCH_MARGIN_S = 1.0
 
 
-def _stretch(time_s: FloatArray, set_backs: Sequence[_SetBack]) -> IntArray:
-    """How often the clock had been set back before each time (N,), in recorded order."""
+def _n_set_backs_before(time_s: FloatArray, set_backs: Sequence[_SetBack]) -> IntArray:
+    """Return how many backward clock jumps precede each time (N,), in recorded order."""
     result, start = np.zeros(len(time_s), dtype=int), 0
     for number, (begin_s, before_s, after_s, _) in enumerate(set_backs, start=1):
         rest = time_s[start:]
+        # positions at which the stream's own times fall
         falls = start + 1 + np.flatnonzero(np.diff(rest) < 0)
-        away_s = np.abs(time_s[falls - 1] - before_s) + np.abs(time_s[falls] - after_s)
-        if (away_s < before_s - after_s).any():
-            start = int(falls[away_s.argmin()])
+        distance_s = np.abs(time_s[falls - 1] - before_s) + np.abs(time_s[falls] - after_s)
+        if (distance_s < before_s - after_s).any():
+            start = int(falls[distance_s.argmin()])
             result[start:] = number
         else:
-            result[start:][(rest < begin_s - _APART_S) | (rest > before_s + _APART_S)] = number
+            # the stream has no fall of this size, so each time is assigned by the stretch that contains it
+            result[start:][(rest < begin_s - _STRETCH_MARGIN_S) | (rest > before_s + _STRETCH_MARGIN_S)] = number
     return result

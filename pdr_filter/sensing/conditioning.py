@@ -1,8 +1,8 @@
-"""Samples as they come in, uniform samples out: one time base, fixed rate, gaps kept as gaps.
+"""Resample raw samples to a constant rate on one time base; gaps stay gaps.
 
-Everything after this stage may assume a constant rate. The conditioner is causal and its output depends only on the
-samples, never on how they were cut into blocks: a uniform sample is the mean of the linearly interpolated signal over
-its own interval, so only the samples of that interval enter, whatever arrived with them.
+All later stages may assume a constant rate. The conditioner is causal, and its output depends only on the samples, not
+on the blocks in which they arrive: a uniform sample is the mean of the linearly interpolated signal over its own
+interval, so only the samples of that interval enter.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from pdr_filter.sensing.clock import ClockState, follow, one_clock
-from pdr_filter.sensing.stuck_sensors import WatchdogState, watch, watchdog
-from pdr_filter.sensing.unit_check import UnitsState, look, units
+from pdr_filter.sensing.clock import ClockState, accept_rows, one_clock
+from pdr_filter.sensing.stuck_sensors import WatchdogState, init_watchdog, remove_stuck_values
+from pdr_filter.sensing.unit_check import UnitsState, check_units, init_units
 from pdr_filter.values import (
     BoolArray,
     FloatArray,
@@ -28,8 +28,8 @@ from pdr_filter.values import (
 )
 from pdr_filter.values.recording import Recording
 
-# Columns of the rows that wait in the state: time, specific force, angular rate, magnetic field, and the age of the
-# last finite angular rate and magnetic field.
+# Columns of the buffered rows: time, specific force, angular rate, magnetic field, and the ages of the last finite
+# angular rate and magnetic field.
 _FORCE, _RATE, _FIELD, _MOTION = slice(1, 4), slice(4, 7), slice(7, 10), slice(1, 7)
 _RATE_AGE, _FIELD_AGE = 10, 11
 _N_COLUMNS = 12
@@ -38,73 +38,137 @@ _N_COLUMNS = 12
 MAX_FORCE_MPS2, MAX_RATE_RADPS = 160.0, 100.0
 # Phones' magnetometers saturate at 2 to 5 mT.
 MAX_FIELD_UT = 1e4
-# Of time, specific force, angular rate and magnetic field.
+# Largest plausible magnitude of each column: time, specific force, angular rate and magnetic field.
 _LIMITS = np.repeat([np.inf, MAX_FORCE_MPS2, MAX_RATE_RADPS, MAX_FIELD_UT], [1, 3, 3, 3])
-# Rows that are conditioned at once: what is made of them fits into a cache.
+# Rows that are processed together, so that the intermediate arrays fit into the processor's cache.
 _ROWS_AT_ONCE = 4000
-# So many rows without a believed time, or none that follows another, are worth a word.
-_NOTABLE_DEAF = 200
+# A note is written when this many rows in a row are rejected, or when this many arrive and no uniform sample results.
+_MIN_REJECTED_ROWS = 200
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UniformBlock:
-    """Consecutive samples at a constant rate: whole hops, but for the last ones of a segment.
+    """Consecutive samples at a constant rate.
 
-    Where a sensor is missing for longer than the longest bridged gap its values are zero and `*_known` is False.
+    A block holds whole hops, except the last block of a segment. Where a sensor is missing for longer than
+    `Conditioner.max_gap_s` its values are zero and `*_known` is False.
+
+    Attributes
+    ----------
+    time_s : FloatArray
+        Middle of the interval of each sample, shape (N,), s.
+    specific_force_mps2 : FloatArray
+        Specific force in the sensor frame, shape (N, 3), m/s2.
+    angular_rate_radps : FloatArray
+        Angular rate in the sensor frame, shape (N, 3), rad/s.
+    angular_rate_known : BoolArray
+        True where the angular rate was measured or bridged, shape (N,).
+    magnetic_field_ut : FloatArray
+        Magnetic field in the sensor frame, shape (N, 3), uT.
+    magnetic_field_known : BoolArray
+        True where the magnetic field was measured or bridged, shape (N,).
+    gap_before_s : float
+        Duration of the gap before the block, s. Zero if the block continues the previous one, infinite for the first
+        block.
     """
 
-    time_s: FloatArray  # (N,) middle of each sample's interval
-    specific_force_mps2: FloatArray  # (N, 3)
-    angular_rate_radps: FloatArray  # (N, 3)
-    angular_rate_known: BoolArray  # (N,)
-    magnetic_field_ut: FloatArray  # (N, 3)
-    magnetic_field_known: BoolArray  # (N,)
-    gap_before_s: float  # 0 if it continues the block before; inf for the very first
+    time_s: FloatArray
+    specific_force_mps2: FloatArray
+    angular_rate_radps: FloatArray
+    angular_rate_known: BoolArray
+    magnetic_field_ut: FloatArray
+    magnetic_field_known: BoolArray
+    gap_before_s: float
 
 
 @dataclass(frozen=True)
 class IntakeReport:
-    """What the conditioner did to the samples it received."""
+    """Counts of the samples that the conditioner received, dropped and emitted.
+
+    Attributes
+    ----------
+    n_received : int
+        Rows received.
+    n_not_finite : int
+        Rows without a finite time or specific force. They are bridged, or are part of a gap.
+    n_implausible : int
+        Rows with a specific force or angular rate beyond the range of any phone. A specific force beyond it drops the
+        row, an angular rate beyond it becomes missing.
+    n_not_increasing : int
+        Rows dropped because their time repeats an earlier one or lies before it.
+    n_clock_jumps : int
+        Forward glitches of the clock, whose rows are dropped, plus backward clock jumps, which are followed.
+    n_dead_force : int
+        Rows dropped because the accelerometer was stuck while the phone moved.
+    n_dead_rate : int
+        Rows whose angular rate was discarded because the gyroscope was stuck while the phone moved.
+    n_wild_field : int
+        Rows whose magnetic field was discarded because it is beyond the range of any phone.
+    n_gaps : int
+        Gaps between segments.
+    longest_gap_s : float
+        Duration of the longest gap, s.
+    lost_s : float
+        Total duration of all gaps, s.
+    n_emitted : int
+        Uniform samples emitted.
+    n_without_rate : int
+        Uniform samples with unknown angular rate.
+    n_deaf : int
+        Rows rejected since the last accepted row, because their times contradict it.
+    rate_hz : float
+        Rate of the uniform samples, Hz.
+    first_time_s : float
+        Time of the first accepted row, s. NaN before it.
+    last_time_s : float
+        Time of the last accepted row, s. NaN before the first.
+    """
 
     n_received: int = 0
-    n_not_finite: int = 0  # rows without a finite time or specific force: bridged, or part of a gap
-    n_implausible: int = 0  # rows beyond what any phone measures: left out
-    n_not_increasing: int = 0  # duplicate or backward timestamps: dropped
-    n_clock_jumps: int = 0  # single times far ahead, dropped, and clocks set back, followed
-    n_dead_force: int = 0  # rows in which the accelerometer stood still while the phone moved: left out
-    n_dead_rate: int = 0  # the same of the gyroscope: without angular rate
-    n_wild_field: int = 0  # rows with a magnetic field beyond what any phone measures: without field
+    n_not_finite: int = 0
+    n_implausible: int = 0
+    n_not_increasing: int = 0
+    n_clock_jumps: int = 0
+    n_dead_force: int = 0
+    n_dead_rate: int = 0
+    n_wild_field: int = 0
     n_gaps: int = 0
     longest_gap_s: float = 0.0
-    lost_s: float = 0.0  # time inside gaps
-    n_emitted: int = 0  # uniform samples
-    n_without_rate: int = 0  # uniform samples whose angular rate is unknown
-    n_deaf: int = 0  # rows since the last one whose time was believed
+    lost_s: float = 0.0
+    n_emitted: int = 0
+    n_without_rate: int = 0
+    n_deaf: int = 0
     rate_hz: float = 100.0
     first_time_s: float = np.nan
     last_time_s: float = np.nan
 
     def notes(self) -> tuple[str, ...]:
-        """In plain words, empty if there was nothing to repair."""
+        """Return one warning for each kind of repair, or an empty tuple if nothing was repaired."""
         found: list[str] = []
         if self.n_not_finite:
-            found.append(f"{self.n_not_finite} of {self.n_received} samples had no finite value and were left out")
+            found.append(
+                f"{self.n_not_finite} of {self.n_received} samples had no finite value and were dropped: the app "
+                "writes empty or infinite cells; short stretches are interpolated"
+            )
         if self.n_implausible:
             found.append(
-                f"{how_many(self.n_implausible, 'sample')} beyond {MAX_FORCE_MPS2:g} m/s2 or {MAX_RATE_RADPS:g} rad/s "
-                "left out"
+                f"{how_many(self.n_implausible, 'sample')} beyond {MAX_FORCE_MPS2:g} m/s2 or {MAX_RATE_RADPS:g} rad/s, "
+                "the range of phone sensors, treated as missing: an impact, a wrong unit or a damaged file"
             )
-        for sensor, n_dead, so in (
-            ("accelerometer", self.n_dead_force, "left out"),
-            ("gyroscope", self.n_dead_rate, "taken as without angular rate"),
+        for sensor, n_dead, treatment in (
+            ("accelerometer", self.n_dead_force, "dropped"),
+            ("gyroscope", self.n_dead_rate, "used without angular rate"),
         ):
             if n_dead:
                 found.append(
-                    f"an axis of the {sensor} gave one number while the phone moved: {n_dead} of {self.n_received} "
-                    f"samples are {so}"
+                    f"an axis of the {sensor} was stuck at one value while the phone moved: {n_dead} of "
+                    f"{self.n_received} samples were {treatment}"
                 )
         if self.n_wild_field:
-            found.append(f"{how_many(self.n_wild_field, 'magnetic field')} beyond {MAX_FIELD_UT:g} uT: taken as none")
+            found.append(
+                f"{how_many(self.n_wild_field, 'magnetic field')} beyond {MAX_FIELD_UT:g} uT, the range of phone "
+                "sensors: treated as missing"
+            )
         if self.n_clock_jumps:
             found.append(
                 f"the clock jumped {how_often(self.n_clock_jumps)}; the track follows the samples, not the clock"
@@ -113,63 +177,109 @@ class IntakeReport:
             found.append(
                 f"{self.n_not_increasing} of {self.n_received} samples had a repeated or backward time and were dropped"
             )
-        if self.n_deaf >= _NOTABLE_DEAF:
+        if self.n_deaf >= _MIN_REJECTED_ROWS:
             found.append(
-                f"nothing accepted since {self.last_time_s:.1f} s: the times of the last {self.n_deaf} samples stand "
-                "still or lie before it"
+                f"no sample accepted since {self.last_time_s:.1f} s: the times of the last {self.n_deaf} samples are "
+                "constant or lie before it; check the clock of the app"
             )
-        if self.n_received >= _NOTABLE_DEAF and self.n_emitted == 0:
+        if self.n_received >= _MIN_REJECTED_ROWS and self.n_emitted == 0:
             found.append(
-                "no two samples follow each other: times must be in seconds (not ms, us or ns), four a second or more, "
-                "and seconds since 1970 need 64 bits"
+                "no two consecutive samples could be used: times must be in seconds (not ms, us or ns), at least four "
+                "samples a second, and seconds since 1970 need 64 bits"
             )
         if self.n_gaps:
             found.append(
                 f"{how_many(self.n_gaps, 'gap')} ({self.lost_s:.1f} s in all, longest "
-                f"{self.longest_gap_s:.1f} s): steps in there are unknown and the covariance was grown"
+                f"{self.longest_gap_s:.1f} s): steps in gaps are unknown, so the covariance was inflated"
             )
         missing_s = self.n_without_rate / self.rate_hz
         if self.n_emitted and self.n_without_rate == self.n_emitted:
-            found.append("no gyroscope: the heading is unknown, only steps, contexts and distance can be trusted")
+            found.append("no gyroscope: the heading is unknown; only steps, contexts and distance can be trusted")
         elif missing_s > 1.0:
-            found.append(f"no angular rate for {missing_s:.1f} s: the heading is unknown there")
+            found.append(f"no angular rate for {missing_s:.1f} s: the heading is unknown during that time")
         return tuple(found)
 
 
 @dataclass(frozen=True, eq=False)
 class ConditionerState:
-    """Rows not yet used up, where the uniform grid is, and the report so far."""
+    """Buffered rows, the position of the uniform grid, and the report so far.
 
-    rows: FloatArray  # (R, 12)
+    Attributes
+    ----------
+    rows : FloatArray
+        Accepted rows that later uniform samples still need, shape (R, 12).
+    segment_start_s : float
+        Time of the first sample of the current segment, s, which is the origin of the uniform grid.
+    n_emitted : int
+        Uniform samples already emitted in this segment.
+    gap_before_s : float
+        Gap before this segment, s. It is passed on with the first block of the segment.
+    last_rate : FloatArray
+        Time and value of the last finite angular rate, shape (4,).
+    last_field : FloatArray
+        Time and value of the last finite magnetic field, shape (4,).
+    clock : ClockState
+        State of the check of times.
+    watchdog : WatchdogState
+        State of the detection of stuck sensors.
+    units : UnitsState
+        State of the check of units and signs.
+    report : IntakeReport
+        Counts so far.
+    """
+
+    rows: FloatArray
     segment_start_s: float
-    n_emitted: int  # uniform samples of this segment already emitted
-    gap_before_s: float  # of this segment; handed to its first block
-    last_rate: FloatArray  # (4,) time and value of the last finite angular rate
-    last_field: FloatArray  # (4,)
+    n_emitted: int
+    gap_before_s: float
+    last_rate: FloatArray
+    last_field: FloatArray
     clock: ClockState
     watchdog: WatchdogState
     units: UnitsState
     report: IntakeReport
 
     def notes(self) -> tuple[str, ...]:
-        """What is odd about the samples, in plain words."""
+        """Return warnings about units, signs and repaired samples, or an empty tuple."""
         return (*self.units.notes(), *self.report.notes())
 
 
 @dataclass(frozen=True)
 class Conditioner:
-    """Uniform rate, causal.
+    """Causal stage that resamples raw samples to a constant rate and splits them at gaps.
 
     Parameters
     ----------
-    rate_hz : float
-        Rate of the output. Faster input is averaged over each interval (which is its anti-alias filter), slower input
-        is interpolated linearly.
-    max_gap_s : float
-        A longer time without samples is a gap: no sample is invented there, and later stages start afresh.
-    hop_samples : int
-        Output comes in whole hops of this many samples, and what is left of one at a gap and in the end. Each hop costs
-        the later stages as much as some hundred samples; the longer it is, the later a step is known.
+    rate_hz : float, default 100
+        Rate of the output, Hz. Faster input is averaged over each interval, which is its anti-aliasing filter. Slower
+        input is interpolated linearly.
+    max_gap_s : float, default 0.3
+        A longer time without samples, in s, is a gap: no sample is interpolated there, and later stages restart.
+    hop_samples : int, default 20
+        Output samples per hop. The output comes in whole hops, except for the remainder at a gap and at the end. Each
+        hop costs the later stages as much as some hundred samples. A longer hop delays the detection of steps.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is not a positive number.
+
+    Examples
+    --------
+    Ten seconds at about 62 Hz become uniform samples at 100 Hz:
+
+    >>> import numpy as np
+    >>> from pdr_filter.sensing.conditioning import Conditioner
+    >>> from pdr_filter.values import ImuBlock
+    >>> time_s = np.arange(0.0, 10.0, 0.016)
+    >>> zeros = np.zeros((len(time_s), 3))
+    >>> conditioner = Conditioner()
+    >>> samples = ImuBlock(time_s, zeros + [0.0, 0.0, 9.81], angular_rate_radps=zeros, magnetic_field_ut=zeros)
+    >>> state, (uniform,) = conditioner.update(conditioner.init(), samples)
+    >>> uniform.time_s[:3].round(3)
+    array([0.005, 0.015, 0.025])
+    >>> len(uniform.time_s), uniform.specific_force_mps2[0].round(2)
+    (980, array([0.  , 0.  , 9.81]))
     """
 
     rate_hz: float = 100.0
@@ -180,28 +290,71 @@ class Conditioner:
         check_numbers(self)
 
     def init(self) -> ConditionerState:
-        """State before the first sample."""
-        nothing = np.array([-np.inf, 0.0, 0.0, 0.0])
+        """Return the state before the first sample.
+
+        Returns
+        -------
+        ConditionerState
+            Initial state.
+        """
+        never = np.array([-np.inf, 0.0, 0.0, 0.0])
         report = IntakeReport(rate_hz=self.rate_hz)
         return ConditionerState(
-            np.empty((0, _N_COLUMNS)), np.nan, 0, np.inf, nothing, nothing, ClockState(), watchdog(), units(), report
+            rows=np.empty((0, _N_COLUMNS)),
+            segment_start_s=np.nan,
+            n_emitted=0,
+            gap_before_s=np.inf,
+            last_rate=never,
+            last_field=never,
+            clock=ClockState(),
+            watchdog=init_watchdog(),
+            units=init_units(),
+            report=report,
         )
 
     def update(self, state: ConditionerState, block: ImuBlock) -> tuple[ConditionerState, list[UniformBlock]]:
-        """New state and the whole hops that became complete, split at gaps."""
+        """Return the new state and the hops completed by a block of raw samples.
+
+        Parameters
+        ----------
+        state : ConditionerState
+            State after the previous block.
+        block : ImuBlock
+            Raw samples of any number, rate and order, with NaN where a value is missing.
+
+        Returns
+        -------
+        state : ConditionerState
+            New state.
+        blocks : list of UniformBlock
+            Uniform samples in whole hops. A new element begins after each gap.
+        """
         outputs: list[UniformBlock] = []
         for part in block.parts(_ROWS_AT_ONCE):
-            state, found = self._some(state, part)
+            state, found = self._update_part(state, part)
             outputs += found
         return state, _joined(outputs)
 
     def finish(self, state: ConditionerState) -> tuple[ConditionerState, list[UniformBlock]]:
-        """New state and what is left of a hop, when no further sample will come."""
-        # a segment that has not begun has no samples for the later stages to begin with
+        """Return the new state and the remainder of the last hop, when no further sample will come.
+
+        Parameters
+        ----------
+        state : ConditionerState
+            State after the last block.
+
+        Returns
+        -------
+        state : ConditionerState
+            New state.
+        blocks : list of UniformBlock
+            Remaining uniform samples, at most one block. Empty if the segment has not yet emitted a hop.
+        """
+        # A segment that has not emitted anything is too short for the later stages to start with.
         return self._resample(state, state.rows, hop_samples=1) if state.n_emitted > 0 else (state, [])
 
-    def _some(self, state: ConditionerState, block: ImuBlock) -> tuple[ConditionerState, list[UniformBlock]]:
-        """The same of samples whose rows fit into a cache."""
+    def _update_part(self, state: ConditionerState, block: ImuBlock) -> tuple[ConditionerState, list[UniformBlock]]:
+        """Return the new state and the completed hops for at most `_ROWS_AT_ONCE` raw samples."""
         state, rows = self._accept(state, block)
         if len(rows) == 0:
             return state, []
@@ -222,23 +375,27 @@ class Conditioner:
         return state, outputs
 
     def _accept(self, state: ConditionerState, block: ImuBlock) -> tuple[ConditionerState, FloatArray]:
-        """Rows with finite specific force and increasing time; missing rate and field held, with their age."""
+        """Return the new state and the accepted rows (N, 12).
+
+        Accepted rows have a finite specific force and increasing times. A missing angular rate or magnetic field is
+        held at its last value, and its age is stored in the row.
+        """
         raw = np.empty((len(block.time_s), 10))
         raw[:, 0], raw[:, _FORCE] = block.time_s, block.specific_force_mps2
         raw[:, _RATE], raw[:, _FIELD] = block.angular_rate_radps, block.magnetic_field_ut
         usable, n_not_finite, n_implausible, n_wild_field = _usable(raw)
-        clock, followed, n_dropped, n_jumps = follow(state.clock, usable, self.max_gap_s)
-        measured, n_dead_force, n_dead_rate = followed[:, _MOTION], 0, 0
-        watched, motion = watch(state.watchdog, followed[:, 0], measured)
-        if motion is not measured:  # a sensor is dead
+        clock, timed, n_dropped, n_jumps = accept_rows(state.clock, usable, self.max_gap_s)
+        measured, n_dead_force, n_dead_rate = timed[:, _MOTION], 0, 0
+        watchdog, motion = remove_stuck_values(state.watchdog, timed[:, 0], measured)
+        if motion is not measured:  # a sensor is stuck
             is_dead = np.isnan(motion[:, 0])
             n_dead_force = int(is_dead.sum())
-            n_dead_rate = int((np.isnan(motion[:, 3]) & ~np.isnan(followed[:, 4])).sum())
-            followed, motion = followed[~is_dead], motion[~is_dead]
+            n_dead_rate = int((np.isnan(motion[:, 3]) & ~np.isnan(timed[:, 4])).sum())
+            timed, motion = timed[~is_dead], motion[~is_dead]
         rows = np.empty((len(motion), _N_COLUMNS))
-        rows[:, 0], rows[:, _FORCE] = followed[:, 0], motion[:, :3]
+        rows[:, 0], rows[:, _FORCE] = timed[:, 0], motion[:, :3]
         rows[:, _RATE], rows[:, _RATE_AGE], last_rate = _hold(rows[:, 0], motion[:, 3:], state.last_rate)
-        rows[:, _FIELD], rows[:, _FIELD_AGE], last_field = _hold(rows[:, 0], followed[:, _FIELD], state.last_field)
+        rows[:, _FIELD], rows[:, _FIELD_AGE], last_field = _hold(rows[:, 0], timed[:, _FIELD], state.last_field)
         old = state.report
         report = replace_unchecked(
             old,
@@ -255,13 +412,14 @@ class Conditioner:
         if len(rows):
             first = rows[0, 0] if np.isnan(old.first_time_s) else old.first_time_s
             report = replace_unchecked(report, first_time_s=float(first), last_time_s=float(rows[-1, 0]))
-        seen = look(state.units, followed[:, 0], followed[:, _MOTION])
-        kept_state = {"clock": clock, "watchdog": watched, "units": seen, "report": report}
-        return replace_unchecked(state, last_rate=last_rate, last_field=last_field, **kept_state), rows
+        units = check_units(state.units, timed[:, 0], timed[:, _MOTION])
+        checks = {"clock": clock, "watchdog": watchdog, "units": units, "report": report}
+        return replace_unchecked(state, last_rate=last_rate, last_field=last_field, **checks), rows
 
     def _start_segment(self, state: ConditionerState, part: FloatArray) -> ConditionerState:
-        # The gap is counted from the end of what was emitted. If nothing of the old segment was, the gap before it is
-        # still open and adds up.
+        """Return the state at the start of the segment that begins with the rows `part` after a gap."""
+        # The gap is counted from the end of the emitted samples. A segment that emitted nothing was never reported, so
+        # the gap before it is added to this one.
         emitted_until_s = state.segment_start_s + state.n_emitted / self.rate_hz
         gap_s = float(part[0, 0] - emitted_until_s)
         unreported = state.gap_before_s if state.n_emitted == 0 else 0.0
@@ -283,8 +441,11 @@ class Conditioner:
     def _resample(
         self, state: ConditionerState, rows: FloatArray, hop_samples: int
     ) -> tuple[ConditionerState, list[UniformBlock]]:
-        """Mean of the linear interpolant over each interval of the grid that the rows cover, in whole hops."""
-        # A grid point needs a sample after it: interpolated from the left alone it would have other last bits.
+        """Return the new state and the uniform samples of all whole hops that the rows cover.
+
+        Each uniform sample is the mean of the linear interpolant over its interval of the grid.
+        """
+        # A grid point needs a sample after it. Without this rule its last bits would depend on where blocks are cut.
         last_s = float(rows[-1, 0])
         last = math.ceil((last_s - state.segment_start_s) * self.rate_hz) + 1
         while last > 0 and state.segment_start_s + last / self.rate_hz >= last_s:
@@ -295,7 +456,7 @@ class Conditioner:
         index = np.arange(state.n_emitted, n_complete + 1)
         grid = state.segment_start_s + index / self.rate_hz
         means = _interval_means(rows[:, 0], rows[:, 1:10], grid)
-        # A sample counts as known if the last finite value before it is not older than a bridged gap.
+        # A value counts as known if the last finite measurement before it is at most `max_gap_s` old.
         at = np.minimum(np.searchsorted(rows[:, 0], grid[1:]), len(rows) - 1)
         rate_known = rows[at, _RATE_AGE] <= self.max_gap_s
         field_known = rows[at, _FIELD_AGE] <= self.max_gap_s
@@ -319,28 +480,31 @@ class Conditioner:
 
 
 def _joined(blocks: Sequence[UniformBlock]) -> list[UniformBlock]:
-    """Blocks that follow each other without a gap as one."""
+    """Return the blocks with consecutive ones concatenated unless a gap separates them."""
     runs: list[list[UniformBlock]] = []
     for block in blocks:
         if runs and block.gap_before_s == 0:
             runs[-1].append(block)
         else:
             runs.append([block])
-    return [_one(run) if len(run) > 1 else run[0] for run in runs]
+    return [_concatenated(run) if len(run) > 1 else run[0] for run in runs]
 
 
-def _one(run: Sequence[UniformBlock]) -> UniformBlock:
+def _concatenated(run: Sequence[UniformBlock]) -> UniformBlock:
+    """Return consecutive blocks as one block."""
     names = [f.name for f in fields(UniformBlock) if f.name != "gap_before_s"]
     joined = {name: np.concatenate([getattr(block, name) for block in run]) for name in names}
     return UniformBlock(**joined, gap_before_s=run[0].gap_before_s)
 
 
 def _usable(raw: FloatArray) -> tuple[FloatArray, int, int, int]:
-    """Rows (N, 10) of time, force, rate and field that can be used, a wild rate and a wild field being NaN.
+    """Return the usable rows (N, 10) of time, force, rate and field, and three counts.
 
-    Also how many were not finite, how many implausible, and how many had a wild field.
+    Rows without a finite time and force and rows with an implausible force are dropped. An implausible angular rate or
+    magnetic field becomes NaN. The counts are of rows that are not finite, rows with an implausible force or rate, and
+    rows with an implausible field.
     """
-    finite, beyond = np.isfinite(raw[:, :4]), np.abs(raw) > _LIMITS  # of NaN nothing is
+    finite, beyond = np.isfinite(raw[:, :4]), np.abs(raw) > _LIMITS  # NaN compares False, so it is never beyond
     if finite.all() and not beyond.any():
         return raw, 0, 0, 0
     wild_force, wild_rate, wild_field = (beyond[:, part].any(axis=1) for part in (_FORCE, _RATE, _FIELD))
@@ -351,7 +515,11 @@ def _usable(raw: FloatArray) -> tuple[FloatArray, int, int, int]:
 
 
 def _hold(time_s: FloatArray, values: FloatArray, last: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Values with missing rows replaced by the last finite one, the age of each (0 if measured), and the new last."""
+    """Return the values with missing rows held at the last finite row, their ages, and the new last finite row.
+
+    The age of a row is the time since its values were measured, in s, and 0 if it was measured itself. `last` and the
+    third result are time and value, shape (4,).
+    """
     if np.isfinite(values).all():
         newest = np.concatenate([time_s[-1:], values[-1]]) if len(values) else last
         return values, np.zeros(len(values)), newest
@@ -363,7 +531,7 @@ def _hold(time_s: FloatArray, values: FloatArray, last: FloatArray) -> tuple[Flo
 
 
 def _interval_means(time_s: FloatArray, values: FloatArray, grid_s: FloatArray) -> FloatArray:
-    """Mean over each interval of the grid of the linear interpolant through (time, value), shape (len(grid) - 1, d)."""
+    """Return the mean of the linear interpolant through (time, value) over each grid interval, (len(grid) - 1, d)."""
     right = np.minimum(np.maximum(time_s.searchsorted(grid_s, side="right"), 1), len(time_s) - 1)
     left = right - 1
     fraction = ((grid_s - time_s[left]) / (time_s[right] - time_s[left]))[:, None]
@@ -372,7 +540,7 @@ def _interval_means(time_s: FloatArray, values: FloatArray, grid_s: FloatArray) 
     at_grid -= before
     at_grid *= fraction
     at_grid += before
-    # All knots inside the grid in order: grid points go in before the first sample at or after them.
+    # Merge samples and grid points into one sorted list of knots. A grid point precedes samples at the same time.
     position = time_s.searchsorted(grid_s)
     inside = slice(int(position[0]), int(position[-1]))
     position -= position[0]
@@ -387,22 +555,49 @@ def _interval_means(time_s: FloatArray, values: FloatArray, grid_s: FloatArray) 
     areas *= 0.5
     areas *= (knots_s[1:] - knots_s[:-1])[:, None]
     first = position[:-1] + np.arange(len(grid_s) - 1)
-    # reduceat adds row by row within each interval: the same numbers in the same order however blocks were cut
+    # reduceat adds row by row within each interval, so the order of additions does not depend on where blocks are cut.
     return np.add.reduceat(areas, first, axis=0) / (grid_s[1:] - grid_s[:-1])[:, None]
 
 
 def merge_streams(recording: Recording, max_gap_s: float = 0.3) -> ImuBlock:
-    """All sensors of a recording at the times of its accelerometer, in recorded order, on one clock.
+    """Return all inertial sensors of a recording at the times of its accelerometer.
 
-    Angular rate and magnetic field are interpolated linearly; they are NaN where the stream is missing or its samples
-    are further than `max_gap_s` apart.
+    Angular rate and magnetic field are interpolated linearly. Samples stay in recorded order. If the clock was set back
+    during the recording, later times continue from before the jump.
+
+    Parameters
+    ----------
+    recording : Recording
+        Recording with an accelerometer and optionally a gyroscope and a magnetometer.
+    max_gap_s : float, default 0.3
+        Longest time between two samples of a stream, in s, that is interpolated. A stream that starts or ends earlier
+        than this before or after a sample is held.
+
+    Returns
+    -------
+    ImuBlock
+        Times, specific force, angular rate and magnetic field with one row for each accelerometer sample. Values are
+        NaN where a stream is missing or its samples are further apart than `max_gap_s`.
+
+    Raises
+    ------
+    ValueError
+        If no time of the gyroscope or the magnetometer lies within the times of the accelerometer.
 
     Examples
     --------
+    A gyroscope at half the rate of the accelerometer, in a recording without a magnetometer:
+
+    >>> import numpy as np
     >>> import pdr_filter as pdr
-    >>> samples = pdr.merge_streams(pdr.simulate.demo_walk())
-    >>> samples.specific_force_mps2.shape == samples.angular_rate_radps.shape
-    True
+    >>> time_s = np.arange(0.0, 1.0, 0.01)
+    >>> accelerometer = pdr.Samples(time_s, np.full((100, 3), 5.7))
+    >>> gyroscope = pdr.Samples(time_s[::2], np.column_stack(3 * [time_s[::2]]))
+    >>> samples = pdr.merge_streams(pdr.Recording("walk", accelerometer, gyroscope))
+    >>> samples.angular_rate_radps[:3, 0]
+    array([0.  , 0.01, 0.02])
+    >>> np.isnan(samples.magnetic_field_ut).all()
+    np.True_
     """
     recording, _ = one_clock(recording)
     time_s = recording.accelerometer.time_s
@@ -411,13 +606,13 @@ def merge_streams(recording: Recording, max_gap_s: float = 0.3) -> ImuBlock:
     return ImuBlock(
         time_s=time_s,
         specific_force_mps2=recording.accelerometer.values,
-        angular_rate_radps=_of_stream(recording.gyroscope, time_s, max_gap_s),
-        magnetic_field_ut=_of_stream(recording.magnetometer, time_s, max_gap_s),
+        angular_rate_radps=_interpolated(recording.gyroscope, time_s, max_gap_s),
+        magnetic_field_ut=_interpolated(recording.magnetometer, time_s, max_gap_s),
     )
 
 
 def _check_clock(sensor: str, stream: Samples | None, at_s: FloatArray, max_gap_s: float) -> None:
-    """ValueError if no time of a stream is within those of the accelerometer: its clock is another one."""
+    """Raise a ValueError if no time of a stream lies within those of the accelerometer: the clocks differ."""
     own_s = np.empty(0) if stream is None else stream.time_s[np.isfinite(stream.time_s)]
     at_s = at_s[np.isfinite(at_s)]
     if (
@@ -428,12 +623,13 @@ def _check_clock(sensor: str, stream: Samples | None, at_s: FloatArray, max_gap_
         return
     raise ValueError(
         f"{sensor}: its times, {own_s.min():.1f} to {own_s.max():.1f} s, are outside those of the accelerometer, "
-        f"{at_s.min():.1f} to {at_s.max():.1f} s: it is on another clock or has another unit; add the offset of the "
-        "clocks to its times, or leave the stream out"
+        f"{at_s.min():.1f} to {at_s.max():.1f} s: the sensor is on another clock or its times have another unit; add "
+        "the offset of the clocks to its times, or remove the stream"
     )
 
 
-def _of_stream(stream: Samples | None, at_s: FloatArray, max_gap_s: float) -> FloatArray:
+def _interpolated(stream: Samples | None, at_s: FloatArray, max_gap_s: float) -> FloatArray:
+    """Return the values of a stream at some times, (M, 3), ignoring its rows that are not finite or not increasing."""
     if stream is None:
         return np.full((len(at_s), 3), np.nan)
     time_s, values = stream.time_s, stream.values
@@ -445,9 +641,11 @@ def _of_stream(stream: Samples | None, at_s: FloatArray, max_gap_s: float) -> Fl
 
 
 def at_times(time_s: FloatArray, values: FloatArray, at_s: FloatArray, max_gap_s: float) -> FloatArray:
-    """Values (N, 3) of increasing times (N,) between them, as `merge_streams` has them, at some times (M,).
+    """Return values (N, 3) at increasing times (N,), interpolated linearly at other times (M,), shape (M, 3).
 
-    Of the samples only the two around each time enter, and the last two where there is none after it.
+    The result is NaN where the two neighbouring samples are more than `max_gap_s` apart. A time before the first or
+    after the last sample by less than `max_gap_s` gets the value of that sample. Each result depends only on the two
+    samples around it, or on the last two samples if none follows.
     """
     if len(time_s) < 2 or not len(at_s):
         return np.full((len(at_s), 3), np.nan)
@@ -455,14 +653,16 @@ def at_times(time_s: FloatArray, values: FloatArray, at_s: FloatArray, max_gap_s
         return values
     right = np.clip(np.searchsorted(time_s, at_s), 1, len(time_s) - 1)
     left_s, right_s = time_s[right - 1], time_s[right]
-    # A stream that starts or ends a few samples away from the accelerometer is held, not extrapolated.
+    # Sensors of one phone start and end a few samples apart. The first and last values are held, because linear
+    # extrapolation would amplify noise.
     covered = (at_s > time_s[0] - max_gap_s) & (at_s < time_s[-1] + max_gap_s)
-    measured = (at_s == left_s) | (at_s == right_s)  # at the edge of a hole
+    measured = (at_s == left_s) | (at_s == right_s)  # true also for the samples at the edges of a gap
     near = covered & (measured | (right_s - left_s <= max_gap_s))
     fraction = np.clip((at_s - left_s) / (right_s - left_s), 0.0, 1.0)[:, None]
     before, after = values.take(right - 1, axis=0), values.take(right, axis=0)
     between = before + (after - before) * fraction
-    # what was measured at that time is not rounded, so that nothing depends on what else is asked for
+    # A value measured at exactly the requested time is copied. Rounding it would make the result depend on the other
+    # requested times, because equal time arrays return the values unchanged.
     np.copyto(between, after, where=fraction == 1.0)
     between[~near] = np.nan
     return between

@@ -1,4 +1,4 @@
-"""Samples in, steps and contexts out: everything before the filter, as one causal stage."""
+"""Front end: all stages before the filter as one causal stage, from samples to steps and contexts."""
 
 from __future__ import annotations
 
@@ -27,21 +27,44 @@ from pdr_filter.values import DEFAULT_CONTEXTS, ContextSet, FloatArray, ImuBlock
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """A time without samples."""
+    """A time without samples, of `duration_s` seconds."""
 
     duration_s: float
 
 
 Event = Step | WindowContext | Gap
 
-# The step frequency that a window knows of is the median of the last three steps, if they are recent: the last one is
-# known 0.9 s after its contact, and three of the slowest steps take 4 s.
+# The step frequency of a window is the median over this number of last steps, if the first of them is recent. The limit
+# in s allows for the slowest steps (three take 4 s) and the latency of the detector (0.9 s).
 _CADENCE_STEPS, _CADENCE_S = 3, 5.0
 
 
 @dataclass(frozen=True, eq=False)
 class SensingState:
-    """States of the stages, and the time up to which events are out."""
+    """States of all stages.
+
+    Attributes
+    ----------
+    conditioner : ConditionerState
+        State of the conditioner.
+    attitude : AttitudeState
+        State of the attitude estimator.
+    contexts, steps, heading, gate, even, north : object
+        States of the stages with these names in `Sensing`. None for a missing stage.
+    rattle : RattleState
+        State of the detection of motion without steps.
+    cadence : tuple of (float, float)
+        Times (s) and step frequencies (Hz) of the last steps of this segment.
+    n_samples : int
+        Uniform samples of this segment.
+    context : int
+        Index of the context of the last window into `Sensing.context_set`. -1 if no context has at least half of the
+        probability.
+    carrying_mode : int
+        Index of the carrying mode of the last window into `CARRYING_MODES`, likewise.
+    processed_s : float
+        Time of the last processed uniform sample, s.
+    """
 
     conditioner: ConditionerState
     attitude: AttitudeState
@@ -52,39 +75,60 @@ class SensingState:
     even: Any
     north: Any
     rattle: RattleState
-    cadence: tuple[tuple[float, float], ...]  # time and frequency of the last steps of this segment
-    n_samples: int  # of this segment
-    context: int  # of the last window: index into `context_set`, -1 where none has half of the probability
-    carrying_mode: int  # likewise into `CARRYING_MODES`
+    cadence: tuple[tuple[float, float], ...]
+    n_samples: int
+    context: int
+    carrying_mode: int
     processed_s: float
 
 
 @dataclass(frozen=True, eq=False)
 class Sensing:
-    """The front end.
+    """Front end of the filter: conditioning, attitude, step detection, contexts and headings as one causal stage.
 
-    All stages run at `conditioner.rate_hz`. Events come in the order in which they became known; at a gap, and at the
-    end, the steps whose detection would have needed more samples come first.
+    All stages run at `conditioner.rate_hz`. Events come in the order in which they became known. At a gap and at the
+    end, the steps that still wait for samples are completed first.
 
     Parameters
     ----------
     steps : StepDetector
-        Finds steps; it gets the context and the carrying mode of each sample from `contexts`.
-    conditioner, attitude
-        Uniform samples, and which way is up.
+        Step detector. It receives the context and the carrying mode of each sample from `contexts`.
+    conditioner : Conditioner, optional
+        Resampling to a constant rate.
+    attitude : AttitudeEstimator, optional
+        Estimation of the direction of up, the device heading and the gyroscope bias.
     contexts : ContextStage, optional
-        What the person does and where the phone is; nothing is known without.
+        Classification of context and carrying mode. Without it both are unknown.
     heading : HeadingStage, optional
-        Where the person walked; without it, in the direction in which the device points.
+        Estimation of the walking direction. Without it, the walking direction is the device heading.
     gate : StepGate, optional
-        Holds back steps that nobody walked.
+        Rejection of false steps.
     even : EvenSteps, optional
-        Moves contacts to where left and right are even, last of all: the samples of a step stay those of the detector.
+        Smoothing of contact times between left and right. It runs last, so that the statistics of a step are those of
+        the samples that the detector assigned to it.
     north : MagneticNorth, optional
-        Where north is.
-    context_set : ContextSet
-        Names of the contexts, those of `contexts`, and what they mean. `Config` gives the meanings that the modes of
-        the filter state. A stage `contexts` with a field of this name gets it, too.
+        Estimation of the direction of magnetic north.
+    context_set : ContextSet, default the six contexts of `pdr_filter.CONTEXTS`
+        Names of the contexts, which must be those of `contexts`, and their meanings. `Config` sets the meanings stated
+        by the modes of the filter. A stage `contexts` with a field of this name receives it as well.
+
+    Raises
+    ------
+    ValueError
+        If the context stage has other contexts than `context_set`, or the rates of the stages differ.
+
+    Examples
+    --------
+    The default front end detects the steps of a simulated walk:
+
+    >>> import pdr_filter as pdr
+    >>> recording = pdr.simulate.simulate([pdr.simulate.Leg("walking", duration_s=10.0)])
+    >>> sensing = pdr.recipes.default().sensing
+    >>> state, events = sensing.update(sensing.init(), pdr.merge_streams(recording))
+    >>> state, last_events = sensing.finish(state)
+    >>> n_steps = sum(isinstance(event, pdr.Step) for _, event in [*events, *last_events])
+    >>> abs(n_steps - len(recording.truth.steps)) <= 1
+    True
     """
 
     steps: StepDetector[Any]
@@ -103,7 +147,7 @@ class Sensing:
             if tuple(stage.contexts) != self.context_set.names:
                 raise ValueError(
                     f"the context stage has the contexts {stage.contexts}, but context_set has "
-                    f"{self.context_set.names}: use config.with_contexts, which gives both the same"
+                    f"{self.context_set.names}: use config.with_contexts, which sets both to the same contexts"
                 )
             if getattr(stage, "context_set", self.context_set) != self.context_set:
                 object.__setattr__(self, "contexts", replace(stage, context_set=self.context_set))
@@ -111,24 +155,40 @@ class Sensing:
         stages = [self.conditioner, self.attitude, self.steps, *optional]
         rates = {stage.rate_hz for stage in stages}
         if len(rates) > 1:
-            raise ValueError(f"all stages must have one rate_hz, got {sorted(rates)}")
+            raise ValueError(
+                f"all stages must have one rate_hz, got {sorted(rates)}: build every stage with the rate_hz of the "
+                "conditioner"
+            )
 
     @cached_property
     def _rattle(self) -> Rattle:
+        """Detection of motion without steps at the rate of the front end."""
         return Rattle(self.conditioner.rate_hz)
 
     @property
+    def steps_only(self) -> Sensing:
+        """Front end that finds the same steps without headings, north, and contexts that the detector does not use."""
+        contexts = self.contexts if getattr(self.steps, "uses_contexts", True) else None
+        return replace(self, contexts=contexts, heading=None, north=None)
+
+    @property
     def step_latency_s(self) -> float:
-        """Longest time from a contact to its step, but for the first steps of a bout, which wait for a gate."""
+        """Longest time from a contact to its step, s, except for the first steps of a bout, which wait for the gate."""
         return max(self.steps.latency_s, self.gate.latency_s if self.gate else 0.0)
 
     @property
     def window_hop_s(self) -> float:
-        """Longest time from one window end to the next; 0 without contexts."""
+        """Time between the ends of consecutive windows, s; 0 without a context stage."""
         return self.contexts.hop_s if self.contexts else 0.0
 
     def init(self) -> SensingState:
-        """State before the first sample."""
+        """Return the state before the first sample.
+
+        Returns
+        -------
+        SensingState
+            Initial state of all stages.
+        """
         return SensingState(
             conditioner=self.conditioner.init(),
             attitude=self.attitude.init(),
@@ -147,35 +207,76 @@ class Sensing:
         )
 
     def update(self, state: SensingState, block: ImuBlock) -> tuple[SensingState, list[tuple[float, Event]]]:
-        """New state, and the events with the time at which each became known."""
+        """Return the new state and the events that a block of samples reveals.
+
+        Parameters
+        ----------
+        state : SensingState
+            State after the previous block.
+        block : ImuBlock
+            Raw samples of any number, such as those of `pdr_filter.merge_streams`.
+
+        Returns
+        -------
+        state : SensingState
+            New state.
+        events : list of (float, Step or WindowContext or Gap)
+            Events with the time in s at which each became known, in this order.
+        """
         conditioner, uniform = self.conditioner.update(state.conditioner, block)
-        return self._take(replace_unchecked(state, conditioner=conditioner), uniform)
+        return self._process_blocks(replace_unchecked(state, conditioner=conditioner), uniform)
 
     def finish(self, state: SensingState) -> tuple[SensingState, list[tuple[float, Event]]]:
-        """New state when the recording has ended, and the events that were still waiting for samples."""
+        """Return the new state and the remaining events when the recording has ended.
+
+        Parameters
+        ----------
+        state : SensingState
+            State after the last block.
+
+        Returns
+        -------
+        state : SensingState
+            New state.
+        events : list of (float, Step or WindowContext or Gap)
+            Events that were still waiting for samples, with the time in s at which each became known.
+        """
         conditioner, uniform = self.conditioner.finish(state.conditioner)
-        state, events = self._take(replace_unchecked(state, conditioner=conditioner), uniform)
+        state, events = self._process_blocks(replace_unchecked(state, conditioner=conditioner), uniform)
         return state, [*events, *self._close_segment(state)[1]]
 
-    def _take(
+    def _process_blocks(
         self, state: SensingState, uniform: Sequence[UniformBlock]
     ) -> tuple[SensingState, list[tuple[float, Event]]]:
+        """Return the new state and the events of uniform blocks, restarting the stages at gaps."""
         events: list[tuple[float, Event]] = []
         for part in uniform:
             if part.gap_before_s > 0 and state.n_samples > 0:
                 state, last = self._close_segment(state)
                 events += [*last, (state.processed_s, Gap(part.gap_before_s))]
                 state = self._after_gap(state)
-            state, found = self._sense(state, part)
+            state, found = self._process_block(state, part)
             events += found
         return state, events
 
     def device(self, state: SensingState) -> Device:
-        """What is known of the phone by now."""
+        """Return the gyroscope bias of the phone as estimated so far, for its next recording.
+
+        Parameters
+        ----------
+        state : SensingState
+            State after any number of samples.
+
+        Returns
+        -------
+        Device
+            Bias and covariance.
+        """
         error_rad, error_var = drift_in_time(self.heading, state.heading)
         return self.attitude.bias.learnt(state.attitude.bias, error_rad, error_var)
 
-    def _sense(self, state: SensingState, part: UniformBlock) -> tuple[SensingState, list[tuple[float, Event]]]:
+    def _process_block(self, state: SensingState, part: UniformBlock) -> tuple[SensingState, list[tuple[float, Event]]]:
+        """Return the new state and the events of one uniform block without a gap."""
         n_before = state.n_samples
         attitude_state, attitude = self.attitude.update(state.attitude, part)
         context_state, windows = None, list[tuple[int, WindowContext]]()
@@ -196,7 +297,7 @@ class Sensing:
             north_state, steps = self.north.update(state.north, part, attitude, steps)
         if self.even:
             even_state, steps = self.even.update(state.even, steps)
-        # A window that ends with the sample that reveals a step is known first: its evidence is for that step too.
+        # A window comes before a step revealed by the same sample, because its evidence also applies to that step.
         in_order, cadence = _with_cadences(
             state.cadence, sorted([*windows, *steps], key=lambda e: e[0]), self.context_set
         )
@@ -219,7 +320,7 @@ class Sensing:
         return state, [(float(part.time_s[i - n_before]), event) for i, event in in_order]
 
     def _close_segment(self, state: SensingState) -> tuple[SensingState, list[tuple[float, Event]]]:
-        """The steps that wait for samples which a gap or the end keeps away."""
+        """Return the state at a gap or at the end, and the steps that were still waiting for samples."""
         steps = self.steps.finish(state.steps)
         if self.gate:
             gate, steps = self.gate.close(state.gate, steps)
@@ -237,6 +338,7 @@ class Sensing:
         return state, [(state.processed_s, step) for _, step in steps]
 
     def _after_gap(self, state: SensingState) -> SensingState:
+        """Return the state before the first sample after a gap."""
         return replace_unchecked(
             state,
             attitude=self.attitude.after_gap(state.attitude),
@@ -251,7 +353,10 @@ class Sensing:
 
 
 def feature_windows(stage: FeatureWindows, blocks: Iterable[ImuBlock]) -> Iterator[FeatureWindow]:
-    """Feature windows of samples: what training learns from, the same that `LearnedContexts` classifies."""
+    """Return the feature windows of samples.
+
+    Training learns from these windows. They equal those that `LearnedContexts` classifies.
+    """
     conditioner, attitude_estimator = Conditioner(stage.rate_hz), AttitudeEstimator(stage.rate_hz)
     intake, attitude_state, state = conditioner.init(), attitude_estimator.init(), stage.init()
     for block in chain(blocks, [None]):
@@ -267,7 +372,7 @@ def feature_windows(stage: FeatureWindows, blocks: Iterable[ImuBlock]) -> Iterat
 def _with_cadences(
     cadence: tuple[tuple[float, float], ...], events: Sequence[tuple[int, WindowContext | Step]], contexts: ContextSet
 ) -> tuple[list[tuple[int, WindowContext | Step]], tuple[tuple[float, float], ...]]:
-    """Events whose windows know the frequency of the steps before their end, and those of the last steps."""
+    """Return the events with the step frequency added to the windows, and times and frequencies of the last steps."""
     result: list[tuple[int, WindowContext | Step]] = []
     for number, event in events:
         if isinstance(event, Step):
@@ -280,13 +385,13 @@ def _with_cadences(
 
 
 def _likely(prob: FloatArray) -> int:
-    """The index that has at least half of the probability; -1 if none has."""
+    """Return the index of the class with at least half of the probability, or -1 if there is none."""
     best = int(prob.argmax())
     return best if prob[best] >= 0.5 else -1
 
 
 def _held(before: int, changes: list[tuple[int, int]], n: int) -> IntArray:
-    """Values (n,) of a quantity that changes at some samples and stays in between."""
+    """Return values (n,) of a quantity that changes at some samples and stays constant in between."""
     values = np.full(n, before)
     for i, value in changes:
         values[i:] = value

@@ -1,28 +1,29 @@
-"""What the gyroscope reads when nothing turns: its bias, learnt while the phone is carried, with its uncertainty.
+"""Estimate the gyroscope bias while the phone is carried, with its uncertainty.
 
-Three kinds of measurement enter a Kalman filter, each weak, each with a variance of its own, and each perhaps wrong, so
-that an outlier hardly moves the estimate (docs/methods/attitude.md):
+Three kinds of measurement update a Kalman filter. Each is weak, has its own variance, and may be an outlier, so that an
+outlier hardly moves the estimate (docs/methods/attitude.md):
 
-1. Still windows. The mean angular rate of a window in which nothing moves is the bias, or an even turn, as in a train:
-   that is about the vertical, a bias about any axis. As long as a turn is more probable nothing is learnt there.
-2. Straight walking. Somebody who walks from corner to corner turned little in between. A long curve counts as one walk,
-   or the bias would follow it.
-3. The magnetic field should not turn in the attitude's frame. Only its drift counts, never where it points; how far it
-   is trusted follows from the scatter of its horizontal and vertical parts. After a jump it starts again.
+1. Still windows. The mean angular rate of a window without motion is the bias, or a uniform rotation, as in a train. A
+   rotation is about the vertical, a bias about any axis. As long as a rotation is more probable, the window does not
+   update the bias.
+2. Straight walking. A pedestrian who walks from corner to corner turns little in between. A long curve counts as one
+   walk, otherwise the bias would follow the curve.
+3. The magnetic field should not rotate in the attitude frame. Only its drift is used, never its direction. The variance
+   follows from the scatter of the horizontal and vertical field. After a jump the direction starts again.
 
-Each filter also holds by how much the heading is off that was corrected with the estimates so far. A bias that is found
-late has turned the heading before: its estimate brings that error with it. What a building's axes say of it is
-`pdr_filter.sensing.heading.corridors`.
+Each filter also estimates the error of the heading that was corrected with the earlier bias estimates. A wrong bias
+estimate has turned the heading before it is corrected, so a later measurement of the bias also determines that error.
+`pdr_filter.sensing.heading.corridors` adds measurements of this error from the axes of buildings.
 
-The bias is about the three axes of the sensor, so what is learnt with the phone in the hand still holds, as far as it
-goes, when it hangs in the pocket. Most phones subtract a bias of their own and are off by little, some are not: the
-prior is a mixture of normal distributions, each with a Kalman filter of its own, weighted by how well it predicts
-(D. T. Magill, "Optimal adaptive estimation of sampled stochastic processes", IEEE Trans. Automatic Control 10(4), 1965,
-doi:10.1109/TAC.1965.1098191). A measurement enters with the probability that it is no outlier, and the doubt that
-leaves is added to the covariance (Y. Bar-Shalom, F. Daum, J. Huang, "The probabilistic data association filter", IEEE
-Control Systems 29(6), 2009, doi:10.1109/MCS.2009.934469). Walking as a measurement: J. Borenstein, L. Ojeda, "Heuristic
-drift elimination for personnel tracking systems", Journal of Navigation 63(4), 2010. Figures:
-tests/benchmarks/heading_drift.py.
+The bias is estimated about the three axes of the sensor. What is learned with the phone in the hand therefore remains
+valid when the phone is put into a pocket. Most phones subtract a bias estimate of their own and have a small remaining
+bias, but some do not. The prior is therefore a mixture of normal distributions with one Kalman filter for each,
+weighted by how well it predicts (D. T. Magill, "Optimal adaptive estimation of sampled stochastic processes", IEEE
+Trans. Automatic Control 10(4), 1965, doi:10.1109/TAC.1965.1098191). A measurement is weighted by the probability that
+it is not an outlier, and the covariance is inflated by the remaining doubt (Y. Bar-Shalom, F. Daum, J. Huang, "The
+probabilistic data association filter", IEEE Control Systems 29(6), 2009, doi:10.1109/MCS.2009.934469). Walking as a
+measurement: J. Borenstein, L. Ojeda, "Heuristic drift elimination for personnel tracking systems", Journal of
+Navigation 63(4), 2010. Figures: tests/benchmarks/heading_drift.py.
 """
 
 from __future__ import annotations
@@ -39,133 +40,220 @@ from pdr_filter.sensing.heading.heading_offset import UNKNOWN_VAR_RAD2
 from pdr_filter.values import FloatArray, check_numbers, read_only, replace_unchecked
 from pdr_filter.values.mixtures import combine, possible_outlier
 
-# State of each Kalman filter: bias about x, y, z of the sensor in rad/s; direction of the magnetic field in the
-# attitude's frame, and by how much the corrected heading is too large, in rad, clockwise.
+# State of each Kalman filter: bias about x, y, z of the sensor in rad/s, direction of the magnetic field in the
+# attitude frame in rad, and error of the corrected heading (estimate minus truth) in rad, both clockwise.
 _BIAS, _FIELD, _ERROR = slice(0, 3), 3, 4
-_HEADINGS = slice(3, 5)  # both
+_HEADINGS = slice(3, 5)  # field direction and heading error, which are driven by the same angular rate
 _N_STATES = 5
 _IDENTITY = read_only(np.eye(_N_STATES))
-_OF_FIELD, _OF_ERROR = read_only(_IDENTITY[_FIELD]), read_only(_IDENTITY[_ERROR])
+_H_FIELD, _H_ERROR = read_only(_IDENTITY[_FIELD]), read_only(_IDENTITY[_ERROR])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BiasWindow:
-    """What one window says of the bias: means over its samples, and standard deviations summed over the axes."""
+    """Statistics of one window of samples for the estimation of the bias.
 
-    angular_rate_radps: FloatArray  # (3,) as measured
+    Attributes
+    ----------
+    angular_rate_radps : FloatArray
+        Mean measured angular rate, shape (3,), rad/s.
+    angular_rate_std_radps : float
+        Standard deviation of the angular rate, rad/s: the square root of the summed variances of the axes.
+    specific_force_std_mps2 : float
+        Standard deviation of the specific force, m/s2, likewise.
+    up_sensor : FloatArray
+        Mean unit vector up in the sensor frame, shape (3,).
+    heading_rad : float
+        Mean corrected heading of the device, not wrapped, rad.
+    angular_rate_known : bool
+        True if the angular rate is known in all samples.
+    magnetic_field_ut : FloatArray
+        Mean magnetic field along east, north and up of the attitude frame, shape (3,), uT.
+    magnetic_field_known : bool
+        True if the magnetic field is known in all samples.
+    """
+
+    angular_rate_radps: FloatArray
     angular_rate_std_radps: float
     specific_force_std_mps2: float
-    up_sensor: FloatArray  # (3,) unit vector
-    heading_rad: float  # as corrected, not wrapped
-    angular_rate_known: bool  # in all samples
-    magnetic_field_ut: FloatArray  # (3,) east, north, up of the attitude's frame
-    magnetic_field_known: bool  # in all samples
+    up_sensor: FloatArray
+    heading_rad: float
+    angular_rate_known: bool
+    magnetic_field_ut: FloatArray
+    magnetic_field_known: bool
 
 
 @dataclass(frozen=True, eq=False)
 class StraightWalk:
-    """Windows of somebody who walks and has not turned a corner, newest last."""
+    """Windows of walking since the last corner, newest last.
 
-    heading_rad: tuple[float, ...]  # corrected, of the last two: to see a corner
-    measured_rad: tuple[float, ...]  # uncorrected, of those to measure: its slope is the bias
-    up_sensor: FloatArray  # (3,) in the first window
-    n_to_skip: int  # windows until it is measured again
+    Attributes
+    ----------
+    heading_rad : tuple of float
+        Corrected headings of the last two windows, rad. They serve to detect a corner.
+    measured_rad : tuple of float
+        Uncorrected headings of the windows that are not measured yet, rad. The negative slope is the bias.
+    up_sensor : FloatArray
+        Unit vector up in the sensor frame in the first window, shape (3,).
+    n_to_skip : int
+        Windows to skip before the walk is measured again.
+    """
+
+    heading_rad: tuple[float, ...]
+    measured_rad: tuple[float, ...]
+    up_sensor: FloatArray
+    n_to_skip: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldScatter:
-    """Magnetic field of late."""
+    """Recent mean and scatter of the magnetic field.
+
+    Attributes
+    ----------
+    n_windows : int
+        Windows so far.
+    horizontal_ut : float
+        Mean horizontal field, uT.
+    up_ut : float
+        Mean vertical field, uT.
+    variance_ut2 : float
+        Variance of one of the two parts, uT2.
+    direction_rad : float
+        Direction of the field in the last window, clockwise from north of the attitude frame, rad.
+    """
 
     n_windows: int
-    horizontal_ut: float  # mean
-    up_ut: float  # mean
-    variance_ut2: float  # of one of them
-    direction_rad: float  # in the last window
+    horizontal_ut: float
+    up_ut: float
+    variance_ut2: float
+    direction_rad: float
 
 
 @dataclass(frozen=True, eq=False)
 class GyroBiasState:
-    """A bank of Kalman filters, and what the measurements need of the windows before."""
+    """Bank of M Kalman filters, and the history that the measurements need.
 
-    mean: FloatArray  # (M, 5)
-    cov: FloatArray  # (M, 5, 5)
-    log_weight: FloatArray  # (M,) largest is 0
-    bias_radps: FloatArray  # (3,) mean of the mixture
-    bias_cov_radps2: FloatArray  # (3, 3) of the mixture
-    heading_error_rad: float = 0.0  # of the corrected heading since the start, of the mixture
+    Attributes
+    ----------
+    mean : FloatArray
+        Means of the filters, shape (M, 5).
+    cov : FloatArray
+        Covariances of the filters, shape (M, 5, 5).
+    log_weight : FloatArray
+        Log weights of the filters, shape (M,). The largest is 0.
+    bias_radps : FloatArray
+        Mean bias of the mixture, shape (3,), rad/s.
+    bias_cov_radps2 : FloatArray
+        Covariance of the bias of the mixture, shape (3, 3), (rad/s)^2.
+    heading_error_rad : float
+        Error of the corrected heading since the start, estimated by the mixture, rad.
+    heading_error_var_rad2 : float
+        Variance of `heading_error_rad`, rad2.
+    heading_lost_var_rad2 : float
+        Sum of the heading variance that the uncertain bias has added since the start, without reductions by
+        measurements, rad2. The filter of the track must add it, because it receives each measurement separately.
+    corrected_rad : float
+        Total turn by which the bias estimates so far have corrected the heading, rad.
+    n_still : int
+        Consecutive still windows.
+    walk : StraightWalk or None
+        Current straight walk.
+    field : FieldScatter or None
+        Recent scatter of the magnetic field.
+    field_tracked : bool
+        True if the field direction in the filter states is initialised.
+    n_field_outliers : int
+        Consecutive outliers of the field direction.
+    """
+
+    mean: FloatArray
+    cov: FloatArray
+    log_weight: FloatArray
+    bias_radps: FloatArray
+    bias_cov_radps2: FloatArray
+    heading_error_rad: float = 0.0
     heading_error_var_rad2: float = 0.0
-    # Variance that the heading has gained by the uncertain bias since the start, before any measurement took it away:
-    # what the filter behind must add, because each measurement reaches it on its own.
     heading_lost_var_rad2: float = 0.0
-    corrected_rad: float = 0.0  # what the estimates so far have turned the heading by
-    n_still: int = 0  # still windows in a row
+    corrected_rad: float = 0.0
+    n_still: int = 0
     walk: StraightWalk | None = None
     field: FieldScatter | None = None
     field_tracked: bool = False
-    n_field_outliers: int = 0  # in a row
+    n_field_outliers: int = 0
 
 
 @dataclass(frozen=True)
 class GyroBias:
-    """Gyroscope bias from still windows, straight walking and the drift of the magnetic field.
+    """Estimator of the gyroscope bias from still windows, straight walking and the drift of the magnetic field.
 
     Parameters
     ----------
     window_s : float
-        Length of the windows. One second averages a step or two, and the turning that each brings.
+        Length of the windows, s. One second averages over one or two steps and the rotation that each of them brings.
     prior_std_radps, prior_prob : tuple of float
-        The mixture the bias comes from: phones that calibrate themselves (the drifts of known walks here are 0.002 to
-        0.006 rad/s), less well (0.02), and not (0.03 to 0.04 on the phones of 4 of 13 people of ubicomp13; 0.1 was
-        seen elsewhere). With more weight on the wild ones the ellipses of walks that teach little grow far too large
-        (humolire, ms_indoor).
+        Standard deviations (rad/s) and probabilities of the zero-mean mixture of normal distributions that is the prior
+        of the bias. The three parts are phones that calibrate themselves (the drifts of known walks are 0.002 to 0.006
+        rad/s), phones that do so less well (0.02), and phones that do not (0.03 to 0.04 on the phones of 4 of 13
+        persons of ubicomp13; 0.1 was seen elsewhere). A larger probability of large biases makes the error ellipses of
+        walks with little information far too large (humolire, ms_indoor).
     device, device_prob : Device or None, float
-        What an earlier recording of the phone knew, and with which probability it is this one still.
+        Bias estimated in an earlier recording of the phone, and the probability that it still holds.
     walk_radps_per_sqrt_s : float
-        Random walk of the bias: 0.002 rad/s in five minutes of warming up.
+        Random walk of the bias, rad/s per square root of a second. The default is 0.002 rad/s in five minutes, as while
+        the phone warms up.
     still_gyr_radps, still_acc_mps2 : float
-        A window is still below both standard deviations, and used if the one before was too.
+        A window is still if both its standard deviations are below these limits. It is used if the window before was
+        still too.
     still_max_radps : float
-        No bias is above this; what is still and faster turns evenly.
+        Largest plausible bias, rad/s. A still window with a faster rate is a uniform rotation and is not used.
     still_std_radps, still_std_share : float
-        Standard deviation of the mean of a still window: a constant and a share of that within it. On people who stand
-        with a phone in hand or pocket the means of 1 s scatter by 0.45 to 0.6 of it; 0.8 for their correlation in time.
+        Standard deviation of the mean of a still window: a constant in rad/s plus this share of the standard deviation
+        within the window. For persons who stand with a phone in the hand or pocket, the means of 1 s scatter by 0.45 to
+        0.6 of that. The default of 0.8 allows for their correlation in time.
     still_outlier_prob, turning_radps : float
-        How often a still window has another mean, and how far off.
+        Probability that the mean of a still window is an outlier, and the standard deviation of outliers, rad/s.
     even_turn_prob : float
-        How often what is still turns evenly about the vertical, as fast as `turning_radps`: in a vehicle, on a
-        turntable. All windows of it do, so that they are no witnesses against each other.
+        Probability that a still phone rotates uniformly about the vertical with a standard deviation of
+        `turning_radps`, as in a vehicle or on a turntable. All windows of such a rotation agree, so outlier rejection
+        alone cannot detect it.
     walking_acc_mps2 : float
-        Above this standard deviation somebody walks.
+        Standard deviation of the specific force above which the pedestrian walks, m/s2.
     corner_rad, tilted_rad : float
-        A change of direction from the last two windows, and of gravity since the first, that ends a straight walk.
+        A straight walk ends when the heading differs from that of the last two windows by more than `corner_rad`, or
+        the direction of gravity from that of the first window by more than `tilted_rad`.
     straight_s : tuple of float
-        Shortest and longest straight walk that is one measurement. A window at each end is not used, because corners
-        are round. The turn in a straight walk does not grow with its length (0.15 to 0.2 rad between 4 and 70 s on
-        paths outdoors), so a longer walk determines the bias better.
+        Shortest and longest straight walk that is one measurement, s. The window at each end is not used, because
+        corners are rounded. The turn within a straight walk does not grow with its length (0.15 to 0.2 rad between 4
+        and 70 s on outdoor paths), so a longer walk determines the bias better.
     straight_again_s : float
-        A walk that goes on without a corner is measured again only so much later: a curve looks the same all along.
+        Time until a walk that continues without a corner is measured again, s. A curve looks the same along its whole
+        length, so that consecutive measurements would not be independent.
     straight_turn_rad : float
-        How far somebody turns (standard deviation) in a straight walk, whatever its length.
+        Standard deviation of the turn within a straight walk of any length, rad.
     straight_outlier_prob, curve_radps : float
-        Probability that a walk is curved, and the standard deviation of the curve. At most 7 % of the straight walks of
-        sisfall, motionsense, terrain and oxiod turn by more than 0.6 rad.
+        Probability that a walk is curved, and the standard deviation of the rate of turn in the curve, rad/s. At most 7
+        % of the straight walks of sisfall, motionsense, terrain and oxiod turn by more than 0.6 rad.
     field_memory_s : float
-        Time constant of the mean and the scatter of the field.
+        Time constant of the mean and scatter of the magnetic field, s.
     field_correlation_s : float
-        How long a disturbance lasts while somebody walks past it: windows closer than that are not independent.
+        Duration of a disturbance while the pedestrian passes its source, s. Windows closer together are not
+        independent.
     field_scatter_weight : float
-        Variance of the direction for the variance of the field's parts, relative to the horizontal field.
+        Factor from the variance of the field components, relative to the squared horizontal field, to the variance of
+        the direction.
     field_std_rad : float
-        Of the direction in an undisturbed field: attitude and calibration.
+        Standard deviation of the direction in an undisturbed field, rad, due to attitude and calibration.
     field_walk_rad_per_sqrt_s : float
-        Random walk of the field's direction from place to place: in buildings it was seen to turn by 0.7 rad along
-        a corridor of a minute, smoothly and with hardly a change of its size.
+        Random walk of the direction of the field from place to place, rad per square root of a second. In buildings it
+        was seen to turn by 0.7 rad along a corridor of one minute, smoothly and with almost constant magnitude.
     field_jump_rad, field_jump_scatter : float
-        After a larger change since the last window the direction starts again: no bias does that. Nor is it a jump
-        within so many standard deviations of the field's scatter: who circles among iron furniture sees the same
-        field again, and it tells the drift from lap to lap.
+        The field direction starts again after a change between two windows of more than `field_jump_rad`, because no
+        bias causes it. The change must also exceed `field_jump_scatter` standard deviations of the scatter of the
+        field. A pedestrian who walks in circles among iron furniture passes the same field in each lap, and the
+        repeated field shows the drift from lap to lap.
     field_outlier_prob : float
-        How often the direction is anything.
+        Probability that the direction of the field is uniformly distributed.
     """
 
     window_s: float = 1.0
@@ -204,14 +292,17 @@ class GyroBias:
         check_numbers(self, zero=off, infinite=("walking_acc_mps2",))
         if len(self.prior_std_radps) != len(self.prior_prob) or not self.prior_prob:
             raise ValueError(
-                f"prior_std_radps and prior_prob must be equally long, got {len(self.prior_std_radps)} and "
-                f"{len(self.prior_prob)}"
+                "prior_std_radps and prior_prob must be equally long and not empty, got "
+                f"{len(self.prior_std_radps)} and {len(self.prior_prob)} values: give one probability for each "
+                "standard deviation"
             )
         if len(self.straight_s) != 2 or self.straight_s[0] > self.straight_s[1]:
-            raise ValueError(f"straight_s must be the shortest and the longest time, got {self.straight_s}")
+            raise ValueError(
+                f"straight_s must be (shortest, longest) in seconds, got {self.straight_s}: put the shorter time first"
+            )
 
     def init(self) -> GyroBiasState:
-        """State before the first window: the prior."""
+        """Return the state before the first window, which is the prior."""
         covs = [std**2 * np.eye(3) for std in self.prior_std_radps]
         means, prob = [np.zeros(3) for _ in covs], np.array(self.prior_prob)
         if self.device is not None:
@@ -226,25 +317,26 @@ class GyroBias:
         )
 
     def after_gap(self, state: GyroBiasState) -> GyroBiasState:
-        """State that keeps the bias and forgets what the windows before a time without samples were."""
+        """Return the state after a time without samples, which keeps the bias and forgets the earlier windows."""
         return replace_unchecked(state, n_still=0, walk=None, field=None, field_tracked=False, n_field_outliers=0)
 
     def update(self, state: GyroBiasState, window: BiasWindow) -> GyroBiasState:
-        """State after one more window, whose heading was corrected with the bias of the state before."""
+        """Return the state after a window whose heading was corrected with the bias of the given state."""
         if not window.angular_rate_known:
             return self.after_gap(state)
         correction_rad = self.window_s * _dot(window.up_sensor, state.bias_radps)
         bank = _predict(self, (state.mean, state.cov, state.log_weight), window.up_sensor, correction_rad)
-        # an angular rate about up lowers the heading, and so does its bias: without the correction it was so much less
+        # A positive angular rate about up decreases the clockwise heading, and so does a positive bias. Subtracting the
+        # correction gives the uncorrected heading, at the middle of the window.
         measured_rad = window.heading_rad - (state.corrected_rad + 0.5 * correction_rad)
-        bank, n_still = self._see_still(bank, state.n_still, window)
-        bank, walk = self._see_walk(bank, state.walk, window, measured_rad)
-        bank, field, field_tracked, n_field_outliers = self._see_field(bank, state, window)
+        bank, n_still = self._update_still(bank, state.n_still, window)
+        bank, walk = self._update_walk(bank, state.walk, window, measured_rad)
+        bank, field, field_tracked, n_field_outliers = self._update_field(bank, state, window)
         mean, cov, log_weight = bank
-        # The estimate uses the straight walk as far as it has come. It enters the bank once, when it ends: otherwise
-        # all of its information would arrive at one moment, and move the track by metres there.
+        # The estimate already uses the unfinished straight walk, although the walk enters the bank only when it ends.
+        # Otherwise all its information would arrive at one moment, and the track would jump by metres.
         estimate = self._measure_walk(bank, walk)
-        of_all, cov_of_all = _mixture(estimate)
+        state_mean, state_cov = _mixture(estimate)
         error_rad, error_var_rad2 = _direction(estimate)
         before = self._measure_walk((state.mean, state.cov, state.log_weight), state.walk)
         _, predicted_var_rad2 = _direction(_predict(self, before, window.up_sensor, correction_rad))
@@ -254,8 +346,8 @@ class GyroBias:
             mean=mean,
             cov=cov,
             log_weight=log_weight,
-            bias_radps=of_all[_BIAS].copy(),
-            bias_cov_radps2=cov_of_all[_BIAS, _BIAS].copy(),
+            bias_radps=state_mean[_BIAS].copy(),
+            bias_cov_radps2=state_cov[_BIAS, _BIAS].copy(),
             heading_error_rad=error_rad,
             heading_error_var_rad2=error_var_rad2,
             heading_lost_var_rad2=state.heading_lost_var_rad2 + lost_rad2,
@@ -268,14 +360,19 @@ class GyroBias:
         )
 
     def learnt(self, state: GyroBiasState, error_rad: float = 0.0, error_var_rad2: float = math.inf) -> Device:
-        """What is known of the phone; where something else has shown the error of the heading, from that too."""
+        """Return the bias and its covariance for the next recording of the phone.
+
+        `error_rad` is a measurement of the heading error from another source, such as the axes of a building. An
+        infinite variance means that there is none.
+        """
         bank = state.mean, state.cov, state.log_weight
         if math.isfinite(error_var_rad2):
-            bank, _ = _update(bank, _OF_ERROR, error_rad - state.mean[:, _ERROR], error_var_rad2, 1e-9, 0.0)
+            bank, _ = _update(bank, _H_ERROR, error_rad - state.mean[:, _ERROR], error_var_rad2, 1e-9, 0.0)
         bias, bias_cov = _mixture(bank)
         return Device(bias[_BIAS].copy(), bias_cov[_BIAS, _BIAS].copy())
 
-    def _see_still(self, bank: _Bank, n_still: int, window: BiasWindow) -> tuple[_Bank, int]:
+    def _update_still(self, bank: _Bank, n_still: int, window: BiasWindow) -> tuple[_Bank, int]:
+        """Return the bank updated with a window if it is still, and the number of consecutive still windows."""
         is_still = (
             window.angular_rate_std_radps < self.still_gyr_radps
             and _dot(window.angular_rate_radps, window.angular_rate_radps) < self.still_max_radps**2
@@ -287,23 +384,24 @@ class GyroBias:
             std = self.still_std_radps + self.still_std_share * window.angular_rate_std_radps
             rate = window.angular_rate_radps
             innovation, noise = rate - bank[0][:, _BIAS], std**2 * np.eye(3)
-            turn = noise + self.turning_radps**2 * window.up_sensor[:, None] * window.up_sensor
+            rotating_noise = noise + self.turning_radps**2 * window.up_sensor[:, None] * window.up_sensor
             odds = self.even_turn_prob / (1.0 - self.even_turn_prob)
-            if _likelihood(bank, innovation, noise) < odds * _likelihood(bank, innovation, turn):
-                noise = turn
-            otherwise = _outlier_log_density(_dot(rate, rate), 3, self.turning_radps)
-            bank = _update_bias(bank, innovation, noise, self.still_outlier_prob, otherwise)
+            if _likelihood(bank, innovation, noise) < odds * _likelihood(bank, innovation, rotating_noise):
+                noise = rotating_noise
+            outlier = _outlier_log_density(_dot(rate, rate), 3, self.turning_radps)
+            bank = _update_bias(bank, innovation, noise, self.still_outlier_prob, outlier)
         return bank, n_still + 1
 
-    def _see_walk(
+    def _update_walk(
         self, bank: _Bank, walk: StraightWalk | None, window: BiasWindow, measured_rad: float
     ) -> tuple[_Bank, StraightWalk | None]:
+        """Return the bank and the straight walk after a window; a walk that ends updates the bank."""
         if window.specific_force_std_mps2 < self.walking_acc_mps2:
             return self._measure_walk(bank, walk), None
         if walk is not None:
             late = walk.heading_rad
             is_corner = abs(window.heading_rad - sum(late) / len(late)) > self.corner_rad
-            # held in another way, the phone points somewhere else
+            # After a tilt the phone is held in another way, and its heading is not comparable to earlier ones.
             if is_corner or _dot(walk.up_sensor, window.up_sensor) < math.cos(self.tilted_rad):
                 bank, walk = self._measure_walk(bank, walk), None
         if walk is None:
@@ -318,7 +416,11 @@ class GyroBias:
         return bank, walk
 
     def _measure_walk(self, bank: _Bank, walk: StraightWalk | None) -> _Bank:
-        """The slope of the uncorrected heading, without the first and the last window, is the bias."""
+        """Return the bank updated with a straight walk, or unchanged if the walk is too short.
+
+        The negative slope of the uncorrected heading, without the first and the last window, measures the bias about
+        up.
+        """
         n = 0 if walk is None else len(walk.measured_rad) - 2
         if walk is None or n * self.window_s < self.straight_s[0]:
             return bank
@@ -326,15 +428,18 @@ class GyroBias:
         from_centre_s = (np.arange(n) - 0.5 * (n - 1)) * self.window_s
         rate_radps = -float((from_centre_s * measured_rad).sum() / (from_centre_s * from_centre_s).sum())
         variance = (self.straight_turn_rad / (n * self.window_s)) ** 2
-        of_rate = np.array([*up, 0.0, 0.0])
-        otherwise = _outlier_log_density(rate_radps**2, 1, self.curve_radps)
-        seen = rate_radps - bank[0].dot(of_rate)
-        return _update(bank, of_rate, seen, variance, self.straight_outlier_prob, otherwise)[0]
+        h = np.array([*up, 0.0, 0.0])
+        outlier = _outlier_log_density(rate_radps**2, 1, self.curve_radps)
+        innovation = rate_radps - bank[0].dot(h)
+        return _update(bank, h, innovation, variance, self.straight_outlier_prob, outlier)[0]
 
-    def _see_field(
+    def _update_field(
         self, bank: _Bank, state: GyroBiasState, window: BiasWindow
     ) -> tuple[_Bank, FieldScatter | None, bool, int]:
-        """The bank, and what is known of the field: scatter, whether it is tracked, and outliers in a row."""
+        """Return the bank updated with the field direction of a window, and the new state of the field.
+
+        The state of the field is its scatter, whether its direction is tracked, and the number of consecutive outliers.
+        """
         if not window.magnetic_field_known:
             return bank, None, False, 0
         east, north, up = window.magnetic_field_ut.tolist()
@@ -343,28 +448,28 @@ class GyroBias:
         field, variance_ut2 = self._scatter(before, math.hypot(east, north), up, direction_rad)
         if field.n_windows * self.window_s < self.field_correlation_s:
             return bank, field, state.field_tracked, state.n_field_outliers
-        # the variance of a mean of correlated samples
-        independent = 2 * self.field_correlation_s / self.window_s
+        # Windows within twice the correlation time carry the information of one, so the variance is that much larger.
+        inflation = 2 * self.field_correlation_s / self.window_s
         horizontal_ut = max(field.horizontal_ut, 1.0)
         scatter = self.field_scatter_weight * variance_ut2 / horizontal_ut**2
-        variance = independent * (scatter + self.field_std_rad**2)
+        variance = inflation * (scatter + self.field_std_rad**2)
         mean, _, _ = bank
         change_rad = 0.0 if before is None else float(_wrapped(direction_rad - before.direction_rad, 2 * math.pi))
         jump_rad = max(self.field_jump_rad, self.field_jump_scatter * math.sqrt(variance_ut2) / horizontal_ut)
         if state.field_tracked and abs(change_rad) < jump_rad:
-            seen = _wrapped(direction_rad - mean[:, _FIELD], 2 * math.pi)
-            otherwise = _uniform_log_density(2 * math.pi)
-            bank, inlier_prob = _update(bank, _OF_FIELD, seen, variance, self.field_outlier_prob, otherwise)
+            innovation = _wrapped(direction_rad - mean[:, _FIELD], 2 * math.pi)
+            outlier = _uniform_log_density(2 * math.pi)
+            bank, inlier_prob = _update(bank, _H_FIELD, innovation, variance, self.field_outlier_prob, outlier)
             n_outliers = state.n_field_outliers + 1 if inlier_prob < 0.5 else 0
             if n_outliers * self.window_s < 2 * self.field_correlation_s:
                 return bank, field, True, n_outliers
-            # another place, another field: start again
+            # Persistent outliers mean that the field differs at this place: start again.
         return _restarted(bank, _FIELD, direction_rad, variance), field, True, 0
 
     def _scatter(
         self, field: FieldScatter | None, horizontal_ut: float, up_ut: float, direction_rad: float
     ) -> tuple[FieldScatter, float]:
-        """Mean and scatter with this window, and the variance to assume for it."""
+        """Return the mean and scatter of the field updated with a window, and the variance for this window."""
         if field is None:
             return FieldScatter(1, horizontal_ut, up_ut, 0.0, direction_rad), 0.0
         n = field.n_windows + 1
@@ -376,33 +481,38 @@ class GyroBias:
         return FieldScatter(n, *mean_ut, variance_ut2, direction_rad), variance_ut2 + own_ut2
 
     @cached_property
-    def wander_cov(self) -> FloatArray:
-        """Covariance (5, 5) that a window adds."""
-        of_bias, of_field = self.walk_radps_per_sqrt_s**2, self.field_walk_rad_per_sqrt_s**2
-        return self.window_s * np.diag((of_bias, of_bias, of_bias, of_field, 0.0))
+    def process_noise(self) -> FloatArray:
+        """Process noise covariance of one window, shape (5, 5)."""
+        bias_var, field_var = self.walk_radps_per_sqrt_s**2, self.field_walk_rad_per_sqrt_s**2
+        return self.window_s * np.diag((bias_var, bias_var, bias_var, field_var, 0.0))
 
 
 _Bank = tuple[FloatArray, FloatArray, FloatArray]  # means, covariances, log weights
-# A filter is not written off for good: later measurements may speak for it.
+# Lower bound of the log weights, so that later measurements can still raise the weight of a filter.
 _MIN_LOG_WEIGHT = -12.0
 
 
 def _predict(bias: GyroBias, bank: _Bank, up_sensor: FloatArray, correction_rad: float) -> _Bank:
-    """The bank one window later (docs/methods/attitude.md); headings turn clockwise, the bias does not."""
+    """Return the bank predicted over one window (equations in docs/methods/attitude.md).
+
+    `correction_rad` is the turn by which the bias estimate in use corrects the heading. Headings are clockwise, the
+    bias is counter-clockwise.
+    """
     mean, cov, log_weight = bank
     transition = _IDENTITY.copy()
     transition[_HEADINGS, _BIAS] = -bias.window_s * up_sensor
     mean = mean.dot(transition.T)
     mean[:, _HEADINGS] += correction_rad
-    return mean, transition @ cov @ transition.T + bias.wander_cov, log_weight
+    return mean, transition @ cov @ transition.T + bias.process_noise, log_weight
 
 
 def _update(
     bank: _Bank, h: FloatArray, innovation: FloatArray, variance: float, outlier_prob: float, outlier_log_density: float
 ) -> tuple[_Bank, float]:
-    """The bank after a measurement of a number h x, (5,), and the probability that it is no outlier.
+    """Return the bank after a scalar measurement h' x with a possible outlier, and the probability of an inlier.
 
-    Innovations are (M,). g = P h, S = h' g + `variance` (`values.mixtures.possible_outlier`).
+    `h` is (5,), `innovation` (M,). With P the covariance of a filter, g = P h and S = h' g + `variance`
+    (`values.mixtures.possible_outlier`).
     """
     mean, cov, log_weight = bank
     g = cov @ h
@@ -421,7 +531,11 @@ def _update(
 def _update_bias(
     bank: _Bank, innovation: FloatArray, noise: FloatArray, outlier_prob: float, outlier_log_density: float
 ) -> _Bank:
-    """The bank after a measurement of the bias: the same for innovations (M, 3), R = `noise` (3, 3)."""
+    """Return the bank after a measurement of the bias (3,) with a possible outlier.
+
+    Innovations are (M, 3), and the measurement noise R = `noise` is (3, 3). The equations are those of `_update` for a
+    vector.
+    """
     mean, cov, log_weight = bank
     hp = cov[:, _BIAS]
     inverse, log_density = _predicted(hp, innovation, noise)
@@ -431,20 +545,20 @@ def _update_bias(
     gain = np.swapaxes(hp, 1, 2) @ inverse
     shift = (gain @ innovation[:, :, None])[:, :, 0]
     mean = mean + inlier[:, None] * shift
-    doubt = ((inlier * (1.0 - inlier))[:, None] * shift)[:, :, None] * shift[:, None, :]
-    cov = cov - (inlier[:, None, None] * gain) @ hp + doubt
+    spread = ((inlier * (1.0 - inlier))[:, None] * shift)[:, :, None] * shift[:, None, :]
+    cov = cov - (inlier[:, None, None] * gain) @ hp + spread
     return mean, 0.5 * (cov + np.swapaxes(cov, 1, 2)), _relative(log_weight + log_both)
 
 
 def _relative(log_weight: FloatArray) -> FloatArray:
-    """Log weights whose largest is 0."""
+    """Return log weights shifted so that the largest is 0, and bounded below by `_MIN_LOG_WEIGHT`."""
     return np.maximum(log_weight - np.maximum.reduce(log_weight), _MIN_LOG_WEIGHT)
 
 
 def _predicted(hp: FloatArray, innovation: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Inverse of the covariance (M, 3, 3) of innovations of the bias, and their log densities (M,) but for a constant.
+    """Return the inverse innovation covariances (M, 3, 3) of a bias measurement, and its log densities (M,).
 
-    `hp` (M, 3, 5) are the rows of the bias in the covariances.
+    The log densities lack a common constant. `hp` (M, 3, 5) holds the rows of the bias in the covariances.
     """
     inverse = np.asarray(np.linalg.inv(hp[:, :, _BIAS] + noise), dtype=np.float64)
     log_det = np.log(np.linalg.det(inverse))
@@ -453,14 +567,14 @@ def _predicted(hp: FloatArray, innovation: FloatArray, noise: FloatArray) -> tup
 
 
 def _likelihood(bank: _Bank, innovation: FloatArray, noise: FloatArray) -> float:
-    """Density of a measurement of the bias over the bank, but for a constant."""
+    """Return the likelihood of a measurement of the bias under the whole bank, up to a constant factor."""
     _, cov, log_weight = bank
     _, log_density = _predicted(cov[:, _BIAS], innovation, noise)
     return float(np.exp(log_weight + log_density).sum())
 
 
 def _restarted(bank: _Bank, index: int, start: float, variance: float) -> _Bank:
-    """The bank with one state as just measured, independent of the others."""
+    """Return the bank with one element of the state reset to a measured value, independent of the other elements."""
     mean, cov = bank[0].copy(), bank[1].copy()
     mean[:, index] = start
     cov[:, index, :] = 0.0
@@ -470,31 +584,33 @@ def _restarted(bank: _Bank, index: int, start: float, variance: float) -> _Bank:
 
 
 def _outlier_log_density(square: float, n: int, std: float) -> float:
-    """Logarithm of a normal density in n dimensions, with the constant left out that `_update` leaves out."""
+    """Return the log density of a normal distribution in n dimensions, without the constant that `_update` omits."""
     return -0.5 * square / std**2 - n * math.log(std)
 
 
 def _uniform_log_density(width: float) -> float:
+    """Return the log density of a uniform distribution, shifted by the constant that `_update` omits."""
     return 0.5 * math.log(2 * math.pi) - math.log(width)
 
 
 def _wrapped(angle_rad: FloatArray | float, period_rad: float) -> FloatArray:
+    """Return an angle wrapped to half a period on either side of zero."""
     return angle_rad - period_rad * np.rint(angle_rad / period_rad)
 
 
 def _mixture(bank: _Bank) -> tuple[FloatArray, FloatArray]:
-    """Mean (5,) and covariance (5, 5) over the bank."""
+    """Return the mean (5,) and covariance (5, 5) of the mixture of all filters of a bank."""
     mean, cov, log_weight = bank
     weight = np.exp(log_weight)
     return combine(mean, cov, weight / np.add.reduce(weight))
 
 
 def _direction(bank: _Bank) -> tuple[float, float]:
-    """Return the heading error of the mixture and its variance, both on the circle.
+    """Return the heading error of the mixture and its variance, both computed on the circle.
 
-    The resultant of wrapped normal distributions is r = sum_j w_j exp(i m_j - P_j / 2); the error is its direction,
-    with the turns of the most probable filter, and the variance -2 log |r|, that of a uniform heading at most. The
-    linear mean of errors of 0 and 7 rad is a direction that no filter has; its variance says nothing of a circle.
+    The resultant of wrapped normal distributions is r = sum_j w_j exp(i m_j - P_j / 2). The error is the direction of
+    r, with the number of full turns of the most probable filter. The variance is -2 log |r|, at most that of a uniform
+    heading. Linear moments would be wrong: the linear mean of errors of 0 and 7 rad is a direction that no filter has.
     """
     mean, cov, log_weight = bank
     error = mean[:, _ERROR]
@@ -506,5 +622,6 @@ def _direction(bank: _Bank) -> tuple[float, float]:
 
 
 def _dot(a: FloatArray, b: FloatArray) -> float:
+    """Return the dot product of two vectors (3,) in plain floats, which is faster than NumPy."""
     (x, y, z), (u, v, w) = a.tolist(), b.tolist()
     return x * u + y * v + z * w

@@ -1,7 +1,7 @@
-"""Causal filters that several stages share: how they are designed, how they start and how late they are.
+"""Causal filters that several stages share: their design, initial conditions and delays.
 
-SciPy's signal processing is loaded by the first recursive filter: it takes longer to import than all of a filter that
-has none, as the default.
+SciPy's signal processing is imported by the first recursive filter, because the import takes longer than a whole filter
+without recursive filters, such as the default one.
 """
 
 from __future__ import annotations
@@ -12,21 +12,25 @@ from pdr_filter.values import FloatArray
 
 
 def butterworth(order: int, cutoff_hz: float, rate_hz: float) -> FloatArray:
-    """Second-order sections of a Butterworth low-pass."""
+    """Return the second-order sections of a Butterworth low-pass.
+
+    Raises ValueError if the cutoff is not between 0 and half the rate.
+    """
     from scipy.signal import butter
 
     if not 0 < cutoff_hz < 0.5 * rate_hz:
         raise ValueError(
-            f"low_pass_hz must be below half the rate, got {cutoff_hz} at {rate_hz} Hz: resample to a higher rate or "
-            "lower the cutoff"
+            f"low_pass_hz must be positive and below half the rate, got {cutoff_hz} at {rate_hz} Hz: lower the cutoff "
+            "or resample to a higher rate"
         )
     return np.asarray(butter(order, cutoff_hz, fs=rate_hz, output="sos"))
 
 
 def filtered(sos: FloatArray, rows: FloatArray, zi: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-    """Filtered rows (R, N) and the new memory (n_sections, R, 2); without a memory these are the first samples.
+    """Return the filtered rows (R, N) and the new filter state (n_sections, R, 2).
 
-    What was before the first sample is assumed to be like it: a zero there would look like a blow.
+    `zi` is the state after the previous samples. None means that these are the first samples: the filter then starts in
+    the steady state of the first value, because a start at zero would act as an impulse.
     """
     from scipy.signal import sosfilt, sosfilt_zi
 
@@ -35,7 +39,10 @@ def filtered(sos: FloatArray, rows: FloatArray, zi: FloatArray | None) -> tuple[
 
 
 def phase_delay_s(sos: FloatArray, frequency_hz: FloatArray, rate_hz: float) -> FloatArray:
-    """How much later a sinusoid leaves the filter, (F,), s; frequencies so close that the phase can be unwrapped."""
+    """Return the phase delay of a filter at frequencies (F,), in s.
+
+    The frequencies must be close enough together for the phase to be unwrapped.
+    """
     from scipy.signal import sosfreqz
 
     response = np.asarray(sosfreqz(sos, worN=frequency_hz, fs=rate_hz)[1])
@@ -43,10 +50,11 @@ def phase_delay_s(sos: FloatArray, frequency_hz: FloatArray, rate_hz: float) -> 
 
 
 def low_pass_kernel(cutoff_hz: float, rate_hz: float, length_s: float = 0.25) -> FloatArray:
-    """Linear-phase low-pass (Hamming window): symmetric, odd length, unit gain at rest.
+    """Return a symmetric linear-phase low-pass kernel (Hamming window) of odd length with unit gain at zero frequency.
 
-    The default of 0.25 s rolls off within 13 Hz: it joins the two humps of one step and keeps the harmonics of the
-    next. h_k = w_k sin(2 pi f_c k) / k about the middle, w the Hamming window: `scipy.signal.firwin`, bit by bit.
+    The default length of 0.25 s gives a transition band of 13 Hz. It merges the two maxima within one step and keeps
+    the harmonics of steps. The kernel is h_k = w_k sin(2 pi f_c k) / k about the middle with the Hamming window w. It
+    equals `scipy.signal.firwin` bit by bit.
     """
     half = round(0.5 * length_s * rate_hz)
     share = min(cutoff_hz, 0.45 * rate_hz) / (0.5 * rate_hz)
@@ -56,16 +64,17 @@ def low_pass_kernel(cutoff_hz: float, rate_hz: float, length_s: float = 0.25) ->
 
 
 def with_unit_gain(kernel: FloatArray, frequency_hz: float, rate_hz: float) -> FloatArray:
-    """A symmetric kernel of odd length, scaled to unit gain at a frequency."""
+    """Return a symmetric kernel of odd length, scaled to unit gain at `frequency_hz`."""
     offset_s = (np.arange(len(kernel)) - len(kernel) // 2) / rate_hz
     return np.asarray(kernel / np.sum(kernel * np.cos(2 * np.pi * frequency_hz * offset_s)))
 
 
 def running_sums(rows: FloatArray, n: int) -> FloatArray:
-    """Sums of n values in a row, (..., N - n + 1) of rows (..., N), each added up in the same order.
+    """Return the sums of n consecutive values, shape (..., N - n + 1), for rows (..., N).
 
-    Of 1, 2, 4 ... values, each of two shorter ones; n is a sum of these. A box of 176 samples takes 9 additions, not
-    176, and unlike a cumulative sum nothing of what was before.
+    The sums of 2, 4, 8, ... values are each computed from two sums of half the length, and the sum of n values from
+    these by the binary digits of n. A box of 176 samples takes 9 additions instead of 176. Unlike the difference of two
+    cumulative sums, a result depends only on its own n values, which are always added in the same order.
     """
     size, start, n_sums = 1, 0, rows.shape[-1] - n + 1
     total: FloatArray = np.zeros((*rows.shape[:-1], n_sums))

@@ -1,15 +1,17 @@
-"""Streams of single sensors as they arrive, out of step and late, in; what `merge_streams` gives on all of them, out.
+"""Merge the streams of single sensors, which arrive late and out of step, into the samples of `merge_streams`.
 
-A sample of the accelerometer waits until the other sensors have passed its time; then it leaves with their values
-there, the same bits that the finished recording gives. Times of the samples are the only clock here:
+A sample of the accelerometer waits until the other sensors have passed its time. It is then released with their values
+at this time, bit by bit those that `merge_streams` gives for the finished recording. Only the times of the samples
+count, never a wall clock:
 
-- samples that come within `reorder_s` of the newest one of their sensor may come in any order;
-- where more than `max_gap_s` of a sensor, and more than 2.5 usual intervals, are missing, what came after waits until
-  it spans `wait_s`: a message that was overtaken fills the hole;
-- a sensor that is more than `wait_s` behind the accelerometer is silent, and nobody waits for it any more;
-- what may leave is looked at when a sensor has come `bunch_s` further: once for some samples that come one by one;
-- samples of the accelerometer whose time has left are late, and dropped. A minute of late ones alone is a clock that
-  was set back: everything starts afresh, and `sensing.clock` follows it.
+- Samples of one sensor may arrive in any order within `reorder_s` of the newest.
+- If a sensor has a hole of more than `max_gap_s` and of more than 2.5 usual intervals, the later samples wait until
+  they span `wait_s`, because an overtaken message may still fill the hole.
+- A sensor that is more than `wait_s` behind the accelerometer is silent, and the merger no longer waits for it.
+- Samples are released only after a sensor has advanced by `bunch_s`, so that samples that arrive one by one are
+  processed in small groups.
+- Samples of the accelerometer that arrive after later ones were released are late, and are dropped. If only late
+  samples arrive for a minute, the clock was set back. The merger then restarts, and `sensing.clock` follows the clock.
 """
 
 from __future__ import annotations
@@ -28,85 +30,125 @@ from pdr_filter.values.limits import GAP_INTERVALS
 Sensor = Literal["accelerometer", "gyroscope", "magnetometer", "barometer"]
 SENSORS: tuple[Sensor, ...] = get_args(Sensor)
 _COLUMNS = {"accelerometer": 3, "gyroscope": 3, "magnetometer": 3, "barometer": 1}
-# Rows that wait for each sensor at most: twice `wait_s` of the fastest phones, 2000 Hz.
+# Largest number of buffered rows of each sensor: twice `wait_s` at the rate of the fastest phones, 2000 Hz.
 _MAX_ROWS = 20_000
-# Late samples over so long, without one in time between, are a clock that was set back. Less may be a backlog that is
-# sent again after the network was away.
+# Time spanned by uninterrupted late samples, in s, that shows a backward clock jump. A shorter span may be a backlog
+# that is sent again after a network failure.
 _SET_BACK_S = 60.0
-# Samples from which the rate of a sensor is measured.
+# Number of recent samples from which the rate of a sensor is estimated.
 _RATE_SAMPLES = 64
 
 
 @dataclass(frozen=True, eq=False)
 class StreamState:
-    """One sensor: what waits or is still needed, in order of time, and what has come."""
+    """Buffer of one sensor.
 
-    rows: FloatArray  # (N, 1 + d)
-    recent_s: FloatArray = field(default_factory=lambda: np.empty(0))  # times of the last rows, as they came
+    Attributes
+    ----------
+    rows : FloatArray
+        Times and values of the samples that wait or are still needed, in order of time, shape (N, 1 + d).
+    recent_s : FloatArray
+        Times of the last samples in the order of their arrival, s.
+    n_received : int
+        Samples received.
+    n_late : int
+        Samples dropped because they repeat an earlier time, or arrived after later ones were released.
+    """
+
+    rows: FloatArray
+    recent_s: FloatArray = field(default_factory=lambda: np.empty(0))
     n_received: int = 0
-    n_late: int = 0  # rows that came when their time had left, or came again
+    n_late: int = 0
 
     @property
     def last_s(self) -> float:
-        """Time of the last row that came."""
+        """Time of the last sample that arrived, s; -inf before the first."""
         return float(self.recent_s[-1]) if len(self.recent_s) else -np.inf
 
     @property
     def rate_hz(self) -> float:
-        """As it arrives: 1 / median interval; NaN before the second sample."""
+        """Rate of the sensor, Hz: the reciprocal of the median interval. NaN before the second sample."""
         intervals_s = np.diff(np.unique(self.recent_s))
         return float(1.0 / np.median(intervals_s)) if len(intervals_s) else np.nan
 
 
 @dataclass(frozen=True, eq=False)
 class MergerState:
-    """The sensors, in the order of `SENSORS`, and how far they are merged."""
+    """Buffers of all sensors, and the times up to which samples were released.
+
+    Attributes
+    ----------
+    streams : tuple of StreamState
+        Buffers in the order of `SENSORS`.
+    first_s : float
+        Smallest time of the accelerometer, s. NaN before its first sample.
+    released_s : float
+        Time of the last released sample of the accelerometer, s.
+    pressure_s : float
+        Time of the last released sample of the barometer, s.
+    looked_s : tuple of float
+        Last time of each sensor when the merger last checked which samples can be released, s.
+    late_s : tuple of float
+        Smallest and largest time of the late samples of the accelerometer since its last sample in time, s. NaN if
+        there are none.
+    """
 
     streams: tuple[StreamState, ...]
-    first_s: float = np.nan  # of the accelerometer
-    released_s: float = -np.inf  # of the accelerometer, the last that left
-    pressure_s: float = -np.inf  # of the barometer, the last that left
-    looked_s: tuple[float, ...] = len(SENSORS) * (-np.inf,)  # how far each had come when it was seen what may leave
-    late_s: tuple[float, float] = (np.nan, np.nan)  # first and largest time of late rows without one in time between
+    first_s: float = np.nan
+    released_s: float = -np.inf
+    pressure_s: float = -np.inf
+    looked_s: tuple[float, ...] = len(SENSORS) * (-np.inf,)
+    late_s: tuple[float, float] = (np.nan, np.nan)
 
     def stream(self, sensor: Sensor) -> StreamState:
-        """That of a sensor."""
+        """Return the buffer of a sensor."""
         return self.streams[SENSORS.index(sensor)]
 
     @property
     def has_received(self) -> bool:
-        """Whether any samples came."""
+        """True if any sensor has received samples."""
         return any(stream.n_received for stream in self.streams)
 
     @property
     def is_used(self) -> bool:
-        """Whether samples of the accelerometer came through here."""
+        """True if the merger has received samples of the accelerometer."""
         return self.stream("accelerometer").n_received > 0
 
 
 class Merged(NamedTuple):
-    """What may leave: samples of a barometer, to be given first, and the others at the times of the accelerometer."""
+    """Released samples. Pass the pressures to the filter before the inertial samples.
 
-    pressure_time_s: FloatArray  # (B,)
-    pressure_hpa: FloatArray  # (B,)
+    Attributes
+    ----------
+    pressure_time_s : FloatArray
+        Times of the barometer samples, shape (B,), s.
+    pressure_hpa : FloatArray
+        Pressures, shape (B,), hPa.
+    block : ImuBlock
+        Samples of the accelerometer with the other sensors interpolated at their times.
+    """
+
+    pressure_time_s: FloatArray
+    pressure_hpa: FloatArray
     block: ImuBlock
 
 
 @dataclass(frozen=True)
 class StreamMerger:
-    """Merges streams; see the module.
+    """Causal stage that merges separately arriving streams; the rules are in the docstring of the module.
 
     Parameters
     ----------
-    wait_s : float
-        How late a sample may be, on the time of the samples, and how long a silent sensor is waited for.
-    reorder_s : float
-        How far a sample may be behind a later one of its sensor; all wait so long. For messages over a network that may
-        overtake each other, as much as one of them holds, or put them in order before.
-    bunch_s : float
-        How much later than it could a sample may leave.
-    max_gap_s : float
-        As of `merge_streams`.
+    wait_s : float, default 5
+        Largest delay of a sample against the accelerometer, on the clock of the samples, s. After this time a silent
+        sensor is no longer waited for.
+    reorder_s : float, default 0.1
+        Largest time by which a sample may be behind a later one of its sensor, s. All samples are delayed by this time.
+        For messages over a network that can overtake each other, use the duration of one message, or sort them first.
+    bunch_s : float, default 0.05
+        Largest additional delay of a released sample, s.
+    max_gap_s : float, default 0.3
+        Longest interpolated interval, s, as in `merge_streams`.
     """
 
     wait_s: float = 5.0
@@ -118,25 +160,28 @@ class StreamMerger:
         check_numbers(self, zero=("reorder_s", "bunch_s"))
 
     def init(self) -> MergerState:
-        """State before the first sample."""
+        """Return the state before the first sample."""
         return MergerState(tuple(StreamState(np.empty((0, 1 + _COLUMNS[sensor]))) for sensor in SENSORS))
 
     def update(
         self, state: MergerState, sensor: Sensor, time_s: FloatArray, values: FloatArray
     ) -> tuple[MergerState, Merged]:
-        """New state, and what may leave after samples (N,), (N, d) of one sensor."""
+        """Return the new state and the released samples after samples (N,), (N, d) of one sensor."""
         return self.together(state, {sensor: (time_s, values)})
 
     def together(
         self, state: MergerState, samples: Mapping[Sensor, tuple[FloatArray, FloatArray]]
     ) -> tuple[MergerState, Merged]:
-        """New state, and what may leave after samples (N,), (N, d) of several sensors that arrive in one message."""
-        for sensor in SENSORS:  # the accelerometer first, because its clock decides what the others are for
+        """Return the new state and the released samples after samples of several sensors that arrive in one message.
+
+        `samples` maps each sensor to its times (N,) and values (N, d).
+        """
+        for sensor in SENSORS:  # the accelerometer comes first, because its times decide which other samples are needed
             if sensor in samples:
-                state = self._arrived(state, sensor, np.column_stack(samples[sensor]))
+                state = self._buffered(state, sensor, np.column_stack(samples[sensor]))
         force = state.stream("accelerometer")
         further_s = [abs(state.stream(s).last_s - state.looked_s[SENSORS.index(s)]) for s in samples]
-        # a clock that stands still comes no further, but its samples may not wait without end
+        # With a clock that stands still no sensor advances, so the size of the buffer also triggers a release.
         if all(s < self.bunch_s for s in further_s) and len(force.rows) <= _MAX_ROWS:
             return state, _NOTHING
         state = replace_unchecked(state, looked_s=tuple(stream.last_s for stream in state.streams))
@@ -151,11 +196,11 @@ class StreamMerger:
         return self._released(state, max(n, len(force.rows) - _MAX_ROWS), passed_s["barometer"] - self.reorder_s)
 
     def finish(self, state: MergerState) -> tuple[MergerState, Merged]:
-        """New state, and all that still waits."""
+        """Return the new state and all samples that are still buffered."""
         return self._released(state, len(state.stream("accelerometer").rows), np.inf)
 
     def silent(self, state: MergerState) -> tuple[tuple[Sensor, float], ...]:
-        """The sensors that have fallen silent, with the time of their last sample."""
+        """Return the silent sensors, each with the time of its last sample."""
         newest_s = max(s.last_s for s in state.streams)
         return tuple(
             (name, stream.last_s)
@@ -163,15 +208,15 @@ class StreamMerger:
             if stream.n_received and newest_s - stream.last_s > self.wait_s
         )
 
-    def _arrived(self, state: MergerState, sensor: Sensor, new: FloatArray) -> MergerState:
-        """State in which rows wait; the late ones are dropped."""
+    def _buffered(self, state: MergerState, sensor: Sensor, new: FloatArray) -> MergerState:
+        """Return the state with new rows (N, 1 + d) of a sensor buffered in order of time and late rows dropped."""
         finite = np.isfinite(new)
         timed = new if finite.all() else new[finite[:, 0]]
         if sensor == "accelerometer":
-            state, kept = self._in_time(state, timed)
+            state, kept = self._without_late(state, timed)
             n_late = len(timed) - len(kept)
         else:
-            # between two samples both are needed, so that one without a value is none
+            # Interpolation needs both neighbours, so rows with a missing value are dropped.
             known = new[finite.all(axis=1)]
             kept = known[known[:, 0] > (state.pressure_s if sensor == "barometer" else state.released_s)]
             n_late = len(known) - len(kept)
@@ -190,10 +235,10 @@ class StreamMerger:
             n_received=stream.n_received + len(new),
             n_late=stream.n_late + n_late,
         )
-        return _with(state, sensor, stream)
+        return _with_stream(state, sensor, stream)
 
-    def _in_time(self, state: MergerState, rows: FloatArray) -> tuple[MergerState, FloatArray]:
-        """State, afresh if the clock was set back, and the rows of the accelerometer that are not late."""
+    def _without_late(self, state: MergerState, rows: FloatArray) -> tuple[MergerState, FloatArray]:
+        """Return the state, restarted if the clock was set back, and the accelerometer rows that are not late."""
         is_late = rows[:, 0] <= state.released_s
         if not is_late.any():
             if len(rows):
@@ -205,20 +250,20 @@ class StreamMerger:
             late_s = (float(np.fmin(begin_s, time_s)), float(np.fmax(end_s, time_s))) if late else _NO_LATE
             state = replace_unchecked(state, late_s=late_s)
             if late_s[1] - late_s[0] > _SET_BACK_S:
-                return self._in_time(self._afresh(state), rows[i:])
+                return self._without_late(self._restarted(state), rows[i:])
         return state, rows[~is_late]
 
-    def _afresh(self, state: MergerState) -> MergerState:
-        """State in which nothing waits, and all that has been counted."""
-        begun = zip(self.init().streams, state.streams, strict=True)
-        kept = (replace_unchecked(new, n_received=s.n_received, n_late=s.n_late) for new, s in begun)
+    def _restarted(self, state: MergerState) -> MergerState:
+        """Return the initial state with the counts of received and late samples kept."""
+        pairs = zip(self.init().streams, state.streams, strict=True)
+        kept = (replace_unchecked(new, n_received=s.n_received, n_late=s.n_late) for new, s in pairs)
         return MergerState(tuple(kept))
 
     def _n_whole(self, stream: StreamState, n: int, before_s: float, others_s: float = -np.inf) -> int:
-        """How many of the first n rows lie before the first hole that may still be filled.
+        """Return how many of the first n rows precede the first hole that may still be filled.
 
-        `before_s` is the last time before them, `others_s` how far the accelerometer has come, if they are of another
-        sensor.
+        `before_s` is the last time before these rows. For a sensor other than the accelerometer, `others_s` is the last
+        usable time of the accelerometer.
         """
         time_s = stream.rows[:n, 0]
         intervals_s = time_s.copy()
@@ -233,16 +278,17 @@ class StreamMerger:
         return int(waits[0]) if len(waits) else n
 
     def _passed_s(self, stream: StreamState, frontier_s: float) -> float:
-        """How far a sensor has come, of which nothing counts that is far ahead of the accelerometer."""
+        """Return the time up to which a sensor is complete, ignoring samples far ahead of the accelerometer."""
         time_s = stream.rows[:, 0]
         n = int(time_s.searchsorted(frontier_s + self.wait_s, side="right"))
         n = self._n_whole(stream, n, float(time_s[0]), frontier_s) if n else 0
-        # what comes before the first sample takes its value from the first two
+        # Values before the first sample are computed from the first two samples, so one sample is not enough. The
+        # barometer is not interpolated.
         interpolates = stream.rows.shape[1] > 2
         return float(time_s[n - 1]) if n > interpolates else -np.inf
 
     def _released(self, state: MergerState, n: int, pressure_until_s: float) -> tuple[MergerState, Merged]:
-        """State without the first rows of the accelerometer, which leave, and pressures up to a time."""
+        """Return the state and the released samples: the first n accelerometer rows, and pressures up to a time."""
         force, pressure = state.stream("accelerometer"), state.stream("barometer")
         due = int(pressure.rows[:, 0].searchsorted(pressure_until_s, side="right"))
         out = pressure.rows[:due][pressure.rows[:due, 0] > state.pressure_s]
@@ -257,15 +303,16 @@ class StreamMerger:
         block = ImuBlock(time_s, leaving[:, 1:], rate, field_ut)
         if n:
             state = replace_unchecked(state, released_s=float(time_s[-1]))
-            state = _with(state, "accelerometer", replace_unchecked(force, rows=left))
+            state = _with_stream(state, "accelerometer", replace_unchecked(force, rows=left))
             for sensor in ("gyroscope", "magnetometer"):
                 stream = state.stream(sensor)
-                # the two before are needed: what comes after the last sample is held by both
+                # Keep two samples before the release time, because values after the last sample of a stream are
+                # computed from its last two samples.
                 first = max(int(np.searchsorted(stream.rows[:, 0], state.released_s, side="right")) - 2, 0)
-                state = _with(state, sensor, replace_unchecked(stream, rows=stream.rows[first:]))
+                state = _with_stream(state, sensor, replace_unchecked(stream, rows=stream.rows[first:]))
         if len(out):
             state = replace_unchecked(state, pressure_s=float(out[-1, 0]))
-            state = _with(state, "barometer", replace_unchecked(pressure, rows=pressure.rows[due - 1 :]))
+            state = _with_stream(state, "barometer", replace_unchecked(pressure, rows=pressure.rows[due - 1 :]))
         return state, Merged(out[:, 0], out[:, 1], block)
 
 
@@ -273,7 +320,7 @@ _NO_LATE = (np.nan, np.nan)
 _NOTHING = Merged(np.empty(0), np.empty(0), ImuBlock(np.empty(0), *np.empty((3, 0, 3))))
 
 
-def _with(state: MergerState, sensor: Sensor, stream: StreamState) -> MergerState:
-    """State with another stream."""
+def _with_stream(state: MergerState, sensor: Sensor, stream: StreamState) -> MergerState:
+    """Return the state with the buffer of one sensor replaced."""
     at = SENSORS.index(sensor)
     return replace_unchecked(state, streams=(*state.streams[:at], stream, *state.streams[at + 1 :]))

@@ -1,8 +1,8 @@
-"""Sensors that stand still while the phone moves: an axis that gives one number for a second is dead, not at rest.
+"""Detect sensors that are stuck while the phone moves.
 
-No axis of a sensor that works stays exactly constant for a second while somebody carries it: noise alone moves it by
-some units of the last digit. Each of gyroscope and accelerometer is judged while the other moves. What a dead sensor
-says counts as missing until it moves again.
+An axis of a working sensor never stays exactly constant for a second while a person carries the phone, because noise
+alone changes the last digits. The gyroscope is judged while the accelerometer shows motion, and the accelerometer while
+the gyroscope shows motion. The values of a stuck sensor count as missing until the sensor changes again.
 """
 
 from __future__ import annotations
@@ -13,41 +13,67 @@ import numpy as np
 
 from pdr_filter.values import BoolArray, FloatArray, read_only
 
-# Rows that are judged at once: 0.1 to 2.5 s.
+# Rows of a window, which is 0.1 to 2.5 s at the rates of phones.
 _WINDOW_ROWS = 50
-# Sensors that are read more slowly than the accelerometer repeat themselves, at 5 Hz for 0.2 s.
+# Shortest constant stretch of a stuck sensor, in s. Sensors that are read more slowly than the accelerometer repeat
+# their values, at 5 Hz for 0.2 s.
 _DEAD_S = 1.0
-# Constant but for what arithmetic leaves.
+# Largest range of an axis that counts as constant: rounding errors only.
 _CONSTANT = 1e-9
-# Motion of somebody who carries a phone: a tenth of the range of strolling. Noise at rest is a hundred times less.
+# Smallest range in a window that shows motion of a carried phone, m/s2 and rad/s: a tenth of the range while strolling.
+# Noise at rest is a hundred times smaller.
 _MOVING = np.array([1.0, 1.0, 1.0, 0.2, 0.2, 0.2])
-# Of specific force and angular rate.
+# Columns of specific force and of angular rate.
 _AXES = [0, 1, 2], [3, 4, 5]
 _NEVER_S = read_only(np.full(2, np.nan))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WatchdogState:
-    """Extremes of the window so far, and since when a sensor has not moved."""
+    """Extremes of the open window, and how long each sensor has been constant.
 
-    n_rows: int  # of the window
-    low: FloatArray  # (6,) specific force, angular rate
-    high: FloatArray  # (6,)
-    still_since_s: FloatArray  # (2,) first row of the windows in which an axis is constant; NaN if none is
-    moved: tuple[bool, bool]  # whether the phone moved in these
-    dead: tuple[bool, bool] = (False, False)  # accelerometer, gyroscope
-    start_s: float = np.nan  # of the window
+    Pairs are of accelerometer and gyroscope.
+
+    Attributes
+    ----------
+    n_rows : int
+        Rows of the open window so far.
+    low : FloatArray
+        Minima of specific force and angular rate in the open window, shape (6,).
+    high : FloatArray
+        Maxima of specific force and angular rate in the open window, shape (6,).
+    still_since_s : FloatArray
+        Start of the consecutive windows in which an axis of the sensor is constant, shape (2,), s. NaN if the last
+        window is not constant.
+    moved : tuple of bool
+        True if the other sensor showed motion in these windows.
+    dead : tuple of bool
+        True if the sensor is stuck.
+    start_s : float
+        Time of the first row of the open window, s.
+    """
+
+    n_rows: int
+    low: FloatArray
+    high: FloatArray
+    still_since_s: FloatArray
+    moved: tuple[bool, bool]
+    dead: tuple[bool, bool] = (False, False)
+    start_s: float = np.nan
 
 
-def watchdog() -> WatchdogState:
-    """State before the first row."""
+def init_watchdog() -> WatchdogState:
+    """Return the state before the first row."""
     return WatchdogState(0, np.full(6, np.inf), np.full(6, -np.inf), np.full(2, np.nan), (False, False))
 
 
-def watch(state: WatchdogState, time_s: FloatArray, motion: FloatArray) -> tuple[WatchdogState, FloatArray]:
-    """New state, and motion (N, 6), specific force and angular rate, with NaN where a sensor is dead.
+def remove_stuck_values(
+    state: WatchdogState, time_s: FloatArray, motion: FloatArray
+) -> tuple[WatchdogState, FloatArray]:
+    """Return the new state and the motion (N, 6) with NaN for the values of stuck sensors.
 
-    A window is judged when it is whole, so that the result does not depend on how rows were cut into blocks.
+    The columns are specific force and angular rate. The array itself is returned if no sensor is stuck. Windows are
+    judged when they are complete, so that the result does not depend on how rows were cut into blocks.
     """
     if len(motion) == 0:
         return state, motion
@@ -71,7 +97,7 @@ def watch(state: WatchdogState, time_s: FloatArray, motion: FloatArray) -> tuple
             since_s, moved, dead = _judged(constant[k], moving[k], since_s, moved, start_s, end_s)
         elif k < n_whole:
             since_s, moved, dead = _NEVER_S, (False, False), (False, False)
-    fresh = watchdog()
+    fresh = init_watchdog()
     if n_rows == 0:
         return WatchdogState(0, fresh.low, fresh.high, since_s, moved, dead), result
     return WatchdogState(n_rows, low[-1], high[-1], since_s, moved, dead, start_s), result
@@ -85,16 +111,17 @@ def _judged(
     start_s: float,
     end_s: float,
 ) -> tuple[FloatArray, tuple[bool, bool], tuple[bool, bool]]:
-    """Since when sensors stand still, whether the phone moved since, and which are dead, after a whole window.
+    """Return `still_since_s`, `moved` and `dead` of `WatchdogState` after a complete window.
 
-    Where values are missing nothing is constant, and nothing moves.
+    `constant` and `moving` (6,) tell for each axis whether it was constant or showed motion in the window. An axis with
+    missing values is neither.
     """
     since_s, moved, dead = since_s.copy(), list(moved_before), [False, False]
-    for sensor, (columns, witnesses) in enumerate((_AXES, _AXES[::-1])):
+    for sensor, (columns, other_columns) in enumerate((_AXES, _AXES[::-1])):
         if not constant[columns].any():
             since_s[sensor], moved[sensor] = np.nan, False
             continue
         since_s[sensor] = np.fmin(since_s[sensor], start_s)
-        moved[sensor] = moved[sensor] or bool(moving[witnesses].any())
+        moved[sensor] = moved[sensor] or bool(moving[other_columns].any())
         dead[sensor] = moved[sensor] and bool(end_s - since_s[sensor] >= _DEAD_S)
     return since_s, (moved[0], moved[1]), (dead[0], dead[1])

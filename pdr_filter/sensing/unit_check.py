@@ -1,7 +1,8 @@
-"""Samples in another unit, without gravity or of the other sign: noticed within the first seconds, said once.
+"""Detect wrong units, missing gravity and a wrong sign of the samples within the first seconds.
 
-The limits are those of the readers (`values.plausibility`), looked at in windows. An accelerometer of the other sign
-cannot be told by physics from one that is right: a phone that is looked at would have its screen down.
+The limits are those of the readers (`values.plausibility`), applied to windows. The sign of an accelerometer cannot be
+proven from its values: a wrong sign looks like a phone whose screen faces down, which is unusual while a person looks
+at the phone.
 """
 
 from __future__ import annotations
@@ -13,34 +14,54 @@ import numpy as np
 from pdr_filter.values import FloatArray, median, replace_unchecked
 from pdr_filter.values.plausibility import wrong_angular_rate, wrong_specific_force
 
-# A window is whole after both.
+# A window is complete when it has both this duration and this number of rows.
 _WINDOW_S, _WINDOW_ROWS = 2.0, 100
-# Shaking a phone makes single windows of more than 12 rad/s; a walk in deg/s is nearly all of them.
+# Smallest number and share of windows with an implausible angular rate that cause a warning. Shaking a phone gives
+# single windows above 12 rad/s. A walk in deg/s exceeds the limit in nearly all windows.
 _FAST_WINDOWS, _FAST_SHARE = 2, 0.2
-# The screen is more than 30 degrees below the horizontal: for 80 % of all windows in none of 193 walks of twelve data
-# sets, for 80 % of the first five in one.
+# The screen faces down in a window if its normal is more than 30 degrees below the horizontal. A warning needs this
+# number and share of windows. Of 193 walks in twelve data sets, none reaches 80 % of all its windows, and one reaches
+# 80 % of its first five.
 _DOWN_COSINE, _DOWN_WINDOWS, _DOWN_SHARE = -0.5, 3, 0.8
 
 
 @dataclass(frozen=True, eq=False)
 class UnitsState:
-    """What windows so far had, and the rows of the one that is open."""
+    """Counts over all complete windows, and the rows of the open window.
 
-    rows: FloatArray  # (R, 4) time, |specific force|, its z, |angular rate|
-    n: int = 0  # windows
+    Attributes
+    ----------
+    rows : FloatArray
+        Rows of the open window, shape (R, 4): time, norm of the specific force, its z, norm of the angular rate.
+    n : int
+        Complete windows.
+    n_wrong_force : int
+        Windows with an implausible median specific force.
+    n_wrong_rate : int
+        Windows with an implausible median angular rate.
+    n_down : int
+        Windows in which the screen faces down.
+    wrong_force : str
+        Description of the first implausible specific force.
+    wrong_rate : str
+        Description of the first implausible angular rate.
+    """
+
+    rows: FloatArray
+    n: int = 0
     n_wrong_force: int = 0
     n_wrong_rate: int = 0
     n_down: int = 0
-    wrong_force: str = ""  # of the first of these, in words
+    wrong_force: str = ""
     wrong_rate: str = ""
 
     @property
     def is_wrong(self) -> bool:
-        """Whether no window yet had a specific force that can be right."""
+        """True if all windows so far, at least one, have an implausible specific force."""
         return 0 < self.n == self.n_wrong_force
 
     def notes(self) -> tuple[str, ...]:
-        """In plain words, empty if nothing is wrong."""
+        """Return warnings about units and signs, or an empty tuple."""
         found: list[str] = []
         if self.n_wrong_force > 0.5 * self.n:
             found.append(f"specific force: {self.wrong_force}")
@@ -48,21 +69,21 @@ class UnitsState:
             found.append(self.wrong_rate)
         if self.n_down >= max(_DOWN_WINDOWS, _DOWN_SHARE * self.n):
             found.append(
-                "the screen seems to face down: if it does not, the specific force has the other sign, as iOS gives "
-                "it raw; multiply x, y and z by -1"
+                f"the screen seems to face down in {self.n_down} of {self.n} windows: if it does not, the specific "
+                "force has the wrong sign, as in raw samples of iOS; multiply x, y and z by -1"
             )
         return tuple(found)
 
 
-def units() -> UnitsState:
-    """State before the first row."""
+def init_units() -> UnitsState:
+    """Return the state before the first row."""
     return UnitsState(np.empty((0, 4)))
 
 
-def look(state: UnitsState, time_s: FloatArray, motion: FloatArray) -> UnitsState:
-    """State after motion (N, 6), specific force and angular rate, at increasing times (N,).
+def check_units(state: UnitsState, time_s: FloatArray, motion: FloatArray) -> UnitsState:
+    """Return the state after rows of motion (N, 6), specific force and angular rate, at increasing times (N,).
 
-    A window is judged when it is whole, so that the result does not depend on how rows were cut into blocks.
+    Windows are judged when they are complete, so that the result does not depend on how rows were cut into blocks.
     """
     new = np.empty((len(time_s), 4))
     new[:, 0], new[:, 2] = time_s, motion[:, 2]
@@ -77,7 +98,7 @@ def look(state: UnitsState, time_s: FloatArray, motion: FloatArray) -> UnitsStat
 
 
 def _judged(state: UnitsState, rows: FloatArray) -> UnitsState:
-    """State after a whole window."""
+    """Return the state after the rows (R, 4) of one complete window."""
     _, force, z, rate = rows.T
     known = rate[np.isfinite(rate)]
     wrong_force = wrong_specific_force(median(force))

@@ -1,8 +1,9 @@
-"""Moving without steps: a phone on a trolley, in a pram or a vehicle, which shakes without a pause while nobody walks.
+"""Detect motion without steps: a phone on a trolley, in a pram or in a vehicle.
 
-A second rattles if |f| trembles by `min_jitter_mps2`: the rms of the differences of successive means over 20 ms, which
-is motion of about 5 to 25 Hz. A run of `min_run_s` such seconds without a step is moving: a hand that holds or handles
-a phone pauses. Figures: docs/methods/steps.md.
+Such a phone vibrates without a pause. The jitter of a second is the rms of the differences between successive means of
+|f| over 20 ms, which measures motion of about 5 to 25 Hz. A second vibrates if its jitter exceeds `min_jitter_mps2`. A
+run of at least `min_run_s` vibrating seconds without a step counts as moving. The duration excludes a phone that is
+held or handled, because a hand pauses. Figures: docs/methods/steps.md.
 """
 
 from __future__ import annotations
@@ -16,39 +17,87 @@ import numpy as np
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.values import FloatArray, Step, check_numbers, replace_unchecked
 
+# Rate of the means of |f|, Hz.
 _JITTER_HZ = 50.0
-# The first steps of a bout become known up to 4 s after their contacts, and a contact ends a step of a second.
+# Delay after which all steps of a second are known, in s. The first steps of a bout become known up to 4 s after their
+# contacts, and a step lasts up to 1 s.
 _WAIT_S = 5
-# Steps so much before and after a second are walking in it.
+# A step up to this long before or after a second means that the pedestrian walks in this second.
 _STEP_S = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class RattleState:
-    """The seconds whose steps may still come, the run of rattling ones, and the sums."""
+    """Seconds that are not judged yet, the current run of vibrating seconds, and the totals.
 
-    n_samples: int = 0  # of the segment
-    start_s: float = 0.0  # of the segment
-    rest: FloatArray = field(default_factory=lambda: np.empty(0))  # |f| of samples that are no whole second yet
-    waiting_mps2: tuple[float, ...] = ()  # jitter of the last seconds
-    steps: tuple[tuple[int, float], ...] = ()  # sample that revealed them, and time, of the last seconds' steps
+    Attributes
+    ----------
+    n_samples : int
+        Samples of the segment.
+    start_s : float
+        Time of the first sample of the segment, s.
+    rest : FloatArray
+        Norm of the specific force for the samples of the incomplete second, m/s2.
+    waiting_mps2 : tuple of float
+        Jitter of the complete seconds that are not judged yet, m/s2.
+    steps : tuple of (int, float)
+        Recent steps: number of the sample that revealed the step, and time of the step in s.
+    run_s : int
+        Length of the current run of vibrating seconds without steps, s.
+    moving_s : int
+        Total duration of the runs that are long enough, s.
+    seen_s : int
+        Seconds judged.
+    """
+
+    n_samples: int = 0
+    start_s: float = 0.0
+    rest: FloatArray = field(default_factory=lambda: np.empty(0))
+    waiting_mps2: tuple[float, ...] = ()
+    steps: tuple[tuple[int, float], ...] = ()
     run_s: int = 0
-    moving_s: int = 0  # in runs that were long enough
+    moving_s: int = 0
     seen_s: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class Rattle:
-    """Causal stage that counts the seconds in which the phone moves and nobody walks.
+    """Causal stage that counts the seconds in which the phone moves although the pedestrian does not walk.
+
+    The default recipe uses the count for a warning about rides.
 
     Parameters
     ----------
-    rate_hz : float
+    rate_hz : float, default 100
         Sampling rate of the blocks, a multiple of 50 Hz.
-    min_jitter_mps2 : float
-        Four times the median of people who stand, half of the median on a trolley.
-    min_run_s : int
-        Ten seconds find 2 % of phones that are taken out and put away, twenty 0.1 %.
+    min_jitter_mps2 : float, default 0.2
+        Smallest jitter of a vibrating second, m/s2. The default is four times the median of standing persons and half
+        the median on a trolley.
+    min_run_s : int, default 20
+        Smallest number of consecutive vibrating seconds. With 10 s, 2 % of the phones that are taken out and put away
+        are counted; with 20 s, 0.1 %.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is not positive, or `rate_hz` is not a multiple of 50 Hz.
+
+    Examples
+    --------
+    A phone that vibrates at 12 Hz for a minute and makes no step:
+
+    >>> import numpy as np
+    >>> from pdr_filter.sensing.conditioning import Conditioner
+    >>> from pdr_filter.sensing.vehicle_vibration import Rattle
+    >>> from pdr_filter.values import ImuBlock
+    >>> time_s = np.arange(0.0, 60.0, 0.01)
+    >>> force, unknown = np.zeros((6000, 3)), np.full((6000, 3), np.nan)
+    >>> force[:, 2] = 9.81 + 2.0 * np.sin(2 * np.pi * 12.0 * time_s)
+    >>> conditioner, rattle = Conditioner(), Rattle()
+    >>> _, (uniform,) = conditioner.update(conditioner.init(), ImuBlock(time_s, force, unknown, unknown))
+    >>> state = rattle.update(rattle.init(), uniform, steps=[])
+    >>> state.moving_s, state.seen_s
+    (54, 54)
     """
 
     rate_hz: float = 100.0
@@ -58,18 +107,53 @@ class Rattle:
     def __post_init__(self) -> None:
         check_numbers(self)
         if self.rate_hz % _JITTER_HZ:
-            raise ValueError(f"rate_hz must be a multiple of {_JITTER_HZ:g}, got {self.rate_hz}")
+            raise ValueError(
+                f"rate_hz must be a multiple of {_JITTER_HZ:g}, got {self.rate_hz}: set Conditioner.rate_hz, for "
+                "example to 100"
+            )
 
     def init(self) -> RattleState:
-        """State before the first sample."""
+        """Return the state before the first sample.
+
+        Returns
+        -------
+        RattleState
+            Initial state.
+        """
         return RattleState()
 
     def after_gap(self, state: RattleState) -> RattleState:
-        """State before the first sample after a gap: the sums alone."""
+        """Return the state before the first sample after a gap, which keeps only the totals.
+
+        Parameters
+        ----------
+        state : RattleState
+            State before the gap.
+
+        Returns
+        -------
+        RattleState
+            State with the totals `moving_s` and `seen_s`.
+        """
         return RattleState(moving_s=state.moving_s, seen_s=state.seen_s)
 
     def update(self, state: RattleState, block: UniformBlock, steps: Sequence[tuple[int, Step]]) -> RattleState:
-        """State after a block and the steps that were found in it."""
+        """Return the state after a block and the steps detected in it.
+
+        Parameters
+        ----------
+        state : RattleState
+            State after the previous block.
+        block : UniformBlock
+            Uniform samples that follow.
+        steps : sequence of (int, Step)
+            Steps that became known in this block, each with the number of the sample in the segment that revealed it.
+
+        Returns
+        -------
+        RattleState
+            New state. `moving_s` and `seen_s` count up to five seconds before the end of the block.
+        """
         x, y, z = block.specific_force_mps2.T
         magnitude = np.concatenate([state.rest, np.sqrt(x * x + y * y + z * z)])
         n = round(self.rate_hz)
@@ -90,7 +174,10 @@ class Rattle:
         return replace_unchecked(state, steps=(*state.steps, *found[n_known:]))
 
     def _judge(self, state: RattleState, second: int) -> RattleState:
-        """State when a second is over: the one some seconds earlier has all its steps."""
+        """Return the state after second number `second`, with the second `_WAIT_S` earlier judged.
+
+        All steps of that earlier second are known now.
+        """
         if len(state.waiting_mps2) <= _WAIT_S:
             return state
         jitter_mps2, *waiting_mps2 = state.waiting_mps2
@@ -110,6 +197,6 @@ class Rattle:
 
 
 def _jitter(magnitude: FloatArray) -> list[float]:
-    """Jitter of each second (S, N)."""
+    """Return the jitter in m/s2 of each second of |f|, given as an array of shape (S, N)."""
     means = magnitude.reshape(len(magnitude), round(_JITTER_HZ), -1).mean(axis=2)
     return np.sqrt((np.diff(means) ** 2).mean(axis=1)).tolist()

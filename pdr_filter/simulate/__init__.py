@@ -1,12 +1,14 @@
-"""Walks with exact truth: a simulated person carries a simulated phone.
+"""Simulated walks with exact ground truth: a simulated person carries a simulated phone.
 
-For tests and for the demonstration, where the truth has to be known exactly. Phones move as they do with people: the
-harmonics of a stride, how they differ between people and from stride to stride were measured on public recordings of
-walking in five places of the phone and, in the trouser pocket, of stairs and running (`strides`). Step length, cadence
-and the force of the steps go together as in the data. What was not measured is made of what was: stairs with the phone
-in the hand, running at the ear, walking sideways. The shipped models tell the contexts of simulated people as they do
-those of real ones; how far a classifier can tell simulated windows from real ones is in docs/benchmarks.md.
-Never quote accuracy measured on simulated walks as accuracy.
+They are for tests and demonstrations that need exact ground truth. The motion of the phone is based on measurements.
+The harmonics of strides, their variation between people and from stride to stride were measured on public recordings:
+walking with the phone in five places, and stairs and running in the trouser pocket (`strides`). Step length, cadence
+and force of the steps are related as in the data. Other motions are derived from the measured ones: stairs with the
+phone in the hand, running with the phone at the ear, sideways walking.
+
+The shipped models recognise contexts of simulated people as well as those of real people. docs/benchmarks.md says how
+well a classifier can distinguish simulated from real windows. Accuracy on simulated walks must not be reported as
+accuracy on real ones.
 """
 
 from pdr_filter.simulate.gait import Gait, Leg

@@ -1,4 +1,4 @@
-"""What is simulated: the person (`Gait`), the stretches of the walk (`Leg`) and the steps planned from both."""
+"""Persons (`Gait`), stretches of a walk (`Leg`), and the steps planned from both."""
 
 from __future__ import annotations
 
@@ -14,22 +14,34 @@ STAIR_RISE_M = 0.17
 STAIR_TREAD_M = 0.29
 STOREY_HEIGHT_M = 18 * STAIR_RISE_M
 TYPICAL_HEIGHT_M = 1.75
-# A person sets off and stops with shorter steps: the first is half a step, since the feet are together.
+# Length factors of the steps after setting off and before stopping. The first is half a step, since the feet are
+# together.
 END_STEP_FACTORS = (0.45, 0.8, 0.95)
 
 
 @dataclass(frozen=True, slots=True)
 class ContextGait:
-    """How a typical person moves in one context; what that does to the phone is in `strides`.
+    """Movement of a typical person in one context. The resulting motion of the phone is in `strides`.
 
-    Step length is height * (length_offset + length_slope_s * frequency), except on stairs, where it is the tread.
+    The step length is height * (length_offset + length_slope_s * frequency). On stairs it is the tread.
+
+    Attributes
+    ----------
+    frequency_hz : float
+        Step frequency.
+    length_offset, length_slope_s : float
+        Coefficients of the step length.
+    rise_m : float
+        Height gained in each step.
+    tremor : float
+        Motion that does not repeat with the strides, relative to standing.
     """
 
     frequency_hz: float = 0.0
     length_offset: float = 0.0
     length_slope_s: float = 0.0
-    rise_m: float = 0.0  # height gained by each step
-    tremor: float = 1.0  # motion that does not repeat with the strides, relative to standing
+    rise_m: float = 0.0
+    tremor: float = 1.0
 
 
 CONTEXT_GAITS = {
@@ -41,41 +53,90 @@ CONTEXT_GAITS = {
     "running": ContextGait(2.7, -0.239, 0.3, tremor=2.0),
 }
 
-# Step length L, m, of somebody of height h: L = k h (f A)^(1/4), f the step frequency and A the amplitude of the
-# vertical force at it, fitted on 298 legs of known length; the default's own law has no f (`BounceStepLength`).
+# k in the step length L = k h (f A)^(1/4), in m, for body height h, step frequency f, and amplitude A of the vertical
+# force at that frequency. Fitted on 298 legs of known length. The default step-length model (`BounceStepLength`) has no
+# f.
 BOUNCE_K = 0.293
-# People's steps differ by 6 % from that law: some take longer steps than others of that height and cadence without more
-# force. For differences of length between people A goes with this power of the length, not with the fourth.
+# Step lengths of people differ by 6 % from that law: some take longer steps than others of the same height and cadence
+# without more force. Between people, A grows with this power of the length, not with the fourth power.
 LENGTH_POWER = 2.4
-# People measured differ by 0.29 in the logarithm of A, of which 6 % of the length explain 0.24.
+# Exponent of the measured amplitudes of people: log A differs by 0.29 between people, and the 6 % of length explain
+# 0.24.
 FORCE_POWER = 0.8
 
 
 def walking_law(frequency_hz: float) -> float:
-    """A, m/s2, of steps of the usual length at that frequency."""
+    """Return the amplitude A in m/s2 of steps of the typical length at a step frequency in Hz."""
     return Gait().vertical_force_mps2("walking", frequency_hz, Gait().step_length_m("walking", frequency_hz), 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Gait:
-    """A person; `Gait()` is a typical one and `Gait.random(seed)` somebody else; factors are to the typical one."""
+    """Simulated person. `Gait()` is a typical person, `Gait.random(seed)` a random one.
 
-    height_m: float = TYPICAL_HEIGHT_M  # step lengths and the places of the phone scale with it
+    Attributes
+    ----------
+    height_m : float, default 1.75
+        Body height in m. Step lengths and the place of the phone scale with it.
+    frequency_factor : float, default 1.0
+        Step frequency relative to the typical person.
+    stairs_factor : float, default 1.0
+        Additional factor of the step frequency on stairs.
+    length_factor : float, default 1.0
+        Step length relative to a typical person of the same height.
+    bounce_factor : float, default 1.0
+        Vertical force of the steps relative to the value that follows from their length and frequency.
+    impact_factor : float, default 1.0
+        Heel strike relative to the typical person.
+    swing_factor : float, default 1.0
+        Swing of legs and arms relative to the typical person.
+    tremor_factor : float, default 1.0
+        Unsteadiness of the hand relative to the typical person.
+    tilt_rad : float, default 0.65
+        Angle in rad by which the top end of the phone is raised for reading.
+    frequency_std : float, default 0.025
+        Relative standard deviation of the step frequency from step to step.
+    length_std : float, default 0.025
+        Relative standard deviation of the step length from step to step.
+    habit : int, optional
+        Seed of the individual shape of the strides. None stands for the typical shape.
+
+    Examples
+    --------
+    >>> from pdr_filter.simulate import Gait
+    >>> Gait().step_frequency_hz("walking")
+    1.9
+    >>> Gait.random(3) == Gait.random(3)
+    True
+    """
+
+    height_m: float = TYPICAL_HEIGHT_M
     frequency_factor: float = 1.0
-    stairs_factor: float = 1.0  # of the frequency on stairs
-    length_factor: float = 1.0  # of steps, beside a typical person of that height
-    bounce_factor: float = 1.0  # force of the steps, beside what their length and frequency say
-    impact_factor: float = 1.0  # heel strike
-    swing_factor: float = 1.0  # of legs and arms
-    tremor_factor: float = 1.0  # unsteadiness of the hand
-    tilt_rad: float = 0.65  # how far the top end of the phone is raised when it is held for reading
-    frequency_std: float = 0.025  # relative, from step to step, as the next
+    stairs_factor: float = 1.0
+    length_factor: float = 1.0
+    bounce_factor: float = 1.0
+    impact_factor: float = 1.0
+    swing_factor: float = 1.0
+    tremor_factor: float = 1.0
+    tilt_rad: float = 0.65
+    frequency_std: float = 0.025
     length_std: float = 0.025
-    habit: int | None = None  # seed of how this person's strides differ from the typical ones
+    habit: int | None = None
 
     @classmethod
     def random(cls, seed: int) -> Gait:
-        """Person drawn from a population of adults; the same one for the same seed."""
+        """Return a person drawn at random from a population of adults.
+
+        Parameters
+        ----------
+        seed : int
+            Seed. Equal seeds give equal persons.
+
+        Returns
+        -------
+        Gait
+            Random person.
+        """
         rng = np.random.default_rng(seed)
 
         def about(mean: float, std: float) -> float:
@@ -97,22 +158,64 @@ class Gait:
         )
 
     def step_frequency_hz(self, context: str) -> float:
-        """Steps per second of this person in a context, 0 when stationary."""
+        """Return the usual step frequency of this person in a context.
+
+        Parameters
+        ----------
+        context : str
+            One of `pdr_filter.CONTEXTS`.
+
+        Returns
+        -------
+        float
+            Steps per second, 0 for "stationary".
+        """
         typical = CONTEXT_GAITS[context]
         return typical.frequency_hz * self.frequency_factor * (self.stairs_factor if typical.rise_m else 1.0)
 
     def step_length_m(self, context: str, frequency_hz: float) -> float:
-        """Length of an average step of this person: the tread on stairs, else height * (a + b * frequency)."""
+        """Return the length of an average step of this person.
+
+        Parameters
+        ----------
+        context : str
+            One of `pdr_filter.CONTEXTS`.
+        frequency_hz : float
+            Step frequency in Hz.
+
+        Returns
+        -------
+        float
+            Length in m: the tread on stairs, else height * (a + b * frequency).
+        """
         typical = CONTEXT_GAITS[context]
         if typical.rise_m != 0.0:
             return STAIR_TREAD_M
         return self.length_factor * self.height_m * (typical.length_offset + typical.length_slope_s * frequency_hz)
 
     def vertical_force_mps2(self, context: str, frequency_hz: float, length_m: float, usual_mps2: float) -> float:
-        """Amplitude of the vertical specific force at step frequency of such steps.
+        """Return the amplitude of the vertical specific force at the step frequency.
 
-        Walking, what the law of the step length says; else that of people measured, which grows like that of an
-        inverted pendulum, with the squares of length and frequency.
+        Parameters
+        ----------
+        context : str
+            One of `pdr_filter.CONTEXTS`.
+        frequency_hz : float
+            Step frequency in Hz.
+        length_m : float
+            Step length in m.
+        usual_mps2 : float
+            Measured amplitude at the usual frequency and length in this context. Not used for walking.
+
+        Returns
+        -------
+        float
+            Amplitude in m/s2.
+
+        Notes
+        -----
+        For walking the amplitude follows from the step-length law (`BOUNCE_K`). In other contexts it is the measured
+        amplitude, scaled with the squares of length and frequency as for an inverted pendulum.
         """
         if context == "walking":
             usual = length_m / (self.length_factor * self.height_m)
@@ -124,27 +227,40 @@ class Gait:
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """One stretch of the walk in one context.
+    """One stretch of a simulated walk in one context.
 
     Parameters
     ----------
     context : str
-        One of `pdr_filter.values.contexts.CONTEXTS`.
+        One of `pdr_filter.CONTEXTS`.
     duration_s, distance_m : float, optional
-        Exactly one of them; kept exactly, except that a distance on stairs is rounded to whole treads. Stationary
+        Exactly one of them. It is kept exactly, except that a distance on stairs is rounded to whole treads. Stationary
         legs take a duration.
-    frequency_factor : float
-        Step frequency relative to the person's usual one; the step length follows from it.
-    turn_rad : float
-        Change of heading, clockwise positive.
-    curve : bool
-        False: turn at the start of the leg, then straight on. True: turn over the whole leg.
+    frequency_factor : float, default 1.0
+        Step frequency relative to the usual one of the person. The step length follows from it.
+    turn_rad : float, default 0.0
+        Change of heading in rad, clockwise positive.
+    curve : bool, default False
+        If False, the person turns at the start of the leg and then walks straight on. If True, the turn extends over
+        the whole leg.
     carrying_mode : str, optional
-        From here on; as before if None.
-    side : {"right", "left"}
-        Where a sideways leg goes.
-    ride_up_m, ride_m : float
-        What a lift or an escalator moves the person in this leg, up and ahead, whether he walks on it or not.
+        Carrying mode from this leg on. None keeps the previous one.
+    side : {"right", "left"}, default "right"
+        Direction of a sideways leg.
+    ride_up_m, ride_m : float, default 0.0
+        Displacement by a lift or an escalator in this leg, upwards and forwards, in addition to the steps.
+
+    Raises
+    ------
+    ValueError
+        If the context is unknown, if not exactly one of duration and distance is given, or if a number is not allowed.
+
+    Examples
+    --------
+    >>> from pdr_filter.simulate import Leg
+    >>> legs = [Leg("walking", distance_m=20.0), Leg("upstairs", distance_m=5.22), Leg("stationary", duration_s=3.0)]
+    >>> legs[0].joins(legs[1]), legs[1].joins(legs[2])
+    (True, False)
     """
 
     context: str
@@ -160,7 +276,10 @@ class Leg:
 
     def __post_init__(self) -> None:
         if self.context not in CONTEXTS:
-            raise ValueError(f"context must be one of {', '.join(CONTEXTS)}, got {self.context!r}")
+            raise ValueError(
+                f"context must be one of {', '.join(CONTEXTS)}, got {self.context!r}: simulate a movement that is like "
+                "it, and rename the labels of the recording"
+            )
         if (self.duration_s is None) == (self.distance_m is None):
             raise ValueError(f"give a leg either duration_s or distance_m, got {self.duration_s} and {self.distance_m}")
         if self.context == "stationary" and self.duration_s is None:
@@ -173,41 +292,65 @@ class Leg:
 
     @property
     def moves(self) -> bool:
-        """True unless stationary."""
+        """True unless the context is "stationary"."""
         return self.context != "stationary"
 
     @property
     def travel_offset_rad(self) -> float:
-        """Walking heading minus the heading the body faces."""
+        """Walking heading minus the heading that the body faces, in rad."""
         if self.context != "sideways":
             return 0.0
         return np.pi / 2 if self.side == "right" else -np.pi / 2
 
     def joins(self, other: Leg) -> bool:
-        """Whether a person walks from this leg into the other without coming to a stop."""
+        """Return whether the person continues from this leg into another one without a stop.
+
+        Parameters
+        ----------
+        other : Leg
+            Next leg.
+
+        Returns
+        -------
+        bool
+            True if both legs move in the same direction relative to the body.
+        """
         return self.moves and other.moves and self.travel_offset_rad == other.travel_offset_rad
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StepPlan:
-    """All steps of a walk; a bout is a row of steps between two standstills.
+    """All K steps of a walk.
 
-    `contact_s` is when the foot lands, which ends the step; `leg` says which leg a step belongs to.
+    A bout is a sequence of steps between two standstills.
+
+    Attributes
+    ----------
+    leg_start_s, leg_end_s : (n_legs,) array
+        Start and end of each leg.
+    leg : (K,) array
+        Index of the leg of each step.
+    start_s, contact_s : (K,) array
+        Start of each step, and the contact of the foot that ends it.
+    length_m, rise_m : (K,) array
+        Length and gained height of each step.
+    first, last : (K,) array
+        True for the first and the last step of a bout.
     """
 
-    leg_start_s: FloatArray  # (n_legs,)
-    leg_end_s: FloatArray  # (n_legs,)
-    leg: IntArray  # (K,)
-    start_s: FloatArray  # (K,)
-    contact_s: FloatArray  # (K,)
-    length_m: FloatArray  # (K,)
-    rise_m: FloatArray  # (K,)
-    first: BoolArray  # (K,) first of its bout
-    last: BoolArray  # (K,) last of its bout
+    leg_start_s: FloatArray
+    leg_end_s: FloatArray
+    leg: IntArray
+    start_s: FloatArray
+    contact_s: FloatArray
+    length_m: FloatArray
+    rise_m: FloatArray
+    first: BoolArray
+    last: BoolArray
 
 
 def plan_steps(legs: Sequence[Leg], gait: Gait, rng: np.random.Generator) -> StepPlan:
-    """Durations and lengths of all steps, with the person's variability from step to step."""
+    """Return durations and lengths of all steps, with the random variation of the person from step to step."""
     leg_end: list[float] = []
     parts: list[tuple[FloatArray, ...]] = [tuple(np.zeros(0) for _ in range(7))]
     clock_s = 0.0
@@ -235,7 +378,7 @@ def plan_steps(legs: Sequence[Leg], gait: Gait, rng: np.random.Generator) -> Ste
 def _leg_steps(
     leg: Leg, before: Leg | None, joins_next: bool, gait: Gait, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
-    """Durations and lengths of the steps of one moving leg."""
+    """Return the durations and lengths of the steps of one moving leg."""
     frequency_hz, mean_m = nominal_step(leg, gait)
     on_stairs = CONTEXT_GAITS[leg.context].rise_m != 0.0
     n_ends = 0 if on_stairs else (before is None) + (not joins_next)
@@ -253,7 +396,7 @@ def _leg_steps(
             lengths[k] *= factor if before is None else 1.0
             lengths[-1 - k] *= 1.0 if joins_next else factor
     if before is not None:
-        # The first step of a new pace is between the paces.
+        # the first step at a new pace is the mean of both paces
         before_hz, before_m = nominal_step(before, gait)
         durations[0] = 0.5 * (durations[0] + 1.0 / before_hz)
         lengths[0] = lengths[0] if on_stairs else 0.5 * (lengths[0] + before_m)
@@ -265,12 +408,12 @@ def _leg_steps(
 
 
 def nominal_step(leg: Leg, gait: Gait) -> tuple[float, float]:
-    """Step frequency, Hz, and step length, m, that the person aims at on this leg."""
+    """Return the mean step frequency in Hz and step length in m of the person on a leg."""
     frequency_hz = gait.step_frequency_hz(leg.context) * leg.frequency_factor
     length_m = gait.step_length_m(leg.context, frequency_hz)
     if length_m < 0.1:
         raise ValueError(
-            f"frequency_factor {leg.frequency_factor} makes {leg.context} steps of {length_m:.2f} m: "
+            f"frequency_factor {leg.frequency_factor} gives steps of {length_m:.2f} m in the context {leg.context!r}: "
             "use a factor closer to 1"
         )
     return frequency_hz, length_m

@@ -1,12 +1,13 @@
-"""Exact motion of body and phone: everything is built on a fine grid and then read from one quintic spline.
+"""Exact motion of body and phone, computed on a fine grid and represented by one quintic spline.
 
-World frame: east, north, up. Body frame: right, forward, up; at heading 0 it is the world frame. The phone's attitude
-is R = Rz(a) Rx(b) Ry(c) Rx(p) Ry(r) Rz(t), sensor to world: a = -heading plus yaw, b, c what a stride turns the phone
-by in the body frame, and p, r, t how it is carried. Specific force R^T (p'' + g up) and angular rate come from the
-derivatives of the same spline, so they agree with position and attitude to rounding.
+World frame: east, north, up. Body frame: right, forward, up; at heading 0 it equals the world frame. The attitude of
+the phone is R = Rz(a) Rx(b) Ry(c) Rx(p) Ry(r) Rz(t), from the sensor frame to the world frame. The angle a is minus the
+heading plus a yaw; this yaw and the angles b and c are the rotation by a stride in the body frame. The angles p, r and
+t are the mean attitude in which the phone is carried. Specific force R^T (p'' + g up) and angular rate are derivatives
+of the same spline, so that they agree with position and attitude except for rounding.
 
-What a stride does to the phone are the harmonics of `strides`: displacements, the measured specific force divided by
-minus its squared frequency, and angles.
+The motion by a stride is the sum of the harmonics in `strides`. Displacements are the measured specific forces divided
+by minus the squared angular frequency.
 """
 
 from __future__ import annotations
@@ -23,38 +24,67 @@ from pdr_filter.simulate.strides import FORCE, N_HARMONICS, TURN, Strides, of_pe
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, interpolated
 
 GRID_HZ = 1000.0
-# The grid begins and ends this much outside the walk, so that every sensor's clock may.
+# The grid extends this far beyond the walk, because the sensors have different clocks.
 MARGIN_S = 0.25
 CONTEXT_BLEND_S = 1.0
 CARRYING_BLEND_S = 1.2
-# Root mean square of a hand that holds a phone still: it nods more than it tilts or turns.
+# Root mean square motion of a hand that holds a phone still. Pitch varies more than roll and yaw.
 STILL_HAND_RADPS, STILL_HAND_MPS = (0.07, 0.025, 0.025), 0.0025
-RIDE_RAMP_S = 1.5  # of a lift to its speed: 1 m/s with 0.7 m/s2
+RIDE_RAMP_S = 1.5  # time in which a lift reaches its speed: 1 m/s at 0.7 m/s2
 TURN_RATE_RADPS = 1.3  # mean; the peak of a minimum-jerk turn is 1.9 times higher
-# Parts of a step from a contact to where the vertical force at step frequency is highest. Oxford: 0.02 to 0.11 before
-# the foot's switch was read, which is every 0.1 s and so 0.09 late on average.
+# Part of a step from a contact to the maximum of the vertical force at step frequency. In the Oxford data set the
+# maximum is 0.02 to 0.11 before the reading of the foot switch. The switch is read every 0.1 s, so 0.09 late on
+# average.
 LAG = 0.03
-# The blow of the heel: harmonics from three times the step frequency.
+# First stride harmonic that belongs to the heel strike. The sixth has three times the step frequency.
 IMPACT = 5
 
 
 @dataclass(frozen=True, slots=True)
 class Carrying:
-    """Where a phone is, how it lies there, and whose strides it makes.
+    """Place and attitude of a carried phone, and the strides that move it.
 
-    The mean attitude is Rx(pitch) Ry(roll) Rz(twist), sensor to body frame: zeros are a phone that lies level, screen
-    up, its top end ahead.
+    The mean attitude is Rx(pitch) Ry(roll) Rz(twist), from the sensor frame to the body frame. With zero angles the
+    phone lies level, with the screen up and its top end forwards.
+
+    Attributes
+    ----------
+    place : tuple of float
+        Position (right, forward, up) in the body frame relative to the ground under the person, in parts of the body
+        height.
+    strides : {"texting", "calling", "swinging", "pocket", "back_pocket"}, default "texting"
+        Placement whose measured strides move the phone.
+    pitch_rad, roll_rad, twist_rad : float, default 0.0
+        Angles of the mean attitude in rad. In the mode "texting" the pitch is `Gait.tilt_rad` instead.
+    side : float, default 1.0
+        +1 for the right hand or pocket, -1 for the left one.
+    force : float, default 1.0
+        Factor of the vertical force of the steps that reaches the phone in walking.
+    turn : float, default 1.0
+        Factor of the rotation of the phone in a stride.
+    loose : float, default 1.0
+        Factor of the differences between strides.
+    tremor : float, default 1.0
+        Factor of the irregular motion.
+
+    Examples
+    --------
+    >>> from pdr_filter.simulate import Carrying, Leg, simulate
+    >>> chest = Carrying(place=(0.05, 0.1, 0.72), pitch_rad=1.5)
+    >>> walk = simulate([Leg("stationary", duration_s=2.0)], carrying_mode="chest", carrying={"chest": chest})
+    >>> walk.truth.labels.carrying_mode
+    array(['chest'], dtype='<U5')
     """
 
-    place: tuple[float, float, float]  # body frame, from the ground under the person, in parts of the body height
-    strides: str = "texting"  # a place of `strides`: texting, calling, swinging, pocket, back_pocket
+    place: tuple[float, float, float]
+    strides: str = "texting"
     pitch_rad: float = 0.0
     roll_rad: float = 0.0
     twist_rad: float = 0.0
-    side: float = 1.0  # -1: the left hand or pocket
-    force: float = 1.0  # what arrives of the vertical force of the steps in walking
-    turn: float = 1.0  # how far it turns in a stride, likewise
-    loose: float = 1.0  # how much its strides differ, likewise
+    side: float = 1.0
+    force: float = 1.0
+    turn: float = 1.0
+    loose: float = 1.0
     tremor: float = 1.0
 
 
@@ -71,30 +101,47 @@ _AXES = "ZXYXYZ"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
-    """Exact motion of the phone as a function of time, and of the body on a grid."""
+    """Exact motion of the phone as a function of time, and of the body on a grid.
+
+    Attributes
+    ----------
+    plan : StepPlan
+        All steps of the walk.
+    spline : BSpline
+        Position (east, north, up) and the six angles of the phone.
+    grid_s : (N,) array
+        Times of the grid.
+    body_position_m : (N, 3) array
+        East, north, and height of the ground under the person.
+    heading_rad : (N,) array
+        Heading that the body faces, clockwise from north, unwrapped.
+    """
 
     plan: StepPlan
-    spline: BSpline  # phone east, north, up and the six angles
-    grid_s: FloatArray  # (N,)
-    body_position_m: FloatArray  # (N, 3) east, north, height of the ground under the person
-    heading_rad: FloatArray  # (N,) direction the body faces, clockwise from north, unwrapped
+    spline: BSpline
+    grid_s: FloatArray
+    body_position_m: FloatArray
+    heading_rad: FloatArray
 
     def position_m(self, time_s: FloatArray) -> FloatArray:
-        """Phone: east, north, up, (N, 3)."""
+        """Return the position of the phone (east, north, up), (N, 3)."""
         return self.spline(time_s)[:, :3]
 
     def rotation(self, time_s: FloatArray) -> Rotation:
-        """Phone: sensor-to-world rotations, N of them."""
+        """Return the N rotations of the phone from the sensor frame to the world frame."""
         angles = self.spline(time_s)[:, 3:]
         return Rotation.from_euler(_AXES[:3], angles[:, :3]) * Rotation.from_euler(_AXES[3:], angles[:, 3:])
 
     def specific_force_mps2(self, time_s: FloatArray) -> FloatArray:
-        """R^T (p'' + g up) in the sensor frame, (N, 3)."""
+        """Return the specific force R^T (p'' + g up) in the sensor frame, (N, 3)."""
         force_enu = self.spline(time_s, 2)[:, :3] + np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
         return self.rotation(time_s).inv().apply(force_enu)
 
     def angular_rate_radps(self, time_s: FloatArray) -> FloatArray:
-        """Angular rate in the sensor frame, (N, 3): the rates of the six angles, each turned by the later ones."""
+        """Return the angular rate in the sensor frame, (N, 3).
+
+        It is the sum of the rates of the six angles, each rotated by the later angles.
+        """
         angles, rates = self.spline(time_s)[:, 3:], self.spline(time_s, 1)[:, 3:]
         rate = np.zeros((len(rates), 3))
         for k, axis in enumerate(_AXES):
@@ -103,25 +150,26 @@ class Motion:
         return rate
 
     def body_at(self, time_s: FloatArray) -> FloatArray:
-        """Body: east, north, height of the ground, (N, 3)."""
+        """Return the position of the body (east, north, height of the ground), (N, 3)."""
         return interpolated(time_s, self.grid_s, self.body_position_m)
 
 
 def _about(axis: str, angle_rad: FloatArray) -> Rotation:
-    """Rotations about one axis by angles of shape (N,)."""
+    """Return rotations about one axis by angles (N,)."""
     return Rotation.from_euler(axis, angle_rad[:, None])
 
 
 def smoothstep(u: FloatArray) -> FloatArray:
-    """Minimum-jerk rise from 0 to 1 over u in [0, 1]; two continuous derivatives."""
+    """Return a minimum-jerk rise from 0 to 1 for u in [0, 1], with two continuous derivatives."""
     u = np.clip(u, 0.0, 1.0)
     return u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
 
 
 def through_contacts(time_s: FloatArray, plan: StepPlan, increment: FloatArray) -> FloatArray:
-    """Values, (N,), of a smooth function that grows by `increment[k]` during step k.
+    """Return values (N,) of a smooth function that increases by `increment[k]` during step k.
 
-    Quintic Hermite pieces with zero second derivative at the contacts; standstill at both ends of a bout.
+    The function consists of quintic Hermite pieces with zero second derivative at the contacts. Its derivative is zero
+    at both ends of a bout.
     """
     total = np.concatenate([[0.0], np.cumsum(increment)])
     if len(increment) == 0:
@@ -144,10 +192,10 @@ Blend = Callable[[Sequence[float]], FloatArray]
 
 
 def leg_blend(time_s: FloatArray, plan: StepPlan, legs: Sequence[Leg], width_s: float) -> Blend:
-    """Function that turns one value for each leg into a smooth course over time.
+    """Return a function that converts one value for each leg into a smooth function of time.
 
-    A change happens at the start of the new leg, but is done by its start when a person stops: then nothing moves in
-    the stationary leg.
+    A change begins at the start of the new leg. If a person stops, the change ends there instead, so that nothing moves
+    in the stationary leg.
     """
     lower = np.minimum(np.searchsorted(plan.leg_end_s, time_s, side="right"), len(legs) - 1)
     upper = lower.copy()
@@ -170,7 +218,7 @@ def leg_blend(time_s: FloatArray, plan: StepPlan, legs: Sequence[Leg], width_s: 
 def heading_course(
     time_s: FloatArray, plan: StepPlan, legs: Sequence[Leg], start_heading_rad: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Heading the body faces and heading of travel, clockwise from north, unwrapped, both (N,)."""
+    """Return the heading of the body and the heading of travel, clockwise from north, unwrapped, each (N,)."""
     facing = np.full(len(time_s), start_heading_rad)
     for leg, start_s, end_s in zip(legs, plan.leg_start_s, plan.leg_end_s, strict=True):
         if leg.turn_rad:
@@ -182,23 +230,24 @@ def heading_course(
 
 
 def progress_m(time_s: FloatArray, plan: StepPlan) -> FloatArray:
-    """Way of the body, (N,), through the sum of the step lengths at every contact; smooth over a whole bout.
+    """Return the distance walked by the body (N,), which equals the sum of the step lengths at every contact.
 
-    Setting off takes some steps: pieces from contact to contact would push anew in each.
+    One spline covers a whole bout, because setting off takes several steps. Separate pieces for each step would
+    accelerate the body again in each of them.
     """
-    way = np.zeros_like(time_s)
+    progress = np.zeros_like(time_s)
     begins, ends = np.flatnonzero(plan.first), np.flatnonzero(plan.last) + 1
     for i, j in zip(begins, ends, strict=True):
         at_s = np.append(plan.start_s[i], plan.contact_s[i:j])
-        way_m = np.append(0.0, np.cumsum(plan.length_m[i:j]))
+        distance_m = np.append(0.0, np.cumsum(plan.length_m[i:j]))
         rest = [(1, 0.0), (2, 0.0)]
-        spline = make_interp_spline(at_s, way_m, k=5, bc_type=(rest, rest))
-        way += np.where(time_s < at_s[-1], spline(np.clip(time_s, at_s[0], at_s[-1])), way_m[-1])
-    return way
+        spline = make_interp_spline(at_s, distance_m, k=5, bc_type=(rest, rest))
+        progress += np.where(time_s < at_s[-1], spline(np.clip(time_s, at_s[0], at_s[-1])), distance_m[-1])
+    return progress
 
 
 def body_path(time_s: FloatArray, plan: StepPlan, travel_rad: FloatArray) -> FloatArray:
-    """East, north and height of the ground under the person, (N, 3)."""
+    """Return east, north, and height of the ground under the person, (N, 3)."""
     progress = progress_m(time_s, plan)
     middle = 0.5 * (travel_rad[1:] + travel_rad[:-1])
     east, north = (np.append(0.0, np.cumsum(np.diff(progress) * f(middle))) for f in (np.sin, np.cos))
@@ -206,7 +255,10 @@ def body_path(time_s: FloatArray, plan: StepPlan, travel_rad: FloatArray) -> Flo
 
 
 def rides(time_s: FloatArray, plan: StepPlan, legs: Sequence[Leg], travel_rad: FloatArray) -> FloatArray:
-    """East, north and up that lifts and escalators move the person by, (N, 3): steadily but for start and stop."""
+    """Return the displacement (east, north, up) of the person by lifts and escalators, (N, 3).
+
+    The speed is constant except at start and stop.
+    """
     moved = np.zeros((len(time_s), 3))
     for leg, start_s, end_s in zip(legs, plan.leg_start_s, plan.leg_end_s, strict=True):
         if leg.ride_up_m or leg.ride_m:
@@ -219,7 +271,7 @@ def rides(time_s: FloatArray, plan: StepPlan, legs: Sequence[Leg], travel_rad: F
 
 
 def tremor(time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Irregular course, (N,), whose rate has a root mean square of one; 0.3 to 6 Hz."""
+    """Return an irregular function of time (N,) from 0.3 to 6 Hz, whose derivative has a root mean square of one."""
     frequency_hz = np.geomspace(0.3, 6.0, 8) * rng.uniform(0.85, 1.15, 8)
     phase = rng.uniform(0.0, 2 * np.pi, 8)
     amplitude = np.sqrt(2 / 8) / (2 * np.pi * frequency_hz)
@@ -237,16 +289,16 @@ def build_motion(
     rng: np.random.Generator,
     start_heading_rad: float,
 ) -> Motion:
-    """Motion of body and phone along the planned steps.
+    """Return the motion of body and phone along the planned steps.
 
-    `places` has for each leg the carrying mode and where the phone is then.
+    `places` contains, for each leg, the carrying mode and the place of the phone.
     """
     n = round((plan.leg_end_s[-1] + 2 * MARGIN_S) * GRID_HZ) + 1
     time_s = np.arange(n) / GRID_HZ - MARGIN_S
     carrying = [place for _, place in places]
     facing, travel = heading_course(time_s, plan, legs, start_heading_rad)
     body = body_path(time_s, plan, travel) + rides(time_s, plan, legs, travel)
-    moved, turned = _of_strides(time_s, plan, legs, carrying, gait, rng)
+    moved, turned = _stride_motion(time_s, plan, legs, carrying, gait, rng)
     blend = leg_blend(time_s, plan, legs, CONTEXT_BLEND_S)
     tremor_size = blend([CONTEXT_GAITS[leg.context].tremor * c.tremor for leg, c in zip(legs, carrying, strict=True)])
     for k in range(3):
@@ -262,7 +314,7 @@ def build_motion(
     return Motion(plan, spline, time_s, body, facing)
 
 
-def _of_strides(
+def _stride_motion(
     time_s: FloatArray,
     plan: StepPlan,
     legs: Sequence[Leg],
@@ -270,8 +322,11 @@ def _of_strides(
     gait: Gait,
     rng: np.random.Generator,
 ) -> tuple[FloatArray, FloatArray]:
-    """What strides do to the phone in the body frame: displacements right, forward, up and pitch, roll, yaw, (N, 3)."""
-    # The right foot lands at even numbers of steps, half of them strides.
+    """Return the motion of the phone by the strides in the body frame, each (N, 3).
+
+    The first array is the displacement (right, forward, up), the second the rotation (pitch, roll, yaw).
+    """
+    # stride number: the right foot lands at integers
     stride = 0.5 * (through_contacts(time_s, plan, np.ones(len(plan.leg))) - LAG)
     course = np.zeros((len(time_s), 6))
     for k, (leg, place) in enumerate(zip(legs, carrying, strict=True)):
@@ -289,7 +344,7 @@ def _of_strides(
 
 
 def leg_strides(leg: Leg, place: Carrying, gait: Gait) -> Strides:
-    """Harmonics of a person on a leg as displacements, m, and angles, rad."""
+    """Return the stride harmonics of a person on a leg, as displacements in m and angles in rad."""
     own = of_person(place.strides, leg.context, gait.habit, place.side)
     frequency_hz, length_m = nominal_step(leg, gait)
     usual_mps2 = usual_force_mps2(place.strides, leg.context)
@@ -298,8 +353,8 @@ def leg_strides(leg: Leg, place: Carrying, gait: Gait) -> Strides:
     force *= place.force if leg.context == "walking" else 1.0
     usual_m = gait.step_length_m(leg.context, gait.step_frequency_hz(leg.context))
     number = np.arange(1, N_HARMONICS + 1)
-    blow = np.where(number >= IMPACT, gait.impact_factor, 1.0)
+    impact = np.where(number >= IMPACT, gait.impact_factor, 1.0)
     scale = np.empty((N_HARMONICS, 6))
-    scale[:, FORCE] = (-force * blow / (np.pi * frequency_hz * number) ** 2)[:, None]
+    scale[:, FORCE] = (-force * impact / (np.pi * frequency_hz * number) ** 2)[:, None]
     scale[:, TURN] = place.turn * gait.swing_factor * np.sqrt(length_m / usual_m)
     return own.scaled(scale)

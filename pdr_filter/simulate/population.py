@@ -1,7 +1,8 @@
-"""Simulated people who differ in gait and in how they hold the phone.
+"""Simulated people who differ in gait and in the way they carry the phone.
 
-`simulate` walks one typical person; a classifier trained on that one learns a habit. Every size here is drawn around
-the typical one, with a spread that is a guess: no statistics of how people hold phones are public.
+`simulate` walks one typical person, and a classifier trained on that person alone would learn individual habits. Here
+every quantity is drawn around the typical value. The spreads are assumptions, because there are no public statistics on
+how people hold phones.
 """
 
 from __future__ import annotations
@@ -19,12 +20,15 @@ from pdr_filter.simulate.walk import simulate
 from pdr_filter.values.recording import Recording
 
 MODES: tuple[str, ...] = ("texting", "calling", "swinging", "pocket")
-# At the ear: the top end raised, and rolled until the screen faces the head.
+# Attitude at the ear: the top end is raised, and the phone is rolled until the screen faces the head.
 EAR_PITCH_RAD, EAR_ROLL_RAD = 0.75, 1.45
 
 
 def random_person(mode: str, number: int) -> tuple[Gait, Carrying]:
-    """Somebody's gait, and how they carry a phone in one mode; the same ones for the same mode and number."""
+    """Return the gait of a random person and the placement of the phone in a carrying mode.
+
+    Equal modes and numbers give equal persons.
+    """
     seed = number * len(MODES) + MODES.index(mode)
     rng = np.random.default_rng([MODES.index(mode), number])
     tilt_rad = float(np.clip(rng.normal(0.4, 0.3), -0.1, 1.15))
@@ -32,9 +36,9 @@ def random_person(mode: str, number: int) -> tuple[Gait, Carrying]:
 
 
 def simulated_person(mode: str, number: int) -> Recording:
-    """A walk of somebody who carries a phone in one mode, turns corners, runs or climbs stairs.
+    """Return a walk of a random person with corners, and with running or stairs, in one carrying mode.
 
-    The same person for the same mode and number.
+    Equal modes and numbers give equal recordings.
     """
     seed = number * len(MODES) + MODES.index(mode)
     rng = np.random.default_rng([number, MODES.index(mode)])
@@ -53,7 +57,7 @@ def simulated_person(mode: str, number: int) -> Recording:
 
 
 def _walk(number: int, rng: np.random.Generator) -> list[Leg]:
-    """Half a minute slow and fast with two corners, then most people run and all climb or descend or run."""
+    """Return half a minute of slow and fast walking with two corners, followed by running, stairs, or both."""
     slow, fast = float(rng.uniform(0.6, 0.95)), float(rng.uniform(0.9, 1.15))
     turns = [float(_side(rng) * rng.uniform(0.4, 2.2)) for _ in range(2)]
     legs = [
@@ -70,29 +74,33 @@ def _walk(number: int, rng: np.random.Generator) -> list[Leg]:
 
 
 def _side(rng: np.random.Generator) -> float:
+    """Return -1 or 1 with equal probability."""
     return float(rng.choice([-1.0, 1.0]))
 
 
 def _about(rng: np.random.Generator, median: float, spread: float) -> float:
-    """A factor or size, log-normal."""
+    """Return a log-normal value with a median and a standard deviation of the logarithm."""
     return median * float(np.exp(rng.normal(0.0, spread)))
 
 
 def _texting(rng: np.random.Generator) -> Carrying:
-    """In front of the chest, one in eight across; the pitch is the person's own, `Gait.tilt_rad`."""
+    """Return a phone in front of the chest, held in landscape by one in eight.
+
+    The pitch is that of the person (`Gait.tilt_rad`).
+    """
     across = _side(rng) * np.pi / 2 if rng.uniform() < 0.12 else 0.0
     return Carrying(
         place=(rng.uniform(-0.05, 0.05), rng.uniform(0.14, 0.24), rng.uniform(0.62, 0.78)),
         roll_rad=rng.normal(0.0, 0.12),
         twist_rad=across + rng.normal(0.0, 0.12),
         side=_side(rng),
-        force=_about(rng, 1.35, 0.2),  # an arm gives, 1 to 1.8 times
+        force=_about(rng, 1.35, 0.2),  # the arm yields: 1 to 1.8 times the force
         **_grip(rng),
     )
 
 
 def _calling(rng: np.random.Generator) -> Carrying:
-    """At the right or the left ear."""
+    """Return a phone at the right or the left ear."""
     side = _side(rng)
     return Carrying(
         place=(side * 0.05, 0.03, 0.93),
@@ -106,7 +114,7 @@ def _calling(rng: np.random.Generator) -> Carrying:
 
 
 def _swinging(rng: np.random.Generator) -> Carrying:
-    """At the end of the arm, mostly along the fingers, else the long edge hangs."""
+    """Return a phone in a hanging hand, mostly along the fingers, else with a long edge down."""
     side = _side(rng)
     along = rng.uniform() < 0.7
     return Carrying(
@@ -122,7 +130,10 @@ def _swinging(rng: np.random.Generator) -> Carrying:
 
 
 def _pocket(rng: np.random.Generator) -> Carrying:
-    """In a front or, one in four, a back pocket: either end down, any face to the leg, one in twelve lying across."""
+    """Return a phone in a front pocket or, for one in four, a back pocket.
+
+    Either end may be down and any face towards the leg. One phone in twelve lies across.
+    """
     side, back = _side(rng), rng.uniform() < 0.25
     across = _side(rng) * np.pi / 2 if rng.uniform() < 0.08 else 0.0
     return Carrying(
@@ -132,13 +143,13 @@ def _pocket(rng: np.random.Generator) -> Carrying:
         roll_rad=rng.choice([0.0, np.pi / 2, np.pi, -np.pi / 2], p=[0.4, 0.1, 0.4, 0.1]) + rng.normal(0.0, 0.35),
         twist_rad=across + rng.normal(0.0, 0.35),
         side=side,
-        force=1.0 if back else 1.45,  # the ratio is that of 11 people of ubicomp13, 0.70
+        force=1.0 if back else 1.45,  # ratio 0.70 as measured for 11 people of ubicomp13
         **_grip(rng),
     )
 
 
 def _grip(rng: np.random.Generator) -> dict[str, Any]:
-    """How firmly a hand or pocket holds the phone."""
+    """Return factors for how firmly a hand or a pocket holds the phone."""
     return {"turn": _about(rng, 1.0, 0.1), "loose": _about(rng, 1.0, 0.15), "tremor": _about(rng, 1.0, 0.4)}
 
 

@@ -1,10 +1,10 @@
-"""How a carried phone moves in a stride: harmonics measured on public recordings, and people drawn around them.
+"""Motion of a carried phone in a stride: harmonics measured on public recordings, and random people around them.
 
-`measured_strides.npz` has for each place of the phone and context the mean strides of people and how strides differ
-from those; `tests/benchmarks/stride_harmonics.py` measured it. Harmonics are those of the stride, at half of the step
-frequency. Channels: specific force to the right, forward and up, in parts of the vertical force at step frequency;
-pitch, roll and yaw of the phone about its mean attitude in the person's frame, radians. Phase 0 is where the vertical
-force at step frequency is highest.
+`measured_strides.npz` contains, for each place of the phone and each context, the mean strides of people and the
+variation of their strides. `tests/benchmarks/stride_harmonics.py` measured them. Harmonics are those of the stride,
+whose frequency is half of the step frequency. The channels are the specific force to the right, forward and up,
+relative to the vertical force at step frequency, and pitch, roll and yaw in rad of the phone about its mean attitude in
+the body frame. Phase 0 is the maximum of the vertical force at step frequency.
 """
 
 from __future__ import annotations
@@ -19,34 +19,52 @@ from numpy.typing import NDArray
 
 from pdr_filter.values import BoolArray, ComplexArray, FloatArray
 
-N_HARMONICS = 20  # of the stride: 19 Hz at two steps a second
+N_HARMONICS = 20  # harmonics of the stride, up to 20 Hz at two steps a second
 N_CHANNELS = 6
 FORCE, TURN = slice(0, 3), slice(3, 6)
 MEASURED = Path(__file__).with_name("measured_strides.npz")
-# Somebody drawn is like one of those measured, and this part of the differences between those away from them: people
-# measured are few, and people drawn are 8 % further apart.
+# A random person is one of the measured people plus this part of the differences between them, because few people were
+# measured. Random people then differ by 8 % more than measured ones.
 PEOPLE_SPREAD = 0.4
 _MAX_Z = 2.5
 _ODD = np.arange(1, N_HARMONICS + 1) % 2 == 1
-# The mirror image, and the phone in the other pocket: the other foot leads.
+# Signs for the phone on the other side of the body: the mirror image, with the other foot first.
 _MIRROR = np.array([-1.0, 1.0, 1.0, 1.0, -1.0, -1.0]) * np.where(_ODD, -1.0, 1.0)[:, None]
-# Sideways, the push goes to the side.
+# Channels of sideways walking, in which the push is to the side.
 _ACROSS = [1, 0, 2, 4, 3, 5]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Strides:
-    """The strides of people in one context; a person's differ along a few ways, and in each harmonic alone."""
+    """Stride harmonics of P people in one context.
 
-    people: ComplexArray  # (P, N_HARMONICS, N_CHANNELS) mean strides, the most typical person's first
-    people_rest: FloatArray  # (N_HARMONICS, N_CHANNELS) standard deviation between people, where one was measured
-    amplitude_mps2: FloatArray  # (P,) vertical specific force at step frequency
-    level: FloatArray  # (P, 2) how much the strides of each differ: their forces, their turns
-    ways: ComplexArray  # (W, N_HARMONICS, N_CHANNELS) in which they do, in parts of the level
-    ways_rest: FloatArray  # (N_HARMONICS, N_CHANNELS)
+    Strides of one person vary along W common components, and independently in each harmonic.
+
+    Attributes
+    ----------
+    people : (P, N_HARMONICS, N_CHANNELS) complex array
+        Mean stride of each person, the most typical person first.
+    people_rest : (N_HARMONICS, N_CHANNELS) array
+        Standard deviation between people in contexts in which only one person was measured.
+    amplitude_mps2 : (P,) array
+        Amplitude of the vertical specific force at step frequency.
+    level : (P, 2) array
+        Size of the variation of the strides of each person, for forces and for rotations.
+    ways : (W, N_HARMONICS, N_CHANNELS) complex array
+        Components of this variation, relative to `level`.
+    ways_rest : (N_HARMONICS, N_CHANNELS) array
+        Standard deviation of the independent variation of each harmonic, relative to `level`.
+    """
+
+    people: ComplexArray
+    people_rest: FloatArray
+    amplitude_mps2: FloatArray
+    level: FloatArray
+    ways: ComplexArray
+    ways_rest: FloatArray
 
     def scaled(self, factor: FloatArray) -> Strides:
-        """All harmonics times a table (N_HARMONICS, N_CHANNELS)."""
+        """Return the strides with all harmonics multiplied by a table (N_HARMONICS, N_CHANNELS)."""
         size = np.abs(factor)
         return replace(
             self,
@@ -57,7 +75,7 @@ class Strides:
         )
 
     def person(self, rng: np.random.Generator | None, spread: float = PEOPLE_SPREAD) -> Strides:
-        """Of one person alone: the most typical one (None), or somebody drawn."""
+        """Return the strides of one person: the most typical one if `rng` is None, else a random one."""
         like = 0 if rng is None else int(rng.random() * len(self.people))
         mean = self.people[like]
         if rng is not None:
@@ -68,12 +86,15 @@ class Strides:
         )
 
     def differences(self, rng: np.random.Generator, n: int) -> ComplexArray:
-        """What single strides of the first person add to the mean, (n, N_HARMONICS, N_CHANNELS)."""
+        """Return the deviations of n strides of the first person from the mean, (n, N_HARMONICS, N_CHANNELS)."""
         return np.repeat(self.level[0], 3) * drawn(self.ways, self.ways_rest, rng, n)
 
 
 def drawn(ways: ComplexArray, rest: FloatArray, rng: np.random.Generator, n: int) -> ComplexArray:
-    """Draws (n, N_HARMONICS, N_CHANNELS): normal factors of the ways, and of each harmonic alone."""
+    """Return n random deviations (n, N_HARMONICS, N_CHANNELS).
+
+    They have normal factors along the components `ways`, and independent normal values in each harmonic.
+    """
 
     def z(*shape: int) -> FloatArray:
         return np.clip(rng.standard_normal(shape), -_MAX_Z, _MAX_Z)
@@ -83,7 +104,7 @@ def drawn(ways: ComplexArray, rest: FloatArray, rng: np.random.Generator, n: int
 
 
 def write(tables: dict[tuple[str, str], Strides]) -> None:
-    """Write the measured tables, by place and context; three digits are more than they are worth."""
+    """Write the measured tables, by place and context. Half precision exceeds the accuracy of the measurements."""
     rows: dict[str, NDArray[np.float16]] = {}
     for (place, context), table in tables.items():
         for field in fields(Strides):
@@ -95,6 +116,7 @@ def write(tables: dict[tuple[str, str], Strides]) -> None:
 
 @cache
 def _measured() -> dict[tuple[str, str], Strides]:
+    """Return the tables of `measured_strides.npz`, by place and context."""
     found: dict[tuple[str, str], dict[str, NDArray[np.generic]]] = {}
     with np.load(MEASURED) as rows:
         for key in rows.files:
@@ -107,10 +129,10 @@ def _measured() -> dict[tuple[str, str], Strides]:
 
 @cache
 def strides_in(place: str, context: str) -> Strides:
-    """What was measured there, or made of what was measured elsewhere.
+    """Return the strides in a place of the phone and a context, measured or derived from measured ones.
 
-    Stairs and running come from the pocket, even and odd harmonics of each channel as much weaker or stronger as they
-    are in walking; running with a raised hand from the other hand.
+    Stairs and running are derived from those in the pocket. Even and odd harmonics of each channel are scaled by the
+    ratio of the two places in walking. Running with a raised hand is taken from the swinging hand.
     """
     measured = _measured()
     if (place, context) in measured:
@@ -126,36 +148,40 @@ def strides_in(place: str, context: str) -> Strides:
         )
     if context == "running" and place in ("texting", "calling"):
         return measured["swinging", context]
-    there, found = measured["pocket", "walking"], measured["pocket", context]
+    pocket_walking, pocket = measured["pocket", "walking"], measured["pocket", context]
     ratio = np.empty((N_HARMONICS, N_CHANNELS))
-    for some in (_ODD, ~_ODD):
-        ratio[some] = np.sqrt(_power(here, some) / _power(there, some))
-    ratio[:, FORCE] /= ratio[1, 2]  # of the vertical force at step frequency
-    return found.scaled(ratio)
+    for subset in (_ODD, ~_ODD):
+        ratio[subset] = np.sqrt(_power(here, subset) / _power(pocket_walking, subset))
+    ratio[:, FORCE] /= ratio[1, 2]  # relative to the vertical force at step frequency
+    return pocket.scaled(ratio)
 
 
-def _power(strides: Strides, some: BoolArray) -> FloatArray:
-    """Of each channel, (N_CHANNELS,), over some of the harmonics, mean over people."""
-    return (np.abs(strides.people[:, some]) ** 2).sum(axis=1).mean(axis=0)
+def _power(strides: Strides, subset: BoolArray) -> FloatArray:
+    """Return the power of each channel (N_CHANNELS,) in a subset of the harmonics, as mean over the people."""
+    return (np.abs(strides.people[:, subset]) ** 2).sum(axis=1).mean(axis=0)
 
 
 def usual_force_mps2(place: str, context: str) -> float:
-    """Vertical specific force at step frequency, geometric mean over people."""
+    """Return the amplitude of the vertical specific force at step frequency, as geometric mean over people."""
     return float(np.exp(np.log(strides_in(place, context).amplitude_mps2).mean()))
 
 
 def of_person(place: str, context: str, habit: int | None, side: float) -> Strides:
-    """Of the most typical person (None) or of somebody drawn, who is the same in all contexts; -1 is the left side."""
+    """Return the strides of one person on one side of the body.
+
+    The person is the most typical one if `habit` is None, else a random one with this seed for all contexts. A side of
+    -1 is the left side.
+    """
     rng = None if habit is None else np.random.default_rng([habit, *place.encode()])
     own = strides_in(place, context).person(rng)
     return own.scaled(_MIRROR) if side < 0 else own
 
 
 def waveform(stride: FloatArray, mean: ComplexArray, differences: ComplexArray, first: int) -> FloatArray:
-    """Courses (N, N_CHANNELS) over the strides counted by `stride` (N,), increasing.
+    """Return the channels (N, N_CHANNELS) as functions of the stride number `stride` (N,), which increases.
 
-    The differences of the strides from number `first` on, (n, N_HARMONICS, N_CHANNELS), are in full where a stride
-    begins; raised cosines lead from one to the next.
+    `differences` (n, N_HARMONICS, N_CHANNELS) are the deviations of the strides from number `first` on. Each applies
+    fully at the beginning of its stride. Raised cosines blend from one to the next.
     """
     result = np.empty((len(stride), mean.shape[1]))
     begin = np.searchsorted(stride, first + np.arange(len(differences)))
@@ -166,6 +192,6 @@ def waveform(stride: FloatArray, mean: ComplexArray, differences: ComplexArray, 
         harmonics = np.cumprod(np.broadcast_to(turns, (b - a, len(mean))), axis=1)
         share = 0.5 - 0.5 * np.cos(np.pi * (stride[a:b] - (first + k)))[:, None]
         steady, before, after = (np.real(harmonics @ c) for c in (mean, differences[k], differences[k + 1]))
-        # neighbours are independent: this keeps their variance
+        # neighbouring strides are independent, so divide by this to keep the variance
         result[a:b] = steady + ((1 - share) * before + share * after) / np.sqrt((1 - share) ** 2 + share**2)
     return result

@@ -1,4 +1,4 @@
-"""A walk along legs as a recording, with exact truth."""
+"""Recording of a simulated walk along legs, with exact ground truth."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from pdr_filter.values.recording import Recording, Truth
 
 MAGNETOMETER_RATE_HZ = 50.0
 BAROMETER_RATE_HZ = 10.0
-# The pressure falls by a factor e over 8435 m of air of 15 degrees.
+# Pressure at the start, and the height over which it falls by a factor e in air of 15 degrees Celsius.
 GROUND_HPA, SCALE_HEIGHT_M = 1013.25, 8435.0
-# East, north, up; about that of central Europe, north being magnetic north.
+# East, north, up: about the magnetic field of central Europe. North is magnetic north.
 MAGNETIC_FIELD_UT = (0.0, 20.0, -44.0)
 
 
@@ -31,9 +31,46 @@ def phone_motion(
     start_heading_rad: float = 0.0,
     carrying: Mapping[str, Carrying] | None = None,
 ) -> Motion:
-    """Exact motion behind `simulate` with the same arguments: position, attitude, specific force at any time."""
+    """Return the exact motion of the phone and the body on a simulated walk.
+
+    With the same arguments, `simulate` records this motion with sensor errors.
+
+    Parameters
+    ----------
+    legs : sequence of Leg
+        Stretches of the walk, which starts at east 0, north 0.
+    gait : Gait, optional
+        Person who walks. By default a typical person.
+    carrying_mode : {"texting", "pocket", "swinging", "calling"}, default "texting"
+        Carrying mode until a leg changes it.
+    seed : int, default 0
+        Seed of the random variation of the walk.
+    start_heading_rad : float, default 0.0
+        Heading at the start in rad, clockwise from north.
+    carrying : mapping of str to Carrying, optional
+        Place and attitude of the phone in each carrying mode. By default the typical ones (`motion.CARRYING`).
+
+    Returns
+    -------
+    Motion
+        Position, attitude, specific force and angular rate of the phone at any time, and position and heading of the
+        body.
+
+    Raises
+    ------
+    ValueError
+        If there are no legs, or if a carrying mode is not in `carrying`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.simulate import Leg, phone_motion
+    >>> motion = phone_motion([Leg("stationary", duration_s=2.0)])
+    >>> motion.position_m(np.array([1.0])).shape
+    (1, 3)
+    """
     if not legs:
-        raise ValueError("a walk needs at least one leg, got none")
+        raise ValueError('legs is empty: give at least one leg, such as Leg("walking", distance_m=20.0)')
     gait = gait or Gait()
     places = _places(legs, carrying_mode, CARRYING if carrying is None else carrying)
     plan_seed, motion_seed, _ = np.random.SeedSequence(seed).spawn(3)
@@ -53,35 +90,44 @@ def simulate(
     name: str = "simulated_walk",
     carrying: Mapping[str, Carrying] | None = None,
 ) -> Recording:
-    """Recording of a walk along the legs, with accelerometer, gyroscope, magnetometer and exact truth.
+    """Return the recording of a simulated walk, with accelerometer, gyroscope, magnetometer and exact ground truth.
 
-    With `errors.barometer` it has the pressure, too.
+    The recording also has pressure if `errors.barometer` is given.
 
     Parameters
     ----------
     legs : sequence of Leg
-        The walk, starting at east 0, north 0.
+        Stretches of the walk, which starts at east 0, north 0.
     gait : Gait, optional
-        The person; a typical one if not given.
-    carrying_mode : {"texting", "pocket", "swinging", "calling"}
-        Where the phone is until a leg says otherwise.
-    rate_hz : float
-        Of accelerometer and gyroscope.
+        Person who walks. By default a typical person.
+    carrying_mode : {"texting", "pocket", "swinging", "calling"}, default "texting"
+        Carrying mode until a leg changes it.
+    rate_hz : float, default 100.0
+        Sampling rate of accelerometer and gyroscope in Hz, from 20 to 500.
     errors : SensorErrors, optional
-        A typical phone's if not given.
-    seed : int
-        The same seed gives the same recording; the walk does not depend on `errors` and `rate_hz`.
-    start_heading_rad : float
-        Clockwise from north.
+        Errors of the sensors. By default those of a typical phone.
+    seed : int, default 0
+        Seed of all random numbers. Equal seeds give equal recordings. The walk does not depend on `errors` and
+        `rate_hz`.
+    start_heading_rad : float, default 0.0
+        Heading at the start in rad, clockwise from north.
+    name : str, default "simulated_walk"
+        Name of the recording.
     carrying : mapping of str to Carrying, optional
-        Where the phone is in each carrying mode, for persons who carry it in their own way; the typical places
-        `motion.CARRYING` if not given.
+        Place and attitude of the phone in each carrying mode, for persons with their own way of carrying it. By default
+        the typical ones (`motion.CARRYING`).
 
     Returns
     -------
     Recording
-        Truth: `position` is the person (east, north, height of the ground), not the phone; `steps` are the foot
-        contacts; `strides`, `segments` and `labels` follow the legs; `waypoints` are the start and the ends of legs.
+        Recording with ground truth. `position` is the position of the person (east, north, height of the ground), not
+        of the phone. `steps` are the foot contacts. `strides`, `segments` and `labels` follow the legs. `waypoints` are
+        the start and the ends of the legs.
+
+    Raises
+    ------
+    ValueError
+        If the rate is out of range, if there are no legs, or if a carrying mode is not in `carrying`.
 
     Examples
     --------
@@ -92,7 +138,7 @@ def simulate(
     array([ 0., 20., 10.])
     """
     if not 20.0 <= rate_hz <= 500.0:
-        raise ValueError(f"rate_hz must be from 20 to 500, got {rate_hz}: steps need 20 Hz, phones give up to 500 Hz")
+        raise ValueError(f"rate_hz must be from 20 to 500, got {rate_hz}: steps need 20 Hz, phones sample up to 500 Hz")
     gait = gait or Gait()
     motion = phone_motion(legs, gait, carrying_mode, seed=seed, start_heading_rad=start_heading_rad, carrying=carrying)
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(3)[2])
@@ -110,10 +156,27 @@ def simulate(
 
 
 def demo_walk(seed: int = 0) -> Recording:
-    """Two minutes through all contexts that the models know, phone in the pocket.
+    """Return a simulated walk of two minutes through all contexts that the shipped models recognise.
 
-    A loop of 138 m: along two corridors, up to the next storey, back there, the last metres running, down and towards
-    start.
+    The phone is in the pocket. The walk is a loop of 138 m: along two corridors, up to the next storey, back along it
+    with the last metres running, down again, and towards the start.
+
+    Parameters
+    ----------
+    seed : int, default 0
+        Seed of all random numbers. Equal seeds give equal recordings.
+
+    Returns
+    -------
+    Recording
+        Recording with exact ground truth.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> walk = pdr.simulate.demo_walk()
+    >>> walk.name, round(walk.duration_s), round(float(walk.truth.segments.distance_m.sum()))
+    ('demo_walk', 114, 138)
     """
     right = np.pi / 2
     legs = [
@@ -133,12 +196,15 @@ def demo_walk(seed: int = 0) -> Recording:
 
 
 def _places(legs: Sequence[Leg], carrying_mode: str, places: Mapping[str, Carrying]) -> list[tuple[str, Carrying]]:
-    """Carrying mode of each leg, and where the phone is then."""
+    """Return the carrying mode of each leg, and the place and attitude of the phone in it."""
     found: list[tuple[str, Carrying]] = []
     for leg in legs:
         carrying_mode = leg.carrying_mode or carrying_mode
         if carrying_mode not in places:
-            raise ValueError(f"carrying_mode must be one of {', '.join(places)}, got {carrying_mode!r}")
+            raise ValueError(
+                f"carrying_mode must be one of {', '.join(places)}, got {carrying_mode!r}: give its place in the "
+                "argument carrying"
+            )
         found.append((carrying_mode, places[carrying_mode]))
     return found
 
@@ -146,7 +212,10 @@ def _places(legs: Sequence[Leg], carrying_mode: str, places: Mapping[str, Carryi
 def _streams(
     motion: Motion, rate_hz: float, errors: SensorErrors, rng: np.random.Generator
 ) -> tuple[Samples, Samples, Samples, Samples | None]:
-    """Accelerometer, gyroscope, magnetometer, barometer: every sensor has its own clock and begins at its own time."""
+    """Return accelerometer, gyroscope, magnetometer and barometer samples.
+
+    Each sensor has its own clock and its own first sample.
+    """
     end_s = float(motion.plan.leg_end_s[-1])
 
     def clock(rate: float, start_s: float) -> FloatArray:
@@ -176,7 +245,7 @@ def _streams(
 
 
 def _truth(motion: Motion, legs: Sequence[Leg], carrying_mode: str) -> Truth:
-    """All truth tables."""
+    """Return all ground truth tables."""
     plan = motion.plan
     modes = [carrying_mode := leg.carrying_mode or carrying_mode for leg in legs]
     step_of_leg = [plan.leg == k for k in range(len(legs))]
@@ -197,7 +266,7 @@ def _truth(motion: Motion, legs: Sequence[Leg], carrying_mode: str) -> Truth:
             }
         ),
         steps=table({"time_s": plan.contact_s}),
-        strides=table(  # every two steps in a row of one leg: contact of a foot to the next contact of the same foot
+        strides=table(  # two consecutive steps of one leg, between two contacts of the same foot
             {
                 "start_s": plan.start_s[:-1][pair],
                 "end_s": plan.contact_s[1:][pair],
@@ -224,7 +293,7 @@ def _truth(motion: Motion, legs: Sequence[Leg], carrying_mode: str) -> Truth:
 
 
 def _meta(name: str, gait: Gait, carrying_mode: str, rate_hz: float, seed: int) -> MappingProxyType[str, Any]:
-    """Meta data that leave no doubt that nobody walked."""
+    """Return the metadata, which state clearly that the walk is simulated."""
     return MappingProxyType(
         {
             "name": name,

@@ -1,1 +1,1 @@
-"""Sensing and filter as one: for apps that push samples, and for whole recordings."""
+"""Online filter for apps, tracks of whole recordings, and warnings about a track."""

@@ -1,4 +1,4 @@
-"""What a filter knows at this moment: between steps, and of steps that are not accepted yet."""
+"""Estimate at the time of the newest sample, extrapolated beyond the last accepted step."""
 
 from __future__ import annotations
 
@@ -22,15 +22,61 @@ from pdr_filter.values.uncertainty import worst_std_m
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProvisionalStep:
-    """A step that is found and not accepted yet: it may still be none."""
+    """Candidate step that has been detected but not accepted yet. It may still be rejected."""
 
-    time_s: float  # contact
-    position_m: FloatArray  # (2,) east, north, after it
+    time_s: float  # foot contact
+    position_m: FloatArray  # (2,) east, north, after the step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Now:
-    """The filter at the time of its newest sample.
+    """Estimate of the filter at the time of its newest sample.
+
+    D is the number of carrying modes, and C the number of contexts.
+
+    Attributes
+    ----------
+    time_s : float
+        Time of the newest sample on the clock of the track, s. NaN before the first sample.
+    latency_s : float
+        Delay of the processed samples behind the newest sample, s.
+    n_steps : int
+        Number of accepted steps.
+    distance_m : float
+        Walked distance of the accepted steps, m.
+    position_m : ndarray, shape (2,)
+        East and north, m.
+    position_cov_m2 : ndarray, shape (2, 2)
+        Covariance of `position_m`, m^2.
+    is_provisional : bool
+        True if the position is ahead of the last accepted step, so that it may be withdrawn.
+    provisional_steps : tuple of ProvisionalStep
+        Candidate steps included in the position, in order of time.
+    walking_heading_rad, walking_heading_std_rad : float
+        Walking direction, rad, clockwise from north and not wrapped, and its standard deviation. While the pedestrian
+        stands, the direction in which he or she faces.
+    walking_speed_mps, walking_speed_std_mps : float
+        Smoothed walking speed and its standard deviation, m/s. While the pedestrian stands, 0 and NaN.
+    context_prob : ndarray, shape (C,)
+        Probability of each context in the last window. NaN before the first window.
+    contexts : tuple of str
+        Names of the contexts.
+    carrying_prob : ndarray, shape (D,)
+        Probability of each carrying mode of `CARRYING_MODES`. NaN before the first window.
+    height_m, height_std_m : float
+        Height above the start, and its standard deviation, m.
+    floor : int
+        Storey. The start is on storey 0, unless a fix names the storey.
+    fixes : tuple of FixResult
+        Outcomes of the last fixes.
+    rates_hz : mapping of str to float
+        Sampling rate of each sensor, Hz.
+    n_gaps : int
+        Number of gaps in the samples.
+    lost_s : float
+        Total duration of the gaps, s.
+    notes : tuple of str
+        Warnings about the track so far.
 
     Examples
     --------
@@ -45,37 +91,43 @@ class Now:
     True
     """
 
-    time_s: float  # of the newest sample, on the track's time base; NaN before the first
-    latency_s: float  # by how much what is merged and processed is behind it
-    n_steps: int  # accepted
-    distance_m: float  # of these
-    position_m: FloatArray  # (2,) east, north
-    position_cov_m2: FloatArray  # (2, 2)
-    is_provisional: bool  # that the position is ahead of the last accepted step: it may be taken back
-    provisional_steps: tuple[ProvisionalStep, ...]  # that led there, in order
-    walking_heading_rad: float  # clockwise, of the walk, or of the person who stands and turns; not wrapped
+    time_s: float
+    latency_s: float
+    n_steps: int
+    distance_m: float
+    position_m: FloatArray
+    position_cov_m2: FloatArray
+    is_provisional: bool
+    provisional_steps: tuple[ProvisionalStep, ...]
+    walking_heading_rad: float
     walking_heading_std_rad: float
-    walking_speed_mps: float  # smoothed; 0 while nobody steps
-    walking_speed_std_mps: float  # NaN while nobody steps
-    context_prob: FloatArray  # (C,) in the last window; NaN before the first
-    contexts: tuple[str, ...]  # C names
-    carrying_prob: FloatArray  # (D,) of `CARRYING_MODES`
+    walking_speed_mps: float
+    walking_speed_std_mps: float
+    context_prob: FloatArray
+    contexts: tuple[str, ...]
+    carrying_prob: FloatArray
     height_m: float
     height_std_m: float
     floor: int
-    fixes: tuple[FixResult, ...]  # what became of the last ones
-    rates_hz: Mapping[str, float]  # of each sensor as it arrives
-    n_gaps: int  # in the samples
-    lost_s: float  # in these
+    fixes: tuple[FixResult, ...]
+    rates_hz: Mapping[str, float]
+    n_gaps: int
+    lost_s: float
     notes: tuple[str, ...]
 
     @property
     def position_std_m(self) -> float:
-        """Standard deviation of the position in the worst direction."""
+        """Standard deviation of the position in its least certain direction, m."""
         return float(worst_std_m(self.position_cov_m2))
 
     def to_dict(self) -> dict[str, Any]:
-        """The fields and `position_std_m` as JSON has them: None for what is not finite, probabilities by names."""
+        """Return the fields and `position_std_m` as JSON values.
+
+        Returns
+        -------
+        dict
+            Arrays are lists, numbers that are not finite are None, and probabilities are dictionaries by name.
+        """
         named = as_plain(self)
         del named["contexts"]
         return {
@@ -86,32 +138,34 @@ class Now:
         }
 
 
-# Errors of the way beyond the last known contact, along and across, as shares of it (root mean squares): the person may
-# have stopped or turned. Chosen, with `_QUIET_MPS2`, on every second of 34 walks of ms_indoor; the others have 0.39 and
-# 0.17, humolire 0.21 and 0.07 (tests/benchmarks/provisional.py).
+# Errors of the distance extrapolated beyond the last known contact, along and across, as shares of that distance (root
+# mean squares): the pedestrian may have stopped or turned. Chosen, with `_QUIET_MPS2`, on every other walk of the 34 of
+# ms_indoor. The held-out walks have 0.39 and 0.17, humolire 0.21 and 0.07 (tests/benchmarks/provisional.py).
 _ALONG_SHARE, _ACROSS_SHARE = 0.4, 0.15
-# Nobody walks whose |specific force| had a smaller standard deviation for the last half second, in rows at 25 Hz.
+# The pedestrian stands if the standard deviation of |specific force| over the last half second (rows at 25 Hz) is
+# smaller.
 _QUIET_MPS2, _QUIET_ROWS = 0.8, 13
 
 
 class Present(NamedTuple):
-    """Where the pedestrian is at the time of the newest sample, in the frame of the filter's states."""
+    """Position at the time of the newest sample, in the frame of the filter's states."""
 
     time_s: float
     place: Place
-    steps: tuple[ProvisionalStep, ...]  # that are found and not accepted yet, and led there
-    way_m: float  # since the last contact
+    steps: tuple[ProvisionalStep, ...]  # candidate steps included in the position
+    extrapolated_m: float  # distance since the last contact
     speed_mps: float
     speed_std_mps: float
 
 
 def present_place(config: Config, state: State) -> Present:
-    """The place at this moment, before the frame of the fixes and a floor plan.
+    """Return the position at the time of the newest sample, in the frame of the filter's states.
 
-    Behind the last accepted step come the candidates: steps that the gate has not judged yet, and those that wait for a
-    bout while walking is more probable than not. From the last contact the position goes on at the smoothed speed, in
-    the direction of the step turned by half of what the phone has turned since, until the next contact is overdue or
-    the phone is quiet. After `finish` nothing is provisional.
+    The position follows from three parts. The first is the last accepted step. The second is the candidate steps: steps
+    that the gate has not decided yet, and steps that wait for a bout while walking is more probable than not. The third
+    is an extrapolation from the last contact at the smoothed speed. Its direction is the direction of the step, rotated
+    by half of the rotation of the phone since then. The extrapolation ends when the next contact is overdue or the
+    phone is quiet. After `finish` the position has the first part only.
     """
     sensing = state.sensing
     tracker, last, steps = state.tracker, state.last_update, list[ProvisionalStep]()
@@ -129,16 +183,16 @@ def present_place(config: Config, state: State) -> Present:
         turned_rad = device_rad - last.step.device_heading_rad
         place = last.of_start or last_place
         place = replace(place, heading_rad=place.heading_rad + turned_rad)
-    speed_mps, speed_std_mps, way_m = 0.0, math.nan, 0.0
-    if last is not None and not state.finished and _walks(config, state, last, bool(steps)):
+    speed_mps, speed_std_mps, extrapolated_m = 0.0, math.nan, 0.0
+    if last is not None and not state.finished and _is_walking(config, state, last, bool(steps)):
         speed_mps, speed_std_mps = last.speed.smoothed_mps, last.speed.smoothed_std_mps
-        way_m = speed_mps * max(_felt_s(state) - last.step.time_s, 0.0)
-        place = _further(place, way_m, device_rad - last.step.device_heading_rad)
-    return Present(_newest_s(state), place, tuple(steps), way_m, speed_mps, speed_std_mps)
+        extrapolated_m = speed_mps * max(_newest_accelerometer_s(state) - last.step.time_s, 0.0)
+        place = _extrapolated(place, extrapolated_m, device_rad - last.step.device_heading_rad)
+    return Present(_newest_s(state), place, tuple(steps), extrapolated_m, speed_mps, speed_std_mps)
 
 
 def now(config: Config, state: State) -> Now:
-    """What is known at this moment: `present_place` in the frame of the fixes, and all else."""
+    """Return the estimate at the time of the newest sample, in the frame of the fixes or of the floor plan."""
     sensing, pedestrian, present = state.sensing, state.tracker.pedestrian, present_place(config, state)
     newest_s, steps, place, frame = present.time_s, present.steps, present.place, pedestrian.frame
     mean, cov = pedestrian.estimates.combined
@@ -166,10 +220,10 @@ def now(config: Config, state: State) -> Now:
         distance_m=pedestrian.estimates.distance_m,
         position_m=read_only(place.position_m),
         position_cov_m2=read_only(place.cov_m2),
-        is_provisional=bool(steps) or present.way_m > 0,
+        is_provisional=bool(steps) or present.extrapolated_m > 0,
         provisional_steps=steps,
         walking_heading_rad=place.heading_rad,
-        walking_heading_std_rad=math.sqrt(float(cov[HEADING_OFFSET, HEADING_OFFSET]) + frame.turn_var_rad2),
+        walking_heading_std_rad=math.sqrt(float(cov[HEADING_OFFSET, HEADING_OFFSET]) + frame.rotation_var_rad2),
         walking_speed_mps=present.speed_mps,
         walking_speed_std_mps=present.speed_std_mps,
         context_prob=read_only(context_prob),
@@ -186,17 +240,23 @@ def now(config: Config, state: State) -> Now:
     )
 
 
-def _further(place: Place, way_m: float, turned_rad: float) -> Place:
-    """The place of somebody who went on while the phone turned to where it points there."""
+def _extrapolated(place: Place, extrapolated_m: float, turned_rad: float) -> Place:
+    """Return a position extrapolated by a distance, while the phone rotated by an angle to its present heading."""
     heading_rad = place.heading_rad - 0.5 * turned_rad
     along = np.array([math.sin(heading_rad), math.cos(heading_rad)])
     across = np.array([along[1], -along[0]])
     share = _ALONG_SHARE**2 * np.outer(along, along) + _ACROSS_SHARE**2 * np.outer(across, across)
-    return replace(place, position_m=place.position_m + way_m * along, cov_m2=place.cov_m2 + way_m**2 * share)
+    return replace(
+        place, position_m=place.position_m + extrapolated_m * along, cov_m2=place.cov_m2 + extrapolated_m**2 * share
+    )
 
 
 def _on_plan(place: Place, base: Place, on_plan: OnPlan) -> Place:
-    """A place of the tracker ahead of that of its last step, as seen from where the particles have that step."""
+    """Return a position of the tracker in the frame of the particles.
+
+    `base` is the position of the tracker at its last step, and `on_plan` the position of the particles there. The
+    displacement since that step is rotated and added to the position of the particles.
+    """
     turn_rad = on_plan.walking_heading_rad - base.heading_rad
     c, s = math.cos(turn_rad), math.sin(turn_rad)
     rotation = np.array([[c, s], [-s, c]])
@@ -211,12 +271,12 @@ def _on_plan(place: Place, base: Place, on_plan: OnPlan) -> Place:
 
 
 def _candidates(gate: Any) -> list[Step]:
-    """Steps that are found and not accepted yet, where somebody seems to walk."""
+    """Return the candidate steps of the gate, if walking is more probable than not."""
     return list(getattr(gate, "candidates", ()))
 
 
-def _walks(config: Config, state: State, last: StepUpdate, is_candidate: bool) -> bool:
-    """Whether somebody walks on after the last step: the next one is not overdue, and the phone is not quiet."""
+def _is_walking(config: Config, state: State, last: StepUpdate, is_candidate: bool) -> bool:
+    """True if the pedestrian still walks after the last step: the next step is not overdue, and the phone moves."""
     sensing, gate = config.sensing, state.sensing.gate
     latency_s = sensing.steps.latency_s if is_candidate else sensing.step_latency_s
     if not state.sensing.processed_s - last.step.time_s <= latency_s + last.step.duration_s:
@@ -226,21 +286,21 @@ def _walks(config: Config, state: State, last: StepUpdate, is_candidate: bool) -
 
 
 def _newest_s(state: State) -> float:
-    """Time of the newest sample, on the track's time base."""
+    """Return the time of the newest sample of any sensor, on the clock of the track."""
     if state.merger.is_used:
         return max(s.last_s for s in state.merger.streams) + state.clock_offset_s
     return state.sensing.conditioner.report.last_time_s
 
 
-def _felt_s(state: State) -> float:
-    """Time of the newest sample of the accelerometer, as another sensor may be on another clock."""
+def _newest_accelerometer_s(state: State) -> float:
+    """Return the time of the newest accelerometer sample. Other sensors may have another clock."""
     if not state.merger.is_used:
         return _newest_s(state)
     return state.merger.stream("accelerometer").last_s + state.clock_offset_s
 
 
 def _rates_hz(state: State) -> dict[str, float]:
-    """Of each sensor as it arrives; of samples that were pushed together as they were."""
+    """Return the sampling rate of each sensor that arrives separately, or the common rate of merged samples."""
     if state.merger.is_used:
         streams = zip(SENSORS, state.merger.streams, strict=True)
         return {sensor: stream.rate_hz for sensor, stream in streams if stream.n_received}

@@ -1,4 +1,4 @@
-"""The filter as one pure step over a block of samples."""
+"""Filter as a pure function: state and block of samples in, new state and output out."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pdr_filter.filter.fixes.gnss import LocationState, Rides, good_places, place_at, position_fixes
-from pdr_filter.filter.fixes.range_placement import LEAST_LOG_ODDS
+from pdr_filter.filter.fixes.range_placement import MIN_LOG_ODDS
 from pdr_filter.filter.height import height_filter as height
 from pdr_filter.filter.height.height_filter import HeightState, initial_height
 from pdr_filter.filter.imm import pedestrian_state as pedestrian
@@ -46,19 +46,19 @@ from pdr_filter.values import (
     replace_unchecked,
 )
 
-# How old a fix of an app may be: the remembered steps (`pedestrian_state.TRAIL_STEPS`) are half a minute of walking,
-# and a pedestrian who rests now and then makes as many in a minute. A clock that is further off is another clock.
+# Maximum age of a fix. The tracker remembers `pedestrian_state.TRAIL_STEPS` steps: half a minute of continuous walking,
+# or about a minute with rests. A larger difference means that fix and samples have different clocks.
 MAX_FIX_AGE_S = 60.0
-# A fix of the moment at which the sensors were switched on is one of their first sample.
+# A fix from the moment at which the sensors are switched on may be slightly older than the first sample.
 FIX_TOLERANCE_S = 1.0
 
-# Results of fixes that an app can still ask for.
+# Number of fix results kept for `Now.fixes`.
 _N_LAST_FIXES = 16
 
 
 @dataclass(frozen=True, eq=False)
 class RivalTracker:
-    """A tracker with the less probable one of two hypotheses, and its log odds against the other one."""
+    """Tracker of the less probable of two position hypotheses, with its log odds against the more probable one."""
 
     tracker: TrackerState
     log_odds: float
@@ -71,7 +71,55 @@ class RivalTracker:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Everything about a filter that changes."""
+    """Complete state of a filter: everything that changes with samples and fixes.
+
+    Attributes
+    ----------
+    sensing : SensingState
+        State of the stages from samples to steps and windows.
+    tracker : TrackerState
+        State of the tracker.
+    barometer : ClimbState
+        State of the climb-rate estimator.
+    seen : WindowCounts
+        Numbers of all windows and of unreliable ones, for the warnings.
+    walked : StepCounts
+        Numbers of all steps and of unreliable ones, for the warnings.
+    height : HeightState
+        State of the height filter.
+    climbs : tuple of Climb
+        Climb rates from the barometer whose windows have not been classified yet.
+    n_lost_climbs : int
+        Number of climb rates dropped because their windows did not come.
+    n_climbs_used : int
+        Number of leading elements of `climbs` that the height filter has used.
+    locations : LocationState
+        State of the conversion from geographic locations to position fixes.
+    places : ndarray, shape (N, 3)
+        Recent accurate locations (`gnss.good_places`), which distinguish hills from storeys.
+    rides : Rides
+        Vehicle rides found in the position fixes.
+    waiting_fixes : tuple of Fix
+        Fixes that have not been received yet, or whose steps are not known yet, ordered by due time.
+    n_rejected_fixes : int
+        Number of rejected fixes.
+    n_length_fixes : int
+        Number of accepted positions, ranges and speeds, from which the filter learns the step length.
+    particles : PlanState or None
+        Particles on the floor plan. None without a plan.
+    merger : MergerState
+        State of the merging of sensors that arrive separately.
+    window : WindowContext or None
+        Last classified window.
+    last_fixes : tuple of FixResult
+        Outcomes of the last fixes.
+    last_update : StepUpdate or None
+        Last step since the last gap.
+    rival : RivalTracker or None
+        Second hypothesis while ranges fit two positions.
+    finished : bool
+        True after `finish`.
+    """
 
     sensing: SensingState
     tracker: TrackerState
@@ -79,60 +127,60 @@ class State:
     seen: WindowCounts = field(default_factory=WindowCounts)
     walked: StepCounts = field(default_factory=StepCounts)
     height: HeightState = field(default_factory=initial_height)
-    climbs: tuple[Climb, ...] = ()  # from the barometer, for windows that are still to come
-    n_lost_climbs: int = 0  # that waited too long for their windows
-    n_climbs_used: int = 0  # of these, by the height
+    climbs: tuple[Climb, ...] = ()
+    n_lost_climbs: int = 0
+    n_climbs_used: int = 0
     locations: LocationState = field(default_factory=LocationState)
-    places: FloatArray = field(default_factory=lambda: np.empty((0, 3)))  # of good locations: `gnss.good_places`
+    places: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
     rides: Rides = field(default_factory=Rides)
-    waiting_fixes: tuple[Fix, ...] = ()  # not yet received, or from a time whose steps are not yet known
+    waiting_fixes: tuple[Fix, ...] = ()
     n_rejected_fixes: int = 0
-    n_length_fixes: int = 0  # used ones that say how long steps are: positions and speeds
-    particles: PlanState | None = None  # on the floor plan, if there is one
-    merger: MergerState = field(default_factory=StreamMerger().init)  # of sensors that arrive apart
-    window: WindowContext | None = None  # the last one
-    last_fixes: tuple[FixResult, ...] = ()  # what became of them
-    last_update: StepUpdate | None = None  # of this segment
-    rival: RivalTracker | None = None  # the other place that ranges fit, while they fit two
+    n_length_fixes: int = 0
+    particles: PlanState | None = None
+    merger: MergerState = field(default_factory=StreamMerger().init)
+    window: WindowContext | None = None
+    last_fixes: tuple[FixResult, ...] = ()
+    last_update: StepUpdate | None = None
+    rival: RivalTracker | None = None
     finished: bool = False
 
     @property
     def clock_offset_s(self) -> float:
-        """What is added to a time of the samples' clock, which may have been set back, to have the track's."""
+        """Offset from the sample clock to the track clock, s. It changes when the sample clock jumps backwards."""
         return self.sensing.conditioner.clock.offset_s
 
 
 @dataclass(frozen=True, eq=False)
 class Output:
-    """What one block of samples brought."""
+    """Events that one block of samples produced: steps, windows, results of fixes, and completed floor passages."""
 
     updates: list[StepUpdate] = field(default_factory=list[StepUpdate])
     windows: list[WindowContext] = field(default_factory=list[WindowContext])
     fixes: list[FixResult] = field(default_factory=list[FixResult])
-    floor_passages: list[FloorPassage] = field(default_factory=list[FloorPassage])  # that ended
+    floor_passages: list[FloorPassage] = field(default_factory=list[FloorPassage])
 
     def extend(self, later: Output) -> None:
-        """Add what came later."""
+        """Append the events of a later output."""
         for name in ("updates", "windows", "fixes", "floor_passages"):
             getattr(self, name).extend(getattr(later, name))
 
 
 def init(config: Config) -> State:
-    """State of a filter before its first sample."""
+    """Return the state of a filter before its first sample."""
     state = State(config.sensing.init(), config.tracker.init(), config.climb_rate.init())
     on_plan = config.on_plan
     if on_plan is None:
         return state
     if on_plan.start is not None:
         state = replace_unchecked(state, height=height.with_floor(state.height, on_plan.start.floor))
-    # locations are then in the frame of the plan
+    # With a plan in degrees, the origin of the plan is the origin of the locations.
     return replace_unchecked(state, locations=LocationState(origin=on_plan.plan.origin), particles=on_plan.init())
 
 
 def update(config: Config, state: State, block: ImuBlock) -> tuple[State, Output]:
-    """New state and output after a block of samples of any length.
+    """Return the new state and the output after a block of samples of any length.
 
-    The result depends on the samples and fixes only, not on how they were cut into blocks. ValueError after `finish`.
+    The result depends on samples and fixes only, and not on the division into blocks. ValueError after `finish`.
     """
     if state.finished:
         raise ValueError("the filter is finished: start a new one for further samples")
@@ -144,10 +192,14 @@ def update(config: Config, state: State, block: ImuBlock) -> tuple[State, Output
     return state, whole
 
 
-def arrive(
+def update_streams(
     config: Config, state: State, samples: Mapping[Sensor, tuple[FloatArray, FloatArray]]
 ) -> tuple[State, Output]:
-    """New state and output after samples (N,), (N, d) of some sensors, which wait for those of the others."""
+    """Return the new state and the output after samples of single sensors.
+
+    `samples` has times (N,) and values (N, d) for each sensor. They wait for the samples of the other sensors.
+    ValueError after `finish`.
+    """
     if state.finished:
         raise ValueError("the filter is finished: start a new one for further samples")
     merger, merged = config.merger.together(state.merger, samples)
@@ -160,23 +212,25 @@ def _with_merged(config: Config, state: State, merged: Merged) -> tuple[State, O
     return update(config, state, merged.block) if len(merged.block.time_s) else (state, Output())
 
 
-# Samples that go through the stages at once: some minutes, so that memory stays small. No result depends on it.
+# Number of samples that pass the stages at once: some minutes, which bounds memory. Results do not depend on it.
 PART_SAMPLES = 32_000
 
 
 def parts(block: ImuBlock) -> Iterator[ImuBlock]:
-    """A block in pieces of at most `PART_SAMPLES`."""
+    """Split a block into pieces of at most `PART_SAMPLES`."""
     yield from block.parts(PART_SAMPLES)
 
 
-# Climb rates that wait for their windows, one a second: ten minutes before the samples a barometer has another clock.
+# Maximum number of climb rates, one per second, that wait for their windows. A barometer that is ten minutes ahead of
+# the other samples has another clock.
 MAX_CLIMBS = 600
 
 
 def add_pressure(config: Config, state: State, time_s: FloatArray, pressure_hpa: FloatArray) -> State:
-    """State with samples of a barometer, (N,) each; windows that end after them use the climb rate.
+    """Return the state with barometer samples, (N,) each.
 
-    Give the pressure of a time before the other samples of that time: a window is classified once.
+    Windows that end after the samples use the climb rate. Give the pressure of a time before the other samples of that
+    time, because each window is classified only once.
     """
     barometer, climbs = config.climb_rate.update(state.barometer, time_s + state.clock_offset_s, pressure_hpa)
     all_climbs = (*state.climbs, *climbs)
@@ -199,22 +253,25 @@ def add_location(
     accuracy_m: FloatArray,
     altitude_m: FloatArray | None = None,
 ) -> State:
-    """State with locations of a phone, (N,) each, some of which become fixes in metres from the first of them."""
+    """Return the state with geographic locations, (N,) each.
+
+    Some of them become position fixes, in metres from the first usable location.
+    """
     time_s = time_s + state.clock_offset_s
     locations, fixes = position_fixes(
         state.locations, time_s, latitude_deg, longitude_deg, accuracy_m, altitude_m=altitude_m
     )
     if locations.origin is not None:
-        state = add_places(state, locations.origin, time_s, latitude_deg, longitude_deg, accuracy_m)
+        state = add_terrain_locations(state, locations.origin, time_s, latitude_deg, longitude_deg, accuracy_m)
     return add_fixes(config, replace_unchecked(state, locations=locations), fixes)
 
 
-# Locations that may still show a hill: steps and pressures are known some seconds late, and heights look back by as
-# many.
+# Age up to which locations are kept for terrain detection: steps and pressures become known some seconds late, and the
+# height filter compares them with locations some seconds earlier.
 _PLACES_S = 20.0
 
 
-def add_places(
+def add_terrain_locations(
     state: State,
     origin: Origin,
     time_s: FloatArray,
@@ -222,7 +279,7 @@ def add_places(
     longitude_deg: FloatArray,
     accuracy_m: FloatArray,
 ) -> State:
-    """State with locations (N,) on the track's time base that tell hills from storeys, and do nothing else."""
+    """Return the state with locations (N,), on the track clock, that only distinguish hills from storeys."""
     last_s = float(state.places[-1, 0]) if len(state.places) else -np.inf
     new = good_places(origin, time_s, latitude_deg, longitude_deg, accuracy_m, last_s)
     is_old = state.places[:, 0] < state.sensing.processed_s - _PLACES_S
@@ -230,7 +287,7 @@ def add_places(
 
 
 def add_fixes(config: Config, state: State, fixes: Sequence[Fix]) -> State:
-    """State with fixes, on the track's time base, that wait until they are due."""
+    """Return the state with fixes, on the track clock, that wait until they are due."""
     waiting = list(state.waiting_fixes)
     for fix in fixes:
         insort(waiting, fix, key=lambda f: due_s(config, f))
@@ -238,7 +295,10 @@ def add_fixes(config: Config, state: State, fixes: Sequence[Fix]) -> State:
 
 
 def present_position(config: Config, state: State) -> tuple[FloatArray, FloatArray]:
-    """Position (2,) and covariance (2, 2) after the last final step, on the floor plan if there is one."""
+    """Return position (2,) and covariance (2, 2) after the last final step.
+
+    With a floor plan they are the estimate of the particle filter, once it has started.
+    """
     position_m, cov_m2 = pedestrian.present_position(state.tracker.pedestrian)
     reckoned = position_m, _with_rival_spread(state, position_m, cov_m2)
     place = None if config.on_plan is None else config.on_plan.place(state.particles, reckoned)
@@ -246,7 +306,7 @@ def present_position(config: Config, state: State) -> tuple[FloatArray, FloatArr
 
 
 def _with_rival_spread(state: State, position_m: FloatArray, cov_m2: FloatArray) -> FloatArray:
-    """Covariance (2, 2) about a position that is right only if the rival hypothesis is wrong."""
+    """Return the covariance (2, 2) of a position, including the possibility that the rival hypothesis is true."""
     if state.rival is None:
         return cov_m2
     away_m = pedestrian.present_position(state.rival.tracker.pedestrian)[0] - position_m
@@ -254,7 +314,7 @@ def _with_rival_spread(state: State, position_m: FloatArray, cov_m2: FloatArray)
 
 
 def _with_rival(state: State, event: Callable[[Any], tuple[Any, Any]]) -> State:
-    """State whose rival hypothesis knows an event of the tracker, too."""
+    """Return the state after an event that is also applied to the rival hypothesis, if there is one."""
     if state.rival is None:
         return state
     tracker, _ = event(state.rival.tracker)
@@ -262,9 +322,11 @@ def _with_rival(state: State, event: Callable[[Any], tuple[Any, Any]]) -> State:
 
 
 def _after_fix_of_rival(config: Config, state: State, fix: Fix, nis: float) -> State:
-    """State after a fix that both hypotheses have seen: the more probable one is the track, a hopeless one is gone.
+    """Return the state after a fix that both hypotheses have processed.
 
-    `nis` is that of the track. A fix that is rejected speaks against a hypothesis as far as one at the gate.
+    The more probable hypothesis becomes the track. A rival below `LEAST_LOG_ODDS` is dropped. `nis` is the normalised
+    innovation squared of the fix for the track. The log-likelihood of a rejected fix is bounded by its value at the
+    gate.
     """
     tracker, rival = state.tracker, state.rival
     if tracker.pedestrian.rival is not None:
@@ -281,7 +343,7 @@ def _after_fix_of_rival(config: Config, state: State, fix: Fix, nis: float) -> S
         log_odds += 0.5 * (min(nis, gate) - min(rival_nis, gate))
     if log_odds > 0.0:
         tracker, of_rival, log_odds = of_rival, tracker, -log_odds
-    rival = None if log_odds < LEAST_LOG_ODDS else RivalTracker(of_rival, log_odds)
+    rival = None if log_odds < MIN_LOG_ODDS else RivalTracker(of_rival, log_odds)
     return replace_unchecked(state, tracker=tracker, rival=rival)
 
 
@@ -293,20 +355,21 @@ def person_of(config: Config, state: State) -> Person | None:
     return (config.person or Person()).pooled(Person((session,)))
 
 
-# A window and the climb rate that it uses share at least half of their seconds.
+# Windows are 2 s long, so that a window and its climb rate share at least half of their time.
 _CLIMB_AGE_S = 1.0
 
 
 def climb_at(climbs: Sequence[Climb], time_s: float) -> Climb | None:
-    """The last climb rate at or before a time, if it is recent enough."""
+    """Return the last climb rate at or before a time, or None if it is older than `_CLIMB_AGE_S`."""
     i = bisect_right(climbs, time_s, key=attrgetter("time_s"))
     return climbs[i - 1] if i and climbs[i - 1].time_s >= time_s - _CLIMB_AGE_S else None
 
 
 def finish(config: Config, state: State) -> tuple[State, Output]:
-    """New state and output when no further sample will come: late steps are found, waiting ones become final.
+    """Return the new state and the output at the end of the samples.
 
-    Fixes of the recording's time that still wait are used; later ones stay waiting. A second call gives nothing.
+    Candidate steps are decided, provisional steps become final, and fixes received before the end of the samples are
+    used. Later fixes stay in `waiting_fixes`. A second call changes nothing.
     """
     if state.finished:
         return state, Output()
@@ -376,7 +439,10 @@ def _process(config: Config, state: State, events: list[tuple[float, Event]]) ->
 
 
 def _with_pressure(config: Config, state: State, until_s: float, output: Output) -> State:
-    """State whose height knows the pressure up to a time whose steps are known, but for the first of a bout."""
+    """Return the state whose height filter has used the climb rates up to a time, less the latency of steps.
+
+    All steps before that time are known, except the first step of a bout, which is detected later.
+    """
     if state.n_climbs_used == len(state.climbs):
         return state
     until_s -= config.sensing.step_latency_s
@@ -390,7 +456,10 @@ def _with_pressure(config: Config, state: State, until_s: float, output: Output)
 
 
 def _with_passages(config: Config, state: State, passages: Sequence[FloorPassage], output: Output) -> State:
-    """State whose particles know how somebody came to other storeys, and the output with that."""
+    """Return the state after completed floor passages, which move the particles to their storeys.
+
+    Append them to the output.
+    """
     output.floor_passages.extend(passages)
     if config.on_plan is not None:
         for passage in passages:
@@ -400,7 +469,11 @@ def _with_passages(config: Config, state: State, passages: Sequence[FloorPassage
 
 
 def _with_steps(config: Config, state: State, known_s: float, updates: Sequence[StepUpdate], output: Output) -> State:
-    """State whose height knows the steps that became final, and the output with theirs."""
+    """Return the state after steps, and append the steps to the output.
+
+    Final steps update the height filter and the particles. Each appended step has the height, the storey and, with a
+    floor plan, the position of the particles.
+    """
     height_state = state.height
     for update in updates:
         if update.is_final:
@@ -431,7 +504,7 @@ def _with_steps(config: Config, state: State, known_s: float, updates: Sequence[
 
 
 def _on_plan(update: StepUpdate, place: OnPlan | None) -> StepUpdate:
-    """A step where the particles on a plan are, if there are some."""
+    """Return a step with the position of the particles, or unchanged if there are none."""
     if place is None:
         return update
     return replace_unchecked(
@@ -457,9 +530,10 @@ def _use_due_fixes(config: Config, state: State, until_s: float) -> tuple[State,
 
 
 def due_s(config: Config, fix: Fix) -> float:
-    """When a fix is used: it waits for the step that it falls into, compared with an earlier place it would pull ahead.
+    """Return the time at which a fix is used.
 
-    A standstill waits for nothing: it is about steps to come.
+    A fix waits for the step at its time: compared with an earlier position, it would pull the track ahead. A standstill
+    does not wait, because it concerns later steps.
     """
     if isinstance(fix, Standstill):
         return received_s(fix)
@@ -468,7 +542,7 @@ def due_s(config: Config, fix: Fix) -> float:
 
 def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[State, FixResult]:
     tracker: TrackerState
-    if untimely(fix, state.sensing.conditioner.report.first_time_s, received_s(fix)):
+    if timing_error(fix, state.sensing.conditioner.report.first_time_s, received_s(fix)):
         outcome, nis = "rejected", np.inf
     else:
         tracker, outcome, nis = config.tracker.on_fix(state.tracker, fix)
@@ -493,17 +567,17 @@ def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[Stat
     return state, result
 
 
-def untimely(fix: Fix, first_s: float, last_s: float) -> str:
-    """Why a fix is of another time than the samples so far, whose first and last are given; empty if it is not."""
+def timing_error(fix: Fix, first_s: float, last_s: float) -> str:
+    """Return why the time of a fix does not fit the samples, given their first and last times, or an empty string."""
     until_s = fix.end_s if isinstance(fix, Standstill) else fix.time_s
     late_s, ahead_s = max(received_s(fix), last_s) - until_s, fix.time_s - last_s
-    remedy = "fixes and samples need one clock, in seconds"
+    remedy = "give fixes and samples on one clock, in seconds"
     if until_s < first_s - FIX_TOLERANCE_S:
         return f"the fix at {until_s:.1f} s is from before the first sample ({first_s:.1f} s); {remedy}"
     if late_s > MAX_FIX_AGE_S:
         return (
             f"the fix at {until_s:.1f} s comes {late_s:.0f} s late (last sample {last_s:.1f} s), more than "
-            f"{MAX_FIX_AGE_S:.0f} s; {remedy}; pdr_filter.smooth takes fixes of any time"
+            f"{MAX_FIX_AGE_S:.0f} s; {remedy}, or use pdr_filter.smooth, which takes fixes of any time"
         )
     if ahead_s > MAX_FIX_AGE_S:
         return f"the fix at {fix.time_s:.1f} s is {ahead_s:.0f} s ahead of the last sample ({last_s:.1f} s); {remedy}"

@@ -1,4 +1,4 @@
-"""Which frame a recording's track is in: what is used of its locations, of a given place and of the magnetic field."""
+"""Georeferencing of a recording: use of its locations, of a given position, and of the magnetic field."""
 
 from __future__ import annotations
 
@@ -12,16 +12,14 @@ from pdr_filter.values.quaternions import rotation_matrix
 from pdr_filter.values.recording import Recording, Samples
 from pdr_filter.values.track_placement import TrackPlacement
 
-# Of magnetic north where nobody knows the place: root mean squares are 9.5 degrees over the twenty largest cities of
-# the world, and 15 over the globe from 55 degrees south to 65 north.
+# Standard deviation of magnetic north against true north at an unknown place. The root mean square of the declination
+# is 9.5 degrees over the twenty largest cities of the world, and 15 degrees over the globe from 55 S to 65 N.
 _UNKNOWN_DECLINATION_STD_RAD = 0.2
-
-
 _YEAR_S = 365.2425 * 86400.0
 
 
 def with_north(config: Config, recording: Recording, placement: TrackPlacement, with_location: bool) -> Config:
-    """The configuration with what says where north is, if it is used."""
+    """Return the configuration with a source of north, if the placement asks for one or the locations are used."""
     north, where = placement.north, placement.place
     has_sensors = {"gyroscope", "magnetometer"} <= recording.streams.keys()
     by_itself = with_location and placement.gnss != "align" and has_sensors and config.learns_directions
@@ -39,16 +37,18 @@ def with_north(config: Config, recording: Recording, placement: TrackPlacement, 
     return config.with_magnetic_north(where.declination_rad(1970.0 + epoch_s / _YEAR_S))
 
 
-# The field of an attitude's own north, in its world: horizontally that of middle latitudes, against which the doubt of
-# a field is set (`MagneticNorth`); as much down as it dips there.
+# Magnetic field, microtesla, along the north of the phone's own attitude, in the world axes of that attitude. The
+# horizontal component is that of middle latitudes, because `MagneticNorth` is tuned for it. The vertical component
+# gives the dip angle of middle latitudes.
 _FIELD_UT = {"rotation-vector": (0.0, 25.0, -43.0), "true-heading": (25.0, 0.0, -43.0)}
 
 
 def with_north_of_attitude(recording: Recording, north: str | None) -> Recording:
-    """The recording with the field that a magnetometer would show if the phone's own attitude were right.
+    """Return the recording with a synthetic magnetic field that is consistent with the phone's own attitude.
 
-    R' m, R from the sensor to the attitude's world. What the phone made of its magnetometer is doubted like one: it
-    bends to the same iron.
+    The field is R' m, with the rotation R from sensor to world of the attitude, and the field m in the world. It is
+    processed as if it were measured, because the phone derives its attitude from its magnetometer, which the same iron
+    disturbs.
     """
     if north not in _FIELD_UT or recording.attitude is None:
         return recording
@@ -57,7 +57,7 @@ def with_north_of_attitude(recording: Recording, north: str | None) -> Recording
 
 
 def live_config(first: Recording, config: Config) -> Config:
-    """The configuration of `track` for a recording of which only the first seconds are known."""
+    """Return the default configuration of `track` for a live recording, given its first seconds."""
     if first.location is None:
         return config
     return with_north(config.in_world_frame(), first, TrackPlacement(), with_location=True)

@@ -1,4 +1,4 @@
-"""Dead reckoning that the locations of a recording turn and shift as a whole, and do not bend."""
+"""Alignment of a dead-reckoned track to the locations of its recording, by one rotation and one shift."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from pdr_filter.filter.fixes.alignment import walked_var_m2
 from pdr_filter.filter.fixes.frame import UNKNOWN_FRAME, Frame
-from pdr_filter.filter.fixes.frame_rotation import PairedPoint, agreed_turn, align, centre_weights
+from pdr_filter.filter.fixes.frame_rotation import PairedPoint, align, centre_weights, consistent_pairs
 from pdr_filter.filter.fixes.gnss import INTERVAL_S, LocationState, Rides, position_fixes
 from pdr_filter.filter.fixes.repeated_fixes import frozen_fixes
 from pdr_filter.filter.height.height_filter import HeightState
@@ -19,22 +19,35 @@ from pdr_filter.tracking.filtering import Output, State
 from pdr_filter.values import FixOutcome, FixResult, FloatArray, PositionFix, Samples, interpolated, read_only
 from pdr_filter.values.recording import Recording
 
-# Locations that turn and shift a track: of more, as many at even intervals. The effort grows with their fourth power.
+# Maximum number of locations used for the alignment. Of more locations, this number is taken at even intervals, because
+# the computing time grows with the fourth power of the number.
 MAX_LOCATIONS = 40
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Way:
-    """Dead-reckoned positions including the start, with their variances for a known heading."""
+class DeadReckoning:
+    """Dead-reckoned positions including the start, with their variances for a known heading.
 
-    time_s: FloatArray  # (K + 1,)
-    position_m: FloatArray  # (K + 1, 2) in the frame of the start
-    walked_m: FloatArray  # (K + 1,)
-    walked_var_m2: FloatArray  # (K + 1,)
+    Attributes
+    ----------
+    time_s : ndarray, shape (K + 1,)
+        Times of the start and of the steps, s.
+    position_m : ndarray, shape (K + 1, 2)
+        Positions in the frame of the start, m.
+    walked_m : ndarray, shape (K + 1,)
+        Walked distance, m.
+    walked_var_m2 : ndarray, shape (K + 1,)
+        Variance of each position for a known heading, m^2. It increases monotonically.
+    """
+
+    time_s: FloatArray
+    position_m: FloatArray
+    walked_m: FloatArray
+    walked_var_m2: FloatArray
 
     @classmethod
-    def of(cls, start_s: float, updates: Sequence[StepUpdate], var_m2: Sequence[float]) -> Way:
-        """The way of final steps from a start, with the variance of each step."""
+    def of(cls, start_s: float, updates: Sequence[StepUpdate], var_m2: Sequence[float]) -> DeadReckoning:
+        """Return the dead-reckoned positions of final steps, given the start time and the variance at each step."""
         places = [update.position_m if update.of_start is None else update.of_start.position_m for update in updates]
         return cls(
             np.array([start_s, *(update.step.time_s for update in updates)]),
@@ -44,17 +57,21 @@ class Way:
         )
 
     def at(self, time_s: float) -> tuple[FloatArray, float]:
-        """Position (2,) and variance at a time."""
+        """Return position (2,) and variance, interpolated at a time."""
         place = interpolated(time_s, self.time_s, np.column_stack([self.position_m, self.walked_var_m2]))
         return read_only(place[:2]), float(place[2])
 
     def own_var_m2(self, agreeing: Sequence[PairedPoint]) -> FloatArray:
-        """Variance (K,) that each step's own way adds to the error of an alignment by pairs.
+        """Return the variance (K,) that dead reckoning adds to each aligned position.
 
-        With w(t) the variance of the way walked until t, whose errors all that comes after shares, and a_i the weights
-        of the locations in the centre of the alignment, the error at t less that of the centre has the variance
-        w(t) - 2 sum_i a_i min(w(t), w_i) + sum_ij a_i a_j min(w_i, w_j). The centre's own variance has all of the last
-        term but w_0, the least of w_i; near the centre what is left is negative: steps there are known better than the
+        Let w(t) be the variance of dead reckoning until t. Its error is shared by all later positions, so that the
+        covariance of two positions is min(w(t), w(s)). Let a_i be the weights of the locations in the centre of the
+        alignment. The error at t, relative to the error of the centre, has the variance
+
+            w(t) - 2 sum_i a_i min(w(t), w_i) + sum_ij a_i a_j min(w_i, w_j).
+
+        The variance of the centre already contains the last sum, except w_0, the smallest w_i. The result is therefore
+        w(t) - 2 sum_i a_i min(w(t), w_i) + w_0. It is negative near the centre, where steps are known better than the
         centre.
         """
         weight, walked = centre_weights(agreeing), np.array([pair.walked_var_m2 for pair in agreeing])
@@ -63,13 +80,27 @@ class Way:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AlignedWay:
-    """How the locations of a recording turn and shift a way."""
+class AlignedTrack:
+    """Alignment of a track to the locations of its recording.
+
+    Attributes
+    ----------
+    locations : LocationState
+        State of the conversion from locations to fixes.
+    fixes : tuple of PositionFix
+        Position fixes from the locations.
+    frozen : tuple of bool
+        For each fix, whether it repeats the previous position during walking.
+    pairs : tuple of PairedPoint
+        For each fix, the pair of the fix and the dead-reckoned position at its time.
+    frame : Frame
+        Rotation and shift, if the locations determine them.
+    """
 
     locations: LocationState
     fixes: tuple[PositionFix, ...]
-    frozen: tuple[bool, ...]  # of each fix
-    pairs: tuple[PairedPoint, ...]  # of each fix
+    frozen: tuple[bool, ...]
+    pairs: tuple[PairedPoint, ...]
     frame: Frame
 
     def results(self, at_s: float) -> list[FixResult]:
@@ -81,21 +112,24 @@ class AlignedWay:
         return [FixResult.of(fix, at_s, outcome) for fix, outcome in zip(self.fixes, outcomes, strict=True)]
 
 
-def align_way(location: Samples, way: Way, first_s: float, last_s: float, n_steps: int) -> AlignedWay:
-    """The alignment of a way by the locations of the time of its samples."""
+def align_dead_reckoning(
+    location: Samples, reckoning: DeadReckoning, first_s: float, last_s: float, n_steps: int
+) -> AlignedTrack:
+    """Return the alignment of a track to the locations between the times of its first and last sample."""
     locations, fixes = _even_fixes(location, first_s, last_s)
-    frozen = tuple(frozen_fixes(fixes, way.time_s, way.position_m, way.walked_m))
-    pairs = tuple(_paired(way, fix) for fix in fixes)
+    frozen = tuple(frozen_fixes(fixes, reckoning.time_s, reckoning.position_m, reckoning.walked_m))
+    pairs = tuple(_paired(reckoning, fix) for fix in fixes)
     asked = tuple(pair for pair, is_frozen in zip(pairs, frozen, strict=True) if not is_frozen)
     frame = _frame(asked, n_steps) if fixes else UNKNOWN_FRAME
-    return AlignedWay(locations, fixes, frozen, pairs, frame)
+    return AlignedTrack(locations, fixes, frozen, pairs, frame)
 
 
 def aligned(recording: Recording, results: Iterable[tuple[State, Output]]) -> Iterator[tuple[State, Output]]:
-    """What dead reckoning brings (`whole_recording.outputs` in an unknown frame), placed by the recording's locations.
+    """Yield the last state and the whole output of dead reckoning, aligned to the locations of the recording.
 
-    The last state knows where, so that `whole_recording.collected` finds the track in the frame of the locations, with
-    a result for each of those that were asked.
+    `results` are from `whole_recording.outputs` in an unknown frame. The yielded state contains the alignment, from
+    which `whole_recording.collected` computes the track in the frame of the locations. The output contains a result for
+    each fix that was compared.
     """
     last: State | None = None
     whole, var_m2 = Output(), list[float]()
@@ -110,8 +144,10 @@ def aligned(recording: Recording, results: Iterable[tuple[State, Output]]) -> It
         return
     report, pedestrian = last.sensing.conditioner.report, last.tracker.pedestrian
     finals = [update for update in whole.updates if update.is_final]
-    way = Way.of(report.first_time_s, finals, var_m2)
-    alignment = align_way(recording.location, way, report.first_time_s, report.last_time_s, pedestrian.steps.n_final)
+    reckoning = DeadReckoning.of(report.first_time_s, finals, var_m2)
+    alignment = align_dead_reckoning(
+        recording.location, reckoning, report.first_time_s, report.last_time_s, pedestrian.steps.n_final
+    )
     if alignment.fixes:
         pedestrian = replace(
             pedestrian,
@@ -120,7 +156,7 @@ def aligned(recording: Recording, results: Iterable[tuple[State, Output]]) -> It
         )
         whole.fixes.extend(alignment.results(last.sensing.processed_s))
         if pedestrian.frame.alignment is not None:
-            whole.updates[:] = _with_own_errors(finals, way.own_var_m2(alignment.frame.agreeing))
+            whole.updates[:] = _with_own_errors(finals, reckoning.own_var_m2(alignment.frame.agreeing))
     tracker = replace(last.tracker, pedestrian=pedestrian)
     rides = Rides.of(alignment.fixes, np.array([update.step.time_s for update in finals]))
     n_rejected = sum(fix.outcome == "rejected" for fix in whole.fixes)
@@ -130,7 +166,7 @@ def aligned(recording: Recording, results: Iterable[tuple[State, Output]]) -> It
 
 
 def _even_fixes(location: Samples, first_s: float, last_s: float) -> tuple[LocationState, tuple[PositionFix, ...]]:
-    """Fixes of the time of the samples, at even intervals."""
+    """Return the fixes between the times of the first and last sample, at even intervals."""
     inside = (location.time_s >= first_s) & (location.time_s <= last_s)
     latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values[inside].T
     interval_s = max(INTERVAL_S, (last_s - first_s) / MAX_LOCATIONS) if inside.any() else INTERVAL_S
@@ -139,7 +175,7 @@ def _even_fixes(location: Samples, first_s: float, last_s: float) -> tuple[Locat
 
 
 def _with_altitudes(state: HeightState, fixes: Sequence[PositionFix], finals: Sequence[StepUpdate]) -> HeightState:
-    """State that knows the altitude of the start from fixes and the heights of the steps."""
+    """Return the height state with the altitude of the start, estimated from fixes and step heights."""
     altitude = state.start_altitude
     for fix in fixes:
         n_before = bisect_right(finals, fix.time_s, key=lambda update: update.step.time_s)
@@ -149,13 +185,13 @@ def _with_altitudes(state: HeightState, fixes: Sequence[PositionFix], finals: Se
     return replace(state, start_altitude=altitude)
 
 
-def _paired(way: Way, fix: PositionFix) -> PairedPoint:
-    track_m, var_m2 = way.at(fix.time_s)
+def _paired(reckoning: DeadReckoning, fix: PositionFix) -> PairedPoint:
+    track_m, var_m2 = reckoning.at(fix.time_s)
     return PairedPoint(track_m, fix.position_m, fix.var_m2, var_m2, fix.time_s, fix.correlation_s)
 
 
 def _frame(pairs: tuple[PairedPoint, ...], n_steps: int) -> Frame:
-    agreeing, turn = agreed_turn(pairs)
+    agreeing, turn = consistent_pairs(pairs)
     alignment = align(agreeing, n_steps)
     if alignment is None:
         return Frame(is_joined=False, pairs=pairs, agreeing=agreeing, turn=turn)
@@ -163,7 +199,7 @@ def _frame(pairs: tuple[PairedPoint, ...], n_steps: int) -> Frame:
 
 
 def _with_own_errors(updates: Sequence[StepUpdate], own_var_m2: FloatArray) -> list[StepUpdate]:
-    """Steps whose covariance is what their own way adds to the error of the alignment, (K,)."""
+    """Return steps with the covariance that dead reckoning adds to their aligned positions."""
     moved: list[StepUpdate] = []
     for update, own_var in zip(updates, own_var_m2.tolist(), strict=True):
         if update.of_start is not None:

@@ -1,4 +1,4 @@
-"""The filter as the thin object that apps push samples into."""
+"""Online filter for apps that push samples as they arrive."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from pdr_filter.tracking.filtering import (
     add_fixes,
     add_location,
     add_pressure,
-    arrive,
     finish,
     init,
     person_of,
     present_position,
-    untimely,
+    timing_error,
     update,
+    update_streams,
 )
 from pdr_filter.tracking.walked_path import WalkedPath, walked_path
 from pdr_filter.tracking.warnings import notes_of
@@ -56,24 +56,45 @@ from pdr_filter.values.track_placement import TrackPlacement
 
 
 class OnlineFilter:
-    """A filter for apps: push samples in blocks of any length, get the steps that became known.
+    """Online filter: takes blocks of samples of any length and returns the steps they complete.
 
-    One filter belongs to one pedestrian and one thread.
+    One filter serves one pedestrian and must be used by one thread at a time.
 
     Parameters
     ----------
     config : Config, optional
-        A recipe; the default recipe if not given.
+        Configuration, as returned by a recipe. The default is the default recipe.
     height_m : float, optional
-        Of the person, for the default recipe: what `pdr_filter.track` takes from a recording that says it.
-    plan, start, weighting
-        As in `pdr_filter.track`.
+        Height of the person for the default recipe, m. Not allowed together with `config`.
+    plan : FloorPlan, optional
+        Floor plan that constrains the track to walkable areas.
+    start : PositionFix or str, optional
+        Start of the walk on the plan: a position, the name of an area, or "anywhere". The default is the position from
+        the fixes, or the origin of the plan, facing its north.
+    weighting : {"imm", "wc", "hc"}, optional
+        Combination of the context probabilities into step lengths: interacting multiple model, weighted context or
+        highest context. The default is the weighting of the configuration.
+
+    Attributes
+    ----------
+    config : Config
+        Configuration in use, with plan, start and weighting.
+    state : State
+        State of the filter. It is immutable and replaced by every method that takes data.
+
+    Raises
+    ------
+    ValueError
+        If the arguments contradict each other.
+
+    See Also
+    --------
+    pdr_filter.track : Track of a whole recording, with results identical to this filter.
 
     Examples
     --------
-    >>> import numpy as np, pdr_filter as pdr
-    >>> walk = pdr.simulate.demo_walk()
-    >>> samples = pdr.merge_streams(walk)
+    >>> import pdr_filter as pdr
+    >>> samples = pdr.merge_streams(pdr.simulate.demo_walk())
     >>> online = pdr.OnlineFilter()
     >>> updates = []
     >>> for i in range(0, len(samples.time_s), 37):
@@ -99,7 +120,8 @@ class OnlineFilter:
             config = recipes.default(Subject(height_m=height_m))
         elif height_m is not None:
             raise ValueError(
-                f"height_m is for the default recipe, got {height_m} beside a config: give it to the recipe"
+                f"height_m is for the default recipe, got {height_m} together with a config: pass the height to the "
+                "recipe that makes the config, such as recipes.default(Subject(height_m=...))"
             )
         check_config(config)
         config = config.placed(TrackPlacement(plan=plan, start=start))
@@ -113,46 +135,136 @@ class OnlineFilter:
         angular_rate_radps: ArrayLike | None = None,
         magnetic_field_ut: ArrayLike | None = None,
     ) -> list[StepUpdate]:
-        """Updates of the steps that these samples made known, in order.
+        """Process merged samples of all sensors and return the steps that they complete.
+
+        Use either this method or the methods for single sensors (`push_accelerometer`, `push_streams`), not both.
 
         Parameters
         ----------
-        time_s : (N,)
-            Seconds, increasing; repeated and backward times are dropped and counted.
-        specific_force_mps2 : (N, 3)
-            Sensor frame, +9.81 on z for a phone lying face up.
-        angular_rate_radps, magnetic_field_ut : (N, 3), optional
-            At the same times; NaN rows, or nothing, where there is no measurement.
+        time_s : array_like, shape (N,)
+            Increasing times, s. Samples with a repeated or earlier time are dropped and counted.
+        specific_force_mps2 : array_like, shape (N, 3)
+            Accelerometer in the sensor frame, m/s^2: +9.81 on z for a phone lying face up.
+        angular_rate_radps : array_like, shape (N, 3), optional
+            Gyroscope at the same times, rad/s. Rows without a measurement are NaN. The default is no gyroscope.
+        magnetic_field_ut : array_like, shape (N, 3), optional
+            Magnetometer at the same times, microtesla. Rows without a measurement are NaN. The default is no
+            magnetometer.
+
+        Returns
+        -------
+        list of StepUpdate
+            Steps that became known, in order of time.
+
+        Raises
+        ------
+        ValueError
+            If shapes or units are wrong, if the filter is finished, or if it has received samples of single sensors.
         """
         if self.state.merger.has_received:
             raise ValueError(
-                "push takes samples that are merged, and this filter takes sensors apart: use one of the two"
+                "push takes merged samples, but this filter has received the samples of each sensor separately "
+                "(push_accelerometer, push_streams): use only one of the two ways"
             )
         block = imu_block(time_s, specific_force_mps2, angular_rate_radps, magnetic_field_ut)
         _check_times(block.time_s, np.empty(0), self.state)
-        return self._took(*update(self.config, self.state, block))
+        return self._commit(*update(self.config, self.state, block))
 
     def push_accelerometer(self, time_s: ArrayLike, specific_force_mps2: ArrayLike) -> list[StepUpdate]:
-        """Updates of the steps that became known, after samples of the accelerometer: one row (3,) or a block (N, 3).
+        """Process accelerometer samples and return the steps that they complete.
 
-        For sensors that arrive apart, out of step and late by some seconds (`pdr_filter.sensing.stream_merging`);
-        `push` takes samples that are merged already. The track is that of `merge_streams` on all of them.
+        For sensors whose samples arrive separately, out of order, or some seconds late. The filter merges the sensors
+        (`pdr_filter.sensing.stream_merging`). The track equals the track of `merge_streams` on all samples.
+
+        Parameters
+        ----------
+        time_s : float or array_like, shape (N,)
+            Times on the clock shared by all sensors, s.
+        specific_force_mps2 : array_like, shape (3,) or (N, 3)
+            Samples in the sensor frame, m/s^2: +9.81 on z for a phone lying face up.
+
+        Returns
+        -------
+        list of StepUpdate
+            Steps that became known, in order of time.
+
+        Raises
+        ------
+        ValueError
+            If shapes or units are wrong, if the filter is finished, or if it has received merged samples.
         """
-        return self._arrive("accelerometer", time_s, specific_force_mps2, "specific_force_mps2")
+        return self._push_sensor("accelerometer", time_s, specific_force_mps2, "specific_force_mps2")
 
     def push_gyroscope(self, time_s: ArrayLike, angular_rate_radps: ArrayLike) -> list[StepUpdate]:
-        """The same of a gyroscope."""
-        return self._arrive("gyroscope", time_s, angular_rate_radps, "angular_rate_radps")
+        """Process gyroscope samples and return the steps that they complete.
+
+        For sensors whose samples arrive separately, as in `push_accelerometer`.
+
+        Parameters
+        ----------
+        time_s : float or array_like, shape (N,)
+            Times on the clock shared by all sensors, s.
+        angular_rate_radps : array_like, shape (3,) or (N, 3)
+            Samples in the sensor frame, rad/s.
+
+        Returns
+        -------
+        list of StepUpdate
+            Steps that became known, in order of time.
+
+        Raises
+        ------
+        ValueError
+            If shapes or units are wrong, if the filter is finished, or if it has received merged samples.
+        """
+        return self._push_sensor("gyroscope", time_s, angular_rate_radps, "angular_rate_radps")
 
     def push_magnetometer(self, time_s: ArrayLike, magnetic_field_ut: ArrayLike) -> list[StepUpdate]:
-        """The same of a magnetometer."""
-        return self._arrive("magnetometer", time_s, magnetic_field_ut, "magnetic_field_ut")
+        """Process magnetometer samples and return the steps that they complete.
+
+        For sensors whose samples arrive separately, as in `push_accelerometer`.
+
+        Parameters
+        ----------
+        time_s : float or array_like, shape (N,)
+            Times on the clock shared by all sensors, s.
+        magnetic_field_ut : array_like, shape (3,) or (N, 3)
+            Samples in the sensor frame, microtesla.
+
+        Returns
+        -------
+        list of StepUpdate
+            Steps that became known, in order of time.
+
+        Raises
+        ------
+        ValueError
+            If shapes or units are wrong, if the filter is finished, or if it has received merged samples.
+        """
+        return self._push_sensor("magnetometer", time_s, magnetic_field_ut, "magnetic_field_ut")
 
     def push_pressure(self, time_s: ArrayLike, pressure_hpa: ArrayLike) -> list[StepUpdate]:
-        """Take samples of a barometer, (N,) each: the height follows it, and its climb rate distinguishes stairs.
+        """Process barometer samples: they determine the height, and their climb rate helps to detect stairs.
 
-        With `push`, give the pressure before the other samples of the same time; with `push_accelerometer` it may be
-        late as they may. Raises ValueError for pressures in Pa or kPa.
+        With `push`, give the pressure of a time before the other samples of that time. With `push_accelerometer` and
+        the other methods for single sensors, pressure samples may be late.
+
+        Parameters
+        ----------
+        time_s : float or array_like, shape (N,)
+            Times on the clock shared by all sensors, s.
+        pressure_hpa : float or array_like, shape (N,)
+            Air pressure, hPa.
+
+        Returns
+        -------
+        list of StepUpdate
+            Steps that became known, in order of time. Always empty if the filter receives merged samples.
+
+        Raises
+        ------
+        ValueError
+            If the pressures are in Pa or kPa, if shapes are wrong, or if the filter is finished.
         """
         if self.state.finished:
             raise ValueError("the filter is finished: start a new one for further samples")
@@ -160,50 +272,71 @@ class OnlineFilter:
         if not self.state.merger.is_used:
             self.state = add_pressure(self.config, self.state, time, pressure)
             return []
-        return self._took(*arrive(self.config, self.state, {"barometer": (time, pressure[:, None])}))
+        return self._commit(*update_streams(self.config, self.state, {"barometer": (time, pressure[:, None])}))
 
     def push_streams(self, streams: Mapping[Sensor, Samples]) -> list[StepUpdate]:
-        """Updates of the steps that became known, after samples of several sensors, such as those of one message.
+        """Process samples of several sensors, such as one message of a phone, and return the completed steps.
 
-        The track is that of `push_accelerometer`, `push_gyroscope` and the others, for the cost of one call. Keys of
-        `streams` are "accelerometer", "gyroscope", "magnetometer" and "barometer". Raises ValueError for other keys,
-        and as those methods do.
+        The result equals separate calls of `push_accelerometer`, `push_gyroscope`, `push_magnetometer` and
+        `push_pressure`, at the cost of one call.
+
+        Parameters
+        ----------
+        streams : mapping of str to Samples
+            Samples for the keys "accelerometer", "gyroscope", "magnetometer" and "barometer". Sensors may be missing.
+
+        Returns
+        -------
+        list of StepUpdate
+            Steps that became known, in order of time.
+
+        Raises
+        ------
+        ValueError
+            For an unknown key, and for wrong shapes or units, a finished filter, or a filter that has received merged
+            samples.
         """
         arrived: dict[Sensor, tuple[FloatArray, FloatArray]] = {}
         for sensor, samples in streams.items():
             if sensor not in SENSORS:
-                raise ValueError(f"streams must be of {', '.join(SENSORS)}, got {sensor!r}: leave it out")
+                raise ValueError(f"keys of streams must be {', '.join(SENSORS)}, got {sensor!r}: leave it out")
             if sensor == "barometer":
                 time_s, pressure_hpa = _checked_pressure(samples.time_s, samples.values[:, 0])
                 arrived[sensor] = time_s, pressure_hpa[:, None]
             else:
                 arrived[sensor] = self._checked(sensor, samples.time_s, samples.values, f"values of {sensor}")
-        return self._took(*arrive(self.config, self.state, arrived))
+        return self._commit(*update_streams(self.config, self.state, arrived))
 
-    def _arrive(self, sensor: Sensor, time_s: ArrayLike, values: ArrayLike, name: str) -> list[StepUpdate]:
-        return self._took(*arrive(self.config, self.state, {sensor: self._checked(sensor, time_s, values, name)}))
+    def _push_sensor(self, sensor: Sensor, time_s: ArrayLike, values: ArrayLike, name: str) -> list[StepUpdate]:
+        return self._commit(
+            *update_streams(self.config, self.state, {sensor: self._checked(sensor, time_s, values, name)})
+        )
 
     def _checked(
         self, sensor: Sensor, time_s: ArrayLike, values: ArrayLike, name: str
     ) -> tuple[FloatArray, FloatArray]:
-        """Times (N,) and values (N, 3) of one sensor; ValueError if the filter cannot take them."""
+        """Return times (N,) and values (N, 3) of one sensor, or raise ValueError if the filter cannot use them."""
         time, rows = np.atleast_1d(as_floats(time_s, "time_s")), as_floats(values, name)
         rows = rows.reshape(-1, 3) if rows.shape in ((3,), (0,)) else rows
         if time.ndim != 1 or rows.shape != (len(time), 3):
             raise ValueError(f"{name} must be ({time.size}, 3), one row for each time_s, got {rows.shape}")
         if not self.state.merger.is_used and self.state.sensing.conditioner.report.n_received:
             raise ValueError(
-                f"push_{sensor} takes sensors apart, and this filter takes samples that are merged: use one of the two"
+                f"push_{sensor} takes samples of one sensor, but this filter has received merged samples (push): use "
+                "only one of the two ways"
             )
         recent_s = self.state.merger.stream(sensor).recent_s if sensor == "accelerometer" else time[:0]
         _check_times(time, recent_s, self.state)
         return time, rows
 
-    def _took(self, state: State, output: Output) -> list[StepUpdate]:
-        """The updates, with the new state; ValueError, once, if no specific force yet was in the right unit."""
+    def _commit(self, state: State, output: Output) -> list[StepUpdate]:
+        """Store the new state and return its updates.
+
+        Raise ValueError once if no specific force so far had the right unit.
+        """
         conditioner, units = self.state.sensing.conditioner, state.sensing.conditioner.units
         if units.is_wrong and not conditioner.units.n:
-            # the note stays, and nothing of the block
+            # The unit check is kept, so that the warning appears in `notes`; the rest of the block is discarded.
             sensing = replace(self.state.sensing, conditioner=replace(conditioner, units=units))
             self.state = replace(self.state, sensing=sensing)
             raise ValueError(f"{units.wrong_force}; start a new filter with such samples")
@@ -218,24 +351,45 @@ class OnlineFilter:
         accuracy_m: ArrayLike,
         altitude_m: ArrayLike | None = None,
     ) -> list[StepUpdate]:
-        """Take locations of the phone, (N,) or single numbers, as they come: they place and turn the track.
+        """Take geographic locations from the phone, which position and rotate the track.
 
-        For a configuration in the world frame, `config.in_world_frame()`, or `config.with_magnetic_north(...)` with the
-        magnetometer's north until they have; ValueError otherwise. East and north are
-        metres from the first location that can be used, `origin`. `accuracy_m` is the radius that holds 68 %, as phones
-        report it. Altitudes show that of the start, the height of `origin`; NaN and 0 are none.
+        The configuration must be in the world frame: `config.in_world_frame()`, or `config.with_magnetic_north(...)`,
+        which takes north from the magnetometer until the locations determine it. Positions are then in metres east and
+        north of the first usable location (`origin`).
+
+        Parameters
+        ----------
+        time_s : float or array_like, shape (N,)
+            Times on the clock of the samples, s.
+        latitude_deg, longitude_deg : float or array_like, shape (N,)
+            WGS 84 coordinates, degrees.
+        accuracy_m : float or array_like, shape (N,)
+            Radius that contains the true position with 68 % probability, m, as phones report it.
+        altitude_m : float or array_like, shape (N,), optional
+            Altitudes, m. They determine the altitude of the start, which is the height of `origin`. NaN and 0 mean
+            unknown.
+
+        Returns
+        -------
+        list of StepUpdate
+            Always empty: locations change later steps.
+
+        Raises
+        ------
+        ValueError
+            If the filter is finished, if its configuration or floor plan has no geographic frame, or if lengths differ.
         """
         if self.state.finished:
             raise ValueError("the filter is finished: start a new one for further locations")
         if self.config.model.frame.is_joined:
             raise ValueError(
-                "locations are for a filter in the world frame, got a configuration in the frame of the start: make "
-                "it of config.in_world_frame(), such as OnlineFilter(recipes.default().in_world_frame())"
+                "locations need a filter in the world frame, got a configuration in the frame of the start: use "
+                "config.in_world_frame(), for example OnlineFilter(recipes.default().in_world_frame())"
             )
         if self.config.on_plan is not None and self.config.on_plan.plan.origin is None:
             raise ValueError(
-                "locations need to know where on Earth the plan is, got a plan in metres: give one in longitude and "
-                "latitude, or FloorPlan.read its origin"
+                "locations need the geographic position of the floor plan, got a plan in metres without origin: use a "
+                "plan in longitude and latitude, or give the origin to FloorPlan.read"
             )
         columns = {
             "time_s": time_s,
@@ -247,56 +401,92 @@ class OnlineFilter:
         rows = {name: np.atleast_1d(as_floats(values, name)) for name, values in columns.items()}
         if any(row.shape != (len(rows["time_s"]),) for row in rows.values()):
             shapes = ", ".join(f"{name} {row.shape}" for name, row in rows.items())
-            raise ValueError(f"locations must have one number of each for each location, got shapes {shapes}")
+            raise ValueError(f"all columns of locations must have the same length, got shapes {shapes}")
         self.state = add_location(self.config, self.state, *rows.values())
         return []
 
     def finish(self) -> list[StepUpdate]:
-        """Updates of the last steps, when no further sample will come."""
+        """Process the samples that still wait, and return the last steps.
+
+        Call it when no further sample will come. The filter then takes no more data. A second call returns an empty
+        list.
+
+        Returns
+        -------
+        list of StepUpdate
+            Steps that became known, in order of time.
+        """
         self.state, output = finish(self.config, self.state)
         return output.updates
 
     def add_fix(self, fix: Fix) -> None:
-        """Take a fix of position, heading or speed, or a standstill.
+        """Add a fix: a position, heading, range or speed, or a standstill.
 
-        It is used when it was received and the step that it falls into is known. Raises ValueError, and stays as it
-        is, for a fix from before the first sample, more than a minute older than the last one, or more than a minute
-        ahead of it; for a standstill its end counts. A fix that is given before the first sample is looked at when it
-        is used, and then rejected.
+        The filter uses the fix when it has been received and the step at its time is known. A fix that is added before
+        the first sample is checked when it is used, and is then rejected if its time is wrong.
+
+        Parameters
+        ----------
+        fix : PositionFix, GridFix, HeadingFix, RangeFix, SpeedFix, Standstill or Measurement
+            The fix, on the clock of the samples. A GridFix requires a floor plan.
+
+        Raises
+        ------
+        ValueError
+            If the filter is finished, or if the time of the fix (the end of a standstill) is before the first sample,
+            more than a minute before the last sample, or more than a minute after it. The filter does not change then.
         """
         if self.state.finished:
             raise ValueError("the filter is finished: start a new one for further fixes")
         check_fix(fix, self.config.on_plan is not None)
         fix, conditioner = moved(fix, self.state.clock_offset_s), self.state.sensing.conditioner
         seen = conditioner.report
-        # after a gap of over a minute samples wait until those that follow confirm them
+        # After a gap of over a minute, samples are held until later samples confirm their clock. A fix may belong to
+        # the time before or after the gap.
         latest_s = (seen.last_time_s, *(float(row[0]) for row in conditioner.clock.held[-1:]))
-        wrong = [untimely(fix, seen.first_time_s, last_s) for last_s in latest_s]
+        wrong = [timing_error(fix, seen.first_time_s, last_s) for last_s in latest_s]
         if np.isfinite(seen.first_time_s) and all(wrong):
             raise ValueError(wrong[0])
         self.state = add_fixes(self.config, self.state, (fix,))
 
     def now(self) -> Now:
-        """What is known at this moment, with the steps that are not accepted yet; changes nothing."""
+        """Return the estimate at the time of the newest sample, including steps that are not accepted yet.
+
+        Returns
+        -------
+        Now
+            Position, heading, speed, contexts and more. The filter does not change.
+        """
         return now(self.config, self.state)
 
     def path(self) -> WalkedPath:
-        """The whole path as it is estimated now, past steps smoothed; changes nothing. What an app draws."""
+        """Return the smoothed path of the whole walk so far, as an app draws it.
+
+        Returns
+        -------
+        WalkedPath
+            Positions of all steps, corrected by later fixes. The filter does not change.
+
+        Raises
+        ------
+        ValueError
+            If the filter has a floor plan.
+        """
         return walked_path(self.config, self.state)
 
     @property
     def position_m(self) -> FloatArray:
-        """East and north of the last final step, shape (2,)."""
+        """Position east and north after the last final step, shape (2,), m."""
         return present_position(self.config, self.state)[0]
 
     @property
     def position_cov_m2(self) -> FloatArray:
-        """Covariance of `position_m`, shape (2, 2)."""
+        """Covariance of `position_m`, shape (2, 2), m^2."""
         return present_position(self.config, self.state)[1]
 
     @property
     def on_plan(self) -> OnPlan | None:
-        """Where the particles on the floor plan are, in one place or several; None before there are some."""
+        """Position estimate of the particle filter on the floor plan, or None without a plan or before its start."""
         if self.config.on_plan is None:
             return None
         reckoned = pedestrian.present_position(self.state.tracker.pedestrian)
@@ -304,22 +494,22 @@ class OnlineFilter:
 
     @property
     def height_m(self) -> float:
-        """Height above the start now, with or without steps."""
+        """Current height above the start, m. It also changes between steps, for example in a lift."""
         return self.state.height.known.height_m
 
     @property
     def height_std_m(self) -> float:
-        """Standard deviation of `height_m`."""
+        """Standard deviation of `height_m`, m."""
         return self.state.height.known.height_std_m
 
     @property
     def floor(self) -> int:
-        """The storey now: from that of the start, which is 0, or as a fix has named it."""
+        """Current storey. The start is on storey 0, unless a fix names the storey."""
         return self.state.height.known.floors.floor
 
     @property
     def origin(self) -> Origin | None:
-        """Where on Earth `position_m` is zero; None before a location has placed the track."""
+        """Geographic origin of `position_m`, or None before the first usable location."""
         if self.config.on_plan is not None:
             return None if self.on_plan is None else self.config.on_plan.plan.origin
         frame, place = self.state.tracker.pedestrian.frame, self.state.locations.origin
@@ -329,82 +519,107 @@ class OnlineFilter:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What to keep in mind about the track so far, in plain words."""
+        """Warnings about the track so far: problem, likely cause and remedy."""
         return tuple(note.text for note in notes_of(self.config, self.state))
 
     @property
     def device(self) -> Device:
-        """What the samples so far teach of the phone, for its next walk: `Config.with_device`."""
+        """Gyroscope bias estimated so far, for the next walk with the same phone (`Config.with_device`)."""
         return self.config.sensing.device(self.state.sensing)
 
     @property
     def person(self) -> Person | None:
-        """What walks so far teach of the person, for the next one (`Config.with_person`); None without fixes."""
+        """Step length of the person, for the next walk (`Config.with_person`). None if no fix was informative."""
         return person_of(self.config, self.state)
 
     def save(self) -> bytes:
-        """Bytes from which `load` continues as if nothing had happened, configuration and models included.
+        """Serialise the filter, so that `load` continues with identical results.
 
-        Bytes never name a class outside of this package. Where the configuration holds parts of other classes, it is
-        not in the bytes, and `load` needs it. Measurements of other classes that still wait are left out, with a
-        UserWarning. Raises ValueError for a part whose state cannot be saved.
+        The bytes contain the state, the configuration and its models, but no code. A configuration with parts of
+        classes outside of pdr_filter is not included: `load` then needs it as an argument. Waiting measurements of such
+        classes are omitted with a UserWarning.
+
+        Returns
+        -------
+        bytes
+            Versioned bytes with a checksum.
+
+        Raises
+        ------
+        ValueError
+            If the state of a part cannot be saved.
         """
         state, n_waiting = self.state, len(self.state.waiting_fixes)
         own = tuple(fix for fix in state.waiting_fixes if isinstance(fix, OWN_FIXES))
         if len(own) < n_waiting:
-            text = f"{n_waiting - len(own)} measurements of classes of yours wait for their steps and are not saved"
-            warnings.warn(f"{text}: add them again after load", stacklevel=2)
+            text = f"{n_waiting - len(own)} waiting measurements are not saved, because their classes are not of"
+            warnings.warn(f"{text} pdr_filter: add them again after load", stacklevel=2)
             state = replace(state, waiting_fixes=own)
         try:
             return serialise.to_bytes({"config": self.config, "state": state})
         except TypeError:  # classes of other packages in the configuration or in the state of a part
             pass
         try:
-            return serialise.to_bytes({"config": None, "state": state}, foreign=True)
-        except TypeError as error:
-            raise ValueError(f"the state of a part of yours holds {error}") from None
+            blob = serialise.to_bytes({"config": None, "state": state}, foreign=True)
+            serialise.restored(serialise.from_bytes(blob)["state"], init(self.config))
+        except (TypeError, ValueError) as error:  # found when it is saved, not when it is loaded
+            raise ValueError(f"the filter cannot be saved: the state of one of your own parts: {error}") from None
+        return blob
 
     @classmethod
     def load(cls, blob: bytes, config: Config | None = None) -> OnlineFilter:
-        """The filter that was saved; ValueError for damaged bytes, those of another version, and anything else.
+        """Restore a filter from the bytes of `save`.
 
-        `config` is the configuration of that filter, needed if it holds parts of classes outside of this package. No
-        code in the bytes is executed, but bytes with a forged checksum can make a filter with wrong positions.
+        No code in the bytes is executed. Bytes with a forged checksum can still produce a filter with wrong positions.
+
+        Parameters
+        ----------
+        blob : bytes
+            Bytes returned by `save`.
+        config : Config, optional
+            Configuration of the saved filter. Required only if it has parts of classes outside of pdr_filter.
+
+        Returns
+        -------
+        OnlineFilter
+            The restored filter.
+
+        Raises
+        ------
+        ValueError
+            If the bytes are damaged, come from another version, contain no filter, or do not fit `config`.
         """
         content = serialise.from_bytes(blob)
         whole = isinstance(content, dict) and {"config", "state"} <= content.keys()
         if not (whole and isinstance(content["config"], Config | None) and isinstance(content["state"], State)):
-            raise ValueError("these bytes hold no filter; give what OnlineFilter.save returned")
+            raise ValueError("the bytes do not contain a filter: give bytes that OnlineFilter.save returned")
         if config is None and content["config"] is None:
             raise ValueError(
-                "this filter was saved with parts of classes outside of pdr_filter, which its bytes do not hold: give "
-                "the same configuration again, OnlineFilter.load(blob, config=config)"
+                "the bytes contain no configuration, because the saved one has parts of classes outside of pdr_filter: "
+                "give the same configuration again, OnlineFilter.load(blob, config=config)"
             )
         loaded = cls(config or content["config"])
-        loaded.state = content["state"] if config is None else _of_config(config, content["state"], loaded.state)
+        loaded.state = content["state"] if config is None else _state_for_config(config, content["state"], loaded.state)
         return loaded
 
 
-def _of_config(config: Config, state: State, first: State) -> State:
-    """A loaded state whose parts have the classes of a configuration, given its first state."""
+def _state_for_config(config: Config, state: State, first: State) -> State:
+    """Return a loaded state with parts of the configured classes. `first` is the initial state of the configuration."""
     try:
-        parts = {
-            name: serialise.restored(getattr(state.sensing, name), getattr(first.sensing, name))
-            for name in ("contexts", "steps", "heading", "gate", "even", "north")
-        }
+        state = serialise.restored(state, first)
         n_filters = len(state.tracker.pedestrian.estimates.prob)
         if type(state.tracker) is not type(first.tracker) or n_filters != len(first.tracker.pedestrian.estimates.prob):
             raise ValueError(f"it has {n_filters} modes and another tracker")
-    except Exception as error:  # whatever forged bytes provoke in the classes of a caller
+    except Exception as error:  # forged bytes can raise any exception in the classes of a caller
         raise ValueError(
-            f"this filter was saved with another configuration than {config.name!r} ({error}): give the one that "
-            "the filter was made with"
+            f"the filter was saved with another configuration than {config.name!r} ({error}): give the configuration "
+            "with which the filter was created"
         ) from error
-    return replace(state, sensing=replace(state.sensing, **parts))
+    return state
 
 
 def _checked_pressure(time_s: ArrayLike, pressure_hpa: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Times and pressures (N,) of a barometer; ValueError for other units or shapes."""
+    """Return times and pressures (N,) of a barometer, or raise ValueError for wrong units or shapes."""
     columns = {"time_s": time_s, "pressure_hpa": pressure_hpa}
     time, pressure = (np.atleast_1d(as_floats(values, name)) for name, values in columns.items())
     time, pressure = checked_pressure(time, pressure)
@@ -412,7 +627,10 @@ def _checked_pressure(time_s: ArrayLike, pressure_hpa: ArrayLike) -> tuple[Float
 
 
 def _check_times(time_s: FloatArray, before_s: FloatArray, state: State) -> None:
-    """ValueError for times that cannot be seconds: too large, or from the first on as far apart as of another unit."""
+    """Raise ValueError for times that are not in seconds.
+
+    Such times are too large, or their intervals from the first sample on fit another unit.
+    """
     finite_s = time_s[np.isfinite(time_s)]
     wrong = wrong_time(median(finite_s)) if len(finite_s) else ""
     if not wrong and state.sensing.conditioner.report.n_emitted == 0:
@@ -431,7 +649,7 @@ def imu_block(
     angular_rate_radps: ArrayLike | None = None,
     magnetic_field_ut: ArrayLike | None = None,
 ) -> ImuBlock:
-    """Samples as a block, shapes checked; missing sensors become NaN."""
+    """Return samples as a block with checked shapes. Missing sensors become NaN."""
     time = as_floats(time_s, "time_s")
     if time.size == 0 and np.size(specific_force_mps2) == 0:
         return ImuBlock(np.empty(0), *(np.empty((0, 3)) for _ in range(3)))

@@ -1,6 +1,7 @@
-"""Doubtful windows and steps: the criteria, the words, and how many there are.
+"""Criteria, texts and counters for windows and steps that are unreliable.
 
-Notes give the number of doubtful windows or steps, the report gives their times. Both use these criteria and words.
+The warnings (`warnings`) give the number of unreliable windows or steps, and the report (`trust_report`) gives their
+times. Both use the criteria and texts of this module.
 """
 
 from __future__ import annotations
@@ -13,67 +14,96 @@ import numpy as np
 from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.values import HARDLY_AGREE, BoolArray, ContextSet, FloatArray, Step
 
-# Half a radian: a step in this direction is an eighth shorter than a linear filter takes it to be.
+# Standard deviation of the heading above which it counts as unknown. At an error of 0.5 rad a step advances by 12 %
+# less along the estimated direction than a linear filter assumes.
 UNKNOWN_HEADING_RAD = 0.5
-# A position that moves by more than two steps besides the step itself is worth a warning.
+# Minimum correction of the position that is reported: more than two step lengths, besides the step itself.
 MOVE_M = 2.0
-_KNOW_BIAS = "rest for five seconds before the walk, or give `device` of an earlier recording of the phone or fixes"
+_BIAS_REMEDY = (
+    "to estimate the gyroscope bias early, rest for five seconds before the walk, or give fixes or the `device` of an "
+    "earlier recording of the phone"
+)
 
-NO_STEPS = "no steps found, so that dead reckoning does not apply here"
-STEPLESS = "the phone moved without steps, as in a vehicle or a lift: no distance is counted there"
-HANDLED = "the phone was handled, not carried: steps there may be false or lost"
+# Texts shared by the warnings of `warnings` and the report of `trust_report`. Each follows a number or times.
+NO_STEPS = "no steps were detected, so that the track stays at its start; dead reckoning needs a recording of a walk"
+STEPLESS = (
+    "the phone moved without steps, as in a vehicle or a lift: no distance is counted there; track the walks before "
+    "and after a ride separately"
+)
+HANDLED = (
+    "the phone was handled (taken out, turned or put away): steps there may be false or missed; carry the phone in one "
+    "place"
+)
 UNFAMILIAR = (
-    "the motion is unlike all that the context model was trained on: contexts, and the step lengths that follow from "
-    "them, are guesses"
+    "the motion is unlike all training data of the context model: contexts and step lengths there are unreliable; "
+    "train a model with such motion (pdr_filter.fit_contexts)"
 )
 NO_DIRECTION = (
-    "strides do not agree on where walking leads, as in a bag: the turn of the phone alone leads the track, and where "
-    "the phone was turned against the body the track has turned too"
+    "the walking direction is uncertain, because strides do not agree on it (as in a bag): heading changes come from "
+    "the gyroscope alone, and a phone that turns against the body turns the track; give position or heading fixes"
 )
 QUICK_AND_SOFT = (
-    "steps are as quick as running and as soft as walking, as on the spot: how long they are, and where they lead, is "
-    "unsure"
+    "steps are as quick as running and as soft as walking (as when running on the spot): their length and direction "
+    "are uncertain; give position fixes"
 )
 LATE = (
-    "when the heading or the context of earlier steps was found to be another one: pdr_filter.smooth corrects these "
-    f"steps, too; {_KNOW_BIAS}"
+    "because the heading or the context of earlier steps was corrected late: pdr_filter.smooth also corrects the "
+    f"earlier positions; {_BIAS_REMEDY}"
 )
-HEADING_UNKNOWN = f"the bias of the gyroscope is hardly known; {_KNOW_BIAS}"
+HEADING_UNKNOWN = f"the gyroscope bias is poorly known; {_BIAS_REMEDY}"
 REJECTED = "not fit the track or its time"
 
 
 def is_moving(standing_prob: FloatArray | float) -> BoolArray:
-    """Whether the phone moves in a window (...,), from the probability of the contexts that stand."""
+    """True for windows (...,) in which the phone moves.
+
+    The standing contexts have less than half of the probability.
+    """
     return np.asarray(standing_prob) < 0.5
 
 
 def is_handled(irregular_prob: FloatArray | float, standing_prob: FloatArray | float) -> BoolArray:
-    """Whether the phone moves in a window (...,) and is not carried by somebody who walks."""
+    """True for windows (...,) in which the phone moves, but not by walking. It is taken out, turned, or put away."""
     return is_moving(standing_prob) & (irregular_prob > 0.5)
 
 
 def is_unfamiliar(unknown_share: FloatArray | float) -> BoolArray:
-    """Whether a window (...,) is unlike those of the training."""
+    """True for windows (...,) that are unlike the training windows of the context model."""
     return np.asarray(unknown_share) > 0.5
 
 
 def is_without_direction(shown_offset_std_rad: FloatArray | float, direction_trust: FloatArray | float) -> BoolArray:
-    """Whether strides disagree on the walking direction at a step (...,)."""
+    """True for steps (...,) whose strides disagree on the walking direction."""
     return np.isfinite(shown_offset_std_rad) & (np.asarray(direction_trust) < HARDLY_AGREE)
 
 
 @dataclass(frozen=True, slots=True)
 class WindowCounts:
-    """How many windows there were, and how many of them were odd."""
+    """Number of windows, and of those that are unreliable.
+
+    Attributes
+    ----------
+    n : int
+        All windows.
+    without_gyroscope : int
+        Windows without angular rate.
+    unknown : int
+        Windows that are unlike the training data of the context model.
+    stairs_unknown : int
+        Windows with walking in which stairs could not be detected: stairs are not in the training data for this place
+        of the phone, and there is no climb rate.
+    irregular : int
+        Windows in which the phone was handled.
+    """
 
     n: int = 0
     without_gyroscope: int = 0
     unknown: int = 0
-    stairs_unknown: int = 0  # of windows without climb rate in which somebody walks
+    stairs_unknown: int = 0
     irregular: int = 0
 
     def plus(self, window: WindowContext, contexts: ContextSet) -> WindowCounts:
-        """With one window more."""
+        """Return the counts with one more window."""
         standing_prob = float(window.prob[contexts.standing].sum())
         walks = window.stairs_unknown_share > 0.5 and window.prob[contexts.level_walking].sum() > 0.5
         blind = walks and np.isnan(window.climb_rate_mps)
@@ -88,19 +118,41 @@ class WindowCounts:
 
 @dataclass(frozen=True, slots=True)
 class StepCounts:
-    """Number of steps, of those with a doubtful direction, and where the heading was unknown or found late."""
+    """Number of steps, of those that are unreliable, and the times of the problems.
+
+    Attributes
+    ----------
+    n : int
+        All steps.
+    untrusted : int
+        Steps whose strides disagree on the walking direction.
+    quick_and_soft : int
+        Steps that are too quick for walking and too soft for running.
+    heading_unknown : int
+        Steps with a standard deviation of the heading above `UNKNOWN_HEADING_RAD`.
+    unknown_from_s, unknown_until_s : float
+        Times of the first and the last step with an unknown heading, s. NaN if there are none.
+    largest_move_m : float
+        Largest correction of the position at a step, besides the step itself, m. 0 if none exceeds `MOVE_M`.
+    largest_move_s : float
+        Time of that step, s. NaN if there is none.
+    """
 
     n: int = 0
     untrusted: int = 0
     quick_and_soft: int = 0
-    heading_unknown: int = 0  # with a standard deviation of the heading of more than `UNKNOWN_HEADING_RAD`
-    unknown_from_s: float = math.nan  # the first of them
-    unknown_until_s: float = math.nan  # and the last
-    largest_move_m: float = 0.0  # by which the filter moved the present position at a step, besides the step itself
+    heading_unknown: int = 0
+    unknown_from_s: float = math.nan
+    unknown_until_s: float = math.nan
+    largest_move_m: float = 0.0
     largest_move_s: float = math.nan
 
     def plus(self, step: Step, heading_std_rad: float, moved_m: float) -> StepCounts:
-        """Return the counts with one more step, the heading's uncertainty after it, and the move of the position."""
+        """Return the counts with one more step.
+
+        `heading_std_rad` is the standard deviation of the heading after the step. `moved_m` is the correction of the
+        position besides the step itself.
+        """
         is_untrusted = bool(is_without_direction(step.shown_offset_std_rad, step.direction_trust))
         counts = replace(
             self,

@@ -1,73 +1,101 @@
-"""Where a track should not be trusted, in plain words: what `Track.report` prints."""
+"""Text report of a track: accuracy, and the stretches that are unreliable."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from pdr_filter.tracking import step_statistics as doubtful
+from pdr_filter.tracking import step_statistics as criteria
 from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray, TrackRows, how_many
 
-# Doubts that notes have too, with the number of windows, steps or fixes in place of their times.
-_OF_NOTES = (
-    doubtful.NO_STEPS,
-    doubtful.STEPLESS,
-    doubtful.HANDLED,
-    doubtful.UNFAMILIAR,
-    doubtful.NO_DIRECTION,
-    doubtful.QUICK_AND_SOFT,
-    doubtful.LATE,
-    doubtful.REJECTED,
+# Texts that notes share with the report. Notes give the number of windows, steps or fixes instead of their times.
+_SHARED_WITH_NOTES = (
+    criteria.NO_STEPS,
+    criteria.STEPLESS,
+    criteria.HANDLED,
+    criteria.UNFAMILIAR,
+    criteria.NO_DIRECTION,
+    criteria.QUICK_AND_SOFT,
+    criteria.LATE,
+    criteria.REJECTED,
 )
-# A head looks around, and a bag dangles.
+# Carrying modes in which the phone can rotate against the body: a head turns, and a bag dangles.
 _LOOSE = [CARRYING_MODES.index(mode) for mode in ("calling", "bag")]
-# Shorter doubts are ordinary: a turn, a door.
+# Minimum duration of a reported stretch: turns and doors cause shorter ones.
 _MIN_DOUBT_S = 5.0
-# So long a movement without a step is no walk: people take one every two seconds.
+# Minimum duration of motion without steps that is reported as a ride: walking has a step at least every two seconds.
 _MIN_RIDE_S = 20.0
-# Stretches of one kind whose times are said.
+# Maximum number of stretches of one kind whose times are listed.
 _MAX_TIMES = 8
-# A track without fixes that goes so much further than its step was led anew: of 72 real walks none did by 2 m.
+# Excess of the distance between two positions over the step length that is reported as a jump of a track without
+# fixes. None of 72 real walks has an excess of 2 m.
 _JUMP_M = 3.0
-# Nobody walks round the Earth: what is further away is nonsense that would make a dot of all else.
+# Circumference of the Earth. Larger distances are errors, which would shrink everything else in a figure to a dot.
 FARTHEST_M = 4e7
-# Two modes that are as probable as each other count as doubt.
+# Effective number of modes above which the context is uncertain: two equally probable modes have 2.
 _DOUBTFUL_MODES = 1.9
 
 
 def doubts(track: TrackRows) -> list[str]:
-    """Sentences about the stretches of a track that mean little, each with its times; empty if there are none."""
+    """Return sentences about unreliable stretches of a track, each with the times of its stretches.
+
+    The sentences report rides, a handled phone, unfamiliar motion, undecided contexts, uncertain walking directions,
+    missing angular rate, long pauses, jumps, and rejected fixes.
+
+    Parameters
+    ----------
+    track : Track
+        Track to check.
+
+    Returns
+    -------
+    list of str
+        One sentence for each kind of problem. Empty if there are none.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.tracking.trust_report import doubts
+    >>> track = pdr.track(pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=60.0)]))
+    >>> doubts(track)
+    []
+    """
     windows = track.windows
     sentences: list[str] = []
     if len(windows):
-        moves = doubtful.is_moving(windows.standing_prob)
+        moves = criteria.is_moving(windows.standing_prob)
         stepless = moves & ~_has_step(track)
         if track.n_steps == 0 and not moves.any():
-            sentences.append(f"The phone did not move: {doubtful.NO_STEPS}.")
+            sentences.append(f"The phone did not move: {criteria.NO_STEPS}.")
         rides = [(a, b) for a, b in _stretches(windows.time_s, stepless) if b - a >= _MIN_RIDE_S]
-        sentences += _said(rides, doubtful.STEPLESS)
-        handled = doubtful.is_handled(windows.irregular_prob, windows.standing_prob)
-        sentences += _said(_long(windows.time_s, handled), doubtful.HANDLED)
-        unfamiliar = doubtful.is_unfamiliar(windows.unknown_share)
-        sentences += _said(_long(windows.time_s, unfamiliar), doubtful.UNFAMILIAR)
+        sentences += _with_times(rides, criteria.STEPLESS)
+        handled = criteria.is_handled(windows.irregular_prob, windows.standing_prob)
+        sentences += _with_times(_long_stretches(windows.time_s, handled), criteria.HANDLED)
+        unfamiliar = criteria.is_unfamiliar(windows.unknown_share)
+        sentences += _with_times(_long_stretches(windows.time_s, unfamiliar), criteria.UNFAMILIAR)
     if track.n_steps:
         undecided = track.effective_modes > _DOUBTFUL_MODES
         sentences += [
-            f"From {a:.0f} to {b:.0f} s the filter hesitates between {_names(track, a, b)}: their step lengths differ."
-            for a, b in _long(track.time_s, undecided)
+            f"From {a:.0f} to {b:.0f} s the filter cannot decide between {_top_modes(track, a, b)}, whose step lengths "
+            "differ: the distance is uncertain there."
+            for a, b in _long_stretches(track.time_s, undecided)
         ]
-        without_direction = doubtful.is_without_direction(track.steps.shown_offset_std_rad, track.direction_trust)
-        sentences += _said(_long(track.time_s, without_direction), doubtful.NO_DIRECTION)
-        sentences += _said(_long(track.time_s, track.is_quick_and_soft), doubtful.QUICK_AND_SOFT)
-        sentences += _said(
-            _long(windows.time_s, is_loose(track)),
-            "the phone is held as at the ear, or dangles as in a bag: if it turns against the body without a tilt, the "
-            "track turns with it",
+        without_direction = criteria.is_without_direction(track.steps.shown_offset_std_rad, track.direction_trust)
+        sentences += _with_times(_long_stretches(track.time_s, without_direction), criteria.NO_DIRECTION)
+        sentences += _with_times(_long_stretches(track.time_s, track.is_quick_and_soft), criteria.QUICK_AND_SOFT)
+        sentences += _with_times(
+            _long_stretches(windows.time_s, is_held_loosely(track)),
+            "the phone is held at the ear or dangles in a bag: if it turns against the body about the vertical, the "
+            "track turns with it; give position or heading fixes",
         )
         blind = np.asarray(track.steps.heading_unknown_s) > 0.5 * np.asarray(track.steps.duration_s)
-        sentences += _said(_long(track.time_s, blind), "there is no angular rate: the direction of the walk is unknown")
+        sentences += _with_times(
+            _long_stretches(track.time_s, blind),
+            "there is no angular rate, so that the walking direction is unknown: record the gyroscope, or give heading "
+            "fixes",
+        )
         sentences += [
-            f"Between {a:.0f} and {b:.0f} s there is nothing for {b - a:.0f} s: a rest, or a gap in the samples; the "
-            "track goes on where it was."
+            f"Between {a:.0f} and {b:.0f} s there are no steps for {b - a:.0f} s (a rest, or a gap in the samples): "
+            "the track continues at the same position."
             for a, b in zip(track.time_s[:-1], track.time_s[1:], strict=True)
             if b - a > 60.0
         ]
@@ -77,19 +105,41 @@ def doubts(track: TrackRows) -> list[str]:
         times = ", ".join(f"{fix.time_s:.0f}" for fix in rejected[:_MAX_TIMES])
         times += ", ..." if len(rejected) > _MAX_TIMES else ""
         share = f"{len(rejected)} of {len(track.fixes)} fixes do"
-        sentences.append(f"{share} {doubtful.REJECTED} and were not used: at {times} s.")
+        sentences.append(f"{share} {criteria.REJECTED} and were not used: at {times} s.")
     return sentences
 
 
 def problems(track: TrackRows) -> list[str]:
-    """Sentences about all that is doubtful: the doubts with their times, and the notes on anything else."""
-    told = doubts(track)
-    words = [w for w in _OF_NOTES if any(w in sentence for sentence in told)]
-    return [*told, *(sentence(note) for note in track.notes if not any(w in note for w in words))]
+    """Return sentences about all problems of a track: its unreliable stretches, and its remaining notes.
+
+    A note is omitted if a sentence of `doubts` reports the same problem with its times.
+
+    Parameters
+    ----------
+    track : Track
+        Track to check.
+
+    Returns
+    -------
+    list of str
+        One sentence for each problem. Empty if there are none.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> from dataclasses import replace
+    >>> from pdr_filter.tracking.trust_report import problems
+    >>> track = pdr.track(pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=60.0)]))
+    >>> problems(replace(track, notes=("the clock was set back once",)))
+    ['The clock was set back once.']
+    """
+    sentences = doubts(track)
+    words = [w for w in _SHARED_WITH_NOTES if any(w in sentence for sentence in sentences)]
+    return [*sentences, *(sentence(note) for note in track.notes if not any(w in note for w in words))]
 
 
 def report(track: TrackRows) -> str:
-    """The track in a few lines: what it is, how sure it is, and where not to trust it."""
+    """Return a short text about a track: steps, distance, accuracy, contexts, and where not to trust it."""
     lines = [
         f"{track.name}: {track.n_steps} steps, {track.distance_m:.1f} m in {track.duration_s:.0f} s ({track.weighting})"
     ]
@@ -102,55 +152,55 @@ def report(track: TrackRows) -> str:
         lines.append("contexts: " + ", ".join(f"{name} {s:.0f} s" for name, s in seconds.items()))
     used = [fix.nis for fix in track.fixes if fix.accepted and np.isfinite(fix.nis)]
     if used:
-        fit = "about 2 for positions that fit" if track.origin is None else "below 2 where locations fit"
-        mean = f"mean squared innovation {np.mean(used):.1f}, {fit}"
+        fit = "about 2 if positions are consistent" if track.origin is None else "below 2 if locations are consistent"
+        mean = f"mean normalised squared innovation {np.mean(used):.1f}, {fit}"
         lines.append(f"fixes: {len(used)} used ({mean})")
-    said = problems(track)
-    lines += ["where not to trust it:", *(f"- {p}" for p in said)] if said else ["nothing odd was seen"]
+    sentences = problems(track)
+    lines += ["where not to trust it:", *(f"- {p}" for p in sentences)] if sentences else ["no problems were found"]
     return "\n".join(lines)
 
 
 def sentence(note: str) -> str:
-    """A note as a sentence."""
+    """Return a note as a sentence: first letter in upper case, with a full stop."""
     return f"{note[:1].upper()}{note[1:]}" + ("" if note.endswith((".", "!", "?")) else ".")
 
 
 def end(track: TrackRows) -> str:
-    """Where a track with steps ends, and how sure that is."""
+    """Return the end position of a track with steps, and its standard deviation, as text."""
     east_m, north_m = track.position_m[-1]
     return f"{east_m:z.1f} m east, {north_m:z.1f} m north, {track.how_sure}"
 
 
-def is_loose(track: TrackRows) -> BoolArray:
-    """Windows (W,) in which the phone may turn against the body, and nothing shows it."""
+def is_held_loosely(track: TrackRows) -> BoolArray:
+    """True for windows (W,) in which the phone can rotate against the body without being detected."""
     windows = track.windows
     if not len(windows):
         return np.zeros(0, dtype=bool)
-    moves = doubtful.is_moving(windows.standing_prob)
+    moves = criteria.is_moving(windows.standing_prob)
     return moves & (windows.carrying_prob[:, _LOOSE].sum(axis=1) > 0.5)
 
 
 def _has_step(track: TrackRows) -> BoolArray:
-    """Whether a step ended within three seconds of the middle of each window."""
+    """True for windows (W,) with the end of a step within three seconds of the middle of the window."""
     middle = track.windows.time_s - 1.0
     first, last = np.searchsorted(track.time_s, middle - 3.0), np.searchsorted(track.time_s, middle + 3.0)
     return last > first
 
 
 def _stretches(time_s: FloatArray, holds: BoolArray) -> list[tuple[float, float]]:
-    """Begin and end of the stretches in which a condition holds; one miss does not end a stretch."""
+    """Return begin and end of the stretches in which a condition holds. A single exception does not end a stretch."""
     if len(holds) > 2:
         holds = holds | (np.concatenate([[False], holds[:-1]]) & np.concatenate([holds[1:], [False]]))
     edges = np.flatnonzero(np.diff(np.concatenate([[0], holds, [0]]).astype(int)))
     return [(float(time_s[a]), float(time_s[b - 1])) for a, b in edges.reshape(-1, 2)]
 
 
-def _long(time_s: FloatArray, holds: BoolArray) -> list[tuple[float, float]]:
+def _long_stretches(time_s: FloatArray, holds: BoolArray) -> list[tuple[float, float]]:
     return [(a, b) for a, b in _stretches(time_s, holds) if b - a >= _MIN_DOUBT_S]
 
 
-def _said(stretches: list[tuple[float, float]], words: str) -> list[str]:
-    """One sentence of all stretches, the first of them with their times."""
+def _with_times(stretches: list[tuple[float, float]], words: str) -> list[str]:
+    """Return one sentence with the times of all stretches, of which the first `_MAX_TIMES` are listed."""
     if not stretches:
         return []
     times = [f"from {a:.0f} to {b:.0f} s" for a, b in stretches[:_MAX_TIMES]]
@@ -161,10 +211,13 @@ def _said(stretches: list[tuple[float, float]], words: str) -> list[str]:
 
 
 def _jumps(track: TrackRows) -> list[str]:
-    """One sentence of the steps in which the whole way before showed in another light; fixes and plans may do so."""
+    """Return one sentence about the steps at which the filter corrected the position of the whole earlier path.
+
+    Tracks with fixes or a floor plan are not checked, because these may move the track.
+    """
     if track.fixes or track.plan is not None:
         return []
-    with np.errstate(invalid="ignore", over="ignore"):  # a table that was read may hold anything
+    with np.errstate(invalid="ignore", over="ignore"):  # a track read from a file may contain any values
         moved_m = np.hypot(*np.diff(track.position_m, axis=0).T)
     late = np.flatnonzero((moved_m > track.step_length_m[1:] + _JUMP_M) & (moved_m < FARTHEST_M))
     if not len(late):
@@ -172,10 +225,10 @@ def _jumps(track: TrackRows) -> list[str]:
     each = [f"{moved_m[i]:.0f} m at {track.time_s[i + 1]:.0f} s" for i in late[:_MAX_TIMES]]
     if len(late) > _MAX_TIMES:
         each.append(how_many(len(late) - _MAX_TIMES, "time", "times") + " more")
-    return [f"The track jumps ({', '.join(each)}), {doubtful.LATE}."]
+    return [f"The track jumps ({', '.join(each)}), {criteria.LATE}."]
 
 
-def _names(track: TrackRows, start_s: float, end_s: float) -> str:
+def _top_modes(track: TrackRows, start_s: float, end_s: float) -> str:
     inside = (track.time_s >= start_s) & (track.time_s <= end_s)
     prob = track.mode_prob[inside].mean(axis=0)
     best = np.argsort(prob)[::-1][:2]

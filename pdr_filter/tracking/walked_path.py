@@ -1,4 +1,4 @@
-"""The estimated path of the whole walk so far, for an app that draws it."""
+"""Estimated path of a whole walk so far, for an app that draws it."""
 
 from __future__ import annotations
 
@@ -17,12 +17,23 @@ from pdr_filter.values.uncertainty import worst_std_m
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WalkedPath:
-    """Estimated path of a walk so far: one row for each step, and one for the present.
+    """Estimated path of a walk so far: one row for each step, and one for the present position.
 
-    Past rows are smoothed: a fix, a heading or a context that came later has moved them, too. They differ from the
-    positions that were reported at the time. A filter remembers 8192 steps, an hour of walking, and of a longer
-    walk as many, the older ones at even intervals. While fixes leave the turn of the track open, the path is
-    drawn under the most probable one, so that it keeps its shape.
+    Rows of past steps are smoothed: later fixes, headings and contexts correct them. They therefore differ from the
+    positions that were reported at the time of the steps. The filter keeps 8192 steps, an hour of walking. Of a longer
+    walk it keeps 8192 rows, the older ones at even intervals. While fixes leave the rotation of the track open, the
+    path has the most probable rotation, so that its shape is preserved.
+
+    Attributes
+    ----------
+    time_s : ndarray, shape (K,)
+        Increasing times on the clock of the track, s.
+    position_m : ndarray, shape (K, 2)
+        East and north in the frame of `OnlineFilter.now`, m.
+    position_cov_m2 : ndarray, shape (K, 2, 2)
+        Covariance of each position, m^2.
+    n_steps : int
+        Number of leading rows that are accepted steps. The other rows are provisional steps and the present position.
 
     Examples
     --------
@@ -37,26 +48,26 @@ class WalkedPath:
     True
     """
 
-    time_s: FloatArray  # (K,) on the track's time base, increasing
-    position_m: FloatArray  # (K, 2) east, north, in the frame of `OnlineFilter.now`
-    position_cov_m2: FloatArray  # (K, 2, 2)
-    n_steps: int  # rows of accepted steps; those behind them are provisional steps and the present
+    time_s: FloatArray
+    position_m: FloatArray
+    position_cov_m2: FloatArray
+    n_steps: int
 
     def __len__(self) -> int:
         return len(self.time_s)
 
     @property
     def position_std_m(self) -> FloatArray:
-        """Standard deviation (K,) of each position in the worst direction."""
+        """Standard deviation (K,) of each position in its least certain direction, m."""
         return worst_std_m(self.position_cov_m2)
 
 
 def walked_path(config: Config, state: State) -> WalkedPath:
-    """The path until now; ValueError on a floor plan, whose particles have paths of their own."""
+    """Return the path so far. ValueError with a floor plan, because each particle has its own path."""
     if config.on_plan is not None:
         raise ValueError(
-            "path is of dead reckoning and fixes, got a filter on a floor plan: draw the positions of its updates, and "
-            "smooth the finished walk with pdr_filter.smooth"
+            "path is not available with a floor plan, because each particle has its own path: draw the positions of "
+            "the updates, and smooth the finished walk with pdr_filter.smooth"
         )
     pedestrian = state.tracker.pedestrian
     estimates = pedestrian.estimates
@@ -71,7 +82,7 @@ def walked_path(config: Config, state: State) -> WalkedPath:
     time_s = np.append(time_s, [t for t, _ in ahead])
     place_m = np.concatenate([place_m, np.array([m for _, m in ahead]).reshape(-1, 2).T], axis=1)
     cov_m2 = np.concatenate([cov_m2, np.tile([[ee], [en], [nn]], len(ahead))], axis=1)
-    turn = pedestrian.frame.present_turn
+    turn = pedestrian.frame.present_alignment
     if turn is not None:
         first = int(np.searchsorted(time_s, pedestrian.path.since_s, side="right"))
         place_m[:, first:], cov_m2[:, first:] = turned(turn, place_m[:, first:], cov_m2[:, first:])

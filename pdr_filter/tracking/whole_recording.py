@@ -1,4 +1,4 @@
-"""Whole recordings at once: loops over the same steps that an app pushes samples through."""
+"""Tracks, steps and contexts of whole recordings, computed with the functions of the online filter."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from pdr_filter.tracking.filtering import (
     State,
     add_fixes,
     add_location,
-    add_places,
+    add_terrain_locations,
     climb_at,
     finish,
     init,
@@ -78,32 +78,47 @@ def track(
     plan: Plan | None = None,
     start: PositionFix | str | None = None,
 ) -> Track:
-    """Online track of a recording: each position from what came before it, the same bits that `OnlineFilter` gives.
+    """Compute the online track of a recording: each position is estimated from earlier samples only.
 
-    For a finished walk `pdr_filter.smooth` gives the best estimate.
+    The track is identical to the result of `OnlineFilter` on the same samples. For a finished walk, `pdr_filter.smooth`
+    gives a better estimate, because it also uses later samples.
 
     Parameters
     ----------
     recording : Recording
-        From `read`.
+        Recording to process, as returned by `pdr_filter.read`.
     config : Config, optional
-        A recipe; the default recipe if not given.
+        Configuration, as returned by a recipe. The default is the default recipe.
     weighting : {"imm", "wc", "hc"}, optional
-        How context probabilities become step lengths: interacting multiple model, weighted or highest context. The
-        recipe's own if not given; that of the default recipe is "imm".
-    fixes : iterable of PositionFix, HeadingFix, SpeedFix or Standstill; on a plan also GridFix
-        What is known from elsewhere, each used when it was received. Positions and headings are in the frame of the
-        track, which starts at the origin; with `config.in_world_frame()` in any frame, and so is the track then, all
-        of it, from the first position fix on (`Track.frame`).
+        Combination of the context probabilities into step lengths: interacting multiple model, weighted context or
+        highest context. The default is the weighting of the configuration ("imm" for the default recipe).
+    fixes : iterable of PositionFix, HeadingFix, RangeFix, SpeedFix or Standstill, optional
+        Known positions, headings, ranges, speeds and standstills, and with a plan also GridFix. Each is used at the
+        time at which it was received. Positions and headings are in the frame of the track, with the origin at its
+        start. With `config.in_world_frame()` they may be in any frame. The whole track is then in the frame of the
+        fixes, from the first position fix on (`Track.frame`).
     progress : callable, optional
-        Called with the fraction done, 0 to 1.
+        Function that is called with the fraction of processed samples, 0 to 1.
+    calibration : Calibration or path, optional
+        Step-length calibration of the person, from `pdr_filter.calibrate`, or the file where it was saved.
     device : Device or path, optional
-        `Track.device` of an earlier recording of the same phone, or where one was saved.
-    person, calibration : Person, Calibration or path, optional
-        Step lengths of the person: `Track.person` of an earlier recording, from its fixes; a calibration of
-        `pdr_filter.calibrate`; or the path where one was saved. `calibration` takes only a calibration, and a person
-        beside it adds the walks of that person.
+        Gyroscope bias of the phone: `Track.device` of an earlier recording, or the file where it was saved.
+    person : Person, Calibration or path, optional
+        Step length of the person: `Track.person` of an earlier recording, a calibration, or the file where either was
+        saved. If `calibration` is given as well, the walks of the person refine it.
     gnss, origin, heading_rad, north, plan, start : fields of `TrackPlacement`
+
+    Returns
+    -------
+    Track
+        One row for each step.
+
+    Raises
+    ------
+    ValueError
+        If arguments are invalid or contradict each other.
+    MissingSensorError
+        If the recording lacks a sensor that the recipe or an argument requires.
 
     Examples
     --------
@@ -112,13 +127,13 @@ def track(
     >>> track = pdr.track(recording)
     >>> track.position_m.shape == (track.n_steps, 2)
     True
-    >>> 120 < track.distance_m < 145  # 138 m are true
+    >>> 120 < track.distance_m < 145  # the true distance is 138 m
     True
     >>> pdr.track(recording, weighting="hc").weighting
     'hc'
     """
     placement = TrackPlacement(gnss, origin, heading_rad, north, plan, start)
-    run = asked_run(recording, config, fixes, placement, weighting, calibration, device, person)
+    run = prepared_run(recording, config, fixes, placement, weighting, calibration, device, person)
     recording, config = run.recording, run.config
     with_fixes = run.with_location and gnss != "align"
     results = outputs(recording, config, run.fixes, progress, with_fixes, run.with_location)
@@ -127,26 +142,40 @@ def track(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
-    """What `track` and `smooth` make of their arguments."""
+    """Inputs of `track` and `smooth` after all arguments have been checked and combined.
 
-    recording: Recording  # on one clock
+    Attributes
+    ----------
+    recording : Recording
+        Recording with all streams on one clock.
+    config : Config
+        Configuration with person, device, weighting, plan and frame.
+    fixes : tuple of Fix
+        Fixes on the clock of the recording.
+    placement : TrackPlacement
+        Arguments for position, north and floor plan.
+    with_location : bool
+        True if the locations of the recording are used.
+    """
+
+    recording: Recording
     config: Config
     fixes: tuple[Fix, ...]
     placement: TrackPlacement
-    with_location: bool  # whether the recording's own locations are used
+    with_location: bool
 
     def placed(self, result: Track) -> Track:
-        """A track with the given place and heading, and with notes on the locations."""
+        """Return a track with the given origin and heading, and with a note if the locations were therefore ignored."""
         given, place = self.placement, self.placement.place
         if self.recording.location is not None and given.gnss is None and given.is_given:
-            note = "the recording's own locations are not used: its place or heading was given"
+            note = "the locations of the recording were not used, because origin or heading_rad was given"
             result = replace(result, notes=(*result.notes, note))
         if place is None:
             return result if given.heading_rad is None else result.turned(given.heading_rad)
         return result.placed(place if given.heading_rad is None else replace(place, turn_rad=given.heading_rad))
 
 
-def asked_run(
+def prepared_run(
     recording: Recording,
     config: Config | None,
     fixes: Iterable[Fix],
@@ -156,7 +185,10 @@ def asked_run(
     device: Device | str | Path | None = None,
     person: Person | Calibration | str | Path | None = None,
 ) -> Run:
-    """The run that arguments of `track` ask for; ValueError for what contradicts itself."""
+    """Return checked and combined inputs from the arguments of `track`.
+
+    ValueError if arguments contradict each other.
+    """
     config = given_or_default(recording, config).placed(placement)
     fixes = all_fixes(fixes)
     for fix in fixes:
@@ -186,16 +218,17 @@ def outputs(
     with_location: bool = False,
     with_hills: bool = False,
 ) -> Iterator[tuple[State, Output]]:
-    """What each stretch of a recording brings, with the filter's state after it; the last one is the end's.
+    """Yield the state of the filter and its output for each part of a recording.
 
-    The recording's own locations are fixes (`with_location`), or only tell hills from storeys (`with_hills`).
-    MissingSensorError if the tracks of the recipe need what was not recorded.
+    The last pair is the result of `finish`. The locations of the recording are used as fixes (`with_location`), or only
+    to distinguish hills from storeys (`with_hills`). MissingSensorError if the recording lacks a sensor that the recipe
+    requires for a track.
     """
     missing = [name for name in config.needs if name not in recording.streams]
     if missing:
         raise MissingSensorError(
             f"{recording.name or 'the recording'} has no {' and no '.join(missing)}, which recipe {config.name!r} "
-            'needs for a track; use recipe "default", which does without'
+            'needs for a track: use recipe "default", which does not need it'
         )
     state = add_fixes(config, replace(init(config), climbs=_climbs(config, recording)), fixes)
     if (with_location or with_hills) and (location := recording.location) is not None:
@@ -204,7 +237,7 @@ def outputs(
         if with_location:
             state = add_location(config, state, location.time_s, *where, altitude_m)
         elif (origin := origin_of(location)) is not None:
-            state = add_places(state, origin, location.time_s, *where)
+            state = add_terrain_locations(state, origin, location.time_s, *where)
     for part in _parts(merge_streams(recording), progress):
         state, output = update(config, state, part)
         yield state, output
@@ -212,7 +245,7 @@ def outputs(
 
 
 def collected(recording: Recording, config: Config, results: Iterable[tuple[State, Output]]) -> Track:
-    """The track of a recording from its `outputs`."""
+    """Return the track of a recording from its `outputs`."""
     state, whole = init(config), Output()
     for new_state, output in results:
         state = new_state
@@ -221,13 +254,16 @@ def collected(recording: Recording, config: Config, results: Iterable[tuple[Stat
     late = (FixResult.of(fix, end_s, "waiting") for fix in state.waiting_fixes)
     start_s = 0.0 if np.isnan(report.first_time_s) else report.first_time_s
     duration_s = 0.0 if np.isnan(report.last_time_s) else report.last_time_s - start_s
-    misplaced = ("worn on the foot: this recipe is for a carried phone, its steps and lengths do not fit",)
+    misplaced = (
+        f"the sensor was worn on the foot, but recipe {config.name!r} is for a carried phone: steps and step lengths "
+        'are wrong; use a recipe for the foot, such as recipes.zhou2019(placement="foot")',
+    )
     if config.on_foot or not recording.is_on_foot:
         misplaced = ()
     frame = state.tracker.pedestrian.frame
     origin = state.locations.origin if frame.is_known else None
     if origin is not None:
-        frame = frame.drawn()
+        frame = frame.at_most_probable_rotation()
         origin = state.height.start_altitude.of(frame.origin(origin))
     updates = [u.in_frame(frame) for u in whole.updates if u.is_final]
     track = _track(recording.name, config, updates, _windows(whole.windows, config.model.context_set))
@@ -236,8 +272,8 @@ def collected(recording: Recording, config: Config, results: Iterable[tuple[Stat
         track = _on_plan(track, config.on_plan.plan, updates)
         origin = config.on_plan.plan.origin if is_on_plan else None
     start_m = frame.world(Place(np.zeros(2), np.zeros((2, 2)), 0.0, 0)).position_m
-    if updates and updates[0].on_plan is not None:  # which knows nothing of before
-        start_m = a_step_before(track.position_m[0], track.step_length_m[0], track.walking_heading_rad[0])
+    if updates and updates[0].on_plan is not None:  # particles give no position before the first step
+        start_m = position_before(track.position_m[0], track.step_length_m[0], track.walking_heading_rad[0])
     vertices = np.vstack([[start_s, *start_m], np.column_stack([track.time_s, track.position_m])])
     return replace(
         track,
@@ -254,13 +290,33 @@ def collected(recording: Recording, config: Config, results: Iterable[tuple[Stat
     )
 
 
-def a_step_before(position_m: FloatArray, length_m: float, heading_rad: float) -> FloatArray:
-    """Where somebody was (2,) who came to a place with a step."""
+def position_before(position_m: FloatArray, length_m: float, heading_rad: float) -> FloatArray:
+    """Return the position (2,) before a step, given the position after the step, its length and its heading."""
     return position_m - length_m * np.array([np.sin(heading_rad), np.cos(heading_rad)])
 
 
 def detect_steps(recording: Recording, config: Config | None = None) -> Table:
-    """Steps of a recording: a table with a row for each `Step` and its fields as columns.
+    """Detect the steps of a recording.
+
+    Parameters
+    ----------
+    recording : Recording
+        Recording to process.
+    config : Config, optional
+        Configuration, as returned by a recipe. The default is the default recipe.
+
+    Returns
+    -------
+    Table
+        One row for each step, with the fields of `Step` as columns.
+
+    Raises
+    ------
+    ValueError
+        If `recording` is not a Recording or `config` is not a Config.
+
+    They are the steps of `track`. The columns of the walking direction and of north stay unknown, with an infinite
+    standard deviation: `track(recording).steps` has them, and takes two to three times as long.
 
     Examples
     --------
@@ -270,11 +326,28 @@ def detect_steps(recording: Recording, config: Config | None = None) -> Table:
     True
     """
     config = given_or_default(recording, config)
-    return step_table([e for e in run_sensing(config.sensing, recording)[1] if isinstance(e, Step)])
+    return step_table([e for e in run_sensing(config.sensing.steps_only, recording)[1] if isinstance(e, Step)])
 
 
 def classify(recording: Recording, config: Config | None = None) -> Windows:
-    """Context and carrying-mode probabilities of all windows of a recording.
+    """Classify context and carrying mode in all windows of a recording.
+
+    Parameters
+    ----------
+    recording : Recording
+        Recording to process.
+    config : Config, optional
+        Configuration, as returned by a recipe. The default is the default recipe.
+
+    Returns
+    -------
+    Windows
+        Probabilities of contexts and carrying modes, one row for each window.
+
+    Raises
+    ------
+    ValueError
+        If `recording` is not a Recording or `config` is not a Config.
 
     Examples
     --------
@@ -293,7 +366,7 @@ def classify(recording: Recording, config: Config | None = None) -> Windows:
 
 
 def _climbs(config: Config, recording: Recording) -> tuple[Climb, ...]:
-    """Climb rates of the barometer, if there is one."""
+    """Return the climb rates from the barometer, or an empty tuple without barometer."""
     barometer = recording.barometer
     if barometer is None:
         return ()
@@ -301,9 +374,12 @@ def _climbs(config: Config, recording: Recording) -> tuple[Climb, ...]:
 
 
 def given_or_default(recording: object, config: Config | None) -> Config:
-    """The configuration that is given, or the default recipe for a recording; ValueError for what is neither."""
+    """Return the given configuration, or the default recipe for the person of the recording.
+
+    ValueError if `recording` is not a Recording or `config` is not a Config.
+    """
     if not isinstance(recording, Recording):
-        raise ValueError(f"recording must be a Recording, got {recording!r}: pdr_filter.read(path) makes one of a file")
+        raise ValueError(f"recording must be a Recording, got {recording!r}: read a file with pdr_filter.read(path)")
     if config is None:
         return default_config(recording)
     check_config(config)
@@ -311,8 +387,9 @@ def given_or_default(recording: object, config: Config | None) -> Config:
 
 
 def default_config(recording: Recording) -> Config:
-    """The default recipe for the person of a recording."""
-    from pdr_filter.recipes import default  # loads the shipped models, which training makes
+    """Return the default recipe for the person of a recording."""
+    # Imported late, because it loads the shipped models and training must run without them.
+    from pdr_filter.recipes import default
 
     return default(recording.subject)
 
@@ -320,7 +397,10 @@ def default_config(recording: Recording) -> Config:
 def run_sensing(
     sensing: Sensing, recording: Recording, progress: Callable[[float], None] | None = None
 ) -> tuple[SensingState, list[Event]]:
-    """Return the final state of sensing, and the steps, contexts and gaps in the order in which they became known."""
+    """Return the final state of the front end, and its events in the order in which they became known.
+
+    Events are steps, classified windows and gaps.
+    """
     state, all_events = sensing.init(), list[tuple[int, Event]]()
     for part in _parts(merge_streams(recording), progress):
         state, events = sensing.update(state, part)

@@ -1,4 +1,7 @@
-"""Value types that flow between the stages: frozen, arrays read-only, units in every name. Imports nothing above."""
+"""Value types that flow between the stages.
+
+They are frozen, their arrays are read-only, and their names contain units.
+"""
 
 from pdr_filter.values.angles import circular_mean, heading_from_yaw, wrap_angle, yaw_from_heading
 from pdr_filter.values.arrays import (

@@ -1,4 +1,4 @@
-"""Angles: the only place that wraps them or converts between yaw and heading."""
+"""Angles: wrapping, means, and the conversion between yaw and heading. No other module does these."""
 
 from __future__ import annotations
 
@@ -10,13 +10,27 @@ from pdr_filter.values.arrays import FloatArray
 
 
 def wrap_angle(angle_rad: FloatArray | float) -> FloatArray:
-    """Return the same angle in [-pi, pi), radians, any shape.
+    """Wrap angles to [-pi, pi).
 
+    Parameters
+    ----------
+    angle_rad : float or ndarray
+        Angles of any shape, rad. NaN stays NaN.
+
+    Returns
+    -------
+    ndarray
+        Wrapped angles of the same shape, rad.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.values.angles import wrap_angle
     >>> float(wrap_angle(3 * np.pi))
     -3.141592653589793
     """
-    # the remainder of a tiny negative number rounds up to 2 pi itself
-    if isinstance(angle_rad, float):  # in Python's numbers, a tenth of the time
+    # The remainder of a tiny negative number can round up to 2 pi, which is mapped to -pi here.
+    if isinstance(angle_rad, float):  # ten times as fast as NumPy
         one = (angle_rad + math.pi) % (2 * math.pi) - math.pi
         return np.asarray(-math.pi if one >= math.pi else one)  # NaN stays NaN
     wrapped = np.asarray((np.asarray(angle_rad) + np.pi) % (2 * np.pi) - np.pi)
@@ -25,18 +39,78 @@ def wrap_angle(angle_rad: FloatArray | float) -> FloatArray:
 
 
 def heading_from_yaw(yaw_rad: FloatArray | float) -> FloatArray:
-    """Heading clockwise from north, from yaw counter-clockwise from east; radians in [-pi, pi)."""
+    """Convert yaw, counter-clockwise from east, to heading, clockwise from north.
+
+    Parameters
+    ----------
+    yaw_rad : float or ndarray
+        Yaw of any shape, rad.
+
+    Returns
+    -------
+    ndarray
+        Heading of the same shape, rad, in [-pi, pi).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.values.angles import heading_from_yaw
+    >>> float(heading_from_yaw(np.pi / 2))  # yaw to the north
+    0.0
+    """
     return wrap_angle(np.pi / 2 - np.asarray(yaw_rad))
 
 
 def yaw_from_heading(heading_rad: FloatArray | float) -> FloatArray:
-    """Yaw counter-clockwise from east, from heading clockwise from north; radians in [-pi, pi)."""
+    """Convert heading, clockwise from north, to yaw, counter-clockwise from east.
+
+    Parameters
+    ----------
+    heading_rad : float or ndarray
+        Heading of any shape, rad.
+
+    Returns
+    -------
+    ndarray
+        Yaw of the same shape, rad, in [-pi, pi).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.values.angles import yaw_from_heading
+    >>> float(yaw_from_heading(np.pi / 2))  # heading to the east
+    0.0
+    """
     return wrap_angle(np.pi / 2 - np.asarray(heading_rad))
 
 
 def circular_mean(angle_rad: FloatArray) -> float:
-    """Direction of the mean unit vector of angles of shape (N,), radians in [-pi, pi].
+    """Return the mean direction of angles: the direction of their mean unit vector.
 
-    psi = atan2(sum sin psi_i, sum cos psi_i) (Mardia and Jupp 2000, eq. 2.2.4; Tian et al. 2016, section on heading).
+    Parameters
+    ----------
+    angle_rad : ndarray, shape (N,)
+        Angles, rad.
+
+    Returns
+    -------
+    float
+        Mean direction, rad, in [-pi, pi].
+
+    Notes
+    -----
+    psi = atan2(sum sin psi_i, sum cos psi_i) [1]_, also used by Tian et al. [2]_ (section on heading).
+
+    References
+    ----------
+    .. [1] Mardia and Jupp, Directional Statistics, 2000, eq. 2.2.4.
+    .. [2] Tian et al., 2016.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.values.angles import circular_mean
+    >>> round(circular_mean(np.radians([350.0, 30.0])), 3)  # 10 degrees
+    0.175
     """
     return float(np.arctan2(np.sin(angle_rad).sum(), np.cos(angle_rad).sum()))

@@ -1,4 +1,4 @@
-"""Checks of numbers: of an argument, of an array, and of all fields of a configuration. One wording for each."""
+"""Checks of numbers, with uniform messages: of an argument, of an array, and of all fields of a configuration."""
 
 from __future__ import annotations
 
@@ -11,12 +11,14 @@ from typing import Any, Literal
 
 import numpy as np
 
-# Least and largest by the unit at the end of the name: nothing here looks back further than eleven days, and no sensor
-# is slower or quicker. Lengths of kernels and windows follow from them.
+# Ranges by the unit at the end of a name. No stage looks back further than eleven days (1e6 s), and no sensor has a
+# lower or higher rate. The ranges bound the lengths of kernels and windows.
 _RANGES = {"s": (1e-6, 1e6), "hz": (1e-3, 1e4), "prob": (1e-12, 1.0)}
-_RANGE = (1e-12, 1e12)  # of all others: their squares, and the inverses of those, are numbers
+# Range of all other numbers: their squares, and the inverses of the squares, do not overflow.
+_RANGE = (1e-12, 1e12)
 _RANGE_OF_COUNTS = (1, 10**6)
-_SHOWN = 36  # numbers of an array that a message shows
+# Maximum size of an array that a message shows in full.
+_SHOWN = 36
 Kind = Literal["finite", "positive", "0 or more", "increasing"]
 _IS_KIND: Mapping[Kind, Callable[[Any], bool]] = {
     "finite": lambda _: True,
@@ -24,16 +26,16 @@ _IS_KIND: Mapping[Kind, Callable[[Any], bool]] = {
     "0 or more": lambda array: bool((array >= 0).all()),
     "increasing": lambda array: bool((np.diff(array) > 0).all()),
 }
-_NUMBERS = re.compile(r"(tuple\[)?(float|int)\b[^|]*")  # as fields are declared
+_NUMBERS = re.compile(r"(tuple\[)?(float|int)\b[^|]*")  # declared types of numeric fields
 
 
 def are_numbers(*values: Any) -> bool:
-    """True if all values are finite real numbers; a string of digits and a truth value are none."""
+    """True if all values are finite real numbers. Strings and bools are not numbers."""
     return all(not isinstance(v, bool) and isinstance(v, Real) and isfinite(v) for v in values)
 
 
 def check_number(name: str, value: Any, least: float, largest: float, remedy: str) -> None:
-    """ValueError unless an argument is a number from `least` to `largest`; the remedy ends the message."""
+    """Raise ValueError unless an argument is a number from `least` to `largest`. The remedy ends the message."""
     if not (are_numbers(value) and least <= value <= largest):
         raise ValueError(f"{name} must be a number from {least:g} to {largest:g}, got {value!r}: {remedy}")
 
@@ -41,7 +43,7 @@ def check_number(name: str, value: Any, least: float, largest: float, remedy: st
 def check_array(
     name: str, value: Any, kind: Kind = "finite", shape: tuple[int, ...] | None = None, remedy: str = ""
 ) -> None:
-    """ValueError unless an array, or a number, has this shape and all its numbers are finite and of this kind."""
+    """Raise ValueError unless an array or a number has the given shape and kind. All elements must be finite."""
     array = np.asarray(value)
     right = array.dtype.kind in "iuf" and shape in (None, array.shape)
     if not (right and np.isfinite(array).all() and _IS_KIND[kind](array)):
@@ -56,10 +58,10 @@ def check_array(
 def check_numbers(
     config: Any, *, zero: Collection[str] = (), signed: Collection[str] = (), infinite: Collection[str] = ()
 ) -> None:
-    """ValueError unless every number in the fields of a configuration is positive, finite and can be meant.
+    """Raise ValueError unless every number in the fields of a configuration is positive, finite and plausible.
 
-    Looks at fields declared as a number or as a tuple of numbers. Those in `zero` may be 0, those in `signed` have any
-    sign, those in `infinite` may be infinity, where it switches something off.
+    Fields declared as a number or as a tuple of numbers are checked. Fields in `zero` may be 0, fields in `signed` may
+    be negative, and fields in `infinite` may be infinity, which disables a feature.
     """
     for field in fields(config):
         declared = _NUMBERS.fullmatch(str(field.type))
@@ -67,7 +69,8 @@ def check_numbers(
             continue
         name, value = field.name, getattr(config, field.name)
         kind, (least, largest) = (Integral, _RANGE_OF_COUNTS) if declared[2] == "int" else (Real, _RANGE)
-        if kind is Real and "_per_" not in name:  # a rate has other units
+        # A name such as rad_per_sqrt_s ends in s, but is not a time.
+        if kind is Real and "_per_" not in name:
             least, largest = _RANGES.get(name.rpartition("_")[2], _RANGE)
         words = "positive"
         if name in signed:

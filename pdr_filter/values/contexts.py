@@ -1,4 +1,4 @@
-"""Contexts and what each means for a pedestrian, and the carrying modes."""
+"""Contexts, their meaning for a pedestrian, and the carrying modes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Gait = Literal["walking", "running"]
 
 
 def check_name_of_context(name: object) -> None:
-    """ValueError unless it is a short text in one line, which tables and pages can show."""
+    """Raise ValueError unless a name is a short printable text in one line, which tables and pages can show."""
     if not (isinstance(name, str) and 0 < len(name) <= limits.MAX_NAME_CHARS and name.isprintable()):
         raise ValueError(
             f"the name of a context must be 1 to {limits.MAX_NAME_CHARS} printable characters, got {str(name)[:60]!r}"
@@ -26,16 +26,29 @@ def check_name_of_context(name: object) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Context:
-    """An activity that a classifier distinguishes, and what it means for a pedestrian.
+    """Activity that a classifier distinguishes, with its meaning for a pedestrian.
 
-    A `filter.imm.motion_model.Mode` states the meaning. Stages that work before the filter get it from there.
+    A `filter.imm.motion_model.Mode` defines the meaning. Stages before the filter get it from there.
+
+    Attributes
+    ----------
+    name : str
+        Name of the context.
+    moves : bool
+        True if a step changes the position.
+    climbs : int
+        +1 if steps go up stairs, -1 if they go down, 0 otherwise.
+    gait : {"walking", "running"} or None
+        Kind of steps. None in a context without steps. The default is "walking" for a context that moves.
+    heading_offset_rad : float
+        Walking direction minus facing direction of the body, rad: +pi/2 for steps to the right.
     """
 
     name: str
-    moves: bool = True  # whether a step leads anywhere
-    climbs: int = 0  # +1 where steps go up stairs, -1 where they go down
-    gait: Gait | None = None  # how the person steps; None where nobody steps; "walking" if the context moves
-    heading_offset_rad: float = 0.0  # walking heading less the heading the body faces: +pi/2 for steps to the right
+    moves: bool = True
+    climbs: int = 0
+    gait: Gait | None = None
+    heading_offset_rad: float = 0.0
 
     def __post_init__(self) -> None:
         check_name_of_context(self.name)
@@ -50,28 +63,28 @@ class Context:
 
     @property
     def stands(self) -> bool:
-        """Whether nobody steps in it: a detected step is then a false one."""
+        """True for a context without steps. A step detected in it is false."""
         return self.gait is None
 
     @property
     def runs(self) -> bool:
-        """Whether the person runs."""
+        """True if the gait is running."""
         return self.gait == "running"
 
     @property
     def is_turned(self) -> bool:
-        """Whether the person walks in another direction than the body faces: to the side or backward."""
+        """True if the walking direction differs from the facing direction: to the side or backward."""
         return self.heading_offset_rad != 0
 
     @property
     def is_level_walking(self) -> bool:
-        """Whether it is ordinary walking: forward, on level ground, with displacement."""
+        """True for ordinary walking: forward, on level ground, with displacement."""
         return self.moves and self.gait == "walking" and self.climbs == 0 and not self.is_turned
 
 
 @dataclass(frozen=True)
 class ContextSet:
-    """All contexts of a filter in the order of its probabilities."""
+    """All contexts of a filter, in the order of its probabilities."""
 
     contexts: tuple[Context, ...]
 
@@ -81,11 +94,11 @@ class ContextSet:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Names in order, C."""
+        """Names of the C contexts, in order."""
         return tuple(c.name for c in self.contexts)
 
     def index_where(self, holds: Callable[[Context], bool]) -> IntArray:
-        """Indices of the contexts for which a condition holds."""
+        """Return the indices of the contexts for which a condition holds."""
         return np.flatnonzero([holds(c) for c in self.contexts])
 
     @cached_property
@@ -100,17 +113,20 @@ class ContextSet:
 
     @cached_property
     def stands(self) -> BoolArray:
-        """Whether nobody steps in each context, (C + 1,). The last entry is for an unknown context, of index -1."""
+        """Array (C + 1,) that is True for contexts without steps.
+
+        The last entry is for an unknown context, of index -1.
+        """
         return self._of_each(lambda c: c.stands)
 
     @cached_property
     def runs(self) -> BoolArray:
-        """Whether the person runs in each context, (C + 1,), as `stands`."""
+        """Array (C + 1,) that is True for running. The last entry is for an unknown context, of index -1."""
         return self._of_each(lambda c: c.runs)
 
     @cached_property
     def is_turned(self) -> BoolArray:
-        """Whether the person walks to the side or backward in each context, (C + 1,), as `stands`."""
+        """Array (C + 1,) that is True for walking to the side or backward. The last entry is for an unknown context."""
         return self._of_each(lambda c: c.is_turned)
 
     def _of_each(self, holds: Callable[[Context], bool]) -> BoolArray:
@@ -122,7 +138,7 @@ class ContextSet:
     def in_thirds(self) -> FloatArray | None:
         """Matrix (C, C) that divides the probability of level walking and stairs into equal thirds.
 
-        The thirds are of level walking, of up and of down. None where the contexts do not have all three.
+        The thirds are level walking, stairs up and stairs down. None if the contexts do not include all three.
         """
         kinds = self.level_walking, self.index_where(lambda c: c.climbs > 0), self.index_where(lambda c: c.climbs < 0)
         if not all(map(len, kinds)):
@@ -135,21 +151,21 @@ class ContextSet:
         return read_only(matrix)
 
 
-#: Contexts of the default: C1..C6 of Martinelli et al. 2018, Table I.
+#: Default contexts: C1..C6 of Martinelli et al. 2018, Table I.
 DEFAULT_CONTEXTS = ContextSet(
     (
         Context("stationary", moves=False),
         Context("walking"),
         Context("upstairs", climbs=1),
         Context("downstairs", climbs=-1),
-        # Which side a side step goes to is not observable from the features; to the right is the convention.
+        # The features do not show the direction of a side step. The convention is a step to the right.
         Context("sideways", heading_offset_rad=pi / 2),
         Context("running", gait="running"),
     )
 )
 
-#: Names and order of the default's contexts.
+#: Names of the default contexts, in the order of the probabilities.
 CONTEXTS: tuple[str, ...] = DEFAULT_CONTEXTS.names
 
-#: Order of the carrying modes everywhere.
+#: Names of the carrying modes, in the order of all their probabilities.
 CARRYING_MODES: tuple[str, ...] = ("texting", "calling", "swinging", "pocket", "bag")

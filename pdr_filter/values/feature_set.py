@@ -1,4 +1,4 @@
-"""Features by which windows are classified: their protocol, features of a function, and several sets as one."""
+"""Features for the classification of windows: their protocol, features of a function, and joined sets."""
 
 from __future__ import annotations
 
@@ -13,38 +13,38 @@ from pdr_filter.values.arrays import FloatArray
 
 
 class FeatureSet(Protocol):
-    """Features of windows; a frozen dataclass of this package, if it is to be saved with a filter."""
+    """Features of windows. To be saved with a filter, it must be a frozen dataclass of this package."""
 
     @property
     def name(self) -> str:
-        """Name on model cards."""
+        """Name for model cards."""
         ...
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the features."""
+        """Names of the F features."""
         ...
 
     @property
     def low_pass_hz(self) -> float | None:
-        """Cutoff of the low-passed |f|; None if no feature is of it: then it is zeros."""
+        """Cutoff frequency of the low-passed |f|, Hz. None if no feature uses that signal, which is then zero."""
         ...
 
     def describe(self, windows: FloatArray, rate_hz: float) -> FloatArray:
-        """Features (W, F) of the signals of windows (W, N_SIGNALS, N); of a missing sensor they are zeros."""
+        """Return the features (W, F) of windows (W, N_SIGNALS, N). The signals of a missing sensor are zeros."""
         ...
 
 
-# Names of the rows of a window for functions, in the order of the signals.
+#: Names of the signals of a window, in the order of its rows. Functions get the signals by these names.
 WINDOW_SIGNALS: tuple[str, ...] = (
     "force_mps2",  # magnitude of the specific force
-    "low_passed_force_mps2",  # zeros
+    "low_passed_force_mps2",  # zeros unless the feature set has `low_pass_hz`
     "rate_radps",  # magnitude of the angular rate
     "magnetic_field_ut",  # magnitude
-    "vertical_mps2",  # specific force along up, less gravity
+    "vertical_mps2",  # upward specific force, minus gravity
     "east_mps2",  # horizontal specific force in the frame of the attitude, whose heading is arbitrary
     "north_mps2",
-    *(f"rate_{axis}_radps" for axis in "xyz"),  # sensor frame, as are all others
+    *(f"rate_{axis}_radps" for axis in "xyz"),  # sensor frame, like all following signals
     *(f"up_{axis}" for axis in "xyz"),  # unit vector
     *(f"force_{axis}_mps2" for axis in "xyz"),
 )
@@ -53,10 +53,10 @@ FeatureFunction = Callable[[Mapping[str, FloatArray]], Mapping[str, float]]
 
 @dataclass(frozen=True)
 class FunctionFeatures:
-    """Features that a function computes, window by window.
+    """Features computed by a function, window by window.
 
-    The function gets the signals of a window by their names in `WINDOW_SIGNALS`, each (N,) at 100 Hz, and returns the
-    features by their names. Signals of a missing sensor are zeros.
+    The function gets a dictionary of the signals of a window, by their names in `WINDOW_SIGNALS`, each (N,) at 100 Hz.
+    It returns a dictionary of the features. Signals of a missing sensor are zeros.
     """
 
     function: FeatureFunction
@@ -65,13 +65,15 @@ class FunctionFeatures:
 
     @classmethod
     def of(cls, function: FeatureFunction) -> FunctionFeatures:
-        """Return the features of a function, which is called once, on noise, for their names."""
+        """Return the features of a function.
+
+        The function is called once, on noise, to get the names of its features.
+        """
         noise = np.random.default_rng(0).normal(size=(len(WINDOW_SIGNALS), 200))
         found = function(dict(zip(WINDOW_SIGNALS, noise, strict=True)))
         if not (isinstance(found, Mapping) and found):  # pyright: ignore[reportUnnecessaryIsInstance]
             raise ValueError(
-                f"features must return a number for each name, such as {{'force_std': 0.3}}, got {found!r}: return a "
-                "dict"
+                f"features must return a dict of a number for each name, such as {{'force_std': 0.3}}, got {found!r}"
             )
         return cls(function, tuple(str(name) for name in found))
 
@@ -81,7 +83,7 @@ class FunctionFeatures:
         return getattr(self.function, "__name__", type(self.function).__name__)
 
     def describe(self, windows: FloatArray, rate_hz: float) -> FloatArray:
-        """Features (W, F) of the signals of windows (W, N_WINDOW_SIGNALS, N)."""
+        """Return the features (W, F) of windows (W, N_WINDOW_SIGNALS, N)."""
         found = [self.function(dict(zip(WINDOW_SIGNALS, window, strict=True))) for window in windows]
         for each in found:
             if tuple(each) != self.names:
@@ -94,7 +96,7 @@ class FunctionFeatures:
 
 @dataclass(frozen=True)
 class JoinedFeatures:
-    """Features of several sets, one set after the other. ValueError if two have a feature of the same name."""
+    """Concatenation of several feature sets. ValueError if two sets have a feature of the same name."""
 
     sets: tuple[FeatureSet, ...]
 
@@ -103,10 +105,11 @@ class JoinedFeatures:
         cutoffs_hz = {each.low_pass_hz for each in self.sets if each.low_pass_hz is not None}
         if twice:
             raise ValueError(
-                f"features {twice[:5]} are in two of the sets {self.name}: give other names to one of them"
+                f"features of joined sets must have different names, got {twice[:5]} twice in {self.name}: rename them "
+                "in one of the sets"
             )
         if len(cutoffs_hz) > 1:
-            raise ValueError(f"low_pass_hz of feature sets used together must be one, got {sorted(cutoffs_hz)}")
+            raise ValueError(f"joined feature sets must have the same low_pass_hz, got {sorted(cutoffs_hz)}")
 
     @property
     def name(self) -> str:
@@ -120,16 +123,16 @@ class JoinedFeatures:
 
     @property
     def low_pass_hz(self) -> float | None:
-        """Cutoff of the low-passed |f|, None if no set uses it."""
+        """Cutoff frequency of the low-passed |f|, Hz, or None if no set uses that signal."""
         return next((each.low_pass_hz for each in self.sets if each.low_pass_hz is not None), None)
 
     def describe(self, windows: FloatArray, rate_hz: float) -> FloatArray:
-        """Features (W, F) of the signals of windows (W, N_WINDOW_SIGNALS, N)."""
+        """Return the features (W, F) of windows (W, N_WINDOW_SIGNALS, N)."""
         return np.concatenate([each.describe(windows, rate_hz) for each in self.sets], axis=1)
 
 
 def feature_set_of(features: FeatureSet | FeatureFunction) -> FeatureSet:
-    """Return the feature set, or that of a function; ValueError for anything else."""
+    """Return a feature set unchanged, or the features of a function. ValueError for anything else."""
     if hasattr(features, "describe") and hasattr(features, "names"):
         return features  # pyright: ignore[reportReturnType]
     if not callable(features):

@@ -1,17 +1,20 @@
-"""Covariance of the errors of position fixes: correlated ones, independent ones, and mixtures of both.
+"""Covariance of the errors of position fixes: correlated fixes, independent fixes, and mixtures of both.
 
-The correlation of two errors is that of two Ornstein-Uhlenbeck processes driven by one white noise. With time constants
-T_i, T_j and t the time from the earlier fix to the later one, whose time constant is T:
+The correlation of two errors is that of two Ornstein-Uhlenbeck processes driven by the same white noise. Let T_i and
+T_j be the time constants, t the time from the earlier fix to the later one, and T the time constant of the later one.
+Then
 
     r_ij = (1 - e) s g c exp(-t / T),  c = 2 sqrt(T_i T_j) / (T_i + T_j),
     s = min(v_i, v_j) / sqrt(v_i v_j),  g = exp(-log(T_i / T_j)^2 / 2)
 
-Two errors share at most the variance of the better fix, v = min(v_i, v_j). Fixes with very different time constants
-come from different sources, whose errors share little: g. A share e of each error is independent, so that fixes of one
-time do not make the covariance singular. A fix with T = 0 is independent of all others. The matrix is positive definite
-for any times, time constants and variances, as an elementwise product of covariances (of the two processes, of a random
-walk, and a Gaussian kernel) plus a diagonal. Equal time constants and variances give exp(-t / T) but for e.
-`exp(-t / min(T_i, T_j))` would have negative eigenvalues.
+- The factor s bounds the common part of two errors: it has at most the variance of the better fix, min(v_i, v_j).
+- The factor g reduces the correlation of fixes with different time constants, because they come from different sources.
+- A share e of each error is independent, so that simultaneous fixes do not make the covariance singular.
+- A fix with T = 0 is independent of all others.
+
+The matrix is positive definite for any times, time constants and variances. It is an elementwise product of covariances
+(of the two processes, of a random walk, and of a Gaussian kernel) plus a diagonal. For equal time constants and
+variances it is exp(-t / T), except for e. The simpler form `exp(-t / min(T_i, T_j))` would have negative eigenvalues.
 """
 
 from __future__ import annotations
@@ -23,17 +26,17 @@ import numpy as np
 from pdr_filter.values.arrays import FloatArray
 from pdr_filter.values.fixes import PositionFix
 
-# Two fixes of one moment: a hundredth of the second one's variance is its own.
+# Independent share e of the variance of each error.
 INDEPENDENT_SHARE = 0.01
-# Earlier fixes whose errors the next one is compared with. Those before them add less than a thousandth at intervals
-# of a fiftieth of the time constant, where the independent share matters most.
+# Number of earlier fixes whose errors are correlated with the next one. At intervals of a fiftieth of the time
+# constant, where the independent share matters most, older fixes would change the result by less than a thousandth.
 N_BEFORE = 8
-# A fix that repeats the ones before says nothing: its variance grows up to this factor.
+# Maximum factor on the variance of a fix that contains no information beyond the previous fixes.
 _MAX_REPETITION = 1e6
 
 
 def error_correlation(time_s: FloatArray, correlation_s: FloatArray, var_m2: FloatArray) -> FloatArray:
-    """Correlation matrix (N, N) of the errors of fixes (N,) along one axis, positive definite."""
+    """Return the correlation matrix (N, N) of the errors of fixes (N,) along one axis. It is positive definite."""
     apart_s = time_s[:, None] - time_s
     later_s = np.where(apart_s >= 0, correlation_s[:, None], correlation_s)
     shorter_s, longer_s = np.minimum(correlation_s[:, None], correlation_s), np.maximum(correlation_s[:, None], 1e-300)
@@ -49,9 +52,10 @@ def error_correlation(time_s: FloatArray, correlation_s: FloatArray, var_m2: Flo
 
 
 def error_given_before(fix: PositionFix, before: Sequence[PositionFix]) -> tuple[FloatArray, FloatArray]:
-    """Matrices A_i (m, 2, 2) and a covariance R (2, 2): the error of a fix is sum_i A_i e_i + w, R that of w.
+    """Return the regression of the error of a fix on the errors e_i of m earlier fixes.
 
-    e_i are the errors of fixes before it, and w has no part in common with them. With r the correlations, S S = cov_m2:
+    The error is sum_i A_i e_i + w. The results are the matrices A_i (m, 2, 2), and the covariance R (2, 2) of w, which
+    is independent of the earlier errors. With the correlations r and S S = cov_m2:
     A_i = (r_n r^-1)_i S_n S_i^-1 and R = (1 - r_n r^-1 r_n') cov_m2.
     """
     every = (*before, fix)
@@ -68,10 +72,10 @@ def error_given_before(fix: PositionFix, before: Sequence[PositionFix]) -> tuple
 
 
 def repeated_cov_m2(fix: PositionFix, before: Sequence[PositionFix]) -> FloatArray:
-    """Covariance (2, 2) with which a fix counts as independent of fixes before it.
+    """Return the covariance (2, 2) with which a fix can be used as if it were independent of earlier fixes.
 
-    The weighted mean of a person who stands is then as sure as with the full covariance. At even intervals t the
-    variance is (1 + r) / (1 - r) times as large, r = exp(-t / T).
+    The weighted mean of the fixes of a standing pedestrian then has the variance of the full covariance matrix. At even
+    intervals t the variance is (1 + r) / (1 - r) times as large, with r = exp(-t / T).
     """
     if fix.correlation_s == 0 or not before:
         return fix.cov_m2
@@ -82,6 +86,6 @@ def repeated_cov_m2(fix: PositionFix, before: Sequence[PositionFix]) -> FloatArr
 
 
 def _root(cov: FloatArray) -> FloatArray:
-    """Symmetric square root of a covariance (2, 2): (P + sqrt(det) I) / sqrt(tr + 2 sqrt(det))."""
+    """Return the symmetric square root of a covariance (2, 2): (P + sqrt(det) I) / sqrt(tr + 2 sqrt(det))."""
     det = np.sqrt(max(float(np.linalg.det(cov)), 0.0))
     return (cov + det * np.eye(2)) / np.sqrt(float(np.trace(cov)) + 2.0 * det)

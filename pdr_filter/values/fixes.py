@@ -1,10 +1,10 @@
-"""What is known from elsewhere: fixes of position, heading and speed, standstills."""
+"""Fixes: positions, headings, ranges, speeds and standstills known from other sources."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Real
 from typing import Any, Literal, Protocol, TypeVar, runtime_checkable
 
@@ -17,18 +17,43 @@ from pdr_filter.values.json_values import as_plain
 from pdr_filter.values.origin import Origin, check_place
 from pdr_filter.values.uncertainty import RADIUS_68
 
-# Two fixes of one moment.
+# Minimum time between two fixes in the correlation of their errors. Fixes closer than this are simultaneous.
 _SAME_S = 0.01
-# What is further from its zero is in no frame of this Earth, grids with the number of their zone in front included; its
-# square must leave enough digits to walk in.
+# Largest coordinate. Map grids on Earth are smaller, including those with a zone number in front of the easting. The
+# square of a coordinate must keep enough digits to resolve a step.
 _MAX_M = 1e9
-# A standard deviation beyond this says nothing. Products of four of them, and of their inverses, must stay numbers.
+# Range of standard deviations. Products of four of them, and of their inverses, must not overflow.
 _MIN_STD, _MAX_STD = 1e-12, 1e12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PositionFix:
-    """A position from elsewhere (GNSS, Wi-Fi, a waypoint) with its covariance, and the storey if that is known.
+    """Position from another source (GNSS, Wi-Fi, a waypoint) with its covariance, and the storey if it is known.
+
+    Attributes
+    ----------
+    time_s : float
+        Time at which the position was true, on the clock of the samples, s.
+    position_m : array_like, shape (2,)
+        East and north, m.
+    cov_m2 : array_like, shape (2, 2)
+        Symmetric positive definite covariance of the position, m^2.
+    received_time_s : float, optional
+        Time at which the fix arrived, not before `time_s`, s. The default is `time_s`.
+    correlation_s : float, default 0.0
+        Time constant T of the errors, s: errors of two such fixes at an interval t have the correlation exp(-t / T). 0
+        means independent errors.
+    floor : int, optional
+        Storey.
+    altitude_m : float, optional
+        Altitude above the ellipsoid or the sea, as its source defines it, m. Requires `altitude_std_m`.
+    altitude_std_m : float, optional
+        Standard deviation of the altitude, m.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of range, the covariance is not positive definite, or the fix arrives before its time.
 
     Examples
     --------
@@ -39,13 +64,13 @@ class PositionFix:
     array([ 0., 22.])
     """
 
-    time_s: float  # when the position was true, on the time base of the samples
-    position_m: FloatArray  # (2,) east, north
-    cov_m2: FloatArray  # (2, 2) positive definite
-    received_time_s: float | None = None  # when it arrived, not before `time_s`; `time_s` if not given
-    correlation_s: float = 0.0  # T: errors of two such fixes a time t apart are alike by exp(-t / T); 0: not at all
-    floor: int | None = None  # number of the storey
-    altitude_m: float | None = None  # above the ellipsoid or the sea, as who fixed it counts; with its std
+    time_s: float
+    position_m: FloatArray
+    cov_m2: FloatArray
+    received_time_s: float | None = None
+    correlation_s: float = 0.0
+    floor: int | None = None
+    altitude_m: float | None = None
     altitude_std_m: float | None = None
 
     def __post_init__(self) -> None:
@@ -61,7 +86,7 @@ class PositionFix:
         _check_correlation_and_floor(self)
         if (self.altitude_m is None) != (self.altitude_std_m is None):
             raise ValueError(
-                f"altitude_m and altitude_std_m belong together, got {self.altitude_m} and {self.altitude_std_m}"
+                f"altitude_m and altitude_std_m must be given together, got {self.altitude_m} and {self.altitude_std_m}"
             )
         if self.altitude_m is not None:
             check_array("altitude_m", self.altitude_m, remedy="leave it out if it is not known")
@@ -71,7 +96,7 @@ class PositionFix:
 
     @property
     def var_m2(self) -> float:
-        """Variance of one axis, the mean of both."""
+        """Variance along one axis, m^2: the mean of both axes."""
         return 0.5 * float(np.trace(self.cov_m2))
 
     @classmethod
@@ -86,11 +111,35 @@ class PositionFix:
         accuracy_m: float | None = None,
         received_time_s: float | None = None,
     ) -> PositionFix:
-        """The fix of a place on Earth, in metres east and north of an origin (an Origin, or latitude and longitude).
+        """Create a fix from a geographic position, in metres east and north of an origin.
 
-        Either `std_m`, the standard deviation along each axis, or `accuracy_m`, the radius that holds 68 %, as phones
-        report it. It is taken at its word: `pdr_filter.filter.fixes.gnss.position_fixes` doubts a phone that claims too
-        much.
+        The given accuracy is used unchanged. For locations of a phone, which may claim too small an accuracy, use
+        `pdr_filter.filter.fixes.gnss.position_fixes`.
+
+        Parameters
+        ----------
+        time_s : float
+            Time at which the position was true, on the clock of the samples, s.
+        latitude_deg, longitude_deg : float
+            WGS 84 coordinates, degrees.
+        origin : Origin or (latitude_deg, longitude_deg)
+            Origin of the frame of the fix.
+        std_m : float, optional
+            Standard deviation along each axis, m. Give either `std_m` or `accuracy_m`.
+        accuracy_m : float, optional
+            Radius that contains the true position with 68 % probability, m, as phones report it.
+        received_time_s : float, optional
+            Time at which the fix arrived, s. The default is `time_s`.
+
+        Returns
+        -------
+        PositionFix
+            The fix, with equal variances along both axes.
+
+        Raises
+        ------
+        ValueError
+            If the coordinates are invalid, or not exactly one of `std_m` and `accuracy_m` is given.
         """
         check_place("a fix", latitude_deg, longitude_deg)
         if (std_m is None) == (accuracy_m is None):
@@ -108,24 +157,48 @@ class PositionFix:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GridFix:
-    """How probable each cell of a grid is, where somebody may be in several places: for a track on a floor plan.
+    """Likelihood of the position in each cell of a grid, for a position with several candidates on a floor plan.
+
+    Attributes
+    ----------
+    time_s : float
+        Time at which the likelihood was true, on the clock of the samples, s.
+    south_west_m : array_like, shape (2,)
+        East and north of the outer corner of the first cell, m.
+    cell_m : float
+        Side of a cell, m.
+    log_likelihood : array_like, shape (rows, columns)
+        Log-likelihood of each cell, with rows from south to north and columns from west to east. Positions outside of
+        the grid have the smallest value of the grid.
+    received_time_s : float, optional
+        Time at which the fix arrived, not before `time_s`, s. The default is `time_s`.
+    correlation_s : float, default 0.0
+        Time constant T of the errors, s: errors of two such fixes at an interval t have the correlation exp(-t / T). 0
+        means independent errors.
+    floor : int, optional
+        Storey.
+
+    Raises
+    ------
+    ValueError
+        If a number or a shape is invalid, or the fix arrives before its time.
 
     Examples
     --------
     >>> import numpy as np, pdr_filter as pdr
-    >>> either = np.log([[0.6, 0.1, 0.3]])  # of three cells side by side, of 3 m
-    >>> fix = pdr.GridFix(12.0, (0.0, 0.0), 3.0, either)
+    >>> log_likelihood = np.log([[0.6, 0.1, 0.3]])  # three cells of 3 m, side by side
+    >>> fix = pdr.GridFix(12.0, (0.0, 0.0), 3.0, log_likelihood)
     >>> np.exp(fix.log_likelihood_at(np.array([[7.0, 1.0]]))).round(3)
     array([0.3])
     """
 
-    time_s: float  # when it was true, on the time base of the samples
-    south_west_m: FloatArray  # (2,) east, north of the corner of the first cell
-    cell_m: float  # side of a cell
-    log_likelihood: FloatArray  # (rows to the north, columns to the east); outside of it is as its least cell
-    received_time_s: float | None = None  # when it arrived, not before `time_s`; `time_s` if not given
-    correlation_s: float = 0.0  # as that of a `PositionFix`
-    floor: int | None = None  # number of the storey
+    time_s: float
+    south_west_m: FloatArray
+    cell_m: float
+    log_likelihood: FloatArray
+    received_time_s: float | None = None
+    correlation_s: float = 0.0
+    floor: int | None = None
 
     def __post_init__(self) -> None:
         _take_numbers(self, "time_s", "received_time_s", "cell_m", "correlation_s", "floor")
@@ -140,7 +213,18 @@ class GridFix:
         _check_times(self.time_s, self.received_time_s)
 
     def log_likelihood_at(self, position_m: FloatArray) -> FloatArray:
-        """That of the cells of positions (N, 2), (N,)."""
+        """Return the log-likelihood at given positions.
+
+        Parameters
+        ----------
+        position_m : ndarray, shape (N, 2)
+            East and north, m.
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            Log-likelihood of the cell of each position.
+        """
         column, row = np.floor((position_m - self.south_west_m) / self.cell_m).T
         n_rows, n_columns = self.log_likelihood.shape
         inside = (row >= 0) & (row < n_rows) & (column >= 0) & (column < n_columns)
@@ -149,10 +233,11 @@ class GridFix:
 
 
 def repetition(fix: PositionFix | GridFix, last_s: float) -> float:
-    """By how much the variance must be multiplied for a fix and one before it to count as independent.
+    """Return the factor on the variance with which a fix counts as independent of the previous one.
 
-    Of correlated fixes at intervals t the mean is (1 + r) / (1 - r) = coth(t / 2T) times as uncertain as that of
-    independent ones, r = exp(-t / T): any number of them in a time T is one witness. One where none was before.
+    The mean of correlated fixes at intervals t has (1 + r) / (1 - r) = coth(t / 2T) times the variance of independent
+    fixes, with r = exp(-t / T). Any number of fixes within a time T therefore has the weight of one. The factor is 1
+    without a previous fix.
     """
     if fix.correlation_s == 0 or math.isinf(last_s):
         return 1.0
@@ -161,18 +246,36 @@ def repetition(fix: PositionFix | GridFix, last_s: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class HeadingFix:
-    """A walking heading from elsewhere: a corridor, a compass that is trusted, the course of a GNSS receiver.
+    """Walking direction from another source: a corridor, a trusted compass, or the course of a GNSS receiver.
+
+    Attributes
+    ----------
+    time_s : float
+        Time at which the heading was true, on the clock of the samples, s.
+    walking_heading_rad : float
+        Walking direction, rad, clockwise from the north of the track. It need not be wrapped.
+    std_rad : float
+        Standard deviation, rad.
+    received_time_s : float, optional
+        Time at which the fix arrived, not before `time_s`, s. The default is `time_s`.
+
+    Raises
+    ------
+    ValueError
+        If a number is invalid, or the fix arrives before its time.
 
     Examples
     --------
     >>> import numpy as np, pdr_filter as pdr
     >>> corridor = pdr.HeadingFix(12.0, walking_heading_rad=np.pi / 2, std_rad=0.05)
+    >>> corridor.std_rad
+    0.05
     """
 
-    time_s: float  # when it was true, on the time base of the samples
-    walking_heading_rad: float  # clockwise from the track's north, any number of turns
-    std_rad: float  # standard deviation
-    received_time_s: float | None = None  # when it arrived, not before `time_s`; `time_s` if not given
+    time_s: float
+    walking_heading_rad: float
+    std_rad: float
+    received_time_s: float | None = None
 
     def __post_init__(self) -> None:
         _take_numbers(self, "time_s", "received_time_s", "walking_heading_rad", "std_rad")
@@ -183,7 +286,23 @@ class HeadingFix:
 
 @dataclass(frozen=True, slots=True)
 class SpeedFix:
-    """A walking speed from elsewhere, such as a GNSS receiver's: it teaches the person's step scale.
+    """Walking speed from another source, such as a GNSS receiver. The filter learns the person's step length from it.
+
+    Attributes
+    ----------
+    time_s : float
+        Time at which the speed was true, on the clock of the samples, s.
+    speed_mps : float
+        Positive speed over ground, m/s.
+    std_mps : float
+        Standard deviation, m/s.
+    received_time_s : float, optional
+        Time at which the fix arrived, not before `time_s`, s. The default is `time_s`.
+
+    Raises
+    ------
+    ValueError
+        If a number is invalid, or the fix arrives before its time.
 
     Examples
     --------
@@ -192,21 +311,36 @@ class SpeedFix:
     1.3
     """
 
-    time_s: float  # when it was true, on the time base of the samples
-    speed_mps: float  # over ground, positive
-    std_mps: float  # standard deviation
-    received_time_s: float | None = None  # when it arrived, not before `time_s`; `time_s` if not given
+    time_s: float
+    speed_mps: float
+    std_mps: float
+    received_time_s: float | None = None
 
     def __post_init__(self) -> None:
         _take_numbers(self, "time_s", "received_time_s", "speed_mps", "std_mps")
         _check_times(self.time_s, self.received_time_s)
-        check_array("speed_mps", self.speed_mps, "positive", remedy="somebody who stands is a Standstill")
+        check_array("speed_mps", self.speed_mps, "positive", remedy="give a Standstill for a pedestrian who stands")
         _checked_std("std_mps", self.std_mps)
 
 
 @dataclass(frozen=True, slots=True)
 class Standstill:
-    """The person is known to stand: steps in this time were not walked.
+    """Period in which the pedestrian is known to stand: steps detected within it are not counted.
+
+    Attributes
+    ----------
+    time_s : float
+        Begin of the period on the clock of the samples, s.
+    end_s : float
+        End of the period, s.
+    received_time_s : float, optional
+        Time at which the information arrived, not before `time_s`, s. The default is `time_s`. Steps that were reported
+        before that time are not withdrawn.
+
+    Raises
+    ------
+    ValueError
+        If a number is invalid, or the period does not end after its begin.
 
     Examples
     --------
@@ -217,28 +351,28 @@ class Standstill:
     True
     """
 
-    time_s: float  # begin and end, on the time base of the samples
+    time_s: float
     end_s: float
-    received_time_s: float | None = None  # not before `time_s`; steps that were reported before are not taken back
+    received_time_s: float | None = None
 
     def __post_init__(self) -> None:
         _take_numbers(self, "time_s", "received_time_s", "end_s")
         _check_times(self.time_s, self.received_time_s)
         if not self.time_s < self.end_s < np.inf:
-            raise ValueError(f"a standstill must end after its begin, got {self.time_s} to {self.end_s} s")
+            raise ValueError(f"end_s of a Standstill must be after its time_s, got {self.time_s} to {self.end_s} s")
 
 
 @runtime_checkable
 class Measurement(Protocol):
-    """A fix of any other kind: a measurement that depends on where the person was and which way the phone pointed.
+    """Interface of a user-defined fix: a measurement that depends on the position and the walking direction.
 
-    The filter linearises it again at each estimate, gates it, and uses it at its time; the smoother does the same.
-    A class needs two attributes, `time_s` and `received_time_s` (None for at once), and one method.
+    The filter linearises the measurement at each estimate, gates it, and uses it at its time. The smoother does the
+    same. A class needs two attributes, `time_s` and `received_time_s`, and the method `measurement`.
 
     Examples
     --------
     >>> import numpy as np, pdr_filter as pdr
-    >>> class OnLine:  # the person crosses a light barrier at 5 m north
+    >>> class LightBarrier:  # the pedestrian crosses a line at 5 m north
     ...     received_time_s = None
     ...
     ...     def __init__(self, time_s):
@@ -246,45 +380,75 @@ class Measurement(Protocol):
     ...
     ...     def measurement(self, position_m, heading_rad):
     ...         return np.array([position_m[1] - 5.0]), np.array([[0.0, 1.0]]), np.array([[0.1**2]])
-    >>> isinstance(OnLine(12.0), pdr.protocols.Fix)
+    >>> isinstance(LightBarrier(12.0), pdr.protocols.Fix)
     True
     """
 
     @property
     def time_s(self) -> float:
-        """When it was true, on the time base of the samples."""
+        """Time at which the measurement was true, on the clock of the samples, s."""
         ...
 
     @property
     def received_time_s(self) -> float | None:
-        """When it arrived, not before `time_s`; None for `time_s`."""
+        """Time at which the measurement arrived, not before `time_s`, s. None means `time_s`."""
         ...
 
     def measurement(self, position_m: FloatArray, heading_rad: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Residual (k,), its Jacobian (k, 2) or (k, 3), and the covariance (k, k) of the measurement's error.
+        """Return residual, Jacobian and covariance of the measurement at a predicted pose.
 
-        `position_m` (2,) is east and north in m, and `heading_rad` the walking heading, clockwise from north, both in
-        the frame of the track. The residual is predicted less measured, in any unit. The columns of the Jacobian are
-        its derivatives with respect to east, north and, if there are three, the heading. The other usual convention,
-        an innovation (measured less predicted) with the derivative of the prediction, is recognised and means the same.
+        The residual is predicted minus measured. The other convention, an innovation (measured minus predicted) with
+        the derivative of the prediction, is recognised by a numerical check and gives the same result.
+
+        Parameters
+        ----------
+        position_m : ndarray, shape (2,)
+            Predicted east and north in the frame of the track, m.
+        heading_rad : float
+            Predicted walking direction, rad, clockwise from the north of the track.
+
+        Returns
+        -------
+        residual : ndarray, shape (k,)
+            Predicted minus measured value, in any unit.
+        jacobian : ndarray, shape (k, 2) or (k, 3)
+            Derivatives of the residual with respect to east, north and, with three columns, the walking direction.
+        cov : ndarray, shape (k, k)
+            Covariance of the measurement error.
         """
         ...
 
 
-# Probability that a range comes from a reflection where no others are known, and by how many standard deviations it is
-# then too long in the mean.
+# Prior probability that a range comes from a reflection, and the mean excess of a reflected range, in standard
+# deviations of a direct range.
 _REFLECTED_PROB, _MEAN_EXCESS_STD = 0.2, 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RangeFix:
-    """A distance to an anchor whose place is known: UWB, Wi-Fi round-trip time, Bluetooth channel sounding.
+    """Distance to an anchor at a known position: UWB, Wi-Fi round-trip time, or Bluetooth channel sounding.
 
-    A signal that was reflected on its way makes the range too long and never too short. A too long range therefore
-    counts less, and one that is longer than a direct path explains is rejected.
+    A reflected signal makes a range too long and never too short. A range that is too long therefore has less weight,
+    and a range longer than a direct path can explain is rejected. Ranges to one or two anchors can fit two positions.
+    The filter tracks both until later ranges decide (docs/ranges.md).
 
-    Ranges to one or two anchors can fit two places. The filter follows both until later ranges decide
-    (docs/ranges.md).
+    Attributes
+    ----------
+    time_s : float
+        Time at which the range was true, on the clock of the samples, s.
+    anchor_m : array_like, shape (2,) or (3,)
+        East and north of the anchor, and its height above the phone, m.
+    range_m : float
+        Distance in space, 0 or more, m.
+    std_m : float
+        Standard deviation of a range on a direct path, m.
+    received_time_s : float, optional
+        Time at which the fix arrived, not before `time_s`, s. The default is `time_s`.
+
+    Raises
+    ------
+    ValueError
+        If a number or a shape is invalid, or the fix arrives before its time.
 
     Examples
     --------
@@ -295,11 +459,11 @@ class RangeFix:
     (array([-0.2]), array([[-0.6, -0.8]]))
     """
 
-    time_s: float  # when it was true, on the time base of the samples
-    anchor_m: FloatArray  # (2,) east, north; or (3,) with the height of the anchor above the phone
-    range_m: float  # distance in space, not negative
-    std_m: float  # standard deviation on a direct path
-    received_time_s: float | None = None  # when it arrived, not before `time_s`; `time_s` if not given
+    time_s: float
+    anchor_m: FloatArray
+    range_m: float
+    std_m: float
+    received_time_s: float | None = None
 
     def __post_init__(self) -> None:
         _take_numbers(self, "time_s", "received_time_s", "range_m", "std_m")
@@ -317,18 +481,50 @@ class RangeFix:
 
     @property
     def up_m(self) -> float:
-        """Height of the anchor above the phone; 0 if it is not given."""
+        """Height of the anchor above the phone, m. 0 if it is not given."""
         return float(self.anchor_m[2]) if len(self.anchor_m) == 3 else 0.0
 
     def measurement(self, position_m: FloatArray, heading_rad: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Residual (1,), Jacobian (1, 2) and variance (1, 1): see `pdr_filter.protocols.Fix`."""
+        """Return residual, Jacobian and variance of the range at a predicted position.
+
+        Parameters
+        ----------
+        position_m : array_like, shape (2,)
+            Predicted east and north, m.
+        heading_rad : float
+            Predicted walking direction, rad. It has no effect.
+
+        Returns
+        -------
+        residual : ndarray, shape (1,)
+            Predicted minus measured distance, m.
+        jacobian : ndarray, shape (1, 2)
+            Derivatives of the residual with respect to east and north.
+        cov : ndarray, shape (1, 1)
+            Variance of the range, m^2.
+        """
         residual_m, direction = range_residuals(
             np.asarray(position_m, dtype=float), self.anchor_m[:2], self.up_m, self.range_m
         )
         return np.array([float(residual_m)]), direction[None], np.array([[self.std_m**2]])
 
     def direct_prob(self, residual_m: float, var_m2: float, reflected_prob: float = _REFLECTED_PROB) -> float:
-        """Probability that the path was direct, given a residual that has this variance in all."""
+        """Return the probability that the signal came on the direct path, given the residual of the range.
+
+        Parameters
+        ----------
+        residual_m : float
+            Predicted minus measured distance, m.
+        var_m2 : float
+            Total variance of the residual: of the prediction and of the range, m^2.
+        reflected_prob : float, default 0.2
+            Prior probability of a reflection.
+
+        Returns
+        -------
+        float
+            Posterior probability of the direct path.
+        """
         residual, var, std = (np.array(number) for number in (residual_m, var_m2, self.std_m))
         log_direct, log_reflected = range_log_densities(residual, var, std, reflected_prob)
         return float(np.exp(log_direct - np.logaddexp(log_direct, log_reflected)))
@@ -337,7 +533,10 @@ class RangeFix:
 def range_residuals(
     position_m: FloatArray, anchor_m: FloatArray, up_m: FloatArray | float, range_m: FloatArray | float
 ) -> tuple[FloatArray, FloatArray]:
-    """Distance less range (...,) of positions (..., 2) from anchors (..., 2), and its derivative (..., 2)."""
+    """Return predicted minus measured distances (...,) and their derivatives (..., 2) with respect to east and north.
+
+    `position_m` and `anchor_m` have the shape (..., 2).
+    """
     away_m = position_m - anchor_m
     distance_m = np.sqrt((away_m**2).sum(axis=-1) + np.square(up_m))
     return distance_m - range_m, away_m / np.maximum(distance_m, _MIN_STD)[..., None]
@@ -346,14 +545,18 @@ def range_residuals(
 def range_log_densities(
     residual_m: FloatArray, var_m2: FloatArray, std_m: FloatArray, reflected_prob: float = _REFLECTED_PROB
 ) -> tuple[FloatArray, FloatArray]:
-    """Log densities (...,) of residuals of ranges with variances in all, on direct paths and on reflected ones.
+    """Return the log densities (...,) of range residuals on direct paths and on reflected paths.
 
-    Reflected paths are longer by an exponential distribution with mean b, and all have the noise of direct ones:
-    p(e) = exp(-max(e, 0) / b) / b * P(noise < e), with the logistic approximation of the normal distribution for
-    positive e, and a bound of its tail for negative e.
+    `var_m2` are the total variances of the residuals. A reflected path is longer by an exponentially distributed excess
+    with mean b. The noise of a direct path is added to it:
+
+        p(e) = exp(-max(e, 0) / b) / b * P(noise < e).
+
+    P is the logistic approximation of the normal distribution for positive e, and a bound of its tail for negative e.
     """
     excess_m, all_std_m = -residual_m, np.sqrt(var_m2)
-    mean_m = np.sqrt((_MEAN_EXCESS_STD * std_m) ** 2 + var_m2)  # an unsure track does not make a range reflected
+    # The variance of the track is part of the mean excess, so that an uncertain track does not make a range reflected.
+    mean_m = np.sqrt((_MEAN_EXCESS_STD * std_m) ** 2 + var_m2)
     normed = excess_m / all_std_m
     log_direct = math.log(1.0 - reflected_prob) - 0.5 * normed**2 - np.log(all_std_m * math.sqrt(2.0 * math.pi))
     log_tail = np.where(normed < 0.0, math.log(0.5) - 0.5 * normed**2, -np.log1p(np.exp(-1.702 * np.abs(normed))))
@@ -362,7 +565,7 @@ def range_log_densities(
 
 
 def _is_cov(cov_m2: FloatArray) -> bool:
-    """Whether it is symmetric, but for rounding, and positive definite, (2, 2)."""
+    """True if a matrix (2, 2) is symmetric up to rounding and positive definite."""
     (_, upper), (lower, _) = cov_m2.tolist()
     is_symmetric = abs(upper - lower) <= 1e-8 + 1e-5 * abs(lower)
     return is_symmetric and bool(np.isfinite(cov_m2).all()) and _are_variances(np.linalg.eigvalsh(cov_m2))
@@ -376,7 +579,7 @@ _MAY_BE_UNKNOWN = ("received_time_s", "floor", "altitude_m", "altitude_std_m")
 
 
 def _take_numbers(fix: object, *names: str) -> None:
-    """Make fields floats; ValueError for what is no number."""
+    """Convert fields to floats. ValueError for a value that is not a number."""
     for name in names:
         value = getattr(fix, name)
         if value is not None or name not in _MAY_BE_UNKNOWN:
@@ -384,7 +587,7 @@ def _take_numbers(fix: object, *names: str) -> None:
 
 
 def _take_arrays(fix: object, *names: str) -> None:
-    """Make fields read-only arrays of floats; ValueError for what is none."""
+    """Convert fields to read-only arrays of floats. ValueError for a value that is not an array of numbers."""
     for name in names:
         object.__setattr__(fix, name, _taken(fix, name, getattr(fix, name), read_only))
 
@@ -405,7 +608,7 @@ def _checked_std(name: str, value: Any) -> float:
 
 
 def _check_correlation_and_floor(fix: PositionFix | GridFix) -> None:
-    """ValueError unless they can be meant; the floor becomes a whole number."""
+    """Raise ValueError for an invalid time constant or storey, and convert the storey to an integer."""
     check_array("correlation_s", fix.correlation_s, "0 or more")
     if fix.floor is not None:
         if not (np.isfinite(fix.floor) and fix.floor == np.round(fix.floor)):
@@ -421,39 +624,39 @@ def _check_times(time_s: float, received_time_s: float | None) -> None:
         )
 
 
-# What a filter takes besides samples.
+# Inputs of a filter besides samples.
 Fix = PositionFix | GridFix | HeadingFix | SpeedFix | Standstill | Measurement
 OWN_FIXES = PositionFix | GridFix | HeadingFix | SpeedFix | Standstill | RangeFix
 AnyFix = TypeVar("AnyFix", bound=Fix)
 
 
 def all_fixes(fixes: Iterable[AnyFix]) -> tuple[AnyFix, ...]:
-    """Fixes of any iterable, an iterator among them, as a tuple; ValueError for one fix where there may be several."""
+    """Return the fixes of any iterable as a tuple. ValueError for a single fix."""
     if isinstance(fixes, OWN_FIXES | Measurement):
         raise ValueError(f"fixes must be a sequence, got one {type(fixes).__name__}: give [fix]")
     return tuple(fixes)
 
 
 def check_fix(fix: object, has_plan: bool) -> None:
-    """ValueError unless it is a fix that the filter can use."""
+    """Raise ValueError unless the filter can use an object as a fix."""
     if not isinstance(fix, OWN_FIXES):
         _check_measurement(fix)
     if isinstance(fix, GridFix) and not has_plan:
         raise ValueError(
-            f"a GridFix (at {fix.time_s:g} s) is for particles on a floor plan: give plan too, or its mean and "
-            "covariance as a PositionFix, such as those of RadioMap.fixes"
+            f"a GridFix (at {fix.time_s:g} s) requires a particle filter on a floor plan: give plan as well, or "
+            "replace the GridFix by a PositionFix with its mean and covariance, as RadioMap.fixes returns"
         )
 
 
 def _check_measurement(fix: object) -> None:
-    """ValueError unless it has what `Measurement` needs."""
+    """Raise ValueError unless an object has the attributes of `Measurement`."""
     if isinstance(fix, type) or not isinstance(fix, Measurement):
         names = ("time_s", "received_time_s", "measurement")
         missing = [] if isinstance(fix, type) else [name for name in names if not hasattr(fix, name)]
         raise ValueError(
             "a fix must be a PositionFix, GridFix, HeadingFix, SpeedFix, RangeFix or Standstill, or an instance of a "
             f"class with time_s, received_time_s and measurement(position_m, heading_rad); without "
-            f"{', '.join(missing) or 'an instance'}, got {str(fix)[:100]}; a position is "
+            f"{', '.join(missing) or 'an instance'}, got {str(fix)[:100]}; for a position give "
             "PositionFix(time_s, (east_m, north_m), std_m**2 * np.eye(2))"
         )
     for name in ("time_s", "received_time_s"):
@@ -464,10 +667,12 @@ def _check_measurement(fix: object) -> None:
 
 
 def measured(fix: Measurement, position_m: FloatArray, heading_rad: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Residual (k,), its derivative (k, 3) with respect to east, north and heading, and the covariance (k, k).
+    """Return residual (k,), Jacobian (k, 3) and covariance (k, k) of a measurement.
 
-    ValueError that names what the measurement must return. A derivative of the prediction, which is minus that of the
-    residual where the residual is measured less predicted, is recognised by a small displacement.
+    The columns of the Jacobian are the derivatives of the residual (predicted minus measured) with respect to east,
+    north and walking direction. If the class returns an innovation (measured minus predicted) with the derivative of
+    the prediction, the sign of the Jacobian is corrected: a small displacement shows the convention. ValueError names
+    what `measurement` must return.
     """
     name = type(fix).__name__
     if isinstance(fix, RangeFix):
@@ -498,17 +703,17 @@ def measured(fix: Measurement, position_m: FloatArray, heading_rad: float) -> tu
     return residual, jacobian, cov
 
 
-# Displacement in m and rad that shows the sign of a derivative.
+# Displacement, in m and rad, for the numerical check of the sign of a derivative.
 _SMALL = 1e-4
 
 
 def has_frame(fix: Fix) -> bool:
-    """True of a fix that is in a frame: all but those of speeds, standstills and grids, which are on a plan."""
+    """True for a fix with a position or a direction in some frame: not a speed, a standstill or a grid on a plan."""
     return not isinstance(fix, GridFix | SpeedFix | Standstill)
 
 
 def received_s(fix: Fix) -> float:
-    """When a fix became known: when it was received, or at once."""
+    """Return the time at which a fix was received, which is its own time if none is given."""
     return fix.time_s if fix.received_time_s is None else fix.received_time_s
 
 
@@ -517,32 +722,99 @@ FixOutcome = Literal["used", "placed", "turned", "moved", "rejected", "frozen", 
 
 @dataclass(frozen=True, slots=True)
 class FixResult:
-    """What the filter made of a fix."""
+    """Outcome of a fix.
 
-    kind: str  # "position", "grid", "heading", "speed", "standstill", "range", or the lower-case name of another class
-    time_s: float  # when it was true
-    used_s: float  # when the filter took it
-    # "used"; "placed": the first in a frame that the track did not know, which is there from then on; "turned": one of
-    # those that show which way the track lies there; "moved": the last of many that agree with each other and not with
-    # the track, which is where they show it from then on; "rejected": it does not fit, or is of another time;
-    # "frozen": it repeats the last position exactly while steps go on, as apps do when they have lost GNSS;
-    # "waiting": for samples of its time, or for ranges that show with it where the track is; "nothing to compare": no
-    # step yet that it says something of, or no known frame.
+    Attributes
+    ----------
+    kind : str
+        "position", "grid", "heading", "speed", "standstill", "range", or the name of a user-defined class in lower
+        case.
+    time_s : float
+        Time of the fix, s.
+    used_s : float
+        Time at which the filter processed the fix, s.
+    outcome : str
+        "used": the fix corrected the track. "placed": the first fix in an unknown frame, to which the track was
+        shifted. "turned": one of the fixes that determine the rotation of the track. "moved": the last of several fixes
+        that agree with each other but not with the track, which was shifted to them. "rejected": the fix does not fit
+        the track or its time. "frozen": the fix repeats the previous position exactly during walking, as apps do
+        without GNSS reception. "waiting": samples of its time, or ranges that determine a position together with it,
+        are missing. "nothing to compare": there is no step or no known frame to which the fix applies.
+    nis : float
+        Normalised innovation squared in the mode that explains the fix best. Infinite for a fix with a wrong time. NaN
+        if there was nothing to compare with.
+    anchor_m : tuple of float or None
+        East and north of the anchor of a range, m. None for other fixes.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> fix = pdr.HeadingFix(12.0, walking_heading_rad=0.0, std_rad=0.1)
+    >>> track = pdr.track(pdr.simulate.demo_walk(), fixes=[fix])
+    >>> result = track.fixes[0]
+    >>> result.kind, result.outcome, result.accepted
+    ('heading', 'used', True)
+    """
+
+    kind: str
+    time_s: float
+    used_s: float
     outcome: FixOutcome
-    # Normalised innovation squared in the mode that explains it best; infinite if it is of another time, NaN where
-    # there was nothing to compare it with.
     nis: float = np.nan
+    anchor_m: tuple[float, float] | None = None
 
     @classmethod
     def of(cls, fix: Fix, used_s: float, outcome: FixOutcome, nis: float = np.nan) -> FixResult:
-        """That of a fix."""
-        return cls(type(fix).__name__.removesuffix("Fix").lower(), fix.time_s, used_s, outcome, nis)
+        """Create the result of a fix.
+
+        Parameters
+        ----------
+        fix : PositionFix, GridFix, HeadingFix, RangeFix, SpeedFix, Standstill or Measurement
+            The fix.
+        used_s : float
+            Time at which the filter processed the fix, s.
+        outcome : str
+            Outcome, as described for the attribute.
+        nis : float, optional
+            Normalised innovation squared. The default is NaN.
+
+        Returns
+        -------
+        FixResult
+            Result with kind and time of the fix.
+        """
+        anchor_m = (float(fix.anchor_m[0]), float(fix.anchor_m[1])) if isinstance(fix, RangeFix) else None
+        return cls(type(fix).__name__.removesuffix("Fix").lower(), fix.time_s, used_s, outcome, nis, anchor_m)
+
+    def turned(self, rotation: FloatArray) -> FixResult:
+        """Return the result with its anchor in rotated axes.
+
+        Parameters
+        ----------
+        rotation : ndarray, shape (2, 2)
+            Rotation matrix.
+
+        Returns
+        -------
+        FixResult
+            Result with the rotated anchor. Results without an anchor are returned unchanged.
+        """
+        if self.anchor_m is None:
+            return self
+        east_m, north_m = (rotation @ self.anchor_m).tolist()
+        return replace(self, anchor_m=(east_m, north_m))
 
     @property
     def accepted(self) -> bool:
-        """Whether the filter used it."""
+        """True if the fix changed the track: "used", "placed", "turned" or "moved"."""
         return self.outcome in ("used", "placed", "turned", "moved")
 
     def to_dict(self) -> dict[str, Any]:
-        """The fields as JSON has them, None for what is not finite."""
+        """Return the fields and `accepted` as JSON values.
+
+        Returns
+        -------
+        dict
+            Fields by name. Numbers that are not finite are None.
+        """
         return {**as_plain(self), "accepted": self.accepted}

@@ -1,4 +1,4 @@
-"""A way from one storey to another."""
+"""Change of storey."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ HowClimbed = Literal["stairs", "lift", "escalator", "unknown"]
 
 @dataclass(frozen=True, slots=True)
 class FloorPassage:
-    """Somebody left one storey and arrived at another."""
+    """Passage from one storey to another."""
 
-    start_s: float  # when the old storey was left
-    end_s: float  # when level ground was reached
+    start_s: float  # end of the stay on the old storey
+    end_s: float  # arrival on level ground
     from_floor: int
     to_floor: int
     how: HowClimbed

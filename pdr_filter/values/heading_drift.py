@@ -1,4 +1,4 @@
-"""How fast the heading is lost between measurements: one belief of the heading stage, the filter and the smoother."""
+"""Drift of the heading between measurements, shared by the heading stage, the filter and the smoother."""
 
 from __future__ import annotations
 
@@ -13,14 +13,30 @@ from pdr_filter.values.checks import check_numbers
 
 @dataclass(frozen=True)
 class HeadingDrift:
-    """Growth of the variance of the heading offset (walking less device heading) with time."""
+    """Growth of the variance of the heading offset (walking direction minus device heading) with time.
 
-    # While the angular rate is measured: what the bias does not explain, and the body's turning against the phone.
+    Attributes
+    ----------
+    random_walk_rad_per_sqrt_s : float, default 0.008
+        Random walk while the angular rate is measured, rad / sqrt(s). It covers rotations of the body against the
+        phone, and gyroscope errors other than the bias.
+    unknown_rad_per_sqrt_s : float, default 1.0
+        Random walk while the angular rate is not measured, rad / sqrt(s). The heading is unknown after a few seconds.
+    bias_correlation_s : float, default 3.0
+        Time constant of the error of the gyroscope bias, s, for recipes that do not estimate the walking direction: the
+        error enters the heading as a random walk. The default heading stage chooses `Step.yaw_bias_std_radps` so that
+        the resulting random walk equals the variance of its bank of biases, for any value of this field.
+
+    Examples
+    --------
+    >>> from pdr_filter.values.heading_drift import HeadingDrift
+    >>> measured_rad2, unmeasured_rad2 = HeadingDrift().variances_rad2(10.0, 2.0, 0.001)
+    >>> round(measured_rad2, 6), unmeasured_rad2
+    (0.00056, 2.0)
+    """
+
     random_walk_rad_per_sqrt_s: float = 0.008
-    unknown_rad_per_sqrt_s: float = 1.0  # while no angular rate is measured: after a few seconds nothing is known
-    # How long an error of the gyroscope's bias lasts, which enters the heading as a random walk with this memory, for
-    # recipes that learn no walking heading. The default's stage sets `Step.yaw_bias_std_radps` so that the walk is what
-    # its bank of biases has lost, whatever this is.
+    unknown_rad_per_sqrt_s: float = 1.0
     bias_correlation_s: float = 3.0
 
     def __post_init__(self) -> None:
@@ -50,10 +66,25 @@ class HeadingDrift:
         yaw_bias_std_radps: float | FloatArray,
         besides_rad2_per_s: float | FloatArray = 0.0,
     ) -> tuple[float | FloatArray, float | FloatArray]:
-        """Variance gained in a time while the angular rate was measured, and in the part of it while it was not.
+        """Return the variance gained with and without angular rate.
 
-        `yaw_bias_std_radps` is the standard deviation of the gyroscope's bias about the vertical, `besides_rad2_per_s`
-        another random walk, such as a mode's own.
+        Parameters
+        ----------
+        elapsed_s : float or ndarray
+            Elapsed time, s.
+        unknown_s : float or ndarray
+            Part of the elapsed time without angular rate, s.
+        yaw_bias_std_radps : float or ndarray
+            Standard deviation of the gyroscope bias about the vertical, rad/s.
+        besides_rad2_per_s : float or ndarray, default 0.0
+            Additional random walk, such as the one of a mode, rad^2/s.
+
+        Returns
+        -------
+        measured_rad2 : float or ndarray
+            Variance gained while the angular rate was measured, rad^2.
+        unmeasured_rad2 : float or ndarray
+            Variance gained while it was not measured, rad^2.
         """
         is_number = isinstance(elapsed_s, float) and isinstance(unknown_s, float)
         unknown = min(unknown_s, elapsed_s) if is_number else np.minimum(unknown_s, elapsed_s)
@@ -61,5 +92,16 @@ class HeadingDrift:
         return (rate + besides_rad2_per_s) * (elapsed_s - unknown), self.unmeasured_rad2(unknown)
 
     def unmeasured_rad2(self, time_s: float | FloatArray) -> float | FloatArray:
-        """Variance gained in a time without angular rate."""
+        """Return the variance gained in a time without angular rate.
+
+        Parameters
+        ----------
+        time_s : float or ndarray
+            Time without angular rate, s.
+
+        Returns
+        -------
+        float or ndarray
+            Variance of the heading, rad^2.
+        """
         return self.unknown_rad_per_sqrt_s**2 * time_s

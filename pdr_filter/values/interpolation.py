@@ -1,4 +1,4 @@
-"""Values of sampled quantities at other times."""
+"""Linear interpolation of sampled quantities."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from pdr_filter.values.arrays import FloatArray
 
 
 def interpolated(at_s: FloatArray | float, time_s: FloatArray, values: FloatArray) -> FloatArray:
-    """Values (..., d) at times (...), interpolated linearly between the rows (N, d) of times (N,) in any order.
+    """Return values (..., d) at times (...), interpolated linearly between rows (N, d) at times (N,) in any order.
 
-    Before the first and after the last row the values are those of that row.
+    Before the first row and after the last row the value is constant.
     """
     if (time_s[1:] < time_s[:-1]).any():
         order = np.argsort(time_s, kind="stable")
@@ -19,7 +19,7 @@ def interpolated(at_s: FloatArray | float, time_s: FloatArray, values: FloatArra
 
 
 def interpolated_near(at_s: FloatArray, time_s: FloatArray, values: FloatArray, max_gap_s: float) -> FloatArray:
-    """Values (M, d) as by `interpolated`, NaN where the nearest row is further away than `max_gap_s`."""
+    """Return linearly interpolated values (M, d), with NaN where the nearest row is further away than `max_gap_s`."""
     if len(time_s) == 0 or len(at_s) == 0:
         return np.full((len(at_s), values.shape[1]), np.nan)
     result = interpolated(at_s, time_s, values)

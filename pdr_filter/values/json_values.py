@@ -1,4 +1,4 @@
-"""Values as JSON has them."""
+"""Conversion of values to JSON types."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ import numpy as np
 
 
 def as_plain(value: Any) -> Any:
-    """Dicts, lists, plain numbers and words of a value or dataclass; None for what is not finite."""
+    """Return a value or dataclass as dictionaries, lists, numbers and strings.
+
+    Numbers that are not finite become None.
+    """
     if is_dataclass(value):
         return {f.name: as_plain(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, np.ndarray | np.generic):

@@ -1,7 +1,7 @@
-"""Weights of hypotheses and moments of Gaussian mixtures, for all filters that run several hypotheses at once.
+"""Probabilities of hypotheses and moments of Gaussian mixtures, for all filters with several hypotheses.
 
-Pure functions on arrays: `mean` (..., M, n), `cov` (..., M, n, n) and probabilities (..., M) of M hypotheses. Leading
-axes, if any, are independent cases.
+Pure functions of arrays: `mean` (..., M, n), `cov` (..., M, n, n) and probabilities (..., M) of M hypotheses. Leading
+axes are independent cases.
 """
 
 from __future__ import annotations
@@ -14,21 +14,41 @@ from pdr_filter.values.arrays import FloatArray
 
 
 def softmax(log_weight: FloatArray) -> FloatArray:
-    """Probabilities exp(l_k) / sum_j exp(l_j) over the last axis, without overflow."""
+    """Return the probabilities exp(l_k) / sum_j exp(l_j) over the last axis, without overflow."""
     relative = np.exp(log_weight - np.maximum.reduce(log_weight, axis=-1, keepdims=True))
     return relative / np.add.reduce(relative, axis=-1, keepdims=True)
 
 
 def log_sum(log_weight: FloatArray) -> float:
-    """Logarithm of the sum of weights (M,), from their logarithms."""
+    """Return the logarithm of the sum of weights (M,), given their logarithms."""
     largest = float(np.maximum.reduce(log_weight))
     return largest + math.log(float(np.add.reduce(np.exp(log_weight - largest))))
 
 
 def posterior_prob(prior_prob: FloatArray, log_likelihood: FloatArray) -> FloatArray:
-    """Posterior probabilities, shape (..., M). A hypothesis with prior zero stays at zero.
+    """Return the posterior probabilities of hypotheses.
 
-    Evidence that is not a number, or that rules out every hypothesis, is ignored: the prior is returned.
+    A hypothesis with prior probability 0 stays at 0. Evidence that is NaN, or that excludes every hypothesis, is
+    ignored: the prior is returned.
+
+    Parameters
+    ----------
+    prior_prob : ndarray, shape (..., M)
+        Prior probabilities.
+    log_likelihood : ndarray, shape (..., M)
+        Log-likelihoods. A constant added to all of them has no effect.
+
+    Returns
+    -------
+    ndarray, shape (..., M)
+        Posterior probabilities, which sum to 1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.values.mixtures import posterior_prob
+    >>> posterior_prob(np.array([0.5, 0.5]), np.log([0.9, 0.1])).round(3)
+    array([0.9, 0.1])
     """
     with np.errstate(divide="ignore"):
         log_posterior = np.log(prior_prob) + log_likelihood
@@ -43,18 +63,44 @@ def posterior_prob(prior_prob: FloatArray, log_likelihood: FloatArray) -> FloatA
 
 
 def reweighted(prob: FloatArray, log_evidence: FloatArray) -> FloatArray:
-    """Probabilities p_k ~ p_k exp(e_k), shape (..., K), for finite evidence of a few nats.
+    """Return the probabilities p_k ~ p_k exp(e_k), shape (..., K), for finite evidence of a few nats.
 
-    `posterior_prob` takes evidence of any size, at the cost of the logarithms of the probabilities.
+    `posterior_prob` accepts evidence of any size, but must compute the logarithms of the probabilities.
     """
     relative = prob * np.exp(log_evidence - log_evidence.max(axis=-1, keepdims=True))
     return relative / relative.sum(axis=-1, keepdims=True)
 
 
 def combine(mean: FloatArray, cov: FloatArray, prob: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Moment-matched mean (..., n) and covariance (..., n, n).
+    """Return mean and covariance of a Gaussian mixture (moment matching).
 
+    Parameters
+    ----------
+    mean : ndarray, shape (..., M, n)
+        Means of the M components.
+    cov : ndarray, shape (..., M, n, n)
+        Covariances of the components.
+    prob : ndarray, shape (..., M)
+        Weights of the components, which sum to 1.
+
+    Returns
+    -------
+    mean : ndarray, shape (..., n)
+        Mean of the mixture.
+    cov : ndarray, shape (..., n, n)
+        Covariance of the mixture.
+
+    Notes
+    -----
     x = sum mu_j x_j;  P = sum mu_j (P_j + (x_j - x)(x_j - x)').
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.values.mixtures import combine
+    >>> mean, cov = combine(np.array([[0.0], [2.0]]), np.array([[[1.0]], [[1.0]]]), np.array([0.5, 0.5]))
+    >>> mean, cov
+    (array([1.]), array([[2.]]))
     """
     *batch, n_modes, n = mean.shape
     weights = prob[..., None, :]
@@ -65,18 +111,20 @@ def combine(mean: FloatArray, cov: FloatArray, prob: FloatArray) -> tuple[FloatA
 
 
 def product(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Products of matrices (..., k, l) and (..., l, m); of one pair in a third of the time that `@` takes."""
+    """Return products of matrices (..., k, l) and (..., l, m). A single pair takes a third of the time of `@`."""
     return a.dot(b) if a.ndim == 2 else a @ b
 
 
 def possible_outlier(
     log_inlier: FloatArray, log_outlier: float, shift: FloatArray, variance: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Kalman update of hypotheses (M,) by a number that may be an outlier (Bar-Shalom, Daum and Huang, 2009).
+    """Return the terms of a Kalman update of hypotheses (M,) by a scalar measurement that may be an outlier.
 
-    Returns the log density of the measurement, the probability w of an inlier, and the factors of g in the mean and of
-    g g' in the covariance: x = x + w d g; P = P + w ((1 - w) d^2 - 1 / S) g g'. Here g is the covariance of state and
-    innovation, S the `variance` of the innovation, and d = innovation / S the `shift`.
+    Let g be the covariance of state and innovation, S the `variance` of the innovation, and d = innovation / S the
+    `shift`. The results are the log density of the measurement, the probability w of an inlier, the factor of g in the
+    mean, and the factor of g g' in the covariance (Bar-Shalom, Daum and Huang, 2009):
+
+        x = x + w d g;  P = P + w ((1 - w) d^2 - 1 / S) g g'.
     """
     log_any = np.logaddexp(log_inlier, log_outlier)
     prob = np.exp(log_inlier - log_any)

@@ -1,4 +1,4 @@
-"""Notes: what to keep in mind about a track, in plain words, each about one thing."""
+"""Notes: warnings about a recording or a track, each with its subject."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NoteSubject = Literal[
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """One sentence without a full stop, and what it is about."""
+    """Warning with its subject. The text is one sentence without a full stop: problem, likely cause and remedy."""
 
     about: NoteSubject
     text: str

@@ -1,4 +1,4 @@
-"""Where on Earth a local frame of east and north lies."""
+"""Geographic origin of a local frame of east and north."""
 
 from __future__ import annotations
 
@@ -11,29 +11,50 @@ from numpy.typing import ArrayLike
 from pdr_filter.values.arrays import FloatArray
 from pdr_filter.values.checks import are_numbers, check_array
 
-# Of the declination from the model, because a recording need not know its date: in ten years it changes by less than
-# 0.75 degrees on half of the Earth, by less than 1.9 on nine tenths of it.
+# Standard deviation of the declination from the model. The date of a recording may be unknown, and in ten years the
+# declination changes by less than 0.75 degrees on half of the Earth, and by less than 1.9 degrees on 90 % of it.
 DECLINATION_STD_RAD = math.radians(1.0)
-# The models of the library.
+# Years covered by the models of the library.
 _FIRST_YEAR, _LAST_YEAR = 2010.0, 2029.99
 
 
 def check_place(what: str, latitude_deg: float, longitude_deg: float) -> None:
-    """ValueError unless it is a place on Earth."""
+    """Raise ValueError unless latitude and longitude are valid. `what` is the name of the argument in the message."""
     if not (are_numbers(latitude_deg, longitude_deg) and -90 <= latitude_deg <= 90 and -180 <= longitude_deg <= 180):
         raise ValueError(
             f"{what} must be (latitude, longitude) in degrees, -90..90 and -180..180, got ({latitude_deg!r}, "
-            f"{longitude_deg!r}); are the two exchanged?"
+            f"{longitude_deg!r}): check the order of the two"
         )
 
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """The place where east and north are zero, on WGS 84; north is true north there.
+    """Geographic position (WGS 84) of the origin of a local frame, in which north is true north.
 
-    A track that was put there knows how: `turn_rad` is the true heading of the first heading, by which the frame of its
-    start was turned, and the standard deviations say how well turn and shift were known then. `Track.placed` takes them
-    from an origin that is given.
+    The origin of a track also contains the rotation of its frame, and the accuracy of rotation and shift.
+    `Track.placed` uses these fields of a given origin.
+
+    Attributes
+    ----------
+    latitude_deg, longitude_deg : float
+        WGS 84 coordinates, degrees.
+    height_m : float, optional
+        Altitude of the zero of heights, m. From locations of a phone it is above the ellipsoid (Android) or the sea
+        (iOS).
+    turn_rad : float, optional
+        True heading of the first heading of the track, rad, clockwise: the angle by which the frame of the start was
+        rotated.
+    turn_std_rad : float, optional
+        Standard deviation of `turn_rad`, rad. None if unknown.
+    position_std_m : float, optional
+        Standard deviation of the position along each axis, m. None if unknown.
+    height_std_m : float, optional
+        Standard deviation of `height_m`, m. None if unknown.
+
+    Raises
+    ------
+    ValueError
+        If coordinates are invalid, or `turn_std_rad` is given without `turn_rad`.
 
     Examples
     --------
@@ -45,12 +66,11 @@ class Origin:
 
     latitude_deg: float
     longitude_deg: float
-    # Where heights are zero; from locations as the phone counts, above the ellipsoid (Android) or the sea (iOS).
     height_m: float | None = None
-    turn_rad: float | None = None  # of the frame of the start, clockwise; None if not known
-    turn_std_rad: float | None = None  # None if nobody said it
-    position_std_m: float | None = None  # of the shift along each axis; None if nobody said it
-    height_std_m: float | None = None  # None if nobody said it
+    turn_rad: float | None = None
+    turn_std_rad: float | None = None
+    position_std_m: float | None = None
+    height_std_m: float | None = None
 
     def __post_init__(self) -> None:
         check_place("origin", self.latitude_deg, self.longitude_deg)
@@ -59,11 +79,27 @@ class Origin:
                 kind = "0 or more" if "_std_" in name else "finite"
                 check_array(f"{name} of an origin", getattr(self, name), kind, (), "leave it out if it is not known")
         if self.turn_std_rad is not None and self.turn_rad is None:
-            raise ValueError(f"turn_std_rad of an origin is that of turn_rad, got {self.turn_std_rad} alone: give both")
+            raise ValueError(f"turn_std_rad of an origin requires turn_rad, got {self.turn_std_rad} alone: give both")
 
     @classmethod
     def of(cls, place: Origin | tuple[float, float]) -> Origin:
-        """The origin that is given, or the one at (latitude_deg, longitude_deg)."""
+        """Return an origin unchanged, or create one from coordinates.
+
+        Parameters
+        ----------
+        place : Origin or (latitude_deg, longitude_deg)
+            Origin, or its coordinates in degrees.
+
+        Returns
+        -------
+        Origin
+            The origin.
+
+        Raises
+        ------
+        ValueError
+            If `place` is neither of them.
+        """
         if isinstance(place, Origin):
             return place
         try:
@@ -75,23 +111,49 @@ class Origin:
 
     @property
     def _here(self) -> tuple[float, float, float]:
-        """Latitude, longitude and height: at 1,000 m above the ellipsoid a metre is 0.02 % fewer degrees."""
+        """Latitude, longitude and height.
+
+        At a height of 1,000 m, a metre is 0.02 % less in degrees than on the ellipsoid.
+        """
         return self.latitude_deg, self.longitude_deg, self.height_m or 0.0
 
     def declination_rad(self, year: float = 2025.0) -> float:
-        """By how much magnetic north is east of true north here, on the ground: World Magnetic Model.
+        """Return the magnetic declination on the ground: the clockwise angle from true north to magnetic north.
 
-        `year` may have a fraction; the models are of 2010 to 2029, and before and after the nearest counts.
+        Parameters
+        ----------
+        year : float, default 2025.0
+            Year with fraction. Years before 2010 or after 2029 are replaced by the nearest year of the models.
+
+        Returns
+        -------
+        float
+            Declination, rad.
+
+        Notes
+        -----
+        World Magnetic Model, from the package pygeomag.
         """
-        import pygeomag  # for those who ask
+        import pygeomag  # imported late, because few users need it
 
         year = min(max(year, _FIRST_YEAR), _LAST_YEAR)
         model = pygeomag.GeoMag(base_year=year)  # pyright: ignore[reportArgumentType]  (a number is its own example)
         return math.radians(model.calculate(glat=self.latitude_deg, glon=self.longitude_deg, alt=0.0, time=year).d)
 
     def east_north_m(self, latitude_deg: ArrayLike, longitude_deg: ArrayLike) -> FloatArray:
-        """Positions (..., 2) in the frame, in the plane that touches the ellipsoid at the origin."""
-        # Only when called: `pdr-filter --help` imports values.
+        """Convert geographic coordinates to east and north, in the plane tangent to the ellipsoid at the origin.
+
+        Parameters
+        ----------
+        latitude_deg, longitude_deg : array_like, shape (...)
+            WGS 84 coordinates, degrees.
+
+        Returns
+        -------
+        ndarray, shape (..., 2)
+            East and north, m.
+        """
+        # Imported late, because `pdr-filter --help` imports this module and must start fast.
         import pymap3d
 
         latitude, longitude = np.asarray(latitude_deg), np.asarray(longitude_deg)
@@ -99,7 +161,20 @@ class Origin:
         return np.stack([np.asarray(east_m, dtype=float), np.asarray(north_m, dtype=float)], axis=-1)
 
     def latitude_longitude_deg(self, position_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Latitudes and longitudes (...) of positions (..., 2) in the frame."""
+        """Convert positions in the frame to geographic coordinates.
+
+        Parameters
+        ----------
+        position_m : ndarray, shape (..., 2)
+            East and north, m.
+
+        Returns
+        -------
+        latitude_deg : ndarray, shape (...)
+            Latitude, degrees.
+        longitude_deg : ndarray, shape (...)
+            Longitude, degrees.
+        """
         import pymap3d
 
         east_m, north_m = position_m[..., 0], position_m[..., 1]

@@ -1,4 +1,4 @@
-"""Interface of a floor plan, as far as the filter needs one."""
+"""Interface of a floor plan for the filter."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pdr_filter.values.origin import Origin
 
 
 class Plan(Protocol):
-    """A floor plan that a caller passes in, such as `pdr_filter.FloorPlan`."""
+    """Floor plan that a caller passes to the filter, such as `pdr_filter.FloorPlan`."""
 
     @property
     def name(self) -> str:
@@ -17,5 +17,5 @@ class Plan(Protocol):
 
     @property
     def origin(self) -> Origin | None:
-        """Geographic origin of its frame, None for a plan in metres."""
+        """Geographic origin of the frame of the plan. None for a plan in metres without geographic position."""
         ...

@@ -1,4 +1,4 @@
-"""What cannot be right about a sensor's numbers, in words: for readers of whole files and for streams."""
+"""Checks for implausible sensor values, with the likely cause as text, for readers of files and for streams."""
 
 from __future__ import annotations
 
@@ -10,20 +10,23 @@ TIME_UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
 
 
 def wrong_specific_force(median_mps2: float) -> str:
-    """Why a median |specific force| is in another unit or without gravity; empty if it can be right."""
+    """Return the likely error of a median |specific force|, such as a wrong unit.
+
+    The string is empty if the value is plausible.
+    """
     low, high = limits.SPECIFIC_FORCE_RANGE_MPS2
     if low <= median_mps2 <= high:
         return ""
     remedy = "columns x, y, z must be specific force in m/s2, about 9.81 at rest"
     if limits.G_RANGE[0] <= median_mps2 <= limits.G_RANGE[1]:
-        remedy = "this looks like g units; multiply by 9.80665 (if gravity was removed, record without that)"
+        remedy = "this looks like g units; multiply by 9.80665 (if gravity was removed, record the raw accelerometer)"
     elif median_mps2 < low:
-        remedy += "; if gravity was removed, record the accelerometer itself"
+        remedy += "; if gravity was removed, record the raw accelerometer"
     return f"median |a| is {median_mps2:.4g}; {remedy}"
 
 
 def wrong_angular_rate(median_radps: float) -> str:
-    """Why a median |angular rate| is in another unit; empty if it can be right."""
+    """Return the likely error of the unit of a median |angular rate|, or an empty string if it is plausible."""
     if not median_radps > limits.MAX_MEDIAN_ANGULAR_RATE_RADPS:
         return ""
     words = f"median angular rate is {median_radps:.4g}; this looks like deg/s, "
@@ -31,9 +34,9 @@ def wrong_angular_rate(median_radps: float) -> str:
 
 
 def wrong_rate(rate_hz: float, is_unit_declared: bool = False) -> str:
-    """Why the rate of an accelerometer that its times give cannot be; empty if it can.
+    """Return the likely error of the sampling rate of an accelerometer, or an empty string if it is plausible.
 
-    Where the unit of the times is declared, it is believed, and no other one is looked for.
+    If the unit of the times is declared, another unit is not considered.
     """
     low, high = limits.RATE_RANGE_HZ
     if low <= rate_hz <= high:
@@ -44,20 +47,20 @@ def wrong_rate(rate_hz: float, is_unit_declared: bool = False) -> str:
             "give the times in seconds"
         )
     unit = "" if is_unit_declared else unit_of_rate(rate_hz)
-    slow = f"steps cannot be seen in that: record at {low:g} Hz or more, 50 Hz if the app can"
-    remedy = f"they look like {unit}, convert them to seconds" if unit else slow
+    slow = f"steps cannot be detected at this rate: record at {low:g} Hz or more, 50 Hz if the app can"
+    remedy = f"the times look like {unit}, convert them to seconds" if unit else slow
     return f"time_s gives a rate of {rate_hz:.3g} Hz (median interval); {remedy}"
 
 
 def unit_of_rate(rate_hz: float) -> str:
-    """The unit of times that explains a rate that is too low; empty if none does."""
+    """Return the unit of times that explains a sampling rate that is too low, or an empty string."""
     low, high = limits.RATE_RANGE_HZ
     fits = [unit for unit, factor in TIME_UNITS.items() if low <= rate_hz * factor <= high]
     return fits[0] if fits and rate_hz < low else ""
 
 
 def wrong_time(time_s: float) -> str:
-    """Why a time cannot be seconds, since 1970 or any other moment; empty if it can be."""
+    """Return why a time cannot be in seconds (since 1970 or any other time), or an empty string if it can."""
     if not limits.MAX_EPOCH_S < abs(time_s) < math.inf:
         return ""
     return f"time_s must be in seconds, got {time_s:.6g}; divide milliseconds by 1e3, nanoseconds by 1e9"

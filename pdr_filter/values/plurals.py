@@ -1,10 +1,10 @@
-"""Numbers in sentences."""
+"""Numbers with nouns for messages."""
 
 from __future__ import annotations
 
 
 def how_many(n: int, one: str, many: str = "") -> str:
-    """So many things: "1 gap", "2 gaps", "1,204 steps".
+    """Return a number with its noun: "1 gap", "2 gaps", "1,204 steps".
 
     >>> how_many(1, "fix", "fixes"), how_many(1204, "step")
     ('1 fix', '1,204 steps')
@@ -13,7 +13,7 @@ def how_many(n: int, one: str, many: str = "") -> str:
 
 
 def how_often(n: int) -> str:
-    """How often: "once", "twice", "3 times".
+    """Return a number of repetitions as text: "once", "twice", "3 times".
 
     >>> how_often(1), how_often(2), how_often(3)
     ('once', 'twice', '3 times')

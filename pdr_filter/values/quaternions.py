@@ -1,4 +1,4 @@
-"""Unit quaternions (w, x, y, z) as rotation matrices."""
+"""Conversion of unit quaternions (w, x, y, z) to rotation matrices."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pdr_filter.values.arrays import FloatArray
 
 
 def rotation_matrix(quat: FloatArray) -> FloatArray:
-    """R (..., 3, 3) of unit quaternions (..., 4): a vector v of the sensor is R v in the world.
+    """Return the rotation matrices R (..., 3, 3) of unit quaternions (..., 4): a sensor vector v is R v in the world.
 
     >>> rotation_matrix(np.array([0.5**0.5, 0.0, 0.0, 0.5**0.5])).round(9) @ [1.0, 0.0, 0.0]  # a quarter to the left
     array([0., 1., 0.])

@@ -1,4 +1,4 @@
-"""A recording: sensor streams, truth, and who walked."""
+"""Recording of a walk: sensor streams, ground truth and subject."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pdr_filter.values.sanitise import printable
 
 
 def check_height(height_m: float) -> None:
-    """ValueError unless it is the height of a person in metres, a child's included."""
+    """Raise ValueError unless a number is a plausible height of a person (adult or child), in metres."""
     low, high = limits.HEIGHT_RANGE_M
     if not isinstance(height_m, Real) or not low <= height_m <= high:
         raise ValueError(f"height_m must be the height of a person in metres, {low} to {high}, got {height_m!r}")
@@ -21,7 +21,27 @@ def check_height(height_m: float) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """The pedestrian, as far as known."""
+    """Pedestrian of a recording. Unknown fields are None.
+
+    Attributes
+    ----------
+    id : str, optional
+        Identifier of the person.
+    height_m : float, optional
+        Body height, m.
+    weight_kg : float, optional
+        Weight, kg.
+    age : float, optional
+        Age, years.
+    gender : str, optional
+        Gender, as the data set states it.
+
+    Examples
+    --------
+    >>> from pdr_filter.values.recording import Subject
+    >>> Subject(id="p01", height_m=1.8).height_m
+    1.8
+    """
 
     id: str | None = None
     height_m: float | None = None
@@ -32,7 +52,30 @@ class Subject:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """What is known about the walk: tables with the columns of docs/formats.md, or None."""
+    """Ground truth of a recording: tables with the columns given in docs/formats.md, or None.
+
+    Attributes
+    ----------
+    position : Table, optional
+        Measured positions over time.
+    waypoints : Table, optional
+        Known points with the times at which the pedestrian passed them. The path between them is unknown.
+    steps : Table, optional
+        Contacts of the true steps.
+    strides : Table, optional
+        Strides of known length.
+    segments : Table, optional
+        Stretches of known distance or number of steps.
+    labels : Table, optional
+        Stretches of known context and carrying mode.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> truth = pdr.simulate.demo_walk().truth
+    >>> "position" in truth.present()
+    True
+    """
 
     position: Table | None = None
     waypoints: Table | None = None
@@ -44,16 +87,53 @@ class Truth:
     __reduce__ = pickled
 
     def present(self) -> tuple[str, ...]:
-        """Names of the tables that exist."""
+        """Return the names of the tables that are not None.
+
+        Returns
+        -------
+        tuple of str
+            Names of the attributes.
+        """
         return tuple(f.name for f in fields(self) if getattr(self, f.name) is not None)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Recording:
-    """One recording: sensor streams at their own timestamps, truth where it exists, meta data.
+    """Recording of a walk: sensor streams with their own timestamps, ground truth if available, and meta data.
 
-    Sensor frame: x right, y up along the screen, z out of it. Specific force reads +9.81 on z for a phone lying
-    face up. Streams that the phone did not record are None.
+    Axes of the sensor frame are x to the right, y up along the screen, and z out of the screen. The specific force of a
+    phone lying face up is +9.81 m/s^2 on z. Streams that were not recorded are None.
+
+    Attributes
+    ----------
+    name : str
+        Name of the recording.
+    accelerometer : Samples, values (N, 3)
+        Specific force, m/s^2.
+    gyroscope : Samples, values (N, 3), optional
+        Angular rate, rad/s.
+    magnetometer : Samples, values (N, 3), optional
+        Magnetic field, microtesla.
+    barometer : Samples, values (N, 1), optional
+        Air pressure, hPa.
+    light : Samples, values (N, 1), optional
+        Illuminance, lux.
+    proximity : Samples, values (N, 1), optional
+        Distance to an object in front of the phone, cm.
+    attitude : Samples, values (N, 4), optional
+        Quaternion wxyz that rotates sensor coordinates into world coordinates, computed by the phone.
+    location : Samples, values (N, 4), optional
+        Latitude and longitude in degrees, altitude in m, and horizontal accuracy in m.
+    wifi : Wifi, optional
+        Received Wi-Fi access points.
+    truth : Truth
+        Ground truth.
+    meta : mapping of str to object
+        Meta data, such as "subject", "placement" and "epoch_s".
+    source : str
+        Path of the file from which the recording was read.
+    notes : tuple of str
+        Problems that the reader repaired or found.
 
     Examples
     --------
@@ -66,23 +146,24 @@ class Recording:
     """
 
     name: str
-    accelerometer: Samples  # specific force, m/s2, (N, 3)
-    gyroscope: Samples | None = None  # angular rate, rad/s, (N, 3)
-    magnetometer: Samples | None = None  # magnetic field, uT, (N, 3)
-    barometer: Samples | None = None  # pressure, hPa, (N, 1)
-    light: Samples | None = None  # illuminance, lux, (N, 1)
-    proximity: Samples | None = None  # distance, cm, (N, 1)
-    attitude: Samples | None = None  # sensor-to-world quaternion wxyz computed by the phone, (N, 4)
-    location: Samples | None = None  # latitude and longitude deg, altitude m, horizontal accuracy m, (N, 4)
-    wifi: Wifi | None = None  # which access points were heard, when and how loud
+    accelerometer: Samples
+    gyroscope: Samples | None = None
+    magnetometer: Samples | None = None
+    barometer: Samples | None = None
+    light: Samples | None = None
+    proximity: Samples | None = None
+    attitude: Samples | None = None
+    location: Samples | None = None
+    wifi: Wifi | None = None
     truth: Truth = Truth()
     meta: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    source: str = ""  # path it was read from
-    notes: tuple[str, ...] = ()  # what the reader repaired or found odd, in words
+    source: str = ""
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "meta", dict(self.meta))  # its own, and one that can be pickled
-        object.__setattr__(self, "notes", tuple(map(printable, self.notes)))  # they quote files
+        object.__setattr__(self, "meta", dict(self.meta))  # a copy, of a type that can be pickled
+        # Notes quote files, which may contain control characters.
+        object.__setattr__(self, "notes", tuple(map(printable, self.notes)))
 
     def __repr__(self) -> str:
         heard = () if self.wifi is None else ("wifi",)
@@ -90,23 +171,49 @@ class Recording:
 
     @property
     def subject(self) -> Subject:
-        """The pedestrian, from meta; unknown fields are None."""
+        """Pedestrian, from the meta data. Unknown fields are None."""
         known = self.meta.get("subject") or {}
         return Subject(**{f.name: known.get(f.name) for f in fields(Subject)})
 
     def of_height(self, height_m: float) -> Recording:
-        """The same recording of a person of this height: step lengths follow it."""
+        """Return a copy with another body height of the person, which changes the step lengths of the default recipe.
+
+        Parameters
+        ----------
+        height_m : float
+            Body height, m.
+
+        Returns
+        -------
+        Recording
+            Copy with the height in its meta data.
+
+        Raises
+        ------
+        ValueError
+            If the height is not plausible.
+        """
         check_height(height_m)
         subject = {**(self.meta.get("subject") or {}), "height_m": height_m}
         return replace(self, meta={**self.meta, "subject": subject})
 
     def save(self, path: str | Path) -> Path:
-        """Write it in the project's own format and return the path: a zip file, or a folder if it has no suffix.
+        """Write the recording in the format of this package: a zip file, or a folder if the path has no suffix.
 
-        Times get 6 decimals and values 7 significant digits (latitude and longitude 9). The same recording always gives
-        the same bytes. Notes of the reader are not written. A recording that is already there is replaced.
+        Times are written with 6 decimals and values with 7 significant digits (latitude and longitude with 9). Equal
+        recordings give identical bytes. Notes of the reader are not written. An existing recording is replaced.
+
+        Parameters
+        ----------
+        path : str or Path
+            File or folder to write.
+
+        Returns
+        -------
+        Path
+            The written file or folder.
         """
-        # Only when called: values write no files.
+        # Imported late, because this package must not import the writers of files.
         from pdr_filter.io.files.own_format_writer import write_own_format
 
         truth = {name: getattr(self.truth, name) for name in self.truth.present()}
@@ -114,7 +221,7 @@ class Recording:
 
     @property
     def epoch_s(self) -> float | None:
-        """Unix time of time zero in s, if the file says it."""
+        """Unix time of time zero, s. None if the file does not contain it."""
         for name, in_s in (("epoch_s", 1.0), ("epoch_ms", 1e-3), ("epoch_ns", 1e-9)):
             value = self.meta.get(name)
             if isinstance(value, int | float):
@@ -123,25 +230,32 @@ class Recording:
 
     @property
     def placement(self) -> str:
-        """Where and how the phone was worn, in the recording's own words, in lower case; empty if not known."""
+        """Place and manner of wearing the phone, as stated by the recording, in lower case. Empty if unknown."""
         return str(self.meta.get("placement") or "").lower()[: limits.MAX_NAME_CHARS]
 
     @property
     def is_on_foot(self) -> bool:
-        """Whether the sensor was on a foot, where an event is a stride."""
+        """True if the sensor was worn on a foot, where an event is a stride."""
         return "foot" in self.placement
 
     @property
     def streams(self) -> dict[str, Samples]:
-        """The sensor streams that exist, by name."""
+        """Sensor streams that are not None, by name."""
         return {f.name: value for f in fields(self) if isinstance(value := getattr(self, f.name), Samples)}
 
     @property
     def duration_s(self) -> float:
-        """Time from the first to the last accelerometer sample."""
+        """Time from the first to the last accelerometer sample, s."""
         time_s = self.accelerometer.time_s
         return float(time_s.max() - time_s.min()) if len(time_s) else 0.0
 
 
 class MissingSensorError(ValueError):
-    """A recording lacks a sensor that the recipe needs; the message names both."""
+    """Error for a recording without a sensor that the recipe needs. The message names both.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> issubclass(pdr.MissingSensorError, ValueError)
+    True
+    """

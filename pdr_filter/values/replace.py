@@ -1,22 +1,22 @@
-"""Frozen values with some fields changed, in a twentieth of the time of `dataclasses.replace`."""
+"""Fast replacement of fields of frozen dataclasses, in a twentieth of the time of `dataclasses.replace`."""
 
 from __future__ import annotations
 
 from typing import Any, TypeVar
 
 V = TypeVar("V")
-# Looked up once: this function is called some fifty times a step.
+# Looked up once, because the function is called about fifty times per step.
 _new, _set = object.__new__, object.__setattr__
 
 
 def replace_unchecked(value: V, /, **changes: Any) -> V:
-    """The frozen value with other values in some fields; TypeError for a field that its class does not have.
+    """Return a copy of a frozen dataclass with some fields replaced. TypeError for an unknown field.
 
-    For states and events, which change some ten times a step: 0.5 us, where `dataclasses.replace` takes 10 us. The
-    fields are copied as they are, and nothing is checked again: values with a `__post_init__` need
-    `dataclasses.replace`. The class must be without slots.
+    It takes 0.5 us, and `dataclasses.replace` takes 10 us. It is meant for states and events, which change some fields
+    about ten times per step. `__post_init__` is not called, so that dataclasses that have one need
+    `dataclasses.replace`. The class must not have slots.
     """
-    content = {**value.__dict__, **changes}  # `|` copies a dictionary of thirty fields in ten times as long
+    content = {**value.__dict__, **changes}  # ten times as fast as `|` for thirty fields
     if len(content) != len(value.__dataclass_fields__):  # type: ignore[attr-defined]
         raise TypeError(f"{type(value).__name__} has slots, or not all of the fields {', '.join(changes)}")
     changed = _new(value.__class__)

@@ -1,4 +1,4 @@
-"""Points turned and moved onto others."""
+"""Least-squares rotation and shift between two sets of points."""
 
 from __future__ import annotations
 
@@ -8,10 +8,43 @@ from pdr_filter.values.arrays import FloatArray
 
 
 def rigid_fit(a_m: FloatArray, b_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Rotation R (2, 2) and shift t (2,) so that a R^T + t fits b best, both (N, 2); no scale, no mirror.
+    """Return rotation R and shift t so that a R^T + t is closest to b in the least-squares sense.
 
-    Least squares by the SVD of sum (a_i - a)(b_i - b)^T, the last singular vector turned round where it would mirror
-    (Kabsch, Acta Cryst. A32, 1976; Umeyama 1991, eq. 40 and 41 with c = 1).
+    The transformation has no scale and no reflection.
+
+    Parameters
+    ----------
+    a_m : ndarray, shape (N, 2)
+        Points to transform, m.
+    b_m : ndarray, shape (N, 2)
+        Target points, m.
+
+    Returns
+    -------
+    rotation : ndarray, shape (2, 2)
+        Rotation matrix R.
+    shift : ndarray, shape (2,)
+        Shift t, m.
+
+    Notes
+    -----
+    From the SVD of sum (a_i - a)(b_i - b)^T. The last singular vector is negated if the result would be a reflection
+    [1]_, [2]_ (eq. 40 and 41 with c = 1).
+
+    References
+    ----------
+    .. [1] Kabsch, Acta Cryst. A32, 1976.
+    .. [2] Umeyama, IEEE Trans. Pattern Anal. Mach. Intell. 13, 1991.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.values.rigid_fit import rigid_fit
+    >>> a_m = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 2.0]])
+    >>> quarter_turn = np.array([[0.0, -1.0], [1.0, 0.0]])
+    >>> rotation, shift = rigid_fit(a_m, a_m @ quarter_turn.T + [3.0, 4.0])
+    >>> bool(np.allclose(rotation, quarter_turn)), shift.round(6).tolist()
+    (True, [3.0, 4.0])
     """
     a, b = a_m.mean(axis=0), b_m.mean(axis=0)
     u, _, vt = np.linalg.svd((a_m - a).T @ (b_m - b))

@@ -1,4 +1,4 @@
-"""Samples of one sensor, and of all on one time base."""
+"""Samples of one sensor, and of all sensors on one clock."""
 
 from __future__ import annotations
 
@@ -8,15 +8,37 @@ from typing import Any
 
 from pdr_filter.values.arrays import FloatArray, read_only
 
+#: Standard gravity, m/s2.
 STANDARD_GRAVITY_MPS2 = 9.80665
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Samples:
-    """One sensor stream at its own timestamps."""
+    """Samples of one sensor with their own timestamps.
 
-    time_s: FloatArray  # (N,) seconds from the first accelerometer sample; as recorded, so not always increasing
-    values: FloatArray  # (N, d) in the units of the stream (`Recording` names them); NaN where a field was empty
+    Attributes
+    ----------
+    time_s : array_like, shape (N,)
+        Times since the first accelerometer sample, s. They are as recorded, so that they may repeat or decrease.
+    values : array_like, shape (N, d)
+        Values in the units of the stream, as described by `Recording`. Missing values are NaN.
+
+    Raises
+    ------
+    ValueError
+        If times and values do not have the same number of rows.
+
+    Examples
+    --------
+    >>> import numpy as np, pdr_filter as pdr
+    >>> time_s = np.arange(0.0, 1.0, 0.01)
+    >>> samples = pdr.Samples(time_s, np.tile([0.0, 0.0, 9.81], (len(time_s), 1)))
+    >>> len(samples), samples.values.shape
+    (100, (100, 3))
+    """
+
+    time_s: FloatArray
+    values: FloatArray
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time_s", read_only(self.time_s, "time_s"))
@@ -31,7 +53,7 @@ class Samples:
         return len(self.time_s)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickled and copied through the constructor, so that the arrays stay read-only."""
+        """Pickle and copy through the constructor, so that the arrays stay read-only."""
         return type(self), (self.time_s, self.values)
 
     def __repr__(self) -> str:
@@ -40,19 +62,30 @@ class Samples:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImuBlock:
-    """Samples of all sensors on one time base, sensor frame; what `OnlineFilter.push` takes.
+    """Samples of all sensors at common times, in the sensor frame: the input of `OnlineFilter.push`.
 
-    NaN marks a missing value: a row without specific force is bridged or becomes a gap, angular rate may be missing
-    for any stretch.
+    NaN marks missing values. A row without specific force is interpolated or becomes a gap. The angular rate may be
+    missing for any time.
+
+    Attributes
+    ----------
+    time_s : ndarray, shape (N,)
+        Times, s.
+    specific_force_mps2 : ndarray, shape (N, 3)
+        Accelerometer, m/s^2, with a norm of about 9.81 at rest.
+    angular_rate_radps : ndarray, shape (N, 3)
+        Gyroscope, rad/s.
+    magnetic_field_ut : ndarray, shape (N, 3)
+        Magnetometer, microtesla.
     """
 
-    time_s: FloatArray  # (N,)
-    specific_force_mps2: FloatArray  # (N, 3), norm about 9.81 at rest
-    angular_rate_radps: FloatArray  # (N, 3)
-    magnetic_field_ut: FloatArray  # (N, 3)
+    time_s: FloatArray
+    specific_force_mps2: FloatArray
+    angular_rate_radps: FloatArray
+    magnetic_field_ut: FloatArray
 
     def parts(self, n: int) -> Iterator[ImuBlock]:
-        """The block in pieces of at most n samples."""
+        """Split the block into pieces of at most n samples."""
         if len(self.time_s) <= n:
             yield self
             return

@@ -1,19 +1,20 @@
-"""Text of others made safe for where it goes: a terminal, the cell of a table, the name of a file."""
+"""Sanitise untrusted text for terminals, CSV cells and file names."""
 
 from __future__ import annotations
 
 import hashlib
 import re
 
-# Of 255 bytes that file systems allow, with room for a number and the longest ending.
+# File systems allow 255 bytes. The rest is for a number and the longest suffix.
 _MAX_FILE_NAME_BYTES = 200
-# What programs for tables take for a formula, at the begin of a cell; some cut lines at semicolons, too.
+# Characters that spreadsheet programs interpret as the begin of a formula, at the begin of a cell. Some programs also
+# split cells at semicolons.
 _LIVE = re.compile(r"(^|[;\t])(\s*)(?=['=+@\-])")
 _QUOTED = re.compile(r"(^|[;\t])(\s*)'(?=['=+@\-])")
 
 
 def printable(text: object) -> str:
-    r"""The text with escapes for whatever would not print: control characters, changed directions, odd spaces.
+    r"""Escape all characters that do not print: control characters, changes of direction, unusual spaces.
 
     >>> printable("a\x1b[2Jb")
     'a\\x1b[2Jb'
@@ -22,12 +23,12 @@ def printable(text: object) -> str:
 
 
 def printable_lines(text: object) -> str:
-    """The same of every line."""
+    """Escape all characters that do not print in each line of a text, and keep the line breaks."""
     return "\n".join(map(printable, str(text).split("\n")))
 
 
 def csv_cell(text: str) -> str:
-    """The text with an apostrophe before what would be a formula; `of_csv_cell` takes it away.
+    """Put an apostrophe before text that a spreadsheet would interpret as a formula. `of_csv_cell` removes it.
 
     >>> csv_cell("=1+1")
     "'=1+1"
@@ -36,14 +37,14 @@ def csv_cell(text: str) -> str:
 
 
 def of_csv_cell(cell: str) -> str:
-    """The text that `csv_cell` was given."""
+    """Return the original text of a cell written by `csv_cell`."""
     return _QUOTED.sub(r"\1\2", cell)
 
 
 def file_name(name: str) -> str:
-    """A name for files, from that of a recording: without folders, and short enough for an ending to follow.
+    """Return a file name for the name of a recording: without folders, and short enough for a suffix.
 
-    What is cut off is replaced by a checksum of the whole, so that two long names stay two.
+    The removed end of a long name is replaced by a checksum of the whole name, so that two long names stay different.
     """
     clean = re.sub(r'[/\\:*?"<>|]', "_", printable(name)).strip(". ") or "recording"
     if len(clean.encode()) <= _MAX_FILE_NAME_BYTES:

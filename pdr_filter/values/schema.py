@@ -1,4 +1,4 @@
-"""Checks of values from files against the declared types of dataclass fields."""
+"""Checks of values against the declared types of dataclass fields, for values from files."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get
 
 import numpy as np
 
-# Squares of measured values must stay finite. Times in nanoseconds since 1970 need all of an int64. Whole numbers in
-# place of a float must be exact as one.
+# Largest float, whose square must be finite; largest integer, as times in nanoseconds since 1970 need a full int64; and
+# largest integer in place of a float, which must be exact as a float.
 _LARGEST, _LARGEST_WHOLE, _LARGEST_EXACT = 1e30, 2**63 - 1, 2**53
 
 
 def check_declared(cls: type[Any], content: Mapping[str, Any]) -> None:
-    """ValueError that names the first of these fields of a dataclass that is not what it is declared as.
+    """Raise ValueError that names the first field of a dataclass whose value is not of its declared type.
 
-    Numbers must not be absurd, in arrays neither, and numbers of things (n_...) not negative; what else they may be is
-    for the dataclass to say.
+    Numbers, also in arrays, must not be extremely large, and counts (n_...) must not be negative. Further checks are in
+    the dataclass.
     """
     declared = _declared(cls)
     for name, value in content.items():
@@ -30,11 +30,11 @@ def check_declared(cls: type[Any], content: Mapping[str, Any]) -> None:
             kind = str(declared[name]).replace("typing.", "")
             raise ValueError(f"{name} of {cls.__name__} must be {kind}, got {str(value)[:60]}")
         if name.startswith("n_") and type(value) is int and value < 0:
-            raise ValueError(f"{name} of {cls.__name__} is a number of things, got {value}")
+            raise ValueError(f"{name} of {cls.__name__} must be a non-negative count, got {value}")
 
 
 def check_whole(value: Any) -> None:
-    """ValueError if a field of a dataclass, or of a dataclass in it, is not of its declared type."""
+    """Raise ValueError if a field of a dataclass, or of a nested dataclass, is not of its declared type."""
     content = {f.name: getattr(value, f.name) for f in fields(value) if f.init}
     check_declared(type(value), content)
     for part in content.values():
@@ -76,7 +76,8 @@ def _is_a(value: Any, declared: Any) -> bool:
     if kind is np.ndarray:
         return isinstance(value, np.ndarray) and _is_array(cast(Any, value), get_args(parts[1])[0])
     if getattr(kind, "_is_protocol", False):  # a part that a recipe chooses
-        if type(value).__module__.split(".")[0] not in ("builtins", "numpy", "pdr_filter"):  # which no file can name
+        # Files cannot contain classes of other packages, so that such a part comes from a caller.
+        if type(value).__module__.split(".")[0] not in ("builtins", "numpy", "pdr_filter"):
             return not missing_members(value, kind)
         return is_dataclass(value) and all(
             hasattr(type(value), name) or name in type(value).__dataclass_fields__ for name in _members(kind)
@@ -85,18 +86,18 @@ def _is_a(value: Any, declared: Any) -> bool:
 
 
 def check_members(name: str, part: object, protocol: type) -> None:
-    """ValueError that names the argument and what a part lacks of a protocol."""
+    """Raise ValueError with the name of the argument and the members of a protocol that a part does not have."""
     missing = missing_members(part, protocol)
     if missing or isinstance(part, type):
         lacks = "a class, not one of its instances" if isinstance(part, type) else f"without {', '.join(missing)}"
         raise ValueError(
-            f"{name} must be a {protocol.__name__} of pdr_filter.protocols, got {type(part).__name__} {lacks}; "
-            "pdr_filter.testing says more"
+            f"{name} must be a {protocol.__name__} of pdr_filter.protocols, got {type(part).__name__} {lacks}: check "
+            "the part with pdr_filter.testing"
         )
 
 
 def missing_members(part: object, protocol: type) -> list[str]:
-    """Names of the members of a protocol that a part does not have."""
+    """Return the names of the members of a protocol that a part does not have."""
     return sorted(member for member in _members(protocol) if not hasattr(part, member))
 
 

@@ -1,9 +1,9 @@
-"""Configurations and states to bytes and back: plain values only, nothing in the bytes is ever executed.
+"""Serialisation of configurations and states as plain values: no code in the bytes is executed.
 
-The bytes are zlib-compressed JSON with a version and a checksum. Arrays are stored as their exact bytes, dataclasses by
-the name of a dataclass of this package; any other type is refused, on the way out and on the way in. The checksum tells
-damage, and the declared types of fields are checked besides. Whoever forges a checksum can make a wrong filter, but
-nothing else.
+The bytes are zlib-compressed JSON with a version and a checksum. Arrays are stored as their exact bytes, and
+dataclasses by the name of a dataclass of this package. All other types are refused when saving and when loading. The
+checksum detects damage, and the declared types of fields are checked as well. Bytes with a forged checksum can produce
+a filter with wrong values, but cannot execute code.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import json
 import sys
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, cast
 
 import numpy as np
@@ -23,46 +23,69 @@ import numpy as np
 from pdr_filter.values import check_declared
 
 _PACKAGE = "pdr_filter"
-# 2 named modules of an older layout, 3 had a flat state of the tracker, 4 had no checksum, 5 knew modes by their names
+# Formats 2 to 5: 2 has modules of an older layout, 3 a flat state of the tracker, 4 no checksum, 5 modes by name.
 _FORMAT = 6
-_VALUE = ', "value": '  # before the text that the checksum is of
+_VALUE = ', "value": '  # separates the header from the text of the checksum
 # A filter with its models has some MB, nearly all of it arrays, and some thousand values.
 _MAX_BYTES = 64 << 20
 _MAX_VALUES = 2_000_000
-# What a filter is made of. Other rooms may have more in their values, but nothing here imports them.
-_ROOMS = ("values", "classifiers", "sensing", "filter", "recipes", "tracking", "maps")
+# Packages with the classes of a filter. Classes of other packages are loaded only if their module is imported already.
+_PACKAGES = ("values", "classifiers", "sensing", "filter", "recipes", "tracking", "maps")
 
 
 @dataclass(frozen=True, slots=True)
 class ForeignFields:
-    """Fields of a dataclass of another package, whose class the bytes do not name: see `restored`."""
+    """Fields of a dataclass of another package, whose class the bytes do not name (see `restored`)."""
 
     fields: dict[str, Any]
 
 
 def to_bytes(value: object, foreign: bool = False) -> bytes:
-    """Bytes of a value made of dataclasses of this package, arrays, numbers, strings, None, tuples and dicts.
+    """Return a value of arrays, numbers, strings, None, tuples, dicts and dataclasses of this package as bytes.
 
-    With `foreign` also of dataclasses of other packages, which come back as `ForeignFields`. Raises TypeError for any
-    other class.
+    With `foreign`, dataclasses of other packages are saved as well. They are loaded as `ForeignFields`. TypeError for
+    any other class.
     """
     return _packed(_encode(value, foreign))
 
 
 def restored(value: Any, like: Any) -> Any:
-    """A loaded value in which foreign fields have the classes of a value of the same structure."""
+    """Return a loaded value in which foreign fields have the classes that a value of the same structure has there.
+
+    `like` is the first state of the part that made the value. Raises ValueError for foreign fields in a place where
+    `like` has no dataclass of these fields.
+    """
     if isinstance(value, ForeignFields):
-        if not is_dataclass(like) or isinstance(like, type):
-            raise ValueError(f"a saved state is a dataclass, and the part that is given has a {type(like).__name__}")
-        declared = {f.name for f in fields(like)}
-        if declared != value.fields.keys():
-            raise ValueError(f"a saved state has other fields than {type(like).__name__}: give the part that made it")
-        return type(like)(**{name: restored(each, getattr(like, name)) for name, each in value.fields.items()})
-    if isinstance(value, tuple) and isinstance(like, tuple) and len(value) == len(like):
-        return tuple(map(restored, value, like))
-    if isinstance(value, dict) and isinstance(like, dict):
-        return {key: restored(each, like.get(key)) for key, each in value.items()}
-    return value
+        names, of_like = ", ".join(value.fields), _parts(like)
+        if not is_dataclass(like):
+            raise ValueError(
+                f"a saved state has a dataclass with the fields {names} where the first state has a "
+                f"{type(like).__name__}: let init() put a value of that class there, or use arrays, numbers and tuples"
+            )
+        if of_like.keys() != value.fields.keys():
+            raise ValueError(
+                f"a saved state has a dataclass with other fields, {names}, than {type(like).__name__}: give the part "
+                "that made it"
+            )
+        return cast(Any, type(like))(**{name: restored(each, of_like[name]) for name, each in value.fields.items()})
+    of_like = _parts(like) if type(like) is type(value) else {}
+    changed = {key: new for key, part in _parts(value).items() if (new := restored(part, of_like.get(key))) is not part}
+    if not changed:
+        return value
+    if isinstance(value, tuple | list):
+        return type(value)(changed.get(i, part) for i, part in enumerate(cast(list[Any], value)))
+    return {**value, **changed} if isinstance(value, dict) else replace(value, **changed)
+
+
+def _parts(value: Any) -> dict[Any, Any]:
+    """Items of a dictionary, tuple or list, or the fields from which a dataclass is made; nothing of other values."""
+    if isinstance(value, dict):
+        return cast(dict[Any, Any], value)
+    if isinstance(value, tuple | list):
+        return dict(enumerate(cast(list[Any], value)))
+    if is_dataclass(value) and not isinstance(value, type):
+        return {f.name: getattr(value, f.name) for f in fields(value) if f.init}
+    return {}
 
 
 def _packed(value: Any) -> bytes:
@@ -73,23 +96,23 @@ def _packed(value: Any) -> bytes:
 
 
 def from_bytes(blob: object) -> Any:
-    """The value that `to_bytes` was given; ValueError if the bytes are not from there."""
+    """Return the value from the bytes of `to_bytes`. ValueError for any other bytes."""
     if not isinstance(blob, bytes):
-        raise ValueError(f"a saved filter is bytes, got {type(blob).__name__}")
+        raise ValueError(f"a saved filter must be bytes, got {type(blob).__name__}: give what save returned")
     try:
         text = _inflate(blob)
         _check_size(text)
         content = json.loads(text)
         if content["format"] != _FORMAT:
             raise ValueError(
-                f"saved by another version of {_PACKAGE}: its format is {content['format']}, not {_FORMAT}"
+                f"saved by another version of {_PACKAGE}, with format {content['format']} instead of {_FORMAT}"
             )
         if content["sha256"] != _checksum(text.decode().partition(_VALUE)[2][:-1]):
-            raise ValueError("its checksum is another one, so it is damaged")
+            raise ValueError("the checksum does not match, so that the bytes are damaged")
         return _decode(content["value"])
-    except Exception as error:  # whatever damaged bytes provoke
+    except Exception as error:  # damaged bytes can raise any exception
         raise ValueError(
-            f"these {len(blob)} bytes are not a saved filter of this version of {_PACKAGE} ({error}); save it again"
+            f"these {len(blob)} bytes are not a saved filter of this version of {_PACKAGE} ({error}): save it again"
         ) from error
 
 
@@ -100,14 +123,14 @@ def _checksum(text: str) -> str:
 def _check_size(text: bytes) -> None:
     n_values = sum(text.count(mark) for mark in (b"{", b"[", b",", b":"))
     if len(text) > _MAX_BYTES or n_values > _MAX_VALUES:
-        raise ValueError(f"{len(text)} bytes with some {n_values} values, more than {_MAX_BYTES} and {_MAX_VALUES}")
+        raise ValueError(f"{len(text)} bytes with about {n_values} values, more than {_MAX_BYTES} and {_MAX_VALUES}")
 
 
 def _inflate(blob: bytes) -> bytes:
     inflater = zlib.decompressobj()
     content = inflater.decompress(blob, _MAX_BYTES)
     if inflater.unconsumed_tail or not inflater.eof or inflater.unused_data:
-        raise ValueError(f"cut short, with something behind, or more than {_MAX_BYTES >> 20} MiB")
+        raise ValueError(f"incomplete, followed by other data, or more than {_MAX_BYTES >> 20} MiB")
     return content
 
 
@@ -119,7 +142,7 @@ def _encode(value: Any, foreign: bool = False) -> Any:
     if isinstance(value, np.ndarray):
         array = cast(np.ndarray[Any, Any], value)
         if array.dtype.kind not in "biuf":
-            raise TypeError(f"an array of {array.dtype} cannot be saved: only numbers come back as they were")
+            raise TypeError(f"an array of {array.dtype} cannot be saved: use an array of numbers")
         data = base64.b64encode(np.ascontiguousarray(array).tobytes()).decode()
         return {"array": data, "dtype": array.dtype.str, "shape": list(array.shape)}
     if isinstance(value, (tuple, list)):
@@ -175,7 +198,7 @@ def _array(node: Mapping[str, Any]) -> np.ndarray[Any, Any]:
 def _dataclass(name: str) -> type[Any]:
     module_name, _, class_name = name.partition(":")
     package, _, rest = module_name.partition(".")
-    if package != _PACKAGE or (module_name not in sys.modules and rest.partition(".")[0] not in _ROOMS):
+    if package != _PACKAGE or (module_name not in sys.modules and rest.partition(".")[0] not in _PACKAGES):
         raise ValueError(f"refused to load {name!r}")
     cls = getattr(importlib.import_module(module_name), class_name)
     if not (isinstance(cls, type) and is_dataclass(cls)):

@@ -1,4 +1,4 @@
-"""The rows of a track: what a filter says of each step, and what follows from it."""
+"""Rows of a track: the estimates of a filter for each step, and values derived from them."""
 
 from __future__ import annotations
 
@@ -21,61 +21,53 @@ from pdr_filter.values.step import steps_of
 from pdr_filter.values.uncertainty import worst_std_m
 from pdr_filter.values.windows import Windows
 
-_WINDOW_S = 2.0  # of the context windows
-_ABOUT_STEPS = 21  # ten seconds
+_WINDOW_S = 2.0  # duration of a context window
+_ABOUT_STEPS = 21  # number of steps in ten seconds, over which `is_quick_and_soft` takes the majority
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class TrackRows:
-    """Where the pedestrian walked: one row for each step, positions in metres with covariance.
+    """Base class of `pdr_filter.Track`, whose docstring describes all fields, without files, plots and reports.
 
-    Positions are in one frame, which `frame` names: that of the "start", whose origin is where the track begins and
-    whose north is where the device's heading was zero; the same turned to true "north"; or that of the "fixes". Where
-    few fixes leave open how the track is turned in their frame, a position is the mean over all turns, and its
-    covariance says how far they differ. `about_frame` says it in words.
-
-    `context_prob` is what the classifier said of the window, `mode_prob` what the filter made of it over time; step
-    lengths come from the latter. With `imm` position and walked distance are the best estimates at their step: when the
-    evidence changes from one context to another, earlier steps count differently, and both may change by more or less
-    than the length of the step, which stays what was thought of it when it was made.
+    Positions and headings are in one frame, named by `frame` and described by `about_frame`.
     """
 
+    # K steps, C contexts, M modes. The docstring of `pdr_filter.Track` describes all fields.
     name: str
-    time_s: FloatArray  # (K,) foot contacts
-    position_m: FloatArray  # (K, 2) east, north
+    time_s: FloatArray  # (K,)
+    position_m: FloatArray  # (K, 2)
     position_cov_m2: FloatArray  # (K, 2, 2)
     step_length_m: FloatArray  # (K,)
-    walked_m: FloatArray  # (K,) distance of all steps up to each
-    walking_heading_rad: FloatArray  # (K,) clockwise from north (or from the first heading)
-    step_speed_mps: FloatArray  # (K,) length over duration of each step
+    walked_m: FloatArray  # (K,)
+    walking_heading_rad: FloatArray  # (K,)
+    step_speed_mps: FloatArray  # (K,)
     step_speed_std_mps: FloatArray  # (K,)
-    smoothed_speed_mps: FloatArray  # (K,) after each step, of the steps of its bout so far
+    smoothed_speed_mps: FloatArray  # (K,)
     smoothed_speed_std_mps: FloatArray  # (K,)
-    gap_before_s: FloatArray  # (K,) time without samples since the step before
-    height_m: FloatArray  # (K,) above the start
+    gap_before_s: FloatArray  # (K,)
+    height_m: FloatArray  # (K,)
     height_std_m: FloatArray  # (K,)
-    floor: IntArray  # (K,) the storey: from that of the start, which is 0, or as a fix has named it
+    floor: IntArray  # (K,)
     context_prob: FloatArray  # (K, C)
-    contexts: tuple[str, ...]
+    contexts: tuple[str, ...]  # C names
     mode_prob: FloatArray  # (K, M)
-    modes: tuple[str, ...]
-    mode_contexts: tuple[str, ...]  # M, of each mode
-    steps: Table  # (K,) rows of Step
+    modes: tuple[str, ...]  # M names
+    mode_contexts: tuple[str, ...]  # M names
+    steps: Table  # K rows
     windows: Windows
     start_time_s: float
     duration_s: float
     weighting: str
-    notes: tuple[str, ...] = field(default=())  # what was odd about it, in plain words
+    notes: tuple[str, ...] = field(default=())
     fixes: tuple[FixResult, ...] = field(default=())
-    floor_passages: tuple[FloorPassage, ...] = field(default=())  # see `floor_changes`
-    start_position_m: FloatArray = field(default_factory=lambda: read_only(np.zeros(2)))  # (2,) before the first step
-    frame: str = "start"  # of positions and headings: "start", "north", "fixes" or "plan"
-    origin: Origin | None = None  # where on Earth its zero is, if the recording's own locations or somebody said it
-    plan: Plan | None = None  # that kept it where people can walk
-    # (K,) with a plan: where the walk may be after each step, the most probable place first; none before its start
-    clusters: tuple[tuple[Cluster, ...], ...] = ()
-    is_smoothed: bool = False  # whether each row is estimated from the whole recording, not from what came before it
-    effective_sample_size: FloatArray = field(default_factory=lambda: read_only(np.zeros(0)))  # (K,) of its particles
+    floor_passages: tuple[FloorPassage, ...] = field(default=())
+    start_position_m: FloatArray = field(default_factory=lambda: read_only(np.zeros(2)))  # (2,)
+    frame: str = "start"
+    origin: Origin | None = None
+    plan: Plan | None = None
+    clusters: tuple[tuple[Cluster, ...], ...] = ()  # K sets
+    is_smoothed: bool = False
+    effective_sample_size: FloatArray = field(default_factory=lambda: read_only(np.zeros(0)))  # (K,)
 
     __reduce__ = pickled
 
@@ -89,75 +81,115 @@ class TrackRows:
 
     @property
     def distance_m(self) -> float:
-        """Walked distance after the last step; with `imm` not quite the sum of the step lengths, see `walked_m`."""
+        """Walked distance after the last step, m.
+
+        With "imm" it is not exactly the sum of the step lengths (see `walked_m`).
+        """
         return float(self.walked_m[-1]) if self.n_steps else 0.0
 
     @property
     def position_std_m(self) -> FloatArray:
-        """Standard deviation of each position in the worst direction, shape (K,).
+        """Standard deviation (K,) of each position in its least certain direction, m.
 
-        Reports, tables and summaries say it of the end. The ellipses that `plot` draws hold 95 %: 2.45 times as long.
+        Reports, tables and summaries give the value at the end. The ellipses of `plot` contain 95 %, and their
+        semi-axes are 2.45 standard deviations long.
         """
         return worst_std_m(self.position_cov_m2)
 
     @property
     def end_position_m(self) -> FloatArray:
-        """Where it ends, (2,): where it starts if there is no step."""
+        """Last position, shape (2,), m. For a track without steps it is the start."""
         return self.position_m[-1] if self.n_steps else self.start_position_m
 
     @property
     def how_sure(self) -> str:
-        """`position_std_m` of the end, in the words of all reports."""
+        """Standard deviation of the end position as text, for all reports."""
         if not self.n_steps:
             return "no step, no position"
         return f"± {self.position_std_m[-1]:.1f} m (one standard deviation, worst direction)"
 
     @property
     def latitude_deg(self) -> FloatArray:
-        """Latitude of each step on WGS 84, shape (K,); ValueError if the track has no `origin`."""
+        """Latitude (K,) of each step on WGS 84, degrees. ValueError if the track has no `origin`."""
         return self.latitude_longitude_deg(self.position_m)[0]
 
     @property
     def longitude_deg(self) -> FloatArray:
-        """Longitude of each step, shape (K,); ValueError if the track has no `origin`."""
+        """Longitude (K,) of each step on WGS 84, degrees. ValueError if the track has no `origin`."""
         return self.latitude_longitude_deg(self.position_m)[1]
 
     @property
     def altitude_m(self) -> FloatArray | None:
-        """Altitude of each step, shape (K,), as `origin` counts; None if it says none."""
+        """Altitude (K,) of each step, m, with the zero of `origin`. None if the origin has no height."""
         return None if self.origin is None or self.origin.height_m is None else self.origin.height_m + self.height_m
 
     def latitude_longitude_deg(self, position_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Latitudes and longitudes (...) of positions (..., 2) in its frame; ValueError if it has no `origin`."""
+        """Convert positions in the frame of the track to geographic coordinates.
+
+        Parameters
+        ----------
+        position_m : ndarray, shape (..., 2)
+            East and north, m.
+
+        Returns
+        -------
+        latitude_deg : ndarray, shape (...)
+            Latitude, degrees.
+        longitude_deg : ndarray, shape (...)
+            Longitude, degrees.
+
+        Raises
+        ------
+        ValueError
+            If the track has no `origin`.
+        """
         if self.origin is None:
             raise ValueError(
-                f"no location says where on Earth the track {self.name!r} is: give origin=(latitude_deg, "
-                "longitude_deg), or the recording a location stream; to_local_geojson writes its shape without a place"
+                f"the geographic position of the track {self.name!r} is unknown: give origin=(latitude_deg, "
+                "longitude_deg), use a recording with locations, or write its shape with to_local_geojson"
             )
         return self.origin.latitude_longitude_deg(position_m)
 
     @property
     def knows_north(self) -> bool:
-        """Whether its north is true north, as locations or somebody said it."""
+        """True if the north of the frame is true north."""
         return self.frame == "north" or (self.frame in ("fixes", "plan") and self.origin is not None)
 
     def turned(self, turn_rad: float, std_rad: float | None = None) -> Self:
-        """The same turned clockwise about its zero, so that its north is true north.
+        """Return a copy rotated clockwise about its origin, so that its north is true north.
 
-        `turn_rad` is the true heading of what was its north: for a track in the frame of the start, the direction in
-        which the person first walked. Its error turns the whole track: P' = R P R' + std^2 g g', g = (north, -east).
-        ValueError for a track that a floor plan has placed.
+        Parameters
+        ----------
+        turn_rad : float
+            True heading of the present north, rad, clockwise. For a track in the frame of the start, it is the
+            direction in which the person first walked.
+        std_rad : float, optional
+            Standard deviation of `turn_rad`, rad. The default is 0.
+
+        Returns
+        -------
+        Track
+            Rotated track, whose `frame` is "north".
+
+        Raises
+        ------
+        ValueError
+            If the north is true north already, or the track is in the frame of a floor plan.
+
+        Notes
+        -----
+        An error of the angle rotates the whole track: P' = R P R' + std^2 g g', with g = (north, -east).
         """
         check_array("turn_rad", turn_rad)
         check_array("std_rad", std_rad or 0.0, "0 or more")
         if self.plan is not None:
             raise ValueError(
-                f"{self.name!r} lies in the frame of its floor plan, got a turn of {turn_rad} rad: read the plan in "
-                "longitude and latitude, or with its origin, so that its north is true north"
+                f"{self.name!r} is in the frame of its floor plan and cannot be rotated, got turn_rad={turn_rad}: read "
+                "the plan in longitude and latitude, or with its origin, so that its north is true north"
             )
         if self.knows_north:
             raise ValueError(
-                f"the north of {self.name!r} is true north already, got a turn of {turn_rad} rad: leave it out"
+                f"the north of {self.name!r} is already true north, got turn_rad={turn_rad}: do not rotate the track"
             )
         rotation = np.array([[cos(turn_rad), sin(turn_rad)], [-sin(turn_rad), cos(turn_rad)]])
         position_m = self.position_m @ rotation.T
@@ -168,70 +200,93 @@ class TrackRows:
             position_cov_m2=read_only(rotation @ self.position_cov_m2 @ rotation.T + g[:, :, None] * g[:, None, :]),
             walking_heading_rad=read_only(wrap_angle(self.walking_heading_rad + turn_rad)),
             start_position_m=read_only(rotation @ self.start_position_m),
+            fixes=tuple(f.turned(rotation) for f in self.fixes),
             frame="north",
             origin=self.origin and replace(self.origin, turn_rad=turn_rad, turn_std_rad=std_rad),
         )
 
     def placed(self, origin: Origin | tuple[float, float]) -> Self:
-        """The same with its zero at a place on Earth, an Origin or (latitude_deg, longitude_deg).
+        """Return a copy with a geographic origin.
 
-        A track in the frame of its start is `turned` by the turn of the origin, if it has one, and its covariance grows
-        by what the origin says of its standard deviations. One in the frame of fixes stays as it is.
+        A track in the frame of its start is also rotated by `turn_rad` of the origin, if it has one. The covariance
+        grows by the standard deviations of the origin. Positions in the frame of fixes or of a plan do not change.
+
+        Parameters
+        ----------
+        origin : Origin or (latitude_deg, longitude_deg)
+            Geographic position of the origin of the frame.
+
+        Returns
+        -------
+        Track
+            Track with the origin.
         """
-        here = Origin.of(origin)
+        new_origin = Origin.of(origin)
         if self.frame in ("fixes", "plan"):
-            return replace(self, origin=here)
+            return replace(self, origin=new_origin)
         turned = self
-        if here.turn_rad is not None and self.frame == "start":
-            turned = self.turned(here.turn_rad, here.turn_std_rad)
-        var_m2 = (here.position_std_m or 0.0) ** 2 if self.origin is None else 0.0
-        return replace(turned, origin=here, position_cov_m2=read_only(turned.position_cov_m2 + var_m2 * np.eye(2)))
+        if new_origin.turn_rad is not None and self.frame == "start":
+            turned = self.turned(new_origin.turn_rad, new_origin.turn_std_rad)
+        var_m2 = (new_origin.position_std_m or 0.0) ** 2 if self.origin is None else 0.0
+        return replace(
+            turned, origin=new_origin, position_cov_m2=read_only(turned.position_cov_m2 + var_m2 * np.eye(2))
+        )
+
+    @property
+    def anchors_m(self) -> FloatArray:
+        """East and north (A, 2) of the anchors whose ranges were used, each once, in the frame of the track."""
+        return np.array(sorted({f.anchor_m for f in self.fixes if f.anchor_m is not None and f.accepted})).reshape(
+            -1, 2
+        )
 
     @property
     def about_frame(self) -> str:
-        """Where its zero is and what its north is, in words."""
+        """Description of origin and north of the frame, as a sentence."""
         place, sure = self.origin, ""
         at = "" if place is None else f" at {place.latitude_deg:.6f}, {place.longitude_deg:.6f}"
         if place is not None and place.turn_std_rad is not None:
             sure = f", ± {min(degrees(place.turn_std_rad), 180.0):.0f} degrees"
         if self.frame == "north":
             zero = "the origin of the fixes" if self.start_position_m.any() else "the start of the walk"
-            return f"East and north are metres from {zero}{at}; north is true north as it was given or measured{sure}."
+            return f"East and north are metres from {zero}{at}; north is true north, as given or measured{sure}."
         if self.frame == "plan":
             return f"East and north are metres in the frame of the floor plan{at and f', whose zero is{at}'}."
         if self.frame == "fixes" and sure:
-            return f"East and north are metres from the first location{at}; locations turned it to true north{sure}."
+            return f"East and north are metres from the first location{at}; true north is from the locations{sure}."
         if self.frame == "fixes":
             return f"East and north are metres in the frame of the fixes{at and f', whose origin is{at}'}."
         words = f"East and north are metres from the start of the walk{at}; north is the direction of the first heading"
-        return f"{words}: nothing says which way is true north."
+        return f"{words}, because true north is unknown."
 
     @property
     def estimate(self) -> str:
-        """Which estimate it is: "smoothed", from the whole recording, or "online", from what came before each step."""
+        """Kind of estimate: "smoothed", from the whole recording, or "online", from earlier samples only."""
         return "smoothed" if self.is_smoothed else "online"
 
     @property
     def about_estimate(self) -> str:
-        """Which estimate it is, in words."""
+        """Description of the kind of estimate, as a sentence."""
         if self.is_smoothed:
             return "Smoothed: each position is the best estimate from the whole recording."
-        return "Online: each position is what a phone knew when the step was made."
+        return "Online: each position is estimated from the samples up to its step."
 
     @property
     def is_level(self) -> bool:
-        """Whether nothing says that somebody left the height of the start: by a metre and two deviations, a storey."""
-        told = np.abs(self.height_m) > np.maximum(1.0, 2.0 * self.height_std_m)
-        return not (told.any() or self.floor_passages or (self.floor != self.floor[:1]).any())
+        """True if the track has no significant change of height and no change of storey.
+
+        A change of height is significant if it exceeds one metre and two standard deviations.
+        """
+        is_significant = np.abs(self.height_m) > np.maximum(1.0, 2.0 * self.height_std_m)
+        return not (is_significant.any() or self.floor_passages or (self.floor != self.floor[:1]).any())
 
     @property
     def direction_trust(self) -> FloatArray:
-        """How well strides agreed on where walking leads at each step, shape (K,), 0 to 1."""
+        """Agreement (K,) of the strides on the walking direction at each step, 0 to 1."""
         return np.asarray(self.steps.direction_trust)
 
     @property
     def is_quick_and_soft(self) -> BoolArray:
-        """Where most of the steps about each are (`Step.is_quick_and_soft`), shape (K,)."""
+        """True (K,) where most of the surrounding steps are quick and soft (`Step.is_quick_and_soft`)."""
         each = np.array([step.is_quick_and_soft for step in steps_of(self.steps)], dtype=int)
         if not self.n_steps:
             return each > 0
@@ -240,64 +295,89 @@ class TrackRows:
 
     @property
     def heading_source(self) -> tuple[str, ...]:
-        """What led the track at each step: "axes" of a building, "strides" that agree, or the "device" alone."""
+        """Source of each heading: "axes" of a building, "strides" that agree, or the gyroscope of the "device"."""
         return tuple(step.heading_source for step in steps_of(self.steps))
 
     @property
     def mode_entropy(self) -> FloatArray:
-        """Entropy of the mode probabilities after each step, shape (K,), nats: 0 where one mode is certain."""
+        """Entropy (K,) of the mode probabilities after each step, nats. 0 if one mode is certain."""
         p = self.mode_prob
         return -(p * np.log(p, where=p > 0, out=np.zeros_like(p))).sum(axis=1)
 
     @property
     def effective_modes(self) -> FloatArray:
-        """Number of modes that are as good as alive after each step, shape (K,): e to the entropy, 1 to M."""
+        """Effective number of modes (K,) after each step: the exponential of the entropy, from 1 to M."""
         return np.exp(self.mode_entropy)
 
     def speed_mps(self, t: ArrayLike) -> FloatArray:
-        """Walking speed at times t, m/s, same shape as t: step length over duration during a step, else zero.
+        """Return the walking speed at given times: step length divided by duration during a step, otherwise zero.
 
-        NaN where t is.
+        Parameters
+        ----------
+        t : array_like
+            Times of any shape, s.
+
+        Returns
+        -------
+        ndarray
+            Speeds of the same shape, m/s. NaN where the time is NaN.
         """
         at = np.asarray(t, dtype=float)
         if self.n_steps == 0:
             return np.where(np.isnan(at), at, 0.0)
-        index = np.searchsorted(self.time_s, at)  # the first contact at or after t ends the step that t is in
+        index = np.searchsorted(self.time_s, at)  # the first contact at or after t ends the step that contains t
         inside = np.minimum(index, self.n_steps - 1)
         duration = np.asarray(self.steps.duration_s)[inside]
         walking = (index < self.n_steps) & (at >= self.time_s[inside] - duration)
         return np.where(walking, self.step_length_m[inside] / duration, np.where(np.isnan(at), at, 0.0))
 
     def floor_changes(self) -> list[FloorPassage]:
-        """When the pedestrian went from one storey to another, and how, in order."""
+        """Return the changes of storey, in order of time.
+
+        Returns
+        -------
+        list of FloorPassage
+            Start, end, storeys and means (stairs, lift, escalator) of each change.
+        """
         return list(self.floor_passages)
 
     def context_seconds(self) -> dict[str, float]:
-        """Seconds spent in each context: every window votes for its most probable one.
+        """Return the time spent in each context. Each window counts for its most probable context.
 
-        A window with motion but without a step is none of them: see `seconds_without_steps`.
+        A window with motion but without steps counts for no context (see `seconds_without_steps`).
+
+        Returns
+        -------
+        dict of str to float
+            Seconds by context.
         """
         seconds, best, walked = self._of_windows()
         return {name: float(seconds[walked & (best == c)].sum()) for c, name in enumerate(self.contexts)}
 
     @property
     def seconds_without_steps(self) -> float:
-        """Seconds that the classifier takes for a way of walking though nobody stepped: a vehicle, a busy hand."""
+        """Time in windows classified as walking that have no step, s: in a vehicle, or in a moving hand."""
         seconds, _, walked = self._of_windows()
         return float(seconds[~walked].sum())
 
     def _of_windows(self) -> tuple[FloatArray, IntArray, BoolArray]:
-        """Seconds (W,) that each window stands for, its most probable context, and whether that agrees with steps."""
+        """Return duration (W,), most probable context, and consistency with steps of each window."""
         end_s = self.windows.time_s
         starts = np.concatenate([[self.start_time_s], end_s[:-1]])
-        seconds = np.minimum(end_s - starts, _WINDOW_S)  # the first window, or the first after a gap, is as long
+        seconds = np.minimum(end_s - starts, _WINDOW_S)  # the first window and windows after a gap have full length
         best = self.windows.context_prob.argmax(axis=1)
-        # half a step more on each side: contacts of slow steps are a second apart
+        # A margin of half a step on each side, because contacts of slow steps are a second apart.
         first, last = (np.searchsorted(self.time_s, t) for t in (end_s - _WINDOW_S - 0.5, end_s + 0.5))
         return seconds[: len(end_s)], best, (last > first) | np.isin(best, self.windows.standing_index)
 
     def summary(self) -> dict[str, Any]:
-        """What `pdr-filter track --json` prints: name, n_steps, distance_m, duration_s, end, contexts and more."""
+        """Return the main results as JSON values, as printed by `pdr-filter track --json`.
+
+        Returns
+        -------
+        dict
+            Name, number of steps, distance, duration, end position, contexts, notes and more.
+        """
         end = self.end_position_m
         place: dict[str, float] = {}
         if self.origin is not None:

@@ -1,4 +1,4 @@
-"""Which access points a phone heard, and how loud."""
+"""Wi-Fi access points received by a phone, and their grouping into scans."""
 
 from __future__ import annotations
 
@@ -10,29 +10,54 @@ import numpy as np
 
 from pdr_filter.values.arrays import FloatArray, IntArray, read_only
 
-# A phone listens to one channel after the other and then rests. Between two scans of the phones of `ms_indoor` nothing
-# is heard for 0.5 to 0.8 s, within a scan for less than 0.2 s (279,000 of 288,000 rows follow within 0.1 s).
+# Minimum pause between two scans. A phone listens to one channel after the other and then pauses. In `ms_indoor` the
+# pauses are 0.5 to 0.8 s, and intervals within a scan are less than 0.2 s (0.1 s for 279,000 of 288,000 rows).
 _PAUSE_S = 0.35
-# Their scans last 1.8 s at most in 95 of 100. A phone that never rests is cut here: a walker goes three metres.
+# Maximum duration of a scan, for phones without pauses: a pedestrian walks three metres. In `ms_indoor` 95 % of the
+# scans last up to 1.8 s.
 _LONGEST_S = 2.5
-# What a phone hardly hears, and what it hears of an access point beside it.
+# Received power at the limit of reception, and next to the access point.
 _SILENT_DBM, _LOUD_DBM = -100.0, -30.0
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Wifi:
-    """Access points that were heard: one row each time one was."""
+    """Received Wi-Fi access points: one row for each reception.
 
-    time_s: FloatArray  # (N,) when it was heard, seconds from the first accelerometer sample; in any order
-    bssid: IntArray  # (N,) the 48 bits of its address as a whole number; `address_text` writes it
-    rssi_dbm: FloatArray  # (N,) received power, -30 beside it to -100 hardly heard; NaN if not known
-    frequency_mhz: FloatArray  # (N,) of its channel; NaN if not known
+    Attributes
+    ----------
+    time_s : array_like, shape (N,)
+        Time of each reception since the first accelerometer sample, s, in any order.
+    bssid : array_like of int, shape (N,)
+        Address of the access point, 48 bits as a whole number. `address_text` formats it.
+    rssi_dbm : array_like, shape (N,)
+        Received power, dBm: -30 next to the access point, -100 at the limit of reception. NaN if unknown.
+    frequency_mhz : array_like, shape (N,)
+        Frequency of the channel, MHz. NaN if unknown.
+
+    Raises
+    ------
+    ValueError
+        If lengths differ or addresses are not whole numbers of 48 bits.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> wifi = pdr.Wifi([0.0, 0.1, 3.0], [11, 12, 11], [-50.0, -70.0, -55.0], [2412.0, 2437.0, 2412.0])
+    >>> wifi, len(wifi.scans())
+    (Wifi(3 rows, 2 access points), 2)
+    """
+
+    time_s: FloatArray
+    bssid: IntArray
+    rssi_dbm: FloatArray
+    frequency_mhz: FloatArray
 
     def __post_init__(self) -> None:
         addresses = np.asarray(self.bssid)
         if addresses.size and addresses.dtype.kind not in "iu":
             raise ValueError(
-                f"bssid must be whole numbers, got {addresses.dtype}: int(text.replace(':', ''), 16) is one"
+                f"bssid must be whole numbers, got {addresses.dtype}: convert text with int(text.replace(':', ''), 16)"
             )
         bssid = np.array(addresses, dtype=np.int64)
         bssid.flags.writeable = False
@@ -41,15 +66,19 @@ class Wifi:
             object.__setattr__(self, name, read_only(getattr(self, name), name))
         shapes = [a.shape for a in (self.time_s, self.bssid, self.rssi_dbm, self.frequency_mhz)]
         if len(set(shapes)) > 1 or bssid.ndim != 1:
-            raise ValueError(f"time_s, bssid, rssi_dbm and frequency_mhz must be (N,), got {shapes}: one row a hearing")
+            raise ValueError(
+                f"time_s, bssid, rssi_dbm and frequency_mhz must be (N,), got {shapes}: give equal lengths"
+            )
         if len(bssid) and not (bssid.min() >= 0 and bssid.max() < 1 << 48):
-            raise ValueError(f"bssid must be addresses of 48 bits, got {bssid.min()} to {bssid.max()}")
+            raise ValueError(
+                f"bssid must be addresses of 48 bits, got {bssid.min()} to {bssid.max()}: check the column"
+            )
 
     def __len__(self) -> int:
         return len(self.time_s)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickled and copied through the constructor, so that the arrays stay read-only."""
+        """Pickle and copy through the constructor, so that the arrays stay read-only."""
         return type(self), (self.time_s, self.bssid, self.rssi_dbm, self.frequency_mhz)
 
     def __repr__(self) -> str:
@@ -57,13 +86,18 @@ class Wifi:
 
     @property
     def n_access_points(self) -> int:
-        """How many different addresses were heard."""
+        """Number of different addresses."""
         return len(np.unique(self.bssid))
 
     def scans(self) -> tuple[WifiScan, ...]:
-        """Rows of known time and power in the scans of the phone, in order of time.
+        """Group the rows with known time and power into scans.
 
-        A scan ends where nothing is heard for 0.35 s, or after 2.5 s.
+        A scan ends at a pause of more than 0.35 s, or after 2.5 s.
+
+        Returns
+        -------
+        tuple of WifiScan
+            Scans in order of time.
         """
         known = np.flatnonzero(np.isfinite(self.time_s) & np.isfinite(self.rssi_dbm))
         order = known[np.argsort(self.time_s[known], kind="stable")]
@@ -78,16 +112,51 @@ class Wifi:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WifiScan:
-    """What a phone heard while it went once through the channels: each access point once, at its loudest."""
+    """Scan of all channels by a phone: each received access point once, with its largest power.
 
-    time_s: float  # mean of the times at which they were heard
-    end_s: float  # when the last one was heard: no app can know of the scan before
-    bssid: IntArray  # (A,) increasing
-    rssi_dbm: FloatArray  # (A,)
+    Attributes
+    ----------
+    time_s : float
+        Mean time of the receptions, s.
+    end_s : float
+        Time of the last reception, s. An app cannot know the scan earlier.
+    bssid : ndarray of int, shape (A,)
+        Addresses of the access points, in increasing order.
+    rssi_dbm : ndarray, shape (A,)
+        Received power of each access point, dBm.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.values.wifi import WifiScan
+    >>> scan = WifiScan.of(np.array([0.0, 0.1, 0.2]), np.array([12, 11, 12]), np.array([-70.0, -50.0, -60.0]))
+    >>> scan.bssid.tolist(), scan.rssi_dbm.tolist()
+    ([11, 12], [-50.0, -60.0])
+    """
+
+    time_s: float
+    end_s: float
+    bssid: IntArray
+    rssi_dbm: FloatArray
 
     @classmethod
     def of(cls, time_s: FloatArray, bssid: IntArray, rssi_dbm: FloatArray) -> WifiScan:
-        """That of rows (N,)."""
+        """Create a scan from its receptions.
+
+        Parameters
+        ----------
+        time_s : ndarray, shape (N,)
+            Times, s.
+        bssid : ndarray of int, shape (N,)
+            Addresses.
+        rssi_dbm : ndarray, shape (N,)
+            Received powers, dBm.
+
+        Returns
+        -------
+        WifiScan
+            Scan with each address once.
+        """
         heard, index = np.unique(bssid, return_inverse=True)
         loudest = np.full(len(heard), -np.inf)
         np.maximum.at(loudest, index, rssi_dbm)
@@ -95,16 +164,19 @@ class WifiScan:
 
     @property
     def fingerprint(self) -> FloatArray:
-        """Loudness of each access point, (A,), as a vector of unit length: how loud the phone hears at all cancels."""
+        """Loudness of each access point, (A,), as a unit vector, so that the sensitivity of the phone cancels."""
         level = loudness(self.rssi_dbm)
         return level / np.sqrt(level @ level)
 
 
 def loudness(rssi_dbm: FloatArray) -> FloatArray:
-    """The square of how far each is above silence, 1 beside the access point: the nearest ones say most."""
+    """Return the squared level above the limit of reception, relative to a level next to the access point.
+
+    The square gives the nearest access points the largest weight.
+    """
     return np.clip((rssi_dbm - _SILENT_DBM) / (_LOUD_DBM - _SILENT_DBM), 1e-3, None) ** 2
 
 
 def address_text(bssid: int) -> str:
-    """The address as people write it, such as "06:74:9c:2e:95:ea"."""
+    """Return an address in the usual notation, such as "06:74:9c:2e:95:ea"."""
     return int(bssid).to_bytes(6, "big").hex(":")

@@ -296,7 +296,7 @@ def test_what_is_sent_for_a_calibration_is_sums_whatever_the_number_of_steps(coh
     theta = {name: prior.mean for name, prior in DEFAULT_PRIORS.items()}
     expected = integrate(steps.segments, dict(models), theta)
     np.testing.assert_array_equal(integrate(sums.segments, dict(models), theta).regressors, expected.regressors)
-    with pytest.raises(ValueError, match="its steps are not summed for KimStepLength"):
+    with pytest.raises(ValueError, match="the steps are not summed for KimStepLength"):
         integrate(sums.segments, {"walking": KimStepLength()}, {"walking": np.ones(1)})
 
 
@@ -372,7 +372,7 @@ def test_names_and_notes_of_several_lines_are_one_line_of_the_table(walks: Path,
     recording = replace(pdr.read(walks / "walk_0.zip"), name='two\nlines, "quoted"', notes=("odd;\r\n\x1b[31m",))
     track = pdr.track(recording)
     row = rows_table.row_of(batch.Task(str(tmp_path / "a, b.zip")), track)
-    text = rows_table._line(rows_table.COLUMNS) + rows_table._line(rows_table._cells(row))
+    text = rows_table._header(CONTEXTS) + rows_table._line(rows_table._cells(row, CONTEXTS))
     (tmp_path / "tracks.csv").write_text(text)
     assert len(text.splitlines()) == 2
     assert batch.read_table(tmp_path / "tracks.csv") == [row]
@@ -383,11 +383,56 @@ def test_names_and_notes_of_several_lines_are_one_line_of_the_table(walks: Path,
 def test_no_text_of_a_recording_is_a_formula_in_the_table(walks: Path, tmp_path: Path, text: str) -> None:
     recording = replace(pdr.read(walks / "walk_0.zip"), name=text, notes=(text,))
     row = rows_table.row_of(batch.Task(str(tmp_path / "a.zip")), pdr.track(recording))
-    cells = rows_table._cells(row)
-    for cell in (cells[rows_table.COLUMNS.index(name)] for name in ("name", "notes")):
+    cells = rows_table._cells(row, CONTEXTS)
+    for cell in (cells[rows_table.columns_of(CONTEXTS).index(name)] for name in ("name", "notes")):
         assert not any(part.strip()[:1] in {"=", "+", "-", "@"} for part in cell.split(";"))
-    (tmp_path / "tracks.csv").write_text(rows_table._line(rows_table.COLUMNS) + rows_table._line(cells))
+    (tmp_path / "tracks.csv").write_text(rows_table._header(CONTEXTS) + rows_table._line(cells))
     assert batch.read_table(tmp_path / "tracks.csv") == [row]
+
+
+RECIPE = """
+from dataclasses import replace
+import pdr_filter as pdr
+
+NAMES = dict(zip(pdr.CONTEXTS, ("at rest", "level", "=up", "down, far", "sideways", "running")))
+
+def recipe(subject):
+    config = pdr.recipes.default(subject)
+    model = pdr.ContextModel.load("context").renamed(NAMES)
+    modes = [replace(m, name=NAMES[m.name], context=NAMES[m.context]) for m in config.model.modes]
+    return config.with_contexts(model, modes)
+
+def for_the_tall(subject):
+    return recipe(subject) if subject is None else pdr.recipes.default(subject)
+
+def timed():
+    model = pdr.ContextModel.load("context").renamed({"walking": "duration"})
+    return pdr.recipes.default().with_contexts(model, [pdr.Mode("stationary", moves=False), pdr.Mode("duration")])
+"""
+
+
+def test_the_table_has_a_column_for_each_context_of_the_recipe(
+    walks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "renaming.py").write_text(RECIPE)
+    monkeypatch.syspath_prepend(tmp_path)
+    path, out = walks / "walk_0.zip", tmp_path / "tracks.csv"
+    (row,) = batch.track([path], "renaming:recipe", out=out)
+    (usual,) = batch.track([path], out=tmp_path / "usual.csv")
+    assert list(usual.context_s) == list(CONTEXTS)
+    assert list(row.context_s) == ["at rest", "level", "=up", "down, far", "sideways", "running"]
+    assert row.context_s["level"] == pytest.approx(usual.context_s["walking"], abs=2.0)
+    header = out.read_text().splitlines()[0]
+    assert ",at rest_s,level_s," in header
+    assert ",=up_s," not in header
+    assert batch.read_table(out) == [row]
+    assert batch.track([path], "renaming:recipe", out=out) == [row]
+    with pytest.raises(ValueError, match="not a table of the contexts stationary, walking"):
+        batch.track([path], out=out)
+    (failed,) = batch.track([path], "renaming:for_the_tall", out=out)
+    assert "not those of the recipe for an unknown person" in failed.reason
+    with pytest.raises(ValueError, match="cannot have the column 'duration_s'"):
+        batch.track([path], "renaming:timed", out=tmp_path / "timed.csv")
 
 
 def test_a_folder_is_no_table(walks: Path, tmp_path: Path) -> None:
@@ -452,7 +497,7 @@ def test_parquet_holds_the_same_rows(walks: Path, tmp_path: Path) -> None:
     pytest.importorskip("pyarrow")
     rows = batch.track(walks, out=tmp_path / "tracks.parquet")
     frame = pd.read_parquet(tmp_path / "tracks.parquet")
-    assert list(frame.columns) == list(rows_table.COLUMNS)
+    assert list(frame.columns) == list(rows_table.columns_of(CONTEXTS))
     assert list(frame.distance_m) == [row.distance_m for row in rows]
     assert batch.read_table(tmp_path / "tracks.csv") == rows
 

@@ -24,7 +24,7 @@ import pdr_filter as pdr
 from pdr_filter.filter.step_length.models import KimStepLength, WeinbergStepLength
 from pdr_filter.offline.calibration.estimation import Hierarchy, ParameterEstimate, estimate_parameters
 from pdr_filter.offline.calibration.fit import calibrate_segments
-from pdr_filter.offline.calibration.model_forms import forms_of, hierarchy_of, solve_sums, start_of
+from pdr_filter.offline.calibration.model_forms import estimate_sums, forms_of, hierarchy_of, start_of
 from pdr_filter.offline.calibration.model_forms import lengths as lengths_of_people
 from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, eq12_priors, weak_prior
 from pdr_filter.offline.calibration.segments import Segment, SegmentSums, integrate, segments_of
@@ -64,7 +64,7 @@ def percent(predicted: FloatArray, true: FloatArray) -> str:
 
 def fitted(sums: SegmentSums, priors: dict[str, StepLengthPrior]) -> ParameterEstimate:
     models = {name: p.model for name, p in priors.items()}
-    return solve_sums(sums, hierarchy_of(priors), models)
+    return estimate_sums(sums, hierarchy_of(priors), models)
 
 
 def with_model(**chosen: StepLengthPrior) -> dict[str, StepLengthPrior]:

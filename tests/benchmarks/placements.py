@@ -20,7 +20,7 @@ the end. They were chosen on humolire and ms_indoor, not on the others.
 trust: how often a track is off by more than its 95 % ellipse, after the truth is turned and moved into the track's
 frame by the first 20 % of the path, which then do not count; the same where the track does not say that strides do not
 agree on a direction (`Step.direction_trust` below 0.2), that steps are too quick for walking and too soft for running
-(`Track.is_quick_and_soft`), or that the phone may turn against the body (`is_loose` of the report); and how often it
+(`Track.is_quick_and_soft`), or that the phone may turn against the body (`is_held_loosely` of the report); how often it
 says so. To the ellipse the reference's own error is added: 0.7 m along each axis (humolire), 1 m (ms_indoor), 0.3 m
 (oxiod, tyrex). The classifier that knows a phone at the ear was trained on tyrex.
 
@@ -47,7 +47,7 @@ from scipy.stats import chi2
 import pdr_filter as pdr
 from pdr_filter import evaluate
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading
-from pdr_filter.tracking.trust_report import is_loose
+from pdr_filter.tracking.trust_report import is_held_loosely
 from pdr_filter.values import HARDLY_AGREE, FloatArray
 from tests.benchmarks.common import Tables, paths, recordings, run
 
@@ -221,7 +221,7 @@ def trust(tables: Tables, arguments: argparse.Namespace) -> None:
         cov = track.position_cov_m2[nearest] + own
         off = evaluate.nees(at_m - turned_m, cov) > level
         doubted = ((track.direction_trust < HARDLY_AGREE) | track.is_quick_and_soft)[nearest]
-        doubted |= np.interp(when, track.windows.time_s, is_loose(track)) > 0.5
+        doubted |= np.interp(when, track.windows.time_s, is_held_loosely(track)) > 0.5
         late = ~first
         if late.any():
             rows += [

@@ -106,7 +106,7 @@ def loops(tables: Tables, arguments: argparse.Namespace) -> None:
                 at_m = np.column_stack([np.interp(points.time_s, track.time_s, axis) for axis in track.position_m.T])
                 pair.append(shape_error_m(reference_m, at_m))
             errors_m.append((pair[0], pair[1]))
-            n_rejected += any("as loop states" in note for note in smoothed.notes)
+            n_rejected += any("loop was not used" in note for note in smoothed.notes)
         without, with_loop = np.array(errors_m).T
         shape = f"{np.median(without):.2f}, {np.median(with_loop):.2f}"
         rows.append([f"{group} ({len(errors_m)})", statement, shape, str(n_rejected)])

@@ -18,7 +18,7 @@ import numpy as np
 import pdr_filter as pdr
 from pdr_filter import evaluate
 from pdr_filter.offline.smoothing.observations import Observations, waypoint_fixes
-from pdr_filter.offline.smoothing.preintegration import bridge
+from pdr_filter.offline.smoothing.preintegration import step_states
 from pdr_filter.offline.smoothing.problem import NO_OFFSETS, Problem, pose_problem
 from pdr_filter.offline.smoothing.smooth import smooth
 from pdr_filter.offline.smoothing.solve import solve
@@ -38,7 +38,7 @@ def problem_of(walk: Walk, fixes: list[pdr.PositionFix]) -> Problem:
 def smoothed(walk: Walk, fixes: list[pdr.PositionFix]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     problem = problem_of(walk, fixes)
     found = solve(problem)
-    return *bridge(problem.intervals, found.mean, found.joint_cov), found.weight
+    return *step_states(problem.intervals, found.mean, found.joint_cov), found.weight
 
 
 def coverage(tables: Tables, arguments: argparse.Namespace) -> None:

@@ -24,7 +24,7 @@ import pdr_filter as pdr
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.walked_path import walked_path
-from pdr_filter.tracking.whole_recording import asked_run, collected, outputs
+from pdr_filter.tracking.whole_recording import collected, outputs, prepared_run
 from pdr_filter.values import read_only
 from pdr_filter.values.track_placement import TrackPlacement
 from tests.benchmarks.common import Tables, median_and, paths, run
@@ -34,7 +34,7 @@ FloatArray = NDArray[np.float64]
 
 def tracks(recording: pdr.Recording, gnss: str | None) -> dict[str, Track]:
     """The online track, the same with the places of the path in its end, and the smoothed track."""
-    run = asked_run(recording, None, (), TrackPlacement(gnss))  # pyright: ignore[reportArgumentType]
+    run = prepared_run(recording, None, (), TrackPlacement(gnss))  # pyright: ignore[reportArgumentType]
     brought = list(outputs(run.recording, run.config, (), None, run.with_location, run.with_location))
     online = collected(run.recording, run.config, brought)
     path = walked_path(run.config, brought[-1][0])

@@ -31,7 +31,7 @@ def test_probabilities_are_those_of_scikit_learn(trained: Trained) -> None:
     np.testing.assert_allclose(ours.predict_proba(X), boosting.predict_proba(X), rtol=1e-12)
 
 
-def test_two_classes_have_the_probabilities_of_scikit_learn_too() -> None:
+def test_two_classes_also_have_the_probabilities_of_scikit_learn() -> None:
     X, y = make_classification(300, 6, random_state=0)
     X = X.astype(np.float32).astype(np.float64)
     boosting = HistGradientBoostingClassifier(max_iter=10, early_stopping=False, random_state=0).fit(X, y)
@@ -39,7 +39,7 @@ def test_two_classes_have_the_probabilities_of_scikit_learn_too() -> None:
     np.testing.assert_allclose(ours.predict_proba(X), boosting.predict_proba(X), rtol=1e-12)
 
 
-def test_a_row_on_a_threshold_goes_the_way_of_scikit_learn(trained: Trained) -> None:
+def test_a_row_on_a_threshold_goes_to_the_same_side_as_in_scikit_learn(trained: Trained) -> None:
     boosting, ours, X, _ = trained
     rows = np.repeat(X[:1], 400, axis=0)
     inner = np.flatnonzero(~ours.trees.is_leaf)[:400]
@@ -56,7 +56,7 @@ def test_a_row_has_the_same_bits_alone_and_in_a_batch(trained: Trained) -> None:
     assert ours.predict_proba(X[:0]).shape == (0, 4)
 
 
-def test_arrays_come_back(trained: Trained) -> None:
+def test_arrays_restore_the_boosted_trees(trained: Trained) -> None:
     _, ours, X, _ = trained
     back = BoostedTrees.from_arrays(ours.to_arrays())
     np.testing.assert_array_equal(back.predict_proba(X), ours.predict_proba(X))
@@ -65,20 +65,22 @@ def test_arrays_come_back(trained: Trained) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (dict(baseline=np.zeros(3)), "one for each class and round"),
+        (dict(baseline=np.zeros(3)), "divides the number of trees"),
         (dict(baseline=np.zeros(1)), "2 or more classes"),
         (dict(baseline=np.full(4, np.inf)), "must be finite"),
         (dict(value=np.zeros(3)), "finite, got .* one for each node"),
     ],
 )
-def test_what_is_no_boosting_is_refused(trained: Trained, change: dict[str, object], message: str) -> None:
+def test_arrays_that_are_not_boosted_trees_are_refused(
+    trained: Trained, change: dict[str, object], message: str
+) -> None:
     with pytest.raises(ValueError, match=message):
         replace(trained[1], **change)
-    with pytest.raises(ValueError, match="a feature outside"):
+    with pytest.raises(ValueError, match="features of nodes must be"):
         replace(trained[1].trees, n_features=2)
 
 
-def test_nan_is_refused_with_its_place(trained: Trained) -> None:
+def test_nan_is_refused_with_its_row_and_column(trained: Trained) -> None:
     rows = trained[2][:3].copy()
     rows[1, 4] = np.nan
     with pytest.raises(ValueError, match="feature 4 is nan in row 1"):
@@ -97,6 +99,6 @@ def test_a_blend_is_the_mean_of_the_logits(trained: Trained) -> None:
     assert (blend.n_features, blend.n_classes) == (10, 4)
 
 
-def test_parts_of_other_features_do_not_blend(trained: Trained) -> None:
-    with pytest.raises(ValueError, match="same features and classes"):
+def test_parts_with_different_features_cannot_be_blended(trained: Trained) -> None:
+    with pytest.raises(ValueError, match="same numbers of features and classes"):
         Blend(SoftmaxRegression(np.zeros((4, 3)), np.zeros(4)), trained[1])

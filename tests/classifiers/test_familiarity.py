@@ -29,7 +29,7 @@ def test_the_distance_is_that_of_mahalanobis_where_no_direction_is_narrow() -> N
     assert fitted.distance(row) == pytest.approx(expected, rel=2e-3)  # axes have three digits
 
 
-def test_features_that_always_agree_are_far_off_when_they_disagree() -> None:
+def test_features_that_are_equal_in_training_give_a_large_distance_when_they_differ() -> None:
     fitted = fit_familiarity(correlated(4000), 2.0)
     assert fitted.distance(np.array([1.5, 1.5, 0.0])) < 1.5
     assert fitted.distance(np.array([1.5, -1.5, 0.0])) > 4.0
@@ -56,7 +56,7 @@ def test_one_broken_feature_counts_as_eight_standard_deviations() -> None:
     assert fitted.distance(broken) == fitted.distance(far)
 
 
-def test_arrays_come_back() -> None:
+def test_arrays_restore_the_familiarity() -> None:
     fitted = fit_familiarity(correlated(300), 1.7)
     back = Familiarity.from_arrays(fitted.to_arrays())
     row = np.array([0.3, -1.0, 2.0])
@@ -67,7 +67,7 @@ def test_arrays_come_back() -> None:
 @pytest.mark.parametrize(
     "bad", [dict(limit=0.0), dict(variance=np.ones(3)), dict(variance=np.zeros(2)), dict(axes=np.full((2, 2), np.nan))]
 )
-def test_what_is_no_familiarity_is_refused(bad: dict[str, object]) -> None:
+def test_invalid_arrays_of_a_familiarity_are_refused(bad: dict[str, object]) -> None:
     good = {"axes": np.eye(2), "variance": np.ones(2), "limit": 1.0}
     with pytest.raises(ValueError, match="must be"):
         Familiarity(**{**good, **bad})  # type: ignore[arg-type]

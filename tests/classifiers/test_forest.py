@@ -133,7 +133,7 @@ def test_a_large_forest_has_the_same_bits_for_a_row_alone_and_in_any_batch() -> 
         np.testing.assert_array_equal(forest.predict_proba(X[-size:]), together[-size:])
 
 
-def test_more_trees_than_go_down_together() -> None:
+def test_a_forest_larger_than_a_batch_of_trees_predicts_the_mean_of_its_trees() -> None:
     n = 20_000  # stumps, half of them the other way round
     left, right = np.full((2, 3 * n), -1)
     left[::3], right[::3] = 3 * np.arange(n) + 1, 3 * np.arange(n) + 2
@@ -191,8 +191,8 @@ def changed(array: np.ndarray, index: int, value: float) -> np.ndarray:
         ("left", 0, 2, "belongs to no tree or to more than one"),
         ("roots", 1, 0, "belongs to no tree or to more than one"),
         ("roots", 1, -1, "roots must be nodes"),
-        ("feature", 0, 12, "outside 0 to 11"),
-        ("feature", 0, -1, "outside 0 to 11"),
+        ("feature", 0, 12, "must be from 0 to 11"),
+        ("feature", 0, -1, "must be from 0 to 11"),
         ("threshold", 0, np.nan, "threshold must be finite"),
     ],
 )

@@ -19,7 +19,7 @@ from pdr_filter.classifiers.context_model import ContextModel, available_models,
 from pdr_filter.classifiers.familiarity import fit_familiarity
 from pdr_filter.classifiers.forest import Forest
 from pdr_filter.classifiers.rvm import RelevanceVectorClassifier
-from pdr_filter.sensing.contexts.context_stage import to_be_told_apart
+from pdr_filter.sensing.contexts.context_stage import with_stairs_in_thirds
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, limits
 
 # in the alphabetical order of scikit-learn, which is not the order of CONTEXTS
@@ -71,7 +71,7 @@ def test_features_are_standardised_before_the_machine_sees_them() -> None:
     assert np.mean(np.array(best) == y) > 0.8
 
 
-def test_a_temperature_limit_and_familiarity_come_back_with_the_model(tmp_path: Path) -> None:
+def test_temperature_limit_and_familiarity_are_restored_with_the_model(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     familiarity = fit_familiarity(rng.normal(size=(200, 4)), 1.3)
     model = replace(build("rvm"), temperature=1.7, feature_limit=3.0, familiarity=familiarity)
@@ -82,7 +82,7 @@ def test_a_temperature_limit_and_familiarity_come_back_with_the_model(tmp_path: 
     assert model.assess(np.full(4, 1e6))[1] > 0.5
 
 
-def test_what_is_unlike_all_stairs_shares_walking_and_stairs_as_a_day_does_and_leaves_all_else(tmp_path: Path) -> None:
+def test_a_window_unlike_all_stairs_distributes_walking_and_stairs_by_the_daily_prior(tmp_path: Path) -> None:
     near = fit_familiarity(np.random.default_rng(0).normal(0.0, 0.1, (200, 4)), 0.2, 8.0)
     free = build("rvm")
     guarded = load_model(replace(free, stairs=near).save(tmp_path))
@@ -99,14 +99,16 @@ def test_what_is_unlike_all_stairs_shares_walking_and_stairs_as_a_day_does_and_l
     assert shares.max() > 0.99
 
 
-def test_where_another_sensor_decides_walking_and_stairs_start_alike() -> None:
+def test_walking_and_stairs_start_with_equal_probabilities_if_another_sensor_decides() -> None:
     prob = np.array([0.1, 0.5, 0.3, 0.0, 0.0, 0.1])
-    np.testing.assert_allclose(to_be_told_apart(prob, 1.0), [0.1, 0.8 / 3, 0.8 / 3, 0.8 / 3, 0.0, 0.1])
-    np.testing.assert_allclose(to_be_told_apart(prob, 0.5), [0.1, 0.25 + 0.4 / 3, 0.15 + 0.4 / 3, 0.4 / 3, 0.0, 0.1])
-    np.testing.assert_array_equal(to_be_told_apart(prob, 0.0), prob)
+    np.testing.assert_allclose(with_stairs_in_thirds(prob, 1.0), [0.1, 0.8 / 3, 0.8 / 3, 0.8 / 3, 0.0, 0.1])
+    np.testing.assert_allclose(
+        with_stairs_in_thirds(prob, 0.5), [0.1, 0.25 + 0.4 / 3, 0.15 + 0.4 / 3, 0.4 / 3, 0.0, 0.1]
+    )
+    np.testing.assert_array_equal(with_stairs_in_thirds(prob, 0.0), prob)
 
 
-def test_the_temperature_makes_probabilities_less_sure_without_changing_their_order() -> None:
+def test_the_temperature_makes_probabilities_less_confident_and_keeps_their_order() -> None:
     cold = build("rvm")
     warm = replace(cold, temperature=2.0)
     for row in rows_and_labels()[0][:30]:
@@ -187,7 +189,7 @@ def test_a_feature_that_is_not_finite_is_named(forest_model: ContextModel) -> No
 
 
 def test_another_number_of_features_is_refused(forest_model: ContextModel) -> None:
-    with pytest.raises(ValueError, match="takes 4 features"):
+    with pytest.raises(ValueError, match="needs 4 features"):
         forest_model.predict(np.zeros(5))
 
 
@@ -214,7 +216,7 @@ def test_parts_that_do_not_fit_together_are_refused(
         replace(forest_model, **change)
 
 
-def test_a_card_that_json_cannot_hold_is_refused_before_anything_is_written(
+def test_a_card_that_json_cannot_represent_is_refused_before_anything_is_written(
     forest_model: ContextModel, tmp_path: Path
 ) -> None:
     with pytest.raises(TypeError, match="JSON cannot hold a set"):
@@ -253,12 +255,12 @@ def test_a_missing_file_is_named(forest_model: ContextModel, tmp_path: Path) -> 
     path = forest_model.save(tmp_path)
     path.unlink()
     json_path = Path(str(path).removesuffix(".npz") + ".json")
-    assert_refused(json_path, r"v1\.json: .* pocket-forest\.v1\.npz is missing beside it")
+    assert_refused(json_path, r"v1\.json: .* pocket-forest\.v1\.npz is missing in the same folder")
     json_path.unlink()
     assert_refused(json_path, r"v1\.json: no such file")
 
 
-def test_a_model_of_before_kinds_had_names_is_still_read(forest_model: ContextModel, tmp_path: Path) -> None:
+def test_a_model_file_without_a_kind_is_still_read(forest_model: ContextModel, tmp_path: Path) -> None:
     path = forest_model.save(tmp_path)
     json_path = Path(str(path).removesuffix(".npz") + ".json")
     description = json.loads(json_path.read_text(encoding="utf-8"))
@@ -269,7 +271,7 @@ def test_a_model_of_before_kinds_had_names_is_still_read(forest_model: ContextMo
     assert_refused(path, "its kind is 'calibration', not 'context_model'; train it again")
 
 
-def test_files_of_two_trainings_are_not_mixed_up(forest_model: ContextModel, tmp_path: Path) -> None:
+def test_a_mixture_of_files_of_two_trainings_is_refused(forest_model: ContextModel, tmp_path: Path) -> None:
     path = forest_model.save(tmp_path)
     other = replace(forest_model, feature_mean=np.ones(4)).save(tmp_path / "other")
     path.write_bytes(other.read_bytes())
@@ -291,7 +293,7 @@ def test_truncated_arrays_are_refused(forest_model: ContextModel, tmp_path: Path
         assert_refused(path, "not usable as context model")
 
 
-def test_arrays_that_unpack_to_more_than_models_have_are_refused(
+def test_arrays_that_unpack_to_more_than_the_limit_are_refused(
     forest_model: ContextModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = forest_model.save(tmp_path)
@@ -350,7 +352,7 @@ def test_arrays_that_are_missing_or_wrong_are_refused(
     assert_refused(path, message)
 
 
-def test_a_forest_that_runs_in_circles_is_refused(forest_model: ContextModel, tmp_path: Path) -> None:
+def test_a_forest_with_a_cycle_is_refused(forest_model: ContextModel, tmp_path: Path) -> None:
     path = forest_model.save(tmp_path)
     assert isinstance(forest_model.machine, Forest)
     left = np.array(forest_model.machine.trees.left)
@@ -400,7 +402,7 @@ def test_a_description_of_something_else_is_refused(
 
 
 @pytest.mark.parametrize("name", ["context", "context_accelerometer", "carrying"])
-def test_what_a_shipped_model_says_of_a_window_has_the_same_bits_alone_and_among_others(name: str) -> None:
+def test_a_shipped_model_gives_a_window_the_same_bits_alone_and_in_a_batch(name: str) -> None:
     model = load_model(name)
     rng = np.random.default_rng(4)
     X = model.feature_mean + 2.0 * model.feature_scale * rng.normal(size=(33, len(model.feature_names)))

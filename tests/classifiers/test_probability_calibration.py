@@ -25,7 +25,7 @@ def calibrated(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("temperature", [0.5, 1.0, 2.5])
-def test_the_temperature_that_made_probabilities_too_sure_is_found(temperature: float) -> None:
+def test_the_temperature_that_made_probabilities_overconfident_is_found(temperature: float) -> None:
     prob, label = calibrated(40_000, 1)
     assert fit_temperature(tempered(prob, 1 / temperature), label) == pytest.approx(temperature, rel=0.05)
 
@@ -38,7 +38,7 @@ def test_the_temperature_divides_the_logits(weights: list[float], temperature: f
     np.testing.assert_allclose(np.log(warm / warm[0]), np.log(prob / prob[0]) / temperature, atol=1e-9)
 
 
-def test_what_is_impossible_stays_impossible() -> None:
+def test_a_probability_of_zero_stays_zero() -> None:
     np.testing.assert_allclose(tempered(np.array([[0.0, 0.2, 0.8]]), 2.0), [[0.0, 1 / 3, 2 / 3]])
 
 
@@ -87,7 +87,7 @@ def test_temperature_and_slip_are_found_together(temperature: float, slip: float
     assert found[1] == pytest.approx(slip, abs=0.012)
 
 
-def test_certain_and_right_probabilities_are_left_alone_without_a_warning() -> None:
+def test_certain_and_correct_probabilities_do_not_change_and_cause_no_warning() -> None:
     label = np.arange(300) % 3
     prob = tempered(np.eye(3)[label] * 0.9 + 0.1 / 3, 0.3)
     with np.errstate(all="raise"):
@@ -96,7 +96,7 @@ def test_certain_and_right_probabilities_are_left_alone_without_a_warning() -> N
     assert temperature <= 1.0
 
 
-def test_a_slip_is_shared_alike_by_all_classes() -> None:
+def test_a_slip_is_distributed_equally_over_all_classes() -> None:
     np.testing.assert_allclose(slipped(np.array([1.0, 0.0, 0.0, 0.0]), 0.2), [0.85, 0.05, 0.05, 0.05])
     prob = np.array([0.3, 0.7])
     assert slipped(prob, 0.0) is prob

@@ -68,7 +68,7 @@ def test_it_works_in_a_pipeline_and_in_cross_validation() -> None:
     assert (scores > -1.1).all()  # -1.8 is a guess
 
 
-def test_labels_that_depend_on_nothing_have_equal_probabilities() -> None:
+def test_labels_independent_of_the_features_have_equal_probabilities() -> None:
     X = np.tile([[1.0], [-1.0]], (50, 1))
     p = RelevanceVectorClassifier(kernel="linear").fit(X, np.repeat([0, 1], 50)).predict_proba(X[:3])
     np.testing.assert_allclose(p, 0.5, atol=0.02)
@@ -136,7 +136,7 @@ def test_probabilities_sum_to_one_near_and_far(blobs: tuple[RelevanceVectorClass
     np.testing.assert_allclose(two.predict_proba(1e6 * X).sum(axis=1), 1.0, rtol=1e-14)
 
 
-def test_a_row_that_every_machine_rules_out_still_has_probabilities() -> None:
+def test_a_row_that_every_machine_rejects_still_has_probabilities() -> None:
     p = normalised_sigmoids(np.array([-2000.0, -2000.0, -2001.0]), np.zeros(3))
     np.testing.assert_allclose(p, np.array([1.0, 1.0, np.exp(-1.0)]) / (2.0 + np.exp(-1.0)), rtol=1e-10)
 
@@ -154,7 +154,7 @@ def test_names_and_order_of_the_labels_do_not_matter(blobs: tuple[RelevanceVecto
         assert difference.mean() < 0.03
 
 
-def test_moderation_brings_probabilities_nearer_to_even_and_lowers_the_log_loss() -> None:
+def test_moderation_makes_probabilities_less_confident_and_lowers_the_log_loss() -> None:
     X, y = make_moons(150, noise=0.3, random_state=1)
     X_test, y_test = make_moons(3000, noise=0.3, random_state=2)
     moderated = RelevanceVectorClassifier(kernel_width=0.45).fit(X, y).predict_proba(X_test)
@@ -181,7 +181,7 @@ def test_drawn_candidates_are_rows_of_every_class() -> None:
     assert all(np.isclose(X, v, rtol=0, atol=0).all(axis=1).any() for v in classifier.relevance_vectors_)
 
 
-def test_rows_that_are_no_candidates_count_in_the_likelihood() -> None:
+def test_rows_that_are_not_candidates_count_in_the_likelihood() -> None:
     X, y = three_blobs(n=300)
     others = np.setdiff1d(np.arange(300), stratified_rows(y, 15, np.random.RandomState(0)))
     moved = X.copy()
@@ -245,7 +245,7 @@ def test_the_multinomial_machines_end_at_the_mode_of_the_joint_posterior() -> No
 
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("multi_class", ["one_against_all", "multinomial"])
-def test_six_classes_are_told_apart(seed: int, multi_class: str) -> None:
+def test_six_classes_are_distinguished(seed: int, multi_class: str) -> None:
     X, y = six_classes(1200, seed)
     classifier = RelevanceVectorClassifier(multi_class=multi_class).fit(X[:500], y[:500])
     oracle = LogisticRegression(max_iter=2000).fit(X[:500], y[:500])
@@ -295,7 +295,7 @@ def test_balanced_classes_find_more_of_the_rare_one() -> None:
     np.testing.assert_allclose(given.predict_proba(X), balanced.predict_proba(X), atol=1e-6)
 
 
-def test_a_row_of_weight_zero_is_not_there() -> None:
+def test_a_row_of_weight_zero_has_no_effect() -> None:
     X, y = three_blobs(n=90)
     weight = np.arange(90) % 3 > 0
     p = RelevanceVectorClassifier().fit(X, y, sample_weight=weight).predict_proba(X)
@@ -326,7 +326,7 @@ def test_features_that_are_not_finite_are_refused(bad: float) -> None:
 
 
 def test_one_class_is_refused() -> None:
-    with pytest.raises(ValueError, match="only one class"):
+    with pytest.raises(ValueError, match="at least two classes, got only"):
         RelevanceVectorClassifier().fit(np.eye(3), ["walking"] * 3)
 
 
@@ -357,7 +357,7 @@ def test_groups_stay_whole_in_the_search_for_a_width() -> None:
     assert min(grouped.cv_log_loss_.values()) > 0.4
 
 
-def test_used_up_budgets_are_reported() -> None:
+def test_limits_that_were_reached_are_reported() -> None:
     X, y = six_classes(200)
     with pytest.warns(ConvergenceWarning, match="raise max_iter"):
         assert RelevanceVectorClassifier(max_iter=2).fit(X, y).n_iter_ == 2

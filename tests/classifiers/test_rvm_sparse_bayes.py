@@ -19,12 +19,12 @@ from pdr_filter.classifiers.rvm_training import (
     Bernoulli,
     Posterior,
     additions,
+    evidence_gain,
     inside_factors,
     outside_factors,
     posterior,
     spread_start,
     train,
-    worth,
 )
 from tests.oracles import rvm_reference
 
@@ -116,7 +116,7 @@ def test_factors_inside_are_those_outside_of_the_model_without_the_function() ->
         assert q[i] == pytest.approx(quality[out], rel=1e-7, abs=1e-7)
 
 
-def test_the_best_alpha_and_the_worth_of_a_function_are_those_of_a_search() -> None:
+def test_the_best_alpha_and_the_evidence_gain_of_a_function_equal_those_of_a_search() -> None:
     likelihood, functions = regression()
     without = at(likelihood, functions, [1], [0.5])
     sparsity, quality = outside_factors(likelihood, functions, without)
@@ -129,11 +129,11 @@ def test_the_best_alpha_and_the_worth_of_a_function_are_those_of_a_search() -> N
             options={"xatol": 1e-9},
         )
         assert np.exp(search.x) == pytest.approx(s**2 / (q**2 - s), rel=1e-4)
-        assert -search.fun - without.log_evidence == pytest.approx(float(worth(s, q)), rel=1e-5)
+        assert -search.fun - without.log_evidence == pytest.approx(float(evidence_gain(s, q)), rel=1e-5)
 
 
-def test_a_function_that_explains_nothing_is_worth_nothing() -> None:
-    np.testing.assert_array_equal(worth(np.array([4.0, 4.0, np.inf]), np.array([1.9, 0.0, 5.0])), 0.0)
+def test_a_function_that_explains_nothing_has_no_evidence_gain() -> None:
+    np.testing.assert_array_equal(evidence_gain(np.array([4.0, 4.0, np.inf]), np.array([1.9, 0.0, 5.0])), 0.0)
 
 
 def test_of_two_equal_functions_one_is_added() -> None:
@@ -147,7 +147,7 @@ def test_of_two_equal_functions_one_is_added() -> None:
     assert gain == pytest.approx(alone[2])
 
 
-def test_additions_promise_what_they_bring() -> None:
+def test_the_expected_gain_of_additions_equals_the_evidence_gained() -> None:
     likelihood, functions = regression()
     now = at(likelihood, functions, [1], [0.5])
     added, alpha, gain = additions(likelihood, functions, now)
@@ -171,7 +171,7 @@ def test_regression_agrees_with_scikit_learns_ard_regression(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_of_all_subsets_the_one_of_highest_evidence_is_found(seed: int) -> None:
+def test_the_subset_with_the_highest_evidence_is_found(seed: int) -> None:
     likelihood, functions = regression(n_functions=8, seed=seed)
     found = train(likelihood, functions, tol=1e-9, max_passes=300).posterior
     best = -np.inf
@@ -232,7 +232,7 @@ def test_trained_to_the_end_no_alpha_addition_or_deletion_raises_the_evidence() 
     assert additions(likelihood, functions, found)[2] < 0.05
 
 
-def test_integer_weights_are_repetitions() -> None:
+def test_integer_weights_equal_repeated_rows() -> None:
     likelihood, functions = moons(80)
     weight = np.arange(80) % 3 + 1
     weighted = Bernoulli(likelihood.target, weight.astype(float), np.zeros(80))
@@ -263,7 +263,7 @@ def test_the_evidence_never_falls(seed: int, width_share: float) -> None:
     assert np.isfinite(trained.posterior.mean).all()
 
 
-def test_wide_kernels_need_no_luck_with_the_first_function() -> None:
+def test_with_wide_kernels_a_start_with_many_functions_reaches_more_evidence_than_the_bias_alone() -> None:
     # From the bias alone, additions one by one end far below: this is why training begins with many.
     rng = np.random.default_rng(3)
     X = rng.normal(size=(300, 6))
@@ -295,7 +295,7 @@ def test_a_singular_gram_matrix_has_a_posterior() -> None:
     assert np.isfinite(trained.posterior.log_evidence)
 
 
-def test_budgets_are_kept_and_reported() -> None:
+def test_limits_are_kept_and_reported() -> None:
     likelihood, functions = moons(width_share=0.1)
     few = train(likelihood, functions, max_basis=3)
     assert len(few.posterior.basis) <= 3

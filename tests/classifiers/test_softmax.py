@@ -35,14 +35,14 @@ def test_a_missing_feature_is_refused() -> None:
         ours.predict_proba([[np.nan, 0.0]])
 
 
-def test_arrays_come_back() -> None:
+def test_arrays_restore_the_regression() -> None:
     ours = SoftmaxRegression(np.arange(6.0).reshape(2, 3), np.ones(2))
     back = SoftmaxRegression.from_arrays(ours.to_arrays())
     np.testing.assert_array_equal(back.predict_proba([[1.0, 2.0, 3.0]]), ours.predict_proba([[1.0, 2.0, 3.0]]))
 
 
 @pytest.mark.parametrize("bad", [dict(intercept=np.zeros(3)), dict(weights=np.full((2, 3), np.nan))])
-def test_what_is_no_regression_is_refused(bad: dict[str, object]) -> None:
+def test_invalid_arrays_of_a_regression_are_refused(bad: dict[str, object]) -> None:
     good = {"weights": np.zeros((2, 3)), "intercept": np.zeros(2)}
     with pytest.raises(ValueError, match="must be"):
         SoftmaxRegression(**{**good, **bad})  # type: ignore[arg-type]

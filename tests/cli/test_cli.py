@@ -111,14 +111,14 @@ def test_a_file_that_does_not_exist_is_named(tmp_path: Path) -> None:
         (["--model", "no_such_model.npz"], "no_such_model.npz"),
         (["--origin", "Florence", "--out", "x"], "LAT,LON"),
         (["--origin", "11.25,143.77,3", "--out", "x"], "LAT,LON"),
-        (["--origin", "143.77,11.25", "--out", "x"], "exchanged"),
+        (["--origin", "143.77,11.25", "--out", "x"], "check the order"),
         (["--origin", "nan,11.25"], "--origin must be (latitude, longitude)"),
         (["--heading", "north"], "--heading must be degrees clockwise from north"),
         (["--heading", "nan"], "--heading must be degrees clockwise from north"),
         (["--heading", "4000"], "--heading must be degrees clockwise from north"),
         (["--export", "shp"], "csv, geojson, gpx, kml, parquet, tum, got 'shp'"),
         (["--export", "csv,gpx"], "short_walk: --export gpx needs a place on Earth"),
-        (["--origin", "43.77,11.25", "--gnss", "filter"], "and origin says them too"),
+        (["--origin", "43.77,11.25", "--gnss", "filter"], "and origin also defines them"),
     ],
 )
 def test_an_option_that_cannot_be_used_is_one_line_with_the_remedy(walk: Path, options: list[str], said: str) -> None:
@@ -253,7 +253,7 @@ def test_train_fits_any_folder_and_track_uses_a_model_of_some_of_the_default_con
 def test_train_learns_carrying_modes_only_if_there_are_several(tmp_path: Path) -> None:
     result = run("train", people_of(tmp_path, {}), "--carrying-modes", "--out", tmp_path / "mine")
     assert result.exit_code == 2
-    assert "two carrying modes or more, got 'pocket'" in one_line(result.stderr)
+    assert "at least two carrying modes, got 'pocket'" in one_line(result.stderr)
 
 
 def test_track_with_a_model_of_other_contexts_says_how_to_give_them_a_meaning(tmp_path: Path, walk: Path) -> None:

@@ -91,7 +91,7 @@ def test_a_report_shows_the_smoothed_walk_first_and_the_online_track_one_click_a
     assert run("track", walk, "--report", "--online", "--out", tmp_path / "online").exit_code == 0
     alone = (tmp_path / "online" / "short_walk.html").read_text()
     assert 'name="track"' not in alone
-    assert "Online: each position is what a phone knew when the step was made." in alone
+    assert "Online: each position is estimated from the samples up to its step." in alone
 
 
 def test_a_loop_is_stated_of_a_smoothed_walk_alone(walk: Path) -> None:
@@ -164,7 +164,7 @@ def test_north_of_the_magnetometer_turns_a_walk_whose_place_is_given(walk: Path)
     assert json.loads(result.stdout) == expected.summary()
     assert expected.frame == "north"
     contradicting = run("track", walk, "--heading", "90", "--north", "magnetic")
-    assert (contradicting.exit_code, "both say north" in one_line(contradicting.stderr)) == (2, True)
+    assert (contradicting.exit_code, "both define north" in one_line(contradicting.stderr)) == (2, True)
 
 
 def test_files_are_exported_once_whether_asked_with_commas_or_again(walk: Path, tmp_path: Path) -> None:

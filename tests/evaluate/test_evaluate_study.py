@@ -86,6 +86,20 @@ def test_errors_in_contexts_need_labels_and_no_positions() -> None:
         context_errors(without, tracks)
 
 
+def test_the_leg_error_of_a_context_is_that_of_its_own_segments() -> None:
+    walk = simulate([Leg("walking", distance_m=20.0), Leg("stationary", duration_s=3.0)] * 2, seed=1)
+    legs = walk.truth.segments[walk.truth.segments.distance_m > 0]
+    spans = {"start_s": legs.start_s, "end_s": legs.end_s}
+    truth = Truth(
+        labels=table({**spans, "context": np.array(["level", "longer"])}),
+        segments=table({**spans, "distance_m": legs.distance_m * [1.0, 2.0]}),
+    )
+    rows = context_errors(replace(walk, truth=truth), {"imm": pdr.track(walk)})
+    errors_percent = {str(row["context"]): row["leg_error_percent"] for row in rows}
+    assert errors_percent["level"] == pytest.approx(0.0, abs=12.0)
+    assert errors_percent["longer"] == pytest.approx(-50.0, abs=6.0)
+
+
 def test_latex_escapes_what_has_a_meaning_there() -> None:
     text = latex(table({"name": np.array(["50 %_a & {b}"]), "m": np.array([np.nan])}))
     assert r"50 \%\_a \& \{b\} & -- \\" in text

@@ -84,7 +84,7 @@ def test_a_file_with_another_checksum_is_refused(tmp_path: Path, home: str, monk
     monkeypatch.setitem(DATASETS, "little", little(home, right))
     assert datasets.fetch("little", tmp_path / "cache")
     monkeypatch.setitem(DATASETS, "little", little(home, ("0" * 64, *right[1:])))
-    with pytest.raises(ValueError, match="is not what it was"):
+    with pytest.raises(ValueError, match="has changed since"):
         datasets.fetch("little", tmp_path / "other")
 
 
@@ -109,7 +109,7 @@ def test_a_download_that_broke_off_goes_on_where_it_was(
     gone = tmp_path / "home" / FILES[2]
     content = gone.read_text()
     gone.unlink()
-    with pytest.raises(ConnectionError, match="goes on where it was"):
+    with pytest.raises(ConnectionError, match="resumes the download"):
         datasets.fetch("little", tmp_path / "cache")
     gone.write_text(content)
     assert len(datasets.fetch("little", tmp_path / "cache")) == 2
@@ -120,7 +120,7 @@ def test_without_network_the_message_says_what_else_can_be_done(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(DATASETS, "little", little("http://127.0.0.1:9"))
-    with pytest.raises(ConnectionError, match=r"little: http://127.0.0.1:9/.* cannot be had .*PDR_DATA"):
+    with pytest.raises(ConnectionError, match=r"little: http://127.0.0.1:9/.* cannot be downloaded .*PDR_DATA"):
         datasets.fetch("little", tmp_path)
 
 
@@ -130,7 +130,7 @@ def test_a_local_folder_is_used_in_place_of_the_network(tmp_path: Path, monkeypa
     monkeypatch.setenv("PDR_DATA", str(tmp_path))
     assert datasets.fetch("humolire") == [walk]
     assert datasets.fetch("mine") == [walk_of_mine]
-    with pytest.raises(ValueError, match="name is 'theirs'; known are humolire, motionsense, ms_indoor"):
+    with pytest.raises(ValueError, match="data set 'theirs' is unknown: give one of humolire, motionsense, ms_indoor"):
         datasets.fetch("theirs")
 
 

@@ -102,7 +102,7 @@ def test_a_horizontal_accuracy_goes_before_one_that_does_not_say_of_what_it_is(t
 def test_each_cause_for_which_locations_are_not_used_is_named_alone() -> None:
     time_s = np.arange(0.0, 20.0)
     good = np.tile([10.0, 20.0, 0.0, 5.0], (len(time_s), 1))
-    causes = {"no place on Earth": (0, 95.0), "no horizontal accuracy": (3, -1.0)}
+    causes = {"coordinates that are not a place on Earth": (0, 95.0), "no horizontal accuracy": (3, -1.0)}
     for cause, (column, value) in causes.items():
         values = good.copy()
         values[:, 0] += time_s / 111_000

@@ -56,9 +56,19 @@ def test_anchors_in_degrees_become_metres_from_the_origin(tmp_path: Path) -> Non
         anchors_of_file(path)
 
 
+def test_one_anchor_is_in_degrees_if_it_is_near_the_origin(tmp_path: Path) -> None:
+    path = anchors_file(tmp_path / "a.geojson", {"a": (-0.0015, 51.4781)})
+    np.testing.assert_allclose(anchors_of_file(path, origin=(51.4779, -0.0015))["a"], [0.0, 22.25], atol=0.05)
+    for origin in (None, (50.0, 8.0)):  # else nothing tells it from a place in metres
+        np.testing.assert_array_equal(anchors_of_file(path, origin=origin)["a"], [-0.0015, 51.4781])
+
+
 @pytest.mark.parametrize(
     ("table", "message"),
     [
+        ("time_s,range_m,anchor\n1,3,door\n2,3\n", "row 2: .*no anchor ''"),
+        ("time_s,range_m,anchor\n1,3,door\n\n2,3,roof\n", "row 2: .*no anchor 'roof'"),
+        ("time_s,anchor,range_m\n1,door,3\n2,door\n", "line 3: only 2 fields"),
         ("time_s,anchor,range_m\n1,roof,3\n", "row 1: .*no anchor 'roof' .*door"),
         ("time_s,range_m\n1,3\n", "no column anchor"),
         ("time_s,anchor,range_m\n1,door,-3\n", "row 1: range_m must be a distance"),

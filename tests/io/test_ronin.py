@@ -95,9 +95,10 @@ def test_a_quaternion_of_the_other_order_is_refused(tmp_path: Path) -> None:
     assert "points down" in refusal(folder_with(tmp_path / "a", data, info=None))
 
 
-def test_a_calibration_that_is_no_vector_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("bias", [[1.0, "x", 2.0], [1.0, 2.0], [1.0, 2.0, 1e300], [1.0, 2.0, None], 3.0])
+def test_a_calibration_that_is_no_vector_is_refused(tmp_path: Path, bias: Any) -> None:
     assert "imu_acce_bias is not three numbers" in refusal(
-        folder_with(tmp_path / "a", info=INFO | {"imu_acce_bias": [1.0, "x", 2.0]})
+        folder_with(tmp_path / "a", info=INFO | {"imu_acce_bias": bias})
     )
 
 

@@ -222,6 +222,7 @@ def test_a_range_to_an_anchor_is_used_and_is_on_record_as_a_file_of_ranges(walk:
     devices.close()
     told = [(e["kind"], e["outcome"]) for e in events if e["event"] == "fix"]
     assert told == [("range", "waiting"), ("range", "used")]
+    assert [e["anchor_m"] for e in events if e["event"] == "fix"] == [[east_m + 12.0, north_m]] * 2
     (read,) = ranges_of_file(session.recorder.folder / "ranges.csv")
     assert (read.range_m, read.std_m) == (12.4, 1.0)
     np.testing.assert_allclose(read.anchor_m, [east_m + 12.0, north_m])

@@ -126,6 +126,10 @@ def test_the_page_shows_nothing_of_another_phone_and_tells_the_state_of_each(wal
         assert "right" in browser.words("#heading") or "left" in browser.words("#heading")
         assert browser.value("getComputedStyle(document.querySelector('#map .north')).display") == "none"
         browser.shot(tmp_path / "walking.png")
+        of_range = "{id: shown, kind: 'range', time_s: 9, anchor_m: [3, 4], accepted: %s}"
+        for accepted, n_anchors in (("false", 0), ("true", 1), ("true", 1)):
+            browser.value(f"(handlers.fix({of_range % accepted}), draw())")
+            assert browser.value("document.querySelectorAll('#map .anchor').length") == n_anchors
         with_north = "{about: {frame: 'north'}}"
         words = browser.value(f"placeWords({with_north}, [-3, -28.2])")
         assert words == "3.0 m west and 28.2 m south of the start"

@@ -1,15 +1,4 @@
-"""A made-up storey and walks on it: corridors 2.4 m wide around a block, and a room to the west.
-
-19.2 +---------+------------------------------+
-     |  west   |   corridor, y = 18           |
-16.8 |         |   +----------------------+   |
-     |         |   |        block         |   |
-     |         |10 |                      | 40|
- 1.2 +---------+   +----------------------+   |
-     |   corridor, y = 0                      |
--1.2 +----------------------------------------+
-    -1.2      8.8 11.2                 38.8  41.2
-"""
+"""Synthetic storey and walks on it: corridors 2.4 m wide around a block, and a room to the west."""
 
 from __future__ import annotations
 
@@ -52,7 +41,7 @@ def write(path: Path, features: list[dict[str, Any]] | None = None) -> Path:
 
 
 def turned(features: list[dict[str, Any]], angle_rad: float) -> list[dict[str, Any]]:
-    """The same turned clockwise about zero."""
+    """Return the features rotated clockwise about the origin."""
     c, s = math.cos(angle_rad), math.sin(angle_rad)
 
     def of(values: Any) -> Any:
@@ -65,7 +54,7 @@ def turned(features: list[dict[str, Any]], angle_rad: float) -> list[dict[str, A
 
 
 def in_degrees(features: list[dict[str, Any]], origin: pdr.Origin) -> list[dict[str, Any]]:
-    """The same areas in longitude and latitude."""
+    """Return the areas in longitude and latitude."""
     found: list[dict[str, Any]] = []
     for f in features:
         latitude, longitude = origin.latitude_longitude_deg(np.array(f["geometry"]["coordinates"][0]))
@@ -76,7 +65,7 @@ def in_degrees(features: list[dict[str, Any]], origin: pdr.Origin) -> list[dict[
 
 @cache
 def round_the_block(seed: int = 0) -> pdr.Recording:
-    """From (0, 0) east along the south corridor, round the block, and back into the south corridor."""
+    """Return a walk from (0, 0) east along the south corridor, around the block, and back into the south corridor."""
     turn = -math.pi / 2  # counter-clockwise
     legs = [Leg("walking", distance_m=40.0)]
     legs += [Leg("walking", distance_m=d, turn_rad=turn) for d in (18.0, 30.0, 18.0, 25.0)]
@@ -87,7 +76,7 @@ def round_the_block(seed: int = 0) -> pdr.Recording:
 
 
 def errors_m(track: pdr.Track, walk: pdr.Recording) -> np.ndarray:
-    """Distance of each step from where the person was."""
+    """Return the distance of each step from the true position."""
     assert walk.truth is not None
     truth = walk.truth.position
     at = np.column_stack([np.interp(track.time_s, truth.time_s, truth[k]) for k in ("east_m", "north_m")])

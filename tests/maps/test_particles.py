@@ -1,4 +1,4 @@
-"""Particles on a plan: closed forms, invariances, and walks through a made-up building."""
+"""Particle filter on a plan: closed forms, invariances, and walks through a synthetic building."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from scipy.stats import truncnorm
 
 import pdr_filter as pdr
 from pdr_filter.maps.crossing_costs import Ground, Terrain
-from pdr_filter.maps.particle_clusters import groups, n_needed, on_plan
+from pdr_filter.maps.particle_clusters import cluster_numbers, n_needed, on_plan
 from pdr_filter.maps.particle_filter import ParticleState
 from pdr_filter.maps.storey import FREE
 from pdr_filter.values import FloorPassage
@@ -31,7 +31,7 @@ def in_world(seed: int = 0, plan: pdr.FloorPlan | None = None) -> pdr.Config:
 
 
 def begun(plan: pdr.FloorPlan, start: pdr.PositionFix | str, n_most: int = 4000) -> pdr.Config:
-    """With fewer particles than for a whole building."""
+    """Return a configuration with fewer particles than for a whole building."""
     config = pdr.recipes.default().with_plan(plan, start)
     assert config.on_plan is not None
     return replace(config, on_plan=replace(config.on_plan, n_most=n_most))
@@ -45,7 +45,7 @@ def plan(tmp_path_factory: pytest.TempPathFactory) -> pdr.FloorPlan:
 # --- closed form ------------------------------------------------------------------------------------------------------
 
 
-def test_steps_against_a_wall_are_the_truncated_normal_distribution(tmp_path: Path) -> None:
+def test_steps_against_a_wall_have_a_truncated_normal_distribution(tmp_path: Path) -> None:
     walled = pdr.FloorPlan.read(write(tmp_path / "p.geojson", [*FEATURES, feature("wall", line((5, -1.2), (5, 1.2)))]))
     ground = Ground(walled.storeys[0], Terrain(wall=50.0))
     rng, n = np.random.default_rng(0), 100_000
@@ -59,7 +59,7 @@ def test_steps_against_a_wall_are_the_truncated_normal_distribution(tmp_path: Pa
     assert_allclose(left.std(), expected.std(), atol=0.01)
 
 
-def test_the_cost_of_a_room_is_paid_once_at_the_door_that_is_not_there(plan: pdr.FloorPlan) -> None:
+def test_entering_a_room_without_a_door_costs_once_and_leaving_it_nothing(plan: pdr.FloorPlan) -> None:
     terrain = Terrain(stay_room=0.0)
     ground = Ground(plan.storeys[0], terrain)
     way = np.column_stack([np.full(30, 20.0), np.linspace(0.0, 6.0, 30)])
@@ -69,7 +69,7 @@ def test_the_cost_of_a_room_is_paid_once_at_the_door_that_is_not_there(plan: pdr
     assert back.sum() == 0
 
 
-def test_two_groups_of_particles_are_two_clusters_with_their_shares() -> None:
+def test_two_groups_of_particles_are_two_clusters_with_their_weights() -> None:
     rng = np.random.default_rng(0)
     places = np.concatenate([rng.normal([0, 0], 0.5, (300, 2)), rng.normal([20, 5], 0.5, (100, 2))])
     place = on_plan(places, np.full(400, 1 / 400), np.zeros(400))
@@ -77,13 +77,13 @@ def test_two_groups_of_particles_are_two_clusters_with_their_shares() -> None:
     assert_allclose(place.position_m, places.mean(axis=0))
     assert_allclose(place.position_cov_m2, np.cov(places.T, bias=True))
     assert_allclose(place.effective_sample_size, 400)
-    assert len(set(groups(places))) == 2
-    # of what may be elsewhere no cluster has a share
+    assert len(set(cluster_numbers(places))) == 2
+    # the clusters share the rest of the probability
     doubted = on_plan(places, np.full(400, 1 / 400), np.zeros(400), elsewhere=0.2)
     assert_allclose([c.share for c in doubted.clusters], [0.6, 0.2])
 
 
-def test_the_ellipse_reaches_as_far_as_the_walk_may_be_where_no_particle_is() -> None:
+def test_the_covariance_is_that_of_the_mixture_of_particles_and_dead_reckoning() -> None:
     rng = np.random.default_rng(0)
     particles, reckoned = rng.normal([0, 0], 0.5, (1000, 2)), rng.normal([6, -2], 1.5, (1000, 2))
     there = reckoned.mean(axis=0), np.cov(reckoned.T, bias=True)
@@ -94,7 +94,7 @@ def test_the_ellipse_reaches_as_far_as_the_walk_may_be_where_no_particle_is() ->
     assert_allclose(place.position_cov_m2, away.T @ away / len(away))
 
 
-def test_more_particles_are_needed_where_they_are_spread_further() -> None:
+def test_more_occupied_cells_need_more_particles() -> None:
     rng = np.random.default_rng(0)
     needed = [n_needed(rng.integers(0, k, (5000, 3)), 100, 100_000) for k in (1, 3, 10)]
     assert needed[0] == 100 and needed[0] < needed[1] < needed[2]
@@ -102,7 +102,7 @@ def test_more_particles_are_needed_where_they_are_spread_further() -> None:
     assert_allclose(needed[1], 45.64 / (2 * 0.05), rtol=0.01)
 
 
-def test_looks_from_anywhere_in_any_direction_weigh_one_on_average(plan: pdr.FloorPlan) -> None:
+def test_random_steps_from_any_position_have_a_mean_weight_of_one(plan: pdr.FloorPlan) -> None:
     terrain, rng, n = Terrain(stay_room=0.0, stay_outside=0.0), np.random.default_rng(0), 4000
     ground = Ground(plan.storeys[0], terrain)
     for place in ([5.0, 0.0], [20.0, 1.0], [40.0, 9.0], [0.5, 12.0]):
@@ -110,32 +110,32 @@ def test_looks_from_anywhere_in_any_direction_weigh_one_on_average(plan: pdr.Flo
         from_m = np.full((n, 2), place)
         to_m = from_m + terrain.look_m * np.column_stack([np.sin(angle), np.cos(angle)])
         cost, _ = ground.costs(from_m, to_m, np.zeros(n, dtype=bool))
-        of_anybody = ground.of_anybody(from_m, terrain.leg_m)
-        assert of_anybody[0] > 0.2
-        assert np.exp(of_anybody - cost).mean() == pytest.approx(1.0, abs=0.25)
+        choice_cost = ground.choice_cost(from_m, terrain.leg_m)
+        assert choice_cost[0] > 0.2
+        assert np.exp(choice_cost - cost).mean() == pytest.approx(1.0, abs=0.25)
 
 
-def test_who_knows_nothing_of_the_plan_pays_the_mean_over_places_and_directions(plan: pdr.FloorPlan) -> None:
+def test_the_cost_per_metre_of_a_random_walk_is_the_mean_over_positions_and_directions(plan: pdr.FloorPlan) -> None:
     terrain, rng, n = Terrain(stay_room=0.0, stay_outside=0.0), np.random.default_rng(0), 200_000
     ground = Ground(plan.storeys[0], terrain)
     places, angle = rng.uniform([-1.2, -1.2], [41.2, 19.2], (n, 2)), rng.uniform(0, 2 * math.pi, n)
     places, angle = (of[ground.storey.kind_at(places) == FREE] for of in (places, angle))
     to_m = places + terrain.look_m * np.column_stack([np.sin(angle), np.cos(angle)])
     cost, _ = ground.costs(places, to_m, np.zeros(len(places), dtype=bool))
-    assert_allclose(ground.of_storey * terrain.look_m, -np.log(np.exp(-cost).mean()), rtol=0.05)
+    assert_allclose(ground.mean_cost_per_m * terrain.look_m, -np.log(np.exp(-cost).mean()), rtol=0.05)
 
 
-def test_a_corridor_gains_on_a_hall_from_steps_that_stay_in_it(tmp_path: Path) -> None:
+def test_steps_along_a_corridor_gain_weight_over_steps_in_a_hall(tmp_path: Path) -> None:
     both = [feature("floor", box(-1, -1.4, 41, 1.4)), feature("floor", box(-1, 10, 41, 40))]
     ground = Ground(pdr.FloorPlan.read(write(tmp_path / "p.geojson", both)).storeys[0], Terrain())
-    in_corridor, in_hall = ground.of_anybody(np.array([[20.0, 0.0], [20.0, 25.0]]), 0.75)
+    in_corridor, in_hall = ground.choice_cost(np.array([[20.0, 0.0], [20.0, 25.0]]), 0.75)
     # three of eight directions are free for 3 m, and a step is an eighth of a leg
     assert in_corridor == pytest.approx(-0.125 * math.log(3 / 8), abs=0.01)
     assert in_hall == 0.0
-    assert ground.of_anybody(np.array([[500.0, 0.0]]), 0.75) == 0.0
+    assert ground.choice_cost(np.array([[500.0, 0.0]]), 0.75) == 0.0
 
 
-def test_a_grid_weighs_each_particle_by_the_cell_it_was_in_then_and_less_where_errors_last(
+def test_a_grid_weights_particles_by_their_cell_at_its_time_and_less_if_errors_are_correlated(
     plan: pdr.FloorPlan,
 ) -> None:
     config = pdr.recipes.default().with_plan(plan)
@@ -161,7 +161,7 @@ def test_a_grid_weighs_each_particle_by_the_cell_it_was_in_then_and_less_where_e
     assert odds(on_plan.on_fix(before, off, "nothing to compare", known, config.model, 0)) == pytest.approx(1.0)
 
 
-def test_who_came_by_lift_was_in_one(tmp_path: Path) -> None:
+def test_after_a_ride_in_a_lift_particles_that_were_in_a_lift_have_most_weight(tmp_path: Path) -> None:
     lifts = [feature("lift", box(9, -1, 11, 1)), feature("lift", box(29, -1, 31, 1))]
     plan = pdr.FloorPlan.read(write(tmp_path / "p.geojson", [*FEATURES, *lifts]))
     config = pdr.recipes.default().with_plan(plan)
@@ -181,7 +181,7 @@ def test_who_came_by_lift_was_in_one(tmp_path: Path) -> None:
         assert_array_equal(same.weight, before.weight)
 
 
-def test_particles_go_in_any_direction_of_the_turn_of_a_step(tmp_path: Path) -> None:
+def test_particles_spread_over_the_angle_turned_within_a_step(tmp_path: Path) -> None:
     field = pdr.FloorPlan.read(write(tmp_path / "p.geojson", [feature("floor", box(-20, -20, 20, 20))]))
     config, n = pdr.recipes.default().with_plan(field), 20_000
     on_plan = config.on_plan
@@ -221,7 +221,7 @@ def pushed(plan: pdr.FloorPlan, seed: int) -> tuple[np.ndarray, pdr.OnlineFilter
     return np.array([[*u.position_m, *u.position_cov_m2.ravel()] for u in updates]), online
 
 
-def test_the_track_has_the_same_bits_in_any_blocks_and_after_save_and_resume(plan: pdr.FloorPlan) -> None:
+def test_the_track_is_bit_identical_for_any_blocks_and_after_save_and_resume(plan: pdr.FloorPlan) -> None:
     track = pdr.track(replace(WALK, magnetometer=None), in_world(), fixes=FIXES, plan=plan)
     resumed, online = pushed(plan, 1)
     assert_array_equal(resumed, np.column_stack([track.position_m, track.position_cov_m2.reshape(-1, 4)]))
@@ -230,7 +230,7 @@ def test_the_track_has_the_same_bits_in_any_blocks_and_after_save_and_resume(pla
     assert online.on_plan is not None and len(online.on_plan.clusters) == len(track.clusters[-1])
 
 
-def test_the_same_seed_gives_the_same_bits_and_another_one_nearly_the_same_track(plan: pdr.FloorPlan) -> None:
+def test_equal_seeds_give_identical_tracks_and_another_seed_a_similar_one(plan: pdr.FloorPlan) -> None:
     first, again = (pdr.track(WALK, in_world(0, plan), fixes=FIXES) for _ in range(2))
     other = pdr.track(WALK, in_world(1, plan), fixes=FIXES)
     assert_array_equal(first.position_m, again.position_m)
@@ -238,7 +238,7 @@ def test_the_same_seed_gives_the_same_bits_and_another_one_nearly_the_same_track
     assert 0 < np.median(away) < 0.5 * np.median(first.position_std_m)
 
 
-def test_a_plan_that_is_turned_turns_the_track(plan: pdr.FloorPlan, tmp_path: Path) -> None:
+def test_a_rotated_plan_rotates_the_track(plan: pdr.FloorPlan, tmp_path: Path) -> None:
     angle = math.pi / 2
     other = pdr.FloorPlan.read(write(tmp_path / "turned.geojson", turned(FEATURES, angle)))
     rotation = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
@@ -249,10 +249,10 @@ def test_a_plan_that_is_turned_turns_the_track(plan: pdr.FloorPlan, tmp_path: Pa
     assert np.median(away) < 0.3
 
 
-def test_a_plan_that_says_nothing_leaves_the_track_as_it_is(tmp_path: Path) -> None:
+def test_an_open_field_as_a_plan_hardly_changes_the_track(tmp_path: Path) -> None:
     field = pdr.FloorPlan.read(write(tmp_path / "p.geojson", [feature("floor", box(-200, -200, 200, 200))]))
     alone, on_field = (pdr.track(WALK, in_world(), fixes=FIXES, plan=p) for p in (None, field))
-    late = alone.time_s > FIXES[-1].time_s + 5.0  # before, the turn is known less well than in the end
+    late = alone.time_s > FIXES[-1].time_s + 5.0  # earlier, the rotation is less certain
     away = np.linalg.norm(alone.position_m - on_field.position_m, axis=1)[late]
     assert np.all(away < 0.2 * alone.position_std_m[late])
     assert_allclose(on_field.position_std_m[late], alone.position_std_m[late], rtol=0.25)
@@ -270,24 +270,24 @@ def test_walls_keep_a_drifting_track_in_the_corridor(plan: pdr.FloorPlan) -> Non
     assert len(kept.clusters) == kept.n_steps == len(kept.effective_sample_size)
 
 
-def test_a_walk_with_an_unknown_direction_finds_it_in_the_corridors(plan: pdr.FloorPlan) -> None:
+def test_corridors_determine_an_unknown_walking_direction(plan: pdr.FloorPlan) -> None:
     track = pdr.track(WALK, begun(plan, pdr.PositionFix(0.0, [0.0, 0.0], 0.25 * np.eye(2))))
     assert errors_m(track, WALK)[-1] < 2.0
     assert len(track.clusters[-1]) == 1
 
 
-def test_a_walk_along_a_corridor_is_in_the_corridor_rather_than_in_the_hall_beside_it(tmp_path: Path) -> None:
+def test_a_walk_along_a_corridor_is_placed_in_the_corridor_and_not_in_the_adjacent_hall(tmp_path: Path) -> None:
     hall = [feature("floor", box(-1.4, -1.4, 60, 1.4)), feature("floor", box(-1.4, 1.6, 60, 40))]
     plan = pdr.FloorPlan.read(write(tmp_path / "p.geojson", hall))
     beside = pdr.PositionFix(0.0, [0.0, 1.5], np.diag([0.25, 9.0]))
-    first = WALK.truth.position.time_s[np.argmax(WALK.truth.position.east_m > 39.0)]  # its way to the first corner
+    first = WALK.truth.position.time_s[np.argmax(WALK.truth.position.east_m > 39.0)]  # time of the first corner
     track = pdr.track(WALK, begun(plan, beside), fixes=[pdr.HeadingFix(3.0, math.pi / 2, 0.1)])
     before = int(np.searchsorted(track.time_s, first)) - 1
     in_corridor = sum(c.share for c in track.clusters[before] if c.position_m[1] < 1.5)
     assert in_corridor > 0.85
 
 
-def test_a_walk_that_began_anywhere_is_found_and_sure_only_then(plan: pdr.FloorPlan) -> None:
+def test_a_walk_with_an_unknown_start_is_found_and_has_a_high_probability_only_then(plan: pdr.FloorPlan) -> None:
     track = pdr.track(WALK, plan=plan, start="anywhere")
     share = np.array([clusters[0].share for clusters in track.clusters])
     assert sum(c.share for c in track.clusters[0]) == pytest.approx(0.5, abs=0.01)  # few particles for many places
@@ -297,7 +297,7 @@ def test_a_walk_that_began_anywhere_is_found_and_sure_only_then(plan: pdr.FloorP
     assert np.linalg.norm(track.position_m[0] - track.start_position_m) == pytest.approx(track.step_length_m[0])
 
 
-def test_a_walk_that_did_not_begin_where_it_was_said_to_is_lost_and_doubted(plan: pdr.FloorPlan) -> None:
+def test_a_walk_with_a_wrong_start_loses_its_probability_and_gives_a_note(plan: pdr.FloorPlan) -> None:
     wrong = pdr.PositionFix(0.0, [25.0, 18.0], 0.25 * np.eye(2))
     config = begun(plan, wrong)
     assert config.on_plan is not None
@@ -309,7 +309,7 @@ def test_a_walk_that_did_not_begin_where_it_was_said_to_is_lost_and_doubted(plan
     assert any("nothing on the plan fits" in note for note in track.notes)
 
 
-def test_a_walk_begins_in_the_room_that_is_named(plan: pdr.FloorPlan) -> None:
+def test_a_walk_starts_in_the_named_room(plan: pdr.FloorPlan) -> None:
     track = pdr.track(WALK, begun(plan, "west", 1000))
     assert_allclose(track.position_m[0], [3.8, 10.2], atol=1.0)
     with pytest.raises(ValueError, match="block, ground, west"):
@@ -318,7 +318,7 @@ def test_a_walk_begins_in_the_room_that_is_named(plan: pdr.FloorPlan) -> None:
         pdr.track(WALK, start="west")
 
 
-def test_a_grid_of_two_places_finds_a_walk_that_began_anywhere_and_has_the_same_bits_in_any_blocks(
+def test_grids_with_two_candidates_find_a_walk_with_an_unknown_start_for_any_blocks(
     plan: pdr.FloorPlan,
 ) -> None:
     truth, wrong = WALK.truth.position, np.array([2, 7])
@@ -349,18 +349,18 @@ def test_a_grid_of_two_places_finds_a_walk_that_began_anywhere_and_has_the_same_
 
 def test_a_grid_without_a_plan_is_refused_with_the_remedy() -> None:
     grid = pdr.GridFix(4.0, (0.0, 0.0), 3.0, np.zeros((2, 2)))
-    with pytest.raises(ValueError, match=r"give plan too.*RadioMap.fixes"):
+    with pytest.raises(ValueError, match=r"give plan as well.*RadioMap.fixes"):
         pdr.track(WALK, fixes=[grid])
-    with pytest.raises(ValueError, match=r"give plan too.*RadioMap.fixes"):
+    with pytest.raises(ValueError, match=r"give plan as well.*RadioMap.fixes"):
         pdr.OnlineFilter().add_fix(grid)
-    with pytest.raises(ValueError, match=r"give plan too.*RadioMap.fixes"):
+    with pytest.raises(ValueError, match=r"give plan as well.*RadioMap.fixes"):
         pdr.smooth(WALK, [grid])
     for wrong in ({"cell_m": 0.0}, {"log_likelihood": np.zeros(3)}, {"log_likelihood": [[np.nan]]}, {"floor": 0.5}):
         with pytest.raises(ValueError, match=next(iter(wrong))):
             replace(grid, **wrong)
 
 
-def test_in_hindsight_the_ellipse_reaches_dead_reckoning_where_the_end_is_doubted(tmp_path: Path) -> None:
+def test_the_smoothed_covariance_includes_dead_reckoning_if_the_end_is_uncertain(tmp_path: Path) -> None:
     closed = [*FEATURES, feature("room", box(4, -1.4, 38, 1.4))]  # the whole of its first corridor
     plan = pdr.FloorPlan.read(write(tmp_path / "p.geojson", closed))
     hindsight = pdr.smooth(WALK, FIXES, config=in_world(6, plan)).track
@@ -369,10 +369,10 @@ def test_in_hindsight_the_ellipse_reaches_dead_reckoning_where_the_end_is_doubte
     away_m = hindsight.position_m - pdr.track(WALK, in_world(), fixes=FIXES).position_m
     reached = np.einsum("ni,nij,nj->n", away_m, np.linalg.inv(hindsight.position_cov_m2), away_m)
     assert np.linalg.norm(away_m, axis=1).max() > 5.0
-    assert np.all(reached < 1.2 / doubt)  # of a covariance d a a' and more
+    assert np.all(reached < 1.2 / doubt)  # because the covariance is at least d a a'
 
 
-def test_later_steps_say_where_earlier_ones_were(plan: pdr.FloorPlan) -> None:
+def test_later_steps_improve_earlier_smoothed_positions(plan: pdr.FloorPlan) -> None:
     # how far along the corridor the walk began shows at the first turn
     start = pdr.PositionFix(0.0, [4.0, 0.0], np.diag([16.0, 0.25]))
     config = begun(plan, start)
@@ -385,16 +385,16 @@ def test_later_steps_say_where_earlier_ones_were(plan: pdr.FloorPlan) -> None:
         pdr.smooth(WALK, plan=plan, start=start, start_heading_std_rad=0.1)
 
 
-def test_a_wall_across_the_corridor_is_passed_and_the_contradiction_is_said(tmp_path: Path) -> None:
+def test_a_wall_across_the_corridor_is_crossed_with_a_note(tmp_path: Path) -> None:
     closed = [*FEATURES, feature("wall", line((38.0, 9), (42.0, 9)))]
     plan = pdr.FloorPlan.read(write(tmp_path / "p.geojson", closed))
     track = pdr.track(WALK, in_world(), fixes=FIXES, plan=plan)
     assert errors_m(track, WALK)[-1] < 2.0
-    said = ("goes through a wall: a door that the plan lacks?", "enters block, to which the plan has no door")
+    said = ("crosses a wall: check whether the plan lacks a door", "enters block, to which the plan has no door")
     assert any(words in note for note in track.notes for words in said)
 
 
-def test_a_plan_of_another_building_is_said_to_be_of_no_use(tmp_path: Path) -> None:
+def test_a_plan_of_another_building_gives_a_note_that_nothing_fits(tmp_path: Path) -> None:
     plan = pdr.FloorPlan.read(write(tmp_path / "p.geojson", turned(FEATURES, 1.2)))
     alone = pdr.track(WALK, in_world(), fixes=FIXES)
     misled = [pdr.track(WALK, in_world().with_plan(plan, seed=seed), fixes=FIXES) for seed in range(3)]
@@ -402,7 +402,7 @@ def test_a_plan_of_another_building_is_said_to_be_of_no_use(tmp_path: Path) -> N
     assert np.median([np.median(errors_m(track, WALK)) for track in misled]) < np.median(errors_m(alone, WALK)) + 4.0
 
 
-def test_a_thousand_particles_are_a_hundred_times_as_fast_as_the_walk(plan: pdr.FloorPlan) -> None:
+def test_a_thousand_particles_run_much_faster_than_real_time(plan: pdr.FloorPlan) -> None:
     from time import process_time
 
     times = []

@@ -1,4 +1,4 @@
-"""A plan in degrees takes the locations of a recording; one in metres does not know where they are."""
+"""Plans in degrees use the locations of a recording; plans in metres cannot, because their position is unknown."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ WALK = round_the_block()
 
 @pytest.fixture(scope="module")
 def located() -> pdr.Recording:
-    """With a location of 3 m each second while the walk is in the first corridor."""
+    """Walk with a location every second, with an error of 2 m and an accuracy of 3 m, in the first corridor."""
     truth = WALK.truth.position
     assert truth is not None
     time_s, rng = np.arange(0.5, 35.0), np.random.default_rng(0)
@@ -27,7 +27,7 @@ def located() -> pdr.Recording:
     return replace(WALK, location=pdr.Samples(time_s, rows))
 
 
-def test_a_plan_in_degrees_takes_the_locations_of_the_recording(located: pdr.Recording, tmp_path: Path) -> None:
+def test_a_plan_in_degrees_uses_the_locations_of_the_recording(located: pdr.Recording, tmp_path: Path) -> None:
     plan = pdr.FloorPlan.read(write(tmp_path / "plan.geojson", in_degrees(FEATURES, HERE)), origin=HERE)
     track = pdr.track(located, plan=plan)
     assert track.frame == "plan" and track.origin == HERE
@@ -35,7 +35,7 @@ def test_a_plan_in_degrees_takes_the_locations_of_the_recording(located: pdr.Rec
     assert errors_m(track, WALK)[-1] < 2.0
 
 
-def test_a_plan_in_metres_leaves_locations_out_and_refuses_them_where_they_are_asked_for(
+def test_a_plan_in_metres_ignores_locations_and_refuses_a_request_to_use_them(
     located: pdr.Recording, tmp_path: Path
 ) -> None:
     plan = pdr.FloorPlan.read(write(tmp_path / "plan.geojson"))

@@ -1,4 +1,4 @@
-"""A plan is drawn under the track, and the command says what it was understood to be."""
+"""Plans are drawn below the track, and the command prints a summary of a plan."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ def run(*arguments: object) -> str:
 
 
 def plan_of(page: str) -> list[dict[str, Any]]:
-    """The shapes that the page of a track draws."""
+    """Return the shapes that the page of a track draws."""
     found = re.search(r'<script id="data" type="application/json">(.*?)</script>', page)
     assert found is not None
     return json.loads(found[1])["tracks"][0]["plan"]
 
 
-def test_plot_and_report_have_the_plan_under_the_track(plan_file: Path) -> None:
+def test_plot_and_report_draw_the_plan_below_the_track(plan_file: Path) -> None:
     plan = pdr.FloorPlan.read(plan_file)
     start = pdr.PositionFix(0.0, [0.0, 0.0], np.eye(2))
     track = pdr.track(round_the_block(), plan=plan, start=start)
@@ -58,7 +58,7 @@ def test_the_picture_of_a_plan_names_its_rooms(plan_file: Path, tmp_path: Path) 
     assert (tmp_path / "plan.png").stat().st_size > 1000
 
 
-def test_the_command_says_what_a_plan_is(plan_file: Path, tmp_path: Path) -> None:
+def test_the_command_prints_a_summary_of_a_plan(plan_file: Path, tmp_path: Path) -> None:
     text = run("plan", plan_file, "--out", tmp_path)
     assert "42.4 m" in text and "2 room" in text and "drawn" in text
     assert (tmp_path / "storey.png").exists()

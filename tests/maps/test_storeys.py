@@ -1,4 +1,4 @@
-"""Several storeys in one plan, and stairs and lifts as evidence of where the walk is."""
+"""Plans with several storeys, and stairs and lifts as evidence of the position."""
 
 from __future__ import annotations
 
@@ -43,19 +43,19 @@ def tracked(
     return pdr.track(WALK, replace(config, on_plan=replace(config.on_plan, n_most=n_most)), fixes=fixes)
 
 
-def test_after_stairs_the_walls_are_those_of_the_storey_above(tmp_path: Path) -> None:
+def test_after_stairs_the_walls_are_those_of_the_upper_storey(tmp_path: Path) -> None:
     alone = pdr.track(WALK, pdr.recipes.default().in_world_frame(), fixes=FIXES)
     kept = tracked(tmp_path, [*BELOW, *ABOVE], fixes=FIXES)
     upstairs = kept.floor == 1
     assert upstairs.sum() > 30
     assert errors_m(kept, WALK)[-1] < 1.0 < 1.3 < errors_m(alone, WALK)[-1]
     assert kept.notes == alone.notes
-    # by the walls of below it would leave the outline, where nothing fits
+    # with the lower storey alone it would leave the outline, where nothing fits
     elsewhere = tracked(tmp_path, BELOW, fixes=FIXES)
     assert any("leaves the outline" in note or "nothing on the plan fits" in note for note in elsewhere.notes)
 
 
-def test_on_a_storey_that_is_not_drawn_the_steps_lead_alone(tmp_path: Path) -> None:
+def test_on_a_storey_without_a_plan_the_track_is_dead_reckoning(tmp_path: Path) -> None:
     far_above = [{**f, "properties": {**f["properties"], "floor": 7}} for f in ABOVE]
     alone = pdr.track(WALK, pdr.recipes.default().in_world_frame(), fixes=FIXES)
     track = tracked(tmp_path, [*BELOW, *far_above], fixes=FIXES)
@@ -65,8 +65,8 @@ def test_on_a_storey_that_is_not_drawn_the_steps_lead_alone(tmp_path: Path) -> N
     assert track.position_std_m[-1] > track.position_std_m[track.floor == 0][-1]
 
 
-def test_steps_on_stairs_are_made_where_stairs_are_drawn(tmp_path: Path) -> None:
-    # how far along the corridor the walk began is not known, and no wall shows it
+def test_steps_on_stairs_place_the_walk_on_the_drawn_stairs(tmp_path: Path) -> None:
+    # the position of the start along the corridor is unknown, and no wall reveals it
     corridor = feature("floor", box(-30.0, -2.2, 70.0, 1.2))
     start = pdr.PositionFix(0.0, [4.0, 0.0], np.diag([9.0, 0.1]))
     heading = pdr.HeadingFix(5.0, math.pi / 2, 0.05)

@@ -248,6 +248,30 @@ def test_a_calibration_fits_an_own_step_length_in_a_context_with_an_own_name(ren
     np.testing.assert_allclose(own.k["walking"], calibration.k["level"], rtol=0.02)
 
 
+@pytest.mark.parametrize("model_name", [None, "kim"])
+def test_a_person_is_calibrated_by_a_named_model_in_the_context_of_walking_whatever_its_name(
+    renamed_config: pdr.Config, model_name: str | None, tmp_path: Path
+) -> None:
+    walk = simulate(
+        [Leg("walking", distance_m=25.0), Leg("stationary", duration_s=3.0)] * 4, Gait(height_m=1.8), seed=4
+    )
+    renamed = pdr.calibrate(walk, config=renamed_config, model=model_name)
+    assert renamed.main_context == "level"
+    person = renamed.subjects["simulated"]
+    assert person.k0 == person.k["level"][0]
+    if model_name is not None:
+        usual = pdr.calibrate(walk, config=pdr.recipes.default(walk.subject), model=model_name)
+        assert person.k0 == pytest.approx(usual.subjects["simulated"].k0, rel=1e-4)
+    assert "level" in renamed.report()
+    again = pdr.track(walk, config=renamed_config, calibration=renamed.save(tmp_path / "anna"))
+    assert again.distance_m == pytest.approx(100.0, rel=0.03)
+
+
+def test_a_walk_in_a_context_of_ones_own_is_not_simulated() -> None:
+    with pytest.raises(ValueError, match="got 'treadmill': simulate a movement that is like it, and rename the labels"):
+        Leg("treadmill", duration_s=10.0)
+
+
 def test_transitions_come_from_the_model_else_from_what_the_modes_mean(model: pdr.ContextModel) -> None:
     default = pdr.recipes.default()
     known = np.array([[0.9, 0.05, 0.05], [0.1, 0.8, 0.1], [0.02, 0.03, 0.95]])  # level, resting, treadmill

@@ -20,7 +20,7 @@ from pdr_filter.cli.index_page import write_index
 from pdr_filter.report import palette
 from pdr_filter.report.html import html_report, write_report
 from pdr_filter.tracking.track import Track
-from pdr_filter.values import Cluster, IntArray
+from pdr_filter.values import Cluster, FixResult, IntArray, RangeFix
 from pdr_filter.values.recording import Recording
 
 pytestmark = pytest.mark.skipif(not BROWSER, reason="no Chromium on this machine")
@@ -278,6 +278,16 @@ def test_places_where_a_walk_may_be_are_drawn_for_the_step_that_is_shown(
     scrub(browser, 30.0)
     assert "#BB3333" not in colours_of(browser, "#map")
     assert "places" not in shown(browser)
+
+
+def test_anchors_of_ranges_are_drawn_and_can_be_hidden(browser: Browser, track: Track, tmp_path: Path) -> None:
+    fix = FixResult.of(RangeFix(5.0, np.array([300.0, -4.0]), 6.0, 0.3), 5.0, "used")
+    browser.open(write_report(replace(track, fixes=(fix,)), tmp_path / "page.html"))
+    place = browser.value("(r => [r.left, r.width])(document.querySelector('#map .anchor').getBoundingClientRect())")
+    assert 0 < place[0] < browser.value("innerWidth") and place[1] > 0
+    browser.click("[name=anchors]")
+    assert browser.value("document.querySelectorAll('#map .anchor').length") == 0
+    assert browser.complaints == []
 
 
 def test_a_walk_over_storeys_has_a_profile_and_two_ways_to_colour_it(

@@ -24,7 +24,7 @@ from pdr_filter.report.html import html_report, write_report
 from pdr_filter.report.page_data import track_data
 from pdr_filter.tracking import trust_report as trust
 from pdr_filter.tracking.track import Track
-from pdr_filter.values import CONTEXTS, RADIUS_95, Fix, FloorPassage, PositionFix
+from pdr_filter.values import CONTEXTS, RADIUS_95, Fix, FixResult, FloorPassage, PositionFix, RangeFix
 from pdr_filter.values.recording import Recording
 
 HOSTILE = '<script>alert(\'x\')</script>"><img src=x onerror="alert(1)">&amp;\x00\x1b\u202e\udc80 ]]>'
@@ -320,6 +320,12 @@ def test_numbers_that_mean_nothing_are_left_out(track: Track, value: float) -> N
     assert seen["major"][-1] is None
     assert seen["ellipses"][-1] < len(seen["number"]) - 1
     assert not re.search(r"\bNaN\b|Infinity|e\+\d", Seen(page).scripts[0])
+
+
+def test_anchors_of_used_ranges_are_given(track: Track) -> None:
+    fix = FixResult.of(RangeFix(5.0, np.array([3.25, -4.0, 2.0]), 6.0, 0.3), 5.0, "used")
+    assert given(html_report(replace(track, fixes=(fix,))))[0]["anchors"] == {"east": [3.25], "north": [-4.0]}
+    assert "anchors" not in given(html_report(replace(track, fixes=(replace(fix, outcome="waiting"),))))[0]
 
 
 def test_fixes_that_were_not_used_are_told(recording: Recording) -> None:

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import pdr_filter as pdr
-from pdr_filter.sensing.clock import CLOCK_RESET_SAMPLES, ClockState, follow, one_clock
+from pdr_filter.sensing.clock import CLOCK_RESET_SAMPLES, ClockState, accept_rows, one_clock
 from pdr_filter.sensing.conditioning import Conditioner
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import HeadingFix, ImuBlock, PositionFix, Samples, Standstill, Wifi
@@ -24,7 +24,7 @@ def followed(time_s: np.ndarray, *more: np.ndarray) -> tuple[ClockState, np.ndar
     """State, accepted times and jumps of a clock."""
     clock, accepted, n_jumps = ClockState(), list[np.ndarray](), 0
     for part in (time_s, *more):
-        clock, rows, _, jumps = follow(clock, np.column_stack([part, part]), 0.3)
+        clock, rows, _, jumps = accept_rows(clock, np.column_stack([part, part]), 0.3)
         accepted.append(rows[:, 0])
         n_jumps += jumps
     return clock, np.concatenate(accepted), n_jumps
@@ -80,7 +80,7 @@ def test_a_clock_that_stands_still_is_deaf_and_says_so() -> None:
     assert (len(accepted_s), n_jumps) == (500, 0)
     assert clock.n_deaf == 400
     report = condition(Conditioner(), [imu(time_s)])[0].report
-    assert any("nothing accepted since 5.0 s" in note for note in report.notes())
+    assert any("no sample accepted since 5.0 s" in note for note in report.notes())
 
 
 def test_a_clock_that_stands_still_in_the_past_is_not_followed() -> None:

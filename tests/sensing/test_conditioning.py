@@ -408,5 +408,5 @@ def test_specific_force_in_g_is_said_to_be_wrong() -> None:
 @pytest.mark.parametrize("offset_s", [1e6, 200.0, -3600.0])
 def test_a_gyroscope_on_another_clock_is_refused_by_name(offset_s: float) -> None:
     time_s = np.arange(0.0, 5.0, 0.01)
-    with pytest.raises(ValueError, match=r"gyroscope: its times, .* are outside those of the accelerometer.*leave"):
+    with pytest.raises(ValueError, match=r"gyroscope: its times, .* are outside those of the accelerometer.*remove the stream"):
         merge_streams(recording(Samples(time_s + offset_s, linear(time_s))))

@@ -34,7 +34,7 @@ def give(force: FloatArray, rate: FloatArray, n: int = 50, time_s: FloatArray = 
     ("wrong", "words"),
     [
         (lambda f: f / 9.80665, "this looks like g units; multiply by 9.80665"),
-        (lambda f: f - GRAVITY, "if gravity was removed, record the accelerometer itself"),
+        (lambda f: f - GRAVITY, "if gravity was removed, record the raw accelerometer"),
         (lambda f: f * 9.80665, "must be specific force in m/s2, about 9.81 at rest"),
     ],
     ids=["g", "without gravity", "twice"],
@@ -83,8 +83,8 @@ def test_a_sensor_that_wakes_up_with_zeros_is_noted_no_longer_when_it_is_right()
     [
         (1e9, 1.7e18, "divide milliseconds by 1e3, nanoseconds by 1e9"),
         (1e3, 1.7e12, "divide milliseconds by 1e3"),
-        (1e3, 0.0, "they look like milliseconds, convert them to seconds"),
-        (1e9, 0.0, "they look like nanoseconds, convert them to seconds"),
+        (1e3, 0.0, "the times look like milliseconds, convert them to seconds"),
+        (1e9, 0.0, "the times look like nanoseconds, convert them to seconds"),
     ],
 )
 def test_times_that_are_no_seconds_are_refused(factor: float, begin: float, words: str) -> None:

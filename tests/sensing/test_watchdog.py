@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import pdr_filter as pdr
 from pdr_filter.sensing.conditioning import MAX_FIELD_UT, Conditioner
-from pdr_filter.sensing.stuck_sensors import watch, watchdog
+from pdr_filter.sensing.stuck_sensors import init_watchdog, remove_stuck_values
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import Samples
 from pdr_filter.values.recording import Recording
@@ -29,7 +29,7 @@ def moving(n: int) -> np.ndarray:
 
 
 def watched(motion: np.ndarray) -> np.ndarray:
-    return watch(watchdog(), np.arange(len(motion)) / RATE_HZ, motion)[1]
+    return remove_stuck_values(init_watchdog(), np.arange(len(motion)) / RATE_HZ, motion)[1]
 
 
 @pytest.mark.parametrize("axis", [3, 4, 5])
@@ -73,9 +73,9 @@ def test_a_dead_sensor_is_found_alike_in_any_blocks(cuts: list[int]) -> None:
     motion[300:900, 4] = 0.0
     motion[800:1300, 2] = 1.0
     motion[100:130, 3:] = np.nan
-    time_s, state, found = np.arange(1500) / RATE_HZ, watchdog(), list[np.ndarray]()
+    time_s, state, found = np.arange(1500) / RATE_HZ, init_watchdog(), list[np.ndarray]()
     for part in np.split(np.arange(1500), sorted(cuts)):
-        state, result = watch(state, time_s[part], motion[part])
+        state, result = remove_stuck_values(state, time_s[part], motion[part])
         found.append(result)
     np.testing.assert_array_equal(np.concatenate(found), watched(motion))
 
@@ -95,7 +95,7 @@ def test_the_heading_of_a_dead_gyroscope_is_unknown_and_said_to_be(walk: Recordi
     values[:, first_axis:] = 0.0
     dead = pdr.track(replace(walk, gyroscope=Samples(walk.gyroscope.time_s, values)))
     plain = pdr.track(walk)
-    assert any("gyroscope gave one number" in note for note in dead.notes)
+    assert any("gyroscope was stuck at one value" in note for note in dead.notes)
     assert not any("one number" in note for note in plain.notes)
     off_m = np.linalg.norm(dead.position_m[-1] - plain.position_m[-1])
     assert off_m < 3.0 * np.sqrt(np.trace(dead.position_cov_m2[-1]))

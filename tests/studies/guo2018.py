@@ -20,7 +20,7 @@ from pdr_filter.evaluate.classification import accuracy, confusion_matrix, kappa
 from pdr_filter.evaluate.steps import count_error_percent
 from pdr_filter.filter.step_length.models import StepLengthFit
 from pdr_filter.offline.training import guo2018_training as train_guo
-from pdr_filter.offline.training.cross_validation import leave_out, recordings_of
+from pdr_filter.offline.training.cross_validation import predict_held_out, recordings_of
 from pdr_filter.recipes import for_recording
 from pdr_filter.recipes.config import Config
 from pdr_filter.recipes.guo2018.recipe import chen_fit
@@ -81,7 +81,7 @@ def classified_poses(data: Path) -> Classified | None:
     for fold in folds:
         test = fold & real
         if test.any():
-            prob = leave_out(train_guo.PLAN, windows, fold).prob[:, columns]
+            prob = predict_held_out(train_guo.PLAN, windows, fold).prob[:, columns]
             predicted.append(prob.argmax(axis=1))
             truth.append(np.array([POSES.index(mode) for mode in windows.carrying_mode[test]]))
     found = tuple(str(d) for d in np.unique(windows.dataset[real]))

@@ -1,4 +1,4 @@
-"""The altitude of a walk: that of its start from a phone's locations, and how files say it."""
+"""Altitude of a track: estimated from the locations of a phone, and written to files."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ START_M, NOISE_M = 519.0, 6.0
 
 @pytest.fixture(scope="module")
 def walk() -> Recording:
-    """Up a storey, with a barometer and locations whose altitudes are off by some metres."""
+    """A walk up one storey, with a barometer and with locations whose altitudes have errors of some metres."""
     legs = [Leg("walking", distance_m=50.0), Leg("upstairs", distance_m=9.0), Leg("walking", distance_m=50.0)]
     bare = simulate(legs, seed=4, name="walk", errors=SensorErrors(barometer=BAROMETER))
     truth = bare.truth.position
@@ -61,25 +61,25 @@ def known_from(fixes: Sequence[PositionFix], heights_m: Sequence[float]) -> Alti
 # --- of the start -----------------------------------------------------------------------------------------------------
 
 
-def test_altitudes_less_heights_are_averaged_by_how_sure_they_are() -> None:
+def test_altitudes_minus_heights_are_averaged_with_inverse_variance_weights() -> None:
     known = known_from([fix(103.0, 2.0), fix(110.0, 4.0)], [0.0, 6.0])
     assert known.altitude_m == pytest.approx((103.0 / 4.0 + 104.0 / 16.0) / (1 / 4.0 + 1 / 16.0))
     assert known.var_m2 == pytest.approx(1.0 / (1 / 4.0 + 1 / 16.0))
 
 
-def test_many_altitudes_of_one_moment_are_hardly_more_than_one() -> None:
+def test_many_simultaneous_altitudes_have_little_more_weight_than_one() -> None:
     known = known_from([fix(100.0, 3.0, 0.01 * k, correlation_s=20.0) for k in range(100)], np.zeros(100).tolist())
     assert known.altitude_m == pytest.approx(100.0)
     assert 0.9 < math.sqrt(known.var_m2) / 3.0 <= 1.0
 
 
-def test_an_altitude_that_is_far_off_moves_that_of_the_start_by_less_than_a_standard_deviation() -> None:
+def test_an_outlying_altitude_moves_the_altitude_of_the_start_by_less_than_a_standard_deviation() -> None:
     good = [fix(100.0, 3.0) for _ in range(9)]
     known = known_from([*good, fix(1100.0, 3.0)], [0.0] * 10)
     assert abs(known.altitude_m - 100.0) < 1.0
 
 
-def test_a_walk_knows_the_altitude_of_its_start_and_of_each_step(walk: Recording, track: pdr.Track) -> None:
+def test_a_track_has_the_altitude_of_its_start_and_of_each_step(walk: Recording, track: pdr.Track) -> None:
     for found in (track, pdr.track(walk, gnss="align")):
         assert found.origin is not None
         assert found.altitude_m is not None
@@ -91,8 +91,8 @@ def test_a_walk_knows_the_altitude_of_its_start_and_of_each_step(walk: Recording
         assert found.height_m[-1] > 1.5  # which the barometer shows: the altitude of the end is not that of the start
 
 
-def test_an_app_knows_it_as_a_recording_does(walk: Recording, track: pdr.Track) -> None:
-    # the magnetic field as `pdr.track` uses it, with the declination of the place
+def test_an_online_filter_has_the_same_altitude_as_a_track_of_the_recording(walk: Recording, track: pdr.Track) -> None:
+    # `pdr.track` uses the magnetic field with the declination of the place by default
     config = recipes.default().with_magnetic_north(HERE.declination_rad())
     online = pdr.OnlineFilter(config)
     location, barometer = walk.location, walk.barometer
@@ -109,7 +109,7 @@ def test_an_app_knows_it_as_a_recording_does(walk: Recording, track: pdr.Track) 
 
 
 @pytest.mark.parametrize("altitude_m", [0.0, np.nan])
-def test_an_altitude_of_zero_or_nan_is_none(walk: Recording, altitude_m: float, tmp_path: Path) -> None:
+def test_an_altitude_of_zero_or_nan_is_ignored(walk: Recording, altitude_m: float, tmp_path: Path) -> None:
     assert walk.location is not None
     values = walk.location.values.copy()
     values[:, 2] = altitude_m
@@ -126,7 +126,7 @@ def test_an_altitude_of_zero_or_nan_is_none(walk: Recording, altitude_m: float, 
 # --- files ------------------------------------------------------------------------------------------------------------
 
 
-def test_the_summary_of_a_walk_that_climbed_has_height_and_storey_of_its_end(track: pdr.Track) -> None:
+def test_the_summary_of_a_walk_with_climbs_has_the_height_and_storey_of_its_end(track: pdr.Track) -> None:
     summary = track.summary()
     assert summary["end_height_m"] == pytest.approx(track.height_m[-1], abs=1e-3)
     assert summary["end_height_std_m"] == pytest.approx(track.height_std_m[-1], abs=1e-3)
@@ -148,8 +148,8 @@ def test_files_have_the_altitude_where_it_is_known(track: pdr.Track, tmp_path: P
 
 @pytest.mark.parametrize(
     ("altitude_m", "std_m", "words"),
-    [(5.0, None, "belong together"), (np.inf, 1.0, "must be finite"), (5.0, 0.0, "give a positive one")],
+    [(5.0, None, "must be given together"), (np.inf, 1.0, "must be finite"), (5.0, 0.0, "give a positive one")],
 )
-def test_a_fix_whose_altitude_cannot_be_meant_is_refused(altitude_m: float, std_m: float | None, words: str) -> None:
+def test_a_fix_with_an_invalid_altitude_is_refused(altitude_m: float, std_m: float | None, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         PositionFix(0.0, np.zeros(2), np.eye(2), altitude_m=altitude_m, altitude_std_m=std_m)

@@ -1,4 +1,4 @@
-"""What is known at this moment: cheap, without a trace, ahead of the accepted steps, and as JSON."""
+"""Estimate at the time of the newest sample: repeatable, ahead of the accepted steps, and convertible to JSON."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pdr_filter as pdr
 from pdr_filter import recipes
 from pdr_filter.filter.fixes.alignment import Place
 from pdr_filter.simulate import Leg, simulate
-from pdr_filter.tracking.extrapolation import _ACROSS_SHARE, _ALONG_SHARE, _further, _on_plan
+from pdr_filter.tracking.extrapolation import _ACROSS_SHARE, _ALONG_SHARE, _extrapolated, _on_plan
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, FixResult, OnPlan, PositionFix
 
 LEGS = [Leg("stationary", duration_s=4.0), Leg("walking", distance_m=25.0), Leg("stationary", duration_s=6.0)]
@@ -21,14 +21,14 @@ SAMPLES = pdr.merge_streams(WALK)
 
 
 def walked(online: pdr.OnlineFilter, until_s: float = np.inf) -> Iterator[pdr.Now]:
-    """What is known after each tenth of a second."""
+    """Return the estimates after each tenth of a second."""
     for i in range(0, int(np.searchsorted(SAMPLES.time_s, until_s)), 10):
         part = slice(i, i + 10)
         online.push(SAMPLES.time_s[part], SAMPLES.specific_force_mps2[part], SAMPLES.angular_rate_radps[part])
         yield online.now()
 
 
-def test_now_changes_nothing_and_says_the_same_again() -> None:
+def test_now_does_not_change_the_filter_and_is_repeatable() -> None:
     online = pdr.OnlineFilter()
     now = next(now for now in walked(online) if now.n_steps > 10 and now.provisional_steps)
     blob = online.save()
@@ -62,7 +62,7 @@ def test_the_position_of_now_is_nearer_to_the_track_that_is_accepted_later_than_
     assert np.median(shown) < 0.25 * np.median(accepted)
 
 
-def test_what_is_ahead_of_the_accepted_steps_is_said_to_be_provisional_and_covers_more() -> None:
+def test_a_position_ahead_of_the_accepted_steps_is_provisional_and_has_a_larger_covariance() -> None:
     online, n_ahead = pdr.OnlineFilter(), 0
     for now in walked(online):
         n_ahead += bool(now.provisional_steps)
@@ -75,7 +75,7 @@ def test_what_is_ahead_of_the_accepted_steps_is_said_to_be_provisional_and_cover
     np.testing.assert_array_equal(now.position_m, online.position_m)
 
 
-def test_somebody_who_walks_has_a_speed_and_a_context_and_one_who_stands_none() -> None:
+def test_a_walking_pedestrian_has_a_speed_and_a_context_and_a_standing_one_has_none() -> None:
     seen = list(walked(pdr.OnlineFilter()))
     walking, now = [now for now in seen if 10.0 < now.time_s < 18.0], seen[-1]
     assert len(walking) > 75
@@ -87,7 +87,7 @@ def test_somebody_who_walks_has_a_speed_and_a_context_and_one_who_stands_none() 
     assert now.distance_m == pytest.approx(25.0, rel=0.15)
 
 
-def test_a_gyroscope_on_another_clock_leads_nobody_on_and_the_note_names_the_remedy() -> None:
+def test_a_gyroscope_on_another_clock_does_not_move_the_position_and_the_note_names_the_remedy() -> None:
     online, ahead_m = pdr.OnlineFilter(), list[float]()
     force, rate = WALK.accelerometer, WALK.streams["gyroscope"]
     for second in range(20):
@@ -98,7 +98,9 @@ def test_a_gyroscope_on_another_clock_leads_nobody_on_and_the_note_names_the_rem
         ahead_m.append(float(np.linalg.norm(now.position_m - online.position_m)))
     assert now.n_steps > 10
     assert 0.5 < max(ahead_m) < 10.0
-    assert any("accelerometer: silent" in note and "all sensors need one" in note for note in online.notes)
+    assert any(
+        "accelerometer: no samples since" in note and "put all sensors on one clock" in note for note in online.notes
+    )
 
 
 def test_now_before_any_sample_is_empty() -> None:
@@ -107,7 +109,7 @@ def test_now_before_any_sample_is_empty() -> None:
     assert now.to_dict()["time_s"] is None
 
 
-def test_rates_are_those_of_each_sensor() -> None:
+def test_rates_are_reported_for_each_sensor() -> None:
     online = pdr.OnlineFilter()
     time_s = np.arange(300) / 100.0
     online.push_accelerometer(time_s, np.tile([0.0, 0.0, 9.8], (300, 1)))
@@ -121,7 +123,7 @@ def test_rates_are_those_of_each_sensor() -> None:
     }
 
 
-def test_everything_becomes_json_without_nan() -> None:
+def test_now_and_updates_convert_to_json_without_nan() -> None:
     online = pdr.OnlineFilter()
     online.add_fix(PositionFix(12.0, np.zeros(2), np.eye(2)))
     *_, now = walked(online, until_s=16.0)
@@ -141,24 +143,24 @@ def test_everything_becomes_json_without_nan() -> None:
     assert json.loads(json.dumps([content, step, result], allow_nan=False)) == [content, step, result]
 
 
-def test_what_is_no_fix_is_refused_in_words() -> None:
-    words = r"a fix must be a PositionFix, .*got \(30.0, 1.0, 1.0\); a position is PositionFix\(time_s"
+def test_an_object_that_is_not_a_fix_is_refused_with_a_remedy() -> None:
+    words = r"a fix must be a PositionFix, .*got \(30.0, 1.0, 1.0\); for a position give PositionFix\(time_s"
     with pytest.raises(ValueError, match=words):
         pdr.OnlineFilter().add_fix((30.0, 1.0, 1.0))  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=words):
         pdr.track(WALK, fixes=[(30.0, 1.0, 1.0)])  # type: ignore[list-item]
 
 
-def test_who_turns_while_walking_on_goes_along_the_chord_of_the_turn() -> None:
+def test_extrapolation_during_a_turn_follows_the_chord_of_the_turn() -> None:
     there = Place(np.zeros(2), np.zeros((2, 2)), heading_rad=np.pi / 2, n_steps=3)  # to the east now, to the north then
-    ahead = _further(there, 2.0, turned_rad=np.pi / 2)
+    ahead = _extrapolated(there, 2.0, turned_rad=np.pi / 2)
     np.testing.assert_allclose(ahead.position_m, [2**0.5, 2**0.5])
     along, across = np.linalg.eigvalsh(ahead.cov_m2)[::-1] ** 0.5 / 2.0
     assert (along, across) == pytest.approx((_ALONG_SHARE, _ACROSS_SHARE))
     assert np.array([1.0, 1.0]) @ ahead.cov_m2 @ [1.0, 1.0] > np.array([1.0, -1.0]) @ ahead.cov_m2 @ [1.0, -1.0]
 
 
-def test_a_place_that_is_surer_ahead_than_behind_keeps_a_covariance_on_a_plan() -> None:
+def test_the_covariance_on_a_plan_stays_valid_if_the_extrapolated_position_is_more_certain() -> None:
     behind = Place(np.zeros(2), 4.0 * np.eye(2), heading_rad=0.0, n_steps=3)
     ahead = Place(np.array([0.0, 1.0]), np.diag([1.0, 9.0]), heading_rad=0.0, n_steps=4)
     there = OnPlan(np.array([5.0, 5.0]), 0.25 * np.eye(2), np.pi / 2, (), 100, 80.0)

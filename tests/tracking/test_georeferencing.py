@@ -1,4 +1,4 @@
-"""Tracks with a place and a heading that somebody gives them, and the one number for how sure a position is."""
+"""Tracks with a given origin and heading, and the standard deviation of a position as one number."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ HERE = (48.137, 11.575)
 
 @pytest.fixture(scope="module")
 def walk() -> Recording:
-    """First 30 m, then 20 m to the right."""
+    """A walk of 30 m straight ahead, then 20 m to the right."""
     legs = [Leg("walking", distance_m=30.0), Leg("walking", distance_m=20.0, turn_rad=np.pi / 2)]
     return simulate(legs, seed=3, name="walk")
 
@@ -33,7 +33,7 @@ def alone(walk: Recording) -> pdr.Track:
 
 
 def located(walk: Recording) -> Recording:
-    """With locations that all say the same place."""
+    """Return the walk with constant locations."""
     time_s = np.arange(1.0, walk.duration_s, 2.0)
     return replace(walk, location=Samples(time_s, np.tile([*HERE, 520.0, 6.0], (len(time_s), 1))))
 
@@ -46,12 +46,12 @@ def random_cov_m2(n: int = 50) -> np.ndarray:
     return root @ root.swapaxes(1, 2)
 
 
-def test_the_radii_hold_68_and_95_percent_of_a_round_normal() -> None:
+def test_the_radii_contain_68_and_95_percent_of_a_circular_normal_distribution() -> None:
     assert chi2.cdf(RADIUS_68**2, 2) == pytest.approx(0.6827, abs=1e-3)
     assert chi2.cdf(RADIUS_95**2, 2) == pytest.approx(0.95, abs=1e-5)
 
 
-def test_the_ellipse_that_is_drawn_holds_95_percent_by_the_deviation_in_its_worst_direction() -> None:
+def test_the_drawn_ellipse_has_the_semi_axis_of_95_percent_in_its_least_certain_direction() -> None:
     cov_m2 = random_cov_m2()
     np.testing.assert_allclose(RADIUS_95 * worst_std_m(cov_m2), ellipse_axes(cov_m2)[0][:, 1], rtol=1e-9)
 
@@ -64,7 +64,7 @@ def test_no_direction_has_a_larger_standard_deviation_than_the_worst() -> None:
         assert np.max(np.std(error_m @ along, axis=0)) == pytest.approx(worst_std_m(cov_m2), rel=0.02)
 
 
-def test_summary_report_and_words_say_the_same_of_the_end(alone: pdr.Track) -> None:
+def test_summary_report_and_description_agree_on_the_end_position(alone: pdr.Track) -> None:
     end_m = np.sqrt(np.linalg.eigvalsh(alone.position_cov_m2[-1])[-1])
     assert alone.summary()["end_std_m"] == pytest.approx(end_m, abs=1e-3)
     assert alone.how_sure == f"± {end_m:.1f} m (one standard deviation, worst direction)"
@@ -74,7 +74,7 @@ def test_summary_report_and_words_say_the_same_of_the_end(alone: pdr.Track) -> N
 # --- turned -----------------------------------------------------------------------------------------------------------
 
 
-def test_with_a_heading_the_same_walk_goes_that_way(walk: Recording, alone: pdr.Track) -> None:
+def test_a_given_heading_rotates_the_track(walk: Recording, alone: pdr.Track) -> None:
     east = pdr.track(walk, heading_rad=np.pi / 2)
     # a quarter to the right: north becomes east, east becomes south
     np.testing.assert_allclose(east.position_m, alone.position_m @ [[0, -1], [1, 0]], atol=1e-12)
@@ -84,10 +84,10 @@ def test_with_a_heading_the_same_walk_goes_that_way(walk: Recording, alone: pdr.
     np.testing.assert_allclose(east.position_cov_m2, turned, atol=1e-12)
     assert (alone.frame, east.frame, east.origin) == ("start", "north", None)
     assert "first heading" in alone.about_frame
-    assert "true north as it was given" in east.about_frame
+    assert "true north, as given" in east.about_frame
 
 
-def test_an_unsure_turn_is_in_the_covariance_as_in_turns_that_are_drawn(alone: pdr.Track) -> None:
+def test_the_covariance_of_an_uncertain_rotation_equals_that_of_sampled_rotations(alone: pdr.Track) -> None:
     std_rad, exact = 0.05, alone.turned(0.8)
     grown = alone.turned(0.8, std_rad).position_cov_m2 - exact.position_cov_m2
     ends_m = np.array([alone.turned(0.8 + e).position_m[-1] for e in np.random.default_rng(2).normal(0, std_rad, 4000)])
@@ -95,8 +95,8 @@ def test_an_unsure_turn_is_in_the_covariance_as_in_turns_that_are_drawn(alone: p
     np.testing.assert_array_equal(exact.position_std_m.round(9), alone.position_std_m.round(9))
 
 
-def test_a_track_that_knows_north_is_not_turned_again(alone: pdr.Track) -> None:
-    with pytest.raises(ValueError, match=r"true north already, got a turn of 0\.3 rad: leave it out"):
+def test_a_track_with_true_north_cannot_be_rotated(alone: pdr.Track) -> None:
+    with pytest.raises(ValueError, match=r"already true north, got turn_rad=0\.3"):
         alone.turned(1.0).turned(0.3)
 
 
@@ -104,23 +104,23 @@ def test_a_track_that_knows_north_is_not_turned_again(alone: pdr.Track) -> None:
 
 
 @pytest.mark.parametrize("turn", [(np.nan,), (np.inf,), (1.0, -0.1), (1.0, np.nan)])
-def test_a_turn_that_means_nothing_is_refused(alone: pdr.Track, turn: tuple[float, ...]) -> None:
+def test_an_invalid_rotation_is_refused(alone: pdr.Track, turn: tuple[float, ...]) -> None:
     with pytest.raises(ValueError, match=r"(turn_rad must be|std_rad must be 0 or more and) finite"):
         alone.turned(*turn)
 
 
-def test_a_track_on_a_floor_plan_is_not_turned_away_from_it(alone: pdr.Track) -> None:
+def test_a_track_on_a_floor_plan_cannot_be_rotated(alone: pdr.Track) -> None:
     plan = pdr.FloorPlan("hall", storeys=())
     with pytest.raises(ValueError, match="frame of its floor plan"):
         replace(alone, plan=plan, frame="plan").turned(1.0)
 
 
-def test_nobody_knows_the_speed_at_a_time_that_is_not_known(alone: pdr.Track) -> None:
+def test_the_speed_at_an_unknown_time_is_nan(alone: pdr.Track) -> None:
     during_s = float(alone.time_s[5]) - 0.1
     np.testing.assert_equal(np.isnan(alone.speed_mps([during_s, np.nan, -1.0])), [False, True, False])
 
 
-def test_a_track_is_placed_where_it_is_said_to_be(walk: Recording, alone: pdr.Track) -> None:
+def test_a_track_is_placed_at_the_given_origin(walk: Recording, alone: pdr.Track) -> None:
     track = pdr.track(walk, origin=HERE, heading_rad=1.1)
     assert track.origin == Origin(*HERE, turn_rad=1.1)
     np.testing.assert_array_equal(track.position_m, alone.turned(1.1).position_m)
@@ -128,41 +128,44 @@ def test_a_track_is_placed_where_it_is_said_to_be(walk: Recording, alone: pdr.Tr
     np.testing.assert_allclose(there_m, track.position_m, atol=2e-3)
 
 
-def test_what_an_origin_says_of_its_turn_and_shift_is_in_the_covariance(alone: pdr.Track) -> None:
+def test_the_covariance_includes_the_standard_deviations_of_the_origin(alone: pdr.Track) -> None:
     track = alone.placed(Origin(*HERE, turn_rad=0.4, turn_std_rad=0.1, position_std_m=3.0))
     expected = alone.turned(0.4, 0.1).position_cov_m2 + 9.0 * np.eye(2)
     np.testing.assert_allclose(track.position_cov_m2, expected)
     assert "measured, ± 6 degrees." in track.about_frame
 
 
-def test_a_place_without_a_heading_says_that_north_is_not_known(walk: Recording) -> None:
+def test_a_track_with_an_origin_but_no_heading_states_that_north_is_unknown(walk: Recording) -> None:
     track = pdr.track(walk, origin=HERE)
     assert track.frame == "start"
     assert "from the start of the walk at 48.137000, 11.575000; north is the direction" in track.about_frame
-    assert "nothing says which way is true north" in track.about_frame
+    assert "true north is unknown" in track.about_frame
 
 
-def test_a_track_may_be_placed_first_and_turned_afterwards(alone: pdr.Track) -> None:
+def test_a_track_may_be_placed_first_and_rotated_afterwards(alone: pdr.Track) -> None:
     late, at_once = alone.placed(HERE).turned(0.7, 0.1), alone.placed(Origin(*HERE, turn_rad=0.7, turn_std_rad=0.1))
     assert late.origin == at_once.origin
     np.testing.assert_array_equal(late.position_m, at_once.position_m)
     np.testing.assert_array_equal(late.position_cov_m2, at_once.position_cov_m2)
 
 
-def test_a_track_that_has_a_place_is_put_at_another_one_as_it_is(alone: pdr.Track) -> None:
+def test_a_placed_track_moves_to_another_origin_unchanged(alone: pdr.Track) -> None:
     track = alone.placed(Origin(*HERE, turn_rad=0.4))
     again = track.placed(Origin(0.0, 0.0, turn_rad=2.0))
     np.testing.assert_array_equal(again.position_m, track.position_m)
     assert abs(again.latitude_deg).max() < 1e-3
 
 
-def test_a_place_that_is_given_turns_the_locations_off_and_a_note_says_so(walk: Recording, alone: pdr.Track) -> None:
+def test_a_given_origin_disables_the_locations_with_a_note(walk: Recording, alone: pdr.Track) -> None:
     for given in ({"origin": HERE}, {"heading_rad": 0.0}):
         track = pdr.track(located(walk), **given)
         np.testing.assert_allclose(track.position_m, alone.position_m)
         assert track.fixes == ()
-        assert any("locations are not used" in note for note in track.notes)
-        assert not any("locations are not used" in note for note in pdr.track(located(walk), gnss="off", **given).notes)
+        assert any("locations of the recording were not used" in note for note in track.notes)
+        assert not any(
+            "locations of the recording were not used" in note
+            for note in pdr.track(located(walk), gnss="off", **given).notes
+        )
 
 
 def test_fixes_in_metres_of_a_map_are_placed_by_the_origin_of_the_map(walk: Recording) -> None:
@@ -173,7 +176,7 @@ def test_fixes_in_metres_of_a_map_are_placed_by_the_origin_of_the_map(walk: Reco
     assert placed.frame == "fixes"
     assert track.about_frame == "East and north are metres in the frame of the fixes."
     assert placed.about_frame.endswith("in the frame of the fixes, whose origin is at 48.137000, 11.575000.")
-    # how the frame of the start lay is no matter of the fixes; a map that is not north up is turned in words
+    # the frame of the start does not affect the frame of the fixes
     as_it_is = track.placed(Origin(*HERE, turn_rad=1.0, turn_std_rad=0.2, position_std_m=9.0))
     np.testing.assert_array_equal(as_it_is.position_m, track.position_m)
     np.testing.assert_array_equal(as_it_is.position_cov_m2, track.position_cov_m2)
@@ -188,14 +191,14 @@ def test_fixes_in_metres_of_a_map_are_placed_by_the_origin_of_the_map(walk: Reco
         ({"origin": "48,11"}, "origin must be an Origin, or"),
         ({"heading_rad": math.nan}, "heading_rad must be a finite number"),
         ({"heading_rad": "1"}, r"heading_rad must be a finite number.*'1'; 90 degrees are math.radians"),
-        ({"heading_rad": 0.1, "origin": Origin(*HERE, turn_rad=0.1)}, "are one: leave one out"),
-        ({"heading_rad": 0.1, "fixes": [HeadingFix(5.0, 0.0, 0.1)]}, "beside fixes in a frame of their own"),
+        ({"heading_rad": 0.1, "origin": Origin(*HERE, turn_rad=0.1)}, "define the same angle: leave one of them out"),
+        ({"heading_rad": 0.1, "fixes": [HeadingFix(5.0, 0.0, 0.1)]}, "together with fixes in another frame"),
         ({"origin": HERE, "gnss": "on"}, "gnss must be"),
-        ({"origin": HERE, "gnss": "filter"}, r'gnss="filter" .* and origin says them too'),
-        ({"heading_rad": 0.1, "gnss": "filter"}, "and heading_rad says them too"),
+        ({"origin": HERE, "gnss": "filter"}, r'gnss="filter" .* and origin also defines them'),
+        ({"heading_rad": 0.1, "gnss": "filter"}, "and heading_rad also defines them"),
     ],
 )
-def test_what_contradicts_itself_or_is_no_place_is_refused(
+def test_contradicting_arguments_and_invalid_origins_are_refused(
     walk: Recording, given: dict[str, object], said: str
 ) -> None:
     with pytest.raises(ValueError, match=said):
@@ -205,24 +208,24 @@ def test_what_contradicts_itself_or_is_no_place_is_refused(
 @pytest.mark.parametrize(
     "wrong", [{"height_m": math.inf}, {"turn_rad": math.nan}, {"turn_rad": 1.0, "turn_std_rad": -1.0}]
 )
-def test_an_origin_with_numbers_that_mean_nothing_is_refused(wrong: dict[str, float]) -> None:
+def test_an_origin_with_invalid_numbers_is_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match="leave it out if it is not known"):
         Origin(*HERE, **wrong)
 
 
 @pytest.mark.parametrize("place", [5, None, "ab", (1.0, 2.0, 3.0), ("48", "x"), (None, 11.0)])
-def test_what_is_no_pair_of_numbers_is_no_origin(place: Any) -> None:
+def test_an_origin_that_is_not_a_pair_of_numbers_is_refused(place: Any) -> None:
     with pytest.raises(ValueError, match="must be"):
         Origin.of(place)
 
 
 @pytest.mark.parametrize("content", [("48", 11.0), (48.0, None), (48.0, 11.0, "520")])
-def test_an_origin_that_holds_words_is_refused(content: Any) -> None:
+def test_an_origin_with_text_is_refused(content: Any) -> None:
     with pytest.raises(ValueError, match="origin"):
         Origin(*content)
 
 
-def test_how_sure_a_turn_is_needs_the_turn() -> None:
+def test_a_standard_deviation_of_the_rotation_requires_the_rotation() -> None:
     with pytest.raises(ValueError, match="give both"):
         Origin(*HERE, turn_std_rad=0.1)
 
@@ -230,7 +233,7 @@ def test_how_sure_a_turn_is_needs_the_turn() -> None:
 # --- fixes in degrees -------------------------------------------------------------------------------------------------
 
 
-def test_a_fix_in_degrees_is_the_one_in_metres() -> None:
+def test_a_fix_in_degrees_equals_the_fix_in_metres() -> None:
     origin = Origin(*HERE)
     latitude_deg, longitude_deg = (float(v) for v in origin.latitude_longitude_deg(np.array([120.0, -40.0])))
     for place in (origin, HERE):
@@ -240,7 +243,7 @@ def test_a_fix_in_degrees_is_the_one_in_metres() -> None:
         assert (fix.time_s, fix.received_time_s) == (7.0, 8.0)
 
 
-def test_higher_up_a_degree_is_longer() -> None:
+def test_a_degree_is_longer_at_a_higher_altitude() -> None:
     low, high = (Origin(*HERE, height_m=h).east_north_m(HERE[0] + 0.01, HERE[1])[1] for h in (None, 6371.0))
     assert high / low == pytest.approx(1.001, abs=1e-5)
     at = Origin(*HERE, height_m=6371.0)
@@ -265,8 +268,6 @@ def test_68_percent_are_within_the_accuracy_of_a_fix() -> None:
         (HERE, {"std_m": math.nan}, r"std_m must be a number from .* got nan"),
     ],
 )
-def test_a_fix_in_degrees_that_says_nothing_is_refused(
-    place: tuple[float, float], given: dict[str, float], said: str
-) -> None:
+def test_an_invalid_fix_in_degrees_is_refused(place: tuple[float, float], given: dict[str, float], said: str) -> None:
     with pytest.raises(ValueError, match=said):
         PositionFix.from_lat_lon(7.0, *place, HERE, **given)

@@ -1,9 +1,10 @@
-"""Parts of users: step detectors, heading stages, step lengths, measurements, written outside of the package."""
+"""Parts of users, written outside of the package: step detectors, heading stages, step lengths, measurements."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+import warnings
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from own_parts import FIT, Crossings, CrossingState, DeviceHeading, Exponential,
 
 import pdr_filter as pdr
 from pdr_filter.filter.step_length.models import bounce_fit
+from pdr_filter.sensing.contexts.context_stage import WindowStageState
 from pdr_filter.simulate import Gait, Leg, simulate
 from pdr_filter.values import FloatArray, Origin, Samples
 from pdr_filter.values import serialisation as serialise
@@ -32,7 +34,7 @@ def pushed(online: pdr.OnlineFilter, recording: pdr.Recording, begin: int = 0, e
     return updates
 
 
-def test_parts_from_outside_make_the_same_track_online_and_as_a_whole(recording: pdr.Recording) -> None:
+def test_parts_of_other_packages_give_the_same_track_online_and_offline(recording: pdr.Recording) -> None:
     config = own_config()
     track, online = pdr.track(recording, config=config), pdr.OnlineFilter(config)
     updates = [u for u in (*pushed(online, recording), *online.finish()) if u.is_final]
@@ -43,7 +45,7 @@ def test_parts_from_outside_make_the_same_track_online_and_as_a_whole(recording:
     assert not np.array_equal(track.steps.time_s, default.steps.time_s)
 
 
-def test_parts_from_outside_are_smoothed_and_drawn(recording: pdr.Recording, tmp_path: Any) -> None:
+def test_tracks_with_parts_of_other_packages_are_smoothed_and_drawn(recording: pdr.Recording, tmp_path: Any) -> None:
     smoothed = pdr.smooth(recording, config=own_config())
     assert smoothed.track.distance_m == pytest.approx(70.0, rel=0.2)
     from pdr_filter.report.html import write_report
@@ -53,7 +55,7 @@ def test_parts_from_outside_are_smoothed_and_drawn(recording: pdr.Recording, tmp
 
 
 @pytest.mark.parametrize("n_pushed", [900, 2345])
-def test_a_filter_with_parts_from_outside_is_saved_and_goes_on_with_its_configuration(
+def test_a_filter_with_parts_of_other_packages_continues_after_loading_with_its_configuration(
     recording: pdr.Recording, n_pushed: int
 ) -> None:
     config = own_config()
@@ -73,7 +75,7 @@ def _content(blob: bytes) -> bytes:
     return zlib.decompress(blob)
 
 
-def test_bytes_without_the_configuration_say_that_it_is_needed_and_another_one_is_refused(
+def test_bytes_without_configuration_require_it_and_refuse_another_one(
     recording: pdr.Recording,
 ) -> None:
     online = pdr.OnlineFilter(own_config())
@@ -85,7 +87,7 @@ def test_bytes_without_the_configuration_say_that_it_is_needed_and_another_one_i
             pdr.OnlineFilter.load(online.save(), config=other)
 
 
-def test_a_saved_filter_of_own_classes_alone_can_be_loaded_with_its_configuration_too(recording: pdr.Recording) -> None:
+def test_a_saved_filter_of_package_classes_can_also_be_loaded_with_its_configuration(recording: pdr.Recording) -> None:
     online = pdr.OnlineFilter()
     pushed(online, recording, end=900)
     loaded = pdr.OnlineFilter.load(online.save(), config=pdr.recipes.default())
@@ -97,9 +99,105 @@ def test_a_state_that_cannot_be_saved_is_refused_when_it_is_saved(recording: pdr
         def init(self) -> Any:
             return {"n_steps": 0, "open": object()}
 
-    online = pdr.OnlineFilter(pdr.recipes.default().with_heading(Forgetful()))
-    with pytest.raises(ValueError, match="state of a part of yours holds a object"):
+    with pytest.warns(UserWarning, match="save will refuse the state of Forgetful: a object cannot be saved"):
+        config = pdr.recipes.default().with_heading(Forgetful())
+    online = pdr.OnlineFilter(config)
+    with pytest.raises(ValueError, match="the state of one of your own parts: a object"):
         online.save()
+
+
+@dataclass(frozen=True)
+class Bout:
+    n_steps: int
+
+
+class LateHeading(DeviceHeading):
+    """Its state gets a value of an own class with the first steps."""
+
+    def __init__(self, before: Any, after: Any) -> None:
+        self.before, self.after = before, after
+
+    def init(self) -> Any:
+        return {"bout": self.before}
+
+    def update(self, state: Any, block: Any, attitude: Any, contexts: Any, steps: Any) -> Any:
+        _, steps = super().update({"n_steps": 0}, block, attitude, contexts, steps)
+        return {"bout": self.after} if steps else state, steps
+
+
+@pytest.mark.parametrize(
+    ("before", "after"), [(None, Bout(3)), ((), (Bout(1), Bout(2))), ([], [Bout(1)]), (0, {"last": Bout(1)})]
+)
+def test_a_state_that_gets_an_own_class_late_is_refused_when_it_is_saved(
+    recording: pdr.Recording, before: Any, after: Any
+) -> None:
+    online = pdr.OnlineFilter(pdr.recipes.default().with_heading(LateHeading(before, after)))
+    online.save()
+    pushed(online, recording, end=900)
+    with pytest.raises(ValueError, match=r"fields n_steps where the first state has a NoneType: let init\(\) put a"):
+        online.save()
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [(Bout(0), Bout(3)), ((Bout(0),) * 2, (Bout(1), Bout(2))), ({"last": Bout(0)}, {"last": Bout(1)})],
+)
+def test_a_state_that_has_its_own_classes_from_the_first_on_comes_back(
+    recording: pdr.Recording, before: Any, after: Any
+) -> None:
+    config = pdr.recipes.default().with_heading(LateHeading(before, after))
+    online = pdr.OnlineFilter(config)
+    pushed(online, recording, end=900)
+    assert pdr.OnlineFilter.load(online.save(), config=config).state.sensing.heading == {"bout": after}
+
+
+def test_a_state_of_this_package_gets_back_the_own_classes_in_it() -> None:
+    saved = serialise.to_bytes(WindowStageState((1.0, [2.0]), Bout(3)), foreign=True)
+    loaded = serialise.restored(serialise.from_bytes(saved), WindowStageState((0.0, [0.0]), Bout(0)))
+    assert (loaded.windows, loaded.memory) == ((1.0, [2.0]), Bout(3))
+    with pytest.raises(ValueError, match="let init"):
+        serialise.restored(serialise.from_bytes(saved), None)
+
+
+def test_a_part_whose_state_cannot_be_saved_is_named_when_the_configuration_is_made() -> None:
+    class Stage:
+        contexts, rate_hz, hop_s = ("stationary", "walking"), 100.0, 1.0
+
+        def init(self) -> Any:
+            return lambda: 0
+
+        def after_gap(self, state: Any) -> Any:
+            return state
+
+        def update(self, state: Any, block: Any, attitude: Any) -> Any:
+            return state, []
+
+    config, modes = pdr.recipes.default(), [pdr.Mode("stationary", moves=False), pdr.Mode("walking", step_length=FIT)]
+    with pytest.warns(UserWarning, match="save will refuse the state of _Lambda: a function cannot be saved"):
+        config.with_steps(_Lambda())
+    with pytest.warns(UserWarning, match="save will refuse the state of Stage: a function"):
+        config.with_contexts(Stage(), modes)
+
+
+def test_parts_without_a_state_never_stand_in_the_way_of_saving(recording: pdr.Recording) -> None:
+    class Unsaved:
+        n_params = 2
+        scale = staticmethod(lambda: 1.0)
+
+        def regressors(self, step: pdr.Step) -> list[float]:
+            return [self.scale(), step.frequency_hz]
+
+    def squared(prob: FloatArray) -> FloatArray:
+        return prob**2 / (prob**2).sum()
+
+    fit = pdr.StepLengthFit(Unsaved(), np.array([0.1, 0.3]), 1e-4 * np.eye(2), 0.06)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        config = pdr.recipes.default().with_weighting(squared).with_step_length("walking", fit)
+        online = pdr.OnlineFilter(config)
+        pushed(online, recording, end=1500)
+        loaded = pdr.OnlineFilter.load(online.save(), config=config)
+    np.testing.assert_array_equal(loaded.position_m, online.position_m)
 
 
 def test_north_is_found_with_a_heading_stage_from_outside() -> None:
@@ -112,7 +210,7 @@ def test_north_is_found_with_a_heading_stage_from_outside() -> None:
     assert math.atan2(*walked) == pytest.approx(1.0 + declination, abs=0.25)
 
 
-def test_locations_use_north_with_a_heading_stage_from_outside_and_not_with_one_that_forbids_it() -> None:
+def test_locations_use_north_with_a_heading_stage_of_another_package_unless_it_forbids_it() -> None:
     config = pdr.recipes.default()
     assert config.with_heading(DeviceHeading()).learns_directions
 
@@ -123,7 +221,7 @@ def test_locations_use_north_with_a_heading_stage_from_outside_and_not_with_one_
         config.with_heading(Unsure()).with_magnetic_north(0.0)
 
 
-def test_what_a_part_lacks_is_named() -> None:
+def test_missing_members_of_a_part_are_named() -> None:
     with pytest.raises(ValueError, match=r"steps must be a StepDetector .* without first_step_s, latency_s, rate_hz"):
         pdr.recipes.default().with_steps(DeviceHeading())  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="a class, not one of its instances"):
@@ -132,7 +230,7 @@ def test_what_a_part_lacks_is_named() -> None:
         pdr.recipes.default().with_step_length("swimming", FIT)
 
 
-def test_the_checks_pass_for_parts_that_keep_to_the_protocols() -> None:
+def test_the_checks_pass_for_parts_that_implement_the_protocols() -> None:
     for part in (Crossings(), DeviceHeading()):
         pdr.testing.check_stage(part)
     for model in (RootOfRange(), Exponential(), FIT, bounce_fit()):
@@ -223,7 +321,7 @@ def test_a_step_length_that_breaks_the_protocol_is_refused_with_the_reason(model
         pdr.testing.check_step_length(model)
 
 
-def test_waiting_measurements_of_own_classes_are_left_out_of_the_bytes_with_a_warning(recording: pdr.Recording) -> None:
+def test_waiting_measurements_of_user_classes_are_not_saved_and_cause_a_warning(recording: pdr.Recording) -> None:
     class Line:
         time_s, received_time_s = 8.9, None
 
@@ -233,7 +331,7 @@ def test_waiting_measurements_of_own_classes_are_left_out_of_the_bytes_with_a_wa
     online = pdr.OnlineFilter()
     pushed(online, recording, end=900)
     online.add_fix(Line())
-    with pytest.warns(UserWarning, match="1 measurements of classes of yours wait"):
+    with pytest.warns(UserWarning, match="1 waiting measurements are not saved"):
         blob = online.save()
     assert pdr.OnlineFilter.load(blob).state.waiting_fixes == ()
 
@@ -246,7 +344,9 @@ class PlainRootOfRange:  # no dataclass
 
 
 @pytest.mark.parametrize("model", [RootOfRange, PlainRootOfRange])
-def test_a_calibrated_model_from_outside_is_kept_and_loaded_with_its_configuration(model: Any, tmp_path: Any) -> None:
+def test_a_calibrated_model_of_another_package_is_saved_and_loaded_with_its_configuration(
+    model: Any, tmp_path: Any
+) -> None:
     config = pdr.recipes.default().with_step_length("walking", replace(FIT, model=model()))
     legs = [Leg("walking", distance_m=20.0), Leg("stationary", duration_s=3.0)] * 4
     walk = simulate(legs, Gait(height_m=1.8), seed=2)
@@ -262,7 +362,7 @@ def test_a_calibrated_model_from_outside_is_kept_and_loaded_with_its_configurati
     np.testing.assert_array_equal(pdr.track(walk, config=config, calibration=path).position_m, again.position_m)
 
 
-def test_foreign_fields_take_the_class_of_the_part_alone() -> None:
+def test_foreign_fields_are_restored_only_with_the_class_of_the_part() -> None:
     state = Crossings().init()
     loaded = serialise.from_bytes(serialise.to_bytes(state, foreign=True))
     assert isinstance(loaded, serialise.ForeignFields)

@@ -1,4 +1,4 @@
-"""North in a track: what a magnetometer says of the turn of its frame, alone and with fixes, and when it is wrong."""
+"""North of a track from a magnetometer, alone, with fixes, and with an error."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import pdr_filter as pdr
 from pdr_filter import recipes
 from pdr_filter.filter.fixes.alignment import Alignment, Place
 from pdr_filter.filter.fixes.frame import UNKNOWN_FRAME
-from pdr_filter.filter.fixes.frame_rotation import Compass, PairedPoint, align, open_turn
+from pdr_filter.filter.fixes.frame_rotation import Compass, PairedPoint, align, rotation_density
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.simulate.walk import phone_motion
@@ -47,7 +47,7 @@ def fix_at(walk: Recording, time_s: float, std_m: float = 0.5) -> PositionFix:
 
 
 def located(walk: Recording, turn_rad: float = 0.0, every_s: float = 1.0) -> Recording:
-    """With locations that are right, in a world that is turned clockwise against the magnetic field."""
+    """Return the walk with correct locations, in a world rotated clockwise against the magnetic field."""
     time_s = np.arange(1.3, walk.duration_s, every_s)
     c, s = math.cos(turn_rad), math.sin(turn_rad)
     place_m = truth_m(walk, time_s) @ np.array([[c, s], [-s, c]]).T
@@ -90,7 +90,7 @@ def test_the_declination_is_that_of_the_world_magnetic_model(
     assert math.degrees(Origin(*place).declination_rad(year)) == pytest.approx(declination_deg, abs=0.005)
 
 
-def test_before_and_after_the_models_the_nearest_counts() -> None:
+def test_years_outside_of_the_models_use_the_nearest_model_year() -> None:
     assert HERE.declination_rad(1970.0) == HERE.declination_rad(2010.0)
     assert HERE.declination_rad(2090.0) == pytest.approx(HERE.declination_rad(2029.9), abs=1e-3)
 
@@ -98,7 +98,7 @@ def test_before_and_after_the_models_the_nearest_counts() -> None:
 # --- the turn of a frame ----------------------------------------------------------------------------------------------
 
 
-def test_a_compass_is_normal_but_for_the_one_in_twenty_that_points_anywhere() -> None:
+def test_a_compass_has_a_normal_error_except_for_five_percent_uniform_outliers() -> None:
     compass, angles = Compass(3.0, 0.04), np.linspace(-np.pi, np.pi, 4000, endpoint=False)
     density = compass.density(angles)
     assert density.mean() * 2 * np.pi == pytest.approx(1.0, abs=1e-6)
@@ -108,7 +108,7 @@ def test_a_compass_is_normal_but_for_the_one_in_twenty_that_points_anywhere() ->
     assert density[near].mean() * 2 * np.pi * near.mean() == pytest.approx(0.95 * 0.6827 + 0.05 * 0.4 / 6.283, abs=2e-3)
 
 
-def test_a_compass_and_one_fix_leave_the_turn_open_and_a_fix_further_on_settles_it() -> None:
+def test_a_compass_and_one_fix_leave_the_rotation_open_and_a_more_distant_fix_determines_it() -> None:
     first, on = (
         PairedPoint(np.zeros(2), np.zeros(2), 1.0),
         PairedPoint(np.array([0.0, 10.0]), np.array([10.0, 0.0]), 9.0),
@@ -124,15 +124,15 @@ def test_a_compass_and_one_fix_leave_the_turn_open_and_a_fix_further_on_settles_
     assert found.angle_var_rad2 == pytest.approx(1.0 / (of_fixes + of_compass), rel=0.02)
 
 
-def test_the_density_of_the_turn_is_the_product_of_fixes_and_compass() -> None:
+def test_the_density_of_the_rotation_is_the_product_of_fixes_and_compass() -> None:
     pairs = [PairedPoint(np.zeros(2), np.zeros(2), 1.0), PairedPoint(np.array([0.0, 5.0]), np.array([4.0, 3.0]), 4.0)]
-    compass, turn = Compass(1.2, 0.05), open_turn(pairs)
+    compass, turn = Compass(1.2, 0.05), rotation_density(pairs)
     product = turn.prob * compass.density(np.linspace(-np.pi, np.pi, 120, endpoint=False))
     np.testing.assert_allclose(turn.with_compass(compass).prob, product / product.sum(), rtol=1e-12)
     np.testing.assert_array_equal(turn.with_compass(None).prob, turn.prob)
 
 
-def test_a_heading_fix_knows_better_than_a_compass() -> None:
+def test_a_heading_fix_overrides_a_compass() -> None:
     frame = UNKNOWN_FRAME.with_compass(Compass(1.0, 0.04))
     assert frame.name == "north"
     place = frame.world(Place(np.array([0.0, 10.0]), np.zeros((2, 2)), 0.3, 4))
@@ -147,7 +147,7 @@ def test_a_heading_fix_knows_better_than_a_compass() -> None:
 
 
 @pytest.mark.parametrize("start_heading_rad", [0.0, 2.0, -1.2])
-def test_a_walk_turned_as_a_whole_has_a_track_turned_as_a_whole_with_north_up(start_heading_rad: float) -> None:
+def test_a_rotated_walk_gives_the_same_rotated_track_with_true_north(start_heading_rad: float) -> None:
     walk = walked(start_heading_rad)
     alone, track = pdr.track(walk), pdr.track(walk, north="magnetic")
     assert (alone.frame, track.frame) == ("start", "north")
@@ -158,11 +158,11 @@ def test_a_walk_turned_as_a_whole_has_a_track_turned_as_a_whole_with_north_up(st
     error_rad = math.hypot(*way) / np.linalg.norm(track.position_m[-1])
     assert error_rad < math.radians(15.0)
     assert np.trace(track.position_cov_m2[-1]) > np.trace(alone.position_cov_m2[-1])
-    assert any("north is where the magnetic field says" in note for note in track.notes)
+    assert any("north comes from the magnetic field" in note for note in track.notes)
 
 
 @pytest.mark.parametrize("weighting", ["imm", "wc"])
-def test_with_one_fix_and_the_magnetic_field_the_walk_lies_right(walk: Recording, weighting: str) -> None:
+def test_one_fix_and_the_magnetic_field_georeference_the_track(walk: Recording, weighting: str) -> None:
     fix = fix_at(walk, 5.0)
     config = recipes.for_recording("default", walk)
     off = pdr.track(walk, config.in_world_frame(), weighting, fixes=[fix])
@@ -171,7 +171,7 @@ def test_with_one_fix_and_the_magnetic_field_the_walk_lies_right(walk: Recording
     assert nees(walk, track).max() < 13.8  # one in a thousand
 
 
-def test_a_compass_that_is_wrong_by_a_right_angle_is_overruled_by_fixes(walk: Recording) -> None:
+def test_fixes_overrule_a_compass_that_is_wrong_by_a_right_angle(walk: Recording) -> None:
     fixes = [fix_at(walk, t, 2.0) for t in np.arange(4.0, walk.duration_s, 6.0)]
     config = recipes.for_recording("default", walk)
     off = pdr.track(walk, config.in_world_frame(), fixes=fixes)
@@ -181,7 +181,7 @@ def test_a_compass_that_is_wrong_by_a_right_angle_is_overruled_by_fixes(walk: Re
     assert nees(walk, track).max() < 13.8
 
 
-def test_locations_bring_the_magnetometer_with_them_and_it_can_be_left_out(walk: Recording) -> None:
+def test_locations_enable_the_magnetometer_unless_north_is_off(walk: Recording) -> None:
     declination_rad = HERE.declination_rad()
     # true north is west of magnetic north, in a world as it is
     here = located(walk, declination_rad)
@@ -195,7 +195,7 @@ def test_locations_bring_the_magnetometer_with_them_and_it_can_be_left_out(walk:
     assert abs(heading_rad) < math.radians(15.0)
 
 
-def test_the_date_of_a_recording_is_that_of_its_declination(walk: Recording) -> None:
+def test_the_declination_is_that_of_the_date_of_the_recording(walk: Recording) -> None:
     def north_rad(meta: dict[str, float | None]) -> float:
         here = replace(located(walk), meta={**walk.meta, **meta})
         return float(pdr.track(here).steps.north_rad[20])
@@ -208,13 +208,13 @@ def test_the_date_of_a_recording_is_that_of_its_declination(walk: Recording) -> 
     assert north_rad({}) - north_rad({"epoch_ns": int(then_s * 1e9)}) == pytest.approx(change_rad, abs=1e-6)
 
 
-def test_without_a_place_the_declination_is_doubt(walk: Recording) -> None:
+def test_an_unknown_place_makes_the_declination_an_uncertainty(walk: Recording) -> None:
     nowhere, here = pdr.track(walk, north="magnetic"), pdr.track(located(walk), north="magnetic")
     var = nowhere.steps.north_std_rad[20] ** 2 - here.steps.north_std_rad[20] ** 2
     assert var == pytest.approx(0.2**2 - math.radians(1.0) ** 2)
 
 
-def test_a_known_heading_wins(walk: Recording) -> None:
+def test_a_heading_fix_determines_the_heading_despite_the_magnetometer(walk: Recording) -> None:
     fix = HeadingFix(8.0, 0.5, 0.02)
     track = pdr.track(walk, config_of(walk), fixes=[fix])
     at = np.searchsorted(track.time_s, 8.0)
@@ -222,7 +222,7 @@ def test_a_known_heading_wins(walk: Recording) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_an_app_gets_the_same_bits_however_samples_arrive_and_after_a_break(walk: Recording, seed: int) -> None:
+def test_online_results_with_north_are_identical_for_any_blocks_and_after_loading(walk: Recording, seed: int) -> None:
     fixes = [fix_at(walk, 5.0), fix_at(walk, 9.0, 3.0)]
     track = pdr.track(walk, config_of(walk), fixes=fixes)
     online = pdr.OnlineFilter(config_of(walk))
@@ -235,7 +235,7 @@ def test_an_app_gets_the_same_bits_however_samples_arrive_and_after_a_break(walk
     np.testing.assert_array_equal(updates[-1].position_cov_m2, track.position_cov_m2[-1])
 
 
-def test_what_contradicts_itself_is_refused(walk: Recording) -> None:
+def test_contradicting_sources_of_north_are_refused(walk: Recording) -> None:
     with pytest.raises(ValueError, match=r"north must be one of .*'magnetic'.*got 'true'"):
         pdr.track(walk, north="true")  # pyright: ignore[reportArgumentType]
     with pytest.raises(MissingSensorError, match="no magnetometer"):
@@ -247,7 +247,7 @@ def test_what_contradicts_itself_is_refused(walk: Recording) -> None:
 
 
 @pytest.mark.parametrize(("north", "quarters"), [("rotation-vector", 0), ("true-heading", 1)])
-def test_an_attitude_whose_world_has_a_known_north_turns_the_track_as_the_field_does(
+def test_an_attitude_with_known_north_rotates_the_track_like_the_magnetic_field(
     walk: Recording, north: Literal["rotation-vector", "true-heading"], quarters: int
 ) -> None:
     time_s = np.arange(0.0, walk.duration_s, 0.02)
@@ -270,25 +270,25 @@ def test_only_magnetic_north_is_corrected_by_the_declination(walk: Recording) ->
         np.testing.assert_allclose(turned_rad, declination_rad, atol=1e-9)
 
 
-def test_a_place_that_is_given_says_the_declination_and_a_heading_that_is_given_all(walk: Recording) -> None:
+def test_a_given_origin_defines_the_declination_and_a_given_heading_replaces_north(walk: Recording) -> None:
     track = pdr.track(walk, origin=(48.137, 11.575), north="magnetic")
     nowhere = pdr.track(walk, north="magnetic")
     assert (track.frame, track.knows_north) == ("north", True)
     change_rad = wrap_angle(track.walking_heading_rad - nowhere.walking_heading_rad)
     np.testing.assert_allclose(change_rad, HERE.declination_rad(), atol=1e-9)
-    with pytest.raises(ValueError, match="both say north"):
+    with pytest.raises(ValueError, match="both define north"):
         pdr.track(walk, heading_rad=0.3, north="magnetic")
-    with pytest.raises(ValueError, match="both say north"):
+    with pytest.raises(ValueError, match="both define north"):
         pdr.track(walk, origin=replace(HERE, turn_rad=0.3), north="magnetic")
 
 
-def test_locations_alone_turn_the_track_of_a_recipe_that_learns_no_directions(walk: Recording) -> None:
+def test_only_locations_rotate_the_track_of_a_recipe_without_walking_directions(walk: Recording) -> None:
     here, config = located(walk), recipes.martinelli2018()
     track, off = pdr.track(here, config), pdr.track(here, config, north="off")
     np.testing.assert_array_equal(track.position_m, off.position_m)
 
 
-def test_locations_that_say_nothing_leave_the_frame_of_the_start(walk: Recording) -> None:
+def test_unusable_locations_leave_the_track_in_the_frame_of_the_start(walk: Recording) -> None:
     here = located(walk)
     values = here.location.values.copy()
     values[:, 3] = np.nan

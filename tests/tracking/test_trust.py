@@ -27,13 +27,13 @@ def track(walk: Recording) -> Track:
     return pdr.track(walk)
 
 
-def test_of_an_ordinary_walk_nothing_is_doubted(track: Track) -> None:
+def test_an_ordinary_walk_has_no_doubts(track: Track) -> None:
     assert doubts(track) == []
     assert track.report().startswith(f"simulated_walk: {track.n_steps} steps")
     assert f"± {track.position_std_m[-1]:.1f} m (one standard deviation, worst direction)" in track.report()
 
 
-def test_a_phone_on_the_table_is_called_one() -> None:
+def test_a_phone_on_a_table_is_reported_as_not_moving() -> None:
     time_s = np.arange(3000) / 100
     rng = np.random.default_rng(0)
     still = Recording(
@@ -45,7 +45,7 @@ def test_a_phone_on_the_table_is_called_one() -> None:
     assert "did not move" in told
 
 
-def test_a_ride_without_steps_is_told_with_its_times(track: Track) -> None:
+def test_a_ride_without_steps_is_reported_with_its_times(track: Track) -> None:
     windows = track.windows
     late = windows.time_s > 20.0
     stepped = track.time_s < 18.0
@@ -65,7 +65,7 @@ def test_a_ride_without_steps_is_told_with_its_times(track: Track) -> None:
     assert end == pytest.approx(float(windows.time_s[-1]), abs=1.0)
 
 
-def test_time_with_motion_and_no_step_is_not_called_walking(track: Track) -> None:
+def test_time_with_motion_but_no_steps_does_not_count_as_walking(track: Track) -> None:
     nobody = replace(track, time_s=track.time_s[:0])
     moving_s = sum(s for name, s in track.context_seconds().items() if name != "stationary")
     assert moving_s > 30 and track.seconds_without_steps < 3
@@ -74,10 +74,10 @@ def test_time_with_motion_and_no_step_is_not_called_walking(track: Track) -> Non
     assert nobody.context_seconds()["stationary"] == track.context_seconds()["stationary"]
 
 
-@pytest.mark.parametrize(
-    ("field", "words"), [("irregular_prob", "handled, not carried"), ("unknown_share", "unlike all")]
-)
-def test_a_stretch_of_odd_windows_is_told_and_a_single_one_is_not(track: Track, field: str, words: str) -> None:
+@pytest.mark.parametrize(("field", "words"), [("irregular_prob", "phone was handled"), ("unknown_share", "unlike all")])
+def test_a_stretch_of_unreliable_windows_is_reported_and_a_single_window_is_not(
+    track: Track, field: str, words: str
+) -> None:
     time_s = track.windows.time_s
     for odd, n_told in (((time_s > 10.0) & (time_s < 20.0), 1), (time_s == time_s[9], 0)):
         windows = replace(track.windows, **{field: read_only(odd.astype(float))})
@@ -92,9 +92,7 @@ def test_a_stretch_of_odd_windows_is_told_and_a_single_one_is_not(track: Track, 
 
 
 @pytest.mark.parametrize("mode", ["calling", "bag"])
-def test_a_phone_at_the_ear_or_in_a_bag_is_said_to_turn_unseen_and_one_that_lies_still_is_not(
-    track: Track, mode: str
-) -> None:
+def test_a_moving_phone_at_the_ear_or_in_a_bag_is_reported_and_a_resting_one_is_not(track: Track, mode: str) -> None:
     prob = np.tile(np.where(np.array(CARRYING_MODES) == mode, 0.9, 0.025), (len(track.windows), 1))
     loose = replace(track, windows=replace(track.windows, carrying_prob=read_only(prob)))
     assert any("turns against the body" in sentence for sentence in doubts(loose))
@@ -103,16 +101,16 @@ def test_a_phone_at_the_ear_or_in_a_bag_is_said_to_turn_unseen_and_one_that_lies
     assert not any("turns against the body" in sentence for sentence in doubts(still))
 
 
-def test_modes_between_which_the_filter_hesitates_are_named(track: Track) -> None:
+def test_modes_of_an_undecided_stretch_are_named(track: Track) -> None:
     prob = np.array(track.mode_prob)
     middle = (track.time_s > 12.0) & (track.time_s < 24.0)
     prob[middle] = 0.0
     prob[middle, WALKING], prob[middle, CONTEXTS.index("upstairs")] = 0.55, 0.45
     [told] = doubts(replace(track, mode_prob=prob))
-    assert "hesitates between walking and upstairs" in told
+    assert "cannot decide between walking and upstairs" in told
 
 
-def test_the_entropy_counts_modes(track: Track) -> None:
+def test_the_exponential_of_the_entropy_is_the_effective_number_of_modes(track: Track) -> None:
     prob = np.zeros((3, 6))
     prob[0, 1], prob[1, :2], prob[2] = 1.0, 0.5, 1 / 6
     found = replace(track, mode_prob=prob)
@@ -120,7 +118,7 @@ def test_the_entropy_counts_modes(track: Track) -> None:
     np.testing.assert_allclose(found.mode_entropy, np.log([1.0, 2.0, 6.0]))
 
 
-def test_fixes_are_reported_with_their_innovations_and_the_wild_ones_named(walk: Recording) -> None:
+def test_fixes_are_reported_with_their_innovations_and_rejected_ones_with_their_times(walk: Recording) -> None:
     truth = walk.truth.position
     fixes = [
         PositionFix(t, np.array([np.interp(t, truth.time_s, truth.east_m), np.interp(t, truth.time_s, truth.north_m)]),
@@ -138,20 +136,20 @@ def test_fixes_are_reported_with_their_innovations_and_the_wild_ones_named(walk:
     assert "fixes: 3 used" in track.report()
 
 
-def test_without_a_gyroscope_the_direction_is_said_to_be_unknown(walk: Recording) -> None:
+def test_a_missing_gyroscope_is_reported_as_unknown_direction(walk: Recording) -> None:
     assert any("no angular rate" in d for d in doubts(pdr.track(replace(walk, gyroscope=None))))
 
 
-def test_a_long_time_without_steps_between_two_of_them_is_told(track: Track) -> None:
+def test_a_long_time_between_two_steps_is_reported(track: Track) -> None:
     later = np.where(np.arange(track.n_steps) < 50, 0.0, 90.0)
     told = doubts(replace(track, time_s=track.time_s + later))
     gap_s = float(track.time_s[50] - track.time_s[49]) + 90.0
-    assert any(f"there is nothing for {gap_s:.0f} s" in line for line in told)
-    assert not any("there is nothing for" in line for line in doubts(track))
+    assert any(f"there are no steps for {gap_s:.0f} s" in line for line in told)
+    assert not any("there are no steps for" in line for line in doubts(track))
 
 
 @pytest.mark.parametrize(("lasts_s", "is_reported"), [(3.0, False), (6.0, True)])
-def test_a_doubt_of_some_seconds_is_ordinary_and_a_longer_one_is_reported(
+def test_an_unreliable_stretch_is_reported_from_five_seconds_on(
     track: Track, lasts_s: float, is_reported: bool
 ) -> None:
     windows = track.windows
@@ -161,14 +159,14 @@ def test_a_doubt_of_some_seconds_is_ordinary_and_a_longer_one_is_reported(
     assert any("unlike all" in sentence for sentence in doubts(unlike)) == is_reported
 
 
-def test_a_recording_without_a_single_sample_that_can_be_used_begins_at_zero_and_lasts_no_time() -> None:
+def test_the_track_of_a_recording_without_usable_samples_starts_at_zero_with_no_duration() -> None:
     nothing = Recording("empty", Samples(np.arange(300) / 100, np.full((300, 3), np.nan)))
     track = pdr.track(nothing)
     assert (track.start_time_s, track.duration_s, track.n_steps) == (0.0, 0.0, 0)
 
 
 @pytest.mark.parametrize(("n", "end"), [(1, "to 5 s"), (2, "and from 12 to 17 s"), (12, "and 4 times more")])
-def test_one_sentence_says_all_the_times_of_a_doubt(track: Track, n: int, end: str) -> None:
+def test_one_sentence_has_all_times_of_a_problem(track: Track, n: int, end: str) -> None:
     time_s = np.arange(144.0)
     windows = windows_of(time_s, np.tile(np.eye(len(CONTEXTS))[STATIONARY], (144, 1)))
     strange = (time_s % 12 < 6) & (time_s < 12 * n)
@@ -178,7 +176,7 @@ def test_one_sentence_says_all_the_times_of_a_doubt(track: Track, n: int, end: s
     assert told.split(" the motion is unlike")[0].endswith(end)
 
 
-def test_a_report_says_each_doubt_once_with_its_times_and_keeps_the_other_notes(track: Track) -> None:
+def test_a_problem_is_reported_once_with_its_times_and_other_notes_are_kept(track: Track) -> None:
     time_s = track.windows.time_s
     odd = read_only(((time_s > 10.0) & (time_s < 20.0)).astype(float))
     unlike = replace(track, windows=replace(track.windows, unknown_share=odd))
@@ -188,12 +186,12 @@ def test_a_report_says_each_doubt_once_with_its_times_and_keeps_the_other_notes(
     assert problems(replace(track, notes=(counted,))) == [sentence(counted)]  # too short a stretch to have a time
 
 
-def test_a_note_that_ends_with_a_full_stop_gets_no_second_one(track: Track) -> None:
+def test_a_note_with_a_full_stop_gets_no_second_one(track: Track) -> None:
     told = replace(track, notes=("read as it was.", "one more")).report()
     assert told.endswith("- Read as it was.\n- One more.")
 
 
-def test_a_gap_in_the_samples_is_time_in_no_context(track: Track) -> None:
+def test_a_gap_in_the_samples_counts_for_no_context(track: Track) -> None:
     time_s = np.array([1.0, 2.0, 3.0, 1003.0, 1004.0])
     windows = windows_of(time_s, np.tile(np.eye(len(CONTEXTS))[STATIONARY], (5, 1)))
     still = replace(track, windows=windows, start_time_s=0.0)
@@ -210,7 +208,7 @@ def test_a_stretch_is_quick_and_soft_where_most_of_its_steps_are(track: Track, s
 
 
 @pytest.mark.parametrize(("jump_m", "n_told"), [(2.0, 0), (5.0, 1), (1e300, 0), (np.inf, 0)])
-def test_a_jump_of_a_track_without_fixes_is_told_with_its_time(track: Track, jump_m: float, n_told: int) -> None:
+def test_a_jump_of_a_track_without_fixes_is_reported_with_its_time(track: Track, jump_m: float, n_told: int) -> None:
     position_m = np.array(track.position_m)
     sideways = np.array([position_m[30, 1] - position_m[29, 1], position_m[29, 0] - position_m[30, 0]])
     position_m[30:] += jump_m * sideways / np.linalg.norm(sideways)  # the last two are of a table that was read
@@ -223,7 +221,7 @@ def test_a_jump_of_a_track_without_fixes_is_told_with_its_time(track: Track, jum
 
 
 @pytest.mark.parametrize(("lasting_s", "n_told"), [(15, 0), (25, 1)])
-def test_a_short_movement_without_steps_is_no_ride(track: Track, lasting_s: int, n_told: int) -> None:
+def test_a_short_movement_without_steps_is_not_reported_as_a_ride(track: Track, lasting_s: int, n_told: int) -> None:
     later_s = float(track.time_s[-1]) + 10.0 + np.arange(60.0)
     context = np.where(np.arange(60) < lasting_s, WALKING, STATIONARY)
     moved = replace(track, windows=windows_of(later_s, np.eye(len(CONTEXTS))[context]))
@@ -231,7 +229,7 @@ def test_a_short_movement_without_steps_is_no_ride(track: Track, lasting_s: int,
 
 
 @pytest.mark.parametrize(("height_m", "std_m", "is_level"), [(0.8, 0.1, True), (1.2, 0.1, False), (1.2, 0.7, True)])
-def test_a_metre_and_two_deviations_say_that_somebody_left_the_storey(
+def test_a_height_change_above_a_metre_and_two_standard_deviations_is_significant(
     track: Track, height_m: float, std_m: float, is_level: bool
 ) -> None:
     none = np.zeros(track.n_steps)

@@ -1,4 +1,4 @@
-"""The whole path of a filter at any moment."""
+"""Estimated path of the whole walk so far."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def until(block: ImuBlock, time_s: float) -> ImuBlock:
 
 
 @pytest.mark.parametrize("weighting", ["imm", "wc"])
-def test_a_fix_in_the_end_of_a_straight_walk_corrects_the_past_in_proportion_to_the_way(
+def test_a_fix_at_the_end_of_a_straight_walk_corrects_the_past_in_proportion_to_the_distance(
     straight: ImuBlock, weighting: str
 ) -> None:
     online = pdr.OnlineFilter(weighting=weighting)
@@ -52,7 +52,7 @@ def test_a_fix_in_the_end_of_a_straight_walk_corrects_the_past_in_proportion_to_
     assert after.position_std_m[n // 2] < before.position_std_m[n // 2]
 
 
-def test_a_fix_beside_a_straight_walk_turns_it_about_its_start(straight: ImuBlock) -> None:
+def test_a_fix_beside_a_straight_walk_rotates_the_walk_about_its_start(straight: ImuBlock) -> None:
     online = pdr.OnlineFilter()
     push(online, straight)
     before = online.path()
@@ -91,7 +91,7 @@ def rows(online: pdr.OnlineFilter) -> FloatArray:
     return np.column_stack([path.time_s, path.position_m, path.position_cov_m2.reshape(-1, 4)])
 
 
-def test_the_path_does_not_depend_on_how_samples_are_cut_and_survives_saving(around: ImuBlock) -> None:
+def test_the_path_does_not_depend_on_the_blocks_of_samples_and_survives_saving(around: ImuBlock) -> None:
     fixes = [PositionFix(t, (30.0 + 0.1 * t, -5.0), 2.0**2 * np.eye(2)) for t in (20.0, 40.0, 60.0)]
     config = pdr.recipes.default().in_world_frame()
     whole = pdr.OnlineFilter(config)
@@ -122,7 +122,7 @@ def test_the_past_is_rotated_as_a_whole_when_the_frame_of_fixes_is_known(around:
     assert np.linalg.norm(found - expected, axis=1).max() < 1.0
 
 
-def test_a_path_under_an_open_turn_keeps_its_shape(straight: ImuBlock) -> None:
+def test_a_path_with_an_undetermined_rotation_keeps_its_shape(straight: ImuBlock) -> None:
     plain, placed = pdr.OnlineFilter(), pdr.OnlineFilter(pdr.recipes.default().in_world_frame())
     placed.add_fix(PositionFix(10.0, (50.0, 60.0), np.eye(2)))
     for online in (plain, placed):
@@ -136,5 +136,5 @@ def test_a_path_under_an_open_turn_keeps_its_shape(straight: ImuBlock) -> None:
 
 def test_there_is_no_path_on_a_floor_plan() -> None:
     plan = pdr.FloorPlan("hall", storeys=())
-    with pytest.raises(ValueError, match="on a floor plan"):
+    with pytest.raises(ValueError, match="with a floor plan"):
         pdr.OnlineFilter(plan=plan).path()

@@ -27,7 +27,7 @@ def test_a_wrapped_angle_is_in_the_half_open_interval_and_the_same_direction(ang
     assert np.exp(1j * wrapped) == pytest.approx(np.exp(1j * angle_rad), abs=1e-11)
 
 
-def test_wrapping_keeps_the_shape_and_leaves_its_input_alone() -> None:
+def test_wrapping_keeps_the_shape_and_does_not_change_its_input() -> None:
     angles = np.linspace(-9, 9, 12).reshape(3, 4)
     before = angles.copy()
     assert wrap_angle(angles).shape == (3, 4)
@@ -46,7 +46,7 @@ def test_heading_is_clockwise_from_north_and_yaw_counter_clockwise_from_east(
 
 
 @given(ANGLES)
-def test_yaw_and_heading_point_in_one_direction(yaw_rad: float) -> None:
+def test_yaw_and_heading_point_in_the_same_direction(yaw_rad: float) -> None:
     heading = float(heading_from_yaw(yaw_rad))
     east_north = np.array([np.sin(heading), np.cos(heading)])
     np.testing.assert_allclose(east_north, [np.cos(yaw_rad), np.sin(yaw_rad)], atol=1e-11)
@@ -63,7 +63,7 @@ def test_the_mean_of_350_and_10_degrees_is_zero_not_180() -> None:
 
 
 @given(st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=20), st.floats(-3.0, 3.0))
-def test_turning_all_angles_turns_their_mean(angles_rad: list[float], turn_rad: float) -> None:
+def test_rotating_all_angles_rotates_their_mean(angles_rad: list[float], turn_rad: float) -> None:
     angles = np.array(angles_rad)
     turned = circular_mean(angles + turn_rad)
     assert np.exp(1j * turned) == pytest.approx(np.exp(1j * (circular_mean(angles) + turn_rad)), abs=1e-9)
@@ -74,7 +74,7 @@ def test_the_mean_of_symmetric_angles_is_their_middle() -> None:
 
 
 @pytest.mark.parametrize("unknown_rad", [np.nan, np.inf, -np.inf])
-def test_an_angle_that_is_not_known_stays_unknown_alone_and_among_others(unknown_rad: float) -> None:
+def test_an_unknown_angle_stays_nan_alone_and_in_an_array(unknown_rad: float) -> None:
     with np.errstate(invalid="ignore"):
         assert np.isnan(wrap_angle(unknown_rad))
         np.testing.assert_equal(wrap_angle(np.array([unknown_rad, 1.0])), [np.nan, 1.0])

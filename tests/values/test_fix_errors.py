@@ -23,7 +23,7 @@ def test_the_correlation_of_any_mixture_of_fixes_is_positive_definite(seed: int)
         assert np.linalg.eigvalsh(found).min() > 0.9 * INDEPENDENT_SHARE
 
 
-def test_fixes_of_one_source_are_alike_by_the_exponential_that_they_promise() -> None:
+def test_fixes_of_one_source_have_an_exponential_correlation() -> None:
     time_s = np.array([0.0, 3.0, 40.0])
     found = error_correlation(time_s, np.full(3, 20.0), np.full(3, 9.0))
     expected = (1.0 - INDEPENDENT_SHARE) * np.exp(-np.abs(time_s[:, None] - time_s) / 20.0)
@@ -31,7 +31,7 @@ def test_fixes_of_one_source_are_alike_by_the_exponential_that_they_promise() ->
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
-def test_independent_fixes_share_nothing_and_correlated_ones_at_most_the_error_of_the_better() -> None:
+def test_independent_fixes_are_uncorrelated_and_others_share_at_most_the_variance_of_the_better_fix() -> None:
     found = error_correlation(np.zeros(3), np.array([0.0, 20.0, 20.0]), np.array([4.0, 4.0, 16.0]))
     assert found[0, 1] == found[0, 2] == 0.0
     assert found[1, 2] * 2.0 * 4.0 == pytest.approx((1.0 - INDEPENDENT_SHARE) * 4.0)
@@ -42,7 +42,7 @@ def fixes_of(times: list[float], correlation_s: list[float], covs: list[np.ndarr
     return [PositionFix(t, np.zeros(2), cov, correlation_s=c) for t, c, cov in rows]
 
 
-def test_what_is_left_of_an_error_is_uncorrelated_with_those_before() -> None:
+def test_the_innovation_of_an_error_is_uncorrelated_with_earlier_errors() -> None:
     """The conditional covariances of three fixes give a valid joint one, and each fix keeps its own covariance."""
     covs = [np.array([[9.0, 2.0], [2.0, 4.0]]), np.diag([1.0, 25.0]), 6.0 * np.eye(2)]
     fixes = fixes_of([0.0, 4.0, 4.0], [20.0, 12.0, 20.0], covs)
@@ -66,7 +66,7 @@ def root(cov: np.ndarray) -> np.ndarray:
     return (vectors * np.sqrt(values)) @ vectors.T
 
 
-def test_any_number_of_repetitions_is_one_witness_and_slow_fixes_are_the_hyperbolic_cotangent() -> None:
+def test_repeated_fixes_have_the_weight_of_one_and_slow_fixes_have_the_hyperbolic_cotangent() -> None:
     fixes = fixes_of([0.0] * 9, [20.0] * 9, [9.0 * np.eye(2)] * 9)
     information = sum(1.0 / repeated_cov_m2(fix, fixes[:k])[0, 0] for k, fix in enumerate(fixes))
     assert 1.0 / information == pytest.approx(9.0, rel=0.02)

@@ -1,4 +1,4 @@
-"""Fixes of apps: what is no number is refused by its name, not somewhere inside."""
+"""Fixes with invalid numbers are refused when they are created, with the name of the field."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ FIXES: dict[str, Callable[[Any], object]] = {
 @pytest.mark.parametrize(
     "value", ["x", 1 + 2j, 10**400, {}, object()], ids=["text", "complex", "huge", "dict", "object"]
 )
-def test_what_is_no_number_is_refused_by_its_name(name: str, value: object) -> None:
+def test_a_field_that_is_not_a_number_is_refused_with_its_name(name: str, value: object) -> None:
     with pytest.raises(ValueError, match=name.split()[0]):
         FIXES[name](value)
 
 
 @pytest.mark.parametrize("name", [n for n in FIXES if "PositionFix" not in n or "time_s" in n])
-def test_a_number_that_is_missing_is_refused_by_its_name(name: str) -> None:
+def test_a_missing_number_is_refused_with_its_name(name: str) -> None:
     with pytest.raises(ValueError, match=name):
         FIXES[name](None)
 
@@ -49,19 +49,19 @@ def test_numbers_of_any_kind_become_floats() -> None:
     assert all(type(value) is float for value in (fix.time_s, fix.speed_mps, fix.std_mps))
 
 
-def test_a_number_in_quotes_is_none() -> None:
+def test_a_number_in_quotes_is_refused() -> None:
     with pytest.raises(ValueError, match="speed_mps of SpeedFix"):
         SpeedFix(0.0, "1.5", 0.1)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("far_m", [1e15, 1e300, np.inf, np.nan])
-def test_a_place_that_is_on_no_map_of_the_earth_is_refused(far_m: float) -> None:
+def test_a_position_beyond_all_map_grids_is_refused(far_m: float) -> None:
     with pytest.raises(ValueError, match="position_m"):
         PositionFix(0.0, (far_m, 0.0), np.eye(2))
 
 
 @pytest.mark.parametrize("var", [1e-300, 1e200, 0.0, np.inf, np.nan])
-def test_a_variance_whose_square_or_inverse_is_no_number_is_refused(var: float) -> None:
+def test_a_variance_whose_square_or_inverse_overflows_is_refused(var: float) -> None:
     with pytest.raises(ValueError, match="cov_m2"):
         PositionFix(0.0, (0.0, 0.0), [[var, 0.0], [0.0, var]])
     with pytest.raises(ValueError, match="std_rad"):
@@ -70,7 +70,7 @@ def test_a_variance_whose_square_or_inverse_is_no_number_is_refused(var: float) 
         PositionFix.from_lat_lon(0.0, 48.0, 11.0, (48.0, 11.0), accuracy_m=var)
 
 
-def test_the_farthest_and_least_sure_fixes_lead_to_positions_that_are_numbers() -> None:
+def test_extreme_positions_and_variances_give_finite_tracks() -> None:
     walk = pdr.simulate.demo_walk()
     places = [((1e9, -1e9), 1e24), ((-1e9, 1e9), 1e-24)]
     fixes = [PositionFix(20.0 + 20.0 * k, at, var * np.eye(2)) for k, (at, var) in enumerate(places)]

@@ -1,4 +1,4 @@
-"""Values between samples."""
+"""Linear interpolation between samples."""
 
 from __future__ import annotations
 

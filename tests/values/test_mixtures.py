@@ -1,5 +1,5 @@
 # ruff: noqa: N806 - the letters of the equations
-"""Weights of hypotheses and moments of mixtures."""
+"""Probabilities of hypotheses and moments of mixtures."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 
 @pytest.mark.parametrize("offset", [-1e6, 0.0, 1e6])
-def test_softmax_and_log_sum_do_not_overflow_and_are_those_of_scipy(offset: float) -> None:
+def test_softmax_and_log_sum_do_not_overflow_and_agree_with_scipy(offset: float) -> None:
     log_weight = np.random.default_rng(1).normal(size=(3, 7)) * 20 + offset
     np.testing.assert_allclose(
         softmax(log_weight), np.exp(log_weight - logsumexp(log_weight, axis=1, keepdims=True)), atol=1e-9
@@ -30,7 +30,7 @@ def test_finite_evidence_gives_the_same_probabilities_with_and_without_logarithm
     np.testing.assert_allclose(reweighted(prob, evidence), posterior_prob(prob, evidence), atol=1e-13)
 
 
-def test_a_possible_outlier_moves_mean_and_variance_to_those_of_the_mixture_of_both_cases() -> None:
+def test_a_possible_outlier_gives_the_moments_of_the_mixture_of_both_cases() -> None:
     variance, noise, innovation, outlier_prob, density = np.array([2.0, 0.5]), 1.0, np.array([1.5, -0.2]), 0.3, 0.05
     S = variance + noise
     inlier = (1 - outlier_prob) * np.exp(-0.5 * innovation**2 / S) / np.sqrt(2 * np.pi * S)
@@ -77,7 +77,7 @@ def test_a_mode_of_probability_zero_stays_at_zero_without_a_warning() -> None:
     [np.array([np.nan, 0.0]), np.full(2, np.nan), np.full(2, -np.inf), np.array([np.inf, 0.0])],
     ids=["one nan", "all nan", "all impossible", "infinite"],
 )
-def test_evidence_that_says_nothing_leaves_the_prediction(log_likelihood: np.ndarray) -> None:
+def test_invalid_evidence_leaves_the_prediction(log_likelihood: np.ndarray) -> None:
     prior = np.array([0.7, 0.3])
     np.testing.assert_array_equal(posterior_prob(prior, log_likelihood), prior)
 
@@ -93,7 +93,7 @@ def test_combining_gives_the_moments_of_the_mixture() -> None:
     assert P[0, 0] == pytest.approx(0.25 * (1 + 1.5**2) + 0.75 * (3 + 0.5**2))
 
 
-def test_evidence_that_says_nothing_of_one_pedestrian_is_still_used_for_the_others() -> None:
+def test_invalid_evidence_for_one_case_is_still_used_for_the_others() -> None:
     prob = np.array([[0.3, 0.7], [0.3, 0.7], [1.0, 0.0]])
     evidence = np.array([[np.nan, 0.0], [np.log(7.0), np.log(3.0)], [-np.inf, 0.0]])
     np.testing.assert_allclose(posterior_prob(prob, evidence), [[0.3, 0.7], [0.5, 0.5], [1.0, 0.0]])

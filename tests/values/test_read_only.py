@@ -1,4 +1,4 @@
-"""Results and configurations stay read-only however they are copied."""
+"""Results and configurations stay read-only when they are copied or pickled."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import pdr_filter as pdr
 
 
 def arrays_of(value: Any) -> Iterator[np.ndarray]:
-    """The arrays of a value and of the values in it."""
+    """Return the arrays of a value and of its nested values."""
     if isinstance(value, np.ndarray):
         yield value
     elif isinstance(value, tuple):
@@ -42,7 +42,7 @@ def results() -> dict[str, Any]:
 
 @pytest.mark.parametrize("name", ["track", "windows", "smoothed", "calibration", "truth", "config"])
 @pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda value: pickle.loads(pickle.dumps(value))])
-def test_a_copy_of_a_result_is_the_same_and_read_only(
+def test_a_copy_of_a_result_is_equal_and_read_only(
     results: dict[str, Any], name: str, copied: Callable[[Any], Any]
 ) -> None:
     result = results[name]
@@ -56,7 +56,7 @@ def test_a_copy_of_a_result_is_the_same_and_read_only(
         assert ours.tobytes() == theirs.tobytes()
 
 
-def test_a_copy_leaves_an_array_that_somebody_put_into_a_track_writeable(results: dict[str, Any]) -> None:
+def test_a_copy_does_not_change_the_writeable_flag_of_the_original_array(results: dict[str, Any]) -> None:
     own_m = np.zeros_like(results["track"].position_m)
     changed = copy.copy(replace(results["track"], position_m=own_m))
     assert own_m.flags.writeable

@@ -1,4 +1,4 @@
-"""Frozen values with some fields changed."""
+"""Fast replacement of fields of frozen dataclasses."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from pdr_filter.values import Step, replace_unchecked
 STEP = Step(1.0, 1.1, 0.5, 2.0, *(0.0 for _ in range(8)), walking_heading_rad=0.25)
 
 
-def test_a_replaced_value_equals_that_of_the_standard_library() -> None:
+def test_replace_unchecked_equals_dataclasses_replace() -> None:
     assert replace_unchecked(STEP, time_s=3.0, on_axes=True) == dataclasses.replace(STEP, time_s=3.0, on_axes=True)
 
 
-def test_the_value_itself_stays_as_it_was_and_the_new_one_is_frozen() -> None:
+def test_the_original_does_not_change_and_the_copy_is_frozen() -> None:
     before = dataclasses.asdict(STEP)
     later = replace_unchecked(STEP, time_s=3.0)
     assert dataclasses.asdict(STEP) == before

@@ -1,4 +1,4 @@
-"""Samples: what is not known is NaN, what is no number is refused, and copies are as frozen as the original."""
+"""Samples: missing values are NaN, values that are not numbers are refused, and copies are read-only."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MAKERS: dict[str, Callable[[Any, Any], Any]] = {
 
 
 @pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
-def test_masked_values_are_not_known(make: Callable[[Any, Any], Any]) -> None:
+def test_masked_values_become_nan(make: Callable[[Any, Any], Any]) -> None:
     values = np.ma.masked_greater(np.tile([1.0, 2.0, 9.8], (10, 1)), 9.0)
     np.testing.assert_array_equal(make(TIME_S, values), np.tile([1.0, 2.0, np.nan], (10, 1)))
     whole_numbers = np.ma.masked_equal(np.tile([1, 2, 3], (10, 1)), 3)
@@ -31,25 +31,25 @@ def test_masked_values_are_not_known(make: Callable[[Any, Any], Any]) -> None:
 
 @pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
 @pytest.mark.parametrize("unit", ["ns", "ms", "s"])
-def test_dates_and_durations_are_refused_with_how_to_make_seconds_of_them(
+def test_dates_and_durations_are_refused_with_a_conversion_to_seconds(
     make: Callable[[Any, Any], Any], unit: str
 ) -> None:
     dates = np.datetime64("2026-01-01", unit) + np.arange(10)
     for times in (dates, dates - dates[0]):
-        with pytest.raises(ValueError, match=r"time_s holds .*64\[.*\]; give seconds"):
+        with pytest.raises(ValueError, match=r"time_s must be numbers, got .*64\[.*\]: give seconds"):
             make(times, np.zeros((10, 3)))
 
 
-def test_pressures_and_locations_are_read_alike() -> None:
+def test_times_of_pressures_and_locations_are_checked_like_those_of_samples() -> None:
     online = pdr.OnlineFilter(pdr.recipes.default().in_world_frame())
-    with pytest.raises(ValueError, match="time_s holds datetime64"):
+    with pytest.raises(ValueError, match="time_s must be numbers, got datetime64"):
         online.push_pressure(np.datetime64("2026-01-01", "ns"), 1000.0)  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="time_s holds datetime64"):
+    with pytest.raises(ValueError, match="time_s must be numbers, got datetime64"):
         online.push_location(np.datetime64("2026-01-01", "ns"), 51.0, 0.0, 5.0)  # type: ignore[arg-type]
 
 
 def test_complex_numbers_are_refused() -> None:
-    with pytest.raises(ValueError, match="values holds complex128"):
+    with pytest.raises(ValueError, match="values must be real numbers, got complex128"):
         as_floats(np.zeros(3, dtype=complex), "values")
 
 
@@ -67,7 +67,7 @@ def test_a_recording_can_be_copied_and_pickled_and_stays_read_only(copied: Calla
         np.testing.assert_array_equal(getattr(other.truth, name), getattr(recording.truth, name))
 
 
-def test_the_meta_data_of_a_recording_are_its_own() -> None:
+def test_a_recording_copies_its_meta_data() -> None:
     meta = {"placement": "pocket"}
     recording = pdr.Recording("a", Samples(TIME_S, np.zeros((10, 3))), meta=meta)
     meta["placement"] = "foot"
@@ -77,7 +77,7 @@ def test_the_meta_data_of_a_recording_are_its_own() -> None:
 @pytest.mark.parametrize(
     "values", [[["a"], ["b"]], [[object()], [1.0]], [[1.0, 2.0], [3.0]]], ids=["text", "object", "ragged"]
 )
-def test_what_are_no_numbers_is_refused_by_its_name(values: Any) -> None:
+def test_values_that_are_not_numbers_are_refused_with_their_name(values: Any) -> None:
     with pytest.raises(ValueError, match=r"^values must be"):
         Samples([0.0, 1.0], values)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"^specific_force_mps2 must be"):

@@ -1,4 +1,4 @@
-"""Text of others made safe for a terminal, a table and the name of a file."""
+"""Untrusted text is sanitised for terminals, CSV cells and file names."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ LIVE = ["=1+1", "+1", "-1", "@SUM(1)", " =1", "\t=1", "a;=1", "a; -1"]
 
 
 @given(st.text())
-def test_whatever_prints_is_kept_and_whatever_does_not_is_escaped(text: str) -> None:
+def test_printable_characters_are_kept_and_others_are_escaped(text: str) -> None:
     assert printable(text).isprintable()
     if text.isprintable():
         assert printable(text) == text
 
 
 @pytest.mark.parametrize("text", ["\x1b[2J", "\x9b2J", "\x07", "a\rb", "\u202egpj", "\x00", "\udc80"])
-def test_what_acts_on_a_terminal_becomes_text(text: str) -> None:
+def test_terminal_control_sequences_are_escaped(text: str) -> None:
     assert printable(text).isascii()
     assert str(RecordingError(f"{text}: no file\nsecond line")).splitlines() == [
         f"{printable(text)}: no file",
@@ -30,7 +30,7 @@ def test_what_acts_on_a_terminal_becomes_text(text: str) -> None:
 
 
 @pytest.mark.parametrize("text", LIVE)
-def test_no_cell_begins_like_a_formula(text: str) -> None:
+def test_no_cell_starts_like_a_formula(text: str) -> None:
     for part in csv_cell(text).split(";"):
         assert part.strip()[:1] not in {"=", "+", "-", "@"}
 
@@ -41,7 +41,7 @@ def test_a_cell_read_back_is_the_text_that_was_written(text: str) -> None:
 
 
 @given(st.text() | st.text("/\\:. \u4e00", min_size=100, max_size=400))
-def test_a_file_name_leads_nowhere_and_leaves_room_for_an_ending(name: str) -> None:
+def test_a_file_name_has_no_folders_and_leaves_room_for_a_suffix(name: str) -> None:
     found = file_name(name)
     assert found
     assert len(found.encode()) <= 200
@@ -50,6 +50,6 @@ def test_a_file_name_leads_nowhere_and_leaves_room_for_an_ending(name: str) -> N
     assert found.strip(". ")
 
 
-def test_long_names_that_differ_at_the_end_stay_two() -> None:
+def test_long_names_that_differ_at_the_end_stay_different() -> None:
     assert file_name("n" * 300 + "1") != file_name("n" * 300 + "2")
     assert file_name("walk 1") == "walk 1"

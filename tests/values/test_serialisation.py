@@ -32,7 +32,7 @@ ARRAYS = hnp.arrays(st.sampled_from(["<f8", ">f8", "<f4", "<i8", "u1", "?"]), hn
 
 
 def same(a: Any, b: Any) -> bool:
-    """Equal in type and in every bit."""
+    """Return whether two values are equal in type and in every bit."""
     if type(a) is not type(b):
         return False
     if isinstance(a, float):
@@ -53,12 +53,12 @@ def same(a: Any, b: Any) -> bool:
 
 @settings(max_examples=50)
 @given(VALUES)
-def test_plain_values_come_back_as_they_were(value: Any) -> None:
+def test_plain_values_are_restored_unchanged(value: Any) -> None:
     assert same(from_bytes(to_bytes(value)), value)
 
 
 @given(ARRAYS)
-def test_arrays_come_back_bit_for_bit(array: np.ndarray) -> None:
+def test_arrays_are_restored_bit_for_bit(array: np.ndarray) -> None:
     assert same(from_bytes(to_bytes(array)), array)
 
 
@@ -72,7 +72,7 @@ def test_the_payload_of_a_nan_in_an_array_survives() -> None:
     assert from_bytes(to_bytes(array)).tobytes() == array.tobytes()
 
 
-def test_an_array_that_is_not_contiguous_keeps_its_values_and_comes_back_writable() -> None:
+def test_a_non_contiguous_array_is_restored_with_its_values_and_writable() -> None:
     array = np.arange(24.0).reshape(4, 6)[::2, ::-3].T
     array.flags.writeable = False
     back = from_bytes(to_bytes(array))
@@ -80,7 +80,7 @@ def test_an_array_that_is_not_contiguous_keeps_its_values_and_comes_back_writabl
     back[0, 0] = 1.0
 
 
-def test_dataclasses_of_the_package_come_back_with_their_fields() -> None:
+def test_dataclasses_of_the_package_are_restored_with_their_fields() -> None:
     value = {"noise": MotionNoise(log_scale_std=0.2), "fits": (known_length(0.3, 0.1),)}
     fix = PositionFix(1.5, np.array([1.0, 2.0]), np.eye(2))
     back = from_bytes(to_bytes({**value, "fix": fix}))
@@ -89,7 +89,7 @@ def test_dataclasses_of_the_package_come_back_with_their_fields() -> None:
     assert same(back["fix"], fix)
 
 
-def test_numpy_numbers_come_back_as_numbers() -> None:
+def test_numpy_numbers_are_restored_as_numbers() -> None:
     assert from_bytes(to_bytes((np.float64(0.1), np.int64(3), np.bool_(True)))) == (0.1, 3, True)
 
 
@@ -98,7 +98,7 @@ def test_numpy_numbers_come_back_as_numbers() -> None:
 
 @dataclass
 class Foreign:
-    """Not a value type of the package."""
+    """A dataclass that is not of the package."""
 
     x: float = 1.0
 
@@ -128,7 +128,7 @@ class Foreign:
         "number as key",
     ],
 )
-def test_what_cannot_come_back_is_refused(value: object) -> None:
+def test_values_that_cannot_be_restored_are_refused(value: object) -> None:
     with pytest.raises(TypeError):
         to_bytes({"nested": [value]})
 
@@ -160,20 +160,20 @@ def test_what_cannot_come_back_is_refused(value: object) -> None:
     ],
     ids=str,
 )
-def test_bytes_that_name_anything_else_are_refused(value: Any) -> None:
+def test_bytes_that_name_other_classes_are_refused(value: Any) -> None:
     with pytest.raises(ValueError, match="not a saved filter"):
         from_bytes(_packed(value))
 
 
 @pytest.mark.parametrize("number", [1, 4, 99])
-def test_a_filter_of_another_version_of_the_package_is_refused_with_what_to_do(number: int) -> None:
+def test_a_filter_of_another_version_of_the_package_is_refused_with_a_remedy(number: int) -> None:
     old = zlib.compress(json.dumps({"format": number, "value": None}).encode())
-    words = rf"another version of pdr_filter: its format is {number}, not 6\); save it again"
+    words = rf"another version of pdr_filter, with format {number} instead of 6\): save it again"
     with pytest.raises(ValueError, match=words):
         from_bytes(old)
 
 
-def test_a_dataclass_of_another_package_is_refused_and_its_module_not_even_imported() -> None:
+def test_a_dataclass_of_another_package_is_refused_without_importing_its_module() -> None:
     for name in (f"{__name__}:Foreign", "this:Zen"):  # importing `this` would print a poem
         with pytest.raises(ValueError, match="refused to load"):
             from_bytes(_packed({"dataclass": name, "fields": {}}))
@@ -195,7 +195,7 @@ def test_arbitrary_compressed_content_is_refused(content: Any) -> None:
         from_bytes(zlib.compress(data))
 
 
-def test_lists_nested_without_end_are_refused() -> None:
+def test_deeply_nested_lists_are_refused() -> None:
     with pytest.raises(ValueError, match="not a saved filter"):
         from_bytes(zlib.compress(b"[" * 100_000))
 

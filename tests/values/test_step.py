@@ -8,7 +8,7 @@ from helpers import a_step
 from pdr_filter.values import Step, step_table, steps_of
 
 
-def test_the_steps_of_a_table_are_those_that_it_was_made_of() -> None:
+def test_steps_of_a_table_equal_the_original_steps() -> None:
     steps = (a_step(1.0), replace(a_step(1.6, duration_s=0.6), from_rest=True, walking_heading_std_rad=0.2))
     assert steps_of(step_table(steps)) == steps
     assert steps_of(step_table([])) == ()
@@ -21,7 +21,7 @@ def test_a_step_from_a_table_has_the_types_of_its_fields() -> None:
     }
 
 
-def test_further_columns_of_a_table_are_left_out() -> None:
+def test_further_columns_of_a_table_are_ignored() -> None:
     table = step_table([a_step()])
     wider = np.zeros(1, dtype=[("length_m", float), *table.dtype.descr]).view(np.recarray)
     for name in table.dtype.names or ():

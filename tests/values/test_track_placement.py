@@ -1,4 +1,4 @@
-"""Arguments that say where a track lies: their texts stand once."""
+"""Arguments for position, north and floor plan of a track, and their descriptions."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from pdr_filter.values.track_placement import TrackPlacement, texts
 NAMES = [field.name for field in fields(TrackPlacement)]
 
 
-def test_each_argument_of_a_placement_has_a_text() -> None:
+def test_each_argument_of_a_placement_has_a_description() -> None:
     assert list(texts()) == NAMES
     assert all(len(text.split()) > 5 and text.endswith(".") for text in texts().values())
 
 
-def test_the_docstring_of_track_has_the_text_of_each_argument() -> None:
+def test_the_docstring_of_track_has_the_description_of_each_argument() -> None:
     words = " ".join((pdr.track.__doc__ or "").split())
     assert all(text in words for text in texts().values())
 
 
 @pytest.mark.parametrize("command", ["track", "smooth"])
-def test_the_help_of_a_command_is_the_first_sentence_of_each_text(command: str) -> None:
+def test_the_help_of_an_option_is_the_first_sentence_of_its_description(command: str) -> None:
     shown = CliRunner().invoke(app, [command, "--help"], env={"COLUMNS": "400", "TERM": "dumb"}).output
     words = " ".join(shown.replace("│", " ").split())
     for text in texts().values():
@@ -37,14 +37,15 @@ def test_the_help_of_a_command_is_the_first_sentence_of_each_text(command: str) 
     [
         ({"gnss": "on"}, "gnss must be one of"),
         ({"north": "south"}, "north must be one of"),
-        ({"start": "hall"}, "start is a place on a floor plan, got 'hall' without plan"),
-        ({"gnss": "align", "north": "magnetic"}, "both turn the track"),
-        ({"heading_rad": 0.1, "north": "magnetic"}, "both say north"),
-        ({"heading_rad": 0.1, "origin": pdr.Origin(48.0, 11.0, turn_rad=0.1)}, "are one: leave one out"),
+        ({"start": "hall"}, "start is a position on a floor plan, got 'hall' without plan"),
+        ({"gnss": "align", "north": "magnetic"}, "both define north"),
+        ({"heading_rad": 0.1, "north": "magnetic"}, "both define north"),
+        (
+            {"heading_rad": 0.1, "origin": pdr.Origin(48.0, 11.0, turn_rad=0.1)},
+            "define the same angle: leave one of them out",
+        ),
     ],
 )
-def test_a_placement_that_contradicts_itself_is_refused_before_a_recording_is_there(
-    given: dict[str, object], said: str
-) -> None:
+def test_contradicting_placement_arguments_are_refused_without_a_recording(given: dict[str, object], said: str) -> None:
     with pytest.raises(ValueError, match=said):
         TrackPlacement(**given)  # type: ignore[arg-type]

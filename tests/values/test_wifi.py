@@ -1,4 +1,4 @@
-"""Wi-Fi: rows, addresses, scans."""
+"""Received Wi-Fi access points, addresses and scans."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def wifi(time_s: list[float], bssid: list[int] | None = None, rssi_dbm: list[flo
     return Wifi(np.array(time_s), np.array(bssid or range(n)), np.array(rssi_dbm or [-60.0] * n), np.full(n, 2412.0))
 
 
-def test_a_pause_ends_a_scan_and_so_do_two_and_a_half_seconds() -> None:
+def test_a_scan_ends_at_a_pause_or_after_two_and_a_half_seconds() -> None:
     starts = [s.time_s for s in wifi([0.0, 0.3, 0.6, 1.0, 1.1]).scans()]
     np.testing.assert_allclose(starts, [0.3, 1.05])
     restless = wifi(np.arange(0.0, 6.0, 0.125).tolist()).scans()
@@ -35,7 +35,7 @@ def test_scans_do_not_depend_on_the_order_of_the_rows() -> None:
         assert (a.end_s, a.time_s) == (b.end_s, pytest.approx(b.time_s))
 
 
-def test_a_scan_has_each_access_point_once_at_its_loudest() -> None:
+def test_a_scan_has_each_access_point_once_with_its_largest_power() -> None:
     (scan,) = wifi([0.0, 0.1, 0.2], [7, 3, 7], [-80.0, -70.0, -60.0]).scans()
     np.testing.assert_array_equal(scan.bssid, [3, 7])
     np.testing.assert_array_equal(scan.rssi_dbm, [-70.0, -60.0])
@@ -46,32 +46,32 @@ def test_rows_without_time_or_power_are_in_no_scan() -> None:
     assert wifi([]).scans() == ()
 
 
-def test_a_phone_that_hears_twice_as_well_has_the_same_fingerprint() -> None:
+def test_a_more_sensitive_phone_has_the_same_fingerprint() -> None:
     (scan,) = wifi([0.0, 0.1], [1, 2], [-65.0, -82.5]).scans()
     (other,) = wifi([0.0, 0.1], [1, 2], [-30.0, -65.0]).scans()
     np.testing.assert_allclose(scan.fingerprint, other.fingerprint)
     assert np.linalg.norm(scan.fingerprint) == pytest.approx(1.0)
 
 
-def test_an_address_is_written_as_people_write_it() -> None:
+def test_an_address_has_the_usual_notation() -> None:
     assert address_text(0x06749C2E95EA) == "06:74:9c:2e:95:ea"
 
 
-def test_a_copy_is_read_only_too() -> None:
+def test_a_copy_is_also_read_only() -> None:
     for other in (copy.deepcopy(wifi([1.0])), pickle.loads(pickle.dumps(wifi([1.0])))):
         assert not other.time_s.flags.writeable
         assert not other.bssid.flags.writeable
         np.testing.assert_array_equal(other.bssid, [0])
 
 
-def test_rows_that_do_not_belong_together_are_refused() -> None:
-    with pytest.raises(ValueError, match="one row a hearing"):
+def test_columns_of_different_lengths_and_invalid_addresses_are_refused() -> None:
+    with pytest.raises(ValueError, match="give equal lengths"):
         Wifi(np.zeros(2), np.zeros(1, dtype=int), np.zeros(2), np.zeros(2))
     with pytest.raises(ValueError, match="48 bits"):
         wifi([0.0], [1 << 48])
 
 
 @pytest.mark.parametrize("bssid", [[1.5], [np.nan], ["06:74:9c:2e:95:ea"]], ids=["fraction", "nan", "text"])
-def test_an_address_that_is_no_whole_number_is_refused(bssid: list[Any]) -> None:
+def test_an_address_that_is_not_a_whole_number_is_refused(bssid: list[Any]) -> None:
     with pytest.raises(ValueError, match="bssid must be whole numbers"):
         Wifi(np.zeros(1), np.array(bssid), np.zeros(1), np.zeros(1))

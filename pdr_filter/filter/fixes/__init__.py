@@ -1,4 +1,4 @@
-"""Fixes: gating, the rotation of their frame, relocation, and GNSS locations."""
+"""Updates by fixes: gating, rotation of the frame of the fixes, relocation, ranges, and GNSS locations."""
 
 import importlib
 import warnings
@@ -6,7 +6,7 @@ from typing import Any
 
 
 def __getattr__(name: str) -> Any:
-    """Names of the former module `pdr_filter.filter.fixes`, for one release."""
+    """Return a name of the former module `pdr_filter.filter.fixes`, with a deprecation warning."""
     if not name.startswith("_") and name != "fix_updates":
         module = importlib.import_module(f"{__name__}.fix_updates")
         if name in vars(module):

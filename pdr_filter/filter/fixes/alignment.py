@@ -1,7 +1,7 @@
-"""A shift and a turn: how a track goes over from the frame in which it starts to another one.
+"""Alignment of a track with another frame by a shift and a rotation.
 
-The filter is linear in a turn that is known to some degrees. One that is not is a density over all turns
-(`filter.fixes.frame_rotation`); which of the two it is, `filter.fixes.frame` knows.
+The filter is linear in a rotation that is known to some degrees. An unknown rotation is a density over all angles
+(`filter.fixes.frame_rotation`). `filter.fixes.frame` decides between the two.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from pdr_filter.values import FloatArray, read_only
 EYE = read_only(np.eye(2))
 
 
-def turned_cov(cov: FloatArray, twice: complex) -> FloatArray:
-    """The mean of R P R' over turns, of a covariance (2, 2) and the mean of e^(-2 i angle).
+def rotated_cov(cov: FloatArray, twice: complex) -> FloatArray:
+    """Return the mean of R P R' over rotations, for a covariance P (2, 2) and `twice`, the mean of e^(-2 i angle).
 
-    The half trace stays, and (xx - yy) / 2 + i xy turns back by twice the angle.
+    The half trace does not change, and (xx - yy) / 2 + i xy is rotated back by twice the angle.
     """
     (xx, xy), (_, yy) = cov.tolist()
     size, shape = 0.5 * (xx + yy), complex(0.5 * (xx - yy), xy) * twice
@@ -30,60 +30,92 @@ def turned_cov(cov: FloatArray, twice: complex) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Place:
-    """Where somebody is and which way he walks, in some frame."""
+    """Position and walking heading in some frame.
 
-    position_m: FloatArray  # (2,)
-    cov_m2: FloatArray  # (2, 2)
+    Attributes
+    ----------
+    position_m : (2,) array
+        Position (east, north).
+    cov_m2 : (2, 2) array
+        Covariance of the position.
+    heading_rad : float
+        Walking heading.
+    n_steps : int
+        Number of the step that led to the place.
+    """
+
+    position_m: FloatArray
+    cov_m2: FloatArray
     heading_rad: float
-    n_steps: int  # number of the step that led there
+    n_steps: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """World = R (track - track_centre) + world_centre, R clockwise by an angle."""
+    """Transformation world = R (track - track_centre) + world_centre, with R a clockwise rotation.
+
+    Attributes
+    ----------
+    angle_rad : float
+        Angle of R.
+    angle_var_rad2 : float
+        Variance of the angle.
+    track_centre_m, world_centre_m : (2,) array
+        Centre of rotation in both frames.
+    centre_var_m2 : float
+        Variance of the centre along each axis.
+    n_steps : int
+        Number of steps reported before the alignment.
+    since : int
+        Number of the first step in the frame that the alignment transforms. Earlier steps are already in the other
+        frame.
+    """
 
     angle_rad: float
     angle_var_rad2: float
-    track_centre_m: FloatArray  # (2,)
-    world_centre_m: FloatArray  # (2,)
+    track_centre_m: FloatArray
+    world_centre_m: FloatArray
     centre_var_m2: float
-    n_steps: int  # steps that were reported before
-    since: int = 0  # of these, the first that was reported in the frame that it turns; all are in the world before
+    n_steps: int
+    since: int = 0
 
-    def turns(self, place: Place) -> bool:
-        """Whether a place was reported in the frame that it turns."""
+    def applies_to(self, place: Place) -> bool:
+        """Return True if a place was reported in the frame that this alignment transforms."""
         return self.since <= place.n_steps < self.n_steps
 
     @property
     def rotation(self) -> FloatArray:
-        """R, (2, 2), for columns east, north: headings grow by the angle."""
+        """Rotation matrix R (2, 2) for columns (east, north). It adds the angle to headings."""
         c, s = math.cos(self.angle_rad), math.sin(self.angle_rad)
         return np.array([[c, s], [-s, c]])
 
     def positions(self, track_m: FloatArray) -> FloatArray:
-        """Positions (..., 2) in the world."""
+        """Return positions (..., 2) transformed to the other frame."""
         return (track_m - self.track_centre_m) @ self.rotation.T + self.world_centre_m
 
     def world(self, place: Place) -> Place:
-        """A place in the world."""
+        """Return a place transformed to the other frame, including the uncertainty of the alignment."""
         position_m = self.positions(place.position_m)
         east_m, north_m = (position_m - self.world_centre_m).tolist()
         spread = self.angle_var_rad2 * np.array([[north_m**2, -north_m * east_m], [-north_m * east_m, east_m**2]])
-        cov = turned_cov(place.cov_m2, cmath.exp(-2j * self.angle_rad)) + spread + self.centre_var_m2 * EYE
+        cov = rotated_cov(place.cov_m2, cmath.exp(-2j * self.angle_rad)) + spread + self.centre_var_m2 * EYE
         return Place(position_m, cov, place.heading_rad + self.angle_rad, place.n_steps)
 
 
 def walked_var_m2(cov: FloatArray) -> float:
-    """Variance of a position with covariance (4, 4) that its heading does not explain, mean of both axes."""
-    # a heading that is known exactly divides nothing
+    """Return the variance of a position that its heading does not explain, as mean of both axes.
+
+    The covariance (4, 4) is that of the filter state.
+    """
+    # a heading that is known exactly has variance zero
     of_heading, heading_var = cov[:2, HEADING_OFFSET], max(float(cov[HEADING_OFFSET, HEADING_OFFSET]), 1e-12)
     return 0.5 * float(np.trace(cov[:2, :2]) - of_heading @ of_heading / heading_var)
 
 
 def moved(mean: FloatArray, cov: FloatArray, alignment: Alignment) -> tuple[FloatArray, FloatArray]:
-    """Means (M, n) and covariances (M, n, n) in the world, with what is unsure about the alignment.
+    """Return means (M, n) and covariances (M, n, n) transformed by an alignment, including its uncertainty.
 
-    P = T P T' + var(a) g g' + var(centre) on the position, with T the rotation of the position and g the derivative of
+    P = T P T' + var(a) g g' + var(centre) for the position. T is the rotation of the position, and g the derivative of
     the state with respect to the angle.
     """
     T = np.eye(mean.shape[1])

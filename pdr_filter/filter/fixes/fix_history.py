@@ -16,31 +16,61 @@ MAX_STANDSTILLS = 16
 
 @dataclass(frozen=True, eq=False)
 class UsedFix:
-    """A used position fix with a correlated error, and where the track was then; None if a gap followed it."""
+    """Used position fix with a correlated error.
+
+    Attributes
+    ----------
+    fix : PositionFix
+        The fix.
+    track_m : (2,) array or None
+        Position of the track at its time, or None if a gap followed the fix.
+    """
 
     fix: PositionFix
-    track_m: FloatArray | None  # (2,)
+    track_m: FloatArray | None
 
 
 @dataclass(frozen=True, eq=False)
 class FixHistory:
-    """Earlier fixes: for gating, for correlated errors and for repetitions."""
+    """Earlier fixes, stored for gating, for correlated errors and for repeated positions.
 
-    doubt: Doubt = field(default_factory=Doubt)  # position fixes that the track does not explain
-    used: tuple[UsedFix, ...] = ()  # the last ones whose errors the next one shares
-    seen: SeenPlace | None = None  # the last new position
-    n_errors: int = 0  # innovations of used position fixes, one an axis
-    squares: float = 0.0  # sum of their normalised squares
-    n_frozen: int = 0  # positions that were repeated while steps went on
-    standstills: tuple[tuple[float, float], ...] = ()  # begin and end of the last ones
-    ranges: tuple[PairedRange, ...] = ()  # the last ones
-    searched_s: float = -math.inf  # when places that fit them were searched
+    Attributes
+    ----------
+    doubt : Doubt
+        Rejected position fixes that contradict the track.
+    used : tuple of UsedFix
+        Last used fixes whose errors are correlated with the next one.
+    seen : SeenPlace or None
+        Last position that was not a repetition.
+    n_errors : int
+        Number of innovations of used position fixes, one for each axis.
+    squares : float
+        Sum of their normalised squares.
+    n_frozen : int
+        Number of positions that were repeated while steps continued.
+    standstills : tuple of tuple of float
+        Begin and end of the last standstills.
+    ranges : tuple of PairedRange
+        Last ranges.
+    searched_s : float
+        Time of the last search for positions that fit the ranges.
+    """
+
+    doubt: Doubt = field(default_factory=Doubt)
+    used: tuple[UsedFix, ...] = ()
+    seen: SeenPlace | None = None
+    n_errors: int = 0
+    squares: float = 0.0
+    n_frozen: int = 0
+    standstills: tuple[tuple[float, float], ...] = ()
+    ranges: tuple[PairedRange, ...] = ()
+    searched_s: float = -math.inf
 
     def with_used(self, fix: PositionFix, track_m: FloatArray | None) -> FixHistory:
-        """Return the history with one more used fix, if later ones may share its error."""
+        """Return the history with one more used fix, if its error can be correlated with that of later fixes."""
         if fix.correlation_s == 0:
             return self
-        # ways that a gap has hidden stay hidden: after it the first fix counts as one more of those before
+        # displacements across a gap stay unknown: the first fix after it is treated as one of those before the gap
         since_gap = tuple(used for used in self.used if used.track_m is not None)
         used = UsedFix(fix, None if track_m is None else read_only(track_m))
         return replace_unchecked(self, used=(*since_gap, used)[-N_BEFORE:])
@@ -51,11 +81,11 @@ class FixHistory:
         return replace_unchecked(self, standstills=standstills)
 
     def is_standing(self, time_s: float) -> bool:
-        """True if a standstill covers this time."""
+        """Return True if a standstill covers this time."""
         return any(begin_s <= time_s <= end_s for begin_s, end_s in self.standstills)
 
     def moved(self, positions: Callable[[FloatArray], FloatArray]) -> FixHistory:
-        """Return the history with the places of the track moved by a function of positions (..., 2)."""
+        """Return the history with track positions transformed by a function of positions (..., 2)."""
         used = (
             u if u.track_m is None else replace_unchecked(u, track_m=read_only(positions(u.track_m))) for u in self.used
         )
@@ -66,7 +96,7 @@ class FixHistory:
         return replace_unchecked(self, doubt=doubt, used=tuple(used), seen=seen, ranges=ranges)
 
     def after_gap(self) -> FixHistory:
-        """Return the history after a time without samples, in which the pedestrian may have gone anywhere."""
+        """Return the history after a gap, in which the pedestrian may have gone anywhere."""
         used = tuple(replace_unchecked(u, track_m=None) for u in self.used)
         seen = self.seen if self.seen and self.seen.is_frozen else None
         return replace_unchecked(self, used=used, seen=seen, ranges=())

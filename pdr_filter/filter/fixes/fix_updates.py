@@ -1,4 +1,4 @@
-"""Measurement updates of the filter by fixes of position, heading and speed, and by standstills."""
+"""Measurement updates by position, heading and speed fixes, and by standstills."""
 
 from __future__ import annotations
 
@@ -9,8 +9,14 @@ import numpy as np
 
 from pdr_filter.filter.fixes.alignment import Alignment, walked_var_m2
 from pdr_filter.filter.fixes.fix_history import UsedFix
-from pdr_filter.filter.fixes.frame_rotation import PairedPoint, align, least_squares_error, n_free, scatter
-from pdr_filter.filter.fixes.gating import Result, gated, unknown_way_var_m2, with_consider_path
+from pdr_filter.filter.fixes.frame_rotation import (
+    PairedPoint,
+    align,
+    degrees_of_freedom,
+    least_squares_error,
+    variance_factor,
+)
+from pdr_filter.filter.fixes.gating import Result, gap_displacement_var_m2, gated, with_consider_path
 from pdr_filter.filter.fixes.measurement_updates import on_measurement
 from pdr_filter.filter.fixes.range_updates import on_range
 from pdr_filter.filter.fixes.relocation import Doubt
@@ -24,7 +30,7 @@ from pdr_filter.filter.imm.pedestrian_state import (
     present_position,
     track_place,
     with_detached_path,
-    with_open_turn,
+    with_reopened_rotation,
 )
 from pdr_filter.values import (
     N_BEFORE,
@@ -46,20 +52,20 @@ from pdr_filter.values import (
 def use_fix(
     model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, offset_rad: FloatArray, fix: Fix
 ) -> Result:
-    """New state, what became of the fix, and its normalised innovation squared in the filter that explains it best.
+    """Return the state after a fix, the outcome of the fix, and its normalised innovation squared (NIS).
 
-    A fix that no filter can explain, or that is older than the remembered steps, is rejected. One that repeats a
-    position while steps go on is frozen. Where the frame of the
-    fixes is not known, the first position fix places the track in it, and those that follow turn it.
-    `offset_rad` (F,) is the filters' own walking heading less the heading that the body faces.
+    The NIS is the smallest one of all filters. A fix is rejected if its NIS exceeds the gate in all filters, or if it
+    is older than the stored steps. A position that is repeated while steps continue is "frozen" and not used. If the
+    frame of the fixes is unknown, the first position fix places the track in it, and later ones rotate it. `offset_rad`
+    (F,) is the walking heading of each filter minus the heading that the body faces.
     """
     if isinstance(fix, Standstill):
         return replace(state, fixes=state.fixes.with_standstill(fix)), "used", np.nan
-    if isinstance(fix, GridFix):  # which particles on a floor plan use
+    if isinstance(fix, GridFix):  # used only by the particle filter on a floor plan
         return state, "nothing to compare", np.nan
     if isinstance(fix, SpeedFix):
         return _on_speed(model, arithmetic, state, fix)
-    state = with_open_turn(state)
+    state = with_reopened_rotation(state)
     place = _place_at(state, fix.time_s)
     if place is None:
         return state, "rejected", np.inf
@@ -75,7 +81,7 @@ def use_fix(
     state = replace(state, fixes=fixes)
     if seen.is_frozen:
         return state, "frozen", np.nan
-    if gap_var_m2 := unknown_way_var_m2(model, state, fix.time_s):
+    if gap_var_m2 := gap_displacement_var_m2(model, state, fix.time_s):
         fix = replace(fix, cov_m2=read_only(fix.cov_m2 + gap_var_m2 * np.eye(2)))
     if not state.frame.is_joined:
         return _on_first_positions(model, arithmetic, state, fix, track_m)
@@ -85,11 +91,11 @@ def use_fix(
 def _on_position(
     model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: PositionFix, track_m: FloatArray
 ) -> Result:
-    """The track at the fix's own time corrects the present.
+    """Return the state after a position fix, whose residual at its own time corrects the present state.
 
-    What is known after it is Student's t, as the turn is (`turn`): where the fixes so far are not as the track expects,
-    track and fixes are less sure than they say (M. Roth, E. Ozkan and F. Gustafsson, "A Student's t filter for heavy
-    tailed process and measurement noise", ICASSP 2013), with a degree of freedom more for each error.
+    Errors have a Student's t distribution, as in `frame_rotation`. If the innovations so far are larger than expected,
+    the covariances of track and fixes are increased, with one more degree of freedom for each innovation (M. Roth, E.
+    Ozkan and F. Gustafsson, "A Student's t filter for heavy tailed process and measurement noise", ICASSP 2013).
     """
     z, H, R = _without_shared_error(model, state, fix, track_m)
     estimates, fixes = state.estimates, state.fixes
@@ -99,8 +105,8 @@ def _on_position(
     updated, outcome, nis = gated(arithmetic, with_consider_path(state, cov), results, model.fix_gate_nis)
     if outcome == "used":
         n_errors, squares = fixes.n_errors + 2, fixes.squares + nis
-        # the factor of all errors so far, of which the covariance has that of those before already
-        larger = scatter(squares, n_errors) / scatter(fixes.squares, fixes.n_errors)
+        # factor for all innovations so far; the covariance already contains the factor for the earlier ones
+        larger = variance_factor(squares, n_errors) / variance_factor(fixes.squares, fixes.n_errors)
         no_error_m = np.zeros_like(estimates.consider_error_m)
         estimates = replace(updated.estimates, cov=larger * updated.estimates.cov, consider_error_m=no_error_m)
         fixes = updated.fixes.with_used(fix, _track_m(updated, fix.time_s))
@@ -114,14 +120,15 @@ def _on_position(
 def _without_shared_error(
     model: PedestrianModel, state: PedestrianState, fix: PositionFix, track_m: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Measurement z (2,) = H x + noise of covariance R, which has no part in common with the errors of fixes before.
+    """Return a linear measurement by a fix whose noise is independent of the errors of earlier fixes.
 
-    With z_i a fix, d_i the way of the track from it to the time of this fix n, and A_i the share of its error in that
-    of fix n (`error_given_before`), z_i + d_i = p_n - J d_i d_psi - d_i d_s + e_i. So z = z_n - sum_i A_i (z_i + d_i)
-    is (I - sum_i A_i) p_n and what the errors of heading offset and log scale make of the ways. A filter with the
-    errors of fixes as more states would do the same (A. E. Bryson and L. J. Henrikson, "Estimation using sampled data
-    containing sequentially correlated noise", J. Spacecraft 5, 1968). The way since fix n, by which p_n becomes the
-    present position, is as uncertain as heading and step lengths are.
+    The measurement is z (2,) = H x + noise of covariance R. Let z_i be an earlier fix, d_i the displacement of the
+    track from its time to the time of this fix n, and A_i the share of its error in the error of fix n
+    (`error_given_before`). Then z_i + d_i = p_n - J d_i d_psi - d_i d_s + e_i. The measurement z = z_n - sum_i A_i (z_i
+    + d_i) is (I - sum_i A_i) p_n plus the effect of errors of heading offset and log scale on the displacements. A
+    filter with the errors of the fixes as further states would give the same result (A. E. Bryson and L. J. Henrikson,
+    "Estimation using sampled data containing sequentially correlated noise", J. Spacecraft 5, 1968). The displacement
+    since fix n, which leads from p_n to the present position, is as uncertain as heading and step lengths.
     """
     x, P = state.estimates.combined
     since_m = track_place(state).position_m - track_m
@@ -145,7 +152,10 @@ def _without_shared_error(
 def _on_known_frame(
     model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: PositionFix, track_m: FloatArray
 ) -> Result:
-    """As `_on_position`; a track that many rejected fixes contradict is moved to where they show it."""
+    """Return the state after a position fix in a joined frame.
+
+    If many rejected fixes contradict the track, the track is relocated to them.
+    """
     updated, outcome, nis = _on_position(model, arithmetic, state, fix, track_m)
     if outcome == "used":
         return updated, outcome, nis
@@ -156,14 +166,14 @@ def _on_known_frame(
     if alignment is None:
         return state, outcome, nis
     state = with_detached_path(state)
-    # the alignment contains the prior of the heading already
+    # the alignment already contains the prior of the heading
     cov = expect_first_direction(state.estimates.cov, 0.0)
     fixes = replace(state.fixes, doubt=Doubt())
     state = in_other_frame(replace(state, estimates=replace(state.estimates, cov=cov), fixes=fixes), alignment)
     moved = replace(alignment, since=alignment.n_steps)
     state = replace(state, frame=replace(state.frame, later=(*state.frame.later, moved)))
     pairs = [pair.moved(alignment.positions) for pair in doubt.pairs]
-    state, nis = _with_other_half(model, arithmetic, state, fix, alignment.positions(track_m), pairs)
+    state, nis = _with_second_half(model, arithmetic, state, fix, alignment.positions(track_m), pairs)
     return state, "moved", nis
 
 
@@ -175,7 +185,10 @@ def _on_heading(
     fix: HeadingFix,
     device_heading_rad: float,
 ) -> Result:
-    """Z = device heading then + heading offset + the filter's own; where no north is known yet, it defines it."""
+    """Return the state after a heading fix, z = device heading at its time + heading offset + offset of the filter.
+
+    If north is unknown, the fix defines it.
+    """
     if len(state.steps.trail) == 0:
         return state, "nothing to compare", np.nan
     prob = state.estimates.prob
@@ -184,7 +197,7 @@ def _on_heading(
     frame, var = state.frame, fix.std_rad**2
     if frame.is_open:
         angle_rad = float(np.arctan2(prob @ np.sin(innovation), prob @ np.cos(innovation)))
-        share = 1.0 / (1.0 + var / frame.north_var_rad2)  # weight of the fix against the prior of the turn
+        share = 1.0 / (1.0 + var / frame.north_var_rad2)  # weight of the fix against the prior of the rotation
         about_m = frame.pairs[0].track_m if frame.since else np.zeros(2)
         turn = Alignment(share * angle_rad, share * var, about_m, about_m, 0.0, state.steps.n_final, frame.since)
         state = in_other_frame(state, turn)
@@ -193,7 +206,10 @@ def _on_heading(
 
 
 def _on_speed(model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: SpeedFix) -> Result:
-    """Log z - log v = error of the log scale, v the smoothed speed of the present bout, to first order."""
+    """Return the state after a speed fix, log z - log v = error of the log scale to first order.
+
+    v is the smoothed speed of the present bout.
+    """
     speed = state.steps.speed
     if speed is None or speed.smoothed_mps <= 0:
         return state, "nothing to compare", np.nan
@@ -211,7 +227,7 @@ def _on_state(
     innovation: FloatArray,
     variance: float,
 ) -> Result:
-    """State after a measurement of one of its entries, whose innovation (F,) is another one for each filter."""
+    """Return the state after a measurement of one state component, with innovations (F,) of the filters."""
     prior = state.estimates
     z = prior.mean[:, index] + innovation
     H, R = np.eye(N_STATES)[[index]], np.array([[variance]])
@@ -223,40 +239,40 @@ def _on_state(
 def _on_first_positions(
     model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: PositionFix, track_m: FloatArray
 ) -> Result:
-    """State that is placed or turned by one fix more, in the frame of the fixes once the turn is settled.
+    """Return the state after a position fix in a frame that is not joined.
 
-    The fix that settles it says two things, how far the track is turned and where it is now, each with half of what
-    it knows.
+    The fix places or rotates the track. The frame is joined when the rotation is known well enough. The fix with which
+    this happens has two uses, one for the rotation and one for the position. Each use has half of its information.
     """
     pair, _ = _paired(state, fix, track_m)
     frame = state.frame.with_pair(pair)
     agreeing = frame.agreeing
-    if state.fixes.doubt.explains(
-        pair
-    ):  # with any turn the place of one fix may be reached: the others are evidence, too
-        return _on_doubted_place(state, pair)
+    if state.fixes.doubt.explains(pair):  # one fix alone fits for some rotation, so the rejected ones count as well
+        return _on_contradicting_fix(state, pair)
     if agreeing[-1] is not pair:
-        return _on_doubted_place(replace(state, frame=frame), pair)
+        return _on_contradicting_fix(replace(state, frame=frame), pair)
     fixes = replace(state.fixes, doubt=state.fixes.doubt.with_used())
     state = replace(state, fixes=fixes)
     half = (*agreeing[:-1], replace(pair, var_m2=2.0 * pair.var_m2))
-    alignment = align(half, state.steps.n_final, frame.turn_prior_var_rad2, frame.compass) if frame.is_settled else None
+    alignment = (
+        align(half, state.steps.n_final, frame.rotation_prior_var_rad2, frame.compass) if frame.is_settled else None
+    )
     if alignment is None:
         return replace(state, frame=frame), "placed" if len(agreeing) == 1 else "turned", np.nan
-    squares = least_squares_error(agreeing, frame.turn_prior_var_rad2)
+    squares = least_squares_error(agreeing, frame.rotation_prior_var_rad2)
     state = in_other_frame(state, alignment)
-    fixes = replace(state.fixes, n_errors=n_free(agreeing), squares=squares)
+    fixes = replace(state.fixes, n_errors=degrees_of_freedom(agreeing), squares=squares)
     state = replace(state, frame=frame.joined(alignment), fixes=fixes)
     pairs = [pair.moved(alignment.positions) for pair in agreeing]
-    state, nis = _with_other_half(model, arithmetic, state, fix, alignment.positions(track_m), pairs)
+    state, nis = _with_second_half(model, arithmetic, state, fix, alignment.positions(track_m), pairs)
     return state, "turned", nis
 
 
-def _on_doubted_place(state: PedestrianState, pair: PairedPoint) -> Result:
-    """State after a fix that cannot be right if the others are.
+def _on_contradicting_fix(state: PedestrianState, pair: PairedPoint) -> Result:
+    """Return the state after a fix that is inconsistent with the other fixes of a frame that is not joined.
 
-    After a lost heading the place of the track is one of them. Fixes that contradict the others for long move the
-    track: it goes on from them, with its turn open.
+    After a lost heading the track position at the loss is one of the others. If such fixes contradict the others for
+    long, they relocate the track, with an unknown rotation.
     """
     doubt, n_steps = state.fixes.doubt.with_rejected(pair), state.steps.n_final
     state = replace(state, fixes=replace(state.fixes, doubt=doubt))
@@ -265,13 +281,13 @@ def _on_doubted_place(state: PedestrianState, pair: PairedPoint) -> Result:
     turn, (from_m, _) = state.frame.most_probable(n_steps), present_position(state)
     joined = state.frame.joined(turn)
     state = with_detached_path(in_other_frame(state, turn))
-    opened = joined.opened(state.fixes.doubt.pairs, np.inf, n_steps)
+    opened = joined.reopened(state.fixes.doubt.pairs, np.inf, n_steps)
     state = replace(state, frame=opened, fixes=replace(state.fixes, doubt=Doubt()))
     moved = Alignment(0.0, 0.0, from_m, present_position(state)[0], 0.0, n_steps, since=n_steps)
     return replace(state, frame=replace(state.frame, later=(*joined.later, moved))), "moved", np.inf
 
 
-def _with_other_half(
+def _with_second_half(
     model: PedestrianModel,
     arithmetic: ImmArithmetic,
     state: PedestrianState,
@@ -279,7 +295,7 @@ def _with_other_half(
     track_m: FloatArray,
     pairs: Sequence[PairedPoint],
 ) -> tuple[PedestrianState, float]:
-    """State that an alignment by pairs has placed, with the half of the last fix that the alignment does not have."""
+    """Return the state after an alignment, updated with the half of the last fix that the alignment has not used."""
     shared = tuple(
         UsedFix(
             PositionFix(pair.time_s, pair.world_m, pair.var_m2 * np.eye(2), correlation_s=pair.correlation_s),
@@ -292,13 +308,16 @@ def _with_other_half(
     half = replace(fix, cov_m2=2.0 * fix.cov_m2)
     updated, outcome, nis = _on_position(model, arithmetic, state, half, track_m)
     fixes = updated.fixes
-    if outcome == "used" and fix.correlation_s > 0:  # remembered with its whole information, not with half of it
+    if outcome == "used" and fix.correlation_s > 0:  # stored with its full covariance, not with that of the half
         fixes = replace(fixes, used=fixes.used[:-1])
     return replace(updated, fixes=fixes.with_used(fix, _track_m(updated, fix.time_s))), nis
 
 
 def _paired(state: PedestrianState, fix: PositionFix, track_m: FloatArray) -> tuple[PairedPoint, float]:
-    """The fix with where the track was, and the variance of the heading, which has no part in that of the track."""
+    """Return the fix paired with the track position, and the variance of the heading.
+
+    The variance of the track position in the pair does not include that due to the heading.
+    """
     _, P = state.estimates.combined
     cov = P.copy()
     cov[:2, :2] += state.estimates.length_parameters_cov_m2
@@ -308,13 +327,13 @@ def _paired(state: PedestrianState, fix: PositionFix, track_m: FloatArray) -> tu
 
 
 def _place_at(state: PedestrianState, time_s: float) -> FloatArray | None:
-    """Return east, north and device heading (3,) at a time, or None before the oldest remembered step."""
+    """Return east, north and device heading (3,) at a time, or None before the oldest stored step."""
     if len(state.steps.trail) == 0:
         return np.append(track_place(state).position_m, 0.0)
     return state.steps.at(time_s)
 
 
 def _track_m(state: PedestrianState, time_s: float) -> FloatArray | None:
-    """Return east and north (2,) of the track at a time, or None before the oldest remembered step."""
+    """Return the track position (2,) at a time, or None before the oldest stored step."""
     place = _place_at(state, time_s)
     return None if place is None else place[:2]

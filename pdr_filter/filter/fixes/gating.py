@@ -1,4 +1,4 @@
-"""Parts of a measurement update that all kinds of fixes share: gating, and what the state knows of the way since."""
+"""Parts of a measurement update that all kinds of fixes share: gating, and displacement since the time of the fix."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def gated(
     updated: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
     gate_nis: float,
 ) -> Result:
-    """State after an update, or without it if no filter explains the measurement."""
+    """Return the state after an update, or the unchanged state if the NIS exceeds the gate in all filters."""
     mean, cov, log_likelihood, nis = updated
     best_nis = float(nis.min())
     if not best_nis <= gate_nis:
@@ -34,7 +34,7 @@ def gated(
 
 
 def with_consider_path(state: PedestrianState, cov: FloatArray) -> PedestrianState:
-    """State whose path knows that covariances (F, 4, 4) have the errors of the consider parameters now."""
+    """Return the state with a path for covariances (F, 4, 4) that now include the errors of the consider parameters."""
     estimates = state.estimates
     x, P = estimates.combined
     _, grown_P = replace(estimates, cov=cov).combined
@@ -42,8 +42,11 @@ def with_consider_path(state: PedestrianState, cov: FloatArray) -> PedestrianSta
     return replace(state, path=path)
 
 
-def unknown_way_var_m2(model: PedestrianModel, state: PedestrianState, time_s: float) -> float:
-    """Variance along each axis of the way from a time to the end of a gap after it; 0 without such a gap."""
+def gap_displacement_var_m2(model: PedestrianModel, state: PedestrianState, time_s: float) -> float:
+    """Return the variance along each axis of the displacement in the gap after a time, or 0 without a gap.
+
+    Only the part of the gap after that time counts.
+    """
     gap_s, trail = state.steps.gap_s, state.steps.trail
     if gap_s == 0.0 or len(trail) == 0:
         return 0.0

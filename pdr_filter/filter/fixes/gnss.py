@@ -1,8 +1,8 @@
-"""Locations of a phone to position fixes in metres that say no more than they know.
+"""Conversion of phone locations to position fixes in metres with realistic errors.
 
-What a phone calls a location is already smoothed, and reflections and the ionosphere put consecutive ones off the same
-way: the error at one time is correlated with that a time t later as exp(-t / T), `PositionFix.correlation_s`. The
-filter takes from each what the one before did not say (`pdr_filter.filter.fixes.fix_updates`).
+The locations of a phone are already smoothed. Reflections and the ionosphere shift consecutive locations in the same
+direction. The correlation of errors a time t apart is exp(-t / T), with T in `PositionFix.correlation_s`. The filter
+uses from each fix only the information that earlier ones do not contain (`pdr_filter.filter.fixes.fix_updates`).
 """
 
 from __future__ import annotations
@@ -15,37 +15,63 @@ import numpy as np
 
 from pdr_filter.values import N_BEFORE, RADIUS_68, FloatArray, Origin, PositionFix, Samples, repeated_cov_m2
 
-# Phones are off by 4.9 m under open sky (F. van Diggelen and P. Enge, "The world's first GPS MOOC and worldwide
-# laboratory using smartphones", ION GNSS+ 2015). One that claims less means its own scatter.
+# Smallest accuracy: the error of phones under open sky (F. van Diggelen and P. Enge, "The world's first GPS MOOC and
+# worldwide laboratory using smartphones", ION GNSS+ 2015). A smaller reported accuracy is the scatter of the phone's
+# filter.
 MIN_ACCURACY_M = 4.9
-# T. An assumption, between the seconds for which somebody who walks meets one reflection and the minute after which the
-# autocorrelation of a standing receiver has a bend (D. L. Wilson's twenty days of a Garmin 12XL).
+# Correlation time T of the errors. This is an assumption between two values: a walking person meets one reflection for
+# some seconds, and the autocorrelation of a static receiver has a bend after one minute (D. L. Wilson, twenty days of a
+# Garmin 12XL).
 CORRELATION_S = 20.0
-# Half of it: fixes in between would hardly say more, and those that show the turn of a track are few and so reach back
-# for minutes (`filter.fixes.frame_rotation.MAX_PAIRS`).
+# Half of the correlation time. More frequent fixes hardly add information. The rotation of a track is estimated from a
+# limited number of fixes (`frame_rotation.MAX_PAIRS`), which then cover some minutes.
 INTERVAL_S = 10.0
-# Satellites are on one side of a phone: it is off by 95 % of 13 m upwards where it is by 95 % of 8 m along the ground
-# ("GPS standard positioning service performance standard", 5th edition, 2020), twice as much as along each axis.
-_UPWARDS = 2.0
-# Faster than a walk, which has more than one step a second: a run has more than two.
+# Vertical standard deviation relative to that along each horizontal axis. 95 % of the errors are below 13 m vertically
+# and below 8 m horizontally ("GPS standard positioning service performance standard", 5th edition, 2020).
+_VERTICAL_RATIO = 2.0
+# Smallest speed of a ride, and largest step rate in it: a walk has more than one step a second, a run more than two.
 _RIDE_MPS, _RIDE_STEPS_HZ = 2.5, 0.5
-# Net distance of an outlier against the way there and back.
+# Ratio of net displacement to travelled distance below which a ride is an outlier.
 _OUTLIER_SHARE = 0.25
-_MOST_RIDES = 16  # that are remembered: a filter may run for days
-# A country: more is no location, and its square must stay a number.
+_MAX_RIDES = 16  # number of stored rides, because a filter may run for days
+# Largest accuracy radius, about the size of a country. Its square must be finite.
 MAX_ACCURACY_M = 1e5
 
 
 @dataclass(frozen=True, slots=True)
 class LocationState:
-    """Where the frame of the fixes lies, and what has been seen of a stream of locations."""
+    """State of the conversion of locations to fixes: origin of the fixes, and counts of unusable locations.
 
-    origin: Origin | None = None  # the first usable location
-    last_s: float = -math.inf  # of the last fix
-    n: int = 0  # locations
-    n_nowhere: int = 0  # no place on Earth
-    n_vague: int = 0  # without an accuracy
-    n_backward: int = 0  # in time
+    Attributes
+    ----------
+    origin : Origin or None
+        Geographic origin of the fixes: the first usable location unless another origin was given.
+    last_s : float
+        Time of the last fix, or minus infinity.
+    n : int
+        Number of locations.
+    n_nowhere : int
+        Number of locations whose coordinates are not a place on Earth.
+    n_vague : int
+        Number of locations without an accuracy.
+    n_backward : int
+        Number of locations whose time is not after that of the last fix.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.filter.fixes.gnss import LocationState, position_fixes
+    >>> state, fixes = position_fixes(LocationState(), np.zeros(1), np.array([48.1]), np.array([11.6]), np.zeros(1))
+    >>> state.n, state.n_vague, state.n_unusable
+    (1, 1, 1)
+    """
+
+    origin: Origin | None = None
+    last_s: float = -math.inf
+    n: int = 0
+    n_nowhere: int = 0
+    n_vague: int = 0
+    n_backward: int = 0
 
     @property
     def n_unusable(self) -> int:
@@ -53,16 +79,28 @@ class LocationState:
         return self.n_nowhere + self.n_vague + self.n_backward
 
     def reasons(self) -> str:
-        """Why locations are not used, with the number of each cause and its remedy."""
+        """Return the reasons why locations are not used.
+
+        Returns
+        -------
+        str
+            Number of locations for each reason, with its remedy. Empty if all locations are usable.
+        """
         causes = {
-            "no place on Earth (latitude and longitude in degrees are needed)": self.n_nowhere,
-            "no horizontal accuracy above 0 (export it too, or give the positions as fixes)": self.n_vague,
-            "a time that is not after the one before (sort them by time)": self.n_backward,
+            "coordinates that are not a place on Earth (give latitude and longitude in degrees)": self.n_nowhere,
+            "no horizontal accuracy above 0 (export the accuracy, or pass the positions as fixes)": self.n_vague,
+            "a time that is not after the previous one (sort the locations by time)": self.n_backward,
         }
         return ", ".join(f"{n} with {words}" for words, n in causes.items() if n)
 
     def unusable(self) -> str:
-        """How many locations are not used, and why, in words."""
+        """Return a message about the locations that are not used.
+
+        Returns
+        -------
+        str
+            Number of unusable locations, and the reasons.
+        """
         return f"{self.n_unusable} of {self.n} locations are not used: {self.reasons()}"
 
 
@@ -75,15 +113,55 @@ def position_fixes(
     interval_s: float = INTERVAL_S,
     altitude_m: FloatArray | None = None,
 ) -> tuple[LocationState, tuple[PositionFix, ...]]:
-    """New state and fixes, `interval_s` apart or more, of locations (N,) each, however they are cut into blocks.
+    """Return the state after some locations, and the position fixes made from them.
 
-    Left out and counted are locations that are no place on Earth, that go back in time, and those without an accuracy:
-    a phone that says 0 (Android), less (iOS) or nothing does not know where it is. An altitude of 0 is none.
+    A location is left out and counted if it is not a place on Earth, if its time is not after that of the last fix, or
+    if it has no accuracy. Phones without an accuracy report 0 (Android), a negative number (iOS) or nothing. Locations
+    closer than `interval_s` to the last fix are left out as well. Locations may arrive in blocks of any size with
+    identical results.
+
+    Parameters
+    ----------
+    state : LocationState
+        State after earlier locations, or `LocationState()`.
+    time_s : (N,) array
+        Times on the time base of the samples.
+    latitude_deg, longitude_deg : (N,) array
+        Coordinates on WGS 84.
+    accuracy_m : (N,) array
+        Horizontal accuracy as reported by the phone: the radius in m of the 68 % circle.
+    interval_s : float, default 10.0
+        Smallest time in s between two fixes.
+    altitude_m : (N,) array, optional
+        Altitudes in m. An altitude of 0 counts as missing.
+
+    Returns
+    -------
+    state : LocationState
+        State after these locations.
+    fixes : tuple of PositionFix
+        Fixes in metres (east, north) from the origin, with a correlation time of 20 s.
+
+    Notes
+    -----
+    The accuracy is at least 4.9 m, the error of phones under open sky (F. van Diggelen and P. Enge, "The world's first
+    GPS MOOC and worldwide laboratory using smartphones", ION GNSS+ 2015).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.filter.fixes.gnss import LocationState, position_fixes
+    >>> time_s, latitude_deg = np.array([0.0, 5.0, 12.0]), np.array([48.1, 48.1001, 48.1002])
+    >>> state, fixes = position_fixes(LocationState(), time_s, latitude_deg, np.full(3, 11.6), np.full(3, 6.0))
+    >>> [fix.time_s for fix in fixes]
+    [0.0, 12.0]
+    >>> fixes[1].position_m.round()
+    array([ 0., 22.])
     """
     fixes: list[PositionFix] = []
     origin, last_s = state.origin, state.last_s
     n_nowhere, n_vague, n_backward = state.n_nowhere, state.n_vague, state.n_backward
-    # one by one: the bits of a vectorised sine depend on its length
+    # one location at a time: the bits of a vectorised sine depend on the length of the array
     altitude_m = np.full(len(time_s), np.nan) if altitude_m is None else altitude_m
     rows = np.column_stack([time_s, latitude_deg, longitude_deg, accuracy_m, altitude_m]).tolist()
     for t, latitude, longitude, accuracy, altitude in rows:
@@ -99,14 +177,14 @@ def position_fixes(
             place_m, cov_m2 = origin.east_north_m(latitude, longitude), std_m**2 * np.eye(2)
             fix = PositionFix(t, place_m, cov_m2, correlation_s=CORRELATION_S)
             if math.isfinite(altitude) and altitude != 0.0:
-                fix = replace(fix, altitude_m=altitude, altitude_std_m=_UPWARDS * std_m)
+                fix = replace(fix, altitude_m=altitude, altitude_std_m=_VERTICAL_RATIO * std_m)
             fixes.append(fix)
     return LocationState(origin, last_s, state.n + len(rows), n_nowhere, n_vague, n_backward), tuple(fixes)
 
 
-# Locations worse than this do not show a way of some metres.
+# Largest accuracy radius at which displacements of some metres are visible.
 _GOOD_M = 10.0
-# A location is where the phone is for so long.
+# Age up to which a location counts as the present position.
 _PRESENT_S = 2.0
 
 
@@ -118,9 +196,9 @@ def good_places(
     accuracy_m: FloatArray,
     last_s: float = -math.inf,
 ) -> FloatArray:
-    """Time, east and north (P, 3) of locations (N,) later than `last_s`, NaN where they are not good."""
+    """Return time, east and north (P, 3) of locations (N,) after `last_s`, NaN if a location is not accurate."""
     found = list[tuple[float, float, float]]()
-    # one by one: the bits of a vectorised sine depend on its length
+    # one location at a time: the bits of a vectorised sine depend on the length of the array
     for t, *place, accuracy in np.column_stack([time_s, latitude_deg, longitude_deg, accuracy_m]).tolist():
         if last_s < t < math.inf:
             is_good = _is_place(*place) and 0 < accuracy <= _GOOD_M
@@ -131,7 +209,10 @@ def good_places(
 
 
 def place_at(places: FloatArray, time_s: float) -> tuple[float, float] | None:
-    """East and north of the last of some `good_places` (P, 3) at a time; None if it is old or not good."""
+    """Return east and north at a time from `good_places` (P, 3).
+
+    The result is None if the last location is too old or not accurate.
+    """
     k = int(np.searchsorted(places[:, 0], time_s, side="right")) - 1
     if k < 0:
         return None
@@ -140,9 +221,29 @@ def place_at(places: FloatArray, time_s: float) -> tuple[float, float] | None:
 
 
 def independent(fixes: Sequence[PositionFix]) -> tuple[PositionFix, ...]:
-    """Fixes in the given order for what takes their errors for independent, such as `pdr_filter.smooth`.
+    """Return fixes with independent errors that contain the same information as fixes with correlated errors.
 
-    The covariance of each has that of the fixes before in it (`values.repeated_cov_m2`).
+    The covariance of each fix is increased by the information that earlier fixes already contain. Use it for algorithms
+    that assume independent errors, such as `pdr_filter.smooth`.
+
+    Parameters
+    ----------
+    fixes : sequence of PositionFix
+        Fixes in any order.
+
+    Returns
+    -------
+    tuple of PositionFix
+        Fixes in the same order with `correlation_s` 0. Fixes that were independent are unchanged.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.filter.fixes.gnss import independent
+    >>> fixes = [pdr.PositionFix(t, (0.0, 0.0), np.eye(2), correlation_s=20.0) for t in (0.0, 10.0)]
+    >>> [round(float(fix.cov_m2[0, 0]), 2) for fix in independent(fixes)]
+    [1.0, 4.01]
     """
     independent_fixes = list(fixes)
     last = list[PositionFix]()
@@ -155,7 +256,7 @@ def independent(fixes: Sequence[PositionFix]) -> tuple[PositionFix, ...]:
 
 
 def origin_of(location: Samples) -> Origin | None:
-    """The first usable place of a whole stream of locations, the zero of its fixes; None if none is usable."""
+    """Return the first usable location of a recording as the origin of its fixes, or None if none is usable."""
     latitude_deg, longitude_deg, _, accuracy_m = location.values.T
     rows = zip(
         location.time_s.tolist(), latitude_deg.tolist(), longitude_deg.tolist(), accuracy_m.tolist(), strict=True
@@ -167,18 +268,17 @@ def origin_of(location: Samples) -> Origin | None:
 
 
 def fixes_of(location: Samples, origin: Origin | None = None) -> tuple[Origin | None, tuple[PositionFix, ...]]:
-    """Where the fixes of a whole stream of locations have their zero, and the fixes; None and no fix if none is usable.
+    """Return the origin and the position fixes of the locations of a recording, or None and no fixes if none is usable.
 
-    The zero is the first usable location, if no other is given.
-
-    `location` is that of a `Recording`: latitude, longitude, altitude and accuracy.
+    The origin is the first usable location unless another one is given. `location` is the stream of a `Recording`:
+    latitude, longitude, altitude and accuracy.
     """
     state, fixes = locations_of(location, origin)
     return state.origin, fixes
 
 
 def locations_of(location: Samples, origin: Origin | None = None) -> tuple[LocationState, tuple[PositionFix, ...]]:
-    """Return the state after all locations, and their position fixes in metres from the first usable location."""
+    """Return the state after all locations of a recording, and their position fixes."""
     latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values.T
     return position_fixes(
         LocationState(origin), location.time_s, latitude_deg, longitude_deg, accuracy_m, altitude_m=altitude_m
@@ -187,23 +287,41 @@ def locations_of(location: Samples, origin: Origin | None = None) -> tuple[Locat
 
 @dataclass(frozen=True, slots=True)
 class Ride:
-    """Stretch of time in which position fixes move faster than a walk and the pedestrian makes no steps."""
+    """Interval in which position fixes move faster than a walk and the pedestrian makes no steps.
+
+    Attributes
+    ----------
+    begin_s, end_s : float
+        Times of the first and the last fix.
+    way_m : float
+        Sum of the distances between consecutive fixes.
+    first, last : PositionFix
+        First and last fix.
+    """
 
     begin_s: float
     end_s: float
-    way_m: float  # sum of the distances between its fixes
+    way_m: float
     first: PositionFix
     last: PositionFix
 
     @property
     def is_outlier(self) -> bool:
-        """True of fixes that went off and came back, as after a reflection of satellite signals."""
+        """True if the fixes moved away and came back, as after a reflection of satellite signals."""
         return float(np.linalg.norm(self.last.position_m - self.first.position_m)) < _OUTLIER_SHARE * self.way_m
 
 
 @dataclass(frozen=True, slots=True)
 class Rides:
-    """The last rides between position fixes, and the last fix."""
+    """Last rides between position fixes.
+
+    Attributes
+    ----------
+    found : tuple of Ride
+        Last rides.
+    last : PositionFix or None
+        Last fix.
+    """
 
     found: tuple[Ride, ...] = ()
     last: PositionFix | None = None
@@ -217,7 +335,7 @@ class Rides:
         return rides
 
     def plus(self, fix: PositionFix, step_time_s: FloatArray) -> Rides:
-        """Return the rides with one more fix; steps are given by their times (K,)."""
+        """Return the rides with one more fix. Steps are given by their times (K,)."""
         previous = self.last
         if previous is None or fix.time_s <= previous.time_s:
             return self if previous is not None else Rides((), fix)
@@ -231,14 +349,17 @@ class Rides:
             ride = self.found[-1]
             ride = Ride(ride.begin_s, fix.time_s, ride.way_m + way_m, ride.first, fix)
             return Rides((*self.found[:-1], ride), fix)
-        return Rides((*self.found, Ride(previous.time_s, fix.time_s, way_m, previous, fix))[-_MOST_RIDES:], fix)
+        return Rides((*self.found, Ride(previous.time_s, fix.time_s, way_m, previous, fix))[-_MAX_RIDES:], fix)
 
 
 def _is_place(latitude_deg: float, longitude_deg: float) -> bool:
-    """True for a place on Earth; apps write 0, 0 where they have none."""
+    """Return True for a place on Earth. Apps write (0, 0) for a missing location."""
     return abs(latitude_deg) <= 90 and abs(longitude_deg) <= 180 and (latitude_deg, longitude_deg) != (0.0, 0.0)
 
 
 def _is_accuracy(accuracy_m: float) -> bool:
-    """True for an accuracy that a phone may report: 0 (Android), less (iOS) and NaN mean that it is not known."""
+    """Return True for a known accuracy.
+
+    Phones report 0 (Android), a negative number (iOS) or NaN for an unknown one.
+    """
     return 0 < accuracy_m < MAX_ACCURACY_M

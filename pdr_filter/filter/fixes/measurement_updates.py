@@ -1,4 +1,4 @@
-"""Measurement updates by fixes that are a function of position and heading (`values.Measurement`), such as ranges."""
+"""Measurement updates by fixes that are functions of position and heading (`values.Measurement`), such as ranges."""
 
 from __future__ import annotations
 
@@ -8,30 +8,30 @@ from dataclasses import replace
 
 import numpy as np
 
-from pdr_filter.filter.fixes.gating import Result, gated, unknown_way_var_m2, with_consider_path
+from pdr_filter.filter.fixes.gating import Result, gap_displacement_var_m2, gated, with_consider_path
 from pdr_filter.filter.imm.imm import ImmArithmetic
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.pedestrian_state import PedestrianState, track_place
 from pdr_filter.values import FloatArray, Measurement, measured
 
-# Linearisations of one update. Those after the first few move the estimate by less than some millimetres, unless the
-# estimate is less sure than the distance to an anchor (`range_placement`).
+# Largest number of linearisations of one update, and the move at which they have converged. After the first few the
+# estimate moves by some millimetres, unless it is less certain than the distance to an anchor (`range_placement`).
 _MAX_ITERATIONS, _CONVERGED_M = 8, 5e-3
 # Upper 0.1 % quantile of the normal distribution.
 _NORMAL_QUANTILE = 3.09
-# A measurement that is less probable to be regular than to be an outlier is rejected.
-_LEAST_REGULAR_PROB = 0.5
+# A measurement is rejected if it is more probably an outlier than regular.
+_MIN_REGULAR_PROB = 0.5
 
 
 def high_quantile(n_dimensions: int) -> float:
-    """Upper 0.1 % quantile of chi-square, by the approximation of Wilson and Hilferty."""
+    """Return the upper 0.1 % quantile of chi-square, by the approximation of Wilson and Hilferty."""
     share = 2.0 / (9.0 * n_dimensions)
     return n_dimensions * (1.0 - share + _NORMAL_QUANTILE * math.sqrt(share)) ** 3
 
 
 def gate_of(model: PedestrianModel, n_dimensions: int) -> float:
-    """Largest normalised innovation squared of a measurement (k,)."""
+    """Return the largest accepted normalised innovation squared of a measurement with `n_dimensions` components."""
     if n_dimensions <= 2:
         return model.scalar_gate_nis if n_dimensions == 1 else model.fix_gate_nis
     return high_quantile(n_dimensions)
@@ -43,35 +43,37 @@ def on_measurement(
     state: PedestrianState,
     offset_rad: FloatArray,
     fix: Measurement,
-    then: FloatArray,
+    earlier: FloatArray,
     regular_prob: Callable[[float, float], float] | None = None,
 ) -> Result:
-    """State after a measurement, given east, north and device heading (3,) of the track at its time.
+    """Return the state after a measurement, the outcome, and the normalised innovation squared.
 
-    `regular_prob` of a scalar measurement is the probability that it is no outlier, given its residual and the variance
-    of that.
+    `earlier` (3,) is east, north and device heading of the track at the time of the measurement. `regular_prob` is for
+    scalar measurements: it returns the probability that the measurement is not an outlier, given its residual and the
+    variance of the residual.
 
-    The iterated extended Kalman filter in each mode (B. M. Bell and F. W. Cathey, "The iterated Kalman filter update as
-    a Gauss-Newton method", IEEE Trans. Automatic Control 38, 1993). A measurement that is an outlier with probability
-    1 - w moves the estimate by w of its correction, and the covariance has the spread of both cases.
+    Each filter is updated by an iterated extended Kalman filter (B. M. Bell and F. W. Cathey, "The iterated Kalman
+    filter update as a Gauss-Newton method", IEEE Trans. Automatic Control 38, 1993). With probability w of a regular
+    measurement the estimate moves by w times its correction, and the covariance includes the spread between both cases.
     """
-    if not state.frame.is_joined or (len(state.steps.trail) == 0 and _needs_heading(fix, then)):
+    if not state.frame.is_joined or (len(state.steps.trail) == 0 and _needs_heading(fix, earlier)):
         return state, "nothing to compare", np.nan
     estimates = state.estimates
     cov = estimates.cov.copy()
     cov[:, :2, :2] += estimates.consider_cov_m2
-    # the place then, as it follows from the state now: an error of heading or scale has moved it on the way since
-    east_m, north_m = (track_place(state).position_m - then[:2]).tolist()
+    # The position at the time of the measurement as a function of the present state: errors of heading and scale have
+    # changed the displacement since then.
+    east_m, north_m = (track_place(state).position_m - earlier[:2]).tolist()
     by_state = np.array([[1.0, 0.0, -north_m, -east_m], [0.0, 1.0, east_m, -north_m]])
-    moved_m = then[:2] - by_state @ estimates.combined[0]
-    gap_var_m2 = unknown_way_var_m2(model, state, fix.time_s)
+    moved_m = earlier[:2] - by_state @ estimates.combined[0]
+    gap_var_m2 = gap_displacement_var_m2(model, state, fix.time_s)
     each = [
-        _iterated(arithmetic, mean, P, fix, (by_state, moved_m), float(then[2]) + own_rad, gap_var_m2, regular_prob)
+        _iterated(arithmetic, mean, P, fix, (by_state, moved_m), float(earlier[2]) + own_rad, gap_var_m2, regular_prob)
         for mean, P, own_rad in zip(estimates.mean, cov, offset_rad.tolist(), strict=True)
     ]
     mean, cov_after, log_likelihood, nis = (np.concatenate([result[i] for result in each]) for i in range(4))
     likely, n_dimensions = max(result[4] for result in each), each[0][5]
-    if likely < _LEAST_REGULAR_PROB:
+    if likely < _MIN_REGULAR_PROB:
         return state, "rejected", float(nis.min())
     updated = mean, cov_after, log_likelihood, nis
     after, outcome, best_nis = gated(arithmetic, with_consider_path(state, cov), updated, gate_of(model, n_dimensions))
@@ -81,8 +83,9 @@ def on_measurement(
     return replace(after, estimates=replace(after.estimates, consider_error_m=no_error_m)), outcome, best_nis
 
 
-def _needs_heading(fix: Measurement, then: FloatArray) -> bool:
-    return bool(np.any(measured(fix, then[:2], float(then[2]))[1][:, 2]))
+def _needs_heading(fix: Measurement, earlier: FloatArray) -> bool:
+    """Return True if the measurement depends on the heading."""
+    return bool(np.any(measured(fix, earlier[:2], float(earlier[2]))[1][:, 2]))
 
 
 def _iterated(
@@ -90,24 +93,26 @@ def _iterated(
     mean: FloatArray,
     cov: FloatArray,
     fix: Measurement,
-    then: tuple[FloatArray, FloatArray],
+    relation: tuple[FloatArray, FloatArray],
     heading_rad: float,
     gap_var_m2: float,
     regular_prob: Callable[[float, float], float] | None,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float, int]:
-    """Mean (1, 4), covariance (1, 4, 4), log likelihood (1,), NIS (1,), probability of a regular measurement, k.
+    """Return the iterated update of one filter.
 
-    The place at the time of the measurement is B x + b with `then` = (B, b).
+    The results are the mean (1, 4), covariance (1, 4, 4), log likelihood (1,), NIS (1,), the probability of a regular
+    measurement, and the number of components. The position at the time of the measurement is B x + b, with
+    `relation` = (B, b).
     """
     prior_mean, prior_cov, x = mean[None], cov[None], mean
-    linear = _linearised(fix, x, then, heading_rad, gap_var_m2)
+    linear = _linearised(fix, x, relation, heading_rad, gap_var_m2)
     updated = arithmetic.update(prior_mean, prior_cov, *linear)
     for _ in range(_MAX_ITERATIONS - 1):
         moved_m = updated[0][0, :2] - x[:2]
         if float(np.abs(moved_m).max()) < _CONVERGED_M:
             break
         x = updated[0][0]
-        linear = _linearised(fix, x, then, heading_rad, gap_var_m2)
+        linear = _linearised(fix, x, relation, heading_rad, gap_var_m2)
         updated = arithmetic.update(prior_mean, prior_cov, *linear)
     z, H, R = linear
     after_mean, after_cov, log_likelihood, nis = updated
@@ -122,10 +127,10 @@ def _iterated(
 
 
 def _linearised(
-    fix: Measurement, x: FloatArray, then: tuple[FloatArray, FloatArray], heading_rad: float, gap_var_m2: float
+    fix: Measurement, x: FloatArray, relation: tuple[FloatArray, FloatArray], heading_rad: float, gap_var_m2: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Measurement z (k,) = H x + noise of covariance R, linearised at a state (4,)."""
-    by_state, shift_m = then
+    """Return the measurement z (k,) = H x + noise of covariance R, linearised at a state (4,)."""
+    by_state, shift_m = relation
     residual, by_pose, cov = measured(fix, by_state @ x + shift_m, heading_rad + float(x[HEADING_OFFSET]))
     by_place = by_pose[:, :2]
     H = by_place @ by_state

@@ -1,9 +1,9 @@
-"""Positions and rotations of a track that fit the last ranges, each with its odds.
+"""Search for positions and rotations of a track that fit the last ranges, with their odds.
 
-A linear update needs an estimate that is surer than the distance to the anchors. Without one, because the frame of the
-anchors is unknown, after a gap, or when the track is wrong, ranges fit several places: those to two anchors fit a path
-and nearly its mirror image. Least squares from many starting points finds them; the steps of the track tie the ranges
-together.
+A linear update requires an estimate that is more certain than the distance to the anchors. There is no such estimate if
+the frame of the anchors is unknown, after a gap, or if the track is wrong. Ranges then fit several positions: ranges to
+two anchors fit a path and nearly its mirror image. Least squares from many starting points finds them. The steps of the
+track connect the ranges with each other.
 """
 
 from __future__ import annotations
@@ -27,63 +27,101 @@ from pdr_filter.values import (
     wrap_angle,
 )
 
-# Ranges that are remembered, and for how long: dead reckoning bends the path between older ones.
+# Largest number and age of stored ranges. Dead reckoning between older ranges is not accurate enough.
 MAX_RANGES, MAX_AGE_S = 30, 40.0
-# Starting points of the least squares: rotations, and places on a circle of the first range about its anchor.
+# Starting points of the least squares: rotations, and positions on circles about the anchors with the range as radius.
 _N_ANGLES, _N_BEARINGS = 12, 8
-# Iterations from all of them, then of those that fit best until they have converged.
+# Iterations from all starting points, number of best ones that are kept, and total number of iterations.
 _N_ROUGH, _N_KEPT, _N_ITERATIONS = 8, 32, 25
-# Error of the track between two ranges: this share of the way between them.
+# Error of the track between two ranges, relative to the displacement between them.
 _WAY_SHARE = 0.05
-# Places nearer than this, and rotations, are one solution.
+# Poses whose positions and rotations differ by less are one solution.
 _SAME_M, _SAME_RAD = 0.5, 0.1
-# A solution with lower odds against the best one is given up.
-LEAST_LOG_ODDS = -math.log(1000.0)
-_FEWEST = 4  # ranges for three unknowns, and one that checks them
+# A solution with lower odds against the best one is discarded.
+MIN_LOG_ODDS = -math.log(1000.0)
+_MIN_RANGES = 4  # three for the unknowns, and one to verify them
 
 
 @dataclass(frozen=True, eq=False)
 class PairedRange:
-    """A range, and where the track was then."""
+    """Range, and the track position at its time.
+
+    Attributes
+    ----------
+    fix : RangeFix
+        The range.
+    track_m : (2,) array
+        Position of the track.
+    is_used : bool
+        True if the filter has used the range.
+    """
 
     fix: RangeFix
-    track_m: FloatArray  # (2,)
+    track_m: FloatArray
     is_used: bool
 
     def moved(self, positions: Callable[[FloatArray], FloatArray]) -> PairedRange:
-        """Return the range with the place of the track moved by a function of positions (..., 2)."""
+        """Return the range with the track position transformed by a function of positions (..., 2)."""
         return replace_unchecked(self, track_m=read_only(positions(self.track_m)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PriorPose:
-    """Prior of the pose: the position of one point of the track and the rotation of the frame."""
+    """Prior of the pose: the position of one point of the track and the rotation of the frame.
 
-    track_m: FloatArray  # (2,)
-    place_m: FloatArray  # (2,)
-    information: FloatArray  # (3, 3) of the place and the rotation
+    Attributes
+    ----------
+    track_m : (2,) array
+        Point of the track.
+    place_m : (2,) array
+        Prior mean of its position.
+    information : (3, 3) array
+        Information matrix of the position and the rotation.
+    angle_rad : float
+        Prior mean of the rotation.
+    """
+
+    track_m: FloatArray
+    place_m: FloatArray
+    information: FloatArray
     angle_rad: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedTrack:
-    """A shift and a rotation of the track that fit the ranges."""
+    """Shift and rotation of the track that fit the ranges.
 
-    track_centre_m: FloatArray  # (2,)
-    world_centre_m: FloatArray  # (2,)
+    Attributes
+    ----------
+    track_centre_m, world_centre_m : (2,) array
+        Centre of rotation in both frames.
+    angle_rad : float
+        Angle of the rotation.
+    cov : (3, 3) array
+        Covariance of the centre and the angle.
+    log_odds : float
+        Log odds against the best solution, 0 or less.
+    log_density : float
+        Log density of the ranges and the prior at this pose.
+    fits : tuple of bool
+        True for ranges that are more probably direct than reflected.
+    """
+
+    track_centre_m: FloatArray
+    world_centre_m: FloatArray
     angle_rad: float
-    cov: FloatArray  # (3, 3) of the centre and the angle
-    log_odds: float  # against the best solution, 0 or less
-    log_density: float  # of the ranges and the prior, at this pose
-    fits: tuple[bool, ...]  # ranges that are more probably direct than reflected
+    cov: FloatArray
+    log_odds: float
+    log_density: float
+    fits: tuple[bool, ...]
 
     @property
     def is_settled(self) -> bool:
-        """True if the rotation is known as well as a joined frame needs it."""
+        """True if the rotation is known well enough for a joined frame."""
         return float(self.cov[2, 2]) <= MAX_ANGLE_STD_RAD**2
 
     def alignment(self, n_steps: int, since: int) -> Alignment:
-        """The solution as an alignment about the point whose place does not depend on the rotation."""
+        """Return the solution as an alignment about the point whose position is independent of the rotation."""
         # p(q) = c + R q: its error is that of c plus (q_n, -q_e) times that of the angle, least at this lever
         of_angle = self.cov[:2, 2] / self.cov[2, 2]
         lever = np.array([of_angle[1], -of_angle[0]])
@@ -103,14 +141,14 @@ class PlacedTrack:
 
 
 def recent(pairs: Sequence[PairedRange], pair: PairedRange) -> tuple[PairedRange, ...]:
-    """The last ranges with one more in the order of time; of too many, those at the most even intervals."""
+    """Return the last ranges with one more, in order of time, thinned to even intervals if there are too many."""
     newest_s = max(p.fix.time_s for p in (*pairs, pair))
     kept = sorted((p for p in (*pairs, pair) if newest_s - p.fix.time_s <= MAX_AGE_S), key=lambda p: p.fix.time_s)
     if len(kept) > MAX_RANGES:
         by_anchor = dict[tuple[float, ...], list[PairedRange]]()
         for p in kept:
             by_anchor.setdefault(tuple(p.fix.anchor_m.tolist()), []).append(p)
-        # the time between its neighbours to the same anchor; the first and the last range of each anchor stay
+        # time between the neighbours to the same anchor; the first and the last range of each anchor are kept
         inner = [
             (c.fix.time_s - a.fix.time_s, b)
             for each in by_anchor.values()
@@ -122,9 +160,12 @@ def recent(pairs: Sequence[PairedRange], pair: PairedRange) -> tuple[PairedRange
 
 
 def solutions(pairs: Sequence[PairedRange], prior: PriorPose | None = None) -> list[PlacedTrack]:
-    """All solutions whose odds are not negligible, the best first; none for ranges that leave a continuum."""
+    """Return all solutions with non-negligible odds, the best first.
+
+    The list is empty if there are too few ranges, or if they leave a continuum of solutions.
+    """
     fixes = [pair.fix for pair in pairs]
-    if len(fixes) < (_FEWEST if prior is None else 1):
+    if len(fixes) < (_MIN_RANGES if prior is None else 1):
         return []
     track = np.array([pair.track_m for pair in pairs])
     centre = track.mean(axis=0)
@@ -138,14 +179,14 @@ def solutions(pairs: Sequence[PairedRange], prior: PriorPose | None = None) -> l
     found: list[tuple[float, float, FloatArray, FloatArray]] = []
     for k in np.argsort(-value):
         best = found[0][1] if found else value[k]
-        if value[k] < best + 3.0 * LEAST_LOG_ODDS:
+        if value[k] < best + 3.0 * MIN_LOG_ODDS:
             break
         if any(_is_same(pose[k], other) for _, _, other, _ in found):
             continue
         information = problem.information(pose[k])
         if np.linalg.eigvalsh(information)[0] < 1e-6:
             return []
-        # Laplace: the probability of all poses about this one
+        # Laplace approximation of the probability of all poses near this one
         volume = -0.5 * float(np.linalg.slogdet(information)[1])
         inverse = np.asarray(np.linalg.inv(information), dtype=float)
         found.append((float(value[k]) + volume, float(value[k]), pose[k], inverse))
@@ -154,11 +195,11 @@ def solutions(pairs: Sequence[PairedRange], prior: PriorPose | None = None) -> l
         PlacedTrack(centre, read_only(p[:2]), float(wrap_angle(p[2])), cov, odds - highest, density, problem.fits(p))
         for odds, density, p, cov in sorted(found, key=lambda f: -f[0])
     ]
-    return [solution for solution in result if solution.log_odds > LEAST_LOG_ODDS]
+    return [solution for solution in result if solution.log_odds > MIN_LOG_ODDS]
 
 
 def _distinct(pose: FloatArray) -> FloatArray:
-    """The first of poses (P, 3) that are not the same as one before, at most `_N_KEPT`."""
+    """Return the first of each group of equal poses (P, 3), at most `_N_KEPT` of them."""
     kept = list[FloatArray]()
     left = pose
     while len(left) and len(kept) < _N_KEPT:
@@ -168,8 +209,8 @@ def _distinct(pose: FloatArray) -> FloatArray:
     return np.array(kept)
 
 
-def log_density_here(pairs: Sequence[PairedRange]) -> float:
-    """Log density of ranges if the track is where it is."""
+def log_density_unmoved(pairs: Sequence[PairedRange]) -> float:
+    """Return the log density of the ranges for the present position of the track."""
     track = np.array([pair.track_m for pair in pairs])
     centre = track.mean(axis=0)
     problem = _Problem([pair.fix for pair in pairs], track - centre, None, centre)
@@ -177,12 +218,13 @@ def log_density_here(pairs: Sequence[PairedRange]) -> float:
 
 
 def _is_same(a: FloatArray, b: FloatArray) -> bool:
+    """Return True if two poses are the same solution."""
     return bool(np.hypot(*(a[:2] - b[:2])) < _SAME_M and abs(float(wrap_angle(a[2] - b[2]))) < _SAME_RAD)
 
 
 @dataclass(frozen=True)
 class _Problem:
-    """Ranges (N,) to a track, and poses (P, 3): the place of its centre, and its rotation."""
+    """Least-squares problem of N ranges to a track, for poses (P, 3): position of the track centre, and rotation."""
 
     fixes: list[RangeFix]
     lever_m: FloatArray  # (N, 2)
@@ -191,12 +233,12 @@ class _Problem:
 
     @cached_property
     def _var_m2(self) -> FloatArray:
-        """Variance (N,) of each residual: the range's, and that of the way from the centre."""
+        """Variance (N,) of each residual: that of the range and that of the displacement from the centre."""
         own = np.array([fix.std_m**2 for fix in self.fixes])
         return own + (_WAY_SHARE**2) * (self.lever_m**2).sum(axis=1)
 
     def starts(self) -> FloatArray:
-        """Poses (P, 3) to start from."""
+        """Return the poses (P, 3) from which the least squares start."""
         angles = np.linspace(-math.pi, math.pi, _N_ANGLES, endpoint=False)
         if self.prior is not None and self.prior.information[2, 2] > 1.0 / MAX_ANGLE_STD_RAD**2:
             angles = np.array([self.prior.angle_rad])
@@ -214,7 +256,7 @@ class _Problem:
         return np.column_stack([place, angle])
 
     def _parts(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Residuals (P, N) and their derivatives (P, N, 3)."""
+        """Return the residuals (P, N) and their derivatives (P, N, 3)."""
         c, s = np.cos(pose[:, 2, None]), np.sin(pose[:, 2, None])
         east, north = self.lever_m.T
         turned = np.stack([c * east + s * north, c * north - s * east], axis=-1)
@@ -224,20 +266,21 @@ class _Problem:
 
     @cached_property
     def _anchors(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Places (N, 2) and heights (N,) of the anchors, and the ranges (N,)."""
+        """Positions (N, 2) and heights (N,) of the anchors, and the ranges (N,)."""
         columns = np.array([(*fix.anchor_m[:2], fix.up_m, fix.range_m) for fix in self.fixes])
         return columns[:, :2], columns[:, 2], columns[:, 3]
 
     def _log_densities(self, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the log densities (P, N) of the residuals for direct and for reflected paths."""
         return range_log_densities(residual, self._var_m2, np.array([fix.std_m for fix in self.fixes]))
 
     def _direct(self, residual: FloatArray) -> FloatArray:
-        """Probability (P, N) that each path was direct."""
+        """Return the probability (P, N) that each path is direct."""
         direct, reflected = self._log_densities(residual)
         return np.exp(direct - np.logaddexp(direct, reflected))
 
     def _from_prior(self, prior: PriorPose, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Differences (P, 3) from the prior, and their derivatives (P, 3, 3)."""
+        """Return the differences (P, 3) from the prior, and their derivatives (P, 3, 3)."""
         lever = prior.track_m - self.centre_m
         c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
         turned = np.column_stack([c * lever[0] + s * lever[1], c * lever[1] - s * lever[0]])
@@ -247,7 +290,7 @@ class _Problem:
         return difference, by
 
     def _normal(self, pose: FloatArray, is_robust: bool) -> tuple[FloatArray, FloatArray]:
-        """Normal matrices (P, 3, 3) and gradients (P, 3)."""
+        """Return the normal matrices (P, 3, 3) and gradients (P, 3)."""
         residual, J = self._parts(pose)
         weight = (self._direct(residual) if is_robust else np.ones_like(residual)) / self._var_m2
         normal = np.einsum("pn,pna,pnb->pab", weight, J, J)
@@ -259,17 +302,17 @@ class _Problem:
         return normal, gradient
 
     def improved(self, pose: FloatArray, is_robust: bool, damping: float) -> FloatArray:
-        """Poses after one Gauss-Newton iteration, damped as Levenberg and Marquardt do."""
+        """Return the poses after one damped Gauss-Newton iteration (Levenberg-Marquardt)."""
         normal, gradient = self._normal(pose, is_robust)
         damped = normal + damping * np.einsum("paa->pa", normal)[:, :, None] * np.eye(3) + 1e-9 * np.eye(3)
         return pose - np.linalg.solve(damped, gradient[..., None])[..., 0]
 
     def information(self, pose: FloatArray) -> FloatArray:
-        """Information matrix (3, 3) of one pose (3,)."""
+        """Return the information matrix (3, 3) of one pose (3,)."""
         return self._normal(pose[None], is_robust=True)[0][0]
 
     def log_density(self, pose: FloatArray) -> FloatArray:
-        """Log density (P,) of poses: each range is direct, or reflected and longer."""
+        """Return the log density (P,) of poses. Each range is either direct, or reflected and longer."""
         total = np.logaddexp(*self._log_densities(self._parts(pose)[0])).sum(axis=1)
         if self.prior is None:
             return total
@@ -277,7 +320,7 @@ class _Problem:
         return total - 0.5 * np.einsum("pa,ab,pb->p", difference, self.prior.information, difference)
 
     def fits(self, pose: FloatArray) -> tuple[bool, ...]:
-        """Which ranges fit one pose (3,)."""
+        """Return, for each range, True if it fits one pose (3,)."""
         residual, _ = self._parts(pose[None])
         near = residual[0] ** 2 <= 13.8 * self._var_m2
         return tuple((near & (self._direct(residual)[0] >= 0.5)).tolist())

@@ -1,4 +1,7 @@
-"""Ranges to anchors: linear updates where the track is known well, else the places that fit the last ranges."""
+"""Updates by ranges to anchors.
+
+The update is linear if the track is known well. Otherwise a search finds the positions that fit the last ranges.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +18,11 @@ from pdr_filter.filter.fixes.range_placement import (
     PairedRange,
     PlacedTrack,
     PriorPose,
-    log_density_here,
+    log_density_unmoved,
     recent,
     solutions,
 )
-from pdr_filter.filter.fixes.relocation import LOG_ODDS_BEFORE
+from pdr_filter.filter.fixes.relocation import PRIOR_LOG_ODDS
 from pdr_filter.filter.imm.imm import ImmArithmetic
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
@@ -32,20 +35,21 @@ from pdr_filter.filter.imm.pedestrian_state import (
 )
 from pdr_filter.values import FloatArray, RangeFix, read_only
 
-# Ranges that must disagree with the track, and their share of the last ones, before it may be wrong: most of the
-# ranges of a moment can come from reflections, but not most of those of half a minute and of all anchors.
+# Smallest number and share of rejected ranges among the last ones from which the track may be wrong. Most ranges of one
+# moment can be reflections, but not most ranges of half a minute to all anchors.
 _MIN_CONTRADICTING, _CONTRADICTING_SHARE = 8, 0.6
-# Ranges on direct paths that place a track: three unknowns, and as many checks of each other, since three reflected
-# ranges fit some place, too. Fewer where place and heading are known somewhat.
+# Smallest number of direct ranges that determine the pose of a track, and of anchors. There are three unknowns, and the
+# other ranges verify them, because three reflected ranges also fit some position. With a prior of the pose fewer ranges
+# are sufficient.
 _MIN_DIRECT, _MIN_DIRECT_KNOWN, _MIN_ANCHORS = 9, 4, 2
-# Reflections among ranges, as if known before any: the mean of a beta distribution.
+# Prior of the share of reflections, as counts of a beta distribution.
 _PRIOR_REFLECTED, _PRIOR_RANGES = 1.0, 10.0
-# The largest prior share: after a time behind walls good ranges must be able to count again.
-_MOST_REFLECTED = 0.35
-# A search for places takes 35 ms, and ranges can come 60 times a second.
+# Largest expected share, so that correct ranges are used again after a time behind walls.
+_MAX_REFLECTED = 0.35
+# Smallest time between searches. A search takes 35 ms, and ranges can arrive 60 times a second.
 _SEARCH_INTERVAL_S = 0.5
-# Added to covariances before inversion: 1 mm, squared.
-_LEAST_VAR = 1e-6
+# Added to covariances before inversion: the square of 1 mm.
+_MIN_VAR = 1e-6
 
 
 def on_range(
@@ -54,31 +58,32 @@ def on_range(
     state: PedestrianState,
     offset_rad: FloatArray,
     fix: RangeFix,
-    then: FloatArray,
+    earlier: FloatArray,
 ) -> Result:
-    """State after a range, given east, north and device heading (3,) of the track at its time.
+    """Return the state after a range, the outcome, and the normalised innovation squared.
 
-    Where the frame of the anchors is unknown, or the track less sure than a linear update needs, the range waits for
-    others that show with it where the track is ("waiting"). They place the track ("placed"), or contradict it for long
-    and move it ("moved"). Two places that fit are followed both: the state has a `rival` then.
+    `earlier` (3,) is east, north and device heading of the track at the time of the range. If the frame of the anchors
+    is unknown, or if the track is too uncertain for a linear update, the range waits for further ones ("waiting").
+    Together they determine the position of the track ("placed"). Ranges that contradict the track for long relocate it
+    ("moved"). If two positions fit, both are followed, and the state has a `rival`.
     """
     is_joined = state.frame.is_joined
-    if is_joined and not _is_wide(state, fix, then):
+    if is_joined and not _is_wide(state, fix, earlier):
         direct_prob = partial(fix.direct_prob, reflected_prob=_reflected_prob(state.fixes.ranges))
-        updated, outcome, nis = on_measurement(model, arithmetic, state, offset_rad, fix, then, direct_prob)
-        pair = PairedRange(fix, read_only(then[:2]), outcome == "used")
+        updated, outcome, nis = on_measurement(model, arithmetic, state, offset_rad, fix, earlier, direct_prob)
+        pair = PairedRange(fix, read_only(earlier[:2]), outcome == "used")
         updated = _with_ranges(updated, recent(updated.fixes.ranges, pair))
         if outcome == "used" or not _is_contradicted(updated.fixes.ranges) or _searched_just_now(state, fix):
             return updated, outcome, nis
         updated = _with_search(updated, fix)
         found = solutions(updated.fixes.ranges)
-        better = found[0].log_density - log_density_here(updated.fixes.ranges) if found else 0.0
-        if better < 2.0 * LOG_ODDS_BEFORE or len(found) != 1 or not found[0].is_settled:
+        better = found[0].log_density - log_density_unmoved(updated.fixes.ranges) if found else 0.0
+        if better < 2.0 * PRIOR_LOG_ODDS or len(found) != 1 or not found[0].is_settled:
             return updated, outcome, nis
         return _placed(updated, found[0]), "moved", nis
-    pairs = recent(state.fixes.ranges, PairedRange(fix, read_only(then[:2]), is_used=False))
+    pairs = recent(state.fixes.ranges, PairedRange(fix, read_only(earlier[:2]), is_used=False))
     state = _with_ranges(state, pairs)
-    if is_joined:  # the state has the used ones already
+    if is_joined:  # the state already contains the used ranges
         pairs = tuple(pair for pair in pairs if not pair.is_used)
     anchors = {tuple(pair.fix.anchor_m.tolist()) for pair in pairs}
     n_least = _MIN_DIRECT_KNOWN if is_joined else _MIN_DIRECT
@@ -98,37 +103,44 @@ def on_range(
 
 
 def _reflected_prob(pairs: tuple[PairedRange, ...]) -> float:
-    """Expected share of reflections, by the last ranges: those of an open hall differ from those behind walls."""
+    """Return the expected share of reflected ranges, from the last ranges.
+
+    It differs between an open hall and rooms behind walls.
+    """
     n_reflected = sum(not pair.is_used for pair in pairs)
-    return min((_PRIOR_REFLECTED + n_reflected) / (_PRIOR_RANGES + len(pairs)), _MOST_REFLECTED)
+    return min((_PRIOR_REFLECTED + n_reflected) / (_PRIOR_RANGES + len(pairs)), _MAX_REFLECTED)
 
 
 def _searched_just_now(state: PedestrianState, fix: RangeFix) -> bool:
-    """Whether places were searched shortly before a range; those of one moment are all tried."""
+    """Return True if a search was made shortly before a range. Ranges of the same time are all searched."""
     return 0.0 < fix.time_s - state.fixes.searched_s < _SEARCH_INTERVAL_S
 
 
 def _with_search(state: PedestrianState, fix: RangeFix) -> PedestrianState:
+    """Return the state with the time of a search."""
     return replace(state, fixes=replace(state.fixes, searched_s=fix.time_s))
 
 
 def _with_ranges(state: PedestrianState, pairs: tuple[PairedRange, ...]) -> PedestrianState:
+    """Return the state with other stored ranges."""
     return replace(state, fixes=replace(state.fixes, ranges=pairs))
 
 
 def _is_contradicted(pairs: tuple[PairedRange, ...]) -> bool:
+    """Return True if most of the last ranges were rejected."""
     n_rejected = sum(not pair.is_used for pair in pairs)
     return n_rejected >= _MIN_CONTRADICTING and n_rejected > _CONTRADICTING_SHARE * len(pairs)
 
 
-def _is_wide(state: PedestrianState, fix: RangeFix, then: FloatArray) -> bool:
-    """True if the arc of the range bends away from its tangent by more than its error, within the track's error.
+def _is_wide(state: PedestrianState, fix: RangeFix, earlier: FloatArray) -> bool:
+    """Return True if the track is too uncertain for a linear update by a range.
 
-    The sagitta of an arc of radius r over s to either side is s^2 / 2r.
+    Within the standard deviation of the track, the arc of the range then deviates from its tangent by more than the
+    error of the range. The sagitta of an arc of radius r over s to either side is s^2 / 2r.
     """
-    away_m = then[:2] - fix.anchor_m[:2]
+    away_m = earlier[:2] - fix.anchor_m[:2]
     level_m, cov_m2 = math.hypot(*away_m), track_place(state).cov_m2
-    if level_m < fix.std_m:  # close to the anchor the direction to it is unknown
+    if level_m < fix.std_m:  # near the anchor its direction is unknown
         var_m2 = float(np.linalg.eigvalsh(cov_m2)[-1])
     else:
         across = np.array([-away_m[1], away_m[0]]) / level_m
@@ -140,24 +152,27 @@ def _prior(state: PedestrianState) -> PriorPose | None:
     """Return the prior of position and rotation without the ranges, or None if there is none."""
     frame, (x, P) = state.frame, state.estimates.combined
     if frame.is_joined:
-        cov = P[: HEADING_OFFSET + 1, : HEADING_OFFSET + 1] + _LEAST_VAR * np.eye(3)
+        cov = P[: HEADING_OFFSET + 1, : HEADING_OFFSET + 1] + _MIN_VAR * np.eye(3)
         cov[:2, :2] += state.estimates.consider_cov_m2
         return PriorPose(x[:2], x[:2], np.asarray(np.linalg.inv(cov), dtype=float))
     information, angle_rad, place_m = np.zeros((3, 3)), 0.0, x[:2]
     if math.isfinite(frame.north_var_rad2):
-        information[2, 2] = 1.0 / max(frame.north_var_rad2, _LEAST_VAR)
+        information[2, 2] = 1.0 / max(frame.north_var_rad2, _MIN_VAR)
     if frame.compass is not None:
-        information[2, 2], angle_rad = 1.0 / max(frame.compass.std_rad**2, _LEAST_VAR), frame.compass.angle_rad
+        information[2, 2], angle_rad = 1.0 / max(frame.compass.std_rad**2, _MIN_VAR), frame.compass.angle_rad
     track_m = x[:2]
-    if frame.pairs:  # position fixes, or the position at which the heading was lost
+    if frame.pairs:  # position fixes, or the position at a lost heading
         pair = frame.pairs[-1]
         track_m, place_m = pair.track_m, pair.world_m
-        information[:2, :2] = np.eye(2) / max(pair.var_m2, _LEAST_VAR)
+        information[:2, :2] = np.eye(2) / max(pair.var_m2, _MIN_VAR)
     return PriorPose(track_m, place_m, information, angle_rad) if information.any() else None
 
 
 def _placed(state: PedestrianState, solution: PlacedTrack) -> PedestrianState:
-    """State at a solution, which has all that is known of place and heading; earlier steps stay as they are known."""
+    """Return the state transformed by a solution, which contains all information about position and heading.
+
+    Earlier steps are not changed.
+    """
     n_steps, is_joined = state.steps.n_final, state.frame.is_joined
     alignment = solution.alignment(n_steps, n_steps if is_joined else state.frame.since)
     if is_joined:

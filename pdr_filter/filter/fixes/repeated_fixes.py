@@ -1,4 +1,4 @@
-"""Positions that are repeated exactly while steps go on, as apps do when they have lost GNSS."""
+"""Positions that are repeated exactly while steps continue, as apps report them after the loss of GNSS."""
 
 from __future__ import annotations
 
@@ -9,28 +9,41 @@ import numpy as np
 
 from pdr_filter.values import FloatArray, PositionFix, read_only, replace_unchecked
 
-# Displacement over walked distance of dead reckoning since a position was new, from which its repetition is wrong. A
-# closed walk that returns to a surveyed point ends nearer to it: its heading would have to be off by tens of degrees.
+# Ratio of displacement to walked distance since the position was new, above which a repetition is wrong. A closed walk
+# that returns to a surveyed point ends closer to it, unless its heading is wrong by tens of degrees.
 _MOVED_SHARE = 0.3
-# Least displacement, because a step or two may be false detections.
+# Smallest such displacement, because one or two steps may be false detections.
 _MIN_MOVED_M = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class SeenPlace:
-    """The last position that a fix gave for the first time, and where the track was then."""
+    """Last fix position that was not a repetition, and the track at that time.
 
-    position_m: FloatArray  # (2,)
-    track_m: FloatArray  # (2,)
-    walked_m: float  # of all steps until then
-    is_frozen: bool = False  # True if fixes repeated it while steps went on
+    Attributes
+    ----------
+    position_m : (2,) array
+        Position of the fix.
+    track_m : (2,) array
+        Position of the track at the time of the fix.
+    walked_m : float
+        Distance of all steps until then.
+    is_frozen : bool
+        True if fixes repeated the position while steps continued.
+    """
+
+    position_m: FloatArray
+    track_m: FloatArray
+    walked_m: float
+    is_frozen: bool = False
 
 
 def seen_after(previous: SeenPlace | None, fix: PositionFix, track_m: FloatArray, walked_m: float) -> SeenPlace:
-    """Last new position after a fix, given the place of the track and the walked distance at its time.
+    """Return the last new position after a fix.
 
-    An exact repetition is frozen if dead reckoning has left the place by more than the standard deviation of the fix,
-    and has not walked in a circle. It stays frozen until a fix gives another position.
+    `track_m` (2,) and `walked_m` are the track position and the walked distance at the time of the fix. An exact
+    repetition is frozen if dead reckoning has moved away by more than the standard deviation of the fix, unless the
+    person walked in a circle. It stays frozen until a fix has another position.
     """
     if previous is None or not np.array_equal(fix.position_m, previous.position_m):
         return SeenPlace(fix.position_m, read_only(track_m), walked_m)
@@ -42,9 +55,10 @@ def seen_after(previous: SeenPlace | None, fix: PositionFix, track_m: FloatArray
 def frozen_fixes(
     fixes: Iterable[PositionFix], time_s: FloatArray, position_m: FloatArray, walked_m: FloatArray
 ) -> list[bool]:
-    """For each fix, True if it repeats a position while steps go on; fixes in any order.
+    """Return, for each fix, True if it repeats a position while steps continue.
 
-    `time_s` (K,), `position_m` (K, 2) and `walked_m` (K,) are the steps of dead reckoning.
+    The fixes may be in any order. `time_s` (K,), `position_m` (K, 2) and `walked_m` (K,) are the steps of dead
+    reckoning.
     """
     fixes = list(fixes)
     result, seen = [False] * len(fixes), None

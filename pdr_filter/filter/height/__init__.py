@@ -6,7 +6,7 @@ from typing import Any
 
 
 def __getattr__(name: str) -> Any:
-    """Names of the former module `pdr_filter.filter.height`, for one release."""
+    """Return a name of the former module `pdr_filter.filter.height`, with a deprecation warning."""
     if not name.startswith("_") and name != "height_filter":
         module = importlib.import_module(f"{__name__}.height_filter")
         if name in vars(module):

@@ -1,8 +1,9 @@
-"""Storeys: the levels between which somebody climbs, learnt where people stay.
+"""Detection of storeys: levels at which people stay.
 
-Nothing is known of a building but how high storeys are: 2.6 to 5.5 m (0.31 to 0.66 hPa). Between levels that were
-visited the storey is where a height lies between them; beyond, the next storey is as far as storeys are, those of this
-building among them. A storey is left when the next one is clearly nearer.
+The only prior knowledge about a building is the height of storeys, 2.6 to 5.5 m (0.31 to 0.66 hPa). Between visited
+levels the storey number is interpolated by height. Beyond them the next storey is one storey height away, which is
+estimated from the usual height and the storeys of this building. The present storey changes when another one is clearly
+closer.
 """
 
 from __future__ import annotations
@@ -15,41 +16,54 @@ import numpy as np
 
 from pdr_filter.values import FloorPassage, HowClimbed, replace_unchecked
 
-# The one height that makes one storey of all from 2.6 to 5.5 m, the limits being half of it and one and a half with
-# the same to spare: their geometric mean.
+# Usual storey height. Heights from 2.6 to 5.5 m must count as one storey, and the limits are half of the usual height
+# and one and a half of it. The geometric mean has the same relative margin at both.
 USUAL_STOREY_M = 3.8
-# Rooms are 2.3 m high at least: what is nearer to a known level is a landing.
-LEAST_STOREY_M = 2.3
-# In storeys, beyond the middle between two: noise must not make somebody on a landing change storeys with every step.
-_CLEARLY = 0.05
-# What happened in a longer time than this without pressure is not known.
-_BLIND_S = 4.0
-# Within a quarter of a storey somebody has not left it.
-_STILL_THERE = 0.25
-# Who arrives stays for so long and walks off; a landing between two flights is two or three steps, and a lift that
-# stops on its way none.
+# Smallest distance between two levels, because rooms are at least 2.3 m high. A closer level is a landing.
+MIN_STOREY_M = 2.3
+# Hysteresis about the middle between two storeys, in storeys. Otherwise noise would change the storey with every step
+# of a person on a landing.
+_HYSTERESIS = 0.05
+# Longest interval between two pressure values whose motion counts as climbing.
+_MAX_INTERVAL_S = 4.0
+# Distance from a storey, in storeys, within which the person has not left it.
+_SAME_STOREY = 0.25
+# Time on level ground, with at least one step, after which the person has arrived. A landing between two flights takes
+# two or three steps, and an intermediate stop of a lift no steps.
 ARRIVED_S = 3.0
-# A stay: level ground for so long, on which somebody walked a little. Who waits in a lift makes no steps.
+# Smallest time and number of steps on level ground that count as a stay. A person who waits in a lift makes no steps.
 STAY_S, STAY_STEPS = 5.0, 3
-NEW_STAY_S = 8.0
-# Levels of one storey differ by this, and so does how high a phone is carried on it.
+NEW_STAY_S = 8.0  # smallest time of a stay that adds a level
+# Standard deviation of the level within one storey, including the height at which the phone is carried.
 LEVEL_STD_M = 0.1
-# Stairs take 5.3 to 7.1 steps a metre, an escalator that somebody walks on half of that.
+# Smallest number of steps per metre on stairs. Stairs take 5.3 to 7.1, walking on an escalator half of that.
 _STEPS_PER_M = 4.0
-# Escalators climb with 0.25 to 0.4 m/s; a slow lift 0.6 m/s, starts and stops included 0.5.
+# Limit between the climb rates of escalators, 0.25 to 0.4 m/s, and of a slow lift, 0.6 m/s or 0.5 m/s with start and
+# stop.
 _ESCALATOR_MPS = 0.45
-# Stairs lead 1.5 to 2 m forward for each metre up and come back at a landing: locations moved by at most 3.2 m for
-# each metre on 8 climbs of ipin2023, and by 6 m on a hill. A ramp that people can walk leads 6 m or more.
-_LEAST_WAY_OF_A_HILL = 4.5
+# Ratio of horizontal displacement to height above which a climb was a slope. Stairs lead 1.5 to 2 m forward for each
+# metre up and turn back at a landing. On 8 climbs of ipin2023 locations moved by at most 3.2 m for each metre, and on a
+# hill by 6 m. A walkable ramp needs 6 m or more.
+_MIN_HILL_RATIO = 4.5
 
 
-# East and north in metres, as a good location shows it.
+# East and north in metres of an accurate location.
 Place = tuple[float, float]
 
 
 @dataclass(frozen=True)
 class Level:
-    """Where one storey is."""
+    """Height of one storey.
+
+    Attributes
+    ----------
+    floor : int
+        Number of the storey.
+    climbed_m : float
+        Climbed height of the level above the start.
+    std_m : float
+        Standard deviation of the level.
+    """
 
     floor: int
     climbed_m: float
@@ -58,7 +72,23 @@ class Level:
 
 @dataclass(frozen=True)
 class Climbing:
-    """What happened since a storey was left."""
+    """Motion since a storey was left.
+
+    Attributes
+    ----------
+    start_s : float
+        Time at which the storey was left.
+    from_floor : int
+        Number of that storey.
+    from_m : float
+        Climbed height at that time.
+    n_steps : int
+        Steps while climbing.
+    stairs_s, ride_s : float
+        Time on stairs, and time in lifts or on escalators.
+    place : tuple of float or None
+        Position at which the storey was left, if accurate locations are available since then.
+    """
 
     start_s: float
     from_floor: int = 0
@@ -66,16 +96,16 @@ class Climbing:
     n_steps: int = 0
     stairs_s: float = 0.0
     ride_s: float = 0.0
-    place: Place | None = None  # where the storey was left, if good locations have shown the way since then
+    place: Place | None = None
 
     def is_hill(self, place: Place | None, climbed_m: float) -> bool:
-        """True if good locations moved so far while the height changed that a slope was walked."""
+        """Return True if the horizontal displacement is too large for stairs, so that a slope was walked."""
         if place is None or self.place is None or self.how(climbed_m) == "lift":
             return False
-        return math.dist(place, self.place) > _LEAST_WAY_OF_A_HILL * max(abs(climbed_m - self.from_m), 1.0)
+        return math.dist(place, self.place) > _MIN_HILL_RATIO * max(abs(climbed_m - self.from_m), 1.0)
 
     def how(self, climbed_m: float) -> HowClimbed:
-        """What it was, by the steps of a metre and the rate."""
+        """Return the kind of climb, from the number of steps per metre and the climb rate."""
         height_m = abs(climbed_m - self.from_m)
         if max(self.stairs_s, self.ride_s) == 0.0:
             return "unknown"
@@ -87,20 +117,40 @@ class Climbing:
 
 @dataclass(frozen=True)
 class FloorState:
-    """Storeys that are known, the present one, and how far somebody is on the way to another."""
+    """Known storeys, the present storey, and the motion towards another one.
+
+    Attributes
+    ----------
+    floor : int
+        Number of the present storey.
+    floor_since_s : float
+        Time of the last change of `floor`.
+    levels : tuple of Level
+        Known levels, from the lowest to the highest.
+    climbing : Climbing
+        Motion since a storey was left.
+    level_since_s : float
+        Start of the present stay on level ground, or NaN while climbing.
+    n_level_steps : int
+        Steps in the present stay.
+    is_used : bool
+        True if the present stay has already updated a level.
+    passages : tuple of FloorPassage
+        Passages completed by the last event.
+    """
 
     floor: int = 0
     floor_since_s: float = np.nan
     levels: tuple[Level, ...] = (Level(0, 0.0, LEVEL_STD_M),)
     climbing: Climbing = Climbing(np.nan)
-    level_since_s: float = np.nan  # NaN while somebody climbs
-    n_level_steps: int = 0  # since then
-    is_used: bool = False  # the present stay has taught what it can
-    passages: tuple[FloorPassage, ...] = ()  # that were completed by the last event
+    level_since_s: float = np.nan
+    n_level_steps: int = 0
+    is_used: bool = False
+    passages: tuple[FloorPassage, ...] = ()
 
 
 def storey_m(levels: tuple[Level, ...]) -> float:
-    """How high a storey is: the usual height and those of this building, each with the same weight."""
+    """Return the estimated storey height: the mean of the usual height and those of this building."""
     heights_m = [USUAL_STOREY_M]
     for lower, upper in pairwise(levels):
         n = upper.floor - lower.floor
@@ -108,8 +158,11 @@ def storey_m(levels: tuple[Level, ...]) -> float:
     return sum(heights_m) / len(heights_m)
 
 
-def storeys_up(levels: tuple[Level, ...], climbed_m: float) -> float:
-    """The storey of a height, between two storeys as far as the height is between their levels."""
+def storey_number(levels: tuple[Level, ...], climbed_m: float) -> float:
+    """Return the storey number of a height as a real number.
+
+    It is interpolated between known levels and extrapolated beyond them.
+    """
     lowest, highest = levels[0], levels[-1]
     if climbed_m <= lowest.climbed_m:
         return lowest.floor + (climbed_m - lowest.climbed_m) / storey_m(levels)
@@ -118,7 +171,7 @@ def storeys_up(levels: tuple[Level, ...], climbed_m: float) -> float:
     return float(np.interp(climbed_m, [level.climbed_m for level in levels], [level.floor for level in levels]))
 
 
-def followed(
+def after_motion(
     state: FloorState,
     now_s: float,
     elapsed_s: float,
@@ -128,22 +181,23 @@ def followed(
     n_steps: int,
     place: Place | None,
 ) -> tuple[FloorState, float]:
-    """State after a time in which somebody made some steps and came to a height, at a place if it is known.
+    """Return the state after an interval, and the part of the climbed height that was a slope.
 
-    The second value is how much of the climbed height was a slope, as good locations show.
+    The person has made `n_steps` steps and reached `climbed_m`. `p_stairs` and `p_ride` are the probabilities of stairs
+    and of a lift or escalator. `place` is an accurate location, or None. Only accurate locations can identify a slope.
     """
-    at, climbs = storeys_up(state.levels, climbed_m), p_stairs + p_ride > 0.5
-    floor = round(at) if climbs or abs(at - state.floor) > 0.5 + _CLEARLY else state.floor
+    at, climbs = storey_number(state.levels, climbed_m), p_stairs + p_ride > 0.5
+    floor = round(at) if climbs or abs(at - state.floor) > 0.5 + _HYSTERESIS else state.floor
     floor_since_s = state.floor_since_s if floor == state.floor else now_s
     climbing = state.climbing if place is not None else replace_unchecked(state.climbing, place=None)
     if floor != climbing.from_floor and climbing.is_hill(place, climbed_m):
-        back = _left(now_s, climbing.from_floor, climbing.from_m, place)
+        back = _new_climbing(now_s, climbing.from_floor, climbing.from_m, place)
         since_s = state.floor_since_s if state.floor == back.from_floor else now_s
         state = replace_unchecked(state, floor=back.from_floor, floor_since_s=since_s, climbing=back, passages=())
         return state, climbed_m - climbing.from_m
     if climbs:
         is_on_stairs = p_stairs > p_ride
-        elapsed_s = elapsed_s if elapsed_s < _BLIND_S else 0.0
+        elapsed_s = elapsed_s if elapsed_s < _MAX_INTERVAL_S else 0.0
         climbing = replace_unchecked(
             climbing,
             n_steps=climbing.n_steps + n_steps,
@@ -157,7 +211,9 @@ def followed(
         state,
         floor=floor,
         floor_since_s=floor_since_s,
-        climbing=_left(now_s, floor, climbed_m, place) if is_back and abs(at - floor) < _STILL_THERE else climbing,
+        climbing=_new_climbing(now_s, floor, climbed_m, place)
+        if is_back and abs(at - floor) < _SAME_STOREY
+        else climbing,
         level_since_s=since_s,
         n_level_steps=state.n_level_steps + n_steps,
         passages=(),
@@ -167,50 +223,56 @@ def followed(
 
 
 def finished(state: FloorState, now_s: float, climbed_m: float) -> FloorState:
-    """State at the end: who has come to another storey has arrived."""
+    """Return the state at the end. A person on another storey than at the last stay has arrived there."""
     is_same = state.floor == state.climbing.from_floor
     return replace_unchecked(state, passages=()) if is_same else _arrived(state, now_s, climbed_m, None)
 
 
-def _left(now_s: float, floor: int, climbed_m: float, place: Place | None) -> Climbing:
+def _new_climbing(now_s: float, floor: int, climbed_m: float, place: Place | None) -> Climbing:
+    """Return a motion that starts on a storey."""
     return Climbing(now_s, floor, climbed_m, place=place)
 
 
 def _arrived(state: FloorState, now_s: float, climbed_m: float, place: Place | None) -> FloorState:
-    way, level_s = state.climbing, now_s if np.isnan(state.level_since_s) else state.level_since_s
+    """Return the state after the arrival on another storey, with the passage that led there."""
+    climbing, level_s = state.climbing, now_s if np.isnan(state.level_since_s) else state.level_since_s
     end_s = max(level_s, state.floor_since_s)
-    passage = FloorPassage(way.start_s, end_s, way.from_floor, state.floor, way.how(climbed_m))
-    return replace_unchecked(state, climbing=_left(now_s, state.floor, climbed_m, place), passages=(passage,))
+    passage = FloorPassage(climbing.start_s, end_s, climbing.from_floor, state.floor, climbing.how(climbed_m))
+    return replace_unchecked(state, climbing=_new_climbing(now_s, state.floor, climbed_m, place), passages=(passage,))
 
 
 def known_level(state: FloorState, now_s: float) -> Level | None:
-    """The level of the present storey, if somebody has come back to it and it has not been used since."""
+    """Return the level of the present storey, or None.
+
+    The level must be known, the person must have stayed there, and the stay must not have been used yet.
+    """
     if state.is_used or not _stays(state, now_s, STAY_S):
         return None
     return next((level for level in state.levels if level.floor == state.floor), None)
 
 
-def learnt(state: FloorState, now_s: float, climbed_m: float, std_m: float) -> FloorState:
-    """State that knows the level of the present storey, where somebody has stayed for long enough to call it one."""
+def with_new_level(state: FloorState, now_s: float, climbed_m: float, std_m: float) -> FloorState:
+    """Return the state with the level of the present storey added, if the person has stayed there for long enough."""
     if state.is_used or not _stays(state, now_s, NEW_STAY_S):
         return state
-    if any(abs(climbed_m - level.climbed_m) < LEAST_STOREY_M for level in state.levels):
+    if any(abs(climbed_m - level.climbed_m) < MIN_STOREY_M for level in state.levels):
         return replace_unchecked(state, is_used=True)
     return with_level(state, Level(state.floor, climbed_m, float(np.hypot(std_m, LEVEL_STD_M))))
 
 
 def with_level(state: FloorState, level: Level) -> FloorState:
-    """State in which a storey is known to be at a level."""
+    """Return the state with a known level of one storey."""
     others = [other for other in state.levels if other.floor != level.floor]
     return replace_unchecked(state, levels=tuple(sorted([*others, level], key=lambda e: e.floor)), is_used=True)
 
 
-def fixed(state: FloorState, up: int) -> FloorState:
-    """State in which all storeys are numbered by so many more."""
+def renumbered(state: FloorState, up: int) -> FloorState:
+    """Return the state with all storey numbers increased by `up`."""
     levels = tuple(replace_unchecked(level, floor=level.floor + up) for level in state.levels)
     climbing = replace_unchecked(state.climbing, from_floor=state.climbing.from_floor + up)
     return replace_unchecked(state, floor=state.floor + up, levels=levels, climbing=climbing)
 
 
 def _stays(state: FloorState, now_s: float, stay_s: float) -> bool:
+    """Return True if the person has been on level ground for `stay_s` and has walked a little."""
     return now_s - state.level_since_s >= stay_s and state.n_level_steps >= STAY_STEPS

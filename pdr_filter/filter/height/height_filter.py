@@ -1,9 +1,9 @@
-"""Height beside the track: what barometer, steps and contexts say of it.
+"""Height filter: height above the start and storeys, from barometer, steps and contexts.
 
-With a barometer each of its seconds is explained by seven modes of moving up and down (`vertical_modes`). Height is
-what was climbed and sloped; storeys are of what was climbed alone (`floor_detection`), so that neither a hill nor the
-weather of a day leads to another one. Without a barometer a step climbs a riser as probably as the track's own modes
-say that it was made on stairs.
+With a barometer, each second of pressure is explained by seven modes of vertical motion (`vertical_modes`). The height
+is the sum of climbed and sloped metres. Storeys depend on the climbed metres alone (`floor_detection`), so that neither
+a hill nor the weather changes the storey. Without a barometer, each step climbs one riser with the probability that it
+was made on stairs, as given by the mode probabilities of the track.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pdr_filter.filter.fixes.frame_rotation import scatter
+from pdr_filter.filter.fixes.frame_rotation import variance_factor
 from pdr_filter.filter.height import vertical_modes as vertical
 from pdr_filter.filter.height.floor_detection import (
     LEVEL_STD_M,
@@ -23,17 +23,17 @@ from pdr_filter.filter.height.floor_detection import (
     FloorState,
     Level,
     Place,
+    after_motion,
     finished,
-    fixed,
-    followed,
     known_level,
-    learnt,
+    renumbered,
     with_level,
+    with_new_level,
 )
 from pdr_filter.filter.height.vertical_modes import DOWN, DRIFT, JUMP, LIFT, N_MODES, UP
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.weighting import context_log_evidence
-from pdr_filter.sensing.contexts.context_stage import WindowContext, to_be_told_apart
+from pdr_filter.sensing.contexts.context_stage import WindowContext, with_stairs_in_thirds
 from pdr_filter.sensing.features.barometer import RISER_M, Climb
 from pdr_filter.values import (
     Context,
@@ -47,73 +47,108 @@ from pdr_filter.values import (
     replace_unchecked,
 )
 
-# No lift and hardly an escalator takes longer; a cabin, a train and a cable car do.
+# Longest ride in a lift or on an escalator. Aircraft cabins, trains and cable cars take longer.
 LONGEST_RIDE_S = 120.0
-# The air of a vehicle is calm again when the barometer has been below this rate, a half of a ride's, for some time.
+# A vehicle has been left when the climb rate has been below this limit, half of that of a ride, for this time.
 CALM_MPS, CALM_S = 0.1, 10.0
 
-# A stay that does not fit its level is on another one: 99 % of those that do, chi-square of one.
+# Gate of a known level: 99 % quantile of chi-square with one degree of freedom. Beyond it the stay is on another level.
 _LEVEL_GATE = 6.6
-# What is climbed without a barometer is wrong for a flight as a whole: a dozen steps.
+# Without a barometer the errors of all steps of a flight, a dozen, are equal.
 _FLIGHT_STEPS = 12
 _RISER_STD_M = 0.01
-# Where slopes are not measured, what a minute of walking leads up or down: 0.4 m.
-_UNSEEN_SLOPE_M = 0.05
-# Where stairs are not seen either (a phone in the hand), a storey in ten minutes may have been climbed.
-_UNSEEN_STAIRS_M = 0.14
-# Without pressure for so long a step counts by itself.
+# Random walk of the height by unmeasured slopes, per root second: 0.4 m in a minute of walking.
+_UNMEASURED_SLOPE_M = 0.05
+# Random walk of the height by stairs that cannot be recognised (phone in the hand): one storey in ten minutes.
+_UNMEASURED_STAIRS_M = 0.14
+# Age of the last pressure from which steps are processed without a barometer.
 PRESSURE_AGE_S = 4.0
-# The first steps of a bout wait for the gate for so long: until then a second of the barometer may get more of them.
+# Largest delay of a step by the step gate. For this time a second of the barometer may still receive steps.
 LATE_S = 6.0
-# From which on it is worth saying that the air changed: 5 hPa, more than the weather of some hours.
+# Change of the air from which a warning is issued: 5 hPa, more than the weather of some hours.
 _NOTABLE_AIR_M = 40.0
 _M_PER_HPA = 8.3
 
 
 @dataclass(frozen=True, eq=False)
 class Altitude:
-    """What fixes say of the altitude of the start."""
+    """Estimated altitude of the start, from fixes with an altitude.
+
+    Attributes
+    ----------
+    altitude_m : float
+        Altitude of the start, or NaN.
+    var_m2 : float
+        Its variance, infinite before the first fix.
+    last_s : float
+        Time of the last fix.
+    """
 
     altitude_m: float = np.nan
     var_m2: float = np.inf
-    last_s: float = -np.inf  # of the last fix
+    last_s: float = -np.inf
 
     def of(self, origin: Origin) -> Origin:
-        """An origin with this altitude, as far as it is known."""
+        """Return an origin with this altitude, or the unchanged origin if the altitude is unknown."""
         if math.isinf(self.var_m2):
             return origin
         return dataclasses.replace(origin, height_m=self.altitude_m, height_std_m=math.sqrt(self.var_m2))
 
     def with_fix(self, fix: PositionFix, height_m: float, height_var_m2: float) -> Altitude:
-        """With a fix of an altitude, where the height above the start is known.
+        """Return the altitude after a fix with an altitude, given the height above the start at its time.
 
-        One that is not as expected counts less, as with Student's t (`frame_rotation.scatter`).
+        The variance of an unexpected altitude is increased as for Student's t errors
+        (`frame_rotation.variance_factor`).
         """
         if fix.altitude_m is None or fix.altitude_std_m is None:
-            raise ValueError(f"the fix has no altitude, got {fix}: give altitude_m and altitude_std_m")
+            raise ValueError(f"fix has no altitude, got {fix}: give altitude_m and altitude_std_m")
         var = repetition(fix, self.last_s) * fix.altitude_std_m**2 + height_var_m2
         altitude_m = fix.altitude_m - height_m
         if math.isinf(self.var_m2):
             return Altitude(altitude_m, var, fix.time_s)
         innovation_m = altitude_m - self.altitude_m
-        var *= scatter(innovation_m**2 / (self.var_m2 + var), 1)
+        var *= variance_factor(innovation_m**2 / (self.var_m2 + var), 1)
         gain = self.var_m2 / (self.var_m2 + var)
         return Altitude(self.altitude_m + gain * innovation_m, (1.0 - gain) * self.var_m2, fix.time_s)
 
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """What is known of the height at one time: moments of the modes (`vertical_modes`), their sum, and the storeys."""
+    """Height estimate at one time.
 
-    moments: FloatArray  # (7, 5, 5)
+    Attributes
+    ----------
+    moments : (7, 5, 5) array
+        Moments of the vertical modes (`vertical_modes`).
+    climbed_m : float
+        Height climbed on stairs, lifts and escalators.
+    height_m : float
+        Height above the start, including slopes.
+    height_var_m2 : float
+        Variance of `height_m`.
+    pressure_s : float
+        Time of the last second of the barometer.
+    ride : tuple of float or None
+        Start of the present ride, and the climbed height at its start.
+    calm_in_s : float
+        Remaining time of calm pressure after which a vehicle counts as left, or 0 outside a vehicle.
+    first_air_m : float
+        First estimate of the air state.
+    most_air_m : float
+        Largest change of the air state since then.
+    floors : FloorState
+        Storeys.
+    """
+
+    moments: FloatArray
     climbed_m: float = 0.0
-    height_m: float = 0.0  # above the start
+    height_m: float = 0.0
     height_var_m2: float = 0.0
-    pressure_s: float = np.nan  # of the last second of the barometer
-    ride: tuple[float, float] | None = None  # since when somebody rides, and what was climbed until then
-    calm_in_s: float = 0.0  # the pressure is that of a vehicle until it has been calm for so long
+    pressure_s: float = np.nan
+    ride: tuple[float, float] | None = None
+    calm_in_s: float = 0.0
     first_air_m: float = np.nan
-    most_air_m: float = 0.0  # that the air has changed since then
+    most_air_m: float = 0.0
     floors: FloorState = field(default_factory=FloorState)
 
     @property
@@ -124,63 +159,98 @@ class Known:
 
 @dataclass(frozen=True, eq=False)
 class Second:
-    """One second of the barometer, and what was known before it."""
+    """One second of the barometer, and the estimate before it.
+
+    Attributes
+    ----------
+    before : Known
+        Estimate before this second.
+    climb : Climb
+        Pressure height and climb rate.
+    log_evidence : (7,) array
+        Log evidence of the context windows that ended in this second.
+    n_steps : int
+        Number of steps in this second.
+    place : tuple of float or None
+        Position of an accurate location in this second.
+    """
 
     before: Known
     climb: Climb
-    log_evidence: FloatArray  # (7,) of the windows that ended in it
+    log_evidence: FloatArray
     n_steps: int
-    place: Place | None = None  # that a good location showed
+    place: Place | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class HeightState:
-    """What is known, the last seconds, of which steps may still become known, and what waits for the next one."""
+    """State of the height filter.
+
+    Attributes
+    ----------
+    known : Known
+        Present estimate.
+    recent : tuple of Second
+        Last seconds, oldest first, which late steps can still change.
+    log_evidence : (7,) array
+        Log evidence of windows since the last second.
+    n_steps : int
+        Number of steps since the last second.
+    step_s : float
+        Time of the last step.
+    stairs_unknown_share : float
+        Share of the last window in which stairs cannot be recognised.
+    start_altitude : Altitude
+        Altitude of the start.
+    """
 
     known: Known
-    recent: tuple[Second, ...] = ()  # oldest first
+    recent: tuple[Second, ...] = ()
     log_evidence: FloatArray = field(default_factory=lambda: np.zeros(N_MODES))
     n_steps: int = 0
-    step_s: float = np.nan  # of the last step
-    stairs_unknown_share: float = 0.0  # of the last window
+    step_s: float = np.nan
+    stairs_unknown_share: float = 0.0
     start_altitude: Altitude = field(default_factory=lambda: Altitude())
 
 
 def initial_height() -> HeightState:
-    """State at the start, whose height is zero."""
+    """Return the state at the start, where the height is zero."""
     return HeightState(Known(vertical.initial()))
 
 
 def window_log_evidence(windows: Sequence[WindowContext], model: PedestrianModel) -> FloatArray:
-    """Log evidence (W, 7) of what windows' motion says of stairs; the climb rate, which is pressure, is not in it."""
+    """Return the log evidence (W, 7) of context windows for the vertical modes.
+
+    It uses the motion only. The climb rate is not used, because the barometer is a separate measurement.
+    """
     if not windows:
         return np.zeros((0, N_MODES))
-    of_contexts = context_log_evidence(
-        np.array([to_be_told_apart(w.prob, w.stairs_unknown_share, model.context_set) for w in windows]),
+    context_evidence = context_log_evidence(
+        np.array([with_stairs_in_thirds(w.prob, w.stairs_unknown_share, model.context_set) for w in windows]),
         np.array([w.training_prior for w in windows]),
         model.evidence_exponent,
         model.evidence_floor,
         model.prior_exponent,
     )
-    any_context = of_contexts.max(axis=1)
+    any_context = context_evidence.max(axis=1)
 
     def best_of(holds: Callable[[Context], bool], otherwise: FloatArray) -> FloatArray:
-        """Highest evidence (W,) of the contexts for which `holds` is true, or `otherwise` if there is none."""
+        """Return the highest evidence (W,) of the contexts for which `holds` is true, or `otherwise` without any."""
         index = model.context_set.index_where(holds)
-        return of_contexts[:, index].max(axis=1) if len(index) else otherwise
+        return context_evidence[:, index].max(axis=1) if len(index) else otherwise
 
-    on_foot = best_of(lambda c: c.moves and c.climbs == 0, any_context)
+    walking = best_of(lambda c: c.moves and c.climbs == 0, any_context)
     standing = best_of(lambda c: not c.moves and c.climbs == 0, any_context)
-    # a model without stairs calls them level walking
-    up, down = best_of(lambda c: c.climbs > 0, on_foot), best_of(lambda c: c.climbs < 0, on_foot)
-    either = np.maximum(on_foot, standing)
-    of_modes = np.column_stack([either, on_foot, up, down, standing, either, standing])
-    of_modes[~np.isfinite(of_modes).all(axis=1)] = 0.0  # a window without probabilities
-    return of_modes
+    # a context model without stairs classifies them as level walking
+    up, down = best_of(lambda c: c.climbs > 0, walking), best_of(lambda c: c.climbs < 0, walking)
+    either = np.maximum(walking, standing)
+    mode_evidence = np.column_stack([either, walking, up, down, standing, either, standing])
+    mode_evidence[~np.isfinite(mode_evidence).all(axis=1)] = 0.0  # window without probabilities
+    return mode_evidence
 
 
 def on_window(state: HeightState, window: WindowContext, log_evidence: FloatArray | None) -> HeightState:
-    """State with a window and, where there is a barometer, its `window_log_evidence` (7,)."""
+    """Return the state after a window. With a barometer, `log_evidence` (7,) is its `window_log_evidence`."""
     if log_evidence is not None and state.recent:
         log_evidence = state.log_evidence + log_evidence
         return replace_unchecked(state, stairs_unknown_share=window.stairs_unknown_share, log_evidence=log_evidence)
@@ -190,12 +260,12 @@ def on_window(state: HeightState, window: WindowContext, log_evidence: FloatArra
 def on_pressure(
     state: HeightState, climb: Climb, model: PedestrianModel, place: Place | None = None
 ) -> tuple[HeightState, tuple[FloorPassage, ...]]:
-    """New state after a second of the barometer whose steps are known, and what is certain now of floor changes.
+    """Return the state after a second of the barometer, and the floor passages that are certain now.
 
-    `place` is where a good location showed the phone in that second.
+    `place` is an accurate location in that second, or None.
     """
     second = Second(state.known, climb, state.log_evidence, state.n_steps, place)
-    height = _after(second, model)
+    height = _after_pressure(second, model)
     recent = (*state.recent, second)
     n_final = sum(s.climb.time_s < climb.time_s - LATE_S for s in state.recent)
     passages = [p for later_second in recent[1 : n_final + 1] for p in later_second.before.floors.passages]
@@ -212,10 +282,11 @@ def on_step(
     model: PedestrianModel,
     place: Place | None = None,
 ) -> tuple[HeightState, Known, tuple[FloorPassage, ...]]:
-    """New state after a step that became known now, what is known of its own time, and of floor changes.
+    """Return the state after a step, the estimate at the step, and completed floor passages.
 
-    With a barometer it counts in its own second. Without, it climbs as far as it was probably made on stairs. `place`
-    is where a good location showed the phone at the step.
+    The step was made at `step_s` and detected at `now_s`. With a barometer it counts in the second in which it was
+    made. Without one it climbs a riser with the probability of stairs. `place` is an accurate location at the step, or
+    None.
     """
     elapsed_s = min(max(step_s - state.step_s, 0.0), 2.0) if math.isfinite(state.step_s) else 0.5
     if state.recent and now_s - state.known.pressure_s < PRESSURE_AGE_S and state.known.calm_in_s == 0:
@@ -224,21 +295,21 @@ def on_step(
         i = next(i for i, s in enumerate(state.recent) if step_s <= s.climb.time_s)
         seconds = [*state.recent[:i], replace_unchecked(state.recent[i], n_steps=state.recent[i].n_steps + 1)]
         for later_second in state.recent[i + 1 :]:
-            seconds.append(replace_unchecked(later_second, before=_after(seconds[-1], model)))
-        height = _after(seconds[-1], model)
+            seconds.append(replace_unchecked(later_second, before=_after_pressure(seconds[-1], model)))
+        height = _after_pressure(seconds[-1], model)
         height_at_step = seconds[i + 1].before if i + 1 < len(seconds) else height
         return replace_unchecked(state, step_s=step_s, known=height, recent=tuple(seconds)), height_at_step, ()
     passages = tuple(p for later_second in state.recent[1:] for p in later_second.before.floors.passages)
     if state.recent:
         passages += state.known.floors.passages
-    unseen_var = (_UNSEEN_SLOPE_M**2 + state.stairs_unknown_share * _UNSEEN_STAIRS_M**2) * elapsed_s
-    height = _climbed(state.known, step_s, elapsed_s, up_prob, down_prob, unseen_var, place)
+    unmeasured_var = (_UNMEASURED_SLOPE_M**2 + state.stairs_unknown_share * _UNMEASURED_STAIRS_M**2) * elapsed_s
+    height = _after_unmeasured_step(state.known, step_s, elapsed_s, up_prob, down_prob, unmeasured_var, place)
     state = replace_unchecked(state, step_s=step_s, known=height, recent=(), log_evidence=np.zeros(N_MODES), n_steps=0)
     return state, height, passages + height.floors.passages
 
 
 def with_fix(state: HeightState, fix: PositionFix | GridFix) -> HeightState:
-    """State with the storey and the altitude of a fix, as far as it has them."""
+    """Return the state with the storey and the altitude of a fix, if it has them."""
     if fix.floor is not None:
         state = with_floor(state, fix.floor)
     if isinstance(fix, GridFix) or fix.altitude_m is None:
@@ -248,17 +319,18 @@ def with_fix(state: HeightState, fix: PositionFix | GridFix) -> HeightState:
 
 
 def with_floor(state: HeightState, floor: int) -> HeightState:
-    """State that is known to be on a storey of this number now."""
+    """Return the state with all storeys renumbered so that the present one has the given number."""
 
-    def named(height: Known) -> Known:
-        return replace_unchecked(height, floors=fixed(height.floors, floor - state.known.floors.floor))
+    def renamed(height: Known) -> Known:
+        """Return the estimate with renumbered storeys."""
+        return replace_unchecked(height, floors=renumbered(height.floors, floor - state.known.floors.floor))
 
-    recent = tuple(replace_unchecked(second, before=named(second.before)) for second in state.recent)
-    return replace_unchecked(state, known=named(state.known), recent=recent)
+    recent = tuple(replace_unchecked(second, before=renamed(second.before)) for second in state.recent)
+    return replace_unchecked(state, known=renamed(state.known), recent=recent)
 
 
 def finish(state: HeightState) -> tuple[HeightState, tuple[FloorPassage, ...]]:
-    """State when nothing more will come, and the last floor changes."""
+    """Return the state after the last event, and the last floor passages."""
     passages = [p for later_second in state.recent[1:] for p in later_second.before.floors.passages]
     if state.recent:
         passages += state.known.floors.passages
@@ -271,22 +343,22 @@ def finish(state: HeightState) -> tuple[HeightState, tuple[FloorPassage, ...]]:
 
 
 def notes(state: HeightState) -> list[Note]:
-    """What to keep in mind about heights."""
+    """Return a warning if the pressure has changed a lot without a climb."""
     if state.known.most_air_m < _NOTABLE_AIR_M:
         return []
     hpa = state.known.most_air_m / _M_PER_HPA
-    words = f"the pressure changed by {hpa:.0f} hPa that nobody climbed, as in a cabin, a vehicle or by the weather: "
-    return [Note("height", words + "heights and floors do not count it")]
+    change = f"the pressure changed by {hpa:.0f} hPa without a climb, as in an aircraft, a vehicle or by the weather: "
+    return [Note("height", change + "heights and floors ignore this change")]
 
 
-def _after(second: Second, model: PedestrianModel) -> Known:
+def _after_pressure(second: Second, model: PedestrianModel) -> Known:
     """Return the estimate after one second of the barometer."""
     previous, climb, n_steps = second.before, second.climb, second.n_steps
     if previous.calm_in_s > 0:
         calm_in_s = CALM_S if abs(climb.climb_rate_mps) > CALM_MPS else previous.calm_in_s - 1.0
         return replace_unchecked(previous, pressure_s=climb.time_s, calm_in_s=max(calm_in_s, 0.0))
     elapsed_s = climb.time_s - previous.pressure_s
-    if not elapsed_s > 0:  # the first, or a clock that was set back
+    if not elapsed_s > 0:  # first second, or backward clock jump
         elapsed_s = 1.0
     log_evidence = second.log_evidence.copy()
     log_evidence[[LIFT, DRIFT]] += n_steps * model.step_log_odds_stationary
@@ -299,22 +371,22 @@ def _after(second: Second, model: PedestrianModel) -> Known:
     if ride is not None and climb.time_s - ride[0] > LONGEST_RIDE_S:
         return _in_vehicle(previous, climb.time_s, moments, ride[1])
     on_stairs = prob[UP] + prob[DOWN]
-    way, slope_m = followed(
+    floors, slope_m = after_motion(
         previous.floors, climb.time_s, elapsed_s, now.climbed_m, on_stairs, rides, n_steps, second.place
     )
     if slope_m != 0.0:
         moments = vertical.as_slope(moments, slope_m)
         now = vertical.combined(moments)
-    level = known_level(way, climb.time_s)
+    level = known_level(floors, climb.time_s)
     if level is not None:
         variance = level.std_m**2 + LEVEL_STD_M**2
         if (level.climbed_m - now.climbed_m) ** 2 < _LEVEL_GATE * (now.climbed_var_m2 + variance):
             moments = vertical.at_level(moments, level.climbed_m, variance)
             now = vertical.combined(moments)
             level = Level(level.floor, now.climbed_m, _std(now.climbed_var_m2))
-        way = with_level(way, level)
+        floors = with_level(floors, level)
     else:
-        way = learnt(way, climb.time_s, now.climbed_m, _std(now.climbed_var_m2))
+        floors = with_new_level(floors, climb.time_s, now.climbed_m, _std(now.climbed_var_m2))
     first_air_m = now.air_m if math.isnan(previous.first_air_m) else previous.first_air_m
     return Known(
         moments=moments,
@@ -325,26 +397,26 @@ def _after(second: Second, model: PedestrianModel) -> Known:
         ride=ride,
         first_air_m=first_air_m,
         most_air_m=previous.most_air_m if prob[JUMP] > 0.5 else max(previous.most_air_m, abs(now.air_m - first_air_m)),
-        floors=way,
+        floors=floors,
     )
 
 
-def _climbed(
+def _after_unmeasured_step(
     previous: Known,
     step_s: float,
     elapsed_s: float,
     up_prob: float,
     down_prob: float,
-    unseen_var: float,
+    unmeasured_var: float,
     place: Place | None,
 ) -> Known:
-    """What is known after a step without a barometer."""
+    """Return the estimate after a step without a barometer."""
     rise_m, on_stairs = RISER_M * (up_prob - down_prob), up_prob + down_prob
-    of_stairs = on_stairs * (RISER_M**2 + _RISER_STD_M**2) - rise_m**2
-    climbed_var = _FLIGHT_STEPS * max(of_stairs, 0.0)
-    moments = vertical.after_step(previous.moments, rise_m, climbed_var, unseen_var)
+    stairs_var = on_stairs * (RISER_M**2 + _RISER_STD_M**2) - rise_m**2
+    climbed_var = _FLIGHT_STEPS * max(stairs_var, 0.0)
+    moments = vertical.after_step(previous.moments, rise_m, climbed_var, unmeasured_var)
     now = vertical.combined(moments)
-    way, slope_m = followed(previous.floors, step_s, elapsed_s, now.climbed_m, on_stairs, 0.0, 1, place)
+    floors, slope_m = after_motion(previous.floors, step_s, elapsed_s, now.climbed_m, on_stairs, 0.0, 1, place)
     if slope_m != 0.0:
         moments = vertical.as_slope(moments, slope_m)
         now = vertical.combined(moments)
@@ -354,12 +426,15 @@ def _climbed(
         climbed_m=now.climbed_m,
         height_m=now.height_m,
         height_var_m2=now.height_var_m2,
-        floors=learnt(way, step_s, now.climbed_m, _std(now.climbed_var_m2)),
+        floors=with_new_level(floors, step_s, now.climbed_m, _std(now.climbed_var_m2)),
     )
 
 
 def _in_vehicle(previous: Known, now_s: float, moments: FloatArray, before_m: float) -> Known:
-    """What is known when a ride was none: the height is that before it, and nothing of the air."""
+    """Return the estimate after a ride that was too long for a lift or an escalator.
+
+    The height is reset to that before the ride, and the state of the air is unknown.
+    """
     moments = vertical.with_air_unknown(moments, before_m)
     estimate, floor = vertical.combined(moments), previous.floors.climbing.from_floor
     return replace_unchecked(
@@ -376,4 +451,5 @@ def _in_vehicle(previous: Known, now_s: float, moments: FloatArray, before_m: fl
 
 
 def _std(variance: float) -> float:
+    """Return the square root of a variance that may be negative by rounding."""
     return math.sqrt(max(variance, 0.0))

@@ -6,7 +6,7 @@ from typing import Any
 
 
 def __getattr__(name: str) -> Any:
-    """Names of the former module `pdr_filter.filter.imm`, for one release."""
+    """Return a name of the former module `pdr_filter.filter.imm`, with a deprecation warning."""
     if not name.startswith("_") and name != "imm":
         module = importlib.import_module(f"{__name__}.imm")
         if name in vars(module):

@@ -1,4 +1,4 @@
-"""Estimates of the filters of a tracker, with the consider covariance of errors that are not in their states."""
+"""Estimates of the filters of a tracker, including errors that are not part of the filter states."""
 
 from __future__ import annotations
 
@@ -10,51 +10,83 @@ from pdr_filter.filter.imm import imm
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET
 from pdr_filter.values import FloatArray, frozen
 
-# Rows of the consider parameters: along and across the step, then one for the length parameters of each mode.
+# Rows of `consider_error_m`.
 ALONG_AND_ACROSS, LENGTH_PARAMETERS = slice(2), slice(2, None)
 
 
 @dataclass(frozen=True, eq=False)
 class Estimates:
-    """Estimates of F filters: one for each mode with `imm`, one alone with `hc` and `wc`."""
+    """Estimates of F filters: one for each mode with weighting `imm`, a single one with `hc` and `wc`.
 
-    mean: FloatArray  # (F, 4)
-    cov: FloatArray  # (F, 4, 4)
-    prob: FloatArray  # (F,) of each filter
-    walked_m: FloatArray  # (F,) expected distance of all steps so far, if each filter is right about the last of them
-    consider_error_m: FloatArray  # (2 + M, 2) of the position, see `consider_cov_m2`
+    Attributes
+    ----------
+    mean : (F, 4) array
+        Means of the states (east in m, north in m, heading offset in rad, log step scale).
+    cov : (F, 4, 4) array
+        Covariances of the states.
+    prob : (F,) array
+        Probability of each filter.
+    walked_m : (F,) array
+        Expected distance in m of all steps so far, given that the mode of the filter holds at the last step.
+    consider_error_m : (2 + M, 2) array
+        Error of the position in m for one standard deviation of each consider parameter (see `consider_cov_m2`). Rows 0
+        and 1 are the errors along and across the steps, the others the length parameters of each of the M modes.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.filter.imm.estimates import Estimates
+    >>> mean, cov = np.array([[0.0, 0, 0, 0], [1, 0, 0, 0]]), np.tile(0.01 * np.eye(4), (2, 1, 1))
+    >>> estimates = Estimates(mean, cov, np.array([0.5, 0.5]), np.array([0.0, 1.0]), np.zeros((4, 2)))
+    >>> x, P = estimates.combined
+    >>> float(x[0]), round(float(P[0, 0]), 2), estimates.distance_m
+    (0.5, 0.26, 0.5)
+    """
+
+    mean: FloatArray
+    cov: FloatArray
+    prob: FloatArray
+    walked_m: FloatArray
+    consider_error_m: FloatArray
 
     @property
     def combined(self) -> tuple[FloatArray, FloatArray]:
-        """Mean (4,) and covariance (4, 4) of all filters together."""
+        """Mean (4,) and covariance (4, 4) of the mixture of all filters."""
         return imm.combine(self.mean, self.cov, self.prob)
 
     @property
     def distance_m(self) -> float:
-        """Expected distance of all steps so far."""
+        """Expected distance in m of all steps so far."""
         return float(self.prob.dot(self.walked_m))
 
     @property
     def heading_var_rad2(self) -> float:
-        """Mean variance of the heading offset, over all filters."""
+        """Mean over the filters of the variance of the heading offset, in rad2."""
         return float(self.prob.dot(self.cov[:, HEADING_OFFSET, HEADING_OFFSET]))
 
     @property
     def consider_cov_m2(self) -> FloatArray:
-        """Covariance (2, 2) that the consider parameters add to that of the position.
+        """Covariance (2, 2) that the consider parameters add to that of the position, in m2.
 
+        Notes
+        -----
         A consider parameter is a constant that a filter does not estimate, but whose uncertainty is part of its
-        covariance (the Schmidt-Kalman filter: S. F. Schmidt, "Application of state-space methods to navigation
-        problems", Advances in Control Systems 3, 1966; B. D. Tapley, B. E. Schutz and G. H. Born, "Statistical Orbit
-        Determination", 2004, chapter 6). With S the derivative of the position with respect to the parameters and C
-        their covariance, S C S' adds to the position's own covariance. The rows of `consider_error_m` are the columns
-        of S C^(1/2): the error of the position for one standard deviation of each parameter. They add up over the steps
-        as vectors, not as variances, because a parameter has the same error in all steps of a person. With independent
-        errors a run of 300 steps would have a standard deviation ten times too small.
+        covariance (the Schmidt-Kalman filter). Let S be the derivative of the position with respect to the parameters
+        and C the covariance of the parameters. Then S C S' is added to the covariance of the position. The rows of
+        `consider_error_m` are the columns of S C^(1/2). They are summed over the steps as vectors and not as variances,
+        because a parameter has the same error in all steps of a person. If the errors were taken as independent, the
+        standard deviation after 300 steps would be ten times too small.
 
-        The parameters are the second-order errors along and across the steps (`motion_model.second_order_errors`), and
-        for each mode those of its length model. A used position fix moves this covariance into that of the states
-        (`fix_updates`), where Schmidt's filter would keep the covariance of parameters and states.
+        The parameters are the second-order errors along and across the steps (`motion_model.second_order_errors`) and,
+        for each mode, the parameters of its length model. A used position fix transfers this covariance to the
+        covariance of the states (`fix_updates`). Schmidt's filter would instead keep the covariance between parameters
+        and states.
+
+        References
+        ----------
+        S. F. Schmidt, "Application of state-space methods to navigation problems", Advances in Control Systems 3, 1966.
+
+        B. D. Tapley, B. E. Schutz, G. H. Born, "Statistical Orbit Determination", 2004, chapter 6.
         """
         return self.consider_error_m.T.dot(self.consider_error_m)
 
@@ -66,7 +98,10 @@ class Estimates:
 
 
 def position_cov(P: FloatArray, consider_cov_m2: FloatArray) -> FloatArray:
-    """Covariance (2, 2) of a position with linear covariance P (4, 4) and that of the consider parameters (2, 2)."""
+    """Return the covariance (2, 2) of a position, including the consider parameters.
+
+    P (4, 4) is the covariance of the state and `consider_cov_m2` (2, 2) that of the consider parameters.
+    """
     (xx, xy, _, _), (yx, yy, _, _) = P[:2].tolist()
     (consider_xx, consider_xy), (_, consider_yy) = consider_cov_m2.tolist()
     xy = 0.5 * (xy + yx) + consider_xy

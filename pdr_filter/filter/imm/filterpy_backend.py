@@ -1,16 +1,16 @@
-"""The interacting multiple model on filterpy's classes: slow, readable, and the oracle of `pdr_filter.filter.imm.imm`.
+"""IMM arithmetic with the classes of filterpy: slow and readable, the reference for `pdr_filter.filter.imm.imm`.
 
-`IMMEstimator` of filterpy 2.0 has four traps, which `MendedIMMEstimator` is without:
+`IMMEstimator` of filterpy 2.0 has four problems, which `MendedIMMEstimator` corrects:
 
-1. Its documentation says that M[i, j] leads from mode j to mode i. It leads from i to j; rows sum to one.
-2. `update(None)` shall change nothing, but weighs the modes by how well they predict no innovation at all.
-3. A second `predict` without a measurement in between does not move the mode probabilities.
-4. Likelihoods that underflow are clipped to the smallest number, which loses what they say. Logarithms lose nothing.
+1. Its documentation says that M[i, j] leads from mode j to mode i. It leads from i to j, and rows sum to one.
+2. `update(None)` should change nothing, but it weights the modes by the likelihood of a zero innovation.
+3. A second `predict` without a measurement in between does not change the mode probabilities.
+4. Likelihoods that underflow are replaced by the smallest number, so that their evidence is lost. Logarithms keep it.
 
-Besides, a mode that no other can reach divides zero by zero; here it keeps its own estimate.
+In addition, a mode that cannot be reached from any other divides zero by zero. Here it keeps its own estimate.
 
-The functions have the names, the arguments and the results of those in `pdr_filter.filter.imm.imm`, for one pedestrian:
-`ImmTracker(model, FilterpyImm())` filters with them.
+The functions have the names, arguments and results of those in `pdr_filter.filter.imm.imm`, for a single pedestrian.
+`ImmTracker(model, FilterpyImm())` uses them.
 """
 
 from __future__ import annotations
@@ -25,17 +25,20 @@ from filterpy.kalman import IMMEstimator, KalmanFilter
 from pdr_filter.values import FloatArray, softmax
 
 
-class MendedIMMEstimator(IMMEstimator):  # filterpy has no types
-    """filterpy's estimator without its traps; `M[i, j]` is the probability from mode i to mode j."""
+class MendedIMMEstimator(IMMEstimator):  # filterpy has no type hints
+    """IMM estimator of filterpy with the corrections listed in the module.
+
+    `M[i, j]` is the transition probability from mode i to mode j.
+    """
 
     def predict(self, u: Any = None) -> None:
-        """Mix the modes, predict each, and move the mode probabilities by one transition, every time."""
+        """Mix the modes, predict each of them, and apply one transition to the mode probabilities."""
         self._compute_mixing_probabilities()
         self.mu: FloatArray = self.cbar
         super().predict(u)
 
     def update(self, z: Any) -> None:
-        """Update each mode and its probability; None changes nothing."""
+        """Update each mode and its probability. A measurement of None changes nothing."""
         if z is None:
             return
         for kalman in self.filters:
@@ -43,7 +46,10 @@ class MendedIMMEstimator(IMMEstimator):  # filterpy has no types
         self.weigh(np.array([kalman.log_likelihood for kalman in self.filters]))
 
     def weigh(self, log_likelihood: FloatArray) -> None:
-        """Weigh the modes by evidence: mu_j ~ mu_j exp(l_j). What rules out every mode, or is NaN, says nothing."""
+        """Update the mode probabilities by log evidence, mu_j ~ mu_j exp(l_j).
+
+        Evidence that excludes every mode, or that is NaN, is ignored.
+        """
         with np.errstate(divide="ignore"):
             log_posterior = np.log(self.mu) + log_likelihood
         if np.isfinite(log_posterior.max()):
@@ -55,20 +61,23 @@ class MendedIMMEstimator(IMMEstimator):  # filterpy has no types
         self.cbar: FloatArray = self.mu @ self.M
         for i in range(self.N):
             for j in range(self.N):
-                # A mode that cannot be reached keeps its own estimate.
+                # a mode that cannot be reached keeps its own estimate
                 self.omega[i, j] = self.M[i, j] * self.mu[i] / self.cbar[j] if self.cbar[j] > 0 else float(i == j)
 
 
 def estimator(mean: FloatArray, cov: FloatArray, mode_prob: FloatArray, transition_prob: FloatArray) -> Any:
-    """A `MendedIMMEstimator` of Kalman filters, one for each mode, that stand still (F = I, Q = 0)."""
+    """Return a `MendedIMMEstimator` with one static Kalman filter (F = I, Q = 0) for each mode."""
     return MendedIMMEstimator(_filters(mean, cov), mode_prob, transition_prob)
 
 
 def mix(
     mean: FloatArray, cov: FloatArray, mode_prob: FloatArray, transition_prob: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """As `pdr_filter.filter.imm.imm.mix`: prediction of filters that stand still is mixing."""
-    if len(mean) == 1:  # filterpy wants two modes at least
+    """Return mixed means and covariances, and predicted mode probabilities, as `pdr_filter.filter.imm.imm.mix`.
+
+    Prediction with static filters is mixing alone.
+    """
+    if len(mean) == 1:  # filterpy requires at least two modes
         return mean, cov, mode_prob
     imm = estimator(mean, cov, mode_prob, transition_prob)
     imm.predict()
@@ -78,7 +87,7 @@ def mix(
 def update(
     mean: FloatArray, cov: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """As `pdr_filter.filter.imm.imm.update`."""
+    """Return the Kalman update of each mode, as `pdr_filter.filter.imm.imm.update`."""
     filters = _filters(mean, cov, len(z))
     for kalman in filters:
         kalman.update(z, R, H)
@@ -87,7 +96,7 @@ def update(
 
 
 def update_mode_prob(prior_prob: FloatArray, log_likelihood: FloatArray) -> FloatArray:
-    """As `pdr_filter.values.mixtures.posterior_prob`."""
+    """Return the posterior mode probabilities, as `pdr_filter.values.mixtures.posterior_prob`."""
     n_modes = len(prior_prob)
     if n_modes == 1:
         return prior_prob
@@ -97,7 +106,7 @@ def update_mode_prob(prior_prob: FloatArray, log_likelihood: FloatArray) -> Floa
 
 
 def combine(mean: FloatArray, cov: FloatArray, prob: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """As `pdr_filter.values.mixtures.combine`."""
+    """Return the moments of the mixture of all modes, as `pdr_filter.values.mixtures.combine`."""
     if len(mean) == 1:
         return mean[0], cov[0]
     imm = estimator(mean, cov, prob, np.eye(len(mean)))
@@ -106,7 +115,7 @@ def combine(mean: FloatArray, cov: FloatArray, prob: FloatArray) -> tuple[FloatA
 
 @dataclass(frozen=True)
 class FilterpyImm:
-    """The functions of this module, as a tracker takes them."""
+    """Arithmetic of a tracker with the filterpy functions of this module (an `ImmArithmetic`)."""
 
     mix = staticmethod(mix)
     update = staticmethod(update)
@@ -115,6 +124,7 @@ class FilterpyImm:
 
 
 def _filters(mean: FloatArray, cov: FloatArray, dim_z: int = 1) -> list[Any]:
+    """Return one static filterpy filter for each mode."""
     filters: list[Any] = [KalmanFilter(dim_x=mean.shape[1], dim_z=dim_z) for _ in mean]
     for kalman, x, P in zip(filters, mean, cov, strict=True):
         kalman.x, kalman.P, kalman.Q = x.copy(), P.copy(), np.zeros_like(P)
@@ -122,4 +132,5 @@ def _filters(mean: FloatArray, cov: FloatArray, dim_z: int = 1) -> list[Any]:
 
 
 def _estimates(filters: Sequence[Any]) -> tuple[FloatArray, FloatArray]:
+    """Return the means (M, n) and covariances (M, n, n) of filterpy filters."""
     return np.stack([kalman.x for kalman in filters]), np.stack([kalman.P for kalman in filters])

@@ -1,9 +1,10 @@
-"""The interacting multiple model: mix, predict, update, combine, for all modes and all pedestrians at once.
+"""Interacting multiple model (IMM): mixing, prediction, update and combination.
 
-Pure functions on arrays: `mean` (..., M, n), `cov` (..., M, n, n), `mode_prob` (..., M). Leading axes, if any,
-are pedestrians: each is filtered as if it were alone. Letters follow Blom and Bar-Shalom, "The
-interacting multiple model algorithm for systems with Markovian switching coefficients", IEEE Trans. Automatic Control
-33(8), 1988. Likelihoods are logarithms throughout, so that no evidence is lost to underflow.
+All functions are pure functions of arrays, for all modes and all pedestrians at once: `mean` (..., M, n), `cov` (...,
+M, n, n), `mode_prob` (..., M). Leading axes, if any, are pedestrians, which are independent of each other. Letters
+follow H. A. P. Blom and Y. Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian switching
+coefficients", IEEE Trans. Automatic Control 33(8), 1988. Likelihoods are logarithms, so that no evidence is lost by
+underflow.
 """
 
 from __future__ import annotations
@@ -22,11 +23,48 @@ _LOG_2_PI = float(np.log(2 * np.pi))
 def mix(
     mean: FloatArray, cov: FloatArray, mode_prob: FloatArray, transition_prob: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Mixed means (..., M, n), mixed covariances (..., M, n, n) and predicted mode probabilities (..., M).
+    """Return mixed means and covariances, and predicted mode probabilities: the interaction of the IMM.
 
+    Parameters
+    ----------
+    mean : (..., M, n) array
+        Mean of each mode.
+    cov : (..., M, n, n) array
+        Covariance of each mode.
+    mode_prob : (..., M) array
+        Probabilities of the modes at the last step.
+    transition_prob : (M, M) array
+        Probability of a transition from mode i (row) to mode j (column). Rows sum to one.
+
+    Returns
+    -------
+    mixed_mean : (..., M, n) array
+        Mean of each mode for the next step.
+    mixed_cov : (..., M, n, n) array
+        Covariance of each mode for the next step.
+    predicted_prob : (..., M) array
+        Probabilities of the modes at the next step.
+
+    Notes
+    -----
     c_j = sum_i p_ij mu_i;  mu_i|j = p_ij mu_i / c_j;  x_0j = sum_i mu_i|j x_i;
     P_0j = sum_i mu_i|j (P_i + (x_i - x_0j)(x_i - x_0j)').
+
     A mode that cannot be reached (c_j = 0) keeps its own estimate.
+
+    References
+    ----------
+    H. A. P. Blom, Y. Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian switching
+    coefficients", IEEE Trans. Automatic Control 33(8), 1988.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.filter.imm.imm import mix
+    >>> mean, cov = np.array([[0.0], [1.0]]), np.ones((2, 1, 1))
+    >>> mixed_mean, mixed_cov, prob = mix(mean, cov, np.array([0.5, 0.5]), np.array([[0.9, 0.1], [0.1, 0.9]]))
+    >>> mixed_mean[:, 0].round(2), mixed_cov[:, 0, 0].round(2), prob
+    (array([0.1, 0.9]), array([1.09, 1.09]), array([0.5, 0.5]))
     """
     *batch, n_modes, n = mean.shape
     from_source, predicted = _mixing_weights(mode_prob, transition_prob)
@@ -38,17 +76,44 @@ def mix(
 
 
 def mixed_values(values: FloatArray, mode_prob: FloatArray, transition_prob: FloatArray) -> FloatArray:
-    """Expected values (..., M) given the mode of the next step, of expected values (..., M) given that of the last one.
+    """Return expected values given the mode of the next step, from those given the mode of the last step.
 
-    v_0j = sum_i mu_i|j v_i. What is summed in each mode over steps and mixed before each is, weighted with the mode
-    probabilities, the sum that a smoother would make of them, exactly: E[sum_k l_k(mode at k) | all evidence so far].
+    Parameters
+    ----------
+    values : (..., M) array
+        Expected value of a quantity for each mode of the last step.
+    mode_prob : (..., M) array
+        Probabilities of the modes at the last step.
+    transition_prob : (M, M) array
+        Probability of a transition from mode i (row) to mode j (column). Rows sum to one.
+
+    Returns
+    -------
+    (..., M) array
+        Expected value for each mode of the next step. A mode that cannot be reached keeps its own value.
+
+    Notes
+    -----
+    v_0j = sum_i mu_i|j v_i. A sum over steps that is mixed before each step, such as the distance, is exact: weighted
+    with the mode probabilities it is the sum that a smoother would give, E[sum_k l_k(mode at k) | all evidence so far].
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.filter.imm.imm import mixed_values
+    >>> mixed_values(np.array([0.0, 1.0]), np.array([0.5, 0.5]), np.array([[0.9, 0.1], [0.1, 0.9]])).round(2)
+    array([0.1, 0.9])
     """
     predicted = mode_prob.dot(transition_prob)
     return np.divide((mode_prob * values).dot(transition_prob), predicted, where=predicted > 0, out=values.copy())
 
 
 def _mixing_weights(mode_prob: FloatArray, transition_prob: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Probabilities mu_i|j (..., j, i) of the last mode given the next one, and predicted ones c_j (..., M)."""
+    """Return mixing weights and predicted mode probabilities.
+
+    The weights mu_i|j (..., j, i) are the probabilities of the last mode i given the next mode j. The predicted
+    probabilities c_j are (..., M).
+    """
     joint = transition_prob * mode_prob[..., :, None]
     predicted = mode_prob.dot(transition_prob)
     if np.count_nonzero(predicted) == predicted.size:
@@ -60,22 +125,107 @@ def _mixing_weights(mode_prob: FloatArray, transition_prob: FloatArray) -> tuple
 
 
 def predict(mean: FloatArray, cov: FloatArray, F: FloatArray, Q: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Linear prediction of each mode: x = F x, P = F P F' + Q, with F and Q of shape (..., M, n, n)."""
+    """Return means and covariances after a linear prediction of each mode, x = F x and P = F P F' + Q.
+
+    Parameters
+    ----------
+    mean : (..., M, n) array
+        Mean of each mode.
+    cov : (..., M, n, n) array
+        Covariance of each mode.
+    F : (..., M, n, n) array
+        Transition matrix of each mode.
+    Q : (..., M, n, n) array
+        Covariance of the process noise of each mode.
+
+    Returns
+    -------
+    mean : (..., M, n) array
+        Predicted means.
+    cov : (..., M, n, n) array
+        Predicted covariances.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.filter.imm.imm import predict
+    >>> x, P = predict(np.ones((1, 1)), np.ones((1, 1, 1)), np.full((1, 1, 1), 2.0), np.ones((1, 1, 1)))
+    >>> x[0], P[0]
+    (array([2.]), array([[5.]]))
+    """
     return np.matmul(F, mean[..., None])[..., 0], predict_cov(cov, F, Q)
 
 
 def predict_cov(cov: FloatArray, F: FloatArray, Q: FloatArray) -> FloatArray:
-    """Predicted covariances F P F' + Q (..., M, n, n)."""
+    """Return covariances after a linear prediction of each mode, P = F P F' + Q.
+
+    Parameters
+    ----------
+    cov : (..., M, n, n) array
+        Covariance P of each mode.
+    F : (..., M, n, n) array
+        Transition matrix of each mode.
+    Q : (..., M, n, n) array
+        Covariance of the process noise of each mode.
+
+    Returns
+    -------
+    (..., M, n, n) array
+        Predicted covariances.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.filter.imm.imm import predict_cov
+    >>> predict_cov(np.ones((1, 1, 1)), np.full((1, 1, 1), 2.0), np.ones((1, 1, 1)))[0]
+    array([[5.]])
+    """
     return F @ cov @ F.swapaxes(-1, -2) + Q
 
 
 def update(
     mean: FloatArray, cov: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Updated means, covariances, log likelihoods (..., M), normalised innovations squared (..., M) of a measurement.
+    """Return the Kalman update of each mode by a linear measurement.
 
-    y = z - H x;  S = H P H' + R;  K = P H' S^-1;  x = x + K y;  P = (I - K H) P (I - K H)' + K R K' (Joseph's form,
-    symmetric and positive in rounding). z is (..., d), R (..., d, d), one for each pedestrian; H (d, n).
+    Parameters
+    ----------
+    mean : (..., M, n) array
+        Mean of each mode.
+    cov : (..., M, n, n) array
+        Covariance of each mode.
+    z : (..., d) array
+        Measurement of each pedestrian.
+    H : (d, n) array
+        Measurement matrix.
+    R : (..., d, d) array
+        Covariance of the measurement noise of each pedestrian.
+
+    Returns
+    -------
+    mean : (..., M, n) array
+        Updated means.
+    cov : (..., M, n, n) array
+        Updated covariances.
+    log_likelihood : (..., M) array
+        Log density of the measurement in each mode.
+    nis : (..., M) array
+        Normalised innovation squared in each mode.
+
+    Notes
+    -----
+    y = z - H x;  S = H P H' + R;  K = P H' S^-1;  x = x + K y;  P = (I - K H) P (I - K H)' + K R K'.
+
+    Joseph's form of the covariance stays symmetric and positive in spite of rounding.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.filter.imm.imm import update
+    >>> z, H, R = np.ones(1), np.eye(1), np.eye(1)
+    >>> x, P, log_likelihood, nis = update(np.zeros((1, 1)), np.ones((1, 1, 1)), z, H, R)
+    >>> x[0], P[0], nis
+    (array([0.5]), array([[0.5]]), array([0.5]))
     """
     innovation = z[..., None, :] - mean @ H.T
     R_ = R[..., None, :, :]
@@ -91,10 +241,10 @@ def update(
 
 
 def _inverse(S: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Inverse (..., d, d) and log determinant (...) of innovation covariances."""
+    """Return the inverse (..., d, d) and the log determinant (...) of innovation covariances."""
     if S.shape[-1] != 2:
         return np.asarray(np.linalg.inv(S), dtype=float), np.linalg.slogdet(S)[1]
-    # A position is what most measurements are, and for thousands of pedestrians LAPACK is called once for each matrix.
+    # Most measurements are positions. LAPACK would be called once for each of thousands of pedestrians.
     a, b, c, d = S[..., 0, 0], S[..., 0, 1], S[..., 1, 0], S[..., 1, 1]
     det = a * d - b * c
     adjugate = np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-2)
@@ -102,17 +252,49 @@ def _inverse(S: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def smoothed_mode_prob(mode_prob: FloatArray, transition_prob: FloatArray, lag: int | None = None) -> FloatArray:
-    """Mode probabilities (K, M) of each step with the evidence of later ones, from the filtered ones (K, M).
+    """Return mode probabilities that use the evidence of later steps, from filtered mode probabilities.
 
-    The backward pass of a hidden Markov model: p(j at k | k + L) = mu_k(j) sum_i t_ji p(i at k + 1 | k + L) /
-    sum_j mu_k(j) t_ji, from k + L backwards, or from the last step. Exact for modes that move alike; what the positions
-    say of the modes between is in the filtered probabilities only. `transition_prob` (M, M) is that of the model; the
-    lag is L in steps, 4 of which are two seconds of walking; all later steps if not given.
+    Parameters
+    ----------
+    mode_prob : (K, M) array
+        Filtered mode probabilities of K steps.
+    transition_prob : (M, M) array
+        Transition matrix of the model, from row to column.
+    lag : int, optional
+        Number L of later steps whose evidence is used. Four steps are about two seconds of walking. By default all
+        later steps are used.
+
+    Returns
+    -------
+    (K, M) array
+        Smoothed mode probabilities.
+
+    Raises
+    ------
+    ValueError
+        If the lag is negative, or if the transition matrix has the wrong shape or rows that do not sum to one.
+
+    Notes
+    -----
+    Backward pass of a hidden Markov model, from step k + L (or the last step) to step k:
+    p(j at k | k + L) = mu_k(j) sum_i t_ji p(i at k + 1 | k + L) / sum_j mu_k(j) t_ji.
+
+    The result is exact if all modes have the same motion. Evidence of positions for the modes enters only through the
+    filtered probabilities.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.filter.imm.imm import smoothed_mode_prob
+    >>> filtered = np.array([[0.5, 0.5], [0.9, 0.1]])
+    >>> smoothed_mode_prob(filtered, np.array([[0.9, 0.1], [0.1, 0.9]])).round(2)
+    array([[0.82, 0.18],
+           [0.9 , 0.1 ]])
     """
     mode_prob = np.asarray(mode_prob, dtype=float)
     check_transition_prob(transition_prob, mode_prob.shape[-1])
     if lag is not None and lag < 0:
-        raise ValueError(f"lag must be 0 steps or more, got {lag}")
+        raise ValueError(f"lag is a number of steps and must be 0 or more, got {lag}")
     n_steps = len(mode_prob)
     if lag is None:
         smoothed = mode_prob.copy()
@@ -129,7 +311,7 @@ def smoothed_mode_prob(mode_prob: FloatArray, transition_prob: FloatArray, lag: 
 
 
 def _one_step_back(filtered: FloatArray, later: FloatArray, transition_prob: FloatArray) -> FloatArray:
-    """Smoothed probabilities (..., M) from the filtered ones and the smoothed ones of the step after."""
+    """Return the smoothed probabilities (..., M) of a step from filtered ones and those of the next step."""
     predicted = filtered @ transition_prob
     ratio = np.divide(later, predicted, where=predicted > 0, out=np.zeros_like(predicted))
     smoothed = filtered * (ratio @ transition_prob.T)
@@ -138,32 +320,128 @@ def _one_step_back(filtered: FloatArray, later: FloatArray, transition_prob: Flo
 
 
 class ImmArithmetic(Protocol):
-    """Whose arithmetic a tracker uses; the results are those of the functions here."""
+    """Protocol of the arithmetic of a tracker: mixing, update and combination.
+
+    `NumpyImm` is the default. `filterpy_backend.FilterpyImm` gives the same results with the classes of filterpy.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.filter.imm.imm import NumpyImm
+    >>> from pdr_filter.filter.imm.imm_tracker import ImmTracker
+    >>> tracker = ImmTracker(pdr.recipes.default().model, NumpyImm())
+    """
 
     def mix(
         self, mean: FloatArray, cov: FloatArray, mode_prob: FloatArray, transition_prob: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """As `mix`."""
+        """Return mixed means and covariances, and predicted mode probabilities.
+
+        Parameters
+        ----------
+        mean : (..., M, n) array
+            Mean of each mode.
+        cov : (..., M, n, n) array
+            Covariance of each mode.
+        mode_prob : (..., M) array
+            Probabilities of the modes at the last step.
+        transition_prob : (M, M) array
+            Probability of a transition from mode i (row) to mode j (column). Rows sum to one.
+
+        Returns
+        -------
+        mixed_mean : (..., M, n) array
+            Mean of each mode for the next step.
+        mixed_cov : (..., M, n, n) array
+            Covariance of each mode for the next step.
+        predicted_prob : (..., M) array
+            Probabilities of the modes at the next step.
+        """
         ...
 
     def update(
         self, mean: FloatArray, cov: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """As `update`."""
+        """Return the Kalman update of each mode by a linear measurement z = H x + noise.
+
+        Parameters
+        ----------
+        mean : (..., M, n) array
+            Mean of each mode.
+        cov : (..., M, n, n) array
+            Covariance of each mode.
+        z : (..., d) array
+            Measurement of each pedestrian.
+        H : (d, n) array
+            Measurement matrix.
+        R : (..., d, d) array
+            Covariance of the measurement noise of each pedestrian.
+
+        Returns
+        -------
+        mean : (..., M, n) array
+            Updated means.
+        cov : (..., M, n, n) array
+            Updated covariances.
+        log_likelihood : (..., M) array
+            Log density of the measurement in each mode.
+        nis : (..., M) array
+            Normalised innovation squared in each mode.
+        """
         ...
 
     def update_mode_prob(self, prior_prob: FloatArray, log_likelihood: FloatArray) -> FloatArray:
-        """As `values.mixtures.posterior_prob`."""
+        """Return the posterior mode probabilities.
+
+        Parameters
+        ----------
+        prior_prob : (..., M) array
+            Mode probabilities before the evidence.
+        log_likelihood : (..., M) array
+            Log evidence for each mode.
+
+        Returns
+        -------
+        (..., M) array
+            Mode probabilities after the evidence. Evidence that is not a number, or that excludes every mode, is
+            ignored.
+        """
         ...
 
     def combine(self, mean: FloatArray, cov: FloatArray, prob: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """As `values.mixtures.combine`."""
+        """Return the mean and the covariance of the mixture of all modes.
+
+        Parameters
+        ----------
+        mean : (..., M, n) array
+            Mean of each mode.
+        cov : (..., M, n, n) array
+            Covariance of each mode.
+        prob : (..., M) array
+            Probabilities of the modes.
+
+        Returns
+        -------
+        mean : (..., n) array
+            Mean of the mixture.
+        cov : (..., n, n) array
+            Covariance of the mixture.
+        """
         ...
 
 
 @dataclass(frozen=True)
 class NumpyImm:
-    """The functions of this module: whose arithmetic a tracker uses."""
+    """Default arithmetic of a tracker: the NumPy functions of this module.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.filter.imm.imm import NumpyImm
+    >>> x, P = NumpyImm().combine(np.array([[0.0], [1.0]]), np.ones((2, 1, 1)), np.array([0.5, 0.5]))
+    >>> x, P
+    (array([0.5]), array([[1.25]]))
+    """
 
     mix = staticmethod(mix)
     update = staticmethod(update)

@@ -1,4 +1,4 @@
-"""Steps and context windows in, track rows out: one Kalman filter for each mode, mixed by probability."""
+"""IMM tracker: one Kalman filter for each mode, mixed by the mode probabilities."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pdr_filter.filter.imm.pedestrian_state import (
     over_gap,
     step_update,
     with_heading,
-    with_open_turn,
+    with_reopened_rotation,
     with_step,
 )
 from pdr_filter.filter.imm.recent_windows import RecentWindows, n_after, window_before, with_window
@@ -25,70 +25,130 @@ from pdr_filter.filter.imm.step_history import Walked
 from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, replace_unchecked
 
-# Evidence of a known standstill against every mode that moves: a hundred thousand to one, because a window that is sure
-# of walking says a hundred to one for it (`evidence_floor`), and the step itself seven to one.
+# Log evidence of a known standstill against every mode that moves, about a hundred thousand to one. It must outweigh a
+# window that is certain of walking (a hundred to one, `evidence_floor`) and the detected step (seven to one).
 _STANDSTILL_LOG_EVIDENCE = 12.0
 
 
 @dataclass(frozen=True, eq=False)
 class ImmState:
-    """Estimates of all modes, and the windows that are their evidence."""
+    """State of an `ImmTracker`: estimates of all modes, and the windows that are their evidence."""
 
     pedestrian: PedestrianState
     windows: RecentWindows
-    used: WindowContext | None  # the last one that was used as evidence
-    n_unused: int  # windows since that one, gaps not counted
+    used: WindowContext | None  # last window that was used as evidence
+    n_unused: int  # number of windows since `used`; gaps are not counted
 
 
 @dataclass(frozen=True, eq=False)
 class ImmTracker:
-    """The interacting multiple model over the modes of a model; each step is reported once, when it is known.
+    """Tracker with the interacting multiple model over the modes of a pedestrian model.
 
-    With `filterpy_backend.FilterpyImm()` the same track comes from filterpy's classes, many times slower.
+    Each step is reported once, as soon as it is detected.
+
+    Attributes
+    ----------
+    model : PedestrianModel
+        Modes, transitions, noise and evidence.
+    arithmetic : ImmArithmetic, default NumpyImm()
+        Implementation of mixing, update and combination. `filterpy_backend.FilterpyImm()` gives the same track with the
+        classes of filterpy, but is many times slower.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.filter.imm.imm_tracker import ImmTracker
+    >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP
+    >>> tracker = ImmTracker(pdr.recipes.default().model)
+    >>> state, updates = tracker.on_step(tracker.init(), TYPICAL_STEP)
+    >>> updates[0].index, updates[0].is_final
+    (0, True)
     """
 
     model: PedestrianModel
     arithmetic: ImmArithmetic = field(default_factory=NumpyImm)
 
     weighting = "imm"
-    # A step is final when it is known: windows that come later are evidence for later steps.
+    # A step is final when it is detected. Later windows are evidence for later steps only.
     waits_for_windows = 0
 
     def init(self) -> ImmState:
-        """State at the origin; modes as probable as the transitions make them in the long run."""
+        """Return the state at the origin, before the first event.
+
+        Returns
+        -------
+        ImmState
+            State in which the modes have the stationary probabilities of the transitions.
+        """
         return ImmState(initial_state(self.model, self.model.long_run_mode_prob), (), None, 0)
 
     def on_window(self, state: ImmState, window: WindowContext) -> tuple[ImmState, tuple[StepUpdate, ...]]:
-        """New state; a window makes no step known."""
+        """Return the state after a context window.
+
+        Parameters
+        ----------
+        state : ImmState
+            State before the event.
+        window : WindowContext
+            Context probabilities of a window.
+
+        Returns
+        -------
+        state : ImmState
+            State after the window.
+        updates : tuple of StepUpdate
+            Empty: a window makes no step final.
+        """
         windows = with_window(state.windows, window)
         n_unused = state.n_unused + (windows is not state.windows)
         return replace_unchecked(state, windows=windows, n_unused=n_unused), ()
 
     def on_step(self, state: ImmState, step: Step) -> tuple[ImmState, tuple[StepUpdate, ...]]:
-        """Return the new state and the update of this step: one cycle of the IMM estimator.
+        """Return the state after a step, and the track rows that it produces.
 
-        The parts are interaction, mode-matched filtering, mode probability update and combination (Y. Bar-Shalom, X. R.
-        Li and T. Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, section 11.6.6). The
-        measurement of each mode is the walking heading; context windows and the step itself are evidence for the modes.
+        Parameters
+        ----------
+        state : ImmState
+            State before the event.
+        step : Step
+            Detected step.
+
+        Returns
+        -------
+        state : ImmState
+            State after the step.
+        updates : tuple of StepUpdate
+            Update of this step, which is final.
+
+        Notes
+        -----
+        One cycle of the IMM estimator consists of interaction (mixing), mode-matched filtering, update of the mode
+        probabilities, and combination. The measurement of each mode is the walking heading. Context windows and the
+        step itself are evidence for the modes.
+
+        References
+        ----------
+        Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001,
+        section 11.6.6.
         """
         model, imm = self.model, self.arithmetic
-        previous = with_open_turn(state.pedestrian)
+        previous = with_reopened_rotation(state.pedestrian)
         mixed = self._mixed(previous.estimates)
         turned, drifted_cov = with_heading(
             replace_unchecked(previous, estimates=mixed), step, model.directions, model.noise
         )
         lengths = model.lengths(step)
-        ahead = self._ahead(turned.estimates, step, lengths)
+        advanced = self._advanced(turned.estimates, step, lengths)
         predicted = replace_unchecked(
-            turned.estimates, mean=ahead.mean, cov=ahead.cov, walked_m=mixed.walked_m + ahead.motion.length_m
+            turned.estimates, mean=advanced.mean, cov=advanced.cov, walked_m=mixed.walked_m + advanced.motion.length_m
         )
         window = window_before(state.windows, step.time_s)
         state, log_evidence = self._with_evidence(state, step, window)
         prob = imm.update_mode_prob(predicted.prob, log_evidence)
         combined = imm.combine(predicted.mean, predicted.cov, prob)
 
-        walked = self._walked(step, lengths, ahead.motion, prob, combined[0])
-        event = WalkedStep.of(step.time_s, mixed, drifted_cov, turned.estimates, ahead, combined[0])
+        walked = self._walked(step, lengths, advanced.motion, prob, combined[0])
+        event = WalkedStep.of(step.time_s, mixed, drifted_cov, turned.estimates, advanced, combined[0])
         updated = with_step(
             replace_unchecked(turned, estimates=replace_unchecked(predicted, prob=prob)), step, walked, combined, event
         )
@@ -97,21 +157,24 @@ class ImmTracker:
         return replace_unchecked(state, pedestrian=updated), (update,)
 
     def _mixed(self, estimates: Estimates) -> Estimates:
-        """Mixed estimates and predicted mode probabilities, before the next step."""
+        """Return the mixed estimates and predicted mode probabilities before the next step."""
         transition_prob = self.model.transition_prob
         mean, cov, prob = self.arithmetic.mix(estimates.mean, estimates.cov, estimates.prob, transition_prob)
         walked_m = mixed_values(estimates.walked_m, estimates.prob, transition_prob)
         return replace_unchecked(estimates, mean=mean, cov=cov, prob=prob, walked_m=walked_m)
 
-    def _ahead(self, estimates: Estimates, step: Step, lengths: ModeLengths) -> Advance:
-        """Displacement of each mode, and the means and covariances after it."""
+    def _advanced(self, estimates: Estimates, step: Step, lengths: ModeLengths) -> Advance:
+        """Return the prediction of the step in each mode."""
         length_m, _, residual_var_m2, _ = lengths
         return advance(
             estimates.mean, estimates.cov, step, length_m, residual_var_m2, self.model.directions, self.model.noise
         )
 
     def _with_evidence(self, state: ImmState, step: Step, window: WindowContext | None) -> tuple[ImmState, FloatArray]:
-        """State that has used the window of a step, and the log evidence (M,) of step, window and standstills."""
+        """Return the state and the log evidence (M,) of the step, its context window and known standstills.
+
+        A window is evidence once. The returned state records that it was used.
+        """
         evidence = self.model.step_evidence
         if window is not None and (state.used is None or window.time_s > state.used.time_s):
             n_later = n_after(state.windows, window)
@@ -122,7 +185,10 @@ class ImmTracker:
         return state, evidence
 
     def _walked(self, step: Step, lengths: ModeLengths, motion: StepMotion, prob: FloatArray, x: FloatArray) -> Walked:
-        """Length and heading of a step, weighted by the mode probabilities (M,), with the combined mean x (4,)."""
+        """Return length and heading of a step, weighted by the mode probabilities (M,).
+
+        `x` (4,) is the combined mean after the step.
+        """
         heading_rad = step.device_heading_rad + float(x[HEADING_OFFSET]) + self.model.mean_heading_offset_rad(prob)
         return Walked(
             length_m=float(prob.dot(motion.length_m)),
@@ -133,15 +199,60 @@ class ImmTracker:
         )
 
     def on_gap(self, state: ImmState, gap_s: float) -> tuple[ImmState, tuple[StepUpdate, ...]]:
-        """New state after a time without samples: windows start afresh, positions and headings are less known."""
+        """Return the state after a gap, a time without samples.
+
+        Parameters
+        ----------
+        state : ImmState
+            State before the event.
+        gap_s : float
+            Duration of the gap in s.
+
+        Returns
+        -------
+        state : ImmState
+            State after the gap: positions and headings are less certain, and earlier windows are discarded.
+        updates : tuple of StepUpdate
+            Empty: no step is pending.
+        """
         return replace_unchecked(state, pedestrian=over_gap(state.pedestrian, gap_s, self.model.noise), windows=()), ()
 
     def on_fix(self, state: ImmState, fix: Fix) -> tuple[ImmState, FixOutcome, float]:
-        """New state after a fix, what became of it, and its normalised innovation squared; see `use_fix`."""
+        """Return the state after a fix, and how the fix was used.
+
+        Parameters
+        ----------
+        state : ImmState
+            State before the event.
+        fix : Fix
+            Measurement of position, heading, speed, range or standstill.
+
+        Returns
+        -------
+        state : ImmState
+            State after the fix.
+        outcome : FixOutcome
+            How the fix was used, such as "used" or "rejected".
+        nis : float
+            Normalised innovation squared of the fix, or NaN if it was not compared with the track.
+        """
         offset_rad = self.model.directions.heading_offset_rad
         pedestrian, outcome, nis = use_fix(self.model, self.arithmetic, state.pedestrian, offset_rad, fix)
         return replace_unchecked(state, pedestrian=pedestrian), outcome, nis
 
     def finish(self, state: ImmState) -> tuple[ImmState, tuple[StepUpdate, ...]]:
-        """New state when no further window will come: no step waits."""
+        """Return the state after the last event.
+
+        Parameters
+        ----------
+        state : ImmState
+            State before the event.
+
+        Returns
+        -------
+        state : ImmState
+            State without pending steps.
+        updates : tuple of StepUpdate
+            Empty: no step is pending.
+        """
         return state, ()

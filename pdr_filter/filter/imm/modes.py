@@ -1,4 +1,4 @@
-"""Modes of the filter that recipes share: one for each context, with its step length."""
+"""Filter modes that the recipes share: one for each context, with its step length."""
 
 from __future__ import annotations
 
@@ -19,21 +19,22 @@ from pdr_filter.filter.step_length.models import (
 from pdr_filter.values import DEFAULT_CONTEXTS, Note
 from pdr_filter.values.recording import Subject
 
-# Stairs advance by one tread a step: 0.29 m up, and 0.43 m down where people skip the landing's end (Martinelli et al.
-# 2018, group B). Treads of public stairs are 0.26 to 0.32 m. All stairs of a walk may be wrong alike: they may be level
-# steps of 0.7 m. In back pockets of strangers 5 to 7 % of level steps are called stairs (docs/benchmarks.md); where
-# level steps and stairs are as many, the square of that error is 0.07 x 0.93 x 0.41^2 m2, or 0.10 m. Down the same, as
-# nobody knows who skips the end of a landing.
+# A step on stairs advances by one tread: 0.29 m up, and 0.43 m down for people who skip the end of the landing
+# (Martinelli et al. 2018, group B). Treads of public stairs are 0.26 to 0.32 m. The shared standard deviation is for
+# level steps of 0.7 m that are classified as stairs during a whole walk: 5 to 7 % of level steps of unknown people with
+# the phone in a back pocket (docs/benchmarks.md). For as many level steps as stairs the variance of this error is
+# 0.07 x 0.93 x 0.41^2 m2, or 0.10 m squared. It is the same downstairs, because it is not known who skips the landing.
 _UPSTAIRS = known_length(0.29, 0.05, shared_std_m=0.10)
 _DOWNSTAIRS = known_length(0.43, 0.10, shared_std_m=0.10)
-# No recording with sideways steps of known length is public. 0.45 m is a comfortable side step; half of it and twice
-# it are within two standard deviations.
+# No public recording has sideways steps of known length. 0.45 m is a comfortable side step. Half and twice this length
+# are 1.5 and 3 standard deviations away.
 _SIDEWAYS = known_length(0.45, 0.15)
-# Jogging at 2.7 steps a second and 2.6 m/s: 0.95 m a step, with 0.35 m s of change with cadence (after Cavanagh and
-# Kram, "Stride length in distance running", Med. Sci. Sports Exerc. 21, 1989). Not fitted: the only running here with
-# truth is in rooms of 4 to 6 m, at that cadence and as hard, but with steps of 0.46 to 0.62 m. Hence the spread. What a
-# step is off by itself, along and across, was measured in one of these rooms: 0.2 m each, of 0.53 m (oxiod: errors of
-# eight steps together, over the square root of eight).
+# Jogging at 2.7 steps a second and 2.6 m/s: 0.95 m a step, with a change of 0.35 m s with the cadence (after Cavanagh
+# and Kram, "Stride length in distance running", Med. Sci. Sports Exerc. 21, 1989). The parameters are not fitted. The
+# only available running with ground truth is in rooms of 4 to 6 m. Its cadence and force are the same, but its steps
+# are 0.46 to 0.62 m long, hence the large parameter covariance. The errors of a single step along and across were
+# measured in one of these rooms: 0.2 m each, for steps of 0.53 m (oxiod: error of eight steps, divided by the square
+# root of eight).
 _RUNNING = StepLengthFit(
     FrequencyVarianceStepLength(),
     theta=np.array([0.0, 0.35, 0.0]),
@@ -45,7 +46,11 @@ _STATIONARY = known_length(0.0, STANDING_STD_M)
 
 
 def context_modes(walking: StepLengthFit, running: StepLengthFit = _RUNNING) -> tuple[Mode, ...]:
-    """One mode for each context, with models for walking and running and the default lengths of all others."""
+    """Return one mode for each of the default contexts.
+
+    Steps of walking and running have the given fits, all other contexts the default's lengths: of stairs, sideways
+    steps and standing.
+    """
     lengths = {
         "stationary": _STATIONARY,
         "walking": walking,
@@ -69,19 +74,22 @@ def context_modes(walking: StepLengthFit, running: StepLengthFit = _RUNNING) -> 
 
 
 def one_hot_tracker(modes: tuple[Mode, ...]) -> WeightedTracker:
-    """For a published system that decides for one context: the step length is that of the most probable one."""
+    """Return the HC tracker of a published system that decides for one context.
+
+    The step length is that of the most probable context.
+    """
     return WeightedTracker(PedestrianModel(modes, context_transitions()), HC)
 
 
 def height_of(subject: Subject | None) -> float:
-    """Height in m, or the usual one where it is not known."""
+    """Return the height of a subject in m, or the usual 1.70 m if it is not known."""
     return USUAL_HEIGHT_M if subject is None or subject.height_m is None else subject.height_m
 
 
 def height_notes(subject: Subject | None) -> tuple[Note, ...]:
-    """What to keep in mind where the height is not known."""
+    """Return a note on the uncertain step lengths if the height of a subject is not known, else no notes."""
     if subject is not None and subject.height_m is not None:
         return ()
-    unsure = f"the person's height is not known: {USUAL_HEIGHT_M:.2f} m is assumed, and lengths may be off by"
-    text = f"{unsure} {100 * scale_std(None):.0f} % (with the height by {100 * scale_std(USUAL_HEIGHT_M):.0f} %)"
+    assumed = f"the person's height is not known: {USUAL_HEIGHT_M:.2f} m is assumed, and step lengths may be off by"
+    text = f"{assumed} {100 * scale_std(None):.0f} % ({100 * scale_std(USUAL_HEIGHT_M):.0f} % if the height is given)"
     return (Note("height", text),)

@@ -1,7 +1,7 @@
-"""One step of the pedestrian: where it leads, how that depends on the state, and how unsure it is.
+"""Motion model of the filter: modes, process noise, and the prediction and heading update of one step.
 
-State of a mode: east in m, north in m, heading offset in rad (walking heading less device heading), log step scale
-(the person's own factor on every step length).
+The state of a mode is (east in m, north in m, heading offset in rad, log step scale). The heading offset is the walking
+heading minus the device heading. The step scale is the factor of the person on every step length.
 """
 
 from __future__ import annotations
@@ -30,22 +30,51 @@ from pdr_filter.values import (
 
 EAST, NORTH, HEADING_OFFSET, LOG_SCALE = range(4)
 N_STATES = 4
-# Context of a mode besides those of the classifier: motion of the phone while its owner stays where he is.
+# Context that no classifier has: the phone is moved by hand while the pedestrian stays in place.
 IRREGULAR = "irregular"
-# Standard deviation along each axis of a step that leads nowhere.
+# Standard deviation along each axis of a step without displacement.
 STANDING_STD_M = 0.02
 
 
-_PEOPLE = bounce_fit()
+_POPULATION_FIT = bounce_fit()
 
 
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """Motion model of the filter for one context: whether steps lead anywhere, how far and in which direction.
+    """Motion model of the filter for one context: step length, direction and meaning of its steps.
 
-    The context whose probability is the evidence of the mode has the name of the mode unless `context` is given. The
-    step length is that of people in general (`bounce_fit`) unless it is given, and has no effect where `moves` is
-    False. ValueError names what cannot be used.
+    The classifier's probability of `context` is the evidence for the mode.
+
+    Attributes
+    ----------
+    name : str
+        Unique name of the mode.
+    context : str, default the name
+        Context whose probability is the evidence for the mode, or "irregular" for handling of the phone.
+    step_length : StepLengthFit, default `bounce_fit()`
+        Step length in this mode. The default is that of the population. It has no effect if `moves` is False.
+    heading_offset_rad : float, default 0.0
+        Walking heading minus the heading that the body faces, in rad: +pi/2 for steps to the right.
+    heading_std_rad : float, default 0.1
+        Standard deviation in rad of the walking heading of a step, independent between steps.
+    carrying_mode : str, optional
+        Carrying mode whose probability is further evidence for the mode. None stands for any carrying mode.
+    heading_drift_rad_per_sqrt_s : float, default 0.0
+        Random walk of the heading offset in rad per square root of a second, in addition to that of `MotionNoise`.
+    extra_noise_m : float, default 0.0
+        Standard deviation in m of each step along each axis, in addition to the errors of length and direction.
+    moves : bool, default True
+        True if a step displaces the pedestrian. Always False for the context "irregular".
+    climbs : int, default 0
+        +1 if steps lead up stairs, -1 if they lead down, 0 on level ground.
+    gait : {"walking", "running"}, optional
+        Type of the steps. None means that a pedestrian in this mode makes no steps. The default is "walking" if `moves`
+        is True.
+
+    Raises
+    ------
+    ValueError
+        If a number, `climbs`, `gait` or `carrying_mode` is not allowed. The message names the field.
 
     Examples
     --------
@@ -57,50 +86,62 @@ class Mode:
     (None, 'walking', 'walking')
     """
 
-    name: str  # unique
-    context: str = ""  # whose probability is its evidence, or "irregular" for handling of the phone; empty: the name
-    step_length: StepLengthFit = _PEOPLE
-    heading_offset_rad: float = 0.0  # walking heading less the heading the body faces: +pi/2 for steps to the right
-    heading_std_rad: float = 0.1  # independent error of the walking heading of each step
-    carrying_mode: str | None = None  # where the phone is, whose probability is evidence too; None for any
-    heading_drift_rad_per_sqrt_s: float = 0.0  # random walk of the heading offset besides that of `MotionNoise`
-    extra_noise_m: float = 0.0  # independent error of each step along each axis, besides length and direction
-    moves: bool = True  # whether a step leads anywhere; never in an irregular mode
-    climbs: int = 0  # +1 where steps go up stairs, -1 where they go down
-    gait: Gait | None = None  # how the person steps; None where nobody steps; "walking" if the mode moves
+    name: str
+    context: str = ""
+    step_length: StepLengthFit = _POPULATION_FIT
+    heading_offset_rad: float = 0.0
+    heading_std_rad: float = 0.1
+    carrying_mode: str | None = None
+    heading_drift_rad_per_sqrt_s: float = 0.0
+    extra_noise_m: float = 0.0
+    moves: bool = True
+    climbs: int = 0
+    gait: Gait | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "context", self.context or self.name)
         object.__setattr__(self, "moves", self.moves and self.context != IRREGULAR)
-        object.__setattr__(self, "gait", self.meaning.gait)  # checks the meaning, too
-        if not self.moves and self.step_length is _PEOPLE:
+        object.__setattr__(self, "gait", self.meaning.gait)  # also checks climbs and gait
+        if not self.moves and self.step_length is _POPULATION_FIT:
             object.__setattr__(self, "step_length", known_length(0.0, STANDING_STD_M))
         if self.carrying_mode not in (None, *CARRYING_MODES):
             raise ValueError(
                 f"carrying_mode of mode {self.name!r} must be None or one of {CARRYING_MODES}, "
-                f"got {self.carrying_mode!r}"
+                f"got {self.carrying_mode!r}: correct the spelling, or leave it out for any carrying mode"
             )
         may_be_zero = ("heading_std_rad", "heading_drift_rad_per_sqrt_s", "extra_noise_m")
         check_numbers(self, zero=may_be_zero, signed=("heading_offset_rad", "climbs"))
 
     @property
     def meaning(self) -> Context:
-        """Meaning of its context for the stages before the filter."""
+        """Meaning of the context of this mode, as used by the stages before the filter."""
         return Context(self.context, self.moves, self.climbs, self.gait, self.heading_offset_rad)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Directions:
-    """Where modes walk and how unsurely, an entry for each mode."""
+    """Walking directions of the modes relative to the body, and their variances.
 
-    heading_offset_rad: FloatArray  # (M,)
-    heading_var_rad2: FloatArray  # (M,) of each step alone
-    drift_rad2_per_s: FloatArray  # (M,) of the heading offset, besides that of all modes
-    extra_var_m2: FloatArray  # (M,) of a step along each axis
+    Attributes
+    ----------
+    heading_offset_rad : (M,) array
+        Walking heading minus the heading that the body faces.
+    heading_var_rad2 : (M,) array
+        Variance of the direction of a single step.
+    drift_rad2_per_s : (M,) array
+        Variance rate of the heading offset, in addition to the drift that all modes share.
+    extra_var_m2 : (M,) array
+        Additional variance of a step along each axis.
+    """
+
+    heading_offset_rad: FloatArray
+    heading_var_rad2: FloatArray
+    drift_rad2_per_s: FloatArray
+    extra_var_m2: FloatArray
 
     @classmethod
     def of(cls, modes: Sequence[Mode]) -> Directions:
-        """Those of some modes."""
+        """Return the directions of some modes."""
         return cls(
             heading_offset_rad=np.array([m.heading_offset_rad for m in modes]),
             heading_var_rad2=np.array([m.heading_std_rad**2 for m in modes]),
@@ -109,11 +150,17 @@ class Directions:
         )
 
     def step_var_rad2(self, turned_rad: FloatArray | float) -> FloatArray:
-        """Variance (..., M) of the direction of a step alone: who turns in it may walk in any direction in between."""
+        """Return the variance (..., M) of the direction of a single step.
+
+        A step in which the phone turns by an angle may lead anywhere in that range: variance angle^2 / 12.
+        """
         return self.heading_var_rad2 + turned_rad * turned_rad / 12.0
 
     def weighted(self, weights: FloatArray) -> Directions:
-        """Of one filter for all modes: the offset of the mode of the highest weight (M,), the mean of the variances."""
+        """Return the directions of a single filter for all modes, with mode weights (M,).
+
+        The offset is that of the mode with the highest weight. Variances are weighted means.
+        """
         return Directions(
             heading_offset_rad=self.heading_offset_rad[[int(weights.argmax())]],
             heading_var_rad2=np.array([weights @ self.heading_var_rad2]),
@@ -124,53 +171,96 @@ class Directions:
 
 @dataclass(frozen=True)
 class MotionNoise:
-    """How fast the slow states wander, and what is known at the start.
+    """Process noise of the slow states, and initial uncertainties.
 
-    A person's log scale keeps its spread: s_k = a s_{k-1} + w with a^2 = 1 - drift^2 / std^2, which forgets in 13,000
-    steps, so that after a day the scale is not less known than that of a stranger.
+    Attributes
+    ----------
+    heading_drift : HeadingDrift
+        Drift of the heading offset in all modes.
+    initial_heading_offset_std_rad : float, default 0.15
+        Standard deviation in rad of the heading offset at the start.
+    log_scale_std : float, default 0.08
+        Standard deviation between people of the log step scale.
+    log_scale_drift_per_sqrt_step : float, default 0.001
+        Random walk of the log step scale per square root of a step.
+    gap_speed_mps : float, default 1.0
+        Standard deviation in m/s of the speed along each axis during a gap, in any direction.
+
+    Raises
+    ------
+    ValueError
+        If a number is negative or not finite.
+
+    Notes
+    -----
+    The log scale is a stationary process, s_k = a s_{k-1} + w with a^2 = 1 - drift^2 / std^2. The default drift forgets
+    the scale after about 13,000 steps. The variance of the scale therefore never exceeds that between people, even
+    after a day.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.filter.imm.motion_model import MotionNoise
+    >>> noise = MotionNoise(log_scale_std=0.05)
+    >>> noise.gap_var_m2(3.0)
+    array(9.)
     """
 
-    heading_drift: HeadingDrift = field(default_factory=HeadingDrift)  # of the heading offset in all modes
-    initial_heading_offset_std_rad: float = 0.15  # how well the phone's first heading is the person's
-    log_scale_std: float = 0.08  # spread of people about the population's step lengths
+    heading_drift: HeadingDrift = field(default_factory=HeadingDrift)
+    initial_heading_offset_std_rad: float = 0.15
+    log_scale_std: float = 0.08
     log_scale_drift_per_sqrt_step: float = 0.001
-    gap_speed_mps: float = 1.0  # standard deviation: in a gap the pedestrian may have gone anywhere at this speed
+    gap_speed_mps: float = 1.0
 
     def __post_init__(self) -> None:
         check_numbers(self, zero=[name for name in vars(self) if name != "heading_drift"])
 
     def gap_var_m2(self, gap_s: FloatArray | float) -> FloatArray:
-        """Variance of the position along each axis that a time without samples adds."""
+        """Return the variance that a gap adds to the position along each axis.
+
+        Parameters
+        ----------
+        gap_s : float or array
+            Duration in s without samples.
+
+        Returns
+        -------
+        array
+            Variance in m2, with the shape of `gap_s`.
+        """
         return np.asarray((self.gap_speed_mps * gap_s) ** 2)
 
     @cached_property
     def log_scale_drift_var(self) -> float:
-        """Variance that the log scale gains with each step: that of the drift, at most the spread of people."""
+        """Variance that a step adds to the log scale.
+
+        It is at most the variance between people.
+        """
         return min(self.log_scale_drift_per_sqrt_step, self.log_scale_std) ** 2
 
     @cached_property
     def log_scale_memory(self) -> float:
-        """The share a of the log scale that is left a step later."""
+        """Factor a by which the log scale decays in one step."""
         if self.log_scale_std == 0:
             return 1.0
         return float(np.sqrt(1.0 - self.log_scale_drift_var / self.log_scale_std**2))
 
     @cached_property
     def of_log_scale(self) -> tuple[FloatArray, FloatArray]:
-        """F and Q (4, 4) of a step that leads nowhere: only the log scale changes."""
+        """Matrices F and Q (4, 4) of a step without displacement, in which only the log scale changes."""
         F, Q = np.eye(N_STATES), np.zeros((N_STATES, N_STATES))
         F[LOG_SCALE, LOG_SCALE], Q[LOG_SCALE, LOG_SCALE] = self.log_scale_memory, self.log_scale_drift_var
         return read_only(F), read_only(Q)
 
 
-# A heading that could be anything is uniform on the circle: its variance is pi^2 / 3, and no more.
+# Variance of a heading that is uniform on the circle, which is the largest possible one: pi^2 / 3.
 MAX_HEADING_VARIANCE = np.pi**2 / 3
-# Divides where the offset is known exactly: a microradian, squared.
+# Lower bound of a divisor, in case the offset is known exactly: the square of a microradian.
 _MIN_HEADING_VARIANCE = 1e-12
 
 
 def initial_estimate(noise: MotionNoise) -> tuple[FloatArray, FloatArray]:
-    """Mean (4,) and covariance (4, 4) at the origin."""
+    """Return the mean (4,) and covariance (4, 4) of the state at the origin."""
     std = np.array([0.0, 0.0, noise.initial_heading_offset_std_rad, noise.log_scale_std])
     return np.zeros(N_STATES), np.diag(std**2)
 
@@ -178,10 +268,11 @@ def initial_estimate(noise: MotionNoise) -> tuple[FloatArray, FloatArray]:
 def predict_heading(
     cov: FloatArray, step: Step, elapsed_s: float, directions: Directions, noise: MotionNoise
 ) -> FloatArray:
-    """Return the covariances (..., M, 4, 4) of the heading offset at a step, before its displacement.
+    """Return the covariances (..., M, 4, 4) at a step with the drift of the heading offset, before the displacement.
 
-    The offset drifts for `elapsed_s`, the time since the step before, also while the phone lies on a table. Where the
-    phone was moved, the offset is free again: its variance grows by `offset_change_std_rad` squared.
+    The offset drifts for `elapsed_s`, the time since the previous step, even while the phone lies on a table. If the
+    phone was moved to another place on the body, the offset may have changed. Its variance then also grows by
+    `offset_change_std_rad` squared.
     """
     measured_var, unmeasured_var = noise.heading_drift.variances_rad2(
         elapsed_s, step.heading_unknown_s, step.yaw_bias_std_radps, directions.drift_rad2_per_s
@@ -194,15 +285,15 @@ def predict_heading(
 def update_heading(mean: FloatArray, cov: FloatArray, step: Step, frame_rad: float) -> tuple[FloatArray, FloatArray]:
     """Return means (..., M, 4) and covariances (..., M, 4, 4) updated with the measured walking heading of a step.
 
-    The walking heading z is a measurement of frame + device heading + offset state, its innovation wrapped:
-    K = P[o, o] / (P[o, o] + R). It is the direction that the body faces: a mode that walks sideways has its own angle
-    on top. `frame_rad` is the offset that counts as zero.
+    The measured walking heading z is the direction that the body faces. Its prediction is frame_rad + device heading +
+    offset state, and the innovation is wrapped: K = P[o, o] / (P[o, o] + R). A mode that walks sideways adds its own
+    angle later. `frame_rad` is the heading offset that counts as zero.
 
-    The update corrects the past: steps since the heading was lost are rotated by the correction delta = K innovation.
-    The linear update moves the position along the tangent, by the lever l = P[p, o] / P[o, o] times delta. With
-    l = J d, d is the displacement that turns with the offset, and the update moves the position along the arc,
-    p + (R(delta) - I) d = p + sin(delta) l + (cos(delta) - 1) d, never further than twice the length of d. The lever
-    turns with it: P[p, :] gains (R(delta) - I) l P[o, :].
+    The update also corrects earlier steps. Steps since the heading became uncertain are rotated by the correction delta
+    = K innovation. A linear update would move the position along the tangent, by the lever l = P[p, o] / P[o, o] times
+    delta. Write l = J d, where d is the displacement that rotates with the offset. This update moves the position along
+    the arc instead: p + (R(delta) - I) d = p + sin(delta) l + (cos(delta) - 1) d. The move is never longer than twice
+    the length of d. The lever rotates as well: P[p, :] gains (R(delta) - I) l P[o, :].
     """
     o = HEADING_OFFSET
     variance = step.walking_heading_std_rad**2
@@ -221,7 +312,7 @@ def update_heading(mean: FloatArray, cov: FloatArray, step: Step, frame_rad: flo
     updated_mean = mean + by_offset * correction_rad[..., None]
     updated_mean[..., EAST] = mean[..., EAST] + moved_east
     updated_mean[..., NORTH] = mean[..., NORTH] + moved_north
-    # (R(delta) - I) l is the move (R(delta) - I) d turned by J
+    # (R(delta) - I) l is the move (R(delta) - I) d rotated by J
     turn = np.broadcast_to(np.eye(N_STATES), cov.shape).copy()
     turn[..., EAST, o] = moved_north
     turn[..., NORTH, o] = -moved_east
@@ -230,12 +321,12 @@ def update_heading(mean: FloatArray, cov: FloatArray, step: Step, frame_rad: flo
 
 
 def expect_first_direction(cov: FloatArray, std_rad: float) -> FloatArray:
-    """Covariances (..., M, 4, 4) in which the heading offset is as unsure as the first walking heading.
+    """Return covariances (..., M, 4, 4) in which the heading offset is as uncertain as the first walking heading.
 
-    Which way the track points is a matter of its frame, but what later directions can still change is not: the first
-    offset is known as well as the direction that it comes from, and so was the direction of the steps before. With c
-    the covariance of the offset with all else, v its variance and r = std^2 / v: the covariance of all else grows by
-    (r - 1) c c' / v, c becomes r c and v becomes std^2.
+    The first walking heading defines the direction of the frame, so that it causes no innovation. Only the uncertainty
+    that later walking headings can still correct matters. The offset is known as well as this first heading, and so is
+    the direction of the steps before it. With c the covariance of the offset with all states, v its variance and r =
+    std^2 / v: the covariance of all other states grows by (r - 1) c c' / v, c becomes r c, and v becomes std^2.
     """
     o = HEADING_OFFSET
     cov = cov.copy()
@@ -247,12 +338,24 @@ def expect_first_direction(cov: FloatArray, std_rad: float) -> FloatArray:
 
 
 class Advance(NamedTuple):
-    """A step of the modes, and their predicted means and covariances."""
+    """Prediction of one step for all modes.
+
+    Attributes
+    ----------
+    motion : StepMotion
+        Displacement of each mode.
+    mean : (..., M, 4) array
+        Predicted means.
+    cov : (..., M, 4, 4) array
+        Predicted covariances.
+    by_state : (..., M, 4, 4) array
+        F, the derivative of the predicted state with respect to the state before the step.
+    """
 
     motion: StepMotion
-    mean: FloatArray  # (..., M, 4)
-    cov: FloatArray  # (..., M, 4, 4)
-    by_state: FloatArray  # (..., M, 4, 4) F, the derivative with respect to the state before
+    mean: FloatArray
+    cov: FloatArray
+    by_state: FloatArray
 
 
 def advance(
@@ -264,10 +367,10 @@ def advance(
     directions: Directions,
     noise: MotionNoise,
 ) -> Advance:
-    """Return the means (..., M, 4) and covariances (..., M, 4, 4) after a step, one length for each mode.
+    """Return the prediction of a step, with one length for each mode.
 
-    p_k = p_{k-1} + d as `StepMotion` has it; s_k = a s_{k-1}; P_k = F P_{k-1} F' + Q with F = d (p, o, s)_k /
-    d (p, o, s)_{k-1}. The drift of the heading offset comes before the step (`predict_heading`).
+    p_k = p_{k-1} + d, with the displacement d of `StepMotion`; s_k = a s_{k-1}; P_k = F P_{k-1} F' + Q, with
+    F = d (p, o, s)_k / d (p, o, s)_{k-1}. The drift of the heading offset is not part of it (see `predict_heading`).
     """
     motion = step_motion(
         step.device_heading_rad,
@@ -278,7 +381,7 @@ def advance(
         directions,
         step.turned_rad,
     )
-    # component by component: of so few numbers broadcasting costs more than the product
+    # separate components: for so few numbers broadcasting takes longer than the products
     east_m, north_m = motion.length_m * motion.sine, motion.length_m * motion.cosine
     predicted_mean = mean.copy()
     predicted_mean[..., EAST] += east_m
@@ -298,29 +401,41 @@ def advance(
 
 
 class StepMotion(NamedTuple):
-    """Where steps lead and how unsure that is, for arrays of steps or pedestrians (...) and M modes; each (..., M).
+    """Displacements of steps with their variances.
 
-    d = L e^s u, u = [sin psi, cos psi], psi = device heading + heading offset + the mode's own offset, and its
-    covariance (e^s)^2 var(L) u u' + (L e^s)^2 var(psi) v v', u along and v across the step.
+    Each array is (..., M), for M modes and any leading axes of steps or pedestrians. The displacement is d = L e^s u,
+    with u = [sin psi, cos psi] and psi = device heading + heading offset + offset of the mode. Its covariance is
+    (e^s)^2 var(L) u u' + (L e^s)^2 var(psi) v v', with u along and v across the step.
+
+    Attributes
+    ----------
+    sine, cosine : array
+        Sine and cosine of psi.
+    scale : array
+        Step scale e^s of the person.
+    length_m : array
+        Length L e^s in m.
+    var_along_m2, var_across_m2 : array
+        Variances along and across the step in m2.
     """
 
-    sine: FloatArray  # of psi
+    sine: FloatArray
     cosine: FloatArray
-    scale: FloatArray  # e^s
-    length_m: FloatArray  # L e^s
+    scale: FloatArray
+    length_m: FloatArray
     var_along_m2: FloatArray
     var_across_m2: FloatArray
 
     @property
     def along(self) -> FloatArray:
-        """The direction u of each step, (..., M, 2)."""
+        """Unit vector u along each step, (..., M, 2)."""
         along = np.empty((*self.sine.shape, 2))
         along[..., EAST], along[..., NORTH] = self.sine, self.cosine
         return along
 
     @property
     def across(self) -> FloatArray:
-        """Of each step v = d u / d psi, (..., M, 2)."""
+        """Unit vector v = d u / d psi across each step, (..., M, 2)."""
         return self.along[..., ::-1] * (1.0, -1.0)
 
 
@@ -333,7 +448,7 @@ def step_motion(
     directions: Directions,
     turned_rad: FloatArray | float,
 ) -> StepMotion:
-    """`StepMotion` of lengths (..., M) of steps in which the person turned by `turned_rad`."""
+    """Return the displacements of steps with lengths (..., M), during which the phone turned by `turned_rad`."""
     scale = np.exp(log_scale)
     scaled_m = length_m * scale
     psi = device_heading_rad + heading_offset_rad + directions.heading_offset_rad
@@ -348,10 +463,10 @@ def step_motion(
 
 
 def bound_heading_variance(cov: FloatArray) -> FloatArray:
-    """Return covariances whose heading variance is that of a uniform heading at most.
+    """Return covariances whose heading variance is at most that of a uniform heading.
 
-    The covariance with the other states shrinks with it, so that the lever P[p, o] / P[o, o] stays: the present
-    heading says less and less about steps from before it was lost.
+    The covariances with the other states are scaled by the same factor, so that the lever P[p, o] / P[o, o] does not
+    change. A heading measured now then has less and less influence on steps made before the heading was lost.
     """
     variance = cov[..., HEADING_OFFSET, HEADING_OFFSET]
     if max(variance.ravel().tolist()) <= MAX_HEADING_VARIANCE:
@@ -365,13 +480,17 @@ def bound_heading_variance(cov: FloatArray) -> FloatArray:
 
 
 def second_order_errors(heading_var_rad2: float, log_scale_var: float) -> tuple[float, float]:
-    """Root mean square errors along and across a step of unit length that the linear covariance does not know.
+    """Return the root mean square errors along and across a unit step that the linear covariance neglects.
 
-    With a heading error e and an error s of the log scale, both normal and independent, of variances v and w, the step
-    is e^s (cos e, sin e) in place of (1 + s, e). Along it E[(e^s cos e - 1 - s)^2] = e^2w (1 + e^-2v) / 2 + 1 + w
-    - 2 (1 + w) e^(w/2) e^(-v/2). Across it only what the scale adds, E[((e^s - 1) sin e)^2] =
-    (e^2w - 2 e^(w/2) + 1) (1 - e^-2v) / 2: e itself is more than sin e. All steps share e and s, so that these errors
-    add up as vectors, not as variances. 0 to 1.22 along a step whose scale is known.
+    Let e be the heading error and s the error of the log scale, normal and independent, with variances v and w. The
+    step is e^s (cos e, sin e), and the linear model has (1 + s, e) instead.
+
+    - Along the step, E[(e^s cos e - 1 - s)^2] = e^2w (1 + e^-2v) / 2 + 1 + w - 2 (1 + w) e^(w/2) e^(-v/2).
+    - Across the step, only the effect of the scale is added, E[((e^s - 1) sin e)^2] =
+      (e^2w - 2 e^(w/2) + 1) (1 - e^-2v) / 2. The linear error e is already larger than sin e.
+
+    All steps share e and s, so that these errors add up as vectors and not as variances. For a known scale the error
+    along the step is between 0 and 1.22.
     """
     v, w = heading_var_rad2, log_scale_var
     of_scale, of_scale_squared = math.exp(0.5 * w), math.exp(2 * w)
@@ -381,7 +500,7 @@ def second_order_errors(heading_var_rad2: float, log_scale_var: float) -> tuple[
 
 
 def grow_over_gap(cov: FloatArray, gap_s: float, noise: MotionNoise) -> FloatArray:
-    """Covariances (M, 4, 4) after a time without samples: any way walked, any turn taken."""
+    """Return covariances (M, 4, 4) after a gap, in which the pedestrian may have walked and turned in any way."""
     grown = cov.copy()
     grown[:, [EAST, NORTH], [EAST, NORTH]] += noise.gap_var_m2(gap_s)
     grown[:, HEADING_OFFSET, HEADING_OFFSET] += noise.heading_drift.unmeasured_rad2(gap_s)

@@ -1,4 +1,4 @@
-"""What a filter believes of pedestrians: modes, how one follows another, noise, evidence, and which fixes it takes."""
+"""Configuration of a pedestrian filter: modes, transitions, noise, evidence and gates of the fixes."""
 
 from __future__ import annotations
 
@@ -28,64 +28,125 @@ from pdr_filter.values import (
 
 
 class ModeLengths(NamedTuple):
-    """Lengths of one step in each mode without the person's scale, and their variances, (M,) each."""
+    """Lengths of one step in each mode, without the scale of the person.
 
-    length_m: FloatArray  # zero in modes that move nobody
-    var_m2: FloatArray  # of the length: residual and parameters
-    residual_var_m2: FloatArray  # of a single step about the length of its mode
-    parameter_std_m: FloatArray  # due to the parameters of the length model
+    Attributes
+    ----------
+    length_m : (M,) array
+        Length in m, zero in modes without displacement.
+    var_m2 : (M,) array
+        Variance of the length in m2: residual plus parameters.
+    residual_var_m2 : (M,) array
+        Variance of a single step about the length of its mode.
+    parameter_std_m : (M,) array
+        Standard deviation in m due to the parameters of the length model.
+    """
+
+    length_m: FloatArray
+    var_m2: FloatArray
+    residual_var_m2: FloatArray
+    parameter_std_m: FloatArray
 
     def mixture_var_m2(self, weights: FloatArray) -> float:
-        """Variance of the length of a step whose mode has these probabilities (M,)."""
+        """Return the variance in m2 of the length of a step whose mode has probabilities (M,)."""
         second_moment_m2 = float(weights.dot(self.var_m2 + self.length_m * self.length_m))
         return max(second_moment_m2 - float(weights.dot(self.length_m)) ** 2, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class PedestrianModel:
-    """Modes with their transitions, noise and evidence; what both trackers filter with.
+    """Modes, transitions, noise and evidence of a pedestrian filter, shared by both trackers.
 
-    The evidence of one window is tempered by an exponent. Hop over window length (0.5) lets no second of overlapping
-    windows count twice, and that is the exponent in hindsight. Online it is 1: a filter that knows no later windows is
-    late at every change, and doubts cost it more than being too sure (docs/benchmarks.md for both). The exponent of the
-    prior is how far the classifier's training prior is divided out: with all of it other people's flat
-    walking is classified as stairs, with none of it their stairs as walking.
+    Attributes
+    ----------
+    modes : tuple of Mode
+        M modes. `WeightedTracker` needs exactly one for each context.
+    transition_prob : (M, M) array
+        Probability of a transition from mode i (row) to mode j (column) between two steps. Rows sum to one.
+    evidence_exponent : float, default 1.0
+        Exponent of the evidence of a context window in the online filter.
+    hindsight_exponent : float, default 0.5
+        Exponent of the evidence of a context window in the offline smoother, which also uses later windows.
+    prior_exponent : float, default 0.2
+        Exponent of the classifier's training prior by which its probabilities are divided.
+    evidence_floor : float, default 0.01
+        Lower bound of a context probability, so that a single window never excludes a context.
+    step_log_odds_stationary : float, default -1.9
+        Log evidence of a detected step for a mode without steps, relative to modes with steps.
+    noise : MotionNoise
+        Process noise and initial uncertainties.
+    fix_gate_nis : float, default 13.8
+        Gate of position fixes. A fix whose normalised innovation squared is larger in every mode is rejected.
+    scalar_gate_nis : float, default 10.8
+        Gate of one-dimensional measurements, such as headings, speeds and ranges.
+    frame : Frame, default `START_FRAME`
+        Frame of the fixes. `UNKNOWN_FRAME` means that the first fixes determine its origin and north.
+    contexts : tuple of str, default `CONTEXTS`
+        Names of the C contexts, in the order of the probabilities of a window.
 
-    Fixes with a larger normalised innovation squared than the gate in every mode are rejected: chi-square keeps 99.9 %
-    of good positions below 13.8, of good headings and speeds below 10.8.
+    Raises
+    ------
+    ValueError
+        If there are no modes, if names repeat, if a mode has an unknown context, or if a number or the transition
+        matrix is not allowed.
+
+    Notes
+    -----
+    Evidence exponent: consecutive windows overlap. With the ratio of hop and window length (0.5) each second of data
+    counts once, and this is the exponent of the smoother. The online filter knows no later windows and therefore
+    detects every change late. Uncertain probabilities cost it more than overconfident ones, so that its exponent is 1
+    (docs/benchmarks.md has figures for both).
+
+    Prior exponent: with exponent 1, level walking of unknown people is classified as stairs. With exponent 0 their
+    stairs are classified as walking.
+
+    Step evidence: handling a phone causes about 16 false detections a minute, and walking has 110 steps a minute. The
+    default is log(16 / 110).
+
+    Gates: 99.9 % of correct fixes have a chi-square below 13.8 (two dimensions) and 10.8 (one dimension).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
+    >>> modes = pdr.Mode("resting", moves=False), pdr.Mode("level")
+    >>> transition_prob = np.array([[0.8, 0.2], [0.02, 0.98]])
+    >>> model = PedestrianModel(modes, transition_prob, contexts=("resting", "level"))
+    >>> model.long_run_mode_prob.round(3)
+    array([0.091, 0.909])
     """
 
-    modes: tuple[Mode, ...]  # `WeightedTracker` needs exactly one for each context
-    transition_prob: FloatArray  # (M, M) from mode i to mode j between two steps; rows sum to one
+    modes: tuple[Mode, ...]
+    transition_prob: FloatArray
     evidence_exponent: float = 1.0
-    hindsight_exponent: float = 0.5  # the same where later windows are known, too
+    hindsight_exponent: float = 0.5
     prior_exponent: float = 0.2
-    evidence_floor: float = 0.01  # probability below which a context is not pushed by one window
-    # Log evidence of a detected step for a mode that stands still against one that moves: handling a phone makes about
-    # 16 false detections a minute, walking 110 true ones, log(16 / 110).
+    evidence_floor: float = 0.01
     step_log_odds_stationary: float = -1.9
     noise: MotionNoise = field(default_factory=MotionNoise)
     fix_gate_nis: float = 13.8
     scalar_gate_nis: float = 10.8
-    frame: Frame = START_FRAME  # of the fixes; `UNKNOWN_FRAME` until some have shown its origin and north to the track
-    contexts: tuple[str, ...] = CONTEXTS  # C names in the order of the probabilities of a window
+    frame: Frame = START_FRAME
+    contexts: tuple[str, ...] = CONTEXTS
 
     __reduce__ = pickled
 
     def __post_init__(self) -> None:
         if not self.modes:
-            raise ValueError("modes must hold one mode at least, got none")
+            raise ValueError('modes is empty: give at least one mode, such as pdr.Mode("walking")')
         gates, exponents = ("fix_gate_nis", "scalar_gate_nis"), ("evidence_exponent", "hindsight_exponent")
         may_be_zero = (*gates, *exponents, "prior_exponent", "evidence_floor")
         check_numbers(self, zero=may_be_zero, signed=("step_log_odds_stationary",), infinite=gates)
         if self.evidence_floor >= 1:
-            raise ValueError(f"evidence_floor must be below 1, got {self.evidence_floor}")
+            raise ValueError(f"evidence_floor is a probability and must be below 1, got {self.evidence_floor}")
         names = [m.name for m in self.modes]
         if len(set(names)) < len(names):
-            raise ValueError(f"mode names must be distinct, got {names}")
+            raise ValueError(f"mode names must be distinct, got {names}: rename modes that have the same name")
         if IRREGULAR in self.contexts:
             raise ValueError(
-                f'"{IRREGULAR}" is handling of the phone, got contexts {self.contexts}: rename the context'
+                f'contexts must not include "{IRREGULAR}", which is reserved for handling of the phone, got '
+                f"{self.contexts}: rename the context"
             )
         for mode in self.modes:
             if mode.context not in (*self.contexts, IRREGULAR):
@@ -98,37 +159,46 @@ class PedestrianModel:
         object.__setattr__(self, "transition_prob", read_only(self.transition_prob))
 
     def check_one_mode_for_each_context(self) -> None:
-        """ValueError unless the modes are the contexts, each once."""
+        """Raise an error unless each context has exactly one mode.
+
+        Raises
+        ------
+        ValueError
+            If a context has no mode or several modes, or if there is an irregular mode.
+        """
         contexts = [m.context for m in self.modes]
         if sorted(contexts) != sorted(self.contexts):
             raise ValueError(
-                f'weightings but "imm" need exactly one mode for each of {self.contexts}, got {contexts}; '
+                f'weightings other than "imm" need exactly one mode for each of {self.contexts}, got {contexts}: '
                 'use weighting="imm" for other modes'
             )
 
     @cached_property
     def context_set(self) -> ContextSet:
-        """Contexts with the meaning that their modes state.
+        """Contexts with their meanings, as the modes define them.
 
-        A context with several modes means what the first of them states. One without a mode means what it means in the
-        default; a context that the default does not have is then level walking.
+        A context with several modes has the meaning of the first one. A context without a mode has its meaning in the
+        default configuration. If the default configuration does not have it, it means level walking.
         """
         meanings = {c.name: c for c in DEFAULT_CONTEXTS.contexts} | {m.context: m.meaning for m in reversed(self.modes)}
         return ContextSet(tuple(meanings.get(name, Context(name)) for name in self.contexts))
 
     @cached_property
     def directions(self) -> Directions:
-        """Of all modes."""
+        """Walking directions of all modes."""
         return Directions.of(self.modes)
 
     @cached_property
     def moves(self) -> FloatArray:
-        """1 for the modes in which a step leads somewhere, (M,)."""
+        """Array (M,) with 1 for modes in which a step displaces the pedestrian, else 0."""
         return np.array([float(m.moves) for m in self.modes])
 
     @cached_property
     def stands(self) -> FloatArray:
-        """1 for the modes without steps, (M,): without irregular ones, which have steps as often as walking has."""
+        """Array (M,) with 1 for modes without steps, else 0.
+
+        Irregular modes have 0, because handling the phone causes as many detections as walking.
+        """
         return np.array([float(m.gait is None and m.context != IRREGULAR) for m in self.modes])
 
     @cached_property
@@ -138,17 +208,20 @@ class PedestrianModel:
 
     @cached_property
     def on_stairs(self) -> FloatArray:
-        """1 for the modes that climb stairs, and for those that go down, (2, M)."""
+        """Array (2, M) with 1 for modes that go up stairs (first row) and down stairs (second row), else 0."""
         return np.array([[float(m.climbs == way) for m in self.modes] for way in (1, -1)])
 
     @cached_property
     def context_index(self) -> list[int]:
-        """Index into `contexts` of each mode; only where all modes are contexts."""
+        """Index into `contexts` of each mode.
+
+        Raises ValueError if there is an irregular mode.
+        """
         return [self.contexts.index(m.context) for m in self.modes]
 
     @cached_property
     def evidence(self) -> ModeEvidence:
-        """What windows say for the modes."""
+        """Evidence model that maps context windows to log evidence of the modes."""
         return ModeEvidence(
             tuple(m.context for m in self.modes),
             tuple(m.carrying_mode for m in self.modes),
@@ -169,32 +242,82 @@ class PedestrianModel:
 
     @cached_property
     def long_run_mode_prob(self) -> FloatArray:
-        """Mode probabilities (M,) to which the transitions lead; from an even start, which an unmixed chain keeps."""
+        """Stationary mode probabilities (M,) of the transitions.
+
+        If the chain has several, it is the one that follows from a uniform start.
+        """
         return np.linalg.matrix_power(self.transition_prob, 1024).mean(axis=0)
 
     def lengths(self, step: Step) -> ModeLengths:
-        """Return the length of a step in each mode."""
+        """Return the length of a step in each mode.
+
+        Parameters
+        ----------
+        step : Step
+            Detected step.
+
+        Returns
+        -------
+        ModeLengths
+            Lengths and variances, one entry for each mode.
+        """
         length_m, parameter_var_m2 = self._lengths.moments(step)
         length_m, parameter_var_m2 = self.moves * length_m, self.moves * parameter_var_m2
         residual_var_m2 = self.own_var_m2(step, length_m)
         return ModeLengths(length_m, residual_var_m2 + parameter_var_m2, residual_var_m2, np.sqrt(parameter_var_m2))
 
     def own_var_m2(self, step: Step, length_m: FloatArray) -> FloatArray:
-        """Variance (M,) of a single step about the lengths (M,) of the modes.
+        """Return the variance of a single step about the length of each mode.
 
-        One that is too quick for walking and too soft for running may be anything from a step on the spot to twice as
-        long as a model says: L^2 / 3.
+        Parameters
+        ----------
+        step : Step
+            Detected step.
+        length_m : (M,) array
+            Length of the step in each mode.
+
+        Returns
+        -------
+        (M,) array
+            Variance in m2.
+
+        Notes
+        -----
+        No model holds for a step that is too quick for walking and too soft for running. It may be anything between a
+        step on the spot and a step of twice the modelled length: L^2 / 3 is added.
         """
         var_m2 = self._lengths.residual_var_m2 + uneven_var_m2(step) * self.moves
         return var_m2 + length_m * length_m / 3.0 if step.is_quick_and_soft else var_m2
 
     def mean_heading_offset_rad(self, mode_prob: FloatArray) -> float:
-        """The modes' own heading offset, averaged as vectors."""
+        """Return the mean heading offset of the modes, averaged as unit vectors.
+
+        Parameters
+        ----------
+        mode_prob : (M,) array
+            Mode probabilities.
+
+        Returns
+        -------
+        float
+            Walking heading minus the heading that the body faces, in rad.
+        """
         sine, cosine = mode_prob.dot(self._offset_vectors).tolist()
         return math.atan2(sine, cosine) if sine * sine + cosine * cosine > 1e-18 else 0.0
 
     def context_prob(self, mode_prob: FloatArray) -> FloatArray:
-        """Context probabilities (C,) that mode probabilities imply: summed over the modes of each context."""
+        """Return the context probabilities that mode probabilities imply.
+
+        Parameters
+        ----------
+        mode_prob : (M,) array
+            Mode probabilities.
+
+        Returns
+        -------
+        (C,) array
+            Sum of the mode probabilities of each context, normalised without irregular modes.
+        """
         prob = [sum(p for m, p in zip(self.modes, mode_prob, strict=True) if m.context == c) for c in self.contexts]
-        total = sum(prob)  # less than one beside irregular modes
+        total = sum(prob)  # below one if there are irregular modes
         return np.array(prob) / total if total > 0 else np.full(len(prob), 1 / len(prob))

@@ -1,4 +1,4 @@
-"""What a filter knows of a pedestrian, and how steps, gaps and a change of frame alter it: shared by both trackers."""
+"""State of a pedestrian filter, and its changes by steps, gaps and alignments, shared by both trackers."""
 
 from __future__ import annotations
 
@@ -44,43 +44,100 @@ from pdr_filter.values import (
     wrap_angle,
 )
 
-# Two steps further apart than this have a pause between them.
+# Time between two steps from which there is a pause between them.
 _PAUSE_S = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class StepUpdate:
-    """The track after one step.
+    """Track row after one step, as returned by `OnlineFilter.push`.
 
-    With `hc` and `wc` a step is first reported provisionally and again, with the same `index`, when the context window
-    that follows it is known; `imm` reports each step once.
+    With weighting `hc` or `wc` a step is first reported provisionally. It is reported again with the same `index` when
+    the following context window is known. With `imm` each step is reported once.
+
+    Attributes
+    ----------
+    index : int
+        Number of the step in the track, from 0.
+    step : Step
+        Detected step.
+    is_final : bool
+        False if the step will be reported again.
+    position_m : (2,) array
+        Position (east, north) in m.
+    position_cov_m2 : (2, 2) array
+        Covariance of the position in m2.
+    step_length_m : float
+        Length of the step in m.
+    walked_m : float
+        Distance in m of all steps so far, including this one.
+    walking_heading_rad : float
+        Walking heading in rad, clockwise from north, not wrapped.
+    speed : WalkingSpeed
+        Walking speed of the step and its smoothed value.
+    context_prob : (C,) array
+        Context probabilities.
+    contexts : tuple of str
+        Names of the C contexts.
+    mode_prob : (M,) array
+        Mode probabilities.
+    of_start : Place or None
+        Position, covariance and heading in the start frame of the track, as long as the rotation to the frame of the
+        fixes is not settled. None afterwards.
+    gap_before_s : float
+        Time in s without samples since the previous step.
+    height_m, height_std_m : float, default 0.0
+        Height above the start in m, and its standard deviation. Trackers leave the default; the height filter sets
+        them.
+    floor : int, default 0
+        Storey relative to the start.
+    on_plan : OnPlan, optional
+        Estimate of the particle filter on a floor plan. If given, position, covariance and heading are those of the
+        particles.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP
+    >>> tracker = pdr.recipes.default().tracker
+    >>> state, (update,) = tracker.on_step(tracker.init(), TYPICAL_STEP)
+    >>> update.index, update.is_final, update.to_dict()["floor"]
+    (0, True, 0)
     """
 
-    index: int  # number of the step in the track, from 0
+    index: int
     step: Step
     is_final: bool
-    position_m: FloatArray  # (2,) east, north
-    position_cov_m2: FloatArray  # (2, 2)
+    position_m: FloatArray
+    position_cov_m2: FloatArray
     step_length_m: float
-    walked_m: float  # of all steps so far, this one among them
-    walking_heading_rad: float  # clockwise, not wrapped
+    walked_m: float
+    walking_heading_rad: float
     speed: WalkingSpeed
-    context_prob: FloatArray  # (C,)
-    contexts: tuple[str, ...]  # C names
-    mode_prob: FloatArray  # (M,)
-    # The same in the frame of the start, while the turn to the frame of the fixes is not settled; None afterwards.
+    context_prob: FloatArray
+    contexts: tuple[str, ...]
+    mode_prob: FloatArray
     of_start: Place | None
-    gap_before_s: float  # time without samples since the step before
-    # Where the step was known: above the start, and the storey; `filter.height.height_filter` knows them, a tracker
-    # does not.
+    gap_before_s: float
     height_m: float = 0.0
     height_std_m: float = 0.0
     floor: int = 0
-    # Where particles on a floor plan are; with it position, covariance and heading are theirs. None without a plan.
     on_plan: OnPlan | None = None
 
     def in_frame(self, frame: Frame) -> StepUpdate:
-        """The step by what is known of the frame later on, if it was reported before the turn was settled."""
+        """Return the update in a frame whose rotation is known by now.
+
+        Parameters
+        ----------
+        frame : Frame
+            Later estimate of the relation between the track and the frame of the fixes.
+
+        Returns
+        -------
+        StepUpdate
+            Update with position, covariance and heading in that frame. The update itself is returned if its rotation
+            was already settled.
+        """
         if self.of_start is None:
             return self
         place = frame.world(self.of_start)
@@ -92,7 +149,14 @@ class StepUpdate:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the fields as JSON values: None for numbers that are not finite, context probabilities by name."""
+        """Return the fields as JSON values.
+
+        Returns
+        -------
+        dict
+            Fields by name, and `time_s`. Numbers that are not finite are None. `context_prob` is a dictionary by
+            context name.
+        """
         named = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "contexts"}
         contexts = dict(zip(self.contexts, self.context_prob, strict=True))
         return as_plain({"time_s": self.step.time_s, **named, "context_prob": contexts})
@@ -100,39 +164,71 @@ class StepUpdate:
 
 @dataclass(frozen=True, slots=True)
 class HeadingZero:
-    """Heading offset that counts as zero in the states: the first one that was known."""
+    """Heading offset that is the zero of the offset in the filter states: the first measured one.
+
+    Attributes
+    ----------
+    offset_rad : float
+        Walking heading minus device heading at that step.
+    time_s : float
+        Contact of that step, or infinity before the first measured walking heading.
+    """
 
     offset_rad: float = 0.0
-    time_s: float = math.inf  # contact of the step that it was known from; infinite before
+    time_s: float = math.inf
 
 
 @dataclass(frozen=True, eq=False)
 class PedestrianState:
     """Estimates after the latest event, and the history that later steps and fixes need.
 
-    An event is a gap, a fix, or a step whose row of the track no longer changes.
+    An event is a gap, a fix, or a step whose track row is final.
+
+    Attributes
+    ----------
+    estimates : Estimates
+        Estimates of all filters.
+    frame : Frame
+        Relation between the track and the frame of the fixes.
+    heading_zero : HeadingZero
+        Zero of the heading offset.
+    steps : StepHistory
+        Last final steps.
+    fixes : FixHistory
+        Earlier fixes, as far as the next fix depends on them.
+    path : PastPath
+        Present estimate of the positions of all steps.
+    rival : Rival or None
+        Second hypothesis of the position if the last ranges fit two positions. `tracking.filtering` runs both.
     """
 
     estimates: Estimates
-    frame: Frame  # whether positions are in the frame of the fixes yet
+    frame: Frame
     heading_zero: HeadingZero = HeadingZero()
     steps: StepHistory = field(default_factory=StepHistory)
     fixes: FixHistory = field(default_factory=FixHistory)
-    path: PastPath = field(default_factory=PastPath)  # of all steps, as it is estimated now
-    # Second hypothesis of the position, where the last ranges fit two; `tracking.filtering` runs both.
+    path: PastPath = field(default_factory=PastPath)
     rival: Rival | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """The less probable one of two hypotheses, with its log odds against the other."""
+    """Less probable one of two hypotheses.
+
+    Attributes
+    ----------
+    pedestrian : PedestrianState
+        State of the hypothesis.
+    log_odds : float
+        Log odds against the other hypothesis, 0 or less.
+    """
 
     pedestrian: PedestrianState
-    log_odds: float  # 0 or less
+    log_odds: float
 
 
 def initial_state(model: PedestrianModel, prob: FloatArray) -> PedestrianState:
-    """State at the origin, of as many filters as probabilities (F,) are given."""
+    """Return the state at the origin, with one filter for each of the probabilities (F,)."""
     mean, cov = initial_estimate(model.noise)
     estimates = Estimates(
         mean=np.tile(mean, (len(prob), 1)),
@@ -147,11 +243,12 @@ def initial_state(model: PedestrianModel, prob: FloatArray) -> PedestrianState:
 def with_heading(
     state: PedestrianState, step: Step, directions: Directions, noise: MotionNoise
 ) -> tuple[PedestrianState, FloatArray]:
-    """Return the state with the heading of the next step, before its displacement.
+    """Return the state with the heading of the next step, before its displacement, and the drifted covariances.
 
-    The heading offset first drifts for the time since the step before, because the heading stage designs its
-    measurement with that drift; then the measured walking heading is used. The first one becomes the zero of the frame.
-    The second value are the covariances (F, 4, 4) with the drift and without the measured heading.
+    The heading offset first drifts for the time since the previous step, because the heading stage assumes this drift
+    for its measurement. Then the measured walking heading updates the state. The first measured walking heading defines
+    the zero of the heading offset instead. The second result are the covariances (F, 4, 4) after the drift and before
+    the measurement.
     """
     estimates, zero = state.estimates, state.heading_zero
     since_s = step.duration_s if math.isnan(state.steps.last_s) else step.time_s - state.steps.last_s
@@ -171,10 +268,10 @@ def with_heading(
 def with_step(
     state: PedestrianState, step: Step, walked: Walked, combined: tuple[FloatArray, FloatArray], event: WalkedStep
 ) -> PedestrianState:
-    """Return the state with all that a step changes besides means and covariances, which have the step already.
+    """Return the state after a step whose prediction and evidence are already in the estimates.
 
-    `combined` is the combined mean (4,) and covariance (4, 4) after the step, and `event` what the
-    path needs of it.
+    Updates the consider errors, the frame, the step history and the path. `combined` is the combined mean (4,) and
+    covariance (4, 4) after the step, `event` the record of the step for the path.
     """
     x, P = combined
     consider_error_m = state.estimates.consider_error_m + _consider_error_m(walked, P)
@@ -188,7 +285,10 @@ def with_step(
 
 
 def _consider_error_m(walked: Walked, P: FloatArray) -> FloatArray:
-    """Error (2 + M, 2) of one step for one std of each consider parameter, see `Estimates.consider_cov_m2`."""
+    """Return the error (2 + M, 2) of one step for one standard deviation of each consider parameter.
+
+    See `Estimates.consider_cov_m2`.
+    """
     along, across = second_order_errors(float(P[HEADING_OFFSET, HEADING_OFFSET]), float(P[LOG_SCALE, LOG_SCALE]))
     sine, cosine = math.sin(walked.heading_rad), math.cos(walked.heading_rad)
     along_m, across_m = walked.length_m * along, walked.length_m * across
@@ -199,18 +299,18 @@ def _consider_error_m(walked: Walked, P: FloatArray) -> FloatArray:
 
 
 def _with_compass(frame: Frame, step: Step, heading_offset_rad: float) -> Frame:
-    """Frame with the magnetic north of a step, if it has one."""
+    """Return the frame with the magnetic north of a step, if the step has one."""
     if not (math.isfinite(step.north_std_rad) and math.isfinite(step.shown_offset_std_rad)):
         return frame
-    # rotation from the track's frame to north: walking direction against north minus that in the track's frame
+    # rotation from the track frame to north: walking direction relative to north minus walking direction in that frame
     angle_rad = float(wrap_angle(step.shown_offset_rad - step.north_rad - heading_offset_rad))
     return frame.with_compass(Compass(angle_rad, step.north_std_rad**2 + step.shown_offset_std_rad**2))
 
 
 def over_gap(state: PedestrianState, gap_s: float, noise: MotionNoise) -> PedestrianState:
-    """Return the state after a time without samples: positions and headings are less known.
+    """Return the state after a time without samples, with larger variances of positions and headings.
 
-    The gap's own growth stands for the time since the last step.
+    This growth replaces the heading drift since the last step.
     """
     estimates = replace_unchecked(state.estimates, cov=grow_over_gap(state.estimates.cov, gap_s, noise))
     P = state.estimates.combined[1]
@@ -223,23 +323,24 @@ def over_gap(state: PedestrianState, gap_s: float, noise: MotionNoise) -> Pedest
     )
 
 
-# 50 degrees: beyond it the rotation to the fixes is estimated again, below it the walking directions restore the
-# heading. Of 0.25, 0.4, 0.5, 0.6 and 0.75 this gave the smallest errors of shape on routes 21 to 23 of ipin2023 (mean
-# 1.2 m instead of 2.5 m with 0.25); on routes 01 and 02, which had no part in the choice, it is 2.8 m instead of 2.5 m.
+# The square of 50 degrees. Above it the rotation to the fixes is estimated again; below it the walking directions
+# restore the heading. Among 0.25, 0.4, 0.5, 0.6 and 0.75 this value has the smallest errors of the shape on routes 21
+# to 23 of ipin2023 (mean 1.2 m, against 2.5 m with 0.25). On the held-out routes 01 and 02 it is 2.8 m, against 2.5 m.
 _LOST_HEADING_VAR_RAD2 = 0.75
 
 
-def with_open_turn(state: PedestrianState) -> PedestrianState:
-    """State in the frame of fixes, whose turn is open again from here on if its heading has been lost.
+def with_reopened_rotation(state: PedestrianState) -> PedestrianState:
+    """Return the state with an unknown rotation to the frame of the fixes if the heading has been lost.
 
-    Where it is becomes the first of the pairs that will show the turn, what is known of the heading the prior of that.
+    Applies only to a track in the frame of fixes. The present position becomes the first point pair for the new
+    estimate of the rotation. The variance of the heading becomes its prior.
     """
     frame = state.frame
     if not frame.is_known or state.estimates.heading_var_rad2 < _LOST_HEADING_VAR_RAD2:
         return state
     if frame.since and not frame.is_joined and len(frame.agreeing) < 2:
-        # nothing has been learnt since it was lost, and its errors last: opened anew each step they would be
-        # independent
+        # No fix has arrived since the heading was lost, so keep the open frame. To open a new one at each step would
+        # treat the persistent heading error as independent between steps.
         return state
     steps = state.steps
     if not frame.is_joined:
@@ -258,14 +359,14 @@ def with_open_turn(state: PedestrianState) -> PedestrianState:
     return replace_unchecked(
         state,
         estimates=replace_unchecked(estimates, mean=mean, cov=cov, consider_error_m=no_error_m),
-        frame=frame.opened((turning_point,), float(P[HEADING_OFFSET, HEADING_OFFSET]), steps.n_final),
+        frame=frame.reopened((turning_point,), float(P[HEADING_OFFSET, HEADING_OFFSET]), steps.n_final),
         fixes=replace_unchecked(state.fixes, doubt=Doubt(), used=(), ranges=()),
         path=state.path.detached(P, time_s, x[:2].copy()),
     )
 
 
 def in_other_frame(state: PedestrianState, alignment: Alignment) -> PedestrianState:
-    """State in another frame."""
+    """Return the state transformed by an alignment."""
     estimates = state.estimates
     mean, cov = moved(estimates.mean, estimates.cov, alignment)
     consider_error_m = estimates.consider_error_m @ alignment.rotation.T
@@ -281,12 +382,12 @@ def in_other_frame(state: PedestrianState, alignment: Alignment) -> PedestrianSt
 
 
 def with_moved_past(state: PedestrianState, positions: Callable[[FloatArray], FloatArray]) -> PedestrianState:
-    """State with the remembered places of the track moved by a function of positions (..., 2)."""
+    """Return the state with stored track positions transformed by a function of positions (..., 2)."""
     return replace_unchecked(state, steps=state.steps.moved(positions), fixes=state.fixes.moved(positions))
 
 
 def with_detached_path(state: PedestrianState) -> PedestrianState:
-    """State whose present place is learnt afresh: the path until now stays as it is."""
+    """Return the state whose past positions no longer change with the present estimate."""
     x, P = state.estimates.combined
     return replace_unchecked(state, path=state.path.detached(P, state.steps.end_s, x[:2].copy()))
 
@@ -302,7 +403,10 @@ def step_update(
     contexts: tuple[str, ...],
     is_final: bool = True,
 ) -> StepUpdate:
-    """Return the report of a step that led from one state to the next, see `with_step`."""
+    """Return the track row of a step that led from one state to the next.
+
+    `combined` is the combined mean (4,) and covariance (4, 4) after the step (see `with_step`).
+    """
     x, P = combined
     speed, n_steps = updated.steps.speed, previous.steps.n_final
     if speed is None:
@@ -339,7 +443,10 @@ def present_position(state: PedestrianState) -> tuple[FloatArray, FloatArray]:
 
 
 def moved_by_heading_m(previous: PedestrianState, updated: PedestrianState, length_m: float) -> float:
-    """Distance by which steps of this length moved the position too far; 0 across a pause or a change of frame."""
+    """Return the distance by which the move of the position exceeds the step length, in m.
+
+    The excess is due to a correction of the heading. It is 0 across a pause or a change of the frame.
+    """
     is_pause = not updated.steps.last_s - previous.steps.last_s < _PAUSE_S
     if (
         is_pause
@@ -353,6 +460,6 @@ def moved_by_heading_m(previous: PedestrianState, updated: PedestrianState, leng
 
 
 def track_place(state: PedestrianState) -> Place:
-    """The place of the final estimate in the frame of the filter's states, without its heading."""
+    """Return the present position in the frame of the filter states; its heading is not set."""
     x, P = state.estimates.combined
     return Place(x[[EAST, NORTH]], position_cov(P, state.estimates.consider_cov_m2), 0.0, state.steps.n_final)

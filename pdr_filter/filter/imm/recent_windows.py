@@ -1,4 +1,4 @@
-"""The last context windows, as a tracker remembers them, and which of them belongs to a step."""
+"""Recent context windows stored by a tracker, and the assignment of windows to steps."""
 
 from __future__ import annotations
 
@@ -6,29 +6,33 @@ import numpy as np
 
 from pdr_filter.sensing.contexts.context_stage import WindowContext
 
-# A gate may hold the first steps of a bout for some seconds.
+# The step gate may delay the first steps of a bout by some seconds.
 WINDOW_MEMORY_S = 12.0
 
-RecentWindows = tuple[WindowContext, ...]  # of one segment, oldest first
+RecentWindows = tuple[WindowContext, ...]  # windows of one segment, oldest first
 
 
 def with_window(windows: RecentWindows, window: WindowContext) -> RecentWindows:
-    """The windows with one more; one whose probabilities are not numbers says nothing and is left out."""
+    """Return the windows with one more, without those older than `WINDOW_MEMORY_S`.
+
+    A window whose probabilities are not finite has no information and is not added.
+    """
     if not np.isfinite(window.prob).all():
         return windows
     return (*(w for w in windows if w.time_s > window.time_s - WINDOW_MEMORY_S), window)
 
 
 def window_before(windows: RecentWindows, time_s: float) -> WindowContext | None:
-    """The last window that has samples of its own at or before a time: later ones belong to later steps.
+    """Return the last window whose new samples begin at or before a time.
 
-    The first window of a segment follows on none: all of its samples are its own.
+    Later windows belong to later steps. The first window of a segment is returned for earlier times, because it has no
+    predecessor and all of its samples are new.
     """
     return next((w for w in reversed(windows) if w.new_since_s <= time_s), windows[0] if windows else None)
 
 
 def n_after(windows: RecentWindows, window: WindowContext) -> int:
-    """How many windows there are after one of them."""
+    """Return the number of windows after one of them."""
     n = 0
     while windows[-1 - n].time_s > window.time_s:
         n += 1
@@ -36,10 +40,13 @@ def n_after(windows: RecentWindows, window: WindowContext) -> int:
 
 
 def window_around(windows: RecentWindows, time_s: float) -> WindowContext | None:
-    """The first window that ends at or after a time, if it is known: the one in which the time is new."""
+    """Return the first window that ends at or after a time, or None if it is not known yet."""
     return next((w for w in windows if w.time_s >= time_s), None)
 
 
 def window_after(windows: RecentWindows, time_s: float) -> WindowContext | None:
-    """The first window whose own samples are all at or after a time, if it is known: the one after `window_around`."""
+    """Return the first window whose new samples all lie at or after a time, or None if it is not known yet.
+
+    It is the window after the one that `window_around` returns.
+    """
     return next((w for w in windows if w.new_since_s >= time_s), None)

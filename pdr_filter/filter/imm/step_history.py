@@ -1,4 +1,4 @@
-"""The last final steps of a track: what the next step, late fixes and the walking speed need of them."""
+"""Last final steps of a track, as needed by the next step, by late fixes and by the walking speed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pdr_filter.filter.imm.motion_model import EAST, LOG_SCALE, NORTH
 from pdr_filter.filter.imm.walking_speed import WalkingSpeed, after_step
 from pdr_filter.values import FloatArray, Step, interpolated, replace_unchecked
 
-# Final steps that are remembered for late fixes: a minute at four steps a second, which is how late a fix may be
+# Number of stored final steps: one minute at four steps a second, the largest delay of a fix
 # (`filtering.MAX_FIX_AGE_S`).
 TRAIL_STEPS = 256
 # Columns of the trail.
@@ -22,33 +22,64 @@ TRAIL_POSITION = slice(1, 3)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Walked:
-    """One step as a tracker weighted it. Evidence also moves the estimated position, which is not walking."""
+    """Length and heading of one step, weighted over the modes of a tracker.
+
+    The estimated position may move by a different amount, because evidence also corrects it.
+
+    Attributes
+    ----------
+    length_m : float
+        Weighted length in m.
+    length_var_m2 : float
+        Variance of the length in m2, without the scale of the person.
+    heading_rad : float
+        Walking heading in rad.
+    parameter_std_m : (M,) array
+        Standard deviation in m due to the parameters of the length model of each mode, times the probability of the
+        mode.
+    direction : (M, 2) or (1, 2) array
+        Unit vector (east, north) of the walking direction in each mode, or in all modes together.
+    """
 
     length_m: float
-    length_var_m2: float  # without the person's scale
+    length_var_m2: float
     heading_rad: float
-    parameter_std_m: FloatArray  # (M,) due to the parameters of each mode's length model, weighted by its probability
-    direction: FloatArray  # (M, 2), or (1, 2) of all: east and north of the unit vector in which each mode walked
+    parameter_std_m: FloatArray
+    direction: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class StepHistory:
-    """The last final steps."""
+    """Last final steps of a track.
 
-    n_final: int = 0  # steps so far
-    last_s: float = math.nan  # contact of the last one; NaN before the first of a segment
-    gap_s: float = 0.0  # time without samples since then
-    speed: WalkingSpeed | None = None  # after the last one; None before the first of a segment
-    trail: FloatArray = field(default_factory=lambda: np.empty((0, 4)))  # (R, 4) time, east, north, device heading
+    Attributes
+    ----------
+    n_final : int
+        Number of final steps.
+    last_s : float
+        Contact of the last step, or NaN before the first step of a segment.
+    gap_s : float
+        Time without samples since the last step.
+    speed : WalkingSpeed or None
+        Walking speed after the last step, or None before the first step of a segment.
+    trail : (R, 4) array
+        Time, east, north and device heading of the last steps.
+    """
+
+    n_final: int = 0
+    last_s: float = math.nan
+    gap_s: float = 0.0
+    speed: WalkingSpeed | None = None
+    trail: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
 
     @property
     def end_s(self) -> float:
-        """Contact of the last step; minus infinity before the first."""
+        """Contact of the last step, or minus infinity before the first step."""
         return float(self.trail[-1, TRAIL_TIME]) if len(self.trail) else -math.inf
 
     def plus(self, step: Step, walked: Walked, x: FloatArray, P: FloatArray) -> StepHistory:
         """Return the history with one more step, after which the estimate has mean x (4,) and covariance P (4, 4)."""
-        # a pause before the step starts the smoothed speed afresh
+        # after a pause the smoothed speed starts again
         is_first = math.isnan(self.last_s) or step.time_s - self.last_s > 1.5 * step.duration_s
         scale_var = float(P[LOG_SCALE, LOG_SCALE])
         speed = after_step(self.speed, walked.length_m, walked.length_var_m2, step.duration_s, scale_var, is_first)
@@ -62,13 +93,16 @@ class StepHistory:
         return replace_unchecked(self, last_s=math.nan, gap_s=self.gap_s + gap_s, speed=None)
 
     def moved(self, positions: Callable[[FloatArray], FloatArray]) -> StepHistory:
-        """Return the history with its places moved by a function of positions (..., 2)."""
+        """Return the history with its positions transformed by a function of positions (..., 2)."""
         trail = self.trail.copy()
         trail[:, TRAIL_POSITION] = positions(self.trail[:, TRAIL_POSITION])
         return replace_unchecked(self, trail=trail)
 
     def at(self, time_s: float) -> FloatArray | None:
-        """East, north and device heading (3,) at a time; None before the first step, or from before the trail."""
+        """Return east, north and device heading (3,) at a time.
+
+        The result is None before the first step and for times before the oldest stored step.
+        """
         trail = self.trail
         if len(trail) == 0 or (time_s < trail[0, TRAIL_TIME] and len(trail) == TRAIL_STEPS):
             return None

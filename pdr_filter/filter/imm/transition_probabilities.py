@@ -1,4 +1,4 @@
-"""Transition probabilities between contexts from one step to the next, unless they are estimated from labels.
+"""Default transition probabilities between contexts from one step to the next.
 
 `offline.training.transition_training` estimates a matrix from labelled recordings, and `classifiers.transition_files`
 saves it.
@@ -13,19 +13,22 @@ import numpy as np
 
 from pdr_filter.values import DEFAULT_CONTEXTS, Context, FloatArray
 
-# Mean stay in steps, and share among the contexts after level walking. Level walking and stairs are of the labels of
-# the terrain data set (four people, 140 flights in 140 minutes; part of the "Lower Limb Prostheses Environmental
-# Context Dataset", IEEE DataPort): flights of 6.6 s up and 5.8 s down at 1.9 steps a second, level stretches of 33 s at
-# 1.7, and as many steps upstairs as downstairs. The others are set by hand: standing five false steps, sideways ten,
-# running fifty.
+# Mean stay in steps, and share among the contexts after level walking. Values for level walking and stairs are from the
+# labels of the terrain data set (four people, 140 flights in 140 minutes; part of the "Lower Limb Prostheses
+# Environmental Context Dataset", IEEE DataPort). There, flights take 6.6 s up and 5.8 s down at 1.9 steps a second,
+# level stretches 33 s at 1.7 steps a second, and steps upstairs are as many as steps downstairs. The other values are
+# assumptions: 5 false steps while standing, 10 steps sideways, 50 steps of running.
 _STANDING, _WALKING, _RUNNING = (5.0, 0.1), (55.0, 0.1), (50.0, 0.1)
 _UP, _DOWN, _TURNED = (12.0, 0.35), (11.0, 0.35), (10.0, 0.1)
-# Ways out of any context but level walking that lead to level walking; in the terrain labels all do.
+# Share of transitions out of other contexts that lead to level walking. In the terrain labels all of them do.
 _TO_WALKING, _TO_OTHERS = 0.9, 0.1
 
 
 def _stay_and_share(context: Context) -> tuple[float, float]:
-    """Mean stay in a context in steps, and its share among the contexts after level walking, before normalisation."""
+    """Return the mean stay in a context in steps, and its share among the contexts after level walking.
+
+    The shares are not normalised.
+    """
     if context.stands:
         return _STANDING
     if context.runs:
@@ -36,13 +39,30 @@ def _stay_and_share(context: Context) -> tuple[float, float]:
 
 
 def context_transitions(contexts: Sequence[Context] = DEFAULT_CONTEXTS.contexts) -> FloatArray:
-    """Transition matrix (C, C) of one step, from the context of the row to that of the column.
+    """Return the transition matrix of the contexts for one step, derived from their meanings.
 
-    It follows from what the contexts mean. The mean stay is 5 steps in a context without steps, 55 in level walking and
-    on a treadmill, 12 up and 11 down stairs, 10 sideways and 50 in running. Nine of ten ways out of every other context
-    lead to level walking, the tenth to any of the others alike. So level walking is the most frequent context by far,
-    as in life and unlike in training sets. Ways out of level walking lead to stairs in seven of ten cases, as far as
-    there are stairs. Without level walking all ways out are alike.
+    The mean stay in steps is 5 in a context without steps, 55 in level walking and on a treadmill, 12 up stairs and 11
+    down stairs, 10 sideways, and 50 in running. From every other context, nine of ten transitions lead to level
+    walking. The rest is divided evenly among the other contexts. Level walking is therefore by far the most frequent
+    context, as in daily life and unlike in training sets. Seven of ten transitions out of level walking lead to stairs,
+    if there are contexts for stairs. Without level walking all transitions out of a context are equally probable.
+
+    Parameters
+    ----------
+    contexts : sequence of Context, optional
+        Contexts in the order of the rows. The default are those of `pdr_filter.CONTEXTS`.
+
+    Returns
+    -------
+    (C, C) array
+        Probability of a transition from the context of the row to that of the column. Rows sum to one.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> transition_prob = pdr.recipes.context_transitions()
+    >>> round(float(transition_prob[pdr.CONTEXTS.index("walking"), pdr.CONTEXTS.index("upstairs")]), 4)
+    0.0064
     """
     n = len(contexts)
     level = [c.is_level_walking for c in contexts]

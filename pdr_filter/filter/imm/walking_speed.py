@@ -1,11 +1,13 @@
-"""Walking speed: of each step, and smoothed over steps, with its standard deviation.
+"""Walking speed of each step and smoothed over steps, with standard deviations.
 
-Length over duration of single steps alternates: the two feet differ, and a contact that is found late makes one step
-long and the next one short. The smoothed speed is a random walk seen through single steps (local-level Kalman filter);
-it starts afresh with each bout. What all steps share, the person's own scale, does not average out and is added.
+Length divided by duration alternates from step to step. The two feet differ, and a contact that is detected late makes
+one step long and the next one short. The smoothed speed is a random walk that is observed through single steps
+(local-level Kalman filter). It starts again with each bout. The error that all steps share, the scale of the person,
+does not average out and is added to the variance.
 
-How much the steps scatter is seen in the steps: in a pocket or a swinging hand, where contacts are missed, several
-times as much as in the hand. What makes them scatter lasts for some steps, so that half of it is added too.
+The scatter of the steps is estimated from the steps. It is several times larger in a pocket or a swinging hand than in
+a still hand, because contacts are missed. Its causes last for several steps, so half of it is added to the variance as
+well.
 """
 
 from __future__ import annotations
@@ -13,28 +15,44 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import sqrt
 
-# Contacts of the default detector scatter by about this much against foot switches.
+# Standard deviation of the contact times of the default detector, compared with foot switches.
 CONTACT_STD_S = 0.03
-# People change their speed by this much within a second of ordinary walking (standard deviation): from rest to
-# 1.3 m/s takes about two seconds, which the start of each bout has to itself.
+# Standard deviation of the change of speed within a second of ordinary walking. Setting off from rest to 1.3 m/s takes
+# about two seconds, but each bout starts a new estimate.
 SPEED_CHANGE_MPS_PER_SQRT_S = 0.1
-# The scatter is a running mean over about twenty steps, as all that is usual for a person.
+# Decay of the running mean of the scatter: about twenty steps, as for all other running statistics of a person.
 _SCATTER_DECAY = 0.95
-# Share of the scatter that the steps around have too: chosen on the five placements of tyrex, one person in a room of
-# motion capture, among 0, 0.5, 0.7 and 1 (tests/benchmarks/placements.py).
+# Share of the scatter that neighbouring steps have in common. Chosen among 0, 0.5, 0.7 and 1 on the five placements of
+# tyrex, one person in a motion capture room (tests/benchmarks/placements.py).
 _LASTING_SHARE = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class WalkingSpeed:
-    """Speed after a step."""
+    """Walking speed after a step.
 
-    step_mps: float  # of the step itself: length over duration
+    Attributes
+    ----------
+    step_mps : float
+        Speed of the step in m/s: length divided by duration.
+    step_std_mps : float
+        Standard deviation of `step_mps`.
+    smoothed_mps : float
+        Speed in m/s, smoothed over the steps of the bout.
+    level_var_m2ps2 : float
+        Variance of the smoothed speed without the errors that all steps share.
+    smoothed_std_mps : float
+        Standard deviation of the smoothed speed, including the errors that all steps share.
+    scatter_m2ps2 : float
+        Running mean of the squared difference between the speed of a step and its prediction.
+    """
+
+    step_mps: float
     step_std_mps: float
     smoothed_mps: float
-    level_var_m2ps2: float  # of the smoothed speed without what all steps share
+    level_var_m2ps2: float
     smoothed_std_mps: float
-    scatter_m2ps2: float  # mean squared difference of the last steps from the speed that was expected of them
+    scatter_m2ps2: float
 
 
 def after_step(
@@ -45,12 +63,13 @@ def after_step(
     log_scale_var: float,
     is_first: bool = False,
 ) -> WalkingSpeed:
-    """Speed after a step; `before` is that of the step before, None if there is none.
+    """Return the walking speed after a step, or after the first step if `previous` is None.
 
-    v = L / T with var v = (var L + 2 v^2 s^2) / T^2, s the standard deviation of a contact. Smoothed: P = P + q T;
-    D = 0.95 D + 0.05 (v - v_s)^2; K = P / (P + max(var v, D)); v_s = v_s + K (v - v_s); P = (1 - K) P. Both standard
-    deviations have v^2 var(log scale) added, that of the smoothed speed D / 2 too. The variance of the length is
-    without the person's scale. The first step of a bout starts the smoothed speed afresh, but not D.
+    v = L / T, with var v = (var L + 2 v^2 s^2) / T^2 and s the standard deviation of a contact time. The smoothed speed
+    v_s with variance P is updated by P = P + q T; D = 0.95 D + 0.05 (v - v_s)^2; K = P / (P + max(var v, D)); v_s = v_s
+    + K (v - v_s); P = (1 - K) P. Both reported variances have v^2 var(log scale) added, that of the smoothed speed also
+    D / 2. The variance of the length must not include the scale of the person. The first step of a bout restarts the
+    smoothed speed, but not the scatter D.
     """
     speed = length_m / duration_s
     var = (length_var_m2 + 2 * (speed * CONTACT_STD_S) ** 2) / duration_s**2

@@ -1,12 +1,12 @@
-"""Steps and context windows in, track rows out: one filter whose step length weighs those of the contexts.
+"""HC and WC tracker: one filter whose step length is a weighted mean of the step lengths of the contexts.
 
-The step length is the highest context's or the probability-weighted one, each step weighted by the two windows that
-contain it: the provisional and the final distance of Martinelli et al. 2018, Algorithms 1 and 2.
+HC (highest context) uses the most probable context, WC (weighted context) the probabilities as weights. Each step is
+weighted with the two windows that contain it. They correspond to the provisional and the final distance in Algorithms 1
+and 2 of Martinelli et al. (2018).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +24,7 @@ from pdr_filter.filter.imm.pedestrian_state import (
     over_gap,
     step_update,
     with_heading,
-    with_open_turn,
+    with_reopened_rotation,
     with_step,
 )
 from pdr_filter.filter.imm.recent_windows import (
@@ -35,18 +35,16 @@ from pdr_filter.filter.imm.recent_windows import (
     with_window,
 )
 from pdr_filter.filter.imm.step_history import Walked
-from pdr_filter.filter.imm.weighting import HC, context_weights
+from pdr_filter.filter.imm.weighting import HC, Weighting, context_weights
 from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, check_numbers, replace_unchecked
 
-# A function of context probabilities (C,) that returns weights (C,): 0 or more, with the sum one.
-Weighting = Callable[[FloatArray], FloatArray]
 _SUM_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class WeightedState:
-    """The estimate after the last final step, and the steps that wait for their windows."""
+    """State of a `WeightedTracker`: estimates after the last final step, and the steps that wait for their windows."""
 
     pedestrian: PedestrianState
     windows: RecentWindows
@@ -56,17 +54,52 @@ class WeightedState:
 
 @dataclass(frozen=True, eq=False)
 class WeightedTracker:
-    """One filter over the weighted step lengths of the contexts: highest or weighted context.
+    """Tracker with a single filter over the weighted step lengths of the contexts (HC and WC).
 
-    The threshold is the second-highest over the highest probability from which contexts are weighted (Algorithm 2:
-    0.8); `weighting.HC` (infinity) takes the highest without exception.
+    A step is reported provisionally when it is detected. It is reported again as final when the following context
+    window is known.
+
+    Attributes
+    ----------
+    model : PedestrianModel
+        Modes, transitions, noise and evidence, with exactly one mode for each context.
+    threshold : float, default 0.8
+        Ratio of the second-highest to the highest context probability from which contexts are weighted (Algorithm 2 of
+        Martinelli et al. 2018). Below it the highest context is used. Infinity (`weighting.HC`) always uses the
+        highest.
+    function : callable, optional
+        Function from context probabilities (C,) to weights (C,), which replaces the threshold. Weights must be 0 or
+        more and sum to one.
+
+    Raises
+    ------
+    ValueError
+        If the threshold is negative, or if the model does not have exactly one mode for each context.
+
+    References
+    ----------
+    A. Martinelli, H. Gao, P. D. Groves, S. Morosi, "Probabilistic Context-Aware Step Length Estimation for Pedestrian
+    Dead Reckoning", IEEE Sensors Journal 18(4), 2018, doi:10.1109/JSEN.2017.2776100.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
+    >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP
+    >>> tracker = WeightedTracker(pdr.recipes.default().model)
+    >>> state, updates = tracker.on_step(tracker.init(), TYPICAL_STEP)
+    >>> updates[0].is_final
+    False
+    >>> state, updates = tracker.finish(state)
+    >>> updates[0].index, updates[0].is_final
+    (0, True)
     """
 
-    model: PedestrianModel  # with exactly one mode for each context
+    model: PedestrianModel
     threshold: float = 0.8
-    function: Weighting | None = None  # maps context probabilities (C,) to weights (C,); replaces the threshold
+    function: Weighting | None = None
 
-    # A step is final when the window after the one in which it is new is known.
+    # A step is final when the window after the first one that contains it is known.
     waits_for_windows = 2
 
     def __post_init__(self) -> None:
@@ -75,21 +108,57 @@ class WeightedTracker:
 
     @property
     def weighting(self) -> str:
-        """Short name: "hc", "wc", or the name of the function."""
+        """Short name of the weighting: "hc", "wc", or the name of the function."""
         if self.function is not None:
             return str(getattr(self.function, "__name__", type(self.function).__name__))
         return "hc" if self.threshold == HC else "wc"
 
     def init(self) -> WeightedState:
-        """State at the origin."""
+        """Return the state at the origin, before the first event.
+
+        Returns
+        -------
+        WeightedState
+            State with an initial estimate for each filter.
+        """
         return WeightedState(initial_state(self.model, np.ones(1)), (), self.model.long_run_mode_prob, ())
 
     def on_window(self, state: WeightedState, window: WindowContext) -> tuple[WeightedState, tuple[StepUpdate, ...]]:
-        """New state, and the steps that this window made final."""
+        """Return the state after a context window.
+
+        Parameters
+        ----------
+        state : WeightedState
+            State before the event.
+        window : WindowContext
+            Context probabilities of a window.
+
+        Returns
+        -------
+        state : WeightedState
+            State after the window.
+        updates : tuple of StepUpdate
+            Steps that this window made final.
+        """
         return self._settle(replace_unchecked(state, windows=with_window(state.windows, window)), force=False)
 
     def on_step(self, state: WeightedState, step: Step) -> tuple[WeightedState, tuple[StepUpdate, ...]]:
-        """Return the new state, the steps that became final, and a provisional update of this step."""
+        """Return the state after a step, and the track rows that it produces.
+
+        Parameters
+        ----------
+        state : WeightedState
+            State before the event.
+        step : Step
+            Detected step.
+
+        Returns
+        -------
+        state : WeightedState
+            State after the step.
+        updates : tuple of StepUpdate
+            Steps that became final, and a provisional update of this step.
+        """
         state = replace_unchecked(state, pending=(*state.pending, step))
         state, final = self._settle(state, force=False)
         provisional_state, provisional = state, tuple[StepUpdate, ...]()
@@ -99,27 +168,72 @@ class WeightedTracker:
         return state, (*final, *provisional)
 
     def on_gap(self, state: WeightedState, gap_s: float) -> tuple[WeightedState, tuple[StepUpdate, ...]]:
-        """New state after a time without samples: waiting steps are final, windows start afresh."""
+        """Return the state after a gap, a time without samples.
+
+        Parameters
+        ----------
+        state : WeightedState
+            State before the event.
+        gap_s : float
+            Duration of the gap in s.
+
+        Returns
+        -------
+        state : WeightedState
+            State after the gap: positions and headings are less certain, and earlier windows are discarded.
+        updates : tuple of StepUpdate
+            Pending steps, which the gap makes final.
+        """
         state, final = self._settle(state, force=True)
         return replace_unchecked(
             state, pedestrian=over_gap(state.pedestrian, gap_s, self.model.noise), windows=()
         ), final
 
     def on_fix(self, state: WeightedState, fix: Fix) -> tuple[WeightedState, FixOutcome, float]:
-        """New state after a fix, what became of it, and its normalised innovation squared; see `use_fix`."""
+        """Return the state after a fix, and how the fix was used.
+
+        Parameters
+        ----------
+        state : WeightedState
+            State before the event.
+        fix : Fix
+            Measurement of position, heading, speed, range or standstill.
+
+        Returns
+        -------
+        state : WeightedState
+            State after the fix.
+        outcome : FixOutcome
+            How the fix was used, such as "used" or "rejected".
+        nis : float
+            Normalised innovation squared of the fix, or NaN if it was not compared with the track.
+        """
         pedestrian, outcome, nis = use_fix(self.model, NumpyImm(), state.pedestrian, np.zeros(1), fix)
         return replace_unchecked(state, pedestrian=pedestrian), outcome, nis
 
     def finish(self, state: WeightedState) -> tuple[WeightedState, tuple[StepUpdate, ...]]:
-        """New state with every waiting step final: no further window will come."""
+        """Return the state after the last event.
+
+        Parameters
+        ----------
+        state : WeightedState
+            State before the event.
+
+        Returns
+        -------
+        state : WeightedState
+            State without pending steps.
+        updates : tuple of StepUpdate
+            Pending steps, which become final because no window follows.
+        """
         return self._settle(state, force=True)
 
     def _settle(self, state: WeightedState, force: bool) -> tuple[WeightedState, tuple[StepUpdate, ...]]:
-        """Make steps final, in order, whose last window is known (or all, if no further window will come)."""
+        """Make those pending steps final, in order, whose last window is known, or all if `force` is True."""
         final = list[StepUpdate]()
         while state.pending:
             step = state.pending[0]
-            # where windows do not come, steps wait no longer than windows are remembered
+            # without windows, steps wait at most as long as windows are stored
             waits = state.pending[-1].time_s - step.time_s <= WINDOW_MEMORY_S
             if window_after(state.windows, step.time_s) is None and waits and not force:
                 break
@@ -128,28 +242,28 @@ class WeightedTracker:
         return state, tuple(final)
 
     def _weighted_step(self, state: WeightedState, is_final: bool) -> tuple[WeightedState, StepUpdate]:
-        """Return the state after the first waiting step, and the update of that step."""
+        """Return the state after the first pending step, and the update of that step."""
         model, step = self.model, state.pending[0]
         context_prob, weights = self._weights(state, step, is_final)
-        previous = with_open_turn(state.pedestrian)
+        previous = with_reopened_rotation(state.pedestrian)
         if previous.fixes.is_standing(step.time_s):
             weights = 1.0 - model.moves
         directions = model.directions.weighted(weights)
         turned, drifted_cov = with_heading(previous, step, directions, model.noise)
-        ahead, walked = self._ahead(turned.estimates, step, weights, directions)
-        walked_m = previous.estimates.walked_m + ahead.motion.length_m
-        predicted = replace_unchecked(turned.estimates, mean=ahead.mean, cov=ahead.cov, walked_m=walked_m)
+        advanced, walked = self._advanced(turned.estimates, step, weights, directions)
+        walked_m = previous.estimates.walked_m + advanced.motion.length_m
+        predicted = replace_unchecked(turned.estimates, mean=advanced.mean, cov=advanced.cov, walked_m=walked_m)
         combined = predicted.mean[0], predicted.cov[0]
-        event = WalkedStep.of(step.time_s, previous.estimates, drifted_cov, turned.estimates, ahead, combined[0])
+        event = WalkedStep.of(step.time_s, previous.estimates, drifted_cov, turned.estimates, advanced, combined[0])
         updated = with_step(replace_unchecked(turned, estimates=predicted), step, walked, combined, event)
         update = step_update(previous, updated, step, walked, combined, context_prob, weights, model.contexts, is_final)
         mode_prob = weights if is_final else state.mode_prob
         return replace_unchecked(state, pedestrian=updated, pending=state.pending[1:], mode_prob=mode_prob), update
 
     def _weights(self, state: WeightedState, step: Step, is_final: bool) -> tuple[FloatArray, FloatArray]:
-        """Context probabilities (C,) and weights of the modes (M,) of a step.
+        """Return the context probabilities (C,) and the mode weights (M,) of a step.
 
-        Both are the mean of the provisional and the final ones, as (d + pd) / 2 of the algorithms.
+        Both are the mean of provisional and final values, as the distance (d + pd) / 2 in Algorithms 1 and 2.
         """
         provisional = self._prob_of(state, window_around(state.windows, step.time_s))
         final = self._prob_of(state, window_after(state.windows, step.time_s)) if is_final else provisional
@@ -157,7 +271,7 @@ class WeightedTracker:
         return 0.5 * (provisional + final), weights[self.model.context_index]
 
     def _weights_of(self, context_prob: FloatArray) -> FloatArray:
-        """Weights of the contexts (C,)."""
+        """Return the weights (C,) for context probabilities (C,)."""
         if self.function is None:
             return context_weights(context_prob, self.threshold)
         weights = np.asarray(self.function(context_prob.copy()), dtype=float)
@@ -168,14 +282,17 @@ class WeightedTracker:
             )
         return weights
 
-    def _ahead(
+    def _advanced(
         self, estimates: Estimates, step: Step, weights: FloatArray, directions: Directions
     ) -> tuple[Advance, Walked]:
-        """Displacement of a step whose length is that of the modes weighted (M,), and that step."""
+        """Return the prediction of a step and the weighted step, for weights of the modes (M,).
+
+        The length of the step is the weighted mean over the modes.
+        """
         lengths = self.model.lengths(step)
         length_m, length_var_m2 = float(weights @ lengths.length_m), lengths.mixture_var_m2(weights)
         single_var_m2 = max(length_var_m2 - float(weights @ lengths.parameter_std_m**2), 0.0)
-        ahead = advance(
+        advanced = advance(
             estimates.mean,
             estimates.cov,
             step,
@@ -184,7 +301,7 @@ class WeightedTracker:
             directions,
             self.model.noise,
         )
-        motion, mean = ahead.motion, ahead.mean
+        motion, mean = advanced.motion, advanced.mean
         walked = Walked(
             length_m=float(motion.length_m[0]),
             length_var_m2=length_var_m2,
@@ -192,10 +309,13 @@ class WeightedTracker:
             parameter_std_m=weights * lengths.parameter_std_m * motion.scale,
             direction=motion.along,
         )
-        return ahead, walked
+        return advanced, walked
 
     def _prob_of(self, state: WeightedState, window: WindowContext | None) -> FloatArray:
-        """Context probabilities (C,) of a window; without it of the latest; else those so far."""
+        """Return the context probabilities (C,) of a window.
+
+        Without a window they are those of the latest window. Without any window they are those of the last final step.
+        """
         if window is None and not state.windows:
             return self.model.context_prob(state.mode_prob)
         return (window or state.windows[-1]).prob

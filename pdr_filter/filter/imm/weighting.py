@@ -1,6 +1,6 @@
-"""Context probabilities -> HC and WC distances, and -> log evidence for the modes of the IMM.
+"""Weights and evidence of context windows: HC and WC distances, and log evidence for the modes of the IMM.
 
-HC (highest context) and WC (weighted context) are Algorithms 1 and 2 of Martinelli et al. 2018, section VI.B.
+HC (highest context) and WC (weighted context) are Algorithms 1 and 2 of Martinelli et al. (2018), section VI.B.
 """
 
 from __future__ import annotations
@@ -18,16 +18,17 @@ from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, IntArray
 WEIGHTINGS = ("hc", "wc", "imm")
 
 
-# A function of context probabilities (C,) that returns weights (C,): 0 or more, with the sum one.
+#: A function of context probabilities (C,) that returns weights (C,): 0 or more, with the sum one.
 Weighting = Callable[[FloatArray], FloatArray]
 
 
 def context_weights(context_prob: FloatArray, threshold: float) -> FloatArray:
-    """Weight of each context, shape (C,): the probabilities if the context is uncertain, else one for the highest.
+    """Return the weights of the contexts (C,) for context probabilities (C,).
 
-    Uncertain means second-highest over highest probability >= threshold (the condition of Algorithm 2). Threshold 1
-    gives HC unless the two are equal, 0 always WC; `HC` (infinity) is HC without exception. Of equal maxima the first
-    wins (eq. 19).
+    If the context is uncertain, the weights are the probabilities. Otherwise the most probable context has weight one.
+    The context is uncertain if second-highest / highest probability >= threshold (the condition of Algorithm 2).
+    Threshold 0 is always WC. Threshold 1 is HC unless the two probabilities are equal. The threshold `HC` (infinity) is
+    always HC. Among equal maxima the first one has the weight (eq. 19).
     """
     second, first = np.partition(context_prob, -2)[-2:]
     if second >= threshold * first:
@@ -37,38 +38,79 @@ def context_weights(context_prob: FloatArray, threshold: float) -> FloatArray:
     return weights
 
 
-HC = np.inf  # as a threshold: never weighted
+HC = np.inf  # threshold with which the highest context is always used
 
 
 @dataclass(frozen=True, eq=False)
 class WeightedDistances:
-    """Distances of Algorithms 1 and 2 for epochs 1 to K, each (K,), in m."""
+    """Distances of Algorithms 1 and 2 of Martinelli et al. (2018) for epochs 1 to K, in m.
 
-    provisional_m: FloatArray  # pd_k
-    final_m: FloatArray  # d_k
-    total_final_m: FloatArray  # D_k
-    total_provisional_m: FloatArray  # PD_k
+    Attributes
+    ----------
+    provisional_m : (K,) array
+        Provisional distance pd_k of each epoch.
+    final_m : (K,) array
+        Final distance d_k of each epoch.
+    total_final_m : (K,) array
+        Total final distance D_k.
+    total_provisional_m : (K,) array
+        Total provisional distance PD_k.
+    """
+
+    provisional_m: FloatArray
+    final_m: FloatArray
+    total_final_m: FloatArray
+    total_provisional_m: FloatArray
 
 
 def weighted_distances(distance_m: FloatArray, context_prob: FloatArray, threshold: float) -> WeightedDistances:
-    """HC (threshold `HC`) or WC distances, exactly as Algorithms 1 and 2.
-
-    pd_k = d_k . w_{k-1};  d_{k-1} = d_{k-1} . w_{k-1};  D_{k-1} = D_{k-2} + (d_{k-1} + pd_{k-1}) / 2;
-    PD_k = PD_{k-1} + (d_{k-1} - pd_{k-1}) / 2 + pd_k, with w_k the weights of the context window k.
+    """Return the HC or WC distances of epochs, exactly as Algorithms 1 and 2 of Martinelli et al. (2018).
 
     Parameters
     ----------
-    distance_m : (K, C)
-        Distance of each epoch if it had been each context (eq. 17, 18).
-    context_prob : (K + 1, C)
-        Probabilities of window 0 (before the first epoch) to K.
+    distance_m : (K, C) array
+        Distance of each epoch for each context (eq. 17, 18).
+    context_prob : (K + 1, C) array
+        Context probabilities of the windows 0 to K. Window 0 is before the first epoch.
     threshold : float
-        See `context_weights`.
+        Ratio of the second-highest to the highest probability from which the contexts are weighted by their
+        probabilities (WC). Otherwise the highest context is used. `HC` (infinity) always uses the highest context.
+
+    Returns
+    -------
+    WeightedDistances
+        Provisional, final and total distances.
+
+    Raises
+    ------
+    ValueError
+        If `context_prob` does not have one row more than `distance_m`.
+
+    Notes
+    -----
+    With w_k the weights of context window k, pd_k = d_k . w_{k-1};  d_{k-1} = d_{k-1} . w_{k-1};
+    D_{k-1} = D_{k-2} + (d_{k-1} + pd_{k-1}) / 2;  PD_k = PD_{k-1} + (d_{k-1} - pd_{k-1}) / 2 + pd_k.
+
+    References
+    ----------
+    A. Martinelli, H. Gao, P. D. Groves, S. Morosi, "Probabilistic Context-Aware Step Length Estimation for Pedestrian
+    Dead Reckoning", IEEE Sensors Journal 18(4), 2018, doi:10.1109/JSEN.2017.2776100.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.filter.imm.weighting import HC, weighted_distances
+    >>> prob = np.array([[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]])
+    >>> distance_m = np.array([[1.0, 0.4], [1.0, 0.4]])
+    >>> weighted_distances(distance_m, prob, threshold=0.8).final_m
+    array([0.7, 0.4])
+    >>> weighted_distances(distance_m, prob, threshold=HC).final_m
+    array([1. , 0.4])
     """
     if len(context_prob) != len(distance_m) + 1:
         raise ValueError(
-            f"context_prob needs one row more than distance_m (window 0 first), got {len(context_prob)} and "
-            f"{len(distance_m)}"
+            f"context_prob must have one row more than distance_m, got {len(context_prob)} and {len(distance_m)} rows: "
+            "begin it with window 0, before the first epoch"
         )
     weights = np.stack([context_weights(p, threshold) for p in context_prob])
     provisional = (distance_m * weights[:-1]).sum(axis=1)
@@ -82,28 +124,35 @@ def weighted_distances(distance_m: FloatArray, context_prob: FloatArray, thresho
 def context_log_evidence(
     context_prob: FloatArray, training_prior: FloatArray, exponent: float, floor: float, prior_exponent: float = 1.0
 ) -> FloatArray:
-    """Log evidence of each context, shape (..., C): exponent (log max(p, floor) - prior_exponent log prior).
+    """Return the log evidence of each context, (..., C): exponent (log max(p, floor) - prior_exponent log prior).
 
-    The classifier gives p(context | features), so it is divided by the prior of its training set to leave what the
-    features say. The exponent tempers it, because overlapping windows repeat the same second of data: with hop over
-    window each second votes once. A prior exponent of one is Bayes' rule for calibrated probabilities; a smaller one
-    trusts the prior of an uncalibrated classifier less. The floor keeps one overconfident window from ruling a context
-    out. A context that the classifier was not trained on (prior zero) gets the floor against an even prior: unlikely,
-    not impossible.
+    The classifier gives p(context | features). Division by the prior of its training set leaves the likelihood of the
+    features.
+
+    - The exponent tempers the evidence, because overlapping windows contain the same data. With exponent hop / window
+      length each second of data counts once.
+    - A prior exponent of one is Bayes' rule for calibrated probabilities. A smaller one divides out less of the prior,
+      for classifiers that are not calibrated.
+    - The floor keeps a single overconfident window from excluding a context.
+
+    A context without training data (prior zero) gets the floor and a uniform prior: it is improbable but not
+    impossible.
     """
     prior = np.where(training_prior > 0, training_prior, 1.0 / training_prior.shape[-1])
     return exponent * (np.log(np.maximum(context_prob, floor)) - prior_exponent * np.log(prior))
 
 
 def carrying_log_evidence(prob: FloatArray, previous_prob: FloatArray | None, n_windows: int) -> FloatArray:
-    """Log evidence (D,) of the windows since `before` for where the phone is: the new probabilities over the old ones.
+    """Return the log evidence (D,) for the carrying modes of the windows since the previous evidence.
 
-    Probabilities of the carrying mode are of all windows so far, so each of them holds the earlier ones once more. What
-    the last windows added is log p_k - log(predicted p_{k-n}), the prediction by the transitions with which they were
-    followed (`context.stage.follow_mode`); exact if the mode did not change in between. `before` is None for the first.
-    A carrying mode that the classifier does not know (probability zero) has no evidence for or against it. For stages
-    that say of each window alone where the phone is (those of two published recipes), this is a difference of two
-    windows and means little: give modes a carrying mode with the learned contexts of the default only.
+    Probabilities of the carrying mode depend on all windows so far, so that later ones contain the evidence of earlier
+    ones again. The evidence of the last n windows alone is log p_k - log(predicted p_{k-n}). The prediction applies the
+    transitions of the context stage (`context_stage.follow_mode`) n times. It is exact if the mode did not change in
+    between. `previous_prob` is None before the first evidence. A carrying mode unknown to the classifier (probability
+    zero) has evidence 0.
+
+    Two published recipes classify the carrying mode in each window alone. For them this difference between two windows
+    has little meaning. Give modes a carrying mode only with the learned contexts of the default.
     """
     is_known = prob > 0
     n_known = max(int(is_known.sum()), 1)
@@ -116,14 +165,26 @@ def carrying_log_evidence(prob: FloatArray, previous_prob: FloatArray | None, n_
 
 @dataclass(frozen=True, eq=False)
 class ModeEvidence:
-    """What a window says for each mode of a filter; exponents and floor are those of `context_log_evidence`."""
+    """Log evidence of context windows for the modes of a filter.
 
-    contexts: tuple[str, ...]  # context of each mode: one of `window_contexts`, or "irregular"
-    carrying_modes: tuple[str | None, ...]  # carrying mode of each mode; None for all
+    Attributes
+    ----------
+    contexts : tuple of str
+        Context of each mode: one of `window_contexts`, or "irregular".
+    carrying_modes : tuple of str or None
+        Carrying mode of each mode, or None for any carrying mode.
+    exponent, prior_exponent, floor : float
+        Parameters of `context_log_evidence`.
+    window_contexts : tuple of str, default `CONTEXTS`
+        C contexts in the order of the probabilities of a window.
+    """
+
+    contexts: tuple[str, ...]
+    carrying_modes: tuple[str | None, ...]
     exponent: float
     prior_exponent: float
     floor: float
-    window_contexts: tuple[str, ...] = CONTEXTS  # C, in the order of the probabilities of a window
+    window_contexts: tuple[str, ...] = CONTEXTS
 
     @cached_property
     def _context_index(self) -> IntArray:
@@ -132,13 +193,15 @@ class ModeEvidence:
 
     @cached_property
     def _carrying_index(self) -> IntArray:
-        # the last entry is that of any carrying mode
+        # the last index stands for any carrying mode
         return np.array([len(CARRYING_MODES) if c is None else CARRYING_MODES.index(c) for c in self.carrying_modes])
 
     def of(self, window: WindowContext, used: WindowContext | None, n_windows: int) -> FloatArray:
-        """Log evidence (M,) of a window, given the one that was evidence `n_windows` before it (None: there was none).
+        """Return the log evidence (M,) of a window.
 
-        With an irregular mode the contexts share what the gate leaves: (1 - p_irregular) p_c, of a prior of one half.
+        `used` is the previous window that was used as evidence, `n_windows` windows earlier, or None. If there is an
+        irregular mode, the gate's probability p_irregular belongs to it, and the contexts get (1 - p_irregular) p_c.
+        The prior of irregular motion is one half.
         """
         prob, prior = window.prob, window.training_prior
         if IRREGULAR in self.contexts:

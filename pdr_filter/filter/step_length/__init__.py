@@ -6,7 +6,7 @@ from typing import Any
 
 
 def __getattr__(name: str) -> Any:
-    """Names of the former module `pdr_filter.filter.step_length`, for one release."""
+    """Return a name of the former module `pdr_filter.filter.step_length`, with a deprecation warning."""
     if not name.startswith("_") and name != "models":
         module = importlib.import_module(f"{__name__}.models")
         if name in vars(module):

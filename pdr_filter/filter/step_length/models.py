@@ -1,6 +1,7 @@
-"""Step-length models: how long a step is, and how that depends on a model's parameters.
+"""Step-length models, and fits of their parameters.
 
-The filter and the calibration use the same ones. docs/methods/step_length.md compares them on real walks.
+A model gives the length of a step as a function of the step and of parameters theta. The filter and the calibration use
+the same models. docs/methods/step_length.md compares them on real walks.
 """
 
 from __future__ import annotations
@@ -33,40 +34,168 @@ class _Parameters(Protocol):
 
 
 class LinearStepLengthModel(_Parameters, Protocol):
-    """A model that is linear in its parameters: length = regressors(step) @ theta."""
+    """Protocol of a step-length model that is linear in its parameters.
+
+    The length in m is `regressors(step) @ theta`, with p parameters theta. Any class with `n_params` and `regressors`
+    fulfils the protocol. A frozen dataclass is recommended, because instances should be hashable and can then be saved.
+
+    Attributes
+    ----------
+    n_params : int
+        Number p of parameters.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> import numpy as np
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP
+    >>> @dataclass(frozen=True)
+    ... class Affine:
+    ...     n_params: int = 2
+    ...
+    ...     def regressors(self, step):
+    ...         return np.array([1.0, step.frequency_hz])
+    >>> fit = pdr.StepLengthFit(Affine(), np.array([0.2, 0.25]), np.zeros((2, 2)), residual_std_m=0.06)
+    >>> length_m, var_m2 = fit.predict(TYPICAL_STEP)
+    >>> round(length_m, 4), round(var_m2, 4)
+    (0.6625, 0.0036)
+    """
 
     def regressors(self, step: Step) -> FloatArray:
-        """Regressors of one step, shape (p,): also the derivative of the length with respect to theta."""
+        """Return the regressors of one step, which are also the derivative of its length with respect to theta.
+
+        Parameters
+        ----------
+        step : Step
+            Step whose length is modelled.
+
+        Returns
+        -------
+        (p,) array
+            Regressors, one for each parameter.
+        """
         ...
 
 
 class SmoothStepLengthModel(_Parameters, Protocol):
-    """A model that is not linear in its parameters; theta may have any leading axes."""
+    """Protocol of a step-length model that is a smooth, nonlinear function of its parameters.
+
+    Any class with `n_params`, `length_m` and `jacobian` fulfils the protocol. The parameters theta may have leading
+    axes, so that one call evaluates many parameter vectors.
+
+    Attributes
+    ----------
+    n_params : int
+        Number p of parameters.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> import numpy as np
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP
+    >>> @dataclass(frozen=True)
+    ... class PowerLaw:
+    ...     n_params: int = 2
+    ...
+    ...     def length_m(self, step, theta):
+    ...         return theta[..., 0] * step.frequency_hz ** theta[..., 1]
+    ...
+    ...     def jacobian(self, step, theta):
+    ...         power = step.frequency_hz ** theta[..., 1]
+    ...         return np.stack([power, theta[..., 0] * power * np.log(step.frequency_hz)], axis=-1)
+    >>> fit = pdr.StepLengthFit(PowerLaw(), np.array([0.5, 0.6]), np.zeros((2, 2)), residual_std_m=0.06)
+    >>> round(fit.predict(TYPICAL_STEP)[0], 3)
+    0.723
+    """
 
     def length_m(self, step: Step, theta: FloatArray) -> FloatArray:
-        """Length in m under theta (..., p), shape (...)."""
+        """Return the length of a step for given parameters.
+
+        Parameters
+        ----------
+        step : Step
+            Step whose length is modelled.
+        theta : (..., p) array
+            Parameters, with any leading axes.
+
+        Returns
+        -------
+        (...) array
+            Length in m.
+        """
         ...
 
     def jacobian(self, step: Step, theta: FloatArray) -> FloatArray:
-        """Derivative of the length with respect to theta (..., p), same shape."""
+        """Return the derivative of the length with respect to the parameters.
+
+        Parameters
+        ----------
+        step : Step
+            Step whose length is modelled.
+        theta : (..., p) array
+            Parameters, with any leading axes.
+
+        Returns
+        -------
+        (..., p) array
+            Derivative of the length in m with respect to each parameter.
+        """
         ...
 
 
+#: A step-length model that is linear in its parameters, or one with a Jacobian.
 StepLengthModel = LinearStepLengthModel | SmoothStepLengthModel
 
 
 def length_and_jacobian(model: StepLengthModel, step: Step, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Length in m, shape (...), and its derivative (..., p), for parameters theta (..., p); the length may be negative.
+    """Return the length of a step and its derivative with respect to the parameters of a model.
 
-    The jacobian of a linear model is the same for every theta and has the shape (p,). Sums go along the last axis only,
-    so that the bits of one theta do not depend on those beside it.
+    Parameters
+    ----------
+    model : LinearStepLengthModel or SmoothStepLengthModel
+        Step-length model with p parameters.
+    step : Step
+        Step whose length is modelled.
+    theta : (..., p) array
+        Parameters, with any leading axes.
+
+    Returns
+    -------
+    length_m : (...) array
+        Length in m, which may be negative for extreme parameters.
+    jacobian : (..., p) array
+        Derivative of the length with respect to theta. For a linear model it does not depend on theta and has the shape
+        (p,).
+
+    Raises
+    ------
+    TypeError
+        If the model has neither `regressors` nor `length_m` and `jacobian`.
+
+    Notes
+    -----
+    Sums run along the last axis only. The result for one theta is therefore identical, bit by bit, whether theta
+    is passed alone or together with others.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP, FrequencyStepLength, length_and_jacobian
+    >>> length_m, jacobian = length_and_jacobian(FrequencyStepLength(), TYPICAL_STEP, np.array([0.2, 0.25]))
+    >>> round(float(length_m), 4), jacobian
+    (0.6625, array([1.  , 1.85]))
     """
     if _is_linear(model):
         r = np.asarray(model.regressors(step), dtype=float)
         return np.add.reduce(theta * r, axis=-1), r
     if _is_smooth(model):
         return model.length_m(step, theta), model.jacobian(step, theta)
-    raise TypeError(f"{type(model).__name__} has neither regressors nor length_m and jacobian")
+    raise TypeError(
+        f"step-length model {type(model).__name__} has neither regressors nor length_m and jacobian: define the "
+        "methods of LinearStepLengthModel or of SmoothStepLengthModel in pdr_filter.protocols"
+    )
 
 
 def _is_linear(model: StepLengthModel) -> TypeGuard[LinearStepLengthModel]:
@@ -77,7 +206,7 @@ def _is_smooth(model: StepLengthModel) -> TypeGuard[SmoothStepLengthModel]:
     return hasattr(model, "jacobian")
 
 
-# Height of somebody of whom it is not known, m: between the means of women and men.
+# Body height of a person of unknown height, in m: between the means of women and men.
 USUAL_HEIGHT_M = 1.70
 
 # --- models from papers ---------------------------------------------------------------------------------------------
@@ -85,7 +214,35 @@ USUAL_HEIGHT_M = 1.70
 
 @dataclass(frozen=True)
 class StaticStepLength:
-    """L = k h, theta = (k,) without unit (Tian et al. 2016, eq. 2; Guo et al. 2018, eq. 10)."""
+    """Step length proportional to the body height, L = k h.
+
+    The parameter theta = (k,) has no unit.
+
+    Attributes
+    ----------
+    height_m : float
+        Body height h in m.
+    n_params : int, default 1
+        Number p of parameters. Do not change it.
+
+    Notes
+    -----
+    Tian et al. (2016), eq. 2; Guo et al. (2018), eq. 10.
+
+    References
+    ----------
+    Q. Tian, Z. Salcic, K. I.-K. Wang, Y. Pan, "A Multi-Mode Dead Reckoning System for Pedestrian Tracking Using
+    Smartphones", IEEE Sensors Journal, 2016, doi:10.1109/JSEN.2015.2510364.
+
+    G. Guo, R. Chen, F. Ye, L. Chen, Y. Pan, M. Liu, Z. Cao, "A Pose Awareness Solution for Estimating Pedestrian
+    Walking Speed", Remote Sensing 11(1), 55, 2019, doi:10.3390/rs11010055.
+
+    Examples
+    --------
+    >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP, StaticStepLength
+    >>> StaticStepLength(height_m=1.7).regressors(TYPICAL_STEP).round(3)
+    array([1.7])
+    """
 
     height_m: float
     n_params: int = 1
@@ -94,29 +251,108 @@ class StaticStepLength:
         check_numbers(self)
 
     def regressors(self, step: Step) -> FloatArray:
-        """(h,)."""
+        """Return the regressors (h,) of a step.
+
+        Parameters
+        ----------
+        step : Step
+            Step whose length is modelled.
+
+        Returns
+        -------
+        (p,) array
+            Regressors. The length is `regressors(step) @ theta`.
+        """
         return np.array([self.height_m])
 
 
 @dataclass(frozen=True)
 class FrequencyStepLength:
-    """L = k0 + k1 f, theta = (k0, k1) in m, m s (Zhou et al. 2019, eq. 7: their M1)."""
+    """Step length linear in the step frequency, L = k0 + k1 f.
+
+    The parameters are theta = (k0, k1) in m and m s.
+
+    Attributes
+    ----------
+    n_params : int, default 2
+        Number p of parameters. Do not change it.
+
+    Notes
+    -----
+    Model M1 of Zhou et al. (2019), eq. 7.
+
+    References
+    ----------
+    Z. Zhou, S. Mo, J. Wu, H. Fourati, "Behaviors classification based distance measuring system for pedestrians via a
+    foot-mounted inertial sensor", Asian Journal of Control 21(4), 2019, doi:10.1002/asjc.2005.
+
+    Examples
+    --------
+    >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP, FrequencyStepLength
+    >>> FrequencyStepLength().regressors(TYPICAL_STEP).round(3)
+    array([1.  , 1.85])
+    """
 
     n_params: int = 2
 
     def regressors(self, step: Step) -> FloatArray:
-        """(1, f)."""
+        """Return the regressors (1, f) of a step.
+
+        Parameters
+        ----------
+        step : Step
+            Step whose length is modelled.
+
+        Returns
+        -------
+        (p,) array
+            Regressors. The length is `regressors(step) @ theta`.
+        """
         return np.array([1.0, step.frequency_hz])
 
 
 @dataclass(frozen=True)
 class FrequencyVarianceStepLength:
-    """L = k0 + k1 f_s + k2 sigma_f^2, theta = (k0, k1, k2) in m, m s, s4/m.
+    """Step length linear in step frequency and variance, L = k0 + k1 f_s + k2 sigma_f^2.
 
-    Martinelli et al. (2018), eq. 12; Zhou et al. (2019), eq. 8: their M2. `max_variance` bounds sigma_f^2 in m2/s4:
-    the variance of a phone in a trouser pocket reaches ten times that of one in the hand, and a parameter fitted in the
-    hand would make giants of them (deviation: the papers have one placement, waist or foot, and no bound).
-    `max_frequency_hz` bounds f_s: sprinters reach 4.5 steps per second, and shorter intervals end at a false contact.
+    The parameters are theta = (k0, k1, k2) in m, m s and s4/m. sigma_f^2 is the variance of the magnitude of the
+    specific force over the step.
+
+    Attributes
+    ----------
+    max_variance : float, default infinity
+        Upper bound of sigma_f^2 in m2/s4; larger values count as the bound. The variance of a phone in a trouser pocket
+        reaches ten times that of a phone in the hand. Parameters that were fitted in the hand would then give far too
+        long steps.
+    max_frequency_hz : float, default 4.5
+        Upper bound of f_s in Hz; larger values count as the bound. Sprinters reach 4.5 steps per second. Shorter
+        intervals end at a false contact.
+    n_params : int, default 3
+        Number p of parameters. Do not change it.
+
+    Raises
+    ------
+    ValueError
+        If a field is not a positive number (the bounds may be infinite).
+
+    Notes
+    -----
+    Martinelli et al. (2018), eq. 12; model M2 of Zhou et al. (2019), eq. 8. The bounds are a deviation: each
+    paper has only one placement of the sensor (waist or foot) and no bound.
+
+    References
+    ----------
+    A. Martinelli, H. Gao, P. D. Groves, S. Morosi, "Probabilistic Context-Aware Step Length Estimation for
+    Pedestrian Dead Reckoning", IEEE Sensors Journal 18(4), 2018, doi:10.1109/JSEN.2017.2776100.
+
+    Z. Zhou, S. Mo, J. Wu, H. Fourati, "Behaviors classification based distance measuring system for pedestrians via a
+    foot-mounted inertial sensor", Asian Journal of Control 21(4), 2019, doi:10.1002/asjc.2005.
+
+    Examples
+    --------
+    >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP, FrequencyVarianceStepLength
+    >>> FrequencyVarianceStepLength(max_variance=3.0).regressors(TYPICAL_STEP).round(3)
+    array([1.  , 1.85, 3.  ])
     """
 
     max_variance: float = np.inf
@@ -127,66 +363,253 @@ class FrequencyVarianceStepLength:
         check_numbers(self, infinite=("max_variance", "max_frequency_hz"))
 
     def regressors(self, step: Step) -> FloatArray:
-        """(1, f_s, sigma_f^2)."""
+        """Return the regressors (1, f_s, sigma_f^2) of a step.
+
+        Parameters
+        ----------
+        step : Step
+            Step whose length is modelled.
+
+        Returns
+        -------
+        (p,) array
+            Regressors. The length is `regressors(step) @ theta`.
+        """
         frequency_hz = min(step.frequency_hz, self.max_frequency_hz)
         return np.array([1.0, frequency_hz, min(step.variance, self.max_variance)])
 
 
 @dataclass(frozen=True)
 class PeriodPeakStepLength:
-    """L = k0 + k1 / f + k2 max(a), theta = (k0, k1, k2) in m, m/s, s2; a = |f| - g (Zhou et al. 2019, eq. 9: M3)."""
+    """Step length linear in step duration and acceleration maximum, L = k0 + k1 / f + k2 max(a).
+
+    The parameters are theta = (k0, k1, k2) in m, m/s and s2. a = |f| - g is the magnitude of the specific force less
+    standard gravity.
+
+    Attributes
+    ----------
+    n_params : int, default 3
+        Number p of parameters. Do not change it.
+
+    Notes
+    -----
+    Model M3 of Zhou et al. (2019), eq. 9.
+
+    References
+    ----------
+    Z. Zhou, S. Mo, J. Wu, H. Fourati, "Behaviors classification based distance measuring system for pedestrians via a
+    foot-mounted inertial sensor", Asian Journal of Control 21(4), 2019, doi:10.1002/asjc.2005.
+
+    Examples
+    --------
+    >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP, PeriodPeakStepLength
+    >>> PeriodPeakStepLength().regressors(TYPICAL_STEP).round(3)
+    array([1.   , 0.541, 3.993])
+    """
 
     n_params: int = 3
 
     def regressors(self, step: Step) -> FloatArray:
-        """(1, 1 / f, max(a))."""
+        """Return the regressors (1, 1 / f, max(a)) of a step.
+
+        Parameters
+        ----------
+        step : Step
+            Step whose length is modelled.
+
+        Returns
+        -------
+        (p,) array
+            Regressors. The length is `regressors(step) @ theta`.
+        """
         return np.array([1.0, 1 / step.frequency_hz, step.magnitude_max_mps2 - STANDARD_GRAVITY_MPS2])
 
 
 @dataclass(frozen=True)
 class WeinbergStepLength:
-    """L = k (a_max - a_min)^(1/4), a vertical, theta = (k,) in m^(3/4) s^(1/2).
+    """Step length from the range of the vertical acceleration, L = k (a_max - a_min)^(1/4).
 
+    The parameter theta = (k,) has the unit m^(3/4) s^(1/2). a is the vertical specific force less gravity.
+
+    Attributes
+    ----------
+    n_params : int, default 1
+        Number p of parameters. Do not change it.
+
+    Notes
+    -----
     Tian et al. (2016), eq. 3; Guo et al. (2018), eq. 11.
+
+    References
+    ----------
+    Q. Tian, Z. Salcic, K. I.-K. Wang, Y. Pan, "A Multi-Mode Dead Reckoning System for Pedestrian Tracking Using
+    Smartphones", IEEE Sensors Journal, 2016, doi:10.1109/JSEN.2015.2510364.
+
+    G. Guo, R. Chen, F. Ye, L. Chen, Y. Pan, M. Liu, Z. Cao, "A Pose Awareness Solution for Estimating Pedestrian
+    Walking Speed", Remote Sensing 11(1), 55, 2019, doi:10.3390/rs11010055.
+
+    Examples
+    --------
+    >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP, WeinbergStepLength
+    >>> WeinbergStepLength().regressors(TYPICAL_STEP).round(3)
+    array([1.627])
     """
 
     n_params: int = 1
 
     def regressors(self, step: Step) -> FloatArray:
-        """((a_max - a_min)^(1/4),)."""
+        """Return the regressors ((a_max - a_min)^(1/4),) of a step.
+
+        Parameters
+        ----------
+        step : Step
+            Step whose length is modelled.
+
+        Returns
+        -------
+        (p,) array
+            Regressors. The length is `regressors(step) @ theta`.
+        """
         return np.array([step.vertical_range_mps2**0.25])
 
 
 @dataclass(frozen=True)
 class MagnitudeRangeStepLength:
-    """L = k (max(a) - min(a))^(1/4), a = |f| - g, theta = (k,) (Zhou et al. 2019, eq. 10: M4)."""
+    """Step length from the range of the acceleration magnitude, L = k (max(a) - min(a))^(1/4).
 
-    n_params: int = 1
+    The parameter theta = (k,) has the unit m^(3/4) s^(1/2). a = |f| - g is the magnitude of the specific force less
+    standard gravity.
 
-    def regressors(self, step: Step) -> FloatArray:
-        """((max(a) - min(a))^(1/4),)."""
-        return np.array([(step.magnitude_max_mps2 - step.magnitude_min_mps2) ** 0.25])
+    Attributes
+    ----------
+    n_params : int, default 1
+        Number p of parameters. Do not change it.
 
+    Notes
+    -----
+    Model M4 of Zhou et al. (2019), eq. 10.
 
-@dataclass(frozen=True)
-class KimStepLength:
-    """L = k (mean |a|)^(1/3), theta = (k,) in m^(2/3) s^(2/3).
+    References
+    ----------
+    Z. Zhou, S. Mo, J. Wu, H. Fourati, "Behaviors classification based distance measuring system for pedestrians via a
+    foot-mounted inertial sensor", Asian Journal of Control 21(4), 2019, doi:10.1002/asjc.2005.
 
-    Tian et al. (2016), eq. 4; Guo et al. (2018), eq. 13; Zhou et al. (2019), eq. 12 and the running half of eq. 14: M6
-    and M7. Deviations: a is |f| - g and not the vertical, because |f| needs no attitude; Zhou's mean has no modulus,
-    which a phone does not allow: without that of the foot's impacts the mean of |f| - g is about zero.
+    Examples
+    --------
+    >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP, MagnitudeRangeStepLength
+    >>> MagnitudeRangeStepLength().regressors(TYPICAL_STEP).round(3)
+    array([1.627])
     """
 
     n_params: int = 1
 
     def regressors(self, step: Step) -> FloatArray:
-        """((mean |a|)^(1/3),)."""
+        """Return the regressors ((max(a) - min(a))^(1/4),) of a step.
+
+        Parameters
+        ----------
+        step : Step
+            Step whose length is modelled.
+
+        Returns
+        -------
+        (p,) array
+            Regressors. The length is `regressors(step) @ theta`.
+        """
+        return np.array([(step.magnitude_max_mps2 - step.magnitude_min_mps2) ** 0.25])
+
+
+@dataclass(frozen=True)
+class KimStepLength:
+    """Step length from the mean absolute acceleration, L = k (mean |a|)^(1/3).
+
+    The parameter theta = (k,) has the unit m^(2/3) s^(2/3). a = |f| - g is the magnitude of the specific force less
+    standard gravity.
+
+    Attributes
+    ----------
+    n_params : int, default 1
+        Number p of parameters. Do not change it.
+
+    Notes
+    -----
+    Tian et al. (2016), eq. 4; Guo et al. (2018), eq. 13; Zhou et al. (2019), eq. 12 (model M6) and the running part of
+    eq. 14 (model M7). There are two deviations:
+
+    - a is |f| - g and not the vertical acceleration, because |f| needs no attitude.
+    - Zhou et al. average a without the modulus. This works for the impacts of a foot-mounted sensor. For a phone the
+      mean of |f| - g is about zero, so the modulus is needed.
+
+    References
+    ----------
+    Q. Tian, Z. Salcic, K. I.-K. Wang, Y. Pan, "A Multi-Mode Dead Reckoning System for Pedestrian Tracking Using
+    Smartphones", IEEE Sensors Journal, 2016, doi:10.1109/JSEN.2015.2510364.
+
+    G. Guo, R. Chen, F. Ye, L. Chen, Y. Pan, M. Liu, Z. Cao, "A Pose Awareness Solution for Estimating Pedestrian
+    Walking Speed", Remote Sensing 11(1), 55, 2019, doi:10.3390/rs11010055.
+
+    Z. Zhou, S. Mo, J. Wu, H. Fourati, "Behaviors classification based distance measuring system for pedestrians via a
+    foot-mounted inertial sensor", Asian Journal of Control 21(4), 2019, doi:10.1002/asjc.2005.
+
+    Examples
+    --------
+    >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP, KimStepLength
+    >>> KimStepLength().regressors(TYPICAL_STEP).round(3)
+    array([1.193])
+    """
+
+    n_params: int = 1
+
+    def regressors(self, step: Step) -> FloatArray:
+        """Return the regressors ((mean |a|)^(1/3),) of a step.
+
+        Parameters
+        ----------
+        step : Step
+            Step whose length is modelled.
+
+        Returns
+        -------
+        (p,) array
+            Regressors. The length is `regressors(step) @ theta`.
+        """
         return np.array([np.cbrt(step.mean_abs_mps2)])
 
 
 @dataclass(frozen=True)
 class TianStepLength:
-    """L = k h sqrt(f), theta = (k,) in s^(1/2) (Tian et al. 2016, eq. 9; Guo et al. 2018, eq. 12; Zhou's M5)."""
+    """Step length from body height and step frequency, L = k h sqrt(f).
+
+    The parameter theta = (k,) has the unit s^(1/2).
+
+    Attributes
+    ----------
+    height_m : float
+        Body height h in m.
+    n_params : int, default 1
+        Number p of parameters. Do not change it.
+
+    Notes
+    -----
+    Tian et al. (2016), eq. 9; Guo et al. (2018), eq. 12; model M5 of Zhou et al. (2019), eq. 11.
+
+    References
+    ----------
+    Q. Tian, Z. Salcic, K. I.-K. Wang, Y. Pan, "A Multi-Mode Dead Reckoning System for Pedestrian Tracking Using
+    Smartphones", IEEE Sensors Journal, 2016, doi:10.1109/JSEN.2015.2510364.
+
+    G. Guo, R. Chen, F. Ye, L. Chen, Y. Pan, M. Liu, Z. Cao, "A Pose Awareness Solution for Estimating Pedestrian
+    Walking Speed", Remote Sensing 11(1), 55, 2019, doi:10.3390/rs11010055.
+
+    Z. Zhou, S. Mo, J. Wu, H. Fourati, "Behaviors classification based distance measuring system for pedestrians via a
+    foot-mounted inertial sensor", Asian Journal of Control 21(4), 2019, doi:10.1002/asjc.2005.
+
+    Examples
+    --------
+    >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP, TianStepLength
+    >>> TianStepLength(height_m=1.7).regressors(TYPICAL_STEP).round(3)
+    array([2.312])
+    """
 
     height_m: float
     n_params: int = 1
@@ -195,15 +618,51 @@ class TianStepLength:
         check_numbers(self)
 
     def regressors(self, step: Step) -> FloatArray:
-        """(h sqrt(f),)."""
+        """Return the regressors (h sqrt(f),) of a step.
+
+        Parameters
+        ----------
+        step : Step
+            Step whose length is modelled.
+
+        Returns
+        -------
+        (p,) array
+            Regressors. The length is `regressors(step) @ theta`.
+        """
         return np.array([self.height_m * np.sqrt(step.frequency_hz)])
 
 
 @dataclass(frozen=True)
 class ChenStepLength:
-    """L = (0.7 + a (h - 1.75) + b (f - 1.79) h / 1.75) c, theta = (a, b, c), a and c without unit, b in m s.
+    """Step length from body height and step frequency with three parameters of the person.
 
-    Guo et al. (2018), eq. 14, after Chen et al. 2011; all three belong to the person.
+    L = (0.7 + a (h - 1.75) + b (f - 1.79) h / 1.75) c. The parameters are theta = (a, b, c); a and c have no unit, b is
+    in m s. The model is not linear in theta.
+
+    Attributes
+    ----------
+    height_m : float
+        Body height h in m.
+    n_params : int, default 3
+        Number p of parameters. Do not change it.
+
+    Notes
+    -----
+    Guo et al. (2018), eq. 14, after Chen et al. (2011). All three parameters belong to the person.
+
+    References
+    ----------
+    G. Guo, R. Chen, F. Ye, L. Chen, Y. Pan, M. Liu, Z. Cao, "A Pose Awareness Solution for Estimating Pedestrian
+    Walking Speed", Remote Sensing 11(1), 55, 2019, doi:10.3390/rs11010055.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP, ChenStepLength
+    >>> model, theta = ChenStepLength(height_m=1.7), np.array([0.371, 0.227, 1.0])
+    >>> round(float(model.length_m(TYPICAL_STEP, theta)), 3)
+    0.695
     """
 
     height_m: float
@@ -213,12 +672,40 @@ class ChenStepLength:
         check_numbers(self)
 
     def length_m(self, step: Step, theta: FloatArray) -> FloatArray:
-        """Length in m under theta (..., 3)."""
+        """Return the length of a step for given parameters.
+
+        Parameters
+        ----------
+        step : Step
+            Step whose length is modelled.
+        theta : (..., 3) array
+            Parameters (a, b, c), with any leading axes.
+
+        Returns
+        -------
+        (...) array
+            Length in m.
+        """
         a, b, c = theta[..., 0], theta[..., 1], theta[..., 2]
         return (0.7 + a * (self.height_m - 1.75) + b * self._quickness(step)) * c
 
     def jacobian(self, step: Step, theta: FloatArray) -> FloatArray:
-        """(c (h - 1.75), c (f - 1.79) h / 1.75, L / c)."""
+        """Return the derivative of the length with respect to the parameters.
+
+        It is (c (h - 1.75), c (f - 1.79) h / 1.75, L / c).
+
+        Parameters
+        ----------
+        step : Step
+            Step whose length is modelled.
+        theta : (..., 3) array
+            Parameters (a, b, c), with any leading axes.
+
+        Returns
+        -------
+        (..., 3) array
+            Derivative of the length in m with respect to a, b and c.
+        """
         a, b, c = theta[..., 0], theta[..., 1], theta[..., 2]
         taller, quicker = self.height_m - 1.75, self._quickness(step)
         return np.stack([c * taller, c * quicker, 0.7 + a * taller + b * quicker], axis=-1)
@@ -229,15 +716,48 @@ class ChenStepLength:
 
 @dataclass(frozen=True)
 class ZhouWalkingStepLength:
-    """L = k0 + k1 / f + k2 / sqrt(f) + k3 max(a), a = |f| - g, theta = (k0, k1, k2, k3).
+    """Step length of walking from step duration and acceleration maximum, model M7 of Zhou et al.
 
-    The walking half of Zhou et al. (2019), eq. 14: M7; the running half is `KimStepLength`, in a mode of its own.
+    L = k0 + k1 / f + k2 / sqrt(f) + k3 max(a), with a = |f| - g the magnitude of the specific force less standard
+    gravity. The parameters are theta = (k0, k1, k2, k3) in m, m/s, m/s^(1/2) and s2.
+
+    Attributes
+    ----------
+    n_params : int, default 4
+        Number p of parameters. Do not change it.
+
+    Notes
+    -----
+    Walking part of Zhou et al. (2019), eq. 14. The running part is `KimStepLength`, which belongs to a separate mode of
+    the filter.
+
+    References
+    ----------
+    Z. Zhou, S. Mo, J. Wu, H. Fourati, "Behaviors classification based distance measuring system for pedestrians via a
+    foot-mounted inertial sensor", Asian Journal of Control 21(4), 2019, doi:10.1002/asjc.2005.
+
+    Examples
+    --------
+    >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP, ZhouWalkingStepLength
+    >>> ZhouWalkingStepLength().regressors(TYPICAL_STEP).round(3)
+    array([1.   , 0.541, 0.735, 3.993])
     """
 
     n_params: int = 4
 
     def regressors(self, step: Step) -> FloatArray:
-        """(1, 1 / f, 1 / sqrt(f), max(a))."""
+        """Return the regressors (1, 1 / f, 1 / sqrt(f), max(a)) of a step.
+
+        Parameters
+        ----------
+        step : Step
+            Step whose length is modelled.
+
+        Returns
+        -------
+        (p,) array
+            Regressors. The length is `regressors(step) @ theta`.
+        """
         f = step.frequency_hz
         return np.array([1.0, 1 / f, 1 / np.sqrt(f), step.magnitude_max_mps2 - STANDARD_GRAVITY_MPS2])
 
@@ -247,43 +767,88 @@ class ZhouWalkingStepLength:
 
 @dataclass(frozen=True)
 class BounceStepLength:
-    """L = k h r A^(1/4), theta = (k,) in s^(1/2) m^(-1/4): the fourth root of the bounce, as Weinberg has it.
+    """Default step-length model, L = k h r A^(1/4), from body height and vertical bounce.
 
-    A is the amplitude of the vertical force at the step's own frequency. What the models above take of the
-    acceleration depends on where the phone is: the impact of the heel, which a trouser pocket passes on and a hand does
-    not, is in the range, the variance and the mean modulus, but hardly in A. The cadence has no part beside A: people
-    step faster where they step harder, and with A known it says nothing about the length of strangers
-    (docs/methods/step_length.md).
+    The parameter theta = (k,) has the unit s^(1/2) m^(-1/4). A is the amplitude of the vertical force at the frequency
+    of the step. The fourth root follows Weinberg's model. r <= 1 shortens steps that are shorter than the usual steps
+    of the person (see Notes).
 
-    r is for the steps that are shorter than the person's usual ones:
+    Attributes
+    ----------
+    height_m : float, default 1.70
+        Body height h in m.
+    max_amplitude_mps2 : float, default 3.0
+        Upper bound of A in m/s2. A larger amplitude is due to a soft arm, not to the body.
+    min_amplitude_mps2 : float, default 0.3
+        Lower bound of A in m/s2.
+    max_frequency_hz : float, default 2.4
+        Frequency in Hz above which lengths decrease as 1 / f: 144 steps a minute, the quickest walking.
+    turn_scale_radps : float, default 2.2
+        Turn rate in rad/s at which steps are shortened by the factor 1 / e. For each site of the calibration of k held
+        out in turn, values from 2.0 to 2.15 are best on the others. There is no difference up to 2.3.
+    max_turn_rate_radps : float, default 1.5
+        Upper bound of the turn rate in rad/s: half a turn in two seconds. Quicker turns are movements of the hand.
+    n_params : int, default 1
+        Number p of parameters. Do not change it.
 
-    - where A, over two steps because left and right differ in a pocket, is below its usual value B, as when people stop
-      or shuffle, (A / B)^(1/4);
-    - where the person turns at w rad/s, as in a small room or on the spot, exp(-(w / 2.2)^2);
-    - a step from rest, which begins with the feet together, is half a step;
-    - beyond 2.4 steps a second, where a step was found twice, it is the speed that stays: 2.4 / f.
+    Raises
+    ------
+    ValueError
+        If a field is not a positive number.
 
-    Amplitudes and turn rates beyond their limits count as the limits: a length is between 0 and 0.44 h.
+    Notes
+    -----
+    The inputs of the other models depend on where the phone is carried. The impact of the heel reaches a trouser
+    pocket but not a hand. It changes the range, the variance and the mean modulus of the acceleration, but hardly A.
+    The cadence is not an input besides A. People step faster where they step harder, so that with A known the cadence
+    says nothing about the step length of an unknown person (docs/methods/step_length.md).
+
+    r is the product of these factors:
+
+    - (A / B)^(1/4) where A is below its usual value B, as when people stop or shuffle. A is here the mean over two
+      steps, because left and right steps differ in a pocket.
+    - exp(-(w / 2.2)^2) where the person turns at w rad/s, as in a small room or on the spot.
+    - 1/2 for a step from rest, which begins with the feet together.
+    - 2.4 / f above 2.4 steps a second, where one step was detected as two. The speed is then kept.
+
+    Amplitudes and turn rates beyond their bounds count as the bounds. A length is therefore between 0 and 0.45 h.
+
+    Examples
+    --------
+    >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP, BounceStepLength
+    >>> BounceStepLength(height_m=1.7).regressors(TYPICAL_STEP).round(3)
+    array([2.116])
     """
 
     height_m: float = USUAL_HEIGHT_M
-    max_amplitude_mps2: float = 3.0  # a larger one is the give of a soft arm, not the body's
+    max_amplitude_mps2: float = 3.0
     min_amplitude_mps2: float = 0.3
-    max_frequency_hz: float = 2.4  # 144 steps a minute: the quickest walking
-    # 2.0 to 2.15 are best whichever of the sites of `_BOUNCE_K` is left out; up to 2.3 there is no difference.
+    max_frequency_hz: float = 2.4
     turn_scale_radps: float = 2.2
-    max_turn_rate_radps: float = 1.5  # half a turn in two seconds: quicker ones are of the hand
+    max_turn_rate_radps: float = 1.5
     n_params: int = 1
 
     def __post_init__(self) -> None:
         check_numbers(self)
 
     def regressors(self, step: Step) -> FloatArray:
-        """(h r A^(1/4),)."""
+        """Return the regressors (h r A^(1/4),) of a step.
+
+        Parameters
+        ----------
+        step : Step
+            Step whose length is modelled.
+
+        Returns
+        -------
+        (p,) array
+            Regressors. The length is `regressors(step) @ theta`.
+        """
         amplitude_mps2 = min(max(step.vertical_amplitude_mps2, self.min_amplitude_mps2), self.max_amplitude_mps2)
         return np.array([self.height_m * self._part_of_usual(step) * amplitude_mps2**0.25])
 
     def _part_of_usual(self, step: Step) -> float:
+        """Return the factor r of the class docstring."""
         turn_rate_radps = min(step.turn_rate_radps, self.max_turn_rate_radps)
         part = math.exp(-((turn_rate_radps / self.turn_scale_radps) ** 2))
         part *= min(self.max_frequency_hz / step.frequency_hz, 1.0)
@@ -295,7 +860,7 @@ class BounceStepLength:
 
 
 def uneven_var_m2(step: Step) -> float:
-    """Variance that a step has besides that of an even one."""
+    """Return the additional variance of the length of a step from rest or of unusual duration, in m2."""
     return (_PAUSE_STD_M if step.from_rest else 0.0) ** 2 + (_UNEVEN_STD_M * step.unevenness) ** 2
 
 
@@ -304,12 +869,38 @@ def uneven_var_m2(step: Step) -> float:
 
 @dataclass(frozen=True, eq=False)
 class StepLengthFit:
-    """A model with its parameters, their covariance, and what it leaves unexplained."""
+    """Step-length model with estimated parameters, their covariance and the scatter of single steps.
+
+    Attributes
+    ----------
+    model : LinearStepLengthModel or SmoothStepLengthModel
+        Step-length model with p parameters.
+    theta : (p,) array
+        Parameters of the model.
+    theta_cov : (p, p) array
+        Covariance of the parameters, which have the same error in all steps.
+    residual_std_m : float
+        Standard deviation in m of the length of a single step about the model.
+
+    Raises
+    ------
+    ValueError
+        If a shape does not match `model.n_params`, if `theta_cov` is not a covariance, or if a number is not finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.filter.step_length.models import FrequencyStepLength
+    >>> theta_cov = np.diag([0.02, 0.01]) ** 2
+    >>> fit = pdr.StepLengthFit(FrequencyStepLength(), np.array([0.2, 0.25]), theta_cov, residual_std_m=0.06)
+    >>> config = pdr.recipes.default().with_step_length("walking", fit)
+    """
 
     model: StepLengthModel
-    theta: FloatArray  # (p,)
-    theta_cov: FloatArray  # (p, p)
-    residual_std_m: float  # standard deviation of a single step about the model
+    theta: FloatArray
+    theta_cov: FloatArray
+    residual_std_m: float
 
     __reduce__ = pickled
 
@@ -323,24 +914,46 @@ class StepLengthFit:
         check_cov(self.theta_cov, "theta_cov")
 
     def predict(self, step: Step) -> tuple[float, float]:
-        """Length in m (never negative) and its variance in m2: J theta_cov J' + residual variance, J = dL / dtheta."""
+        """Return the length of a step and its variance.
+
+        Parameters
+        ----------
+        step : Step
+            Step whose length is modelled.
+
+        Returns
+        -------
+        length_m : float
+            Length in m, never negative.
+        var_m2 : float
+            Variance in m2: J theta_cov J' + residual_std_m^2, with J the derivative of the length with respect to
+            theta.
+        """
         length, parameter_var = np.maximum(_moments(self.model, step, self.theta, self.theta_cov), 0.0)
         return float(length), float(parameter_var) + self.residual_std_m**2
 
 
 @dataclass(frozen=True, eq=False)
 class StepLengths:
-    """Lengths of one step under several fits at once: but for rounding those of each `StepLengthFit.predict`."""
+    """Several fits that are evaluated together for one step.
+
+    Results equal those of each `StepLengthFit.predict`, except for rounding.
+    """
 
     fits: tuple[StepLengthFit, ...]
 
     @cached_property
     def _linear(self) -> tuple[LinearStepLengthModel, ...]:
+        """Distinct linear models of the fits."""
         return tuple({_key(fit.model): fit.model for fit in self.fits if _is_linear(fit.model)}.values())
 
     @cached_property
     def _of_terms(self) -> FloatArray:
-        """Coefficients (2M, T) of lengths, then of variances, both linear in the regressors r and the products r r'."""
+        """Coefficients (2M, T) that map the T terms of a step to M lengths, then to M parameter variances.
+
+        The terms are the regressors r of each distinct linear model and the products r r'. Lengths are linear in r,
+        variances in r r'.
+        """
         starts, n_terms = dict[Hashable, int](), 0
         for model in self._linear:
             starts[_key(model)], n_terms = n_terms, n_terms + model.n_params + model.n_params**2
@@ -354,16 +967,16 @@ class StepLengths:
 
     @cached_property
     def residual_var_m2(self) -> FloatArray:
-        """Variance of the length of a step about each fit, (M,)."""
+        """Variance of the length of a single step about each fit, (M,), in m2."""
         return np.array([fit.residual_std_m**2 for fit in self.fits])
 
     def predict(self, step: Step) -> tuple[FloatArray, FloatArray]:
-        """Lengths in m (never negative) and their variances in m2, shape (M,) each."""
+        """Return the lengths in m (never negative) and their variances in m2, each (M,)."""
         length, parameter_var = self.moments(step)
         return length, parameter_var + self.residual_var_m2
 
     def moments(self, step: Step) -> tuple[FloatArray, FloatArray]:
-        """Lengths in m (never negative) and their variances in m2 that are due to the parameters, shape (M,) each."""
+        """Return the lengths in m (never negative) and the variances in m2 due to the parameters alone, each (M,)."""
         terms: list[float] = []
         for model in self._linear:
             r = np.asarray(model.regressors(step)).tolist()
@@ -377,11 +990,15 @@ class StepLengths:
 
     @cached_property
     def _smooth(self) -> list[tuple[int, StepLengthFit]]:
+        """Fits with a nonlinear model, each with its index in `fits`."""
         return [(i, fit) for i, fit in enumerate(self.fits) if not _is_linear(fit.model)]
 
 
 def _key(model: StepLengthModel) -> Hashable:
-    """The model itself, whose equals share their regressors; of a class without a hash its identity."""
+    """Return the model as a dictionary key, or its identity if its class is not hashable.
+
+    Equal models share their regressors.
+    """
     try:
         hash(model)
     except TypeError:
@@ -392,9 +1009,9 @@ def _key(model: StepLengthModel) -> Hashable:
 def _moments(
     model: StepLengthModel, step: Step, theta: FloatArray, theta_cov: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Length (...,) and its variance (...,) due to the parameters, for theta (..., p) and theta_cov (..., p, p).
+    """Return the length (...) and its variance (...) due to the parameters theta (..., p) with covariance (..., p, p).
 
-    The length may be negative, and the variance by its rounding, where the covariance was estimated.
+    The length may be negative. The variance of an estimated covariance may be negative by rounding.
     """
     length, jacobian = length_and_jacobian(model, step, theta)
     products = theta_cov * (jacobian[..., :, None] * jacobian[..., None, :])
@@ -402,74 +1019,160 @@ def _moments(
 
 
 def known_length(length_m: float, std_m: float, shared_std_m: float = 0.0) -> StepLengthFit:
-    """A fit of eq. 12 that gives one length whatever the step: k1 = k2 = 0.
+    """Return a fit with the same length for every step, such as the depth of stairs.
 
-    `std_m` is that of single steps, `shared_std_m` that of what all steps of a walk have in common.
+    Parameters
+    ----------
+    length_m : float
+        Length of every step in m.
+    std_m : float
+        Standard deviation in m of a single step about this length, independent between steps.
+    shared_std_m : float, default 0.0
+        Standard deviation in m of the error that all steps of a walk have in common.
+
+    Returns
+    -------
+    StepLengthFit
+        Fit of `FrequencyVarianceStepLength` with k1 = k2 = 0.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> fit = pdr.known_length(0.29, 0.05)
+    >>> fit.theta, fit.residual_std_m
+    (array([0.29, 0.  , 0.  ]), 0.05)
     """
     theta, theta_cov = np.array([length_m, 0.0, 0.0]), np.diag([shared_std_m**2, 0.0, 0.0])
     return StepLengthFit(FrequencyVarianceStepLength(), theta, theta_cov, std_m)
 
 
-# Single steps of one person about any of the models.
+#: Standard deviation of single steps of one person about any of the models, m.
 RESIDUAL_STD_M = 0.06
-# What a step from rest has besides. It is half a step, or what is between two contacts that were found: in the pauses
-# of walks with a continuous reference (oxiod, tyrex; 19) people went 0.7 m further, in those of ms_indoor half a step
-# is right. 0.7 m in one of four.
+# Additional standard deviation of a step from rest. The model gives half a step, but contacts in a pause may have been
+# missed. In the pauses of 19 walks with a continuous reference (oxiod, tyrex) people went 0.7 m further. In those of
+# ms_indoor half a step is right. The value is that of 0.7 m in one of four steps from rest.
 _PAUSE_STD_M = 0.35
-# What a step has besides whose duration is not the usual one, by so many times the part by which it differs: in a turn,
-# a halt, or where a contact was missed. Most likely of 3,600 steps of walking with a continuous reference (oxiod); of
-# 1,500 on tyrex it would be 0.95.
+# Additional standard deviation of a step of unusual duration, per unit of `Step.unevenness`: in a turn, at a halt, or
+# where a contact was missed. Maximum-likelihood estimate from 3,600 steps of walking with a continuous reference
+# (oxiod). From 1,500 steps of tyrex the estimate is 0.95.
 _UNEVEN_STD_M = 0.6
-# k of men and women, text of eq. 2 of Tian et al. 2016; the distances of ten people over 28 m have a standard deviation
-# of 3.58 m (Table VII).
+# k of men and women: text of eq. 2 of Tian et al. (2016). Relative standard deviation: the distances of ten people over
+# 28 m have a standard deviation of 3.58 m (Table VII).
 _STATIC_K = {"M": 0.415, "F": 0.413}
 _STATIC_RELATIVE_STD = 3.58 / 28
 
 
 def static_fit(height_m: float, gender: str | None = None) -> StepLengthFit:
-    """The static model with the printed k; gender "M", "F" or unknown."""
+    """Return the fit of `StaticStepLength` with the printed parameter k for men or women.
+
+    Parameters
+    ----------
+    height_m : float
+        Body height in m.
+    gender : {"M", "F"}, optional
+        Gender of the person. For any other value, or None, k is the mean of both.
+
+    Returns
+    -------
+    StepLengthFit
+        Fit with k = 0.415 ("M") or 0.413 ("F") and a relative standard deviation of 13 %.
+
+    Notes
+    -----
+    k is printed in the text of eq. 2 of Tian et al. (2016). Its standard deviation is from their Table VII: the
+    distances of ten people over 28 m have a standard deviation of 3.58 m.
+
+    References
+    ----------
+    Q. Tian, Z. Salcic, K. I.-K. Wang, Y. Pan, "A Multi-Mode Dead Reckoning System for Pedestrian Tracking Using
+    Smartphones", IEEE Sensors Journal, 2016, doi:10.1109/JSEN.2015.2510364.
+
+    Examples
+    --------
+    >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP, static_fit
+    >>> length_m, var_m2 = static_fit(1.8, "M").predict(TYPICAL_STEP)
+    >>> round(length_m, 3)
+    0.747
+    """
     return one_parameter_fit(StaticStepLength(height_m), of_gender(_STATIC_K, gender), _STATIC_RELATIVE_STD)
 
 
-# Of `BounceStepLength`: fitted to the distances of 174 recordings at five sites, each with the same weight (humolire,
-# ms_indoor, oxiod, tyrex, ipol; tests/benchmarks/step_length.py), which gives 0.336 to 0.339 as r takes A of two
-# steps or of one. Its standard deviation is the spread of sites, 4 %, over the root of five. Single steps scatter by
-# 0.06 m about the model with the phone in the hand, by 0.12 m in a trouser pocket.
+# Parameter of `BounceStepLength`, fitted to the distances of 174 recordings at five sites of equal weight (humolire,
+# ms_indoor, oxiod, tyrex, ipol; tests/benchmarks/step_length.py). The fit gives 0.336 or 0.339, depending on whether r
+# uses A of two steps or of one. Its standard deviation is the spread between sites, 4 %, over the root of five. Single
+# steps scatter by 0.06 m about the model with the phone in the hand, by 0.12 m in a trouser pocket.
 _BOUNCE_K, _BOUNCE_K_STD, _BOUNCE_RESIDUAL_STD_M = 0.34, 0.006, 0.08
 
 
 def bounce_fit(height_m: float | None = None) -> StepLengthFit:
-    """`BounceStepLength` for people in general.
+    """Return the fit of `BounceStepLength` for an unknown person, the default step length.
 
-    How people differ from it is not in `theta_cov`: it is one factor for all steps of a person, see `scale_std`.
+    Parameters
+    ----------
+    height_m : float, optional
+        Body height in m; 1.70 m if it is not given.
+
+    Returns
+    -------
+    StepLengthFit
+        Fit with k = 0.34 and a residual standard deviation of 0.08 m. `theta_cov` is the uncertainty of the population
+        mean of k only. The difference between a person and the population is a common factor of all steps (see
+        `scale_std`).
+
+    Examples
+    --------
+    >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP, bounce_fit
+    >>> length_m, var_m2 = bounce_fit(1.8).predict(TYPICAL_STEP)
+    >>> round(length_m, 3)
+    0.762
     """
     model = BounceStepLength() if height_m is None else BounceStepLength(height_m=height_m)
     return StepLengthFit(model, np.array([_BOUNCE_K]), np.array([[_BOUNCE_K_STD**2]]), _BOUNCE_RESIDUAL_STD_M)
 
 
-# Of the log step scale of people left out together with their site: 6.6 % with the heights that are known, 8.4 %
-# without (docs/benchmarks.md). Those are few people at few sites, and strangers elsewhere were off by up to
-# 20 %: rounded up, more so for those of whom nothing is known.
+# Standard deviation between people of the log step scale, with each site held out: 6.6 % with known heights, 8.4 %
+# without (docs/benchmarks.md). These are few people at few sites, and step lengths of people at other sites were wrong
+# by up to 20 %. Both values are therefore rounded up, the one for unknown heights more.
 _SCALE_STD_OF_KNOWN_HEIGHT, _SCALE_STD = 0.07, 0.10
 
 
 def scale_std(height_m: float | None) -> float:
-    """Relative standard deviation of all step lengths of a person together about `bounce_fit` for that height."""
+    """Return the relative standard deviation between people of all step lengths about `bounce_fit`.
+
+    Parameters
+    ----------
+    height_m : float or None
+        Body height in m that was given to `bounce_fit`, or None if it is unknown.
+
+    Returns
+    -------
+    float
+        0.07 for a known height, 0.10 for an unknown one.
+
+    Examples
+    --------
+    >>> from pdr_filter.filter.step_length.models import scale_std
+    >>> scale_std(1.8), scale_std(None)
+    (0.07, 0.1)
+    """
     return _SCALE_STD if height_m is None else _SCALE_STD_OF_KNOWN_HEIGHT
 
 
-# A step of walking at 1.85 Hz with the phone in the hand: medians over two sites.
+# Walking step at 1.85 Hz with the phone in the hand: medians over two sites.
 TYPICAL_STEP = Step(0.54, 0.54, 0.54, 1.85, 4.0, 3.5, -3.5, 13.8, 6.8, 1.7, 0.0, 0.0, vertical_amplitude_mps2=2.4)
-# One person's scale differs by so much between walks: 1.7 to 2.8 % over nine walks of one, by the model
-# (docs/benchmarks.md, one walk left out).
+# Standard deviation of the step scale of one person between walks: 1.7 to 2.8 % over nine walks of one person,
+# depending on the model (docs/benchmarks.md, one walk held out).
 RECORDING_STD = 0.025
 
 
 def of_gender(values: dict[str, float], gender: str | None) -> float:
-    """The value for a gender "M" or "F"; their mean where it is not known."""
+    """Return the value for a gender "M" or "F", or the mean of both if the gender is not known."""
     return values.get(gender or "", sum(values.values()) / len(values))
 
 
 def one_parameter_fit(model: StepLengthModel, k: float, relative_std: float) -> StepLengthFit:
-    """A model with one parameter k, which differs between people by a share of it."""
+    """Return the fit of a model with one parameter k whose standard deviation between people is `k * relative_std`.
+
+    Single steps scatter by `RESIDUAL_STD_M`.
+    """
     return StepLengthFit(model, np.array([k]), np.array([[(k * relative_std) ** 2]]), RESIDUAL_STD_M)

@@ -1,4 +1,4 @@
-"""What one person is known for: the length of a typical step, learnt from fixes and carried from walk to walk."""
+"""Step length of one person, learnt from fixes and carried between recordings."""
 
 from __future__ import annotations
 
@@ -16,17 +16,39 @@ from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.step_length.models import RECORDING_STD, TYPICAL_STEP, StepLengthFit, length_and_jacobian
 from pdr_filter.values import check_numbers, check_whole, limits
 
-# Fixes that leave nine tenths of the variance have said nothing.
-_LEARNT = 0.9
+# If more than this share of the prior variance is left, the fixes have added no usable information.
+_MAX_VAR_SHARE = 0.9
 
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """What the fixes of one walk said of the person's steps, without what was known before."""
+    """Step length of a person as measured by the fixes of one walk, without the prior of the filter.
 
-    step_length_m: float  # of `models.TYPICAL_STEP`
-    std: float  # relative, of this walk's own scale
-    n_fixes: int  # positions and speeds that were used
+    Attributes
+    ----------
+    step_length_m : float
+        Length in m of a typical step (`models.TYPICAL_STEP`: level walking at 1.85 steps a second).
+    std : float
+        Relative standard deviation of `step_length_m` for this walk. The variation between walks of one person is not
+        in it.
+    n_fixes : int
+        Number of position and speed fixes that were used.
+
+    Raises
+    ------
+    ValueError
+        If a field is not a positive number (`n_fixes` may be 0).
+
+    Examples
+    --------
+    >>> from pdr_filter.filter.step_length.person import Session
+    >>> Session(step_length_m=0.71, std=0.02, n_fixes=40)
+    Session(step_length_m=0.71, std=0.02, n_fixes=40)
+    """
+
+    step_length_m: float
+    std: float
+    n_fixes: int
 
     def __post_init__(self) -> None:
         check_numbers(self, zero=("n_fixes",))
@@ -34,12 +56,22 @@ class Session:
 
 @dataclass(frozen=True, slots=True)
 class Person:
-    """The length of one person's typical step, from the fixes of some walks; `Track.person` has it.
+    """Step length of one person, pooled over walks with fixes.
 
-    Given to the next recording of the same person (`pdr_filter.track(..., person=...)`), whose lengths are then that
-    person's from the first step on, whatever height or recipe it has. A typical step is one of level walking at 1.85
-    steps a second. Walks are weighted by what their fixes knew; the same walk counts once, however often it is pooled,
-    and what is known of people in general is in none of them.
+    `Track.person` returns the person of a track. Pass it to the next recording of the same person
+    (`pdr_filter.track(..., person=...)`). The step lengths of that track then start at those of the person, for any
+    recipe and for any body height.
+
+    Attributes
+    ----------
+    sessions : tuple of Session, default ()
+        One entry for each walk. An equal entry counts once, however often it is pooled.
+
+    Notes
+    -----
+    The step length is that of a typical step: level walking at 1.85 steps a second. Walks are weighted by the precision
+    of their estimates. No session contains the prior knowledge about people in general, which is therefore never
+    counted twice.
 
     Examples
     --------
@@ -57,28 +89,50 @@ class Person:
 
     @property
     def n_fixes(self) -> int:
-        """Positions and speeds of all walks."""
+        """Number of position and speed fixes that were used in all walks."""
         return sum(session.n_fixes for session in self.sessions)
 
     @property
     def step_length_m(self) -> float:
-        """Of a typical step; NaN if nothing is known."""
+        """Length in m of a typical step, or NaN without walks."""
         log_length, precision = self._pooled()
         return math.exp(log_length) if precision > 0 else math.nan
 
     @property
     def std(self) -> float:
-        """Relative standard deviation of `step_length_m`, infinite if nothing is known."""
+        """Relative standard deviation of `step_length_m`, or infinity without walks."""
         precision = self._pooled()[1]
         return precision**-0.5 if precision > 0 else math.inf
 
     def pooled(self, other: Person) -> Person:
-        """With the walks of another one that is the same person."""
+        """Return the person with the walks of both objects.
+
+        Parameters
+        ----------
+        other : Person
+            Further walks of the same person. Sessions that both objects contain count once.
+
+        Returns
+        -------
+        Person
+            Person with the sessions of both.
+        """
         return Person((*self.sessions, *(s for s in other.sessions if s not in self.sessions)))
 
     def save(self, path: str | Path) -> Path:
-        """Write it as JSON and return the path."""
-        # Only when called: the filter opens no files.
+        """Write the person to a JSON file.
+
+        Parameters
+        ----------
+        path : str or Path
+            File to write. An existing file is replaced.
+
+        Returns
+        -------
+        Path
+            Path of the written file.
+        """
+        # Imported here because the filter package must not depend on file access.
         from pdr_filter.io.files.safe_files import write_text
 
         content = {"pdr_filter_person": 1, "sessions": [asdict(session) for session in self.sessions]}
@@ -86,7 +140,23 @@ class Person:
 
     @classmethod
     def load(cls, path: str | Path) -> Person:
-        """Read what `save` wrote; ValueError that names the file if it is none."""
+        """Return the person that `save` wrote to a file.
+
+        Parameters
+        ----------
+        path : str or Path
+            JSON file written by `Person.save`.
+
+        Returns
+        -------
+        Person
+            Person of the file.
+
+        Raises
+        ------
+        ValueError
+            If the file cannot be read or is not a person file.
+        """
         from pdr_filter.io.files.safe_files import read_json
 
         try:
@@ -97,14 +167,31 @@ class Person:
             for session in sessions:
                 check_whole(session)
             return cls(sessions)
-        except Exception as error:  # whatever a damaged file provokes
-            raise ValueError(f"{path}: no person file of pdr_filter ({error}); write one with Person.save") from None
+        except Exception as error:  # a damaged file can raise any error
+            raise ValueError(f"{path}: not a person file of pdr_filter ({error}); write one with Person.save") from None
 
     def in_model(self, model: PedestrianModel) -> PedestrianModel:
-        """The model with the step lengths of this person, and how sure they are.
+        """Return a filter model with the step lengths of this person.
 
-        What the model says of people in general is one measurement more. One walk differs from the next by
-        `RECORDING_STD`.
+        The step lengths of all modes are multiplied by one factor. The prior of the model about people in general is
+        combined with the walks as one more measurement. The variation between walks of one person is added (2.5 %).
+
+        Parameters
+        ----------
+        model : PedestrianModel
+            Modes and noise of a filter.
+
+        Returns
+        -------
+        PedestrianModel
+            Model with scaled step lengths and with the standard deviation of the remaining log scale in its noise.
+            Without walks, or for a model that does not estimate the scale (`log_scale_std` 0), the model is returned
+            unchanged.
+
+        Raises
+        ------
+        ValueError
+            If a step-length model is not linear in its parameters.
         """
         log_length, precision = self._pooled()
         usual = math.log(_typical_length_m(model))
@@ -117,7 +204,11 @@ class Person:
         return replace(model, modes=modes, noise=replace(model.noise, log_scale_std=std))
 
     def _pooled(self) -> tuple[float, float]:
-        """Mean of the log length and its precision: walks of one person differ, however well each is known."""
+        """Return the weighted mean of the log lengths and its precision.
+
+        The variance of each walk includes the variation between walks of one person (`RECORDING_STD`), so that a single
+        precise walk does not dominate.
+        """
         if not self.sessions:
             return 0.0, 0.0
         weights = np.array([1.0 / (s.std**2 + RECORDING_STD**2) for s in self.sessions])
@@ -126,37 +217,40 @@ class Person:
 
 
 def session_of(model: PedestrianModel, estimates: Estimates, n_fixes: int) -> Session | None:
-    """Return the step length (m) estimated from the fixes of a walk, or None if they do not determine it."""
+    """Return the step length estimated from the fixes of a walk, or None if they do not determine it."""
     x, P = estimates.combined
     return session_of_scale(model, float(x[LOG_SCALE]), float(P[LOG_SCALE, LOG_SCALE]), n_fixes)
 
 
 def session_of_scale(model: PedestrianModel, log_scale: float, var: float, n_fixes: int) -> Session | None:
-    """Return the step length that belongs to an estimated log scale, or None if the prior knew as much.
+    """Return the step length that belongs to an estimated log scale, or None if the fixes added too little information.
 
-    The posterior N(m, v) of the log scale less its prior N(0, s^2): precision w = 1 / v - 1 / s^2, mean (m / v) / w.
+    The prior N(0, s^2) of the log scale is removed from its posterior N(m, v). The remaining precision is
+    w = 1 / v - 1 / s^2, the remaining mean (m / v) / w.
     """
     prior_var = model.noise.log_scale_std**2
-    if not 0 < var < _LEARNT * prior_var:
+    if not 0 < var < _MAX_VAR_SHARE * prior_var:
         return None
     w = 1.0 / var - 1.0 / prior_var
     return Session(_typical_length_m(model) * math.exp(log_scale / var / w), w**-0.5, n_fixes)
 
 
 def _typical_length_m(model: PedestrianModel) -> float:
+    """Return the length of `TYPICAL_STEP` in the level-walking mode, in m."""
     fit = _main_mode(model.modes).step_length
     return float(length_and_jacobian(fit.model, TYPICAL_STEP, fit.theta)[0])
 
 
 def _main_mode(modes: Sequence[Mode]) -> Mode:
-    """The mode of level walking; else the first that moves."""
+    """Return the mode of level walking, or else the first mode that moves."""
     return next((m for m in modes if m.meaning.is_level_walking), next((m for m in modes if m.moves), modes[0]))
 
 
 def _scaled(fit: StepLengthFit, factor: float) -> StepLengthFit:
+    """Return the fit with all lengths multiplied by a factor."""
     if not hasattr(fit.model, "regressors"):
         raise ValueError(
-            "a person's step length is for models that are linear in their parameters, got "
-            f'{type(fit.model).__name__}: use recipe "default"'
+            f"person cannot scale the step-length model {type(fit.model).__name__}, because it is not linear in its "
+            'parameters: use recipe "default" or track without person'
         )
     return replace(fit, theta=factor * fit.theta, theta_cov=factor**2 * fit.theta_cov)

@@ -15,6 +15,7 @@ import numpy as np
 
 from pdr_filter.io.files.safe_files import whole_file, write_text
 from pdr_filter.values import FloatArray, Origin, TrackRows, limits, yaw_from_heading
+from pdr_filter.values.windows import pandas_module
 from pdr_filter.version import __version__
 
 # Tracks that lie nowhere are drawn where the equator meets the prime meridian, in the open sea: nobody walks there, and
@@ -44,9 +45,17 @@ def write_parquet(track: TrackRows, path: str | Path, origin: Origin | tuple[flo
 
     What is not in the columns is in the metadata, which pandas gives as `attrs` of the frame. Needs pandas and pyarrow.
     """
-    pandas = pandas_for_parquet(path)
+    pandas_for_parquet(path)
+    frame = track_frame(track, origin)
+    with whole_file(path) as file:
+        frame.to_parquet(file, engine="pyarrow", index=False)
+    return Path(path)
+
+
+def track_frame(track: TrackRows, origin: Origin | tuple[float, float] | None = None) -> Any:
+    """Return a pandas DataFrame with the columns of `write_csv`; what is not in the columns is in its `attrs`."""
     placed = track if origin is None else track.placed(origin)
-    frame: Any = pandas.DataFrame(_columns(placed))
+    frame: Any = pandas_module("Track.to_pandas").DataFrame(_columns(placed))
     frame.attrs = {
         "name": track.name,
         "weighting": track.weighting,
@@ -57,9 +66,7 @@ def write_parquet(track: TrackRows, path: str | Path, origin: Origin | tuple[flo
         "origin": None if placed.origin is None else asdict(placed.origin),
         "pdr_filter": __version__,
     }
-    with whole_file(path) as file:
-        frame.to_parquet(file, engine="pyarrow", index=False)
-    return Path(path)
+    return frame
 
 
 def pandas_for_parquet(path: str | Path) -> Any:

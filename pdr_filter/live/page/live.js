@@ -11,14 +11,14 @@ const isDark = matchMedia("(prefers-color-scheme: dark)");
 const KEPT_S = 300; // of the charts
 const SILENT_MS = 5000; // longer than any batch period and most holes in a network
 const LATE_STEP_S = 1.5; // until then a speed of zero may be a step that is found late
-const sessions = new Map(); // id: {about, path, now, fixes, history, origin, heardAt}
+const sessions = new Map(); // id: {about, path, now, fixes, anchors, history, origin, heardAt}
 let shown = "";
 let charts = null, charted = ""; // and the names of the contexts in them
 
 const map = new LiveMap(byId("map"), setHere);
 
 function session(id) {
-  if (!sessions.has(id)) sessions.set(id, { path: [], now: null, fixes: [], history: [], origin: null, about: {} });
+  if (!sessions.has(id)) sessions.set(id, { path: [], now: null, fixes: [], anchors: new Map(), history: [], origin: null, about: {} });
   return sessions.get(id);
 }
 
@@ -57,7 +57,8 @@ const handlers = {
     if (event.received_unix_s) known.delay_s = Math.max(Date.now() / 1000 - event.received_unix_s, 0);
   },
   fix(event) { // that somebody gave; those of the phone's locations are not shown
-    const { fixes } = session(event.id);
+    const { fixes, anchors } = session(event.id);
+    if (event.anchor_m && event.accepted) anchors.set(String(event.anchor_m), event.anchor_m);
     if (event.kind === "position" && event.outcome === "waiting") fixes.push({ time_s: event.time_s, place: [event.east_m, event.north_m] });
     const known = fixes.find(fix => fix.time_s === event.time_s && [undefined, "waiting"].includes(fix.outcome));
     if (event.kind !== "position" || !known) return;

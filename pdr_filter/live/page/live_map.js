@@ -1,5 +1,5 @@
 "use strict";
-// Map of a growing way: position with its 95 % ellipse, heading, provisional steps and fixes, over tiles if any.
+// Map of a growing way: position with its 95 % ellipse, heading, provisional steps, fixes and anchors, over tiles if any.
 
 const MARGIN = 20; // pixels between the way and the edge of the map
 const FADE_MS = 1500; // as the animation of .former
@@ -111,6 +111,7 @@ class LiveMap extends PlaneMap {
     const { now, path } = way;
     this.drawPath(path);
     this.drawFixes(way.fixes);
+    for (const place of way.anchors.values()) this.fixes.addLayer(this.mark(this.at(...place), "anchor", "", 12));
     const steps = (now?.provisional_steps ?? []).map(step => this.at(...step.position_m));
     this.provisional.setLatLngs(steps.length && path.length ? [this.at(...path.at(-1).slice(1, 3)), ...steps] : steps);
     if (!now) {

@@ -1,1 +1,1 @@
-"""Where a scan of Wi-Fi was heard: a map learnt from walks, and position fixes from it."""
+"""Radio maps: positions of Wi-Fi scans, estimated from walks with known positions."""

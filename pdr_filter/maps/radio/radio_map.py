@@ -1,4 +1,4 @@
-"""A radio map: fitted on walks whose places are known, asked where other walks were."""
+"""Radio maps, fitted to walks with known positions and used to estimate the positions of other walks."""
 
 from __future__ import annotations
 
@@ -22,47 +22,68 @@ from pdr_filter.version import __version__
 
 FORMAT = ArtefactFormat("radio_map", 1, "fit it again, or use the version that wrote it")
 _ARRAYS = ("position_m", "floor", "bssid", "point", "access_point", "rssi_dbm")
-# Fewer access points that the map knows are no fingerprint: a phone that walks along has one too.
-_FEWEST = 5
-# Variance of each axis that the map does not know of: a waypoint is good to a metre, a scan is 1.4 s of walking, a cell
-# has a width, and the sharpest fixes of walks left out are wrong by so much more (chosen with `signal_field.EVIDENCE`).
-_OWN_VAR_M2 = 6.0
-# Two scans of one place err alike until the walker has left what the map does not tell apart: for 12 s where they are
-# 5 m wide, for 20 s where 8 m (correlation of the errors of pairs of scans on storey F1 of `ms_indoor`). Wider ones are
-# taken to go on like that.
+# Smallest number of mapped access points in a usable scan. Fewer are not a fingerprint, because the scan may contain
+# only devices that move with the pedestrian.
+_MIN_ACCESS_POINTS = 5
+# Variance of each axis that is added to the covariance of the map. A waypoint is accurate to a metre, a scan lasts 1.4
+# s of walking, a cell has a width, and the sharpest fixes of held-out walks need this much more (chosen together with
+# `signal_field.EVIDENCE`).
+_ADDED_VAR_M2 = 6.0
+# Correlation time of the errors per standard deviation. Errors of scans are correlated until the pedestrian has left
+# the area that the map cannot resolve. On storey F1 of `ms_indoor`, the errors of pairs of scans are correlated for 12
+# s where that area is 5 m wide, and for 20 s where it is 8 m wide. Wider areas are extrapolated.
 _CORRELATION_S_PER_M = 2.4
-# More often than this share of that time fixes would hardly say more, and those that show the turn of a track are few.
+# Smallest interval between two fixes, as a share of the correlation time. More frequent fixes would add almost no
+# information, and only few fixes are available while the rotation of a track is estimated.
 _INTERVAL_SHARE = 0.5
-# A scan that fits places further apart is no position with an error: several corridors, or all that nobody mapped.
+# Scans with a larger standard deviation give no fix. Such a scan fits several corridors or an unmapped area, and a mean
+# with a covariance does not describe it.
 _WIDEST_STD_M = 15.0
-# Scans in a row count for particles as if their errors were alike for so long: a fifth of each scan of a phone that has
-# one every 2.5 s. Chosen on the storeys F1 and B1 of ms_indoor, of a tenth to four fifths: from two fifths on the
-# regions of 95 % on F1 held 90 % of the waypoints and less. Errors last longer (above), but they are not those of a
-# normal distribution here, and what agrees with the walls of the plan is right more often.
+# Correlation time of grid fixes. A phone with a scan every 2.5 s thus counts each scan with a weight of about a fifth.
+# Chosen among weights of a tenth to four fifths on storeys F1 and B1 of ms_indoor. From two fifths on, the 95 % regions
+# on F1 held 90 % of the waypoints or less. The errors last longer (see above), but here they do not have the normal
+# distribution, and positions that agree with the walls of the plan are more often right.
 _GRID_CORRELATION_S = 6.0
-# One scan in a hundred is of somewhere else: an access point was carried away, a phone told of an older scan.
-_ASTRAY_PROB = 0.01
-# The storey is said where it is as sure as this.
-_SURE_OF_FLOOR = 0.95
+# Prior probability that a scan was made elsewhere: an access point was moved, or the phone reported an older scan.
+_ELSEWHERE_PROB = 0.01
+# Smallest probability of the storey for a fix to state it.
+_MIN_FLOOR_PROB = 0.95
 _LARGEST_M, _MOST_POINTS, _HIGHEST_FLOOR = 1e6, 20_000, 1000
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RadioMap:
-    """What was heard at known places of a building; each storey is a field of its own.
+    """Radio map of a building: Wi-Fi signal strengths at known positions, with one field per storey.
 
     Parameters
     ----------
-    position_m : (N, 2)
-        East and north of each scan.
-    floor : (N,)
-        Its storey, 0 is the ground floor; NaN where nobody said it.
-    bssid : (A,)
+    position_m : array (N, 2)
+        East and north of each scan, in m.
+    floor : array (N,)
+        Storey of each scan, 0 for the ground floor, or NaN if unknown.
+    bssid : array (A,) of int
         Addresses of the access points, increasing.
-    point, access_point, rssi_dbm : (H,)
-        Which scan heard which access point how loud, dBm.
+    point : array (H,) of int
+        Index of the scan of each measurement.
+    access_point : array (H,) of int
+        Index of the access point of each measurement.
+    rssi_dbm : array (H,)
+        Signal strength of each measurement, in dBm.
     card : dict
-        What people should know: walks, version.
+        Description of the map: names of the walks and version of the package.
+
+    Raises
+    ------
+    ValueError
+        If the arrays do not fit together or contain values out of range.
+
+    Notes
+    -----
+    Each component of a fingerprint is a Gaussian process over the storey (see `maps.radio.signal_field`).
+
+    References
+    ----------
+    C. E. Rasmussen and C. K. I. Williams, Gaussian Processes for Machine Learning, 2006.
 
     Examples
     --------
@@ -97,15 +118,25 @@ class RadioMap:
 
     @classmethod
     def fit(cls, walks: Iterable[Recording | tuple[Recording, Track]]) -> RadioMap:
-        """The map of walks through one building.
+        """Return the radio map fitted to walks through one building.
+
+        Recordings without Wi-Fi are ignored.
 
         Parameters
         ----------
-        walks : iterable of Recording, or of (Recording, Track)
-            Recordings with Wi-Fi and waypoints, between which `pdr_filter.smooth` says the places. Or recordings with
-            their tracks, all in one frame: of fixes, or of true north.
+        walks : iterable of Recording, or of tuple of Recording and Track
+            Recordings with Wi-Fi and waypoints; `pdr_filter.smooth` then gives the positions between the waypoints. Or
+            recordings with their tracks, all in one frame, for example tracks with fixes or with true north.
 
-        Recordings without Wi-Fi are left out; ValueError if nothing is left.
+        Returns
+        -------
+        RadioMap
+            Map of all scans whose positions are known.
+
+        Raises
+        ------
+        ValueError
+            If no walk has Wi-Fi scans at known positions.
         """
         positions: list[FloatArray] = []
         floors: list[float] = []
@@ -118,13 +149,15 @@ class RadioMap:
             floor = np.nan
             if track is None:
                 track, floor = _between_waypoints(recording)
-            mapped = [(place, scan) for scan in recording.wifi.scans() if (place := _place(track, scan)) is not None]
+            mapped = [(place, scan) for scan in recording.wifi.scans() if (place := _position(track, scan)) is not None]
             positions += [place for place, _ in mapped]
             scans += [scan for _, scan in mapped]
             floors += [floor] * len(mapped)
             names.append(recording.name)
         if not scans:
-            raise ValueError("no walk has Wi-Fi scans on its way; give recordings with wifi and waypoints, or tracks")
+            raise ValueError(
+                "no walk has Wi-Fi scans at known positions; give recordings with wifi and waypoints, or with tracks"
+            )
         bssid = np.unique(np.concatenate([s.bssid for s in scans]))
         return cls(
             position_m=np.array(positions),
@@ -137,19 +170,35 @@ class RadioMap:
         )
 
     def fixes(self, recording: Recording) -> list[PositionFix]:
-        """Where a recording was, scan by scan, with the covariance of what the map does not tell apart.
+        """Return one position fix per informative Wi-Fi scan of a recording.
 
-        Each is received when its scan ended. Errors of scans that follow each other are alike (`correlation_s`), and
-        those that would say nothing new are left out. A scan gives no fix that hears fewer than five access points of
-        the map, or that the map does not place within 15 m (standard deviation of an axis): where nobody walked, or too
-        much is alike. The storey is said where it is 95 % sure. MissingSensorError without Wi-Fi.
+        The covariance of a fix is that of the positions that the map cannot distinguish. Its reception time is the end
+        of the scan. The errors of successive scans are correlated (`correlation_s`), and scans that would add almost no
+        information give no fix. A scan gives no fix either if it hears fewer than five access points of the map. The
+        same applies if its standard deviation per axis is above 15 m, as in unmapped or ambiguous areas. The storey is
+        set if its probability is at least 95 %.
+
+        Parameters
+        ----------
+        recording : Recording
+            A recording with Wi-Fi.
+
+        Returns
+        -------
+        list of PositionFix
+            Fixes in the frame of the map, in order of time.
+
+        Raises
+        ------
+        MissingSensorError
+            If the recording has no Wi-Fi.
         """
         found: list[PositionFix] = []
         for heard in self._located(_wifi_of(recording)):
             scan, cell_m, p = heard.scan, heard.field.cell_m, heard.prob
             mean = p @ cell_m
             apart = cell_m - mean
-            cov = (p[:, None] * apart).T @ apart + _OWN_VAR_M2 * np.eye(2)
+            cov = (p[:, None] * apart).T @ apart + _ADDED_VAR_M2 * np.eye(2)
             std_m = float(np.sqrt(0.5 * np.trace(cov)))
             correlation_s = _CORRELATION_S_PER_M * std_m
             is_new = not found or scan.time_s - found[-1].time_s >= _INTERVAL_SHARE * correlation_s
@@ -159,17 +208,33 @@ class RadioMap:
         return found
 
     def grids(self, recording: Recording) -> list[GridFix]:
-        """How probable each place is, scan by scan: for particles on a floor plan, beside `fixes`.
+        """Return one grid of position probabilities per Wi-Fi scan of a recording.
 
-        They say what a mean and a covariance cannot: this corridor or that one, not here. No scan is left out that
-        hears five access points of the map. MissingSensorError without Wi-Fi.
+        The grids are for a particle filter on a floor plan, in addition to `fixes`. They describe ambiguous positions,
+        such as one of two corridors, for which a mean and a covariance are not sufficient. Every scan that hears at
+        least five access points of the map gives a grid.
+
+        Parameters
+        ----------
+        recording : Recording
+            A recording with Wi-Fi.
+
+        Returns
+        -------
+        list of GridFix
+            Log probabilities of the cells, in order of time.
+
+        Raises
+        ------
+        MissingSensorError
+            If the recording has no Wi-Fi.
         """
         found: list[GridFix] = []
         for heard in self._located(_wifi_of(recording)):
             cells = gaussian_filter(
-                heard.prob.reshape(heard.field.shape), math.sqrt(_OWN_VAR_M2) / CELL_M, mode="constant"
+                heard.prob.reshape(heard.field.shape), math.sqrt(_ADDED_VAR_M2) / CELL_M, mode="constant"
             ).T
-            here = (1.0 - _ASTRAY_PROB) * heard.floor_prob
+            here = (1.0 - _ELSEWHERE_PROB) * heard.floor_prob
             fix = GridFix(
                 heard.scan.time_s,
                 heard.field.cell_m[0] - 0.5 * CELL_M,
@@ -182,9 +247,9 @@ class RadioMap:
             found.append(fix)
         return found
 
-    def _located(self, wifi: Wifi) -> Iterator[_Heard]:
-        """Where the scans were that hear enough of the map."""
-        scans = [s for s in wifi.scans() if np.isin(s.bssid, self.bssid).sum() >= _FEWEST]
+    def _located(self, wifi: Wifi) -> Iterator[_LocatedScan]:
+        """Yield the position distribution of each scan with enough mapped access points."""
+        scans = [s for s in wifi.scans() if np.isin(s.bssid, self.bssid).sum() >= _MIN_ACCESS_POINTS]
         if not scans:
             return
         log_likelihood = [f.log_likelihood(self._heard(scans)) for _, f in self._fields]
@@ -195,20 +260,50 @@ class RadioMap:
         for i, scan in enumerate(scans):
             k = int(of_floor[:, i].argmax())
             floor, field_of_floor = self._fields[k]
-            yield _Heard(scan, field_of_floor, prob[k][i] / prob[k][i].sum(), floor, float(of_floor[k, i]))
+            yield _LocatedScan(scan, field_of_floor, prob[k][i] / prob[k][i].sum(), floor, float(of_floor[k, i]))
 
     def save(self, path: str | Path) -> Path:
-        """Write NAME.json, with NAME.npz of plain arrays beside it, and return the path of the .json."""
+        """Write the radio map to NAME.json and its arrays to NAME.npz.
+
+        Parameters
+        ----------
+        path : str or Path
+            Path with or without suffix.
+
+        Returns
+        -------
+        Path
+            Path of the .json file.
+        """
         FORMAT.write(path, {"card": dict(self.card)}, {name: np.asarray(getattr(self, name)) for name in _ARRAYS})
         return file_pair(path)[0]
 
     @classmethod
     def load(cls, path: str | Path) -> RadioMap:
-        """The map at a path; ValueError names the file and the remedy if it is missing, damaged or something else."""
+        """Return the radio map of a file written by `save`.
+
+        Parameters
+        ----------
+        path : str or Path
+            Path with or without suffix.
+
+        Returns
+        -------
+        RadioMap
+            The radio map.
+
+        Raises
+        ------
+        ValueError
+            If the file is missing, damaged or not a radio map. The message names the file and the remedy.
+        """
         return FORMAT.read(path, _assemble)
 
     def _heard(self, scans: Sequence[WifiScan]) -> csr_matrix:
-        """Fingerprints (S, A) of scans, without what the map does not know."""
+        """Return the fingerprints (S, A) of scans, restricted to the access points of the map.
+
+        The unit length of a fingerprint includes unmapped access points, so they reduce the fit.
+        """
         known = np.union1d(self.bssid, np.concatenate([s.bssid for s in scans]))
         index = np.repeat(np.arange(len(scans)), [len(s.bssid) for s in scans])
         column = np.searchsorted(known, np.concatenate([s.bssid for s in scans]))
@@ -217,48 +312,54 @@ class RadioMap:
 
     @cached_property
     def _fields(self) -> tuple[tuple[float, Field], ...]:
+        """Storey numbers with their fitted fields."""
         heard = fingerprints(self.point, self.access_point, self.rssi_dbm, (len(self.floor), len(self.bssid)))
         floors = np.unique(self.floor)
-        return tuple((float(f), Field.of(self.position_m[on := _on(self.floor, f)], heard[on])) for f in floors)
+        return tuple((float(f), Field.of(self.position_m[on := _on_floor(self.floor, f)], heard[on])) for f in floors)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Heard:
-    """Where a scan was, on the storey that is the most probable."""
+class _LocatedScan:
+    """Position distribution of a scan on its most probable storey."""
 
     scan: WifiScan
     field: Field
-    prob: FloatArray  # (G,) of its cells, sums to one
-    floor: float  # NaN where nobody said it
+    prob: FloatArray  # (G,) probability of each cell, sums to one
+    floor: float  # NaN if unknown
     floor_prob: float
 
     @property
     def sure_floor(self) -> int | None:
-        return int(self.floor) if np.isfinite(self.floor) and self.floor_prob >= _SURE_OF_FLOOR else None
+        """Storey, or None if it is unknown or not probable enough."""
+        return int(self.floor) if np.isfinite(self.floor) and self.floor_prob >= _MIN_FLOOR_PROB else None
 
 
 def _wifi_of(recording: Recording) -> Wifi:
+    """Return the Wi-Fi of a recording, or raise MissingSensorError."""
     if recording.wifi is None:
-        raise MissingSensorError(f"{recording.name or 'the recording'} has no Wi-Fi: record it, or go without a map")
+        raise MissingSensorError(
+            f"{recording.name or 'the recording'} has no Wi-Fi: record it too, or do not use a radio map"
+        )
     return recording.wifi
 
 
-def _on(floor: FloatArray, of: float) -> Any:
+def _on_floor(floor: FloatArray, of: float) -> Any:
+    """Return a mask of the scans on a storey, which may be NaN."""
     return np.isnan(floor) if np.isnan(of) else floor == of
 
 
 def _between_waypoints(recording: Recording) -> tuple[Track, float]:
-    """Track and storey of a recording with waypoints."""
+    """Return the smoothed track of a recording with waypoints, and its storey (NaN if unknown or not unique)."""
     from pdr_filter.offline.smoothing.observations import waypoint_fixes
-    from pdr_filter.offline.smoothing.smooth import smooth  # which loads gtsam
+    from pdr_filter.offline.smoothing.smooth import smooth  # imported late, because it loads gtsam
 
     fixes = waypoint_fixes(recording)
     floors = np.unique(np.asarray(getattr(recording.truth.waypoints, "floor", np.nan)))
     return smooth(recording, fixes).track, float(floors[0]) if len(floors) == 1 else np.nan
 
 
-def _place(track: Track, scan: WifiScan) -> FloatArray | None:
-    """Where a scan was heard, (2,); None if the track says nothing of its time."""
+def _position(track: Track, scan: WifiScan) -> FloatArray | None:
+    """Return the position (2,) of a scan on a track, or None if the track does not cover the time of the scan."""
     inside = track.start_time_s - 1.0 <= scan.time_s <= track.start_time_s + track.duration_s + 1.0
     if not inside or track.n_steps == 0:
         return None
@@ -268,12 +369,13 @@ def _place(track: Track, scan: WifiScan) -> FloatArray | None:
 
 
 def _assemble(description: Mapping[str, Any], arrays: Arrays) -> RadioMap:
+    """Return the radio map of the contents of a file."""
     content: dict[str, Any] = {name: arrays[name] for name in _ARRAYS}
     return RadioMap(**content, card=description["card"])
 
 
 def _check(radio: RadioMap) -> None:
-    """Raise ValueError unless the arrays fit together and are what they are called."""
+    """Raise ValueError unless the arrays fit together and their values are in range."""
     if radio.floor.ndim != 1 or radio.rssi_dbm.ndim != 1:
         raise ValueError(f"floor must be (N,) and rssi_dbm (H,), got {radio.floor.shape} and {radio.rssi_dbm.shape}")
     n, a, h = len(radio.floor), len(radio.bssid), len(radio.rssi_dbm)
@@ -282,15 +384,15 @@ def _check(radio: RadioMap) -> None:
             f"position_m must be (N, 2) and floor (N,), N at most {_MOST_POINTS}, got {radio.position_m.shape} and {n}"
         )
     if not (np.abs(radio.position_m) <= _LARGEST_M).all():
-        raise ValueError(f"position_m must be metres up to {_LARGEST_M:g}")
+        raise ValueError(f"position_m must be metres up to {_LARGEST_M:g}: check the unit and the origin")
     known = radio.floor[~np.isnan(radio.floor)]
     if not (np.abs(known) <= _HIGHEST_FLOOR).all() or not (known == np.round(known)).all():
-        raise ValueError(f"floor must be whole numbers up to {_HIGHEST_FLOOR}, NaN if not known")
+        raise ValueError(f"floor must be whole numbers up to {_HIGHEST_FLOOR}, or NaN for an unknown storey")
     for name, largest in (("point", n), ("access_point", a), ("bssid", 1 << 48)):
         numbers = getattr(radio, name)
         if numbers.dtype.kind != "i" or numbers.ndim != 1 or not ((numbers >= 0) & (numbers < largest)).all():
             raise ValueError(f"{name} must be whole numbers from 0 to {largest - 1}")
     if not (np.diff(radio.bssid) > 0).all():
-        raise ValueError("bssid must increase: each access point once")
+        raise ValueError("bssid must increase strictly: sort it, and list each access point once")
     if len(radio.point) != h or len(radio.access_point) != h or not np.isfinite(radio.rssi_dbm).all():
         raise ValueError(f"point, access_point and rssi_dbm must be (H,) and finite, got {len(radio.point)}, {h}")

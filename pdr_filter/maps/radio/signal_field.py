@@ -1,18 +1,20 @@
-"""The radio field of one storey, and how well a scan fits each place of it.
+"""Gaussian-process field of the Wi-Fi signals of one storey, and the likelihood of a scan at each position.
 
-A fingerprint is what a scan hears of each access point, as a vector of unit length: the loudness of the phone cancels.
-Each of its components is a Gaussian process over the storey, zero in the mean, all with one kernel
+A fingerprint is the vector of signal strengths of a scan, scaled to unit length. The scaling removes the receiver gain
+of the phone. Each component of the fingerprint is a Gaussian process over the storey with zero mean. All components
+have the same kernel
 
     k(x, x') = exp(-|x - x'| / l),   noise n on the diagonal,
 
-so that one factorisation serves thousands of access points. At a place x it foretells the fingerprint m(x) and its
-variance v(x) = k(x, x) - k_x' (K + n I)^-1 k_x + n. With r(x)^2 = |q - m(x)|^2 of a scan's fingerprint q,
+so that one factorisation serves thousands of access points. At a position x, the process predicts the fingerprint m(x)
+with the variance v(x) = k(x, x) - k_x' (K + n I)^-1 k_x + n. With r(x)^2 = |q - m(x)|^2 for the fingerprint q of a
+scan,
 
     log p(q | x) = -(E / 2) (r(x)^2 / v(x) + log v(x)) + constant.
 
-E is not the number of access points: many are on one box, and all are behind the same walls. It is how many independent
-ones say as much together, and was chosen so that regions hold the truth on walks left out. Far from every walk v is
-that of the prior: a place where nobody mapped stays possible.
+E is the effective number of independent access points. It is smaller than the number of access points, because many
+share one device and all are behind the same walls. It was chosen so that the regions contain the true positions of
+held-out walks. Far from every mapped walk, v is the prior variance, so an unmapped position stays possible.
 (C. E. Rasmussen and C. K. I. Williams, Gaussian Processes for Machine Learning, 2006, equations 2.23 to 2.26.)
 """
 
@@ -27,42 +29,62 @@ from scipy.sparse import csr_matrix
 
 from pdr_filter.values import FloatArray, IntArray, loudness
 
-# Chosen on storey F1 of `ms_indoor`, walks left out (docs/radio.md): length and noise by the density of the truth,
-# evidence so that 95 % regions hold on thin maps too.
+# Chosen on storey F1 of `ms_indoor` with held-out walks (docs/radio.md): length and noise by the density at the true
+# position, evidence so that the 95 % regions are valid on sparse maps too.
 LENGTH_M = 40.0
 NOISE = 0.3
 EVIDENCE = 20.0
-# Places that are weighed: hardly further apart than a walker goes in a scan, and so far beyond the walks of the map.
+# Cells in which the likelihood is computed, and their margin around the mapped walks. A cell is about as long as the
+# path walked during one scan.
 CELL_M = 3.0
 MARGIN_M = 30.0
 
 
 def fingerprints(scan: IntArray, access_point: IntArray, rssi_dbm: FloatArray, shape: tuple[int, int]) -> csr_matrix:
-    """Fingerprints (S, A) of hearings (H,), as those of a `WifiScan`."""
+    """Return the fingerprints (S, A) of measurements (H,), scaled as those of a `WifiScan`.
+
+    `shape` is (S, A): the numbers of scans and of access points.
+    """
     level = loudness(rssi_dbm)
     norm = np.sqrt(np.bincount(scan, level**2, minlength=shape[0]))
     return csr_matrix((level / norm[scan], (scan, access_point)), shape=shape)
 
 
 def kernel(a_m: FloatArray, b_m: FloatArray) -> FloatArray:
-    """Correlation of the field at places (N, 2) and (M, 2)."""
+    """Return the correlation (N, M) of the field between positions (N, 2) and (M, 2)."""
     return np.exp(-np.linalg.norm(a_m[:, None] - b_m, axis=-1) / LENGTH_M)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Field:
-    """What a storey's map foretells at each cell."""
+    """Fingerprint predicted at each cell of a storey.
 
-    cell_m: FloatArray  # (G, 2) middles, from the south-west to the north and then to the east
-    shape: tuple[int, int]  # columns to the east, rows to the north
-    weight: FloatArray  # (N, G) of the points of the map in what is foretold: m(x) = weight[:, x] of their fingerprints
-    variance: FloatArray  # (G,) v
-    norm2: FloatArray  # (G,) |m|^2
-    heard: Any  # (N, A) fingerprints of the points, sparse
+    Attributes
+    ----------
+    cell_m : array (G, 2)
+        Centres of the cells: first from south to north, then from west to east.
+    shape : tuple of int
+        Number of columns to the east and of rows to the north.
+    weight : array (N, G)
+        Weight of each mapped scan in the prediction at each cell: m(x) = weight[:, x] @ heard.
+    variance : array (G,)
+        Predicted variance v.
+    norm2 : array (G,)
+        Squared length of the predicted fingerprint, |m|^2.
+    heard : sparse array (N, A)
+        Fingerprints of the mapped scans.
+    """
+
+    cell_m: FloatArray
+    shape: tuple[int, int]
+    weight: FloatArray
+    variance: FloatArray
+    norm2: FloatArray
+    heard: Any
 
     @classmethod
     def of(cls, position_m: FloatArray, heard: csr_matrix) -> Field:
-        """That of fingerprints (N, A) at places (N, 2)."""
+        """Return the field fitted to fingerprints (N, A) at positions (N, 2)."""
         low, high = position_m.min(axis=0) - MARGIN_M, position_m.max(axis=0) + MARGIN_M
         axes = [np.arange(a, b + CELL_M, CELL_M) for a, b in zip(low, high, strict=True)]
         cell_m = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -75,9 +97,10 @@ class Field:
         return cls(cell_m, shape, weight, variance, norm2, heard)
 
     def log_likelihood(self, heard: csr_matrix) -> FloatArray:
-        """How well scans of fingerprints (S, A) fit the cells, (S, G); `heard` may be shorter than one.
+        """Return the log likelihood (S, G) of scans with fingerprints (S, A) at each cell.
 
-        What a scan heard and the map does not know is missing in its vector, and counts as misfit.
+        A fingerprint may be shorter than one: access points that the map does not contain are missing from it, which
+        reduces the fit.
         """
         misfit = 1.0 - 2.0 * (heard @ self.heard.T).toarray() @ self.weight + self.norm2
         return -0.5 * EVIDENCE * (misfit / self.variance + np.log(self.variance))

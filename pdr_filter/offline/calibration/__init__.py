@@ -1,1 +1,1 @@
-"""Step-length parameters from walks of known length."""
+"""Calibration of step-length parameters from walks of known length."""

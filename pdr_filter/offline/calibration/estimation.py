@@ -1,4 +1,4 @@
-"""Parameters of step-length models from the sums over segments: people, noise, wrong segments, all at once."""
+"""Joint estimate of step-length parameters, variances and outlier weights from the sums over segments."""
 
 from __future__ import annotations
 
@@ -8,29 +8,49 @@ from itertools import pairwise
 
 import numpy as np
 
-from pdr_filter.offline.calibration.hierarchy import PeoplePosterior, solve_people, without_each
+from pdr_filter.offline.calibration.hierarchy import PeoplePosterior, population_without_each, solve_people
 from pdr_filter.offline.calibration.segments import SegmentSums
 from pdr_filter.offline.robust_loss import moments, next_stage, weights
 from pdr_filter.values import BoolArray, FloatArray, IntArray
 
 _MAX_ITERATIONS = 500
-# Extrapolations go on as far as twenty steps would but change no variance by more than a factor of two, and end in time
-# for plain steps to settle what they overshot.
+# An extrapolation covers at most twenty further steps and changes no variance by more than a factor of two. No
+# extrapolation takes place after so many iterations, so that plain steps can settle.
 _MAX_RATE, _MAX_FACTOR, _EXTRAPOLATED = 0.95, 2.0, 60
 _CHUNK_SEGMENTS = 4096
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hierarchy:
-    """Prior of all parameters (P,) and of all variances."""
+    """Prior of all parameters (P,) and of all variances.
 
-    mean: FloatArray  # (P,) of the population
-    std: FloatArray  # (P,) 0 holds a parameter, inf knows nothing of it
-    # (P,) how people differ at the start; 0 for shared parameters, inf for people who are independent of each other
+    Attributes
+    ----------
+    mean : array (P,)
+        Prior mean of the population's parameters.
+    std : array (P,)
+        Prior standard deviation of the population's parameters: 0 holds a parameter, inf is uninformative.
+    between_std : array (P,)
+        Initial standard deviation between people: 0 for shared parameters, inf for parameters that are independent
+        between people.
+    step_std_m : array (C,)
+        Standard deviation of a single step in each context.
+    recording_std : float
+        Relative standard deviation of one person's scale between recordings.
+    between_dof : float
+        Weight of the prior of the variances between people, as an equivalent number of people. inf holds the variances,
+        0 estimates them from the data alone.
+    recording_dof : float
+        The corresponding weight of `recording_std`, as a number of recordings.
+    noise_dof : float
+        The corresponding weight of the noise of segments, as a number of segments.
+    """
+
+    mean: FloatArray
+    std: FloatArray
     between_std: FloatArray
-    step_std_m: FloatArray  # (C,) of a single step in each context
-    recording_std: float  # how one person's scale differs between recordings, relative
-    # How many people, recordings and segments these three are worth; inf holds them, 0 takes them from the data.
+    step_std_m: FloatArray
+    recording_std: float
     between_dof: float = 10.0
     recording_dof: float = 10.0
     noise_dof: float = 10.0
@@ -38,20 +58,55 @@ class Hierarchy:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParameterEstimate:
-    """Parameters of the population and S people from N segments; covariances given the variances found."""
+    """Estimated parameters of the population and of S people from N segments.
 
-    population: FloatArray  # (P,)
-    population_cov: FloatArray  # (P, P)
-    people: FloatArray  # (S, P)
-    people_cov: FloatArray  # (S, P, P)
-    between_cov: FloatArray  # (P, P) infinite on the diagonal where people are independent of each other
-    recording_std: float  # of one person's scale between recordings
-    noise_factor: FloatArray  # (C,) variance of the segments of each context over that expected
-    predicted_m: FloatArray  # (N,) length of each segment with the person's parameters
-    left_out_m: FloatArray  # (N,) the same with those from all other segments
-    stranger_m: FloatArray  # (N,) with the population's from all other people; NaN if there are none
-    misfit: FloatArray  # (N,) distance from what all other segments say, in its standard deviations
-    weight: FloatArray  # (N,) 1 for a segment that fits
+    The covariances are conditional on the estimated variances.
+
+    Attributes
+    ----------
+    population : array (P,)
+        Parameters of the population.
+    population_cov : array (P, P)
+        Covariance of `population`.
+    people : array (S, P)
+        Parameters of each person.
+    people_cov : array (S, P, P)
+        Covariance of `people`.
+    between_cov : array (P, P)
+        Covariance between people. Infinite on the diagonal for parameters that are independent between people.
+    recording_std : float
+        Relative standard deviation of one person's scale between recordings.
+    noise_factor : array (C,)
+        Ratio of the estimated to the prior variance of the segments of each context.
+    predicted_m : array (N,)
+        Predicted length of each segment with the parameters of the person.
+    left_out_m : array (N,)
+        Predicted length with the person's parameters estimated without this segment.
+    stranger_m : array (N,)
+        Predicted length with the population's parameters estimated without this person. NaN if there are no other
+        people.
+    misfit : array (N,)
+        Residual with respect to the prediction from all other segments, in standard deviations.
+    weight : array (N,)
+        Robust weight, 1 for a segment that fits.
+    n_iterations : int
+        Number of iterations.
+    converged : bool
+        False if the iterations ended before the changes became negligible.
+    """
+
+    population: FloatArray
+    population_cov: FloatArray
+    people: FloatArray
+    people_cov: FloatArray
+    between_cov: FloatArray
+    recording_std: float
+    noise_factor: FloatArray
+    predicted_m: FloatArray
+    left_out_m: FloatArray
+    stranger_m: FloatArray
+    misfit: FloatArray
+    weight: FloatArray
     n_iterations: int
     converged: bool
 
@@ -62,11 +117,13 @@ def estimate_parameters(
     loss: str = "gnc",
     relinearise: Callable[[FloatArray], SegmentSums] | None = None,
 ) -> ParameterEstimate:
-    """Maximum a posteriori of all parameters and variances by expectation-maximisation (docs/methods/calibration.md).
+    """Return the maximum a posteriori estimate of all parameters and variances by expectation-maximisation.
 
-    Every iteration takes the direction of A_i theta_s from the last one (Gauss-Newton), integrates rho_w out exactly,
-    solves for all theta (`hierarchy.solve_people`), and takes the robust weights, phi, tau and B from the posterior.
-    `relinearise` gives sums about the parameters of each person (S, P), for models that are not linear. `SingularError`
+    Every iteration linearises at the direction of A_i theta_s from the previous one (Gauss-Newton) and integrates out
+    the recording scales rho_w exactly. It then solves for all theta (`hierarchy.solve_people`), and updates the robust
+    weights and the variances phi, tau^2 and B from the posterior (docs/methods/calibration.md).
+
+    `relinearise` returns the sums at the parameters of each person (S, P), for nonlinear models. Raises SingularError
     if neither data nor priors determine a parameter.
     """
     weights(np.zeros(1), loss)
@@ -80,19 +137,20 @@ def estimate_parameters(
     while iteration < _MAX_ITERATIONS and not converged:
         iteration += 1
         if relinearise is not None and iteration > 1:
-            task.take(relinearise(task.all_parameters(theta)))
+            task.set_regressors(relinearise(task.all_parameters(theta)))
         ratio, information = moments(stage, mu)
         about, before, old = theta, posterior, variances
         posterior = task.posterior(about, variances, information, iteration == 1)
         theta = posterior.people
         for chunk in task.chunks:
-            chunk.expect(about, posterior, variances.noise)
-        # While wrong segments are not yet found, they would be taken for noise and for differences between people.
+            chunk.compute_residuals(about, posterior, variances.noise)
+        # Before the outliers are found, the variances stay fixed: otherwise outliers would increase the noise and the
+        # differences between people.
         if is_final:
             variances = task.variances(posterior, old, ratio)
             path = [*path[-2:], variances]
             if len(path) == 3 and iteration <= _EXTRAPOLATED:
-                variances, path = path[2].ahead_of(path[0], path[1]), []
+                variances, path = path[2].extrapolated(path[0], path[1]), []
         largest = max(float(np.abs(chunk.misfit).max()) for chunk in task.chunks)
         stage, mu, is_final = next_stage(loss, iteration, largest, mu)
         for chunk in task.chunks:
@@ -108,23 +166,32 @@ def estimate_parameters(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Variances:
-    noise: FloatArray  # (C,) phi: of the segments of each context over that expected
-    recording: float  # tau^2: of one person's scale between recordings
-    between: FloatArray  # (Q, Q) B: of people's own parameters; one on the diagonal where nothing ties them
+    """Variances of one iteration.
+
+    `noise` (C,) is phi, the ratio of the estimated to the prior variance of the segments of each context. `recording`
+    is tau^2, the variance of one person's scale between recordings. `between` (Q, Q) is B, the covariance of the
+    people's own parameters, with ones on the diagonal where people are independent.
+    """
+
+    noise: FloatArray
+    recording: float
+    between: FloatArray
 
     def is_near(self, other: _Variances) -> bool:
-        """Whether none differs by more than one in 5000."""
+        """Return True if no variance differs by more than one in 5000."""
         own, others = (np.concatenate([v.noise, [v.recording], np.diagonal(v.between)]) for v in (self, other))
         return bool((np.abs(own - others) <= 2e-4 * np.abs(others)).all())
 
     def _logs(self) -> FloatArray:
+        """Return the logarithms of all variances."""
         values = np.concatenate([self.noise, [self.recording], np.diagonal(self.between)])
         return np.log(np.maximum(values, 1e-300))
 
-    def ahead_of(self, first: _Variances, second: _Variances) -> _Variances:
-        """Where three steps of the expectation-maximisation lead to, by Aitken's formula for each logarithm.
+    def extrapolated(self, first: _Variances, second: _Variances) -> _Variances:
+        """Return the extrapolated limit of three iterations, by Aitken's formula on each logarithm.
 
-        Where one segment says of noise, days and people together, hundreds of steps would go the same way.
+        Without it, hundreds of iterations would continue in the same direction when single segments determine noise,
+        recordings and people together.
         """
         a, b, c = (v._logs() for v in (first, second, self))
         steady = np.divide(c - b, b - a, where=np.abs(b - a) > 1e-9, out=np.zeros_like(a))
@@ -136,21 +203,26 @@ class _Variances:
 
 
 class _Task:
-    """What stays during the iterations: segments in pieces, priors, and which parameters are free and whose."""
+    """Quantities that stay fixed during the iterations.
+
+    They are the chunks of segments, the priors, and the indices of the free and the personal parameters.
+    """
 
     def __init__(self, sums: SegmentSums, prior: Hierarchy) -> None:
         self.prior, self.n_people = prior, len(sums.subjects)
         self.fixed = (prior.std == 0) & (prior.between_std == 0)
         if ((prior.std == 0) & ~self.fixed).any():
-            raise ValueError("a parameter that is held for the population (std 0) cannot differ between people")
+            raise ValueError(
+                "a parameter that is held for the population (std 0) cannot differ between people: set between_std to 0"
+            )
         self.free = np.flatnonzero(~self.fixed)
         between_std = prior.between_std[self.free]
         self.personal = np.flatnonzero(between_std > 0)
-        self.alone = np.isinf(between_std[self.personal])  # independent of what others have
+        self.alone = np.isinf(between_std[self.personal])  # independent between people
         with np.errstate(divide="ignore"):
             self.precision = 1 / prior.std[self.free] ** 2
         order = np.lexsort((sums.recording, sums.subject))
-        pieces = _whole_people(sums.subject[order], order)
+        pieces = _chunks_of_people(sums.subject[order], order)
         self.chunks = [_Chunk(sums, rows, prior, self.fixed) for rows in pieces]
         self.n_segments = len(sums)
         self.start_theta = np.repeat(prior.mean[None, self.free], self.n_people, axis=0)
@@ -162,19 +234,19 @@ class _Task:
         n_free = len(self.free)
         self.G, self.g = np.zeros((self.n_people, n_free, n_free)), np.zeros((self.n_people, n_free))
 
-    def take(self, sums: SegmentSums) -> None:
-        """Go on with new regressors."""
+    def set_regressors(self, sums: SegmentSums) -> None:
+        """Replace the regressors of all segments."""
         for chunk in self.chunks:
-            chunk.take(sums, self.prior.mean, self.fixed)
+            chunk.set_regressors(sums, self.prior.mean, self.fixed)
 
     def all_parameters(self, theta: FloatArray) -> FloatArray:
-        """Free parameters (S, F) among those that are held, (S, P)."""
+        """Return all parameters (S, P) from the free ones (S, F). Held parameters have their prior mean."""
         full = np.repeat(self.prior.mean[None], len(theta), axis=0)
         full[:, self.free] = theta
         return full
 
     def posterior(self, about: FloatArray, variances: _Variances, information: float, first: bool) -> PeoplePosterior:
-        """Of the population and all people, segments linearised about parameters (S, F)."""
+        """Return the posterior of the population and all people, with segments linearised at parameters (S, F)."""
         for chunk in self.chunks:
             phi = variances.noise / information
             chunk.normal_equations(about, phi, variances.recording, first, self.G, self.g)
@@ -184,10 +256,11 @@ class _Task:
         return solve_people(self.G, self.g, self.prior.mean[self.free], self.precision, self.personal, W)
 
     def variances(self, posterior: PeoplePosterior, old: _Variances, ratio: float) -> _Variances:
-        """What maximises the variances, given the expectations under a posterior; `ratio` is E w u^2 / E w of the loss.
+        """Return the variances that maximise the expected posterior; `ratio` is E w u^2 / E w of the loss.
 
-        phi' = phi sum_i w_i (h_i u_i^2 + 1 - h_i) / sum_i w_i (h_i ratio + 1 - h_i), h_i the share of the variance of
-        the misfit u_i that is noise: phi (h_i u_i^2 + 1 - h_i) is E e_i^2 if the segment is right, given all.
+        phi' = phi sum_i w_i (h_i u_i^2 + 1 - h_i) / sum_i w_i (h_i ratio + 1 - h_i). Here h_i is the share of noise in
+        the variance of the residual u_i. phi (h_i u_i^2 + 1 - h_i) is E e_i^2 given all data, if the segment is not an
+        outlier.
         """
         prior, n_contexts = self.prior, len(self.prior.step_std_m)
         excess, counts, found, n_recordings = np.zeros(n_contexts), np.zeros(n_contexts), 0.0, 0
@@ -215,17 +288,17 @@ class _Task:
     def result(
         self, about: FloatArray, posterior: PeoplePosterior, variances: _Variances, n_iterations: int, converged: bool
     ) -> ParameterEstimate:
-        """All parameters, those that are held among them, and what they make of each segment."""
+        """Return the final estimate with all parameters, including the held ones, and the predicted lengths."""
         theta, between = posterior.people, variances.between.copy()
         others = np.full_like(theta, np.nan)
         if self.n_people > 1 and not self.alone.any():
             W = np.asarray(np.linalg.inv(between), dtype=float) if len(self.personal) else between
-            others = without_each(posterior, self.G, self.g, self.personal, W)
+            others = population_without_each(posterior, self.G, self.g, self.personal, W)
         predicted, left_out, stranger, misfit, weight = (np.empty(self.n_segments) for _ in range(5))
         for chunk in self.chunks:
             rows = chunk.rows
             predicted[rows] = chunk.length(theta)
-            left_out[rows] = predicted[rows] - chunk.pull(about, posterior)
+            left_out[rows] = predicted[rows] - chunk.own_influence(about, posterior)
             stranger[rows] = chunk.length(others)
             misfit[rows], weight[rows] = chunk.misfit, chunk.w
         between[self.alone, self.alone] = np.inf
@@ -234,10 +307,10 @@ class _Task:
         people_cov[:, self.free[:, None], self.free] = posterior.people_cov
         return ParameterEstimate(
             population=self.all_parameters(posterior.population[None])[0],
-            population_cov=_among(n_params, self.free, posterior.population_cov),
+            population_cov=_embedded_cov(n_params, self.free, posterior.population_cov),
             people=self.all_parameters(theta),
             people_cov=people_cov,
-            between_cov=_among(n_params, self.free[self.personal], between),
+            between_cov=_embedded_cov(n_params, self.free[self.personal], between),
             recording_std=float(np.sqrt(variances.recording)),
             noise_factor=variances.noise,
             predicted_m=predicted,
@@ -250,15 +323,18 @@ class _Task:
         )
 
 
-def _among(n: int, index: IntArray, cov: FloatArray) -> FloatArray:
-    """A covariance of some parameters among n, zero for the others."""
+def _embedded_cov(n: int, index: IntArray, cov: FloatArray) -> FloatArray:
+    """Return the covariance (n, n) of all parameters from that of some. The others have zero covariance."""
     full = np.zeros((n, n))
     full[np.ix_(index, index)] = cov
     return full
 
 
-def _whole_people(person: IntArray, order: IntArray) -> list[IntArray]:
-    """Sorted rows in pieces of some thousands that cut nobody in two: temporary arrays stay in the cache."""
+def _chunks_of_people(person: IntArray, order: IntArray) -> list[IntArray]:
+    """Return the sorted rows in chunks of some thousands that keep each person together.
+
+    Chunks of this size keep temporary arrays in the processor cache.
+    """
     cuts = [0]
     for end in _starts(person)[1:]:
         if end - cuts[-1] >= _CHUNK_SEGMENTS or end == len(person):
@@ -267,7 +343,7 @@ def _whole_people(person: IntArray, order: IntArray) -> list[IntArray]:
 
 
 class _Chunk:
-    """Segments of some people: what stays, and what one iteration leaves for the next."""
+    """Segments of some people, with the results of one iteration that the next one needs."""
 
     def __init__(self, sums: SegmentSums, rows: IntArray, prior: Hierarchy, fixed: BoolArray) -> None:
         self.rows = rows
@@ -275,33 +351,33 @@ class _Chunk:
         self.context, self.distance = sums.context[rows], sums.distance_m[rows]
         self.base_var = sums.anchor_std_m[rows] ** 2 + sums.n_steps[rows] * prior.step_std_m[self.context] ** 2
         if not (self.base_var > 0).all():
-            raise ValueError("every segment needs a positive variance: set anchor_std_m or step_std_m")
+            raise ValueError("every segment needs a positive variance: set anchor_std_m or step_std_m above zero")
         self.w = np.ones(len(rows))
         self.error = self.misfit = self.noise_share = self.precision = self.left = self.size = self.kappa = np.empty(0)
         self.a = self.q = np.empty(0)
         self.rho_square = 0.0
-        self.take(sums, prior.mean, fixed)
+        self.set_regressors(sums, prior.mean, fixed)
 
-    def take(self, sums: SegmentSums, mean: FloatArray, fixed: BoolArray) -> None:
-        """Regressors of the free parameters (n, 2, F), and what the others add (n, 2)."""
+    def set_regressors(self, sums: SegmentSums, mean: FloatArray, fixed: BoolArray) -> None:
+        """Set the regressors of the free parameters (n, 2, F) and the contribution of the held ones (n, 2)."""
         regressors = sums.regressors[self.rows]
         self.A = np.ascontiguousarray(regressors[:, :, ~fixed])
         self.offset = sums.offset_m[self.rows] + regressors[:, :, fixed] @ mean[fixed]
 
     def length(self, theta: FloatArray) -> FloatArray:
-        """Predicted lengths (n,) for the parameters of all people (S, F)."""
+        """Return the predicted lengths (n,) for the parameters of all people (S, F)."""
         vector = np.einsum("ndp,np->nd", self.A, theta[self.group.person]) + self.offset
         return np.hypot(vector[:, 0], vector[:, 1])
 
     def normal_equations(
         self, about: FloatArray, phi: FloatArray, tau2: float, first: bool, G: FloatArray, g: FloatArray
     ) -> None:
-        """Write the G_s (F, F) and g_s (F,) of these people, linearised about their parameters (S, F)."""
+        """Write the G_s (F, F) and g_s (F,) of these people into G and g, linearised at their parameters (S, F)."""
         group = self.group
         self.precision = self.w / (phi[self.context] * self.base_var)
         row, target = _linearised(self.A, self.offset, about[group.person], self.distance)
-        # Recordings: rho integrated out, a rank-one correction each. It scales the predicted length: with the known one
-        # theta = 0 and rho = 1 would explain everything.
+        # The scale error rho of each recording is integrated out, which is a rank-one correction. It multiplies the
+        # predicted length: if it multiplied the known length, theta = 0 and rho = 1 would explain all data.
         self.size = self.distance if first else self.length(about)
         self.a = _sums(row * (self.size * self.precision)[:, None], group.recordings)
         s = _sums(self.size**2 * self.precision, group.recordings)
@@ -312,46 +388,50 @@ class _Chunk:
         g[group.present] = _sums(row * (target * self.precision)[:, None], group.people)
         g[group.present] -= _sums(self.a * (self.kappa * self.q)[:, None], group.recordings_of_people)
 
-    def expect(self, about: FloatArray, posterior: PeoplePosterior, phi: FloatArray) -> None:
-        """What all other segments say of e_i (its misfit and the share of noise in it), and E of the sum of rho_w^2.
+    def compute_residuals(self, about: FloatArray, posterior: PeoplePosterior, phi: FloatArray) -> None:
+        """Compute the residual of each segment with respect to all other segments, and the expected sum of rho_w^2.
 
-        A segment's own residual says too little: with one segment a person's parameters follow it, right or wrong.
+        Also stored is the share of noise in the variance of that residual. The ordinary residual of a segment is not
+        informative. If a person has one segment, the parameters follow it, right or wrong.
         """
         group, theta, cov = self.group, posterior.people, posterior.people_cov[self.group.present]
         row, target = _linearised(self.A, self.offset, about[group.person], self.distance)
         rho = self.kappa * (self.q - np.einsum("wp,wp->w", self.a, theta[group.person_of_recording]))
         self.error = target - np.einsum("np,np->n", row, theta[group.person]) - self.size * rho[group.recording]
-        tilted = self._tilted(row)
+        tilted = self._marginal_rows(row)
         spread = _bilinear(tilted, tilted, cov, group.people) + self.size**2 * self.kappa[group.recording]
-        self.left = np.maximum(1 - self.precision * spread, 1e-6)  # one less the segment's leverage
+        self.left = np.maximum(1 - self.precision * spread, 1e-6)  # one minus the leverage of the segment
         noise = phi[self.context] * self.base_var
         variance = noise + spread / self.left
         self.misfit, self.noise_share = self.error / (self.left * np.sqrt(variance)), noise / variance
         rho_variance = self.kappa + self.kappa**2 * _bilinear(self.a, self.a, cov, group.recordings_of_people)
         self.rho_square = float((rho**2 + rho_variance).sum())
 
-    def pull(self, about: FloatArray, posterior: PeoplePosterior) -> FloatArray:
-        """How much each segment draws its own prediction, (n,).
+    def own_influence(self, about: FloatArray, posterior: PeoplePosterior) -> FloatArray:
+        """Return the influence (n,) of each segment on its own prediction.
 
         theta without segment i = theta - C tilted_i' error_i / (variance_i - tilted_i C tilted_i' - size_i^2 kappa).
         """
         group = self.group
         row, _ = _linearised(self.A, self.offset, about[group.person], self.distance)
-        gain = _bilinear(self._tilted(row), row, posterior.people_cov[group.present], group.people)
+        gain = _bilinear(self._marginal_rows(row), row, posterior.people_cov[group.present], group.people)
         return gain * self.precision / self.left * self.error
 
-    def _tilted(self, row: FloatArray) -> FloatArray:
-        """Derivative of -e_i with respect to theta, through rho_w as well."""
+    def _marginal_rows(self, row: FloatArray) -> FloatArray:
+        """Return the derivative of -e_i with respect to theta, including its effect through rho_w."""
         return row - (self.size * self.kappa[self.group.recording])[:, None] * self.a[self.group.recording]
 
 
 def _linearised(
     A: FloatArray, offset: FloatArray, theta: FloatArray, distance: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Rows (N, F) and targets (N,) such that distance - |A theta + offset| = target - row @ theta near these theta."""
+    """Return rows (N, F) and targets (N,) of the linearised segments.
+
+    Near these theta, distance - |A theta + offset| = target - row @ theta.
+    """
     vector = np.einsum("ndp,np->nd", A, theta) + offset
     size = np.hypot(vector[:, 0], vector[:, 1])
-    nowhere = size < 1e-9  # at the start, if nothing is known: along the largest regressor
+    nowhere = size < 1e-9  # no direction at the start, without prior information: use that of the largest regressor
     if nowhere.any():
         largest = np.einsum("ndp->np", A[nowhere] ** 2).argmax(axis=1)
         vector = vector.copy()
@@ -364,19 +444,39 @@ def _linearised(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Groups:
-    """Who and what sorted segments belong to. Starts are those of runs of rows, with the number of rows at the end."""
+    """Index arrays of segments sorted by person and recording.
 
-    person: IntArray  # (n,)
-    recording: IntArray  # (n,) numbered in order of appearance
-    present: IntArray  # (S',) people that have segments here
-    person_of_recording: IntArray  # (W,)
-    people: IntArray  # (S' + 1,) starts of people among the segments
-    recordings: IntArray  # (W + 1,) starts of recordings among the segments
-    recordings_of_people: IntArray  # (S' + 1,) starts of people among the recordings
+    Starts are the first rows of runs of equal labels, followed by the number of rows.
+
+    Attributes
+    ----------
+    person : array (n,)
+        Person of each segment.
+    recording : array (n,)
+        Recording of each segment, numbered in order of appearance.
+    present : array (S',)
+        People with segments in this chunk.
+    person_of_recording : array (W,)
+        Person of each recording.
+    people : array (S' + 1,)
+        Starts of the people among the segments.
+    recordings : array (W + 1,)
+        Starts of the recordings among the segments.
+    recordings_of_people : array (S' + 1,)
+        Starts of the people among the recordings.
+    """
+
+    person: IntArray
+    recording: IntArray
+    present: IntArray
+    person_of_recording: IntArray
+    people: IntArray
+    recordings: IntArray
+    recordings_of_people: IntArray
 
     @classmethod
     def of(cls, person: IntArray, recording: IntArray) -> _Groups:
-        """Groups of segments that are sorted by person, then recording."""
+        """Return the groups of segments that are sorted by person, then by recording."""
         people, recordings = _starts(person), _starts(person, recording)
         owner = person[recordings[:-1]]
         number = np.repeat(np.arange(len(owner)), np.diff(recordings))
@@ -384,24 +484,24 @@ class _Groups:
 
 
 def _starts(*labels: IntArray) -> IntArray:
-    """First row of each run of equal labels, and the number of rows."""
+    """Return the first row of each run of equal labels, followed by the number of rows."""
     new = np.any([np.diff(label) != 0 for label in labels], axis=0)
     return np.concatenate([[0], np.flatnonzero(new) + 1, [len(labels[0])]])
 
 
 def _sums(values: FloatArray, starts: IntArray) -> FloatArray:
-    """Sums of the rows of each group."""
+    """Return the sums of the rows of each group."""
     return np.add.reduceat(values, starts[:-1], axis=0)
 
 
 def _gram(rows: FloatArray, weight: FloatArray, starts: IntArray) -> FloatArray:
-    """Sums of weight row' row of each group, (groups, F, F)."""
+    """Return the sums of weight row' row of each group, shape (groups, F, F)."""
     weighted = rows * weight[:, None]
     result = np.stack([weighted[a:b].T @ rows[a:b] for a, b in pairwise(starts.tolist())])
     return 0.5 * (result + result.transpose(0, 2, 1))
 
 
 def _bilinear(left: FloatArray, right: FloatArray, cov: FloatArray, starts: IntArray) -> FloatArray:
-    """Left C right' of each row, with the covariance of its group out of (groups, F, F)."""
+    """Return left C right' of each row, with the covariance C of its group from `cov` (groups, F, F)."""
     turned = np.concatenate([left[a:b] @ own for (a, b), own in zip(pairwise(starts.tolist()), cov, strict=True)])
     return np.einsum("np,np->n", turned, right)

@@ -1,4 +1,4 @@
-"""Step-length parameters of people from walks of known length, with covariance: `calibrate`."""
+"""Calibration of step-length parameters from walks of known length, with covariances."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from pdr_filter.offline.calibration.model_forms import (
     MIN_GROUPS,
     RECORDING_STD,
     best_form,
+    estimate_segments,
     forms_of,
     models_of,
-    solved,
     standard_error,
     start_of,
 )
 from pdr_filter.offline.calibration.priors import StepLengthPrior, own_priors
 from pdr_filter.offline.calibration.segments import AnySegment, Segment, SegmentSums, integrate, segments_of
-from pdr_filter.offline.robust_loss import DISTRUST
+from pdr_filter.offline.robust_loss import OUTLIER_STDS
 from pdr_filter.recipes.config import Config
 from pdr_filter.recipes.step_length_calibration import UNNAMED, Calibration
 from pdr_filter.tracking.track import Track
@@ -31,7 +31,7 @@ from pdr_filter.values import CONTEXTS, FloatArray, Table, check_array, check_nu
 from pdr_filter.values.recording import Recording
 from pdr_filter.version import __version__
 
-_BIASED = 3.0  # standard errors; a larger bias of left-out segments is no chance
+_BIAS_LIMIT_STDS = 3.0  # A mean held-out error above this many standard errors is reported as a bias.
 
 
 def calibrate(
@@ -50,44 +50,71 @@ def calibrate(
     recording_std: float = RECORDING_STD,
     progress: Callable[[float], None] | None = None,
 ) -> Calibration:
-    """Step-length parameters from walks between places whose distance is known.
+    """Estimate the step-length parameters of people from walks of known length.
+
+    The recordings need stretches between places whose distance is known: truth segments, strides, waypoints or GNSS
+    fixes. The parameters of the population and of each person are estimated together, with robust weights for wrong
+    segments.
 
     Parameters
     ----------
     recordings : Recording or iterable of Recording
-        With truth segments of known distance, strides, waypoints, or GNSS fixes. Their `subject.id` says whose they
-        are; all without are of one person.
-    priors : mapping, optional
-        Model and prior of contexts, in place of those of `DEFAULT_PRIORS`; `eq12_priors()` has Martinelli's for all.
+        Recordings with truth segments of known distance, strides, waypoints, or GNSS fixes. Their `subject.id` names
+        the person. All recordings without one are attributed to one person.
+    priors : mapping of str to StepLengthPrior, optional
+        Model and prior of some contexts, which replace those of `DEFAULT_PRIORS`. `eq12_priors()` has the model of
+        Martinelli et al. for all contexts.
     tracks : iterable of Track, optional
-        Tracks of the recordings, if they are there already.
+        Tracks of the recordings, if they have been computed already.
     config : Config, optional
-        Finds steps, headings and contexts; the default recipe if not given. The step lengths of its modes are the
-        priors of contexts with other names, and of step-length models from outside the package.
+        Configuration that detects steps, headings and contexts. The default is the default recipe. For contexts with
+        other names, and for step-length models from outside the package, the step lengths of its modes are the priors.
     model : {"bounce", "eq12", "kim", "tian", "weinberg"}, optional
-        Step-length model of walking. If not given, with enough segments the one with the least left-out error, and the
-        first unless another is clearly better; a note says which.
+        Step-length model of walking. By default it is chosen: "bounce", unless there are enough segments and another
+        model has a clearly smaller held-out error. A note states the choice.
     prior_std : float, optional
-        How far a population's steps of walking may be from usual ones, relative; if not given 0.1 for "bounce".
+        Relative standard deviation of the population's step length of walking, about the default one. The default is
+        0.1 for "bounce".
     subject : str, optional
-        Name of the person of the recordings without a `subject.id`; "unnamed" if not given.
-    each_a_person : bool
-        Recordings without a `subject.id` are of different people, named after the recordings.
+        Name of the person of recordings without a `subject.id`. The default is "unnamed".
+    each_a_person : bool, default False
+        If True, each recording without a `subject.id` is attributed to a different person, named after the recording.
     measure : {"displacement", "length"}
-        Fit summed step vectors to distances, or summed step lengths (docs/methods/calibration.md has why not).
+        Quantity fitted to the known distances: the summed step vectors (default), or the summed step lengths.
+        docs/methods/calibration.md compares the two.
     loss : {"gnc", "cauchy", "huber", "none"}
-        How little segments count that do not fit.
+        Robust loss, which reduces the weight of segments that do not fit.
     anchor_std_m : float, optional
-        Standard deviation of the known distances; if not given 0.35 m for segments, 0.9 m for waypoints.
-    recording_std : float
-        How much one person's scale differs between recordings, at the start; 0 for not at all.
+        Standard deviation of the known distances in m. The default is 0.35 m for segments and 0.9 m for waypoints.
+    recording_std : float, default RECORDING_STD
+        Initial relative standard deviation of one person's scale between recordings. 0 assumes equal scales.
     progress : callable, optional
-        Called with the fraction of recordings done.
+        Called with the fraction of recordings done, 0 to 1.
+
+    Returns
+    -------
+    Calibration
+        Parameters of the population and of each person with covariances, and a table of all segments.
 
     Raises
     ------
     ValueError
-        Nothing to calibrate with, or parameters that nothing determines; it says which and what to do.
+        If there is nothing to calibrate with, or if data and priors do not determine a parameter. The message names the
+        parameters and the remedy.
+
+    See Also
+    --------
+    pdr_filter.batch.calibrate : Calibration of many recordings in parallel.
+
+    Notes
+    -----
+    The estimate is the maximum a posteriori by expectation-maximisation (docs/methods/calibration.md).
+
+    References
+    ----------
+    A. Martinelli et al., "Probabilistic context-aware step length estimation for pedestrian dead reckoning", IEEE
+    Sensors Journal 18, 2018. H. Yang et al., "Graduated non-convexity for robust spatial perception", IEEE RA-L 5,
+    2020.
 
     Examples
     --------
@@ -101,10 +128,10 @@ def calibrate(
     """
     chosen = [recordings] if isinstance(recordings, Recording | str | Path) else list(recordings)
     if not chosen:
-        raise ValueError("no recordings: give at least one")
+        raise ValueError("no recordings to calibrate with: give at least one")
     known = list(tracks) if tracks is not None else [None] * len(chosen)
     if len(known) != len(chosen):
-        raise ValueError(f"{len(known)} tracks for {len(chosen)} recordings: give one for each")
+        raise ValueError(f"got {len(known)} tracks for {len(chosen)} recordings: give one track for each recording")
     check_subject(subject, each_a_person)
     _check_stds(recording_std, anchor_std_m)
     contexts, walking = CONTEXTS, "walking"
@@ -115,7 +142,7 @@ def calibrate(
         if model is not None:
             own.pop(walking, None)
         priors = {**own, **(priors or {})}
-    forms_of(priors, model, prior_std, contexts, walking)  # refuses before walks are tracked
+    forms_of(priors, model, prior_std, contexts, walking)  # raises its errors before the slow tracking
     segments: list[Segment] = []
     notes: list[str] = []
     nameless = 0
@@ -144,30 +171,36 @@ def calibrate(
 
 
 def _check_stds(recording_std: float, anchor_std_m: float | None = None) -> None:
-    remedy = f"it is the relative difference of a person's step scale between recordings; {RECORDING_STD:g} is usual"
+    """Raise ValueError if one of the standard deviations is out of range."""
+    remedy = f"it is the relative spread of a person's step scale between recordings; {RECORDING_STD:g} is usual"
     check_number("recording_std", recording_std, 0.0, 1.0, remedy)
     if anchor_std_m is not None:
-        check_number("anchor_std_m", anchor_std_m, 0.0, 1e3, "it is in m; leave it out for the usual one")
+        check_number("anchor_std_m", anchor_std_m, 0.0, 1e3, "it is in m; omit it for the default")
 
 
 def check_subject(subject: str | None, each_a_person: bool) -> None:
-    """ValueError if both are given."""
+    """Raise ValueError if both a subject and `each_a_person` are given, because they contradict each other."""
     if subject is not None and each_a_person:
-        raise ValueError(f"subject {subject!r} names one person, and each_a_person says that there are several")
+        raise ValueError(
+            f"subject {subject!r} names one person, but each_a_person means several people: give only one of the two"
+        )
 
 
 def without_name(n_recordings: int, subject: str | None, each_a_person: bool) -> list[str]:
-    """What was made of recordings that do not say whose they are, in words."""
+    """Return a note about the person to whom recordings without a subject id were attributed.
+
+    The list is empty if there is nothing to note.
+    """
     unused = "each_a_person (--each-a-person)" if each_a_person else f"subject {subject!r}" if subject else ""
     if n_recordings == 0 and unused:
-        return [f"every recording says whose it is: {unused} was not used"]
+        return [f"every recording has a subject id, so {unused} was not used"]
     if n_recordings == 0 or subject is not None:
         return []
     what = "1 recording has" if n_recordings == 1 else f"{n_recordings} recordings have"
     if each_a_person:
-        return [f"{what} no subject id: each is taken for a person of its own"]
-    remedy = "" if n_recordings == 1 else "; if they are of different people, say each_a_person (--each-a-person)"
-    return [f'{what} no subject id: taken for one person, "{UNNAMED}"{remedy}']
+        return [f"{what} no subject id: each is attributed to a different person"]
+    remedy = "" if n_recordings == 1 else "; if they are of different people, use each_a_person (--each-a-person)"
+    return [f'{what} no subject id: attributed to one person, "{UNNAMED}"{remedy}']
 
 
 def calibrate_segments(
@@ -181,10 +214,13 @@ def calibrate_segments(
     notes: Sequence[str] = (),
     walking: str = "walking",
 ) -> Calibration:
-    """`calibrate` for segments that are already cut out (`segments_of`); `walking` is the context of level walking."""
+    """Return the calibration of segments that `segments_of` has already extracted.
+
+    The parameters are those of `calibrate`. `walking` is the name of the context of level walking.
+    """
     _check_stds(recording_std)
     if not segments:
-        raise ValueError("no segments: give at least one stretch of known length with steps in it")
+        raise ValueError("no segments to calibrate with: give at least one stretch of known length that contains steps")
     names = {segment.context_names for segment in segments}
     if len(names) > 1:
         raise ValueError(f"segments must be of tracks with the same contexts, got {sorted(names)}")
@@ -192,11 +228,11 @@ def calibrate_segments(
     for segment in segments:
         check_array(f"{segment.name}: distance_m", segment.distance_m, "positive")
         if not segment.n_steps > 0:
-            raise ValueError(f"{segment.name}: no steps in it; leave it out")
+            raise ValueError(f"{segment.name}: the segment contains no steps; remove it")
     name, choice = best_form(segments, forms, loss, recording_std)
     full = forms[name]
     sums = integrate(segments, models_of(full), start_of(full))
-    found = solved(segments, sums, full, loss, recording_std)
+    found = estimate_segments(segments, sums, full, loss, recording_std)
     return _assemble(segments, sums, found, full, recording_std, choice, notes)
 
 
@@ -209,6 +245,7 @@ def _assemble(
     choice: Sequence[str],
     notes: Sequence[str],
 ) -> Calibration:
+    """Return the `Calibration` of an estimate: parameters, table of segments, notes and card."""
     models, contexts = models_of(priors), segments[0].context_names
     rows = _table(segments, sums, found, np.concatenate([priors[name].mean for name in models]))
     heights = {s.subject: s.height_m for s in segments}
@@ -225,7 +262,7 @@ def _assemble(
             name: float(priors[name].step_std_m * np.sqrt(found.noise_factor[contexts.index(name)])) for name in models
         },
         recording_std=found.recording_std,
-        n_segments=_shares(segments, models),
+        n_segments=_segments_per_context(segments, models),
         segments=rows,
         # warnings about the calibration come before those about single recordings
         notes=(*bias_warnings(rows, recording_std), *choice, *_notes(rows, found, priors), *notes),
@@ -241,7 +278,7 @@ def _assemble(
 
 
 def _table(segments: Sequence[AnySegment], sums: SegmentSums, found: ParameterEstimate, start: FloatArray) -> Table:
-    """The table `Calibration.segments`; `start` are the parameters before the calibration (P,)."""
+    """Return the table `Calibration.segments`. `start` (P,) are the parameters before the calibration."""
     vector = sums.regressors @ start + sums.offset_m
     return table(
         {
@@ -259,61 +296,66 @@ def _table(segments: Sequence[AnySegment], sums: SegmentSums, found: ParameterEs
             "uncalibrated_m": np.hypot(vector[:, 0], vector[:, 1]),
             "misfit": found.misfit,
             "weight": found.weight,
-            "distrusted": np.abs(found.misfit) > DISTRUST,
+            "distrusted": np.abs(found.misfit) > OUTLIER_STDS,
         }
     )
 
 
-def _shares(segments: Sequence[AnySegment], names: Iterable[str]) -> dict[str, float]:
-    """How many segments each context had, in shares of their steps."""
+def _segments_per_context(segments: Sequence[AnySegment], names: Iterable[str]) -> dict[str, float]:
+    """Return the number of segments of each context. A segment counts for its contexts in proportion to their steps."""
     steps_in = np.stack([s.steps_in for s in segments])
     share = (steps_in / np.maximum(steps_in.sum(axis=1, keepdims=True), 1e-9)).sum(axis=0)
     return {name: float(share[segments[0].context_names.index(name)]) for name in names}
 
 
 def bias_warnings(rows: Any, recording_std: float) -> list[str]:
-    """Biases of left-out segments that are no chance, in words, with what to do about them."""
+    """Return warnings about significant biases of held-out segments, with likely causes and remedies."""
     found: list[str] = []
     for what, group, predicted_m in (
-        ("segments left out", rows.recording, rows.left_out_m),
-        ("people left out", rows.subject, rows.stranger_m),
+        ("held-out segments", rows.recording, rows.left_out_m),
+        ("held-out people", rows.subject, rows.stranger_m),
     ):
         good = ~rows.distrusted & np.isfinite(predicted_m)
         n_groups = len(np.unique(group[good]))
         if n_groups == 0:
             continue
-        # of the mean length: relative to a segment's own, which has an error too, it would be too large on average
+        # relative to the mean length: relative to a segment's own length, which has an error too, the mean error would
+        # be biased upwards
         error = 100 * (predicted_m[good] - rows.distance_m[good]) / float(rows.distance_m[good].mean())
         if n_groups >= MIN_GROUPS:
             std = standard_error(error, group[good])
-        elif what == "segments left out" and len(error) >= MIN_GROUPS:  # what a recording has in common is one draw
+        # the common error of a recording is a single draw
+        elif what == "held-out segments" and len(error) >= MIN_GROUPS:
             std = np.hypot(standard_error(error, np.arange(len(error))), 100 * recording_std / np.sqrt(n_groups))
         else:
             continue
         bias = float(error.mean())
-        if 0 < _BIASED * std < abs(bias):  # copies of one walk have no spread
+        if 0 < _BIAS_LIMIT_STDS * std < abs(bias):  # copies of one walk have no spread and give no standard error
             found.append(
-                f"WARNING: {what} come out {abs(bias):.1f} % too {'long' if bias > 0 else 'short'}, which is "
-                f"{abs(bias) / std:.1f} standard errors: the calibration does not fit the walks that it was made of. "
-                "Check that the known distances are right and in metres, and that subject ids are those of the people; "
-                "if they are, allow steps to be further from usual ones (prior_std, --prior) or try another model "
-                "(model, --model)"
+                f"WARNING: {what} are predicted {abs(bias):.1f} % too {'long' if bias > 0 else 'short'}, which is "
+                f"{abs(bias) / std:.1f} standard errors: the calibration does not fit its own walks. "
+                "Check that the known distances are right and in metres, and that the subject ids are correct; "
+                "if they are, allow steps to deviate more from the usual lengths (prior_std, --prior) or try another "
+                "model (model, --model)"
             )
     return found
 
 
 def _notes(rows: Any, found: ParameterEstimate, priors: Mapping[str, StepLengthPrior]) -> list[str]:
+    """Return notes about convergence, segments with a large residual, and contexts without segments."""
     notes: list[str] = []
     if not found.converged:
-        notes.append(f"the variances still changed after {found.n_iterations} iterations")
+        notes.append(
+            f"the calibration did not converge: the variances still changed after {found.n_iterations} iterations"
+        )
     doubtful = rows[rows.distrusted]
     for r in doubtful[np.argsort(-np.abs(doubtful.misfit))]:
         notes.append(
             f"distrusted: {r.recording} {r.start_s:.1f}-{r.end_s:.1f} s: {r.distance_m:.2f} m given, "
-            f"{r.predicted_m:.2f} m walked by its steps, {abs(r.misfit):.1f} standard deviations, weight {r.weight:.2f}"
+            f"{r.predicted_m:.2f} m from its steps, {abs(r.misfit):.1f} standard deviations, weight {r.weight:.2f}"
         )
     with_length = [name for name, prior in priors.items() if prior.mean.any() or prior.std.any()]
     without = [c for c in with_length if c not in set(rows.context.tolist())]
     if without:
-        notes.append(f"no segments of {', '.join(without)}: the filter keeps the lengths that it had")
+        notes.append(f"no segments of {', '.join(without)}: the filter keeps its default step lengths there")
     return notes

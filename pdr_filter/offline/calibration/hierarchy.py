@@ -1,7 +1,8 @@
-"""Linear least squares over many people at once: what is shared, what is each person's own, and how people differ.
+"""Hierarchical linear least squares: parameters of a population, of each person, and their spread between people.
 
-Each person enters as ONE factor, the sum over all of the person's segments, so that the solver's work follows people.
-The sum is exact: every segment is linear, and a sum of squares of linear residuals is one quadratic form.
+Each person enters as ONE factor, the sum over all of the person's segments. The work of the solver therefore grows with
+the number of people, not of segments. The sum is exact, because every segment is linear, and a sum of squares of linear
+residuals is a single quadratic form.
 """
 
 from __future__ import annotations
@@ -14,25 +15,42 @@ import numpy as np
 
 from pdr_filter.values import FloatArray, IntArray
 
-_POPULATION = 0  # key of the population's parameters; people are 1 ... S
-# Smallest over largest diagonal entry of a square-root factor whose columns have unit size: below, two parameters
-# differ by less than rounding.
+_POPULATION = 0  # key of the population's parameters; people have the keys 1 to S
+# Limit on the ratio of the smallest to the largest diagonal entry of a square-root factor with columns of unit size.
+# Below it, two parameters cannot be separated within rounding errors.
 _SINGULAR = 1e-7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PeoplePosterior:
-    """Normal posterior of the population and of each person."""
+    """Normal posterior of the parameters of the population and of each person.
 
-    population: FloatArray  # (P,) mean of the population's parameters
-    population_cov: FloatArray  # (P, P)
-    people: FloatArray  # (S, P) each person's own parameters, and the population's where these are shared
-    people_cov: FloatArray  # (S, P, P)
-    apart_cov: FloatArray  # (S, Q, Q) of each person's own parameters less the population's
+    Attributes
+    ----------
+    population : array (P,)
+        Mean of the population's parameters.
+    population_cov : array (P, P)
+        Covariance of the population's parameters.
+    people : array (S, P)
+        Mean of each person's parameters. Shared parameters are those of the population.
+    people_cov : array (S, P, P)
+        Covariance of each person's parameters.
+    apart_cov : array (S, Q, Q)
+        Covariance of the difference between each person's own parameters and the population's.
+    """
+
+    population: FloatArray
+    population_cov: FloatArray
+    people: FloatArray
+    people_cov: FloatArray
+    apart_cov: FloatArray
 
 
 class SingularError(ValueError):
-    """The data and priors do not determine all parameters; `indices` are those that are involved."""
+    """Error raised if data and priors do not determine all parameters.
+
+    `indices` are the indices of the parameters concerned.
+    """
 
     def __init__(self, indices: tuple[int, ...]) -> None:
         super().__init__("the segments do not determine all parameters")
@@ -47,18 +65,18 @@ def solve_people(
     personal: IntArray,
     between_precision: FloatArray,
 ) -> PeoplePosterior:
-    """Posterior of a person's parameters t_s and the population's y, for data that are already summed.
+    """Return the posterior of the population's parameters y and the people's own parameters t_s from summed data.
 
-    Minimises over y (P,) and t_s (Q,), with theta_s = y but for theta_s[personal] = t_s,
+    The solution minimises over y (P,) and t_s (Q,), with theta_s = y except theta_s[personal] = t_s,
 
         sum_s (theta_s' G_s theta_s - 2 g_s' theta_s) + (t_s - y[personal])' W (t_s - y[personal]) + |y - mean|^2_prior
 
-    `information` (S, P, P), `vector` (S, P) are G_s, g_s: sums of row' row / variance and of row' distance / variance.
-    `prior_precision` (P,) 0 is no prior. `between_precision` (Q, Q) is W, inverse of the covariance between people,
-    with zero rows where people are independent of each other: the population's value there is the mean of theirs.
-    SingularError if neither data nor priors determine a parameter.
+    `information` (S, P, P) and `vector` (S, P) are G_s and g_s: the sums of row' row / variance and of row' distance /
+    variance. `prior_precision` (P,) of 0 means no prior. `between_precision` (Q, Q) is W, the inverse of the covariance
+    between people. Its rows are zero for parameters that are independent between people. The population's value of such
+    a parameter is the mean over the people. Raises SingularError if neither data nor priors determine a parameter.
     """
-    free = np.diagonal(between_precision) == 0  # nothing ties these to the population
+    free = np.diagonal(between_precision) == 0  # independent between people
     weight = np.einsum("sii->i", information) + prior_precision
     weight[personal] += np.diagonal(between_precision)
     scale = 1 / np.sqrt(np.where(weight > 0, weight, 1.0))
@@ -66,7 +84,8 @@ def solve_people(
     g = vector * scale
     W = between_precision * scale[personal][:, None] * scale[personal]
     precision = prior_precision * scale**2
-    precision[personal[free]] = np.maximum(precision[personal[free]], 1.0)  # overwritten below: only keeps y regular
+    # keeps the system regular; the result is overwritten below
+    precision[personal[free]] = np.maximum(precision[personal[free]], 1.0)
     found = _eliminated(G, g, prior_mean / scale, precision, personal, W)
     y, y_cov, theta, cov = found.population, found.population_cov, found.people, found.people_cov
     n_people = len(theta)
@@ -84,7 +103,10 @@ def solve_people(
 def _eliminated(
     G: FloatArray, g: FloatArray, mean: FloatArray, precision: FloatArray, personal: IntArray, W: FloatArray
 ) -> PeoplePosterior:
-    """Posterior for parameters of unit size; each conditional of the eliminated graph is R t_s + S y = d."""
+    """Return the posterior for parameters of unit size.
+
+    GTSAM eliminates the people first, then the population. Each conditional of a person is R t_s + S y = d.
+    """
     n_people, n_params = g.shape
     ordering = gtsam.Ordering()
     for key in (*range(1, n_people + 1), _POPULATION):
@@ -100,7 +122,7 @@ def _eliminated(
     y, y_cov = inverse @ d, inverse @ inverse.T
     theta = np.repeat(y[None], n_people, axis=0)
     own_cov = np.zeros((n_people, len(personal), len(personal)))
-    follow = np.repeat(np.eye(n_params)[None], n_people, axis=0)  # theta_s = follow_s y + constant + own noise
+    follow = np.repeat(np.eye(n_params)[None], n_people, axis=0)  # theta_s = follow_s y + constant + independent noise
     if len(personal):
         parts = [_parts(net.at(s)) for s in range(n_people)]
         R_s, S_s, d_s = (np.stack([p[k] for p in parts]) for k in range(3))
@@ -122,6 +144,7 @@ def _eliminated(
 def _graph(
     G: FloatArray, g: FloatArray, mean: FloatArray, precision: FloatArray, personal: IntArray, W: FloatArray
 ) -> gtsam.GaussianFactorGraph:
+    """Return the factor graph: one factor for the prior of the population, and one per person."""
     n_params = g.shape[1]
     graph = gtsam.GaussianFactorGraph()
     root = np.sqrt(precision)
@@ -140,7 +163,10 @@ def _graph(
 def _blocks(
     G: FloatArray, g: FloatArray, personal: IntArray, W: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Quadratic forms of people in (t_s, y), the tie with them: of t_s, mixed, vector of t_s, of y, vector of y."""
+    """Return the quadratic form of each person in (t_s, y), including the tie between both.
+
+    The five blocks are: matrix of t_s, mixed matrix, vector of t_s, matrix of y, vector of y.
+    """
     n_people, n_params = g.shape
     shared = np.delete(np.arange(n_params), personal)
     cross = np.zeros((n_people, len(personal), n_params))
@@ -153,10 +179,14 @@ def _blocks(
     return G[:, personal][:, :, personal] + W, cross, g[:, personal], rest, rest_vector
 
 
-def without_each(
+def population_without_each(
     posterior: PeoplePosterior, G: FloatArray, g: FloatArray, personal: IntArray, W: FloatArray
 ) -> FloatArray:
-    """Population's parameters from all people but one, (S, P): the person's message taken from the population's sum."""
+    """Return the population's parameters (S, P) estimated without each person in turn.
+
+    The person's marginal contribution is subtracted from the population's information. Rows are NaN where the rest does
+    not determine the parameters.
+    """
     own, cross, own_vector, message, message_vector = _blocks(G, g, personal, W)
     if len(personal):
         gain = np.linalg.solve(own, cross)
@@ -174,17 +204,22 @@ def without_each(
 
 
 def _parts(conditional: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return R, S and d of a Gaussian conditional of GTSAM."""
     return np.asarray(conditional.R()), np.asarray(conditional.S()), np.asarray(conditional.d())
 
 
 def _undetermined(G: FloatArray, precision: FloatArray, personal: IntArray, W: FloatArray) -> tuple[int, ...]:
-    """Parameters in the weakest direction of the first person for whom it is as good as nothing."""
+    """Return the indices of the parameters without information, for the total or for any person.
+
+    These are the large components of eigenvectors with almost no information.
+    """
     indices: set[int] = set()
     shared = np.delete(np.arange(len(precision)), personal)
     total = G.sum(axis=0) + np.diag(precision)
     candidates = [total]
     for G_s in G:
-        own = total.copy()  # a person's own parameters have only the person's data, and the tie
+        # a person's own parameters are determined only by the person's data and the tie to the population
+        own = total.copy()
         own[np.ix_(personal, personal)] = G_s[np.ix_(personal, personal)] + W
         own[np.ix_(personal, shared)] = G_s[np.ix_(personal, shared)]
         own[np.ix_(shared, personal)] = G_s[np.ix_(shared, personal)]

@@ -1,4 +1,4 @@
-"""Which form of step length: every one calibrated without some of the people or recordings, and scored on these."""
+"""Choice of the step-length model of walking by cross-validation over people or recordings."""
 
 from __future__ import annotations
 
@@ -11,19 +11,20 @@ from numpy.typing import NDArray
 from pdr_filter.filter.step_length.models import RECORDING_STD, StepLengthModel
 from pdr_filter.offline.calibration.estimation import Hierarchy, ParameterEstimate, estimate_parameters
 from pdr_filter.offline.calibration.hierarchy import SingularError
-from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, as_wide_as, candidates
+from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, candidates, with_relative_std
 from pdr_filter.offline.calibration.segments import AnySegment, SegmentSums, integrate
-from pdr_filter.offline.robust_loss import DISTRUST
+from pdr_filter.offline.robust_loss import OUTLIER_STDS
 from pdr_filter.recipes.step_length_calibration import slices_of
 from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray
 
-# Fewer segments, people or recordings do not choose a form. From so many on the chosen one is no worse than the default
-# on the totals of walks left out of the choice, but for 0.2 points at one of five sites (docs/benchmarks.md).
+# The default model is used below these numbers of segments, people or recordings. Above them, the chosen model is no
+# worse than the default on the totals of walks held out of the choice, apart from 0.2 points at one of five sites
+# (docs/benchmarks.md).
 MIN_SEGMENTS, MIN_GROUPS = 30, 5
-_MAX_SEGMENTS = 2000  # about so many choose it in a large cohort: more would only take longer
+_MAX_SEGMENTS = 2000  # about this many segments are used for the choice: more only take longer
 _N_FOLDS = 5
 # Share by which the held-out error of a form must be smaller than that of the default.
-_CLEARLY = 0.05
+_MIN_IMPROVEMENT = 0.05
 
 Priors = Mapping[str, StepLengthPrior]
 
@@ -35,45 +36,49 @@ def forms_of(
     contexts: tuple[str, ...] = CONTEXTS,
     walking: str = "walking",
 ) -> dict[str, dict[str, StepLengthPrior]]:
-    """Priors of all contexts for each form that walking may have, by name, in the order of `contexts`.
+    """Return the priors of all contexts for each candidate model of walking, by name.
 
-    One form if `priors` has the context of walking or a `model` is named; else all of `candidates`.
+    There is one candidate if `priors` contains the context of walking or a `model` is named, otherwise all of
+    `candidates`. The contexts are in the order of `contexts`. Raises ValueError for unknown or contradicting arguments.
     """
-    given, known = dict(priors or {}), candidates()
+    given, known = dict(priors or {}), {name: {walking: of["walking"]} for name, of in candidates().items()}
     if unknown := set(given) - set(contexts):
-        raise ValueError(f"no context {', '.join(sorted(unknown))}; there are {', '.join(contexts)}")
+        raise ValueError(
+            f"priors are of no context {', '.join(sorted(unknown))}; there are {', '.join(contexts)}: contexts of "
+            "yours need pdr_filter.calibrate(recordings, config=config)"
+        )
     if model is not None and walking in given:
-        raise ValueError(f"priors has a model of walking, and model is {model!r}: leave out one of them")
+        raise ValueError(f"priors has a model of walking, but model is {model!r} too: give only one of the two")
     if model is not None and model not in known:
         raise ValueError(f"model must be one of {', '.join(known)}, got {model!r}")
     if prior_std is not None and not 0 < prior_std <= 1:
         raise ValueError(
-            f"prior_std (--prior) must be a share of a step, above 0 and up to 1, got {prior_std}; 0.1 is usual"
+            f"prior_std (--prior) must be a fraction of a step, above 0 and up to 1, got {prior_std}; 0.1 is usual"
         )
     chosen = {"given": given} if walking in given else known if model is None else {model: known[model]}
     forms: dict[str, dict[str, StepLengthPrior]] = {}
     for name, own in chosen.items():
         full = {**DEFAULT_PRIORS, **given, **own}
         if prior_std is not None:
-            full[walking] = as_wide_as(full[walking], prior_std)
+            full[walking] = with_relative_std(full[walking], prior_std)
         forms[name] = {c: full[c] for c in contexts if c in full}
     return forms
 
 
 def models_of(priors: Priors) -> dict[str, StepLengthModel]:
-    """The step-length model of each context."""
+    """Return the step-length model of each context."""
     return {name: p.model for name, p in priors.items()}
 
 
 def start_of(priors: Priors) -> dict[str, FloatArray]:
-    """The parameters of each context before a calibration."""
+    """Return the prior means of each context, at which nonlinear models are first linearised."""
     return {name: p.mean for name, p in priors.items()}
 
 
 def hierarchy_of(
     priors: Priors, recording_std: float = RECORDING_STD, contexts: tuple[str, ...] = CONTEXTS
 ) -> Hierarchy:
-    """The priors of all contexts, one after the other."""
+    """Return the priors of all contexts concatenated into one `Hierarchy`."""
     step_std_m = np.full(len(contexts), 0.08)
     for name, prior in priors.items():
         step_std_m[contexts.index(name)] = prior.step_std_m
@@ -83,10 +88,13 @@ def hierarchy_of(
     return Hierarchy(mean, std, between, step_std_m, recording_std)
 
 
-def solved(
+def estimate_segments(
     segments: Sequence[AnySegment], sums: SegmentSums, priors: Priors, loss: str, recording_std: float
 ) -> ParameterEstimate:
-    """`estimate_parameters` for segments and their sums; it names the parameters in its error messages."""
+    """Return the parameter estimate of segments and their sums.
+
+    Nonlinear models are linearised again in each iteration.
+    """
     models = models_of(priors)
     slices, _ = slices_of(models)
 
@@ -96,17 +104,17 @@ def solved(
 
     linear = all(hasattr(model, "regressors") for model in models.values())
     prior = hierarchy_of(priors, recording_std, segments[0].context_names)
-    return solve_sums(sums, prior, models, loss, None if linear else relinearise)
+    return estimate_sums(sums, prior, models, loss, None if linear else relinearise)
 
 
-def solve_sums(
+def estimate_sums(
     sums: SegmentSums,
     hierarchy: Hierarchy,
     models: Mapping[str, StepLengthModel],
     loss: str = "gnc",
     relinearise: Callable[[FloatArray], SegmentSums] | None = None,
 ) -> ParameterEstimate:
-    """`estimate_parameters`, with names of the parameters in its error messages."""
+    """Return the parameter estimate of sums. ValueError names the parameters that the data do not determine."""
     try:
         return estimate_parameters(sums, hierarchy, loss, relinearise)
     except SingularError as error:
@@ -122,9 +130,46 @@ def solve_sums(
 def left_out_errors(
     segments: Sequence[AnySegment], forms: Mapping[str, Priors], loss: str = "gnc", recording_std: float = RECORDING_STD
 ) -> tuple[dict[str, FloatArray], BoolArray]:
-    """Relative errors (N,) of each form on segments it has not seen, and which of them no form distrusts (N,).
+    """Return the relative errors of step-length models on held-out segments.
 
-    Left out are whole people, or whole recordings if there are fewer than five people: a fifth of them at a time.
+    The cross-validation has five folds. It holds out whole people, or whole recordings if there are fewer than five
+    people.
+
+    Parameters
+    ----------
+    segments : sequence of Segment
+        N segments of known length.
+    forms : mapping of str to mapping of str to StepLengthPrior
+        Priors of all contexts, by the name of the model.
+    loss : {"gnc", "cauchy", "huber", "none"}
+        Robust loss of the calibration.
+    recording_std : float, default RECORDING_STD
+        Initial relative standard deviation of one person's scale between recordings.
+
+    Returns
+    -------
+    errors : dict of str to array (N,)
+        Predicted over known length minus one, by the name of the model.
+    good : array (N,) of bool
+        True for segments that are not an outlier under any of the models.
+
+    Raises
+    ------
+    ValueError
+        If the segments do not determine a parameter.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.offline.calibration.model_forms import forms_of, left_out_errors
+    >>> from pdr_filter.offline.calibration.segments import segments_of
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=20.0)])
+    >>> (segment,), _ = segments_of(walk, pdr.track(walk))
+    >>> segments = [segment, replace(segment, recording="second walk")]
+    >>> errors, good = left_out_errors(segments, forms_of(model="bounce"))
+    >>> good, bool(abs(errors["bounce"]).max() < 0.2)
+    (array([ True,  True]), True)
     """
     errors: dict[str, FloatArray] = {}
     good = np.ones(len(segments), dtype=bool)
@@ -135,15 +180,15 @@ def left_out_errors(
         for k in np.unique(fold):
             training = fold != k
             seen = [segments[i] for i in np.flatnonzero(training).tolist()]
-            found = solved(seen, sums.rows(training), priors, loss, recording_std)
+            found = estimate_segments(seen, sums.rows(training), priors, loss, recording_std)
             predicted[~training] = lengths(sums.rows(~training), found.people)
         errors[name] = predicted / sums.distance_m - 1
-        good &= np.abs(solved(segments, sums, priors, loss, recording_std).misfit) <= DISTRUST
+        good &= np.abs(estimate_segments(segments, sums, priors, loss, recording_std).misfit) <= OUTLIER_STDS
     return errors, good
 
 
 def lengths(sums: SegmentSums, people: FloatArray) -> FloatArray:
-    """Predicted lengths (N,) with the parameters of all people (S, P), for models that are linear in them."""
+    """Return the predicted lengths (N,) of segments with the parameters of all people (S, P), for linear models."""
     vector = np.einsum("ndp,np->nd", sums.regressors, people[sums.subject]) + sums.offset_m
     return np.hypot(vector[:, 0], vector[:, 1])
 
@@ -151,9 +196,11 @@ def lengths(sums: SegmentSums, people: FloatArray) -> FloatArray:
 def best_form(
     segments: Sequence[AnySegment], forms: Mapping[str, Priors], loss: str, recording_std: float
 ) -> tuple[str, list[str]]:
-    """Name of the form with a clearly smaller held-out error than the first, else of the first, and a note about it.
+    """Return the name of the best model of walking, and a note about the choice.
 
-    Clearly smaller: by `_CLEARLY` of the error, and by two standard errors of the paired difference of squares.
+    The first model is kept unless another one has a clearly smaller held-out error. The error must be smaller by the
+    fraction `_MIN_IMPROVEMENT`, and by two standard errors of the paired difference of squared errors. The list of
+    notes is empty if there are too few segments for a choice.
     """
     first = next(iter(forms))
     walked = [s for s in segments if s.context_names[int(np.argmax(s.steps_in))] == "walking"]
@@ -168,21 +215,22 @@ def best_form(
     best = min(rms, key=lambda name: rms[name])
     gained = (np.square(errors[first]) - np.square(errors[best]))[good]
     std = standard_error(gained, _groups_of([s.subject for s in some], [s.recording for s in some])[good])
-    is_clear = rms[best] <= (1.0 - _CLEARLY) * rms[first] and float(gained.mean()) >= 2.0 * std
-    best, which = (best, f"clearly better than {first}") if is_clear else (first, "no other form is clearly better")
+    is_clear = rms[best] <= (1.0 - _MIN_IMPROVEMENT) * rms[first] and float(gained.mean()) >= 2.0 * std
+    best, which = (best, f"clearly better than {first}") if is_clear else (first, "no other model is clearly better")
     others = ", ".join(f"{name} {value:.1f} %" for name, value in rms.items() if name != best)
     kind = "people" if n_groups == len({s.subject for s in walked}) else "recordings"
     n_left_out = len(range(0, n_groups, every))
     return best, [
-        f"step lengths of walking by {best} ({len(forms)} forms for the ways of carrying the phone here, {which}): "
-        f"{rms[best]:.1f} % off on {kind} left out in turn ({good.sum()} segments, {n_left_out} {kind}); {others}"
+        f"step lengths of walking by the model {best} ({len(forms)} models compared, {which}): error of "
+        f"{rms[best]:.1f} % on held-out {kind} ({good.sum()} segments, {n_left_out} {kind}); {others}"
     ]
 
 
 def standard_error(values: FloatArray, group: NDArray[Any]) -> float:
-    """Standard error of the mean of values (N,) that are alike within groups; inf for less than two groups.
+    """Return the standard error of the mean of values (N,) that are correlated within groups.
 
-    sqrt(G / (G - 1) sum_g (sum_i (x_i - mean))^2) / N, the sums over the values of each group.
+    sqrt(G / (G - 1) sum_g (sum_i (x_i - mean))^2) / N, where the inner sum is over the values of a group. The result is
+    inf for fewer than two groups.
     """
     number = np.unique(group, return_inverse=True)[1]
     sums = np.bincount(number, values - values.mean())
@@ -191,11 +239,15 @@ def standard_error(values: FloatArray, group: NDArray[Any]) -> float:
 
 
 def _groups(sums: SegmentSums) -> IntArray:
+    """Return the cross-validation group of each segment of the sums."""
     return _groups_of(sums.subject.tolist(), sums.recording.tolist())
 
 
 def _groups_of(subject: Sequence[object], recording: Sequence[object]) -> IntArray:
-    """Number of the group of each segment, in order of appearance: people, or recordings of fewer than five people."""
+    """Return the group number of each segment, in order of appearance.
+
+    Groups are people, or recordings if there are fewer than five people.
+    """
     names = subject if len(set(subject)) >= MIN_GROUPS else recording
     order = {name: i for i, name in enumerate(dict.fromkeys(names))}
     return np.array([order[name] for name in names], dtype=np.int64)

@@ -1,4 +1,4 @@
-"""What is known of step lengths before a calibration, for each context."""
+"""Prior distributions of step-length parameters before a calibration, by context."""
 
 from __future__ import annotations
 
@@ -26,29 +26,53 @@ from pdr_filter.filter.step_length.models import (
 from pdr_filter.recipes.step_length_calibration import TYPICAL_STEP
 from pdr_filter.values import FloatArray, Step, check_array, read_only
 
-PEOPLE_RELATIVE_STD = scale_std(USUAL_HEIGHT_M)  # how people of known height differ in their step lengths, 7 %
-# How far the mean of a group of people with their phones may be from the lengths that are shipped. The step lengths of
-# four groups of unknown height are off by -10, 0, +10 and +20 %, root mean square 12.2 %: hypot(0.10, 0.07).
+# relative standard deviation of step lengths between people of known height, 7 %
+PEOPLE_RELATIVE_STD = scale_std(USUAL_HEIGHT_M)
+# Relative standard deviation of a group's mean step length about the default one. The step lengths of four groups of
+# unknown height deviate by -10, 0, +10 and +20 %, which is a root mean square of 12.2 %: hypot(0.10, 0.07).
 GROUP_RELATIVE_STD = 0.10
 _PACKAGE = __name__.split(".")[0]
-_MIN_SLOPE = 1e-9  # smallest derivative of the length by a parameter, against division by zero
+_MIN_SLOPE = 1e-9  # smallest derivative of the length with respect to a parameter, to avoid a division by zero
 
 
 @dataclass(frozen=True, eq=False)
 class StepLengthPrior:
-    """A step-length model of one context, and what is known of its parameters.
+    """Step-length model of one context, with the prior distribution of its parameters.
 
     Parameters
     ----------
     model : StepLengthModel
-        One with a `height_m` takes that of each person, and its own where it is unknown.
-    mean, std : (p,)
-        Of the population. Std 0 holds a parameter at its mean, inf knows nothing.
-    between_std : (p,)
-        How people differ, where the estimate of the spread starts: 0 for a parameter that all share, positive for one
-        of each person's own, inf for one in which people are independent (as in Martinelli et al. 2018, eq. 14).
-    step_std_m : float
-        Of single steps about the model.
+        Step-length model with p parameters. A model with a `height_m` takes the body height of each person, or its own
+        if the person's height is unknown.
+    mean : array (p,)
+        Prior mean of the population's parameters.
+    std : array (p,)
+        Prior standard deviation of the population's parameters. 0 holds a parameter at its mean, and inf is an
+        uninformative prior.
+    between_std : array (p,)
+        Initial standard deviation of the parameters between people: 0 for a parameter that all people share, a positive
+        value for a parameter of each person, and inf for a parameter that is independent between people (as in
+        Martinelli et al. 2018, eq. 14).
+    step_std_m : float, default 0.08
+        Standard deviation of single steps about the model, in m.
+
+    Raises
+    ------
+    ValueError
+        If shapes or signs are wrong, or a held parameter (std 0) differs between people.
+
+    See Also
+    --------
+    prior : The same from plain lists.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.filter.step_length.models import WeinbergStepLength
+    >>> from pdr_filter.offline.calibration.priors import StepLengthPrior
+    >>> own = StepLengthPrior(WeinbergStepLength(), np.array([0.45]), np.array([0.1]), np.array([0.03]))
+    >>> own.mean, own.step_std_m
+    (array([0.45]), 0.08)
     """
 
     model: StepLengthModel
@@ -62,20 +86,51 @@ class StepLengthPrior:
             object.__setattr__(self, name, read_only(getattr(self, name)))
             if getattr(self, name).shape != (self.model.n_params,):
                 kind, shape = type(self.model).__name__, getattr(self, name).shape
-                raise ValueError(f"{name} of {kind} must be ({self.model.n_params},), got {shape}")
+                raise ValueError(
+                    f"{name} of {kind} must have the shape ({self.model.n_params},), got {shape}: give one value per "
+                    "parameter"
+                )
         check_array("mean", self.mean)
         if not ((self.std >= 0).all() and (self.between_std >= 0).all()):
             raise ValueError(f"std and between_std must be 0 or more, got {self.std} and {self.between_std}")
         if not self.step_std_m >= 0:
             raise ValueError(f"step_std_m must not be negative, got {self.step_std_m}")
         if ((self.std == 0) & (self.between_std > 0)).any():
-            raise ValueError("a parameter that is held (std 0) cannot differ between people (between_std 0)")
+            raise ValueError(
+                "a parameter that is held (std 0) cannot differ between people: set its between_std to 0 too"
+            )
 
 
 def prior(
     model: StepLengthModel, mean: ArrayLike, std: ArrayLike, between_std: ArrayLike, step_std_m: float = 0.08
 ) -> StepLengthPrior:
-    """`StepLengthPrior` from plain lists."""
+    """Return a `StepLengthPrior` from plain lists.
+
+    Parameters
+    ----------
+    model : StepLengthModel
+        Step-length model with p parameters.
+    mean : array_like (p,)
+        Prior mean of the population's parameters.
+    std : array_like (p,)
+        Prior standard deviation of the population's parameters. 0 holds a parameter, inf is uninformative.
+    between_std : array_like (p,)
+        Initial standard deviation between people. 0 for shared parameters, inf for independent people.
+    step_std_m : float, default 0.08
+        Standard deviation of single steps about the model, in m.
+
+    Returns
+    -------
+    StepLengthPrior
+        The prior.
+
+    Examples
+    --------
+    >>> from pdr_filter.filter.step_length.models import WeinbergStepLength
+    >>> from pdr_filter.offline.calibration.priors import prior
+    >>> prior(WeinbergStepLength(), mean=[0.45], std=[0.1], between_std=[0.03]).std
+    array([0.1])
+    """
     arrays = [np.array(a, dtype=float) for a in (mean, std, between_std)]
     return StepLengthPrior(model, *arrays, step_std_m=step_std_m)
 
@@ -83,11 +138,36 @@ def prior(
 def weak_prior(
     model: StepLengthModel, mean: ArrayLike | None = None, personal: tuple[int, ...] = (0,), step: Step = TYPICAL_STEP
 ) -> StepLengthPrior:
-    """Prior for any model, of a size that only decides between parameters with the same effect.
+    """Return a weakly informative prior for any step-length model.
 
-    Each term of a typical step is 0 +- 0.7 m, the first one 0.7 +- 0.7 m; with a `mean`, each term is uncertain by
-    0.35 m. People differ by 7 % of a step in each of the `personal` parameters, if there is one, and by less in each
-    of several.
+    The prior is only strong enough to separate parameters that have the same effect on the data. Without a `mean`, the
+    first term of a typical step is 0.7 +- 0.7 m and each other term is 0 +- 0.7 m. With a `mean`, each term has a
+    standard deviation of 0.35 m.
+
+    Parameters
+    ----------
+    model : StepLengthModel
+        Step-length model with p parameters.
+    mean : array_like (p,), optional
+        Prior mean of the parameters.
+    personal : tuple of int, default (0,)
+        Indices of the parameters that differ between people. A single one has a standard deviation of 7 % of a step
+        between people. With n of them, each has this value divided by sqrt(n).
+    step : Step, optional
+        Typical step at which the terms are evaluated.
+
+    Returns
+    -------
+    StepLengthPrior
+        The prior.
+
+    Examples
+    --------
+    >>> from pdr_filter.filter.step_length.models import WeinbergStepLength
+    >>> from pdr_filter.offline.calibration.priors import weak_prior
+    >>> weak = weak_prior(WeinbergStepLength())
+    >>> weak.mean.round(2), weak.std.round(2)
+    (array([0.43]), array([0.43]))
     """
     start = np.ones(model.n_params) if mean is None else np.array(mean, dtype=float)
     length, slope = length_and_jacobian(model, step, start)
@@ -104,8 +184,8 @@ def weak_prior(
     return StepLengthPrior(model, centre, std, between)
 
 
-def _known(length_m: float, std_m: float, between_m: float, step_std_m: float) -> StepLengthPrior:
-    """One length whatever the step: k1 and k2 of eq. 12 are held at zero."""
+def _constant_length(length_m: float, std_m: float, between_m: float, step_std_m: float) -> StepLengthPrior:
+    """Return a prior of a constant step length: k1 and k2 of eq. 12 are held at zero."""
     return prior(FrequencyVarianceStepLength(), [length_m, 0, 0], [std_m, 0, 0], [between_m, 0, 0], step_std_m)
 
 
@@ -113,7 +193,7 @@ _BOUNCE = bounce_fit()
 _BOUNCE_K = float(_BOUNCE.theta[0])
 DEFAULT_PRIORS: Mapping[str, StepLengthPrior] = MappingProxyType(
     {
-        "stationary": _known(0.0, 0.0, 0.0, 0.02),
+        "stationary": _constant_length(0.0, 0.0, 0.0, 0.02),
         "walking": prior(
             BounceStepLength(),
             [_BOUNCE_K],
@@ -121,19 +201,44 @@ DEFAULT_PRIORS: Mapping[str, StepLengthPrior] = MappingProxyType(
             [PEOPLE_RELATIVE_STD * _BOUNCE_K],
             _BOUNCE.residual_std_m,
         ),
-        # Treads of public stairs are 0.26 to 0.32 m and belong to the stairs more than to the person.
-        "upstairs": _known(0.29, 0.03, 0.02, 0.05),
-        "downstairs": _known(0.43, 0.08, 0.05, 0.10),
-        "sideways": _known(0.45, 0.10, 0.07, 0.10),
+        # Treads of public stairs are 0.26 to 0.32 m. They depend on the stairs more than on the person.
+        "upstairs": _constant_length(0.29, 0.03, 0.02, 0.05),
+        "downstairs": _constant_length(0.43, 0.08, 0.05, 0.10),
+        "sideways": _constant_length(0.45, 0.10, 0.07, 0.10),
         "running": prior(FrequencyVarianceStepLength(), [0, 0.35, 0], [0.2, 0.1, 0], [0.08, 0, 0], 0.10),
     }
 )
 
 
 def eq12_priors(between_std_m: float = 0.05) -> dict[str, StepLengthPrior]:
-    """k0 + k1 f + k2 sigma^2 in every moving context, k0 of each person, k1 and k2 shared.
+    """Return the priors of Martinelli et al. for all contexts.
 
-    Martinelli et al. 2018, eq. 12-16, with weak priors: k0 +- 0.5 m, k1 +- 0.2 m s about 0.2 (stairs: 0), k2 +- 0.02.
+    The step length of each moving context is k0 + k1 f + k2 sigma^2, with k0 of each person, and k1 and k2 shared.
+
+    Parameters
+    ----------
+    between_std_m : float, default 0.05
+        Initial standard deviation of k0 between people, in m.
+
+    Returns
+    -------
+    dict of str to StepLengthPrior
+        Prior of each context, for `calibrate(..., priors=...)`.
+
+    Notes
+    -----
+    The priors are weak: k0 +- 0.5 m, k1 +- 0.2 m s about 0.2 (0 on stairs and sideways, 0.35 for running), k2 +- 0.02.
+
+    References
+    ----------
+    A. Martinelli et al., "Probabilistic context-aware step length estimation for pedestrian dead reckoning", IEEE
+    Sensors Journal 18, 2018, eq. 12 to 16.
+
+    Examples
+    --------
+    >>> from pdr_filter.offline.calibration.priors import eq12_priors
+    >>> eq12_priors()["walking"].mean
+    array([0.4, 0.2, 0. ])
     """
     model = FrequencyVarianceStepLength()
     k0 = {"walking": 0.4, "upstairs": 0.29, "downstairs": 0.43, "sideways": 0.45, "running": 0.0}
@@ -152,10 +257,10 @@ def eq12_priors(between_std_m: float = 0.05) -> dict[str, StepLengthPrior]:
 
 
 def own_priors(model: PedestrianModel) -> dict[str, StepLengthPrior]:
-    """Priors of the contexts of a filter that `DEFAULT_PRIORS` does not fit, from the step lengths of their modes.
+    """Return priors from the step lengths of a filter's modes, for contexts that `DEFAULT_PRIORS` does not cover.
 
-    These are contexts with other names, and step-length models from outside the package. A parameter with the variance
-    zero is held. People differ in the first free parameter, by the spread of the filter's step scale.
+    These are contexts with other names, and step-length models from outside the package. A parameter with zero variance
+    is held. The first free parameter differs between people by the standard deviation of the filter's step scale.
     """
     named = {m.context: m for m in reversed(model.modes) if m.context in model.contexts}
     return {
@@ -166,10 +271,10 @@ def own_priors(model: PedestrianModel) -> dict[str, StepLengthPrior]:
 
 
 def _prior_of(mode: Mode, relative_std: float) -> StepLengthPrior:
-    """Prior with the step length of a mode, and with that of no displacement if the mode does not move."""
+    """Return the prior of the step length of a mode, with zero length if the mode does not move."""
     fit = mode.step_length
     if not mode.moves:
-        return _known(0.0, 0.0, 0.0, fit.residual_std_m)
+        return _constant_length(0.0, 0.0, 0.0, fit.residual_std_m)
     std, between_std = np.sqrt(np.maximum(np.diag(fit.theta_cov), 0.0)), np.zeros(len(fit.theta))
     free = np.flatnonzero(std > 0)[:1]
     length_m, slope = length_and_jacobian(fit.model, TYPICAL_STEP, fit.theta)
@@ -178,7 +283,19 @@ def _prior_of(mode: Mode, relative_std: float) -> StepLengthPrior:
 
 
 def candidates() -> dict[str, dict[str, StepLengthPrior]]:
-    """Sets of priors that differ in the model of walking, by name, the default first (`choice.best_form`)."""
+    """Return the priors of all step-length models of walking that a calibration compares.
+
+    Returns
+    -------
+    dict of str to dict of str to StepLengthPrior
+        Priors of walking by the name of the model: "bounce" (the default), "eq12", "kim", "tian" and "weinberg".
+
+    Examples
+    --------
+    >>> from pdr_filter.offline.calibration.priors import candidates
+    >>> list(candidates())
+    ['bounce', 'eq12', 'kim', 'tian', 'weinberg']
+    """
     return {
         "bounce": {"walking": DEFAULT_PRIORS["walking"]},
         "eq12": {"walking": eq12_priors()["walking"]},
@@ -188,8 +305,8 @@ def candidates() -> dict[str, dict[str, StepLengthPrior]]:
     }
 
 
-def as_wide_as(prior: StepLengthPrior, relative_std: float) -> StepLengthPrior:
-    """The prior of a population whose typical step is uncertain by this share of it, in the first parameter."""
+def with_relative_std(prior: StepLengthPrior, relative_std: float) -> StepLengthPrior:
+    """Return a prior whose first parameter has a standard deviation of this share of a typical step."""
     check_array("the relative standard deviation of a prior", relative_std, "positive", (), "0.1 is usual")
     length, slope = length_and_jacobian(prior.model, TYPICAL_STEP, prior.mean)
     std = prior.std.copy()

@@ -1,7 +1,7 @@
-"""Stretches of known length in recordings, and the sums over their steps that a calibration needs.
+"""Stretches of known length in recordings, and the sums over their steps for a calibration.
 
-A segment is preintegrated: whatever the number of its steps, it enters as the sum of their regressors times the sine
-and cosine of their headings. Given those, the displacement is linear in the parameters.
+A segment is preintegrated. Whatever its number of steps, it enters the calibration as the sum of the regressors of the
+steps times the sine and cosine of their headings. Given this sum, the displacement is linear in the parameters.
 """
 
 from __future__ import annotations
@@ -17,56 +17,76 @@ from pdr_filter.recipes.step_length_calibration import UNNAMED, of_height, slice
 from pdr_filter.values import CONTEXTS, RADIUS_68, FloatArray, IntArray, Origin, Step, TrackRows, check_array, steps_of
 from pdr_filter.values.recording import Recording
 
-# How well the distance between two clicked landmarks is known: clicks are up to 0.8 s early or 0.1 s late, about 0.25 m
-# at each end (measured on 133 straight legs of one person; docs/methods/step_length.md).
+# Standard deviation of the distance between two clicked landmarks. Clicks are up to 0.8 s early or 0.1 s late, which is
+# about 0.25 m at each end (measured on 133 straight legs of one person; docs/methods/step_length.md).
 ANCHOR_STD_M = 0.35
-# A "segment" shorter than this is a single step (group B of Martinelli et al. 2018: one stair, 0.29 or 0.43 m), whose
+# A segment shorter than this is a single step (group B of Martinelli et al. 2018: one stair, 0.29 or 0.43 m). Its
 # length is that of the tread and not a distance between clicks.
 SINGLE_STEP_M = 1.5
-# Waypoints of a floor map are good to a metre or so; this is the residual of 165 legs between them.
+# Standard deviation of the distance between two waypoints on a floor map: the residual of 165 legs between waypoints.
 WAYPOINT_STD_M = 0.9
-STRIDE_STD_M = 0.02  # strides of motion capture or of a walkway, and treads
-# Waypoints closer than this say little about the steps between them: the path may go round a corner.
+STRIDE_STD_M = 0.02  # strides from motion capture or an instrumented walkway, and treads
+# Closer waypoints give little information about the steps between them, because the path may turn a corner.
 MIN_WAYPOINT_DISTANCE_M = 4.0
-# Nearer ones in distance or time are grouped into stretches of ten times the standard deviation of a waypoint. Steps at
-# both ends are only partly inside, and three seconds have no more than five or six.
+# Waypoints that are closer in time or distance are grouped into stretches of `GROUPED_M`, about ten times the standard
+# deviation of a waypoint. The steps at both ends are only partly inside, and three seconds contain at most five or six
+# steps.
 MIN_WAYPOINT_TIME_S, GROUPED_M = 3.0, 10.0
-# GNSS fixes are thinned until they are this far apart, and this many times their own standard deviation.
+# GNSS fixes are thinned until they are this far apart, in metres and in multiples of the standard deviation of their
+# distance.
 MIN_FIX_DISTANCE_M, MIN_FIX_DISTANCE_STDS = 20.0, 4.0
-# Displacement over walked distance below which a stretch of known *walked* distance has a turn in it. A step or two
-# round the corner at the ends of a leg of ten steps leave 0.92; half of the leg at a right angle 0.71.
+# A stretch of known walked distance has a turn if its displacement is below this share of the walked distance. One or
+# two steps around a corner at the ends of a leg of ten steps give 0.92. Half of the leg at a right angle gives 0.71.
 STRAIGHT = 0.85
-MIN_STEPS = 0.5  # less than half a step inside is none
-_MIN_PROB = 1e-3  # a context with less than this probability adds less than a millimetre to a step
+MIN_STEPS = 0.5  # a stretch with less than half a step is empty
+_MIN_PROB = 1e-3  # a context with a smaller probability adds less than a millimetre to a step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Segment:
-    """Steps of one person between two anchors whose distance is known.
+    """Steps of one person between two places whose distance is known.
 
     Parameters
     ----------
-    subject, recording : str
-        Who, and where it was recorded: segments of one recording share its error of scale.
+    subject : str
+        Name of the person.
+    recording : str
+        Name of the recording. Segments of one recording share its error of scale.
     distance_m : float
-        Displacement from anchor to anchor, or walked distance if `heading_rad` is None.
-    steps : (n,) of Step
-        Steps at least partly between the anchors.
-    inside : (n,)
+        Displacement between the two places in m, or walked distance if `heading_rad` is None.
+    steps : tuple of Step
+        The n steps that are at least partly between the two places.
+    inside : array (n,)
         Share of each step that is inside, 0 to 1.
-    heading_rad : (n,) or None
-        Directions of the steps, clockwise, up to one unknown angle for the whole segment; None where none are known:
-        then lengths are summed instead of vectors.
-    context_prob : (n, C)
-        Probabilities of the contexts of each step.
-    anchor_std_m : float
+    heading_rad : array (n,) or None
+        Directions of the steps in rad, clockwise. They may share one unknown rotation per segment. None if the
+        directions are unknown: then step lengths are summed instead of step vectors.
+    context_prob : array (n, C)
+        Context probabilities of each step.
+    anchor_std_m : float, default 0.35
         Standard deviation of `distance_m`.
     height_m : float, optional
-        Of the person.
-    start_s, end_s : float
-        When the anchors were passed.
-    context_names : (C,), optional
-        Names of the contexts; those of the default if not given.
+        Body height of the person.
+    start_s : float, default 0.0
+        Time at the first place, in s.
+    end_s : float, default 0.0
+        Time at the second place, in s.
+    context_names : tuple of str, optional
+        Names of the C contexts, by default `CONTEXTS`.
+
+    See Also
+    --------
+    segments_of : Segments of a recording.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.offline.calibration.segments import Segment
+    >>> from pdr_filter.recipes.step_length_calibration import TYPICAL_STEP
+    >>> walking = np.eye(6)[[1, 1]]  # two steps in the context "walking"
+    >>> segment = Segment("anna", "corridor", 1.3, (TYPICAL_STEP,) * 2, np.array([1.0, 0.5]), None, walking)
+    >>> segment.n_steps, segment.is_along
+    (1.5, True)
     """
 
     subject: str
@@ -84,28 +104,44 @@ class Segment:
 
     @property
     def name(self) -> str:
-        """What messages call it."""
+        """Name of the segment in messages: recording and times."""
         return f"{self.recording} {self.start_s:.1f}-{self.end_s:.1f} s"
 
     @property
     def steps_in(self) -> FloatArray:
-        """How many steps there are of each context, (C,)."""
+        """Number of steps of each context, shape (C,)."""
         return np.asarray(self.inside @ self.context_prob)
 
     @property
     def n_steps(self) -> float:
-        """How many steps."""
+        """Number of steps, which may include fractions of steps."""
         return float(self.inside.sum())
 
     @property
     def is_along(self) -> bool:
-        """Whether lengths are summed and not vectors."""
+        """True if step lengths are summed, False if step vectors are summed."""
         return self.heading_rad is None
 
     def sums(self, context: str, model: StepLengthModel, about: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Sums over the steps in a context: derivative (2, p) of the displacement by the parameters, and the rest (2,).
+        """Return the sums over the steps of one context: the derivative of the displacement, and a constant.
 
-        Displacement = derivative @ theta + rest near the parameters `about` (p,); without rest for a linear model.
+        Near the parameters `about`, the displacement is derivative @ theta + constant.
+
+        Parameters
+        ----------
+        context : str
+            Name of the context.
+        model : StepLengthModel
+            Step-length model of the context. A model with a `height_m` takes the body height of the person.
+        about : array (p,)
+            Parameters at which a nonlinear model is linearised.
+
+        Returns
+        -------
+        derivative : array (2, p)
+            Derivative of the displacement, east and north, with respect to the parameters.
+        constant : array (2,)
+            Displacement at theta = 0, which is zero for a linear model.
         """
         own, weight = (
             of_height(model, self.height_m),
@@ -126,7 +162,11 @@ class Segment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SummedSegment:
-    """A `Segment` whose steps are summed, for models that are linear in their parameters: all that has to travel."""
+    """A `Segment` reduced to its sums, for models that are linear in their parameters.
+
+    It is all that a worker process has to return. `contexts`, `models` and `derivatives`, each (2, p), belong together.
+    `steps_in` (C,) counts the steps of the contexts `context_names`.
+    """
 
     subject: str
     recording: str
@@ -135,32 +175,35 @@ class SummedSegment:
     height_m: float | None
     start_s: float
     end_s: float
-    steps_in: FloatArray  # (C,)
+    steps_in: FloatArray
     n_steps: float
     is_along: bool
-    contexts: tuple[str, ...]  # of the sums
+    contexts: tuple[str, ...]
     models: tuple[StepLengthModel, ...]
-    derivatives: tuple[FloatArray, ...]  # (2, p) each
-    context_names: tuple[str, ...] = CONTEXTS  # C, of `steps_in`
+    derivatives: tuple[FloatArray, ...]
+    context_names: tuple[str, ...] = CONTEXTS
 
     @classmethod
     def of(cls, segment: Segment, models: Sequence[tuple[str, StepLengthModel]]) -> SummedSegment:
-        """The sums of a segment for models of contexts."""
+        """Return the sums of a segment for pairs of context and model."""
         same = {f.name: getattr(segment, f.name) for f in fields(cls) if hasattr(segment, f.name)}
         sums = tuple(segment.sums(context, model, np.zeros(model.n_params))[0] for context, model in models)
         return cls(**same, contexts=tuple(c for c, _ in models), models=tuple(m for _, m in models), derivatives=sums)
 
     @property
     def name(self) -> str:
-        """What messages call it."""
+        """Name of the segment in messages: recording and times."""
         return f"{self.recording} {self.start_s:.1f}-{self.end_s:.1f} s"
 
     def sums(self, context: str, model: StepLengthModel, about: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """As `Segment.sums`; ValueError for a model for which it was not summed."""
+        """Return the derivative (2, p) and the zero constant (2,) of `Segment.sums` for a linear model.
+
+        Raises ValueError for a model for which the segment was not summed.
+        """
         for name, other, derivative in zip(self.contexts, self.models, self.derivatives, strict=True):
             if name == context and other == model:
                 return derivative, np.zeros(2)
-        raise ValueError(f"{self.name}: its steps are not summed for {model} of {context}; cut it out again")
+        raise ValueError(f"{self.name}: the steps are not summed for {model} of {context}; extract the segments again")
 
 
 AnySegment = Segment | SummedSegment
@@ -168,21 +211,44 @@ AnySegment = Segment | SummedSegment
 
 @dataclass(frozen=True, eq=False)
 class SegmentSums:
-    """All that a calibration needs of N segments, as arrays: predicted length = | regressors @ theta + offset_m |.
+    """Arrays of N segments from which a calibration is computed.
 
-    theta (P,) are the parameters of all contexts, one after the other (`slices_of`), of the segment's subject.
+    The predicted length of a segment is | regressors @ theta + offset_m |. theta (P,) are the parameters of the person,
+    for all contexts one after the other (`slices_of`).
+
+    Attributes
+    ----------
+    regressors : array (N, 2, P)
+        Sums over the steps of context probability times regressors times (sin, cos) of the heading. The second row is
+        zero if step lengths are summed.
+    offset_m : array (N, 2)
+        Constant part of the displacement, zero for models that are linear in theta.
+    distance_m : array (N,)
+        Known length.
+    anchor_std_m : array (N,)
+        Standard deviation of the known length.
+    n_steps : array (N,)
+        Number of steps.
+    context : array (N,) of int
+        Index of the context with most steps.
+    subject : array (N,) of int
+        Index into `subjects`.
+    recording : array (N,) of int
+        Index into `recordings`.
+    subjects : tuple of str
+        Names of the people.
+    recordings : tuple of str
+        Names of the recordings.
     """
 
-    # (N, 2, P) sums over the steps of context probability times regressors times (sin, cos) of the heading. For summed
-    # lengths the second row is zero.
     regressors: FloatArray
-    offset_m: FloatArray  # (N, 2) zero for models that are linear in theta
-    distance_m: FloatArray  # (N,) known length
-    anchor_std_m: FloatArray  # (N,) its standard deviation
-    n_steps: FloatArray  # (N,)
-    context: IntArray  # (N,) index of the context that most of the steps are of
-    subject: IntArray  # (N,) index into `subjects`
-    recording: IntArray  # (N,) index into `recordings`
+    offset_m: FloatArray
+    distance_m: FloatArray
+    anchor_std_m: FloatArray
+    n_steps: FloatArray
+    context: IntArray
+    subject: IntArray
+    recording: IntArray
     subjects: tuple[str, ...]
     recordings: tuple[str, ...]
 
@@ -196,14 +262,14 @@ class SegmentSums:
         for name in ("anchor_std_m", "n_steps", "context", "subject", "recording"):
             check_array(name, getattr(self, name), "positive" if name == "n_steps" else "0 or more", (n,))
         for name in ("regressors", "offset_m"):
-            check_array(name, getattr(self, name), remedy="leave out segments without features")
+            check_array(name, getattr(self, name), remedy="remove segments whose steps have no features")
         check_array("distance_m", self.distance_m, "positive")
 
     def __len__(self) -> int:
         return len(self.distance_m)
 
     def rows(self, chosen: Any) -> SegmentSums:
-        """The segments of an index or mask, subjects and recordings numbered as before."""
+        """Return the segments of an index or mask, with unchanged numbers of subjects and recordings."""
         names = [f.name for f in fields(self) if f.name not in ("subjects", "recordings")]
         return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
@@ -213,10 +279,10 @@ def integrate(
     models: Mapping[str, StepLengthModel],
     theta: Mapping[str, FloatArray] | Sequence[Mapping[str, FloatArray]],
 ) -> SegmentSums:
-    """Sums of segments for a model of each context, in the order of the parameters.
+    """Return the sums of segments for the step-length model of each context.
 
-    A model with a `height_m` takes that of the person; one that is not linear in theta is linearised about `theta`, one
-    mapping or one for each segment.
+    `models` gives the order of the parameters. A model with a `height_m` takes the body height of the person. A
+    nonlinear model is linearised at `theta`, which is one mapping for all segments or one mapping per segment.
     """
     slices, n_params = slices_of(models)
     regressors, offset = np.zeros((len(segments), 2, n_params)), np.zeros((len(segments), 2))
@@ -245,14 +311,20 @@ def integrate(
 
 @dataclass(frozen=True, slots=True)
 class _Stretch:
+    """A stretch of known length between two times.
+
+    `walked` is True if the known length is that of the path, False if it is the straight distance between the ends.
+    """
+
     start_s: float
     end_s: float
     distance_m: float
     anchor_std_m: float
-    walked: bool = False  # the distance is known along the way, not from end to end
+    walked: bool = False
 
     @property
     def where(self) -> str:
+        """Times of the stretch, for messages."""
         return f"{self.start_s:.1f}-{self.end_s:.1f} s"
 
 
@@ -263,30 +335,53 @@ def segments_of(
     measure: str = "displacement",
     subject: str | None = None,
 ) -> tuple[list[Segment], list[str]]:
-    """Segments of a recording, and in words what was left out or taken otherwise.
+    """Return the segments of known length of a recording, with notes about the rest.
 
-    From its truth: `segments` of known distance, else `strides`, else pairs of `waypoints` on one floor, else fixes of
-    `location`.
+    The first of these sources in the truth is used: `segments` with a known distance, `strides`, pairs of `waypoints`
+    on one floor, fixes of `location`.
 
     Parameters
     ----------
     recording : Recording
+        Recording with a truth of known length or with locations.
     track : TrackRows
-        Its track: steps, headings, contexts.
+        Track of the recording, with its steps, headings and contexts.
     anchor_std_m : float, optional
-        Standard deviation of the distances of `segments` and `waypoints`; else `ANCHOR_STD_M` and `WAYPOINT_STD_M`.
+        Standard deviation of the distances of `segments` and `waypoints` in m. The defaults are `ANCHOR_STD_M` and
+        `WAYPOINT_STD_M`.
     measure : {"displacement", "length"}
-        Sum the step vectors, or the step lengths against the same distance. Without gyroscope, and in segments of known
-        walked distance that have a turn in them, lengths are summed in any case.
+        Sum the step vectors (default) or the step lengths. Step lengths are always summed without a gyroscope, and in
+        segments of known walked distance that contain a turn.
     subject : str, optional
-        Who walked, if the recording does not say it.
+        Name of the person, for a recording without one.
+
+    Returns
+    -------
+    segments : list of Segment
+        Segments with at least half a step, in order of time.
+    notes : list of str
+        Stretches that were not used, or whose step lengths were summed instead of step vectors, and why.
+
+    Raises
+    ------
+    ValueError
+        If `measure` is unknown.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.offline.calibration.segments import segments_of
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=20.0)])
+    >>> segments, notes = segments_of(walk, pdr.track(walk))
+    >>> [round(s.distance_m) for s in segments]
+    [20]
     """
     if measure not in ("displacement", "length"):
         raise ValueError(f'measure must be "displacement" or "length", got {measure!r}')
     stretches, notes = _stretches(recording, anchor_std_m)
     if recording.gyroscope is None and stretches and measure == "displacement":
         measure = "length"
-        notes.append("no gyroscope, so no headings: summed step lengths instead of displacement")
+        notes.append("no gyroscope, so no headings: step lengths are summed instead of step vectors")
     steps = steps_of(track.steps)
     prob = step_contexts(track)
     segments: list[Segment] = []
@@ -320,26 +415,31 @@ def segments_of(
             )
         )
     if empty:
-        notes.append(f"no steps in {_some(empty)}: left out")
+        notes.append(f"no steps in {_abbreviated(empty)}: not used")
     if bent:
-        notes.append(f"turns in {_some(bent)}: summed step lengths instead of displacement")
+        notes.append(f"turns in {_abbreviated(bent)}: step lengths are summed instead of step vectors")
     return segments, [f"{recording.name}: {note}" for note in notes]
 
 
 def _share_inside(track: TrackRows, stretch: _Stretch) -> FloatArray:
-    """Share of each step that is between the anchors, (K,)."""
+    """Return the share (K,) of each step that lies between the ends of a stretch."""
     end_s, duration_s = track.time_s, np.asarray(track.steps.duration_s)
     overlap_s = np.minimum(end_s, stretch.end_s) - np.maximum(end_s - duration_s, stretch.start_s)
     return np.clip(overlap_s / np.maximum(duration_s, 1e-9), 0.0, 1.0)
 
 
 def _is_bent(heading_rad: FloatArray, length_m: FloatArray) -> bool:
+    """Return True if a path with these step headings and lengths has a turn."""
     vector = np.exp(1j * heading_rad) * length_m
     return abs(vector.sum()) < STRAIGHT * np.abs(vector).sum()
 
 
 def step_contexts(track: TrackRows) -> FloatArray:
-    """Context probabilities of each step (K, C): the filter's by mode, else the windows'."""
+    """Return the context probabilities (K, C) of each step.
+
+    They are the filter's mode probabilities summed by context. If a mode has a context that the track does not know,
+    they are the probabilities of the windows.
+    """
     prob = np.zeros((track.n_steps, len(track.contexts)))
     for m, context in enumerate(track.mode_contexts):
         if context not in track.contexts:
@@ -349,6 +449,7 @@ def step_contexts(track: TrackRows) -> FloatArray:
 
 
 def _stretches(recording: Recording, anchor_std_m: float | None) -> tuple[list[_Stretch], list[str]]:
+    """Return the stretches of known length of a recording, and notes about those that are not used."""
     truth, notes = recording.truth, list[str]()
     if truth.segments is not None and np.isfinite(truth.segments.distance_m).any():
         found = _of_known_distance(truth.segments, ANCHOR_STD_M if anchor_std_m is None else anchor_std_m)
@@ -363,9 +464,9 @@ def _stretches(recording: Recording, anchor_std_m: float | None) -> tuple[list[_
     elif recording.location is not None and len(recording.location) > 1:
         found = _between_fixes(recording.location.time_s, recording.location.values)
         if not found:
-            notes = [f"no two position fixes are {MIN_FIX_DISTANCE_M:g} m and four of their standard deviations apart"]
+            notes = [f"no two position fixes are {MIN_FIX_DISTANCE_M:g} m and four standard deviations apart"]
     else:
-        return [], ["no truth of known length, no waypoints, no position fixes"]
+        return [], ["the recording has no known lengths, no waypoints and no position fixes"]
     good: list[_Stretch] = []
     bad: dict[str, list[str]] = {}
     for s in found:
@@ -377,10 +478,11 @@ def _stretches(recording: Recording, anchor_std_m: float | None) -> tuple[list[_
             bad.setdefault("the distance is not positive", []).append(f"{s.where} ({s.distance_m:g} m)")
         else:
             good.append(s)
-    return good, [*notes, *(f"{why} in {_some(which)}: left out" for why, which in bad.items())]
+    return good, [*notes, *(f"{why} in {_abbreviated(which)}: not used" for why, which in bad.items())]
 
 
 def _of_known_distance(segments: Any, clicked_std_m: float) -> list[_Stretch]:
+    """Return the stretches of truth segments with a known distance. Single steps have the accuracy of a stride."""
     known = segments[np.isfinite(segments.distance_m)]
     anchor_std_m = np.where(known.distance_m < SINGLE_STEP_M, min(clicked_std_m, STRIDE_STD_M), clicked_std_m)
     columns = (known.start_s, known.end_s, known.distance_m, anchor_std_m)
@@ -388,10 +490,11 @@ def _of_known_distance(segments: Any, clicked_std_m: float) -> list[_Stretch]:
 
 
 def _between_waypoints(points: Any, anchor_std_m: float) -> tuple[list[_Stretch], list[str]]:
-    """Stretches between waypoints on one floor that are far enough apart, and why others are left out.
+    """Return the stretches between waypoints on one floor that are far enough apart, and notes about unused ones.
 
-    Neighbours that are far apart in distance and time are one stretch; those out of order stay in. Dense waypoints are
-    grouped into stretches of `GROUPED_M` that are straight: between near ones their errors hide the steps.
+    Successive waypoints that are far apart in distance and time give one stretch each. Waypoints out of time order are
+    kept, so that the caller reports them. Dense waypoints are grouped into straight stretches of `GROUPED_M`, because
+    between close waypoints their errors exceed those of the steps.
     """
     names = points.dtype.names or ()
     floor = np.asarray(points.floor, dtype=float) if "floor" in names else np.zeros(len(points))
@@ -408,7 +511,7 @@ def _between_waypoints(points: Any, anchor_std_m: float) -> tuple[list[_Stretch]
 
     found = [stretch(k, k + 1) for k in np.flatnonzero(far).tolist()]
     unused: list[str] = []
-    # first and last waypoint of each run of near ones
+    # first and last waypoint of each run of close ones
     change = np.diff(np.concatenate([[0], near.astype(int), [0]]))
     begins, ends = np.flatnonzero(change == 1), np.flatnonzero(change == -1)
     for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
@@ -419,17 +522,20 @@ def _between_waypoints(points: Any, anchor_std_m: float) -> tuple[list[_Stretch]
     notes: list[str] = []
     if unused:
         notes.append(
-            f"waypoints in {_some(unused)} are near each other and no straight way of {MIN_WAYPOINT_DISTANCE_M:g} m "
-            "leads through them: left out"
+            f"waypoints in {_abbreviated(unused)} are close to each other and no straight stretch of "
+            f"{MIN_WAYPOINT_DISTANCE_M:g} m connects them: not used"
         )
     floors = [f"{time_s[k]:.1f}-{time_s[k + 1]:.1f} s" for k in np.flatnonzero(~same).tolist()]
     if floors:
-        notes.append(f"waypoints on two floors in {_some(floors)}: left out")
+        notes.append(f"waypoints on two floors in {_abbreviated(floors)}: not used")
     return sorted(found, key=lambda s: s.start_s), notes
 
 
 def _groups(place_m: FloatArray) -> list[tuple[int, int]]:
-    """First and last of successive groups of places (N, 2), each a straight way of `GROUPED_M`, the last maybe less."""
+    """Return the first and last index of successive groups of positions (N, 2).
+
+    Each group is a straight stretch of at least `GROUPED_M`; the last one may be shorter.
+    """
     along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(place_m, axis=0).T))])
     found: list[tuple[int, int]] = []
     first, last = 0, len(place_m) - 1
@@ -441,13 +547,13 @@ def _groups(place_m: FloatArray) -> list[tuple[int, int]]:
         if length_m > MIN_WAYPOINT_DISTANCE_M and length_m >= STRAIGHT * (along_m[end] - along_m[first]):
             found.append((first, end))
             first = end
-        else:  # a turn: the next straight way begins after it
+        else:  # the stretch has a turn: search for a straight one from the next waypoint on
             first += 1
     return found
 
 
 def _between_fixes(time_s: FloatArray, values: FloatArray) -> list[_Stretch]:
-    """Stretches between GNSS fixes, thinned until the distance stands out from their errors."""
+    """Return the stretches between GNSS fixes, thinned until the distances exceed the errors of the fixes."""
     lat_deg, lon_deg, _, accuracy_m = values.T
     std_m = np.where(np.isfinite(accuracy_m) & (accuracy_m > 0), accuracy_m, 10.0) / RADIUS_68
     is_place = (np.abs(lat_deg) <= 90) & (np.abs(lon_deg) <= 180)
@@ -463,12 +569,13 @@ def _between_fixes(time_s: FloatArray, values: FloatArray) -> list[_Stretch]:
         distance = float(np.hypot(*(place_m[i] - place_m[last])))
         std = float(np.hypot(std_m[i], std_m[last]))
         if distance > max(MIN_FIX_DISTANCE_M, MIN_FIX_DISTANCE_STDS * std):
-            # the error across the way makes the distance longer: E d^2 = D^2 + std^2 but for the error along it
+            # the cross-track error lengthens the distance: E d^2 = D^2 + std^2, apart from the along-track error
             length = float(np.sqrt(distance**2 - std**2))
             found.append(_Stretch(float(time_s[last]), float(time_s[i]), length, std))
             last = i
     return found
 
 
-def _some(names: Sequence[str], most: int = 4) -> str:
+def _abbreviated(names: Sequence[str], most: int = 4) -> str:
+    """Return the first `most` names as a list for a message, and the number of the others."""
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -1,1 +1,1 @@
-"""Tracks in hindsight."""
+"""Smoothing of whole recordings."""

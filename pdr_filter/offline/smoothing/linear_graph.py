@@ -1,4 +1,4 @@
-"""Linear least squares over the anchors of a walk: whitened equations, GTSAM's elimination, covariances."""
+"""Linear least squares over the anchors of a walk: whitened equations, elimination by GTSAM, and covariances."""
 
 from __future__ import annotations
 
@@ -17,29 +17,45 @@ from pdr_filter.values import BoolArray, FloatArray, IntArray
 
 @dataclass(slots=True)
 class Rows:
-    """Whitened linear equations A x_a + B x_b = rhs, one block for each pair of keys."""
+    """Whitened linear equations A x_a + B x_b = rhs, one block for each pair of keys.
+
+    Attributes
+    ----------
+    a : array (n,)
+        First key of each block.
+    A : array (n, m, da)
+        Matrices of the first key.
+    rhs : array (n, m)
+        Right-hand sides.
+    b : array (n,)
+        Second key, -1 for none.
+    B : array (n, m, db)
+        Matrices of the second key.
+    weight : array (n,)
+        Weights of the blocks; empty for weight one.
+    """
 
     a: IntArray
-    A: FloatArray  # (n, m, da)
-    rhs: FloatArray  # (n, m)
-    b: IntArray  # the second key; -1 for none
-    B: FloatArray  # (n, m, db)
-    weight: FloatArray = field(default_factory=lambda: np.zeros(0))  # (n,); empty for weight one
+    A: FloatArray
+    rhs: FloatArray
+    b: IntArray
+    B: FloatArray
+    weight: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
     def of_one(cls, key: int, A: FloatArray, rhs: FloatArray) -> Rows:
-        """A block with a single key."""
+        """Return a block with a single key."""
         return cls(np.full(1, key), A[None], rhs[None], np.full(1, -1), np.zeros((0, 0, 0)))
 
     def chosen(self, keep: BoolArray) -> Rows:
-        """Some of the blocks."""
+        """Return the blocks of a mask."""
         B = self.B[keep] if len(self.B) else self.B
         weight = self.weight[keep] if len(self.weight) else self.weight
         return Rows(self.a[keep], self.A[keep], self.rhs[keep], self.b[keep], B, weight)
 
 
 def graph_of(rows: Sequence[Rows]) -> gtsam.GaussianFactorGraph:
-    """Linear factors of GTSAM, one for each block of rows; blocks of weight zero are left out."""
+    """Return the linear factors of GTSAM, one for each block of rows, without blocks of weight zero."""
     graph = gtsam.GaussianFactorGraph()
     for block in rows:
         model = gtsam.noiseModel.Unit.Create(block.rhs.shape[1])
@@ -57,12 +73,15 @@ def graph_of(rows: Sequence[Rows]) -> gtsam.GaussianFactorGraph:
 
 
 def eliminated(rows: Sequence[Rows]) -> gtsam.GaussianBayesTree:
-    """The equations solved for each key given those eliminated after it."""
+    """Return the Bayes tree of the equations, in which each key is solved given the keys eliminated after it."""
     return graph_of(rows).eliminateMultifrontal(gtsam.Ordering.OrderingType.COLAMD, gtsam.EliminateQR)
 
 
 def cov_of(tree: gtsam.GaussianBayesTree, keys: Sequence[int]) -> FloatArray:
-    """Joint covariance by QR: GTSAM's own, by Cholesky, takes what is known within a kilometre for unknown."""
+    """Return the joint covariance of keys, computed by QR.
+
+    The marginals of GTSAM use a Cholesky factorisation, which treats positions known within a kilometre as unknown.
+    """
     R, _ = tree.jointBayesNet(list(keys), gtsam.EliminateQR).matrix()
     inverse = np.linalg.inv(R)
     return inverse @ inverse.T
@@ -71,12 +90,12 @@ def cov_of(tree: gtsam.GaussianBayesTree, keys: Sequence[int]) -> FloatArray:
 def joint_covariances(
     rows: Sequence[Rows], n: int, error_node: IntArray, has_frame: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """Covariance of both ends of the intervals between n anchors, (n - 1, 8, 8), by going back through them once.
+    """Return the covariances (n - 1, 8, 8) of both ends of the intervals between n anchors, in one backward pass.
 
-    And that of each error (E, 10, 10) with its anchor, whose number is given. Keys are the anchors, the errors, and the
-    rotation of the frame. Eliminated in the order of the walk, each error after its anchor, R x_j + S x_P = d, where
-    the parents P are the first of them and some of its own parents: their joint covariance is known already. Then
-    cov x_j = R^-1 R^-T + G cov x_P G' with G = -R^-1 S.
+    The second result is the covariance (E, 10, 10) of each error with its anchor `error_node`. Keys are the anchors,
+    the errors, and the rotation of the frame. They are eliminated in the order of the walk, each error after its
+    anchor, as R x_j + S x_P = d. The parents P are the first of them and some of its own parents, so their joint
+    covariance is known already. Then cov x_j = R^-1 R^-T + G cov x_P G' with G = -R^-1 S.
     """
     n_states, error_of = n + len(error_node), {node: n + k for k, node in enumerate(error_node.tolist())}
     keys = [key for j in range(n) for key in ((j, error_of[j]) if j in error_of else (j,))]
@@ -90,7 +109,7 @@ def joint_covariances(
     parents_of = [c.keys()[1:] for c in conditionals]
     first_of = [min(parents, key=rank.__getitem__, default=None) for parents in parents_of]
     n_waiting = Counter(first_of)
-    # covariance of a key and its parents, while it is the first parent of another key
+    # covariance of a key and its parents, kept while the key is the first parent of another key
     cliques, sizes = dict[int, _Clique](), dict[int, int]()
     joint_cov = np.empty((n - 1, 2 * N_STATES, 2 * N_STATES))
     with_error_cov = np.zeros((len(error_node), N_STATES + N_ERRORS, N_STATES + N_ERRORS))
@@ -111,7 +130,7 @@ def joint_covariances(
         clique = _Clique.of_sizes(cov, {k: sizes[k] for k in (key, *parents)})
         if n_waiting[key]:
             cliques[key] = clique
-        if key < n - 1:  # steps join it to the next
+        if key < n - 1:  # steps connect the anchor to the next one
             joint_cov[key] = clique.of((key, key + 1))
         if error_of.get(key) in clique.place:
             with_error_cov[error_of[key] - n] = clique.of((key, error_of[key]))
@@ -120,18 +139,18 @@ def joint_covariances(
 
 @dataclass(frozen=True, slots=True)
 class _Clique:
-    """Joint covariance of some keys, and the place of each in it."""
+    """Joint covariance of some keys, and the position of each key in it."""
 
     cov: FloatArray
     place: dict[int, range]
 
     @classmethod
     def of_sizes(cls, cov: FloatArray, sizes: dict[int, int]) -> _Clique:
-        """The covariance of keys in this order, whose sizes are given."""
+        """Return the covariance of keys in this order, whose sizes are given."""
         ends = accumulate(sizes.values())
         return cls(cov, {key: range(end - size, end) for (key, size), end in zip(sizes.items(), ends, strict=True)})
 
     def of(self, keys: Sequence[int]) -> FloatArray:
-        """The joint covariance of some of them."""
+        """Return the joint covariance of some of the keys."""
         index = [i for key in keys for i in self.place[key]]
         return self.cov[index][:, index]

@@ -1,9 +1,9 @@
-"""Errors that the locations of a walk share, as unknowns of the smoother.
+"""Correlated errors of locations, as unknowns of the smoother.
 
-A location is not the true place plus white noise. On 20 walks of ipin2023 a part of the error is the same for the whole
-walk and another part for some 20 s. Phones smooth their locations, which makes closed walks smaller (to 0.7 to 0.95 of
-their size outdoors) and late (by 2 to 4 s). With white noise alone the smoother would take smaller loops for shorter
-steps.
+The error of a location is not white noise. On 20 walks of ipin2023, a part of the error is constant for the whole walk,
+and another part is correlated for some 20 s. Phones smooth their locations. This makes closed walks smaller (0.7 to
+0.95 of their size outdoors) and delays them by 2 to 4 s. With a white noise model, the smoother would attribute smaller
+loops to shorter steps.
 """
 
 from __future__ import annotations
@@ -15,29 +15,43 @@ import numpy as np
 
 from pdr_filter.values import INDEPENDENT_SHARE, BoolArray, FloatArray, IntArray, PositionFix
 
-# Entries of the state of an error, each a Gauss-Markov process of variance one.
+# Entries of the error state of a location, each a Gauss-Markov process of variance one.
 _CONSTANT, _VARYING, _SHRUNK, _LATE = slice(0, 2), slice(2, 4), 4, 5
 N_ERRORS = 6
-# Share of the variance of a location that is the same for a walk, which may take an hour; and its own share.
+# Share of the variance of a location that is constant for a walk (of up to an hour), and share of its independent
+# noise.
 _CONSTANT_SHARE, _CONSTANT_S, _OWN_SHARE = 0.2, 3600.0, 0.1
-# By which part of its distance from the mean of the locations within two minutes a location is too near to that mean,
-# and how late it is (standard deviations). Both change within half a minute. The first is at most as large as
-# `_SHRUNK_MOST` standard deviations of the location: outdoors the way of two minutes is long.
+# Standard deviation of the shrinkage and of the delay of locations. The shrinkage is the fraction of its distance from
+# the mean of the locations within two minutes by which a location is too close to that mean. Both change within half a
+# minute. The shrinkage error is limited to `_SHRUNK_MOST` standard deviations of the location, because outdoors the
+# path of two minutes is long.
 _SHRUNK_STD, _SHRUNK_WITHIN_S, _SHRUNK_MOST = 0.5, 120.0, 1.5
 _LATE_STD_S, _LATE_WITHIN_S = 3.0, 15.0
 _FILTERED_S = 30.0
-# A pedestrian: what moves faster is an error, or a ride.
+# Largest speed of a pedestrian. A faster displacement is an error, or a ride.
 _MAX_SPEED_MPS = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Errors:
-    """Errors of correlated fixes, one state (6,) for each such fix, in the order of time."""
+    """Errors of correlated fixes, one state (6,) per fix, in order of time.
 
-    position: IntArray  # (E,) number of the fix among the observed positions
-    node: IntArray  # (E,) its anchor, increasing
-    by: FloatArray  # (E, 2, 6) derivative of the observed position by the state, m
-    decay: FloatArray  # (E - 1, 6) correlation with the state before
+    Attributes
+    ----------
+    position : array (E,)
+        Index of the fix among the observed positions.
+    node : array (E,)
+        Anchor of the fix, increasing.
+    by : array (E, 2, 6)
+        Derivative of the observed position with respect to the error state, in m.
+    decay : array (E - 1, 6)
+        Correlation with the previous error state.
+    """
+
+    position: IntArray
+    node: IntArray
+    by: FloatArray
+    decay: FloatArray
 
     def __len__(self) -> int:
         return len(self.node)
@@ -48,15 +62,15 @@ NO_ERRORS = Errors(
 )
 
 
-def own_share(fix: PositionFix, is_location: bool) -> float:
-    """Share of the variance of a fix that no other fix has part in."""
+def independent_share(fix: PositionFix, is_location: bool) -> float:
+    """Return the share of the variance of a fix that is independent of all other fixes."""
     return 1.0 if fix.correlation_s == 0 else _OWN_SHARE if is_location else INDEPENDENT_SHARE
 
 
 def errors_of(fixes: Sequence[PositionFix], is_location: BoolArray, node: IntArray) -> Errors:
-    """Errors of the correlated ones among fixes (F,) in the order of time, whose anchors are given.
+    """Return the error states of the correlated fixes among fixes (F,) in order of time, with their anchors `node`.
 
-    Those of locations have all parts, those of other fixes the varying part alone.
+    The error of a location has all parts. The error of another fix has the varying part only.
     """
     position = np.flatnonzero([f.correlation_s > 0 for f in fixes])
     if not len(position):
@@ -70,7 +84,7 @@ def errors_of(fixes: Sequence[PositionFix], is_location: BoolArray, node: IntArr
     by[:, :, _VARYING] = np.sqrt(varying)[:, None, None] * root
     by[:, :, _CONSTANT] = np.where(located, np.sqrt(_CONSTANT_SHARE), 0.0)[:, None, None] * root
     std_m = np.sqrt([f.var_m2 for f in chosen])
-    shrunk_m = _at_most(_SHRUNK_STD * _from_local_mean(time_s, place_m), _SHRUNK_MOST * std_m)
+    shrunk_m = _limited(_SHRUNK_STD * _from_local_mean(time_s, place_m), _SHRUNK_MOST * std_m)
     by[:, :, _SHRUNK] = np.where(located[:, None], -shrunk_m, 0.0)
     by[:, :, _LATE] = -_LATE_STD_S * located[:, None] * _velocity_mps(time_s, place_m)
     memory_s = np.full((len(chosen) - 1, N_ERRORS), _CONSTANT_S)
@@ -80,45 +94,46 @@ def errors_of(fixes: Sequence[PositionFix], is_location: BoolArray, node: IntArr
 
 
 def _from_local_mean(time_s: FloatArray, place_m: FloatArray) -> FloatArray:
-    """Places (E, 2) less the mean of those within `_SHRUNK_WITHIN_S`."""
+    """Return the positions (E, 2) minus the mean of those within `_SHRUNK_WITHIN_S`."""
     first, end = (np.searchsorted(time_s, time_s + d) for d in (-_SHRUNK_WITHIN_S, _SHRUNK_WITHIN_S))
     total = np.concatenate([np.zeros((1, 2)), np.cumsum(place_m - place_m[0], axis=0)])
     return place_m - place_m[0] - (total[end] - total[first]) / (end - first)[:, None]
 
 
 def _velocity_mps(time_s: FloatArray, place_m: FloatArray) -> FloatArray:
-    """Velocity (E, 2) between the locations within `_LATE_WITHIN_S`, that of a pedestrian at most."""
+    """Return the velocity (E, 2) between the locations within `_LATE_WITHIN_S`, limited to that of a pedestrian."""
     first, end = (np.searchsorted(time_s, time_s + d) for d in (-_LATE_WITHIN_S, _LATE_WITHIN_S))
     apart_s = np.maximum(time_s[end - 1] - time_s[first], 1.0)
     velocity_mps = (place_m[end - 1] - place_m[first]) / apart_s[:, None]
-    return _at_most(velocity_mps, np.full(len(time_s), _MAX_SPEED_MPS))
+    return _limited(velocity_mps, np.full(len(time_s), _MAX_SPEED_MPS))
 
 
-def _at_most(vector: FloatArray, length: FloatArray) -> FloatArray:
-    """Vectors (E, 2) that are longer than a length (E,) cut to it."""
+def _limited(vector: FloatArray, length: FloatArray) -> FloatArray:
+    """Return vectors (E, 2) shortened to at most `length` (E,)."""
     return vector * (length / np.maximum(np.hypot(*vector.T), length))[:, None]
 
 
-# A location may claim so little that its variance is this share of what it claims.
-_FAR_LESS = 0.5
+# Smallest factor by which `with_even_variances` reduces a claimed variance.
+_MIN_VARIANCE_FACTOR = 0.5
 
 
-def evenly_sure(locations: Sequence[PositionFix]) -> tuple[PositionFix, ...]:
-    """Locations none of which is surer than the median of the walk, and those that claim far less.
+def with_even_variances(locations: Sequence[PositionFix]) -> tuple[PositionFix, ...]:
+    """Return the locations with covariances moved towards the median variance of the walk.
 
-    Indoors a phone claims 8 m at one time and 64 m at another, and its error is the same.
+    Smaller covariances are increased to the median. Larger ones are reduced to the median, but at most by half.
+    Indoors, a phone reports an accuracy of 8 m at one time and of 64 m at another, with the same actual error.
     """
     if not locations:
         return ()
     usual = float(np.median([f.var_m2 for f in locations]))
-    return tuple(replace(f, cov_m2=max(usual / f.var_m2, _FAR_LESS) * f.cov_m2) for f in locations)
+    return tuple(replace(f, cov_m2=max(usual / f.var_m2, _MIN_VARIANCE_FACTOR) * f.cov_m2) for f in locations)
 
 
-def by_contact(fixes: Sequence[PositionFix], contacts: IntArray) -> tuple[tuple[PositionFix, ...], IntArray]:
-    """Fixes (F,) with the correlated ones of one contact joined, in the order of time, and the number of each there.
+def joined_at_contacts(fixes: Sequence[PositionFix], contacts: IntArray) -> tuple[tuple[PositionFix, ...], IntArray]:
+    """Return fixes in order of time with correlated ones at one contact joined, and the index of each fix there.
 
-    A correlated fix has an error of its own among the unknowns, and a phone that rests gets locations at one contact
-    for as long as it rests. Their mean is as uncertain as one of them, which is too much after a long rest.
+    Each correlated fix adds an error state to the unknowns, and a resting phone receives locations at a single contact
+    for as long as it rests. Their mean is assigned the covariance of one of them, which is too large after a long rest.
     """
     groups: dict[tuple[int, bool], list[int]] = {}
     for k in sorted(range(len(fixes)), key=lambda k: fixes[k].time_s):
@@ -131,6 +146,7 @@ def by_contact(fixes: Sequence[PositionFix], contacts: IntArray) -> tuple[tuple[
 
 
 def _joined(fixes: Sequence[PositionFix]) -> PositionFix:
+    """Return the information-weighted mean of correlated fixes, with the covariance of a single one."""
     if len(fixes) == 1:
         return fixes[0]
     place_m, mean_cov = mean_place(fixes)
@@ -139,7 +155,7 @@ def _joined(fixes: Sequence[PositionFix]) -> PositionFix:
 
 
 def mean_place(fixes: Sequence[PositionFix]) -> tuple[FloatArray, FloatArray]:
-    """Mean (2,) of fixes weighted by their information, and its covariance (2, 2) if their errors are independent."""
+    """Return the information-weighted mean (2,) of fixes, and its covariance (2, 2) for independent errors."""
     information = np.linalg.inv(np.array([f.cov_m2 for f in fixes]))
     cov = np.linalg.inv(information.sum(axis=0))
     return cov @ np.einsum("nab,nb->a", information, np.array([f.position_m for f in fixes])), cov

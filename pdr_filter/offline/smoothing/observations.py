@@ -1,4 +1,4 @@
-"""What is known of a walk besides its steps: position fixes, loop closures, known headings, floor changes."""
+"""Observations of a walk other than its steps: fixes, loop closures, known headings and floor changes."""
 
 from __future__ import annotations
 
@@ -9,12 +9,36 @@ import numpy as np
 from pdr_filter.values import BoolArray, HeadingFix, Measurement, PositionFix, SpeedFix, are_numbers, check_number
 from pdr_filter.values.recording import Recording
 
-_OUTSIDE_S = 1.0  # fixes so far outside the samples still count as at their ends: clocks are not better than that
+_OUTSIDE_S = 1.0  # fixes up to this far outside the samples are moved to the ends, because clocks are not more accurate
 
 
 @dataclass(frozen=True, slots=True)
 class LoopClosure:
-    """Two times at which the pedestrian was at the same place, within `std_m` along each axis."""
+    """Pair of times at which the pedestrian was at the same place.
+
+    Attributes
+    ----------
+    first_s : float
+        First time, in s.
+    second_s : float
+        Second time, after the first.
+    std_m : float, default 0.5
+        Standard deviation of the distance between the two positions along each axis, in m.
+
+    Raises
+    ------
+    ValueError
+        If the times are not finite and increasing, or `std_m` is not positive.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.offline.smoothing.observations import LoopClosure
+    >>> walk = pdr.simulate.demo_walk()
+    >>> smoothed = pdr.smooth(walk, loop_closures=[LoopClosure(2.0, 110.0)])
+    >>> smoothed.observations.kind.tolist()
+    ['loop closure']
+    """
 
     first_s: float
     second_s: float
@@ -23,24 +47,46 @@ class LoopClosure:
     def __post_init__(self) -> None:
         numbers = are_numbers(self.first_s, self.second_s, self.std_m)
         if not (numbers and self.first_s < self.second_s and self.std_m > 0):
-            raise ValueError(f"a loop closure needs first_s < second_s and std_m > 0, got {self}")
+            raise ValueError(f"a loop closure must have first_s < second_s and std_m > 0, got {self}")
 
 
-# Least way between the two times of a loop closure: so many of its standard deviations, and a few steps, since each
-# time is moved to the nearest contact. On a shorter way the pedestrian is near in any case.
+# Shortest distance walked between the two times of an informative loop closure: this many of its standard deviations,
+# and a few steps, because each time is moved to the nearest contact. On a shorter path the pedestrian is near in any
+# case.
 _CLOSURE_STDS, _CLOSURE_M = 3.0, 3.0
 
 
-def says_nothing(closure: LoopClosure, walked_m: float) -> bool:
+def is_uninformative(closure: LoopClosure, walked_m: float) -> bool:
     """True if a loop closure carries no information, given the distance walked between its two times."""
     return walked_m <= max(_CLOSURE_STDS * closure.std_m, _CLOSURE_M)
 
 
 @dataclass(frozen=True, slots=True)
 class KnownHeading:
-    """The direction from where the pedestrian was at one time to where he was at another: a corridor's.
+    """Known direction from the position at one time to the position at another, such as that of a corridor.
 
-    Clockwise from north of the frame of the fixes.
+    Attributes
+    ----------
+    start_s : float
+        First time, in s.
+    end_s : float
+        Second time, after the first.
+    heading_rad : float
+        Direction in rad, clockwise from north of the frame of the fixes.
+    std_rad : float, default 0.05
+        Standard deviation of the direction.
+
+    Raises
+    ------
+    ValueError
+        If the numbers are not finite, the times do not increase, or `std_rad` is not positive.
+
+    Examples
+    --------
+    >>> from pdr_filter.offline.smoothing.observations import KnownHeading
+    >>> corridor = KnownHeading(start_s=10.0, end_s=25.0, heading_rad=1.57)
+    >>> corridor.std_rad
+    0.05
     """
 
     start_s: float
@@ -51,12 +97,28 @@ class KnownHeading:
     def __post_init__(self) -> None:
         numbers = are_numbers(self.start_s, self.end_s, self.heading_rad, self.std_rad)
         if not (numbers and self.start_s < self.end_s and self.std_rad > 0):
-            raise ValueError(f"a known heading needs start_s < end_s, a finite heading and std_rad > 0, got {self}")
+            raise ValueError(f"a known heading must have start_s < end_s, a finite heading and std_rad > 0, got {self}")
 
 
 @dataclass(frozen=True, slots=True)
 class FloorChange:
-    """From this time on the pedestrian is on another storey; 0 is the ground floor. Carried through, not estimated."""
+    """Time from which the pedestrian is on another storey.
+
+    The storey is copied to the result. It has no influence on the positions.
+
+    Attributes
+    ----------
+    time_s : float
+        Time of the change, in s.
+    floor : int
+        Number of the storey, 0 for the ground floor.
+
+    Examples
+    --------
+    >>> from pdr_filter.offline.smoothing.observations import FloorChange
+    >>> FloorChange(time_s=60.0, floor=1).floor
+    1
+    """
 
     time_s: float
     floor: int
@@ -64,24 +126,40 @@ class FloorChange:
 
 @dataclass(frozen=True, slots=True)
 class Observations:
-    """All that was observed of one walk, each kind in any order."""
+    """All observations of one walk, each kind in any order.
+
+    Attributes
+    ----------
+    fixes : tuple
+        Position, heading and speed fixes and other measurements.
+    loop_closures : tuple of LoopClosure
+        Loop closures.
+    known_headings : tuple of KnownHeading
+        Known directions.
+    floor_changes : tuple of FloorChange
+        Known storeys.
+    locations : tuple of PositionFix
+        Locations of the recording itself.
+    is_loop : bool
+        True if the last loop closure states that the walk ended at its start.
+    """
 
     fixes: tuple[PositionFix | HeadingFix | SpeedFix | Measurement, ...] = ()
     loop_closures: tuple[LoopClosure, ...] = ()
     known_headings: tuple[KnownHeading, ...] = ()
     floor_changes: tuple[FloorChange, ...] = ()
-    locations: tuple[PositionFix, ...] = ()  # of the recording itself
-    is_loop: bool = False  # whether the last loop closure is the statement that the walk ended where it began
+    locations: tuple[PositionFix, ...] = ()
+    is_loop: bool = False
 
     @property
     def positions(self) -> tuple[PositionFix, ...]:
-        """The fixes of positions."""
+        """Position fixes among the fixes."""
         return tuple(f for f in self.fixes if isinstance(f, PositionFix))
 
     def fixes_inside(self, start_s: float, end_s: float) -> BoolArray:
-        """Which fixes, then locations, are within a recording (F,).
+        """Return a mask (F,) of the fixes, followed by the locations, that are within a recording.
 
-        ValueError if there are fixes and none of them is, or if anything else than a fix or a location is not.
+        Raises ValueError if all fixes are outside, or if a loop closure or known heading is outside.
         """
 
         def is_inside(time_s: float) -> bool:
@@ -92,15 +170,15 @@ class Observations:
         if times_s and not inside[: len(times_s)].any():
             raise ValueError(
                 f"none of {len(times_s)} fixes, {min(times_s):.1f} to {max(times_s):.1f} s, "
-                f"is within the recording, {start_s:.1f} to {end_s:.1f} s: are their times of the same clock?"
+                f"is within the recording, {start_s:.1f} to {end_s:.1f} s: check that their times are of the same clock"
             )
         closed_s = [("loop closure", k, t) for k, c in enumerate(self.loop_closures) for t in (c.first_s, c.second_s)]
         known_s = [("known heading", k, t) for k, h in enumerate(self.known_headings) for t in (h.start_s, h.end_s)]
         for what, k, time_s in (*closed_s, *known_s):
             if not is_inside(time_s):
                 raise ValueError(
-                    f"{what} {k + 1} at {time_s} s is outside the recording, {start_s:.1f} to {end_s:.1f} s; times are "
-                    "those of the samples"
+                    f"{what} {k + 1} at {time_s} s is outside the recording, {start_s:.1f} to {end_s:.1f} s; give "
+                    "times on the clock of the samples"
                 )
         return inside
 
@@ -110,17 +188,43 @@ def check_options(
     start_heading_std_rad: float | None,
     anchor_interval_s: float,
 ) -> None:
-    """ValueError for what `smooth` cannot use."""
+    """Raise ValueError for options of `smooth` that are out of range."""
     if isinstance(loop_closures, str) and loop_closures != "wifi":
         raise ValueError(f'loop_closures must be a sequence of LoopClosure or "wifi", got {loop_closures!r}')
     if start_heading_std_rad is not None:
-        remedy = "no heading is known exactly; give 0.01 for a surveyed direction, or leave it out"
+        remedy = "no heading is known exactly; give 0.01 for a surveyed direction, or omit it"
         check_number("start_heading_std_rad", start_heading_std_rad, 1e-6, 1e3, remedy)
-    check_number("anchor_interval_s", anchor_interval_s, 1e-6, 1e6, "10 is usual; leave it out")
+    check_number("anchor_interval_s", anchor_interval_s, 1e-6, 1e6, "10 is usual; or omit it")
 
 
 def waypoint_fixes(recording: Recording, std_m: float = 1.0) -> list[PositionFix]:
-    """The surveyed waypoints of a recording as fixes; ValueError where they are missing or their times go back."""
+    """Return the surveyed waypoints of a recording as position fixes.
+
+    Parameters
+    ----------
+    recording : Recording
+        A recording with `truth.waypoints`.
+    std_m : float, default 1.0
+        Standard deviation of a waypoint along each axis, in m.
+
+    Returns
+    -------
+    list of PositionFix
+        One fix per waypoint.
+
+    Raises
+    ------
+    ValueError
+        If the recording has no waypoints, or their times decrease.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.offline.smoothing.observations import waypoint_fixes
+    >>> fixes = waypoint_fixes(pdr.simulate.demo_walk())
+    >>> len(fixes) > 2, float(fixes[0].cov_m2[0, 0])
+    (True, 1.0)
+    """
     points = recording.truth.waypoints
     if points is None:
         raise ValueError(f"{recording.name or 'the recording'} has no waypoints; give fixes or loop closures")

@@ -9,11 +9,11 @@ from pdr_filter.values import FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Hindsight:
-    """A smoothed track on a plan, and what was learnt on the way."""
+class SmoothedOnPlan:
+    """Smoothed track on a floor plan, with heading offset and log scale (K,) after each step."""
 
     track: Track
-    heading_offset_rad: FloatArray  # (K,)
-    heading_offset_std_rad: FloatArray  # (K,)
-    log_scale: FloatArray  # (K,)
-    log_scale_std: FloatArray  # (K,)
+    heading_offset_rad: FloatArray
+    heading_offset_std_rad: FloatArray
+    log_scale: FloatArray
+    log_scale_std: FloatArray

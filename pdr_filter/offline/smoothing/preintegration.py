@@ -1,11 +1,11 @@
-"""Steps between two anchors, summed before a solver sees them: one relative factor instead of one for each step.
+"""Preintegration: the steps between two anchors summed into one relative factor before the problem is solved.
 
 In the frame of the heading offset and the scale at the start of an interval, its steps add up to one displacement D,
 
     p_b = p_a + e^s_a R(theta_a) D,  theta_b = theta_a,  s_b = s_a,  and noise of covariance T Q T',
     T = diag(e^s_a R(theta_a), 1, 1),
 
-so that D and Q are computed once however often the solver linearises (the idea of C. Forster et al., "On-manifold
+so that D and Q are computed once, however often the solver linearises (the idea of C. Forster et al., "On-manifold
 preintegration for real-time visual-inertial odometry", IEEE T-RO 33, 2017).
 """
 
@@ -33,12 +33,13 @@ from pdr_filter.values import FloatArray, IntArray, Table, read_only, steps_of
 # d R(theta) / d theta = TURN @ R(theta): headings are clockwise, vectors (east, north).
 TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
 _POSITION = slice(EAST, EAST + 2)
-# Variances below these count as these: a tenth of a millimetre, a thousandth of a milliradian. Without them a step
-# whose length is exactly known has no covariance that could be inverted.
+# Smallest variances: a tenth of a millimetre, a thousandth of a milliradian. Without them, a step of exactly known
+# length would have a singular covariance.
 _MIN_POSITION_VAR_M2 = 1e-8
 MIN_STATE_VAR = 1e-12
-# By smaller changes the heading stage makes the filter follow an error that it found late. The smoother sees all steps
-# at once and needs no such change; a phone that is moved to another place has 1.8 rad.
+# Smaller changes of the heading offset are ignored. The heading stage uses them to correct an error that the filter
+# detected late. The smoother processes all steps at once and does not need them. A phone that is moved to another place
+# has a change of 1.8 rad.
 _MIN_CHANGE_STD_RAD = 0.1
 
 
@@ -46,25 +47,46 @@ _MIN_CHANGE_STD_RAD = 0.1
 class Increments:
     """Displacement and noise of each of K steps, before the person's scale and heading offset.
 
-    The order is that of the filter: first the gap, the change of the heading offset and its drift since the step
-    before, then the measured walking heading, then the displacement, and last the drift of the scale.
+    The order of events is that of the filter: the gap, the change of the heading offset and its drift since the
+    previous step, then the measured walking heading, then the displacement, and last the drift of the scale.
+
+    Attributes
+    ----------
+    time_s : array (K,)
+        Times of the contacts.
+    duration_s : array (K,)
+        Durations of the steps.
+    displacement_m : array (K, 2)
+        East and north displacement, from device heading and modes.
+    cov_m2 : array (K, 2, 2)
+        Covariance of the displacement, independent between steps.
+    drift_var_rad2 : array (K,)
+        Variance of the drift of the heading offset before the step.
+    unknown_var_rad2 : array (K,)
+        Variance of the heading offset from time without angular rate, before the step.
+    scale_drift_var : array (K,)
+        Variance of the drift of the log scale after the step.
+    jump_var_rad2 : array (K,)
+        Variance of a change of the heading offset before the step: the phone was moved, or samples are missing.
+    gap_var_m2 : array (K,)
+        Variance of the position from walking without samples before the step.
     """
 
-    time_s: FloatArray  # (K,) contacts
-    duration_s: FloatArray  # (K,)
-    displacement_m: FloatArray  # (K, 2) east, north, of the device heading and the modes
-    cov_m2: FloatArray  # (K, 2, 2) independent from step to step
-    drift_var_rad2: FloatArray  # (K,) of the heading offset, before the step
-    unknown_var_rad2: FloatArray  # (K,) the same for the time without angular rate
-    scale_drift_var: FloatArray  # (K,) of the log scale, after the step
-    jump_var_rad2: FloatArray  # (K,) before the step: the phone was moved, or samples are missing
-    gap_var_m2: FloatArray  # (K,) before the step: walked while samples are missing
+    time_s: FloatArray
+    duration_s: FloatArray
+    displacement_m: FloatArray
+    cov_m2: FloatArray
+    drift_var_rad2: FloatArray
+    unknown_var_rad2: FloatArray
+    scale_drift_var: FloatArray
+    jump_var_rad2: FloatArray
+    gap_var_m2: FloatArray
 
     def __len__(self) -> int:
         return len(self.time_s)
 
     def part(self, first: int, end: int) -> Increments:
-        """Steps first to end - 1."""
+        """Return the steps first to end - 1."""
         return Increments(*(getattr(self, name)[first:end] for name in self.__slots__))
 
 
@@ -75,12 +97,12 @@ def increments(
     noise: MotionNoise,
     gap_before_s: FloatArray,
 ) -> tuple[Increments, float]:
-    """Increments of detected steps, and the variance of the log scale that the fits of the modes leave.
+    """Return the increments of detected steps, and the variance of the log scale due to the fits of the modes.
 
     The displacement is the mean over the modes, sum_m mu_m L_m u(psi + o_m), with the covariance of the mixture. The
-    covariance of a fit's parameters is an error that all steps share: it is returned as the mean of J cov J' / L^2,
-    with several parameters an approximation. `mode_prob` is (K, M), and `gap_before_s` (K,) the time without samples
-    before each step.
+    covariance of a fit's parameters is an error that all steps share. It is returned as the mean of J cov J' / L^2,
+    which is an approximation for several parameters. `mode_prob` is (K, M), and `gap_before_s` (K,) is the time without
+    samples before each step.
     """
     n = len(steps)
     lengths = StepLengths(tuple(m.step_length for m in modes))
@@ -132,7 +154,7 @@ def increments(
 
 
 def _elapsed_s(steps: Table, gap_before_s: FloatArray) -> FloatArray:
-    """Time since the step before, (K,); of the first step and after a gap its own duration."""
+    """Return the time (K,) since the previous step. At the start and after a gap it is the duration of the step."""
     time_s, duration_s = np.asarray(steps.time_s), np.asarray(steps.duration_s)
     elapsed_s = np.concatenate([duration_s[:1], np.diff(time_s)])
     return np.maximum(np.where(gap_before_s > 0, duration_s, elapsed_s), 0.0)
@@ -140,26 +162,43 @@ def _elapsed_s(steps: Table, gap_before_s: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Intervals:
-    """Steps summed between anchors. `sum_m` and `cov` of a step are from the start of its interval to its contact."""
+    """Steps summed between anchors.
 
-    nodes: IntArray  # (n + 1,) steps before each anchor: the first is 0, the last K
-    index: IntArray  # (K,) the interval of each step
-    sum_m: FloatArray  # (K, 2) D after each step, in the frame of the interval's start
-    cov: FloatArray  # (K, 4, 4) Q after each step, without what happens before the next one
-    total_m: FloatArray  # (n, 2) D of each interval
-    total_cov: FloatArray  # (n, 4, 4) Q of each interval, with gap and change of the heading offset at its end
-    whiten: FloatArray  # (n, 4, 4) inverse of the lower Cholesky factor of `total_cov`
+    Attributes
+    ----------
+    nodes : array (n + 1,)
+        Number of steps before each anchor, from 0 to K.
+    index : array (K,)
+        Interval of each step.
+    sum_m : array (K, 2)
+        D from the start of the interval to the contact of each step, in the frame of the interval's start.
+    cov : array (K, 4, 4)
+        Q over the same range, without the events before the next step.
+    total_m : array (n, 2)
+        D of each interval.
+    total_cov : array (n, 4, 4)
+        Q of each interval, including the gap and the change of the heading offset at its end.
+    whiten : array (n, 4, 4)
+        Inverse of the lower Cholesky factor of `total_cov`.
+    """
+
+    nodes: IntArray
+    index: IntArray
+    sum_m: FloatArray
+    cov: FloatArray
+    total_m: FloatArray
+    total_cov: FloatArray
+    whiten: FloatArray
 
     def __len__(self) -> int:
         return len(self.total_m)
 
 
 def preintegrate(steps: Increments, nodes: IntArray) -> Intervals:
-    """The steps between each anchor and the next, in time that grows with the number of steps.
+    """Return the steps summed between anchors, in time proportional to the number of steps.
 
     Q_pp = sum C_i + sum q_i J b_i (J b_i)' + sum r_i d_i d_i',  b_i = D - D_{i-1},  d_i = D - D_i, and so on
-    (docs/methods/smoothing.md).
-    The sums over i are differences of cumulative ones, for all steps at once.
+    (docs/methods/smoothing.md). The sums over i are differences of cumulative sums, for all steps at once.
     """
     if len(nodes) < 2 or nodes[0] != 0 or nodes[-1] != len(steps) or (np.diff(nodes) < 1).any():
         raise ValueError(f"anchors must increase from 0 to the number of steps, {len(steps)}, got {nodes}")
@@ -168,7 +207,7 @@ def preintegrate(steps: Increments, nodes: IntArray) -> Intervals:
     first = nodes[:-1][index]
 
     def within(values: FloatArray) -> FloatArray:
-        """Sums from the start of each step's interval to the step itself."""
+        """Return the sums from the start of each step's interval to the step itself."""
         total = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
         return total[1:] - total[first]
 
@@ -178,8 +217,9 @@ def preintegrate(steps: Increments, nodes: IntArray) -> Intervals:
     D = within(displacement)
     Q = np.zeros((len(steps), N_STATES, N_STATES))
     Q[:, _POSITION, _POSITION] = within(cov)
-    # A drift turns or scales the way from it to the end of the interval: D less the sum where the drift is. The heading
-    # drifts before its step, the scale after it. The drift before the first step belongs to the interval before.
+    # A drift rotates or scales the path from the drift to the end of the interval, which is D minus the sum at the
+    # drift. The heading drifts before its step, the scale after it. The drift before the first step belongs to the
+    # previous interval.
     heading_var = np.where(np.arange(len(steps)) == first, 0.0, steps.drift_var_rad2)
     for state, variance, lever, at in (
         (HEADING_OFFSET, heading_var, D @ TURN.T, (D - displacement) @ TURN.T),
@@ -197,11 +237,11 @@ def preintegrate(steps: Increments, nodes: IntArray) -> Intervals:
 
     last = nodes[1:] - 1
     end = np.zeros((len(count), N_STATES, N_STATES))
-    inner = nodes[1:-1]  # what comes before a step belongs to the interval that ends there
+    inner = nodes[1:-1]  # events before a step belong to the interval that ends there
     end[:-1, _POSITION, _POSITION] = steps.gap_var_m2[inner][:, None, None] * np.eye(2)
     end[:-1, HEADING_OFFSET, HEADING_OFFSET] = steps.jump_var_rad2[inner] + steps.drift_var_rad2[inner]
     end[:-1, HEADING_OFFSET, HEADING_OFFSET] += steps.unknown_var_rad2[inner]
-    # without angular rate the way to the end is shortened (`_moments`), and the offset at the end is free
+    # without angular rate, `_moments` shortens the path to the end, and the offset at the end is free
     unknown_var = np.where(np.arange(len(steps)) == first, 0.0, steps.unknown_var_rad2)
     end[:, HEADING_OFFSET, HEADING_OFFSET] += within(unknown_var)[last]
     turned = end[:, HEADING_OFFSET, HEADING_OFFSET]
@@ -211,17 +251,17 @@ def preintegrate(steps: Increments, nodes: IntArray) -> Intervals:
 
 
 def _moments(steps: Increments, first: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Mean displacement (K, 2) and covariance (K, 2, 2) of each step, given the heading at its interval's start.
+    """Return the mean (K, 2) and covariance (K, 2, 2) of the displacement of each step.
 
-    Where no angular rate was measured, the heading of a step is that of the start with a variance V that grows: its
-    mean displacement is shortened by exp(-V / 2), and what is missing from the mean square of the sum,
-    E |S|^2 = sum_ij d_i . d_j exp(-|V_i - V_j| / 2), is put into an isotropic covariance.
+    Both are conditional on the heading at the start of the interval. Without a measured angular rate, the heading of a
+    step is that of the start with a growing variance V. The mean displacement is shortened by exp(-V / 2). The rest of
+    the mean square of the sum, E |S|^2 = sum_ij d_i . d_j exp(-|V_i - V_j| / 2), becomes an isotropic covariance.
     """
     if not steps.unknown_var_rad2.any():
         return steps.displacement_m, steps.cov_m2
     displacement, cov = steps.displacement_m.copy(), steps.cov_m2.copy()
     variance = 0.0
-    mean, ahead = np.zeros(2), np.zeros(2)  # E S, and E S seen from the present heading
+    mean, ahead = np.zeros(2), np.zeros(2)  # E S, and E S relative to the current heading
     square = 0.0  # E |S|^2
     spread = 0.0
     for k, (d, grown) in enumerate(zip(steps.displacement_m, steps.unknown_var_rad2, strict=True)):
@@ -241,18 +281,18 @@ def _moments(steps: Increments, first: IntArray) -> tuple[FloatArray, FloatArray
     return displacement, cov
 
 
-def turned(heading_rad: FloatArray, log_scale: FloatArray) -> FloatArray:
-    """e^s R(theta), (..., 2, 2)."""
+def scaled_rotation(heading_rad: FloatArray, log_scale: FloatArray) -> FloatArray:
+    """Return e^s R(theta), shape (..., 2, 2)."""
     c, s = np.exp(log_scale) * np.cos(heading_rad), np.exp(log_scale) * np.sin(heading_rad)
     return np.stack([np.stack([c, s], axis=-1), np.stack([-s, c], axis=-1)], axis=-2)
 
 
 def end_states(start: FloatArray, sum_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """States (n, 4) at the end of sums of steps (n, 2) that begin at states (n, 4), and their derivative (n, 4, 4).
+    """Return the states (n, 4) after the summed steps (n, 2) from start states (n, 4), and their derivatives (n, 4, 4).
 
-    F = d x_b / d x_a: the position follows the heading offset by J e^s R D and the log scale by e^s R D.
+    F = d x_b / d x_a. The position depends on the heading offset by J e^s R D and on the log scale by e^s R D.
     """
-    rotation = turned(start[:, HEADING_OFFSET], start[:, LOG_SCALE])
+    rotation = scaled_rotation(start[:, HEADING_OFFSET], start[:, LOG_SCALE])
     moved = np.einsum("nab,nb->na", rotation, sum_m)
     ahead = start.copy()
     ahead[:, _POSITION] += moved
@@ -262,30 +302,31 @@ def end_states(start: FloatArray, sum_m: FloatArray) -> tuple[FloatArray, FloatA
     return ahead, F
 
 
-def frame(start: FloatArray) -> FloatArray:
-    """T of states (n, 4): what turns and scales the covariance of an interval, (n, 4, 4)."""
+def state_transform(start: FloatArray) -> FloatArray:
+    """Return T (n, 4, 4) of states (n, 4), which rotates and scales the covariance of an interval."""
     T = np.broadcast_to(np.eye(N_STATES), (len(start), N_STATES, N_STATES)).copy()
-    T[:, _POSITION, _POSITION] = turned(start[:, HEADING_OFFSET], start[:, LOG_SCALE])
+    T[:, _POSITION, _POSITION] = scaled_rotation(start[:, HEADING_OFFSET], start[:, LOG_SCALE])
     return T
 
 
-def bridge(intervals: Intervals, node_mean: FloatArray, joint_cov: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Means (K, 4) and covariances (K, 4, 4) after each step, from what is known at the anchors.
+def step_states(intervals: Intervals, node_mean: FloatArray, joint_cov: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return means (K, 4) and covariances (K, 4, 4) after each step, from the estimates at the anchors.
 
-    Given both ends a and b, a step k in between depends on nothing else. With F and Q from a to k, Phi from k to b,
-    f the predictions, everything turned into the frame of the map,
+    Given both ends a and b, a step k in between depends on nothing else. With F and Q from a to k, Phi from k to b, f
+    the predictions, and everything rotated into the frame of the map,
 
         G = Q_ak Phi' Q_ab^-1,  x_k = f_k(x_a) + G (x_b - f(x_a)),
-        P_k = [F_ak - G F_ab, G] P_(a,b) [F_ak - G F_ab, G]' + Q_ak - G Phi Q_ak,
+        P_k = [F_ak - G F_ab, G] P_(a,b) [F_ak - G F_ab, G]' + Q_ak - G Phi Q_ak.
 
-    exact for the linearised steps: the same numbers as a smoother with every step as a state. `node_mean` (n + 1, 4)
-    are the smoothed states at the anchors, `joint_cov` (n, 8, 8) the covariance of both ends of each interval.
+    This is exact for the linearised steps, and gives the same numbers as a smoother with every step as a state.
+    `node_mean` (n + 1, 4) are the smoothed states at the anchors, and `joint_cov` (n, 8, 8) is the covariance of both
+    ends of each interval.
     """
     i = intervals.index
     start = node_mean[:-1]
     ahead, F_ab = end_states(start, intervals.total_m)
     f_k, F_ak = end_states(start[i], intervals.sum_m)
-    T = frame(start)
+    T = state_transform(start)
     Q_ak = T[i] @ intervals.cov @ T[i].swapaxes(-1, -2)
     whiten = intervals.whiten @ np.linalg.inv(T)
     remaining = intervals.total_m[i] - intervals.sum_m

@@ -1,4 +1,4 @@
-"""The least-squares problem of a walk: anchors, the steps between them, and what was observed at them."""
+"""Least-squares problem of a walk: anchors, the steps between them, and the observations at them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from pdr_filter.filter.fixes.measurement_updates import high_quantile
 from pdr_filter.filter.imm.motion_model import LOG_SCALE, MAX_HEADING_VARIANCE, Mode
-from pdr_filter.offline.smoothing.location_errors import NO_ERRORS, Errors, errors_of, own_share
+from pdr_filter.offline.smoothing.location_errors import NO_ERRORS, Errors, errors_of, independent_share
 from pdr_filter.offline.smoothing.observations import KnownHeading, LoopClosure, Observations
 from pdr_filter.offline.smoothing.preintegration import MIN_STATE_VAR, Increments, Intervals, preintegrate
 from pdr_filter.values import (
@@ -26,22 +26,36 @@ from pdr_filter.values import (
     wrap_angle,
 )
 
-# 99.9 % of good observations are below: chi-square with two degrees of freedom, and with one. That of the positions is
-# the gate of the filter.
+# Gates: 99.9 % quantiles of the chi-square distribution with two degrees of freedom and with one. The gate of the
+# positions is that of the online filter.
 _POSITION_NIS, _DIRECTION_NIS = 13.8, 10.8
-_BEST_FIX_M = 0.01  # no position on a walking body means more than this
-MIN_HEADING_LENGTH_M = 1.0  # a heading of a corridor says nothing about somebody who stands in it
+_BEST_FIX_M = 0.01  # best possible accuracy of a position on a walking body
+MIN_HEADING_LENGTH_M = 1.0  # the heading of a corridor carries no information on a pedestrian who stands in it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservedPositions:
-    """Where anchor `node` is, on the map or from anchor `other`."""
+    """Observed positions of anchors, on the map or relative to another anchor.
 
-    node: IntArray  # (F,)
-    other: IntArray  # (F,) -1: the position is one of the map
-    ahead_m: FloatArray  # (F, 2) part of the step from the anchor to the observation, before heading offset and scale
-    position_m: FloatArray  # (F, 2)
-    whiten: FloatArray  # (F, 2, 2) inverse of the lower Cholesky factor of the covariance
+    Attributes
+    ----------
+    node : array (F,)
+        Observed anchor.
+    other : array (F,)
+        Anchor to which the position is relative, -1 for a position on the map.
+    ahead_m : array (F, 2)
+        Part of the step from the anchor to the observation, before heading offset and scale.
+    position_m : array (F, 2)
+        Observed position.
+    whiten : array (F, 2, 2)
+        Inverse of the lower Cholesky factor of the covariance.
+    """
+
+    node: IntArray
+    other: IntArray
+    ahead_m: FloatArray
+    position_m: FloatArray
+    whiten: FloatArray
 
     def __len__(self) -> int:
         return len(self.node)
@@ -49,13 +63,27 @@ class ObservedPositions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservedDirections:
-    """Directions from one anchor to another."""
+    """Observed directions from one anchor to another.
 
-    first: IntArray  # (H,)
-    last: IntArray  # (H,)
-    length_m: FloatArray  # (H,) by dead reckoning
-    heading_rad: FloatArray  # (H,)
-    std_rad: FloatArray  # (H,)
+    Attributes
+    ----------
+    first : array (H,)
+        Anchor at the start.
+    last : array (H,)
+        Anchor at the end.
+    length_m : array (H,)
+        Distance between both by dead reckoning.
+    heading_rad : array (H,)
+        Observed direction.
+    std_rad : array (H,)
+        Standard deviation of the direction.
+    """
+
+    first: IntArray
+    last: IntArray
+    length_m: FloatArray
+    heading_rad: FloatArray
+    std_rad: FloatArray
 
     def __len__(self) -> int:
         return len(self.first)
@@ -63,11 +91,21 @@ class ObservedDirections:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservedOffsets:
-    """Heading offsets (walking less device heading), by the number of steps before them, or by their anchor."""
+    """Observed heading offsets, each the walking heading minus the device heading.
 
-    node: IntArray  # (O,)
-    offset_rad: FloatArray  # (O,)
-    std_rad: FloatArray  # (O,)
+    Attributes
+    ----------
+    node : array (O,)
+        Number of steps before the offset, or its anchor.
+    offset_rad : array (O,)
+        Observed heading offset.
+    std_rad : array (O,)
+        Standard deviation.
+    """
+
+    node: IntArray
+    offset_rad: FloatArray
+    std_rad: FloatArray
 
     def __len__(self) -> int:
         return len(self.node)
@@ -75,12 +113,24 @@ class ObservedOffsets:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservedStates:
-    """Measurements of heading offset or log scale at anchors."""
+    """Measurements of the heading offset or the log scale at anchors.
 
-    node: IntArray  # (S,)
-    state: IntArray  # (S,) HEADING_OFFSET or LOG_SCALE
-    value: FloatArray  # (S,)
-    std: FloatArray  # (S,)
+    Attributes
+    ----------
+    node : array (S,)
+        Anchor, or number of steps before the measurement.
+    state : array (S,)
+        HEADING_OFFSET or LOG_SCALE.
+    value : array (S,)
+        Measured value.
+    std : array (S,)
+        Standard deviation.
+    """
+
+    node: IntArray
+    state: IntArray
+    value: FloatArray
+    std: FloatArray
 
     def __len__(self) -> int:
         return len(self.node)
@@ -88,14 +138,30 @@ class ObservedStates:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservedMeasurements:
-    """Measurements of any kind (`values.Measurement`), and where the walk is taken to be for a first linearisation."""
+    """Other measurements (`values.Measurement`) at anchors, with the positions for a first linearisation.
 
-    fixes: tuple[Measurement, ...]  # (X,)
-    node: IntArray  # (X,)
-    ahead_m: FloatArray  # (X, 2) part of the step from the anchor to the measurement, before heading offset and scale
-    extra_var_m2: FloatArray  # (X,) of what lies between, along each axis
-    device_rad: FloatArray  # (X,) walking heading less the heading offset
-    guess_m: FloatArray  # (X, 2)
+    Attributes
+    ----------
+    fixes : tuple of Measurement
+        The X measurements.
+    node : array (X,)
+        Anchor of each measurement.
+    ahead_m : array (X, 2)
+        Part of the step from the anchor to the measurement, before heading offset and scale.
+    extra_var_m2 : array (X,)
+        Variance of the displacement between the anchor and the measurement, along each axis.
+    device_rad : array (X,)
+        Walking heading minus the heading offset.
+    guess_m : array (X, 2)
+        Position for the first linearisation.
+    """
+
+    fixes: tuple[Measurement, ...]
+    node: IntArray
+    ahead_m: FloatArray
+    extra_var_m2: FloatArray
+    device_rad: FloatArray
+    guess_m: FloatArray
 
     def __len__(self) -> int:
         return len(self.node)
@@ -110,27 +176,50 @@ NO_OFFSETS = ObservedOffsets(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """Steps between anchors, what is known before them, and what was observed.
+    """Steps between anchors, priors, and observations of a walk.
 
-    Positions, directions, states and measurements may be wrong: their weights, limits and the like are arrays
-    (F + H + S + X,), in this order. Keys of the unknowns are the anchors, the errors after them, and last the rotation
-    of the frame.
+    Positions, directions, states and measurements may be outliers. Arrays of their weights and limits have the shape (F
+    + H + S + X,), in this order. The keys of the unknowns are the anchors, then the errors of correlated fixes, and
+    last the rotation of the frame.
+
+    Attributes
+    ----------
+    intervals : Intervals
+        Steps summed between the anchors.
+    start_mean : array (4,)
+        Prior mean of the first state.
+    start_cov : array (4, 4)
+        Prior covariance of the first state.
+    positions : ObservedPositions
+        Fixes, locations and loop closures.
+    directions : ObservedDirections
+        Known headings.
+    offsets : ObservedOffsets
+        Heading offsets from the strides.
+    frame_std_rad : float
+        Prior standard deviation of the rotation from the frame of the offsets to that of the positions.
+    errors : Errors
+        Errors of correlated fixes.
+    states : ObservedStates
+        Measurements of heading offset and log scale.
+    measurements : ObservedMeasurements
+        All other measurements.
     """
 
     intervals: Intervals
-    start_mean: FloatArray  # (4,)
-    start_cov: FloatArray  # (4, 4)
+    start_mean: FloatArray
+    start_cov: FloatArray
     positions: ObservedPositions
     directions: ObservedDirections
     offsets: ObservedOffsets
-    frame_std_rad: float  # of the rotation from the frame of the offsets to that of the positions
+    frame_std_rad: float
     errors: Errors = NO_ERRORS
     states: ObservedStates = NO_STATES
     measurements: ObservedMeasurements = NO_MEASUREMENTS
 
     @property
     def n_states(self) -> int:
-        """Number of anchors and errors, and the key of the rotation of the frame."""
+        """Number of anchors and errors, which is also the key of the rotation of the frame."""
         return self.n_nodes + len(self.errors)
 
     @property
@@ -140,12 +229,13 @@ class Problem:
 
     @property
     def limit_nis(self) -> FloatArray:
-        """Normalised innovation squared (F + H + S + X,) beyond which an observation is wrong."""
+        """Gates (F + H + S + X,) of the normalised innovation squared, above which an observation is an outlier."""
         n = [len(self.positions), len(self.directions) + len(self.states)]
         return np.concatenate([np.repeat([_POSITION_NIS, _DIRECTION_NIS], n), self._limits_of_measurements])
 
     @property
     def _limits_of_measurements(self) -> FloatArray:
+        """Gates (X,) of the measurements, by their dimensions."""
         of = {1: _DIRECTION_NIS, 2: _POSITION_NIS}
         guesses = zip(self.measurements.fixes, self.measurements.guess_m, strict=True)
         sizes = [len(measured(fix, guess_m, 0.0)[0]) for fix, guess_m in guesses]
@@ -153,14 +243,14 @@ class Problem:
 
     @property
     def possible(self) -> FloatArray:
-        """Mask (F + H + S + X,) of usable observations: 1, or 0 for directions over too short a way."""
+        """Mask (F + H + S + X,) of usable observations: 1, or 0 for a direction over too short a distance."""
         walked = self.directions.length_m > MIN_HEADING_LENGTH_M
         n_others = len(self.states) + len(self.measurements)
         return np.concatenate([np.ones(len(self.positions)), walked.astype(float), np.ones(n_others)])
 
 
 def start_covariance(position_std_m: float, heading_std_rad: float, log_scale_var: float) -> FloatArray:
-    """What is known before the first step, (4, 4)."""
+    """Return the prior covariance (4, 4) before the first step."""
     cov = np.diag(np.square([position_std_m, position_std_m, heading_std_rad, 0.0]))
     cov[LOG_SCALE, LOG_SCALE] = log_scale_var
     return cov + np.diag([0.0, 0.0, MIN_STATE_VAR, MIN_STATE_VAR])
@@ -178,10 +268,11 @@ def pose_problem(
     states: ObservedStates = NO_STATES,
     measurements: Measurements | None = None,
 ) -> Problem:
-    """The problem with an anchor where an observation or a change of the heading offset needs one.
+    """Return the least-squares problem, with anchors where observations or changes of the heading offset need them.
 
-    Its positions are the fixes, the locations, and the loop closures, in this order. Correlated fixes must
-    be in the order of time and at different contacts (`by_contact`). `states` and `offsets` are at numbers of steps.
+    The positions of the problem are the fixes, the locations and the loop closures, in this order. Correlated fixes
+    must be in order of time and at different contacts (`joined_at_contacts`). `states` and `offsets` are given by the
+    number of steps before them.
     """
     fixes = (*observed.positions, *observed.locations)
     is_location = np.arange(len(fixes)) >= len(observed.positions)
@@ -213,17 +304,21 @@ def pose_problem(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurements:
-    """Measurements of any kind, the walking headings of the steps less the heading offset, and a first estimate."""
+    """Measurements before they are assigned to anchors.
 
-    fixes: tuple[Measurement, ...]  # (X,)
-    device_rad: FloatArray  # (K,)
-    guess_m: FloatArray  # (X, 2)
+    `device_rad` (K,) are the walking headings of the steps minus the heading offset. `guess_m` (X, 2) are the positions
+    for the first linearisation.
+    """
+
+    fixes: tuple[Measurement, ...]
+    device_rad: FloatArray
+    guess_m: FloatArray
 
 
 def _measurements(
     contacts: list[_Contact], numbers: Callable[[list[int]], IntArray], given: Measurements
 ) -> ObservedMeasurements:
-    """Return measurements as observed at anchors."""
+    """Return measurements assigned to anchors."""
     steps = [max(i - 1, 0) for i, _, _ in contacts]
     return ObservedMeasurements(
         fixes=given.fixes,
@@ -235,19 +330,19 @@ def _measurements(
     )
 
 
-# Number of steps before a contact, displacement (2,) from it, and variance in m2 of what lies between.
+# Number of steps before a contact, displacement (2,) from the contact to the observation, and variance of it in m^2.
 _Contact = tuple[int, FloatArray, float]
 
 
 class _Contacts(NamedTuple):
-    """Nearest contacts (`nearest_contact`) of all observations; of known headings the numbers of steps alone."""
+    """Nearest contacts (`nearest_contact`) of all observations. Known headings have the numbers of steps only."""
 
     fixes: list[_Contact]
     loops: list[tuple[_Contact, _Contact]]
     headings: list[tuple[int, int]]
 
     def steps(self) -> list[int]:
-        """Numbers of steps that need an anchor."""
+        """Return the numbers of steps at which an anchor is needed."""
         single = [*self.fixes, *(contact for pair in self.loops for contact in pair)]
         return [i for i, _, _ in single] + [i for pair in self.headings for i in pair]
 
@@ -261,7 +356,7 @@ def _positions(
 ) -> ObservedPositions:
     """Return fixes and loop closures as observed positions, in this order."""
     at, loops = contacts.fixes, contacts.loops
-    own_shares = [own_share(f, is_one) for f, is_one in zip(fixes, is_location.tolist(), strict=True)]
+    own_shares = [independent_share(f, is_one) for f, is_one in zip(fixes, is_location.tolist(), strict=True)]
     fix_cov_m2 = [
         own * f.cov_m2 + max(extra, _BEST_FIX_M**2 - own * float(np.linalg.eigvalsh(f.cov_m2)[0])) * np.eye(2)
         for f, own, (_, _, extra) in zip(fixes, own_shares, at, strict=True)
@@ -296,7 +391,11 @@ def _directions(
 
 
 def choose_nodes(steps: Increments, wanted: Sequence[int], interval_s: float) -> IntArray:
-    """Numbers of steps before each anchor, increasing from 0 to K: those wanted, those before a change, and between."""
+    """Return the number of steps before each anchor, increasing from 0 to K.
+
+    There are anchors at the wanted numbers, and before each change of the heading offset and each gap. More anchors in
+    between keep the distance between anchors below `interval_s`.
+    """
     changed = np.flatnonzero((steps.jump_var_rad2 > 0) | (steps.gap_var_m2 > 0))
     needed = np.unique(np.concatenate([[0, len(steps)], changed, np.asarray(wanted, dtype=np.int64)]).astype(np.int64))
     nodes: list[int] = [0]
@@ -307,7 +406,10 @@ def choose_nodes(steps: Increments, wanted: Sequence[int], interval_s: float) ->
 
 
 def nearest_contact(steps: Increments, time_s: float) -> _Contact:
-    """Steps before the nearest contact, part of a step from it to the time, variance (m2) of what lies between."""
+    """Return the number of steps before the nearest contact, the displacement (2,) from it, and its variance in m^2.
+
+    The displacement is the part of a step between the contact and the given time.
+    """
     k = int(np.searchsorted(steps.time_s, time_s))
     if k == len(steps):
         return k, np.zeros(2), 0.0
@@ -322,19 +424,20 @@ def nearest_contact(steps: Increments, time_s: float) -> _Contact:
         return k, done * steps.displacement_m[k], done**2 * step_var + gap_var
     left, after = 1.0 - done, k + 1
     if after < len(steps) and (steps.jump_var_rad2[after] > 0 or steps.gap_var_m2[after] > 0):
-        # the anchor there is after the change, which says nothing about the heading of this step
+        # the anchor there is after the change and has no information on the heading of this step
         moved_var = left**2 * float(steps.displacement_m[k] @ steps.displacement_m[k])
         return after, np.zeros(2), moved_var + float(steps.gap_var_m2[after])
     return after, -left * steps.displacement_m[k], left**2 * step_var
 
 
 def heading_offsets(track: TrackRows, steps: Increments, modes: Sequence[Mode]) -> ObservedOffsets:
-    """Return the heading offsets that the steps show: walking heading less device heading and the mode's offset.
+    """Return the heading offsets measured by the strides: walking heading minus device heading minus the mode's offset.
 
-    They are in the frame of the filter, whose zero is the first one: that one stands at the start, with its standard
-    deviation. A later direction tells only what is new to a filter that knows those before (docs/methods/heading.md),
-    and may point far beyond what it is evidence for. So a filter of the heading offset alone goes along, and each
-    measurement is taken as its prediction and the innovation, which is wrapped there and linear from then on.
+    They are in the frame of the filter, whose zero is the first offset. That one is placed at the start, with its
+    standard deviation. A later direction carries only the information that is new to a filter that has used the earlier
+    ones (docs/methods/heading.md). Its value may therefore deviate far from the offset that it is evidence for. The
+    function runs a filter of the heading offset alone along the steps. Each measurement is returned as the filter's
+    prediction plus the innovation. The innovation is wrapped here, so that the measurement is linear from then on.
     """
     std = np.asarray(track.steps.walking_heading_std_rad)
     (known,) = np.isfinite(std).nonzero()
@@ -355,17 +458,23 @@ def heading_offsets(track: TrackRows, steps: Increments, modes: Sequence[Mode]) 
 
 
 def mode_offsets(track: TrackRows, modes: Sequence[Mode]) -> FloatArray:
-    """Return the angle from the heading of the body to the walking heading, (K,): zero unless a step is sideways."""
+    """Return the angle (K,) from the heading of the body to the walking heading.
+
+    It is zero except for sideways steps.
+    """
     own = np.array([m.heading_offset_rad for m in modes])
     return np.arctan2(track.mode_prob @ np.sin(own), track.mode_prob @ np.cos(own))
 
 
 def _at_anchors(steps: Increments, nodes: IntArray, offsets: ObservedOffsets) -> ObservedOffsets:
-    """Measured offsets moved to the anchor before them, with drift in their variance; those of one joined."""
+    """Return measured offsets moved to the anchor before them, combined into one per anchor.
+
+    Their variance includes the drift between the anchor and the measurement.
+    """
     if len(offsets) == 0:
         return NO_OFFSETS
     index = np.searchsorted(nodes, offsets.node, side="right") - 1
-    # an offset is measured after the drift before its step, and the state of an anchor is, too
+    # both the measurement and the state of an anchor are after the drift that precedes their step
     drift = np.cumsum(steps.drift_var_rad2 + steps.unknown_var_rad2)
     weight = 1 / (offsets.std_rad**2 + drift[offsets.node] - drift[nodes[index]])
     used, group = np.unique(index, return_inverse=True)

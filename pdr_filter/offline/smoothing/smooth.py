@@ -1,13 +1,14 @@
-"""A whole recording in hindsight: steps, position fixes, loop closures and known headings in one least-squares problem.
+"""Smoothing of a whole recording: steps, fixes, loop closures and known headings in one least-squares problem.
 
-States are at anchors only, and what was walked between two anchors is one linear factor (`preintegration`).
-GTSAM eliminates the linear graph of every Gauss-Newton iteration and gives the marginals (docs/methods/smoothing.md).
+States are estimated at anchors only. The steps between two anchors are summed into one linear factor
+(`preintegration`). GTSAM eliminates the linear graph of every Gauss-Newton iteration and gives the marginal covariances
+(docs/methods/smoothing.md).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import compress
 from pathlib import Path
 from typing import Literal
@@ -34,11 +35,11 @@ from pdr_filter.offline.smoothing.observations import (
     Observations,
     check_options,
 )
-from pdr_filter.offline.smoothing.plan_result import Hindsight as OnPlanHindsight
-from pdr_filter.offline.smoothing.preintegration import Increments, bridge, increments, turned
+from pdr_filter.offline.smoothing.plan_result import SmoothedOnPlan
+from pdr_filter.offline.smoothing.preintegration import Increments, increments, scaled_rotation, step_states
 from pdr_filter.offline.smoothing.problem import Measurements, Problem, heading_offsets, pose_problem, start_covariance
 from pdr_filter.offline.smoothing.smoothed import (
-    HERE_STD_M,
+    KNOWN_STD_M,
     Smoothed,
     fix_results,
     floors_at_steps,
@@ -49,7 +50,7 @@ from pdr_filter.offline.smoothing.smoothed import (
 from pdr_filter.offline.smoothing.smoothed_place import aligned_walk, on_earth, with_given_place
 from pdr_filter.offline.smoothing.solve import Solution, solve
 from pdr_filter.offline.smoothing.storeys import with_arrivals
-from pdr_filter.offline.smoothing.usable import Used, usable, whole_loop
+from pdr_filter.offline.smoothing.usable import Used, start_end_closure, usable
 from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
 from pdr_filter.recipes.config import Config
 from pdr_filter.recipes.step_length_calibration import Calibration
@@ -58,7 +59,7 @@ from pdr_filter.sensing.heading.heading_stage import after_first_pass
 from pdr_filter.tracking.filtering import init
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.walked_path import WalkedPath, walked_path
-from pdr_filter.tracking.whole_recording import asked_run, collected, outputs, run_sensing
+from pdr_filter.tracking.whole_recording import collected, outputs, prepared_run, run_sensing
 from pdr_filter.values import (
     Fix,
     FloatArray,
@@ -76,11 +77,31 @@ from pdr_filter.values import (
     wrap_angle,
 )
 from pdr_filter.values.recording import Recording
+from pdr_filter.values.serialisation import to_bytes
 from pdr_filter.values.track_placement import GnssUse, NorthUse, TrackPlacement
 
-# Nothing is known of where the walk began in the frame of the fixes, apart from being in the same region.
-_ANYWHERE_STD_M = 1000.0
-_HERE_STD_RAD = 1e-3
+# Prior standard deviation of the start in the frame of the fixes: only the region is known.
+_REGION_STD_M = 1000.0
+_KNOWN_STD_RAD = 1e-3
+
+
+@dataclass(slots=True, eq=False)
+class DeadReckoning:
+    """Memory for repeated calls of `smooth` with one recording and changing fixes.
+
+    It holds the dead-reckoned track of the last call. A call with the same recording and configuration takes the track
+    from here and only solves the least-squares problem again, with the same result to the last bit.
+    """
+
+    recording: Recording | None = None
+    _key: bytes = b""
+    _found: tuple[Config, Track] | None = None
+
+    def of(self, recording: Recording, key: bytes, make: Callable[[], tuple[Config, Track]]) -> tuple[Config, Track]:
+        """Return the configuration and track of the last call if the key is the same, else those of `make`."""
+        if self._found is None or self.recording is not recording or self._key != key:
+            self.recording, self._key, self._found = recording, key, make()
+        return self._found
 
 
 def smooth(
@@ -105,42 +126,98 @@ def smooth(
     floor_changes: Iterable[FloorChange] = (),
     start_heading_std_rad: float | None = None,
     anchor_interval_s: float = 2.0,
+    memory: DeadReckoning | None = None,
 ) -> Smoothed:
-    """The walk of a recording as everything that is known of it says, with a covariance at every step.
+    """Return the smoothed track of a recording, with a covariance at every step.
 
-    This is the best estimate of a finished walk. `pdr_filter.track` gives what a phone knows while somebody walks. All
-    arguments of `track` mean the same here and are refused for the same reasons; what it uses by default is used by
-    default: the recording's own locations, north, floors. Step scale, heading drift and the heading offsets of each way
-    of carrying the phone are estimated together with the positions, and so are the errors that locations share.
-    Observations that the walk cannot explain are rejected and named in `observations` and in the notes.
+    This is the best estimate of a finished walk, because every position is estimated from all steps and all
+    observations. `pdr_filter.track` gives the online estimate instead. Step scale, heading drift, and the heading
+    offset of each way of carrying the phone are estimated together with the positions, and so are the errors that
+    locations share. Observations that contradict the walk are rejected, and are listed in `Smoothed.observations` and
+    in the notes.
 
     Parameters
     ----------
-    recording, config, weighting, progress, calibration, device, person, gnss, origin, heading_rad, north, plan, start
-        As in `pdr_filter.track`. With gnss="align" the locations turn and shift the smoothed walk as a whole.
-    fixes : iterable of PositionFix, HeadingFix, SpeedFix or Standstill; on a plan also GridFix
-        In any order. Positions may be in any frame: the rotation against the phone's first heading is estimated. Those
-        outside the recording are not used; ValueError if all are. On a plan they are used when they came, as online.
-    loop : bool
-        True states that the walk ended within 1 m of its start. The statement is rejected, and a note says so, if the
-        walk contradicts it.
-    loop_closures : sequence of LoopClosure, or "wifi"
-        Times at which the walk was at one place. "wifi": those at which the recording heard the same access points
-        equally loud (`wifi_loop_closures`); MissingSensorError if it has no Wi-Fi.
-    known_headings, floor_changes : sequences
-        What else is known; not on a plan.
+    recording : Recording
+        The recording, from `pdr_filter.read`.
+    fixes : iterable of PositionFix, HeadingFix, SpeedFix, RangeFix or Standstill
+        Fixes in any order; on a floor plan also GridFix. Positions may be in any frame, because the rotation to the
+        phone's first heading is estimated. Fixes outside the recording are not used. On a plan, each fix is used at its
+        reception time, as online.
+    calibration : Calibration, str or Path, optional
+        Step-length parameters from `pdr_filter.calibrate`, or the path of a saved calibration.
+    config : Config, optional
+        Configuration. The default is `pdr_filter.recipes.default()`.
+    weighting : {"imm", "wc", "hc"}, optional
+        Use of the context probabilities: interacting multiple model, weighted contexts, or the most probable context.
+        The default is that of the configuration.
+    progress : callable, optional
+        Called with the fraction done, 0 to 1.
+    device : Device, str or Path, optional
+        `Track.device` of an earlier recording of the same phone, or the path of a saved one.
+    person : Person, Calibration, str or Path, optional
+        Step lengths of the person: `Track.person` of an earlier recording, a calibration, or the path of a saved one.
+    gnss : {"filter", "align", "off"}, optional
+        Use of the recording's own locations: as fixes, to rotate and shift the smoothed walk as a whole, or not at all.
+        The default is "filter" if the recording has locations, unless `fixes` has positions or headings, or `origin` or
+        `heading_rad` is given.
+    origin : Origin or tuple of float, optional
+        Geographic position of the zero of the track: an `Origin`, or latitude and longitude in degrees.
+    heading_rad : float, optional
+        True heading of the first steps in rad, clockwise from north. The track is rotated to it.
+    north : {"magnetic", "rotation-vector", "true-heading", "off"}, optional
+        Source of true north: the magnetometer, the attitude reported by the phone, or none.
+    plan : FloorPlan, optional
+        Floor plan that constrains the track. Fixes are then in the frame of the plan.
+    start : PositionFix or str, optional
+        Start on the plan: a position, the name of an area, or "anywhere".
+    loop : bool, default False
+        True if the walk ended within 1 m of its start. If the walk contradicts this, it is not used, and a note says
+        so.
+    loop_closures : iterable of LoopClosure, or "wifi"
+        Pairs of times at which the pedestrian was at one place. "wifi" finds pairs of times with the same Wi-Fi signals
+        (`wifi_loop_closures`).
+    known_headings : iterable of KnownHeading
+        Known directions between two times. Not available on a plan.
+    floor_changes : iterable of FloorChange
+        Known storeys. Not available on a plan.
     start_heading_std_rad : float, optional
-        How well the phone's first heading is the walking heading in the frame of the fixes. If not given: not at all
-        where there are fixes or known headings, else what the recipe says.
-    anchor_interval_s : float
-        Anchors are at observations, at changes of the heading offset, and not further apart than this.
+        Standard deviation of the difference between the phone's first heading and the walking heading in the frame of
+        the fixes, in rad. By default the difference is unknown if there are fixes or known headings, and otherwise has
+        the value of the configuration.
+    anchor_interval_s : float, default 2.0
+        Largest time between two anchors. Observations and changes of the heading offset have anchors too.
+    memory : DeadReckoning, optional
+        Memory of earlier calls with the same recording. A call with other fixes then reuses the dead-reckoned track and
+        takes a fraction of the time.
+
+    Returns
+    -------
+    Smoothed
+        The smoothed track, the estimated offsets and scales, and the use of each observation.
+
+    Raises
+    ------
+    ValueError
+        If arguments contradict each other or are out of range, or if all fixes are outside the recording.
+    MissingSensorError
+        If the recording lacks a needed sensor, for example Wi-Fi for loop_closures="wifi".
+
+    See Also
+    --------
+    pdr_filter.track : Online track of a recording.
+
+    References
+    ----------
+    C. Forster et al., "On-manifold preintegration for real-time visual-inertial odometry", IEEE T-RO 33, 2017. H. Yang
+    et al., "Graduated non-convexity for robust spatial perception", IEEE RA-L 5, 2020.
 
     Examples
     --------
     >>> import numpy as np, pdr_filter as pdr
     >>> recording = pdr.simulate.demo_walk()
     >>> begin = pdr.PositionFix(2.0, (0.0, 0.0), 0.5**2 * np.eye(2))
-    >>> end = pdr.PositionFix(110.0, (0.0, 0.0), 0.5**2 * np.eye(2))  # it ends where it began
+    >>> end = pdr.PositionFix(110.0, (0.0, 0.0), 0.5**2 * np.eye(2))  # the walk ends at its start
     >>> smoothed = pdr.smooth(recording, [begin, end])
     >>> bool(np.hypot(*smoothed.track.position_m[-1]) < 1.5)
     True
@@ -150,31 +227,40 @@ def smooth(
     is_more = loop or loop_closures or known_headings or floor_changes or start_heading_std_rad is not None
     if plan is not None and is_more:
         raise ValueError(
-            "on a floor plan hindsight knows fixes alone, got loop, loop_closures, known_headings, floor_changes or "
-            "start_heading_std_rad beside plan: leave them out"
+            "smoothing on a floor plan supports fixes alone, got loop, loop_closures, known_headings, floor_changes or "
+            "start_heading_std_rad together with plan: omit them"
         )
     check_options(loop_closures, start_heading_std_rad, anchor_interval_s)
     placement = TrackPlacement(gnss, origin, heading_rad, north, plan, start)
-    run = asked_run(recording, config, fixes, placement, weighting, calibration, device, person)
-    recording, config = run.recording, run.config
+    run = prepared_run(recording, config, fixes, placement, weighting, calibration, device, person)
+    given, recording, config = recording, run.recording, run.config
     if isinstance(loop_closures, str):
         loop_closures = tuple(wifi_loop_closures(recording))
-    first_pass, second_pass = _halves(progress)
-    config, known_device = _with_first_pass(recording, config, first_pass)
+    first_pass, second_pass = _pass_callbacks(progress)
     if config.on_plan is not None:
+        config, _ = _with_first_pass(recording, config, first_pass)
         if plan is not None and any(not isinstance(fix, GridFix) for fix in run.fixes):
             config = config.in_world_frame()
-        # Only when called: a plan is an application.
+        # imported late, because the package for maps depends on this one
         from pdr_filter.maps.plan_smoothing import smooth_on_plan
 
         found = smooth_on_plan(recording, config, run.fixes, run.with_location, second_pass)
         places = tuple(fix for fix in run.fixes if isinstance(fix, PositionFix))
         return with_given_place(run, _on_plan(found, Observations(places)))
-    # dead reckoning: fixes and locations come in afterwards
-    config = config.in_hindsight().with_model(frame=START_FRAME)
     stood = [fix for fix in run.fixes if isinstance(fix, Standstill)]
-    track = collected(recording, config, outputs(recording, config, stood, second_pass, with_hills=run.with_location))
-    track = with_arrivals(replace(track, device=known_device or track.device))
+
+    def reckoned() -> tuple[Config, Track]:
+        """Dead reckoning: fixes and locations come in afterwards."""
+        own, known_device = _with_first_pass(recording, config, first_pass)
+        own = own.in_hindsight().with_model(frame=START_FRAME)
+        found = collected(recording, own, outputs(recording, own, stood, second_pass, with_hills=run.with_location))
+        return own, with_arrivals(replace(found, device=known_device or found.device))
+
+    if memory is None:
+        config, track = reckoned()
+    else:
+        key = to_bytes((config.with_model(frame=START_FRAME), stood, placement.north or "", run.with_location))
+        config, track = memory.of(given, key, reckoned)
     modes = config.model.modes
     if track.weighting == "imm":
         prob = smoothed_mode_prob(track.mode_prob, config.model.transition_prob)
@@ -182,7 +268,7 @@ def smooth(
     where, locations = LocationState(), ()
     if run.with_location and gnss != "align" and recording.location is not None:
         where, locations = locations_of(recording.location)
-    closed = whole_loop(track) if loop else None
+    closed = start_end_closure(track) if loop else None
     observed = Observations(
         fixes=tuple(fix for fix in run.fixes if not isinstance(fix, Standstill | GridFix)),
         locations=locations,
@@ -201,7 +287,10 @@ def smooth(
 
 
 def _online_path(recording: Recording, config: Config, fixes: Sequence[Fix]) -> WalkedPath | None:
-    """The path that the online filter finds with fixes, to linearise measurements about; None without measurements."""
+    """Return the path of the online filter with fixes, at which measurements are first linearised.
+
+    None if there are no measurements that need it.
+    """
     if not any(isinstance(fix, Measurement) for fix in fixes):
         return None
     if any(isinstance(fix, RangeFix | PositionFix) for fix in fixes):
@@ -212,7 +301,7 @@ def _online_path(recording: Recording, config: Config, fixes: Sequence[Fix]) -> 
     return walked_path(config, state)
 
 
-def _halves(
+def _pass_callbacks(
     progress: Callable[[float], None] | None,
 ) -> tuple[Callable[[float], None] | None, Callable[[float], None] | None]:
     """Return progress callbacks for the first and the second pass."""
@@ -233,14 +322,14 @@ def _with_first_pass(
 ) -> tuple[Config, Device | None]:
     """Return the configuration with the walking directions and the gyroscope bias of a first pass over the recording.
 
-    The second value is the device as the first pass found it if the configuration has its bias, else None.
+    The second value is the device as estimated in the first pass if the configuration uses its bias, otherwise None.
 
-    Strides show a walking direction better at the end of a place of the phone than at its start, and the axes of a
-    building show the bias only after some corners. The second pass has both from the first step. Where it has another
-    bias, the directions come from one more pass with that bias: the heading of a device that is turned over depends on
-    it by any angle. The covariance of the bias counts double, because the second pass sees the same samples. Without
-    axes the bias is not used: straight walking that is seen twice is taken for straighter than it is, and costs as
-    often as it gains.
+    The second pass has the final estimates of the first pass from its first step on. The walking direction relative to
+    the phone is best known at the end of a carrying position. The axes of a building reveal the bias only after some
+    corners. If the bias differs, the directions come from one more pass with that bias, because they depend on it for a
+    phone that is turned over. The covariance of the bias is doubled, because the second pass uses the same samples
+    again. Without building axes the bias is not used: straight walking would be counted twice, which makes tracks worse
+    as often as better.
     """
     if "gyroscope" not in recording.streams:
         return config, None
@@ -257,8 +346,8 @@ def _with_first_pass(
     return replace(config, sensing=replace(config.sensing, heading=heading)), known_device
 
 
-def _on_plan(found: OnPlanHindsight, observed: Observations) -> Smoothed:
-    """What a floor plan shows."""
+def _on_plan(found: SmoothedOnPlan, observed: Observations) -> Smoothed:
+    """Return the result of smoothing on a floor plan as a `Smoothed`."""
     results = {result.time_s: result for result in found.track.fixes}
     each = [results.get(fix.time_s) for fix in observed.fixes]
     observations = observation_table(observed).copy()
@@ -288,9 +377,10 @@ def _smooth_track(
     anchor_interval_s: float,
     guess: WalkedPath | None,
 ) -> tuple[Smoothed, FloatArray]:
-    """`smooth` of a track that the filter of a configuration made without fixes.
+    """Return the smoothed result of a dead-reckoned track, and the variance (K,) of each position for a known heading.
 
-    And the variance (K,) of each position for a known heading.
+    `guess` is the path at which measurements are first linearised. The result includes the person's step scale if the
+    fixes determine it.
     """
     noise = config.model.noise
     start_s, end_s = track.start_time_s, track.start_time_s + track.duration_s
@@ -308,8 +398,8 @@ def _smooth_track(
     fixes = (*used.observed.positions, *used.observed.locations)
     centre = np.mean([f.position_m for f in fixes], axis=0) if fixes else np.zeros(2)
     if not fixes and guess is not None and used.has_places:
-        centre = _about(used, guess).guess_m.mean(axis=0)
-    start_std_m = _ANYWHERE_STD_M if used.has_places else HERE_STD_M
+        centre = _measurements_on_path(used, guess).guess_m.mean(axis=0)
+    start_std_m = _REGION_STD_M if used.has_places else KNOWN_STD_M
     start_cov = start_covariance(start_std_m, heading_std_rad, noise.log_scale_std**2 + shared_var)
     before_first = steps.jump_var_rad2[0] + steps.drift_var_rad2[0] + steps.unknown_var_rad2[0]
     start_cov[HEADING_OFFSET, HEADING_OFFSET] += before_first
@@ -322,7 +412,7 @@ def _smooth_track(
         frame_std_rad,
         anchor_interval_s=anchor_interval_s,
         states=used.states,
-        measurements=None if guess is None else _about(used, guess),
+        measurements=None if guess is None else _measurements_on_path(used, guess),
     )
     smoothed, walked_var_m2 = _smoothed(track, steps, problem, solve(problem), observed, used)
     n_fixes = sum(result.accepted for result in smoothed.track.fixes)
@@ -334,8 +424,8 @@ def _smooth_track(
     return replace(smoothed, track=replace(smoothed.track, person=person)), walked_var_m2
 
 
-def _about(used: Used, guess: WalkedPath) -> Measurements:
-    """Measurements with the places on a path at their times."""
+def _measurements_on_path(used: Used, guess: WalkedPath) -> Measurements:
+    """Return the measurements with the positions of a path at their times, for the first linearisation."""
     time_s = [fix.time_s for fix in used.measured]
     columns = [np.interp(time_s, guess.time_s, column) for column in guess.position_m.T]
     return Measurements(used.measured, used.device_rad, np.column_stack(columns))
@@ -344,15 +434,18 @@ def _about(used: Used, guess: WalkedPath) -> Measurements:
 def _start_directions(
     used: Used, has_offsets: bool, noise: MotionNoise, start_heading_std_rad: float | None
 ) -> tuple[float, float]:
-    """Standard deviations of the first heading, and of the rotation from the phone's frame to that of the fixes."""
+    """Return the standard deviations of the first heading and of the rotation of the frame.
+
+    The rotation is that from the phone's frame to the frame of the fixes.
+    """
     is_oriented = used.is_oriented
     wide = float(np.sqrt(MAX_HEADING_VARIANCE))
     if has_offsets and not is_oriented:
-        # in the phone's own frame the measurements have what is known of the start
-        return wide, _HERE_STD_RAD
+        # in the phone's frame, the heading offsets already contain the prior of the start
+        return wide, _KNOWN_STD_RAD
     if start_heading_std_rad is not None:
         return start_heading_std_rad, start_heading_std_rad
-    return (wide, wide) if is_oriented else (noise.initial_heading_offset_std_rad, _HERE_STD_RAD)
+    return (wide, wide) if is_oriented else (noise.initial_heading_offset_std_rad, _KNOWN_STD_RAD)
 
 
 def _smoothed(
@@ -363,18 +456,19 @@ def _smoothed(
     observed: Observations,
     used: Used,
 ) -> tuple[Smoothed, FloatArray]:
-    mean, cov = bridge(problem.intervals, found.mean, found.joint_cov)
+    """Return the result of a solved problem, and the variance (K,) of each position for a known heading."""
+    mean, cov = step_states(problem.intervals, found.mean, found.joint_cov)
     position = mean[:, :2]
     before = np.vstack([found.mean[:1, :2], position[:-1]])
     moved = position - before
-    # across a gap positions say where the pedestrian went, not how he stepped
-    own = np.einsum("kab,kb->ka", turned(mean[:, HEADING_OFFSET], mean[:, LOG_SCALE]), steps.displacement_m)
+    # across a gap, the positions give the displacement during the gap, not the step length
+    own = np.einsum("kab,kb->ka", scaled_rotation(mean[:, HEADING_OFFSET], mean[:, LOG_SCALE]), steps.displacement_m)
     moved = np.where((steps.gap_var_m2 > 0)[:, None], own, moved)
     length = np.hypot(*moved.T)
     heading = np.where(length > 0.01, np.arctan2(moved[:, 0], moved[:, 1]), track.walking_heading_rad)
     of_map = (found.weight[: len(problem.positions)] > 0) & (problem.positions.other < 0)
     anchored = np.unique(problem.intervals.nodes[problem.positions.node[of_map]])
-    along = _second_order(moved, cov[:, HEADING_OFFSET, HEADING_OFFSET], anchored)
+    along = _second_order_error_m(moved, cov[:, HEADING_OFFSET, HEADING_OFFSET], anchored)
     position_cov = cov[:, :2, :2] + along[:, :, None] * along[:, None, :]
     observations = observation_table(observed, used.row, found)
     scale_std = float(np.sqrt(problem.start_cov[LOG_SCALE, LOG_SCALE]))
@@ -409,8 +503,11 @@ def _smoothed(
     return result, np.array([walked_var(P) for P in cov])
 
 
-def _second_order(moved: FloatArray, heading_var_rad2: FloatArray, anchored: IntArray) -> FloatArray:
-    """Error along the way (K, 2) by uncertain headings, from the nearer anchor with a fix (`second_order_errors`)."""
+def _second_order_error_m(moved: FloatArray, heading_var_rad2: FloatArray, anchored: IntArray) -> FloatArray:
+    """Return the along-track error (K, 2) of uncertain headings, from the nearer anchor with a fix.
+
+    See `second_order_errors`.
+    """
     share = np.array([second_order_errors(min(v, MAX_HEADING_VARIANCE), 0.0)[0] for v in heading_var_rad2.tolist()])
     total = np.concatenate([np.zeros((1, 2)), np.cumsum(share[:, None] * moved, axis=0)])
     fixed = anchored if len(anchored) else np.zeros(1, dtype=np.int64)

@@ -1,4 +1,4 @@
-"""The result of smoothing: track, estimated offsets and scales, and the use of each observation."""
+"""Result of smoothing: the track, the estimated offsets and scales, and the use of each observation."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pdr_filter.offline.smoothing.observations import (
     Observations,
 )
 from pdr_filter.offline.smoothing.solve import Solution
-from pdr_filter.offline.smoothing.usable import Used, listed
+from pdr_filter.offline.smoothing.usable import Used, name_list
 from pdr_filter.tracking.track import Track
 from pdr_filter.values import (
     FixResult,
@@ -32,47 +32,82 @@ from pdr_filter.values import (
 )
 
 _KINDS = ("fix", "location", "loop closure", "known heading")
-# Standard deviation of a place that is known.
-HERE_STD_M = 1e-3
+# standard deviation of a known position
+KNOWN_STD_M = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Smoothed:
-    """The smoothed track, and what was estimated with it.
+    """Smoothed track, with the estimated heading offsets and step scales and the use of each observation.
 
-    Where there were fixes, positions are in their frame and headings clockwise from its north; where there were none,
-    they are those of the filter, from the start and the first heading.
+    With fixes, positions are in the frame of the fixes, and headings are clockwise from its north. Without fixes, the
+    frame is that of the online filter, which starts at zero with the first heading.
+
+    Attributes
+    ----------
+    track : Track
+        The smoothed track.
+    heading_offset_rad : array (K,)
+        Walking heading minus device heading after each step, including the rotation of the map.
+    heading_offset_std_rad : array (K,)
+        Standard deviation of `heading_offset_rad`.
+    log_scale : array (K,)
+        Logarithm of the factor on the step lengths.
+    log_scale_std : array (K,)
+        Standard deviation of `log_scale`.
+    start_position_m : array (2,)
+        Position before the first step, east and north.
+    start_position_cov_m2 : array (2, 2)
+        Covariance of `start_position_m`.
+    observations : structured array
+        One row per observation: `kind` ("fix", "location", "loop closure" or "known heading"), `number` in its
+        sequence, `time_s`, `nis` and `weight`. `nis` is the normalised innovation squared relative to all other
+        observations, or NaN if the observation was not part of the problem. `weight` is 1 if the observation was used.
+        It is 0 if the observation was rejected, outside the recording, frozen or without information.
+    floor : array (K,)
+        Storey at each step from the given floor changes, NaN before the first change.
+    notes : tuple of str
+        Warnings and remarks.
+
+    See Also
+    --------
+    pdr_filter.smooth : Return a smoothed track.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=20.0)])
+    >>> smoothed = pdr.smooth(walk)
+    >>> len(smoothed.log_scale) == smoothed.track.n_steps, len(smoothed.rejected)
+    (True, 0)
     """
 
     track: Track
-    heading_offset_rad: FloatArray  # (K,) walking less device heading after each step, the map's rotation included
-    heading_offset_std_rad: FloatArray  # (K,)
-    log_scale: FloatArray  # (K,) of the step lengths
-    log_scale_std: FloatArray  # (K,)
-    start_position_m: FloatArray  # (2,)
-    start_position_cov_m2: FloatArray  # (2, 2)
-    # A row for each observation: kind ("fix", "location", "loop closure", "known heading"), number in its sequence,
-    # time_s, nis (squared distance from what all others say, normalised by its covariance; NaN if it was not used) and
-    # weight (1 used, 0 rejected, outside the recording, frozen or without information).
+    heading_offset_rad: FloatArray
+    heading_offset_std_rad: FloatArray
+    log_scale: FloatArray
+    log_scale_std: FloatArray
+    start_position_m: FloatArray
+    start_position_cov_m2: FloatArray
     observations: Table
-    floor: FloatArray  # (K,) storey at each step, NaN where no floor change says it
+    floor: FloatArray
     notes: tuple[str, ...]
 
     __reduce__ = pickled
 
     @property
     def scale(self) -> float:
-        """The person's factor on every step length, mean over the steps; 1 without steps."""
+        """Factor of the person on all step lengths, mean over the steps, or 1 without steps."""
         return float(np.exp(self.log_scale.mean())) if len(self.log_scale) else 1.0
 
     @property
     def scale_std(self) -> float:
-        """Standard deviation of `scale`: an error that the steps share."""
+        """Standard deviation of `scale`, an error that all steps share, or NaN without steps."""
         return float(self.scale * self.log_scale_std.mean()) if len(self.log_scale) else np.nan
 
     @property
     def rejected(self) -> Table:
-        """The observations that were not used."""
+        """Rows of `observations` that were not used."""
         return self.observations[self.observations.weight < 0.5].view(np.recarray)
 
     def __repr__(self) -> str:
@@ -82,7 +117,10 @@ class Smoothed:
 
 
 def observation_table(observed: Observations, row: IntArray | None = None, found: Solution | None = None) -> Table:
-    """The table `Smoothed.observations`, with the row of each observation in the solution (-1: not used)."""
+    """Return the table `Smoothed.observations`.
+
+    `row` has the row of each observation in the solution, or -1 if it was not part of the problem.
+    """
     times_s = [
         [f.time_s for f in observed.fixes],
         [f.time_s for f in observed.locations],
@@ -106,7 +144,7 @@ def observation_table(observed: Observations, row: IntArray | None = None, found
 
 
 def fix_results(observed: Observations, observations: Table, used: Used, end_s: float) -> tuple[FixResult, ...]:
-    """Return the outcome of each fix and location."""
+    """Return the outcome of each fix and location: "used", "rejected" or "frozen"."""
     fixes = (*observed.fixes, *observed.locations)
     rows = zip(fixes, observations.weight.tolist(), observations.nis.tolist(), used.is_frozen.tolist(), strict=False)
     return tuple(
@@ -123,48 +161,59 @@ def notes_of_solution(
     used: Used,
     prior_log_scale_std: float,
 ) -> list[str]:
-    """Warnings about the solution, in words. The standard deviation is that of the log scale before any fix."""
+    """Return warnings about the solution, such as rejected observations and unknown directions.
+
+    `prior_log_scale_std` is the standard deviation of the log scale before any fix.
+    """
     notes: list[str] = []
     for kind in _KINDS:
         rows = (observations.kind == kind) & (observations.weight < 0.5) & ~np.isnan(observations.nis)
         if kind == "location" and rows.any():
-            times = listed([f"{t:.0f}" for t in observations.time_s[rows]])
+            times = name_list([f"{t:.0f}" for t in observations.time_s[rows]])
             notes.append(f"the walk contradicts {how_many(int(rows.sum()), 'location')}, at {times} s: not used")
             continue
         if observed.is_loop and kind == "loop closure":
             last = int(np.flatnonzero(observations.kind == kind)[-1])
             if rows[last]:
-                notes.append("the walk did not end within 1 m of its start, as loop states: not used")
+                notes.append("the walk did not end within 1 m of its start: loop was not used")
             rows[last] = False
         if rows.any():
-            notes.append(f"{kind} {listed(observations.number[rows])}: the walk cannot explain it, not used")
+            notes.append(f"{kind} {name_list(observations.number[rows])}: not used, because the walk contradicts it")
     n_good = int((observations.weight[np.isin(observations.kind, _KINDS[:2])] >= 0.5).sum())
     if used.has_places and n_good == 0:
-        notes.append("no fix agrees with the walk: positions are not known in the frame of the fixes")
+        notes.append(
+            "no fix agrees with the walk: positions in the frame of the fixes are unknown; check the times, the units "
+            "and the axes of the fixes"
+        )
     elif n_good == 1 and found.joint_cov[0, HEADING_OFFSET, HEADING_OFFSET] > 0.5:
-        notes.append("a single fix says where the walk was and not which way it went: directions are not known")
+        notes.append("a single fix gives a position but no direction: the walking directions are unknown; add a fix")
     elif n_good and found.joint_cov[0, HEADING_OFFSET, HEADING_OFFSET] > 0.5:
-        notes.append("the fixes do not settle which way the walk went: its north is the most probable one")
+        notes.append("the fixes do not determine the direction of the walk: the most probable north is used")
     if used.knows_north and (found.weight[-used.n_north :] < 0.5).any():
-        notes.append("north of the magnetic field contradicts everything else that is known of the walk: not used")
+        notes.append("magnetic north contradicts all other observations of the walk: not used")
     log_scale = float(found.mean[:, LOG_SCALE].mean())
     if n_good and abs(log_scale) > 2.0 * prior_log_scale_std:
         longer = "longer" if log_scale > 0 else "shorter"
         notes.append(
-            f"the fixes make the steps {abs(np.expm1(log_scale)):.0%} {longer} than the step-length model has them, "
+            f"the fixes make the steps {abs(np.expm1(log_scale)):.0%} {longer} than the step-length model, "
             f"{abs(log_scale) / prior_log_scale_std:.1f} standard deviations: compare with the walk smoothed without "
-            'them (gnss="off" for locations)'
+            'fixes (gnss="off" for locations)'
         )
     unknown_s = float(np.asarray(track.steps.heading_unknown_s).sum())
     if unknown_s > 1.0:
-        notes.append(f"no angular rate for {unknown_s:.0f} s: directions there come from the fixes around them alone")
+        notes.append(
+            f"no angular rate for {unknown_s:.0f} s: the directions there come only from the fixes before and after"
+        )
     if not found.converged:
-        notes.append("the least squares did not converge: too little is known of this walk, do not trust the track")
+        notes.append(
+            "the least squares did not converge, because there is too little information on this walk: do not use the "
+            "track, or add fixes"
+        )
     return notes
 
 
 def floors_at_steps(track: Track, floor_changes: Sequence[FloorChange]) -> FloatArray:
-    """Storey (K,) at each step by the given changes, NaN before the first."""
+    """Return the storey (K,) at each step from the given floor changes, NaN before the first one."""
     changes = sorted(floor_changes, key=lambda c: c.time_s)
     index = np.searchsorted([c.time_s for c in changes], track.time_s, side="right") - 1
     floors = np.array([np.nan, *(float(c.floor) for c in changes)])
@@ -172,8 +221,8 @@ def floors_at_steps(track: Track, floor_changes: Sequence[FloorChange]) -> Float
 
 
 def without_steps(track: Track, observed: Observations, fixes: Sequence[PositionFix]) -> Smoothed:
-    """Nobody walked: the place is the weighted mean of the fixes."""
-    place, cov = mean_place(fixes) if fixes else (np.zeros(2), HERE_STD_M**2 * np.eye(2))
+    """Return the result of a recording without steps: the position is the weighted mean of the fixes."""
+    place, cov = mean_place(fixes) if fixes else (np.zeros(2), KNOWN_STD_M**2 * np.eye(2))
     none = read_only(np.zeros(0))
     return Smoothed(
         track=replace(track, is_smoothed=True),

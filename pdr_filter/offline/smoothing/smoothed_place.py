@@ -1,4 +1,4 @@
-"""The place of a smoothed walk on the Earth: by its locations, by an alignment of the whole, or as given."""
+"""Geographic position of a smoothed walk: from its locations, from an alignment of the whole walk, or as given."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from pdr_filter.filter.height.height_filter import Altitude
 from pdr_filter.offline.smoothing.observations import (
     Observations,
 )
-from pdr_filter.offline.smoothing.preintegration import turned
+from pdr_filter.offline.smoothing.preintegration import scaled_rotation
 from pdr_filter.offline.smoothing.smoothed import Smoothed
 from pdr_filter.offline.smoothing.storeys import with_named_floors
-from pdr_filter.tracking.gnss_alignment import Way, align_way
+from pdr_filter.tracking.gnss_alignment import DeadReckoning, align_dead_reckoning
 from pdr_filter.tracking.warnings import notes_of_rides
 from pdr_filter.tracking.whole_recording import Run
 from pdr_filter.values import (
@@ -31,23 +31,26 @@ from pdr_filter.values import (
 def aligned_walk(
     smoothed: Smoothed, walked_var_m2: FloatArray, location: Samples
 ) -> tuple[Smoothed, LocationState, tuple[PositionFix, ...]]:
-    """A smoothed walk that the locations of the recording turn and shift as a whole."""
+    """Return a smoothed walk, rotated and shifted as a whole to fit the locations of the recording.
+
+    The locations and their state are returned too. The walk is unchanged if there are no usable locations.
+    """
     track, end_s = smoothed.track, smoothed.track.start_time_s + smoothed.track.duration_s
-    way = Way(
+    way = DeadReckoning(
         np.array([track.start_time_s, *track.time_s]),
         np.vstack([track.start_position_m, track.position_m]),
         np.array([0.0, *track.walked_m]),
         np.array([0.0, *walked_var_m2]),
     )
-    found = align_way(location, way, track.start_time_s, end_s, track.n_steps)
+    found = align_dead_reckoning(location, way, track.start_time_s, end_s, track.n_steps)
     if not found.fixes:
         return smoothed, found.locations, ()
     cov_m2, notes = track.position_cov_m2, smoothed.notes
     if found.frame.alignment is not None:
         cov_m2 = way.own_var_m2(found.frame.agreeing)[:, None, None] * np.eye(2)
     else:
-        notes = (*notes, "the locations do not settle which way the track lies: its north is the most probable one")
-    frame = found.frame.drawn()
+        notes = (*notes, "the locations do not determine the rotation of the track: the most probable north is used")
+    frame = found.frame.at_most_probable_rotation()
     rows = zip(track.position_m, cov_m2, track.walking_heading_rad.tolist(), strict=True)
     places = [frame.world(Place(*row, k)) for k, row in enumerate(rows)]
     start = frame.world(Place(track.start_position_m, smoothed.start_position_cov_m2, 0.0, 0))
@@ -77,7 +80,7 @@ def aligned_walk(
 def on_earth(
     smoothed: Smoothed, where: LocationState, locations: Sequence[PositionFix], observed: Observations
 ) -> Smoothed:
-    """A smoothed walk with the place on Earth that its locations give, and with the storeys that fixes name."""
+    """Return a smoothed walk with the geographic origin from its locations and with the storeys of the fixes."""
     track, notes = smoothed.track, smoothed.notes
     if where.n_unusable:
         notes = (*notes, where.unusable())
@@ -104,14 +107,14 @@ def on_earth(
 
 
 def with_given_place(run: Run, smoothed: Smoothed) -> Smoothed:
-    """A smoothed walk with the given place and heading."""
+    """Return a smoothed walk with the geographic position and heading given by the caller."""
     before, track = smoothed.track, run.placed(smoothed.track)
     turn_rad = (
         track.origin.turn_rad if track.origin is not None and before.frame == "start" else run.placement.heading_rad
     )
     if track.frame == before.frame or turn_rad is None:
         return replace(smoothed, track=track, notes=track.notes)
-    rotation = turned(np.array(turn_rad), np.array(0.0))
+    rotation = scaled_rotation(np.array(turn_rad), np.array(0.0))
     return replace(
         smoothed,
         track=track,

@@ -1,4 +1,4 @@
-"""Smoothed states of a problem, by GTSAM: wrong observations are found and left out, and no initial guess is needed."""
+"""Solution of a smoothing problem by GTSAM, without an initial guess, with rejection of outliers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pdr_filter.filter.imm.motion_model import EAST, HEADING_OFFSET, LOG_SCALE, 
 from pdr_filter.offline.robust_loss import GNC_FACTOR, truncated_start, truncated_weights
 from pdr_filter.offline.smoothing.linear_graph import Rows, cov_of, eliminated, graph_of, joint_covariances
 from pdr_filter.offline.smoothing.location_errors import N_ERRORS
-from pdr_filter.offline.smoothing.preintegration import TURN, end_states, frame, turned
+from pdr_filter.offline.smoothing.preintegration import TURN, end_states, scaled_rotation, state_transform
 from pdr_filter.offline.smoothing.problem import (
     MIN_HEADING_LENGTH_M,
     ObservedDirections,
@@ -24,30 +24,49 @@ from pdr_filter.values import BoolArray, FloatArray, IntArray, measured, read_on
 
 _POSITION = slice(EAST, EAST + 2)
 _OF_POSITION = np.eye(2, N_STATES)
-# A wrong fix bends the track to the anchors around it and not as far as this many.
-_NEIGHBOURS = 30
-# How well the first estimate of a measurement's place is taken to be known, and the factor on its limit there.
+# Outliers fewer than this many anchors apart are rejected one at a time, because a wrong fix bends the track around it.
+_MIN_ANCHORS_APART = 30
+# Assumed standard deviation of the first estimate of a measurement's position, and the factor on the gate there.
 _GUESS_STD_M, _ROUGH_LIMIT = 2.0, 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """Smoothed states at the anchors, and what became of positions, directions, states, measurements."""
+    """Smoothed states at the anchors, and the use of positions, directions, states and measurements.
 
-    mean: FloatArray  # (n + 1, 4)
-    joint_cov: FloatArray  # (n, 8, 8) both ends of each interval
-    frame_rad: float  # rotation from the frame of the offsets
-    nis: FloatArray  # (F + H + S + X,)
-    weight: FloatArray  # (F + H + S + X,)
+    Attributes
+    ----------
+    mean : array (n + 1, 4)
+        Smoothed state at each anchor.
+    joint_cov : array (n, 8, 8)
+        Joint covariance of both ends of each interval.
+    frame_rad : float
+        Rotation from the frame of the offsets to that of the positions.
+    nis : array (F + H + S + X,)
+        Normalised innovation squared of each observation with respect to all others.
+    weight : array (F + H + S + X,)
+        1 for a used observation, 0 for a rejected one.
+    converged : bool
+        True if the Gauss-Newton iteration converged.
+    states : array (N, 6)
+        States of the anchors, in the first four columns, followed by the errors of correlated fixes.
+    """
+
+    mean: FloatArray
+    joint_cov: FloatArray
+    frame_rad: float
+    nis: FloatArray
+    weight: FloatArray
     converged: bool
-    states: FloatArray  # (N, 6) anchors, which have four columns, and errors
+    states: FloatArray
 
 
 def solve(problem: Problem) -> Solution:
-    """Smoothed states at the anchors, wrong observations left out (docs/methods/smoothing.md).
+    """Return the smoothed states at the anchors, without the influence of outliers.
 
-    A linear problem without angles gives the initial guess, graduated non-convexity what seems right. After
-    Gauss-Newton observations beyond the 99.9 % quantile are left out and those nearer come back, until nothing changes.
+    A linear problem without angles gives the initial guess, and graduated non-convexity the initial set of inliers.
+    After each Gauss-Newton solution, observations beyond the 99.9 % quantile are rejected, and rejected ones within it
+    are used again, until nothing changes (docs/methods/smoothing.md).
     """
     mean, frame_rad, weight = _initial_guess(problem)
     limit, possible, has_frame = problem.limit_nis, problem.possible, len(problem.offsets) > 0
@@ -58,7 +77,7 @@ def solve(problem: Problem) -> Solution:
         joint_cov, with_error_cov = joint_covariances(rows, problem.n_nodes, problem.errors.node, has_frame)
         nis = _innovations(problem, mean, weight, rows, joint_cov, with_error_cov)
         seen.add(weight.tobytes())
-        changes = _changes(weight, possible * nis / limit, possible, _places(problem))
+        changes = _next_weights(weight, possible * nis / limit, possible, _position_anchors(problem))
         after = next((w for w in changes if w.tobytes() not in seen), None)
         if after is None:
             return Solution(mean[: problem.n_nodes, :N_STATES], joint_cov, frame_rad, nis, weight, converged, mean)
@@ -66,11 +85,11 @@ def solve(problem: Problem) -> Solution:
 
 
 def _initial_guess(problem: Problem) -> tuple[FloatArray, float, FloatArray]:
-    """States and rotation to begin with, and which observations seem right, from the linear problem without angles."""
+    """Return initial states, the rotation of the frame, and weights of the observations, from the linear problem."""
     n_relaxed = len(problem.positions) + len(problem.directions) + len(problem.states)
     all_limits, limit, possible = problem.limit_nis, problem.limit_nis[:n_relaxed], problem.possible[:n_relaxed]
     weight, mu = possible.copy(), None
-    always = graph_of([*_relaxed(problem), *_guessed(problem)])
+    always = graph_of([*_relaxed(problem), *_guess_rows(problem)])
 
     def solved_with(weight: FloatArray) -> tuple[FloatArray, float]:
         graph = graph_of(_relaxed_observations(problem, weight))
@@ -92,7 +111,7 @@ def _initial_guess(problem: Problem) -> tuple[FloatArray, float, FloatArray]:
             break
     mean, state = state.copy(), state[: problem.n_nodes]
     at_anchors = mean[: problem.n_nodes]
-    # more than a third longer or shorter is not the person: it is a turn that the linear problem took for a scale
+    # a scale that differs by more than a third is not the person's: the linear problem has absorbed a rotation in it
     log_scale = np.clip(np.log(np.maximum(np.hypot(state[:, 2], state[:, 3]), 1e-3)), -0.3, 0.3)
     at_anchors[:, LOG_SCALE] = np.median(log_scale)
     angle = np.unwrap(np.arctan2(state[:, 3], state[:, 2]))
@@ -102,23 +121,23 @@ def _initial_guess(problem: Problem) -> tuple[FloatArray, float, FloatArray]:
     return mean, turn, np.concatenate([(weight > 0.5).astype(float), near.astype(float)])
 
 
-def _guessed(problem: Problem) -> list[Rows]:
-    """Equations of the relaxed problem by which each measurement is somewhere near its first estimate."""
+def _guess_rows(problem: Problem) -> list[Rows]:
+    """Return equations of the relaxed problem that place each measurement near its first estimate."""
     measured_, n = problem.measurements, len(problem.measurements)
     if not n:
         return []
     H = np.zeros((n, 2, N_STATES))
     H[:, 0, 0] = H[:, 1, 1] = 1.0 / _GUESS_STD_M
-    H[:, :, 2:] = _linear(measured_.ahead_m) / _GUESS_STD_M
+    H[:, :, 2:] = _rotation_matrix_of(measured_.ahead_m) / _GUESS_STD_M
     none = np.full(n, -1)
     return [Rows(measured_.node, H, measured_.guess_m / _GUESS_STD_M, none, np.zeros((0, 0, 0)))]
 
 
 def _measurement_residuals(problem: Problem, mean: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-    """Whitened residuals (k,) of each measurement, and their derivatives (k, 4) by the anchor."""
+    """Return the whitened residuals (k,) of each measurement, and their derivatives (k, 4) by the anchor."""
     observed = problem.measurements
     at = mean[observed.node, :N_STATES]
-    moved_m = np.einsum("nab,nb->na", turned(at[:, HEADING_OFFSET], at[:, LOG_SCALE]), observed.ahead_m)
+    moved_m = np.einsum("nab,nb->na", scaled_rotation(at[:, HEADING_OFFSET], at[:, LOG_SCALE]), observed.ahead_m)
     place_m, heading_rad = at[:, :2] + moved_m, observed.device_rad + at[:, HEADING_OFFSET]
     result: list[tuple[FloatArray, FloatArray]] = []
     for k, fix in enumerate(observed.fixes):
@@ -134,12 +153,12 @@ def _measurement_residuals(problem: Problem, mean: FloatArray) -> list[tuple[Flo
 
 
 def _nis_of_measurements(problem: Problem, mean: FloatArray) -> FloatArray:
-    """Squared whitened residual (X,) of each measurement."""
+    """Return the squared whitened residual (X,) of each measurement."""
     return np.array([float(r @ r) for r, _ in _measurement_residuals(problem, mean)])
 
 
-def _places(problem: Problem) -> IntArray:
-    """Anchor (F + H + S + X,) of each observation of a position, -1 for other observations."""
+def _position_anchors(problem: Problem) -> IntArray:
+    """Return the anchor (F + H + S + X,) of each observed position, -1 for other observations."""
     others = np.full(len(problem.directions) + len(problem.states), -1)
     return np.concatenate([problem.positions.node, others, problem.measurements.node])
 
@@ -147,13 +166,14 @@ def _places(problem: Problem) -> IntArray:
 def _gauss_newton(
     problem: Problem, mean: FloatArray, frame_rad: float, weight: FloatArray
 ) -> tuple[FloatArray, float, bool]:
-    """States, rotation, and whether the iteration converged."""
+    """Return states, rotation, and whether the iteration converged."""
     for iteration in range(60):
         change, turn = _solved(graph_of(linearised(problem, mean, frame_rad, weight)), problem)
         at_anchors = np.abs(change[: problem.n_nodes])
         largest_turn = max(float(at_anchors[:, HEADING_OFFSET].max()), abs(turn))
         largest_scale = float(at_anchors[:, LOG_SCALE].max())
-        # never further than the linearisation reaches; shorter steps where it does not converge
+        # limits the change to the range of the linearisation, and shortens it further where the iteration does not
+        # converge
         share = min(1.0, 0.7 / max(largest_turn, 1e-9), 0.3 / max(largest_scale, 1e-9))
         share *= 1.0 if iteration < 20 else 0.5
         mean, frame_rad = mean + share * change, frame_rad + share * turn
@@ -162,11 +182,13 @@ def _gauss_newton(
     return mean, frame_rad, False
 
 
-def _changes(weight: FloatArray, excess: FloatArray, possible: FloatArray, node: IntArray) -> list[FloatArray]:
-    """Weights to try next, best first: without the worst (they make neighbours look wrong), else with what fits.
+def _next_weights(weight: FloatArray, excess: FloatArray, possible: FloatArray, node: IntArray) -> list[FloatArray]:
+    """Return weights to try next, the best first.
 
-    The worst fixes of different places go together: they do not know of each other. `node` (F + H + S + X,) are their
-    anchors, -1 of observations that are of no place.
+    If there are outliers, the worst are removed first, because they increase the residuals of their neighbours.
+    Otherwise rejected observations that fit are used again. The worst fixes of distant positions are removed together,
+    because they do not influence each other. `node` (F + H + S + X,) are the anchors of the observations, -1 for those
+    without a position.
     """
     used = np.where(weight > 0, excess, 0.0)
     if used.max(initial=0.0) > 1:
@@ -176,7 +198,7 @@ def _changes(weight: FloatArray, excess: FloatArray, possible: FloatArray, node:
         for i in places[np.argsort(-used[places])]:
             if used[i] <= 1:
                 break
-            of_places[i] |= not (np.abs(node[of_places & (node >= 0)] - node[i]) < _NEIGHBOURS).any()
+            of_places[i] |= not (np.abs(node[of_places & (node >= 0)] - node[i]) < _MIN_ANCHORS_APART).any()
         return [np.where(c, 0.0, weight) for c in (of_places, worst)]
     fits = (weight == 0) & (excess <= 1) & (possible > 0)
     if not fits.any():
@@ -193,31 +215,32 @@ def _innovations(
     joint_cov: FloatArray,
     with_error_cov: FloatArray,
 ) -> FloatArray:
-    """How far each observation is from what all others say: chi-square with its dimension if it is right.
+    """Return the normalised innovation squared of each observation with respect to all others.
 
-    r' (I - L)^-1 r for a whitened residual r of an observation that is used, with its leverage L = H P H'; and
-    r' (I + L)^-1 r for one that is not: by so much the least sum of squares changes with it. `with_error_cov`
-    (E, 10, 10) is the joint covariance of the anchor and the error of each correlated fix.
+    It has a chi-square distribution with the dimension of the observation if the observation is correct. For a whitened
+    residual r with leverage L = H P H', it is r' (I - L)^-1 r if the observation is used, and r' (I + L)^-1 r if it is
+    not. This is the change of the least sum of squares due to the observation. `with_error_cov` (E, 10, 10) is the
+    joint covariance of the anchor and the error of each correlated fix.
     """
     positions, directions, states = problem.positions, problem.directions, problem.states
     n_positions, nis = len(positions), np.zeros(len(weight))
     residual, by_node, by_other = _position_residuals(problem, mean)
     own_cov = np.concatenate([joint_cov[:, :N_STATES, :N_STATES], joint_cov[-1:, N_STATES:, N_STATES:]])
 
-    def judge(at: IntArray, r: FloatArray, H: FloatArray, cov: FloatArray) -> None:
-        nis[at] = _squares(r, H @ cov @ H.swapaxes(-1, -2), weight[at] > 0)
+    def set_nis(at: IntArray, r: FloatArray, H: FloatArray, cov: FloatArray) -> None:
+        nis[at] = _normalised_squares(r, H @ cov @ H.swapaxes(-1, -2), weight[at] > 0)
 
     correlated = problem.errors.position
     of_map = np.setdiff1d(np.flatnonzero(positions.other < 0), correlated)
-    judge(of_map, residual[of_map], by_node[of_map], own_cov[positions.node[of_map]])
+    set_nis(of_map, residual[of_map], by_node[of_map], own_cov[positions.node[of_map]])
     by_both = np.concatenate([by_node[correlated], positions.whiten[correlated] @ problem.errors.by], axis=2)
-    judge(correlated, residual[correlated], by_both, with_error_cov)
+    set_nis(correlated, residual[correlated], by_both, with_error_cov)
     residual_of_states, by_state = _state_residuals(states, mean)
     at_states = n_positions + len(directions) + np.arange(len(states))
-    judge(at_states, residual_of_states, by_state, own_cov[states.node])
+    set_nis(at_states, residual_of_states, by_state, own_cov[states.node])
     first_measured = n_positions + len(directions) + len(states)
     for k, (r, H) in enumerate(_measurement_residuals(problem, mean)):
-        judge(np.array([first_measured + k]), r[None], H[None], own_cov[problem.measurements.node[[k]]])
+        set_nis(np.array([first_measured + k]), r[None], H[None], own_cov[problem.measurements.node[[k]]])
     pairs = [
         (i, positions.node[i], positions.other[i], residual[i], by_node[i], by_other[i])
         for i in np.flatnonzero(positions.other >= 0)
@@ -230,22 +253,23 @@ def _innovations(
         for i, a, b, r, A, B in pairs:
             keys, by_keys = ([int(a)], A + B) if a == b else ([int(a), int(b)], np.hstack([A, B]))
             leverage = by_keys @ cov_of(tree, keys) @ by_keys.T
-            nis[i] = _squares(r[None], leverage[None], weight[i : i + 1] > 0)[0]
+            nis[i] = _normalised_squares(r[None], leverage[None], weight[i : i + 1] > 0)[0]
     return np.maximum(nis, 0.0)
 
 
-def _squares(residual: FloatArray, leverage: FloatArray, is_used: BoolArray) -> FloatArray:
-    """Squares r' (I -+ L)^-1 r of residuals (F, m) with leverages (F, m, m)."""
-    # where nothing else says anything of it, the difference is rounding
+def _normalised_squares(residual: FloatArray, leverage: FloatArray, is_used: BoolArray) -> FloatArray:
+    """Return r' (I - L)^-1 r of used and r' (I + L)^-1 r of unused residuals (F, m) with leverages (F, m, m)."""
+    # without any other information I - L is zero up to rounding, and the small term keeps it regular
     eye = (1 + 1e-12) * np.eye(residual.shape[1])
     S = eye + np.where(is_used, -1.0, 1.0)[:, None, None] * leverage
     return np.einsum("fa,fa->f", residual, np.linalg.solve(S, residual[:, :, None])[:, :, 0])
 
 
 def _solved(graph: gtsam.GaussianFactorGraph, problem: Problem) -> tuple[FloatArray, float]:
-    """Solution for anchors and errors, and the rotation (an angle; of a vector its direction).
+    """Return the solution for anchors and errors (N, 6), and the rotation of the frame.
 
-    A row (N, 6) for each, of which an anchor has four columns.
+    Anchors use four of the six columns. In the relaxed problem the rotation is a vector, and the result is its
+    direction.
     """
     solution = graph.optimize(gtsam.EliminateQR)
     n, state = problem.n_nodes, np.zeros((problem.n_states, N_ERRORS))
@@ -258,14 +282,14 @@ def _solved(graph: gtsam.GaussianFactorGraph, problem: Problem) -> tuple[FloatAr
 
 
 def linearised(problem: Problem, mean: FloatArray, frame_rad: float, weight: FloatArray) -> list[Rows]:
-    """Equations for the change of the states (N, 6), anchors and errors, at which they are linearised."""
+    """Return the equations for the change of the states (N, 6) of anchors and errors, linearised at these states."""
     start_whiten = read_only(np.linalg.inv(np.linalg.cholesky(problem.start_cov)))
     rows = [Rows.of_one(0, start_whiten, -(start_whiten @ (mean[0, :N_STATES] - problem.start_mean)))]
 
     n = problem.n_nodes - 1
     start, end = mean[:n, :N_STATES], mean[1 : n + 1, :N_STATES]
     ahead, F = end_states(start, problem.intervals.total_m)
-    whiten = problem.intervals.whiten @ np.linalg.inv(frame(start))
+    whiten = problem.intervals.whiten @ np.linalg.inv(state_transform(start))
     residual = np.einsum("nab,nb->na", whiten, end - ahead)
     rows.append(Rows(np.arange(n), -whiten @ F, -residual, np.arange(1, n + 1), whiten))
     rows += _error_rows(problem, mean)
@@ -303,7 +327,7 @@ def linearised(problem: Problem, mean: FloatArray, frame_rad: float, weight: Flo
 
 
 def _error_rows(problem: Problem, mean: FloatArray) -> list[Rows]:
-    """Equations of the errors of correlated fixes: e_0 ~ N(0, I), e_k = a e_(k-1) + w, var w = 1 - a^2."""
+    """Return the equations of the errors of correlated fixes: e_0 ~ N(0, I), e_k = a e_(k-1) + w, var w = 1 - a^2."""
     n, decay = problem.n_nodes, problem.errors.decay
     if len(problem.errors) == 0:
         return []
@@ -318,7 +342,7 @@ def _error_rows(problem: Problem, mean: FloatArray) -> list[Rows]:
 
 
 def _state_residuals(states: ObservedStates, mean: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Whitened difference of each measured state (S, 1), angles wrapped, and its derivative (S, 1, 4)."""
+    """Return the whitened error of each measured state (S, 1), with wrapped angles, and its derivative (S, 1, 4)."""
     error = mean[states.node, states.state] - states.value
     error = np.where(states.state == HEADING_OFFSET, wrap_angle(error), error)
     H = np.zeros((len(states), 1, N_STATES))
@@ -327,10 +351,13 @@ def _state_residuals(states: ObservedStates, mean: FloatArray) -> tuple[FloatArr
 
 
 def _position_residuals(problem: Problem, mean: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Whitened p + e^s R(theta) d + B e - G x_other - z (F, 2), and its derivatives by both anchors (F, 2, 4)."""
+    """Return the whitened residuals (F, 2) of positions, and their derivatives (F, 2, 4) by both anchors.
+
+    The residual is p + e^s R(theta) d + B e - G x_other - z.
+    """
     positions, errors = problem.positions, problem.errors
     at, relative = mean[positions.node, :N_STATES], positions.other >= 0
-    moved = np.einsum("nab,nb->na", turned(at[:, HEADING_OFFSET], at[:, LOG_SCALE]), positions.ahead_m)
+    moved = np.einsum("nab,nb->na", scaled_rotation(at[:, HEADING_OFFSET], at[:, LOG_SCALE]), positions.ahead_m)
     origin = np.where(relative[:, None], mean[positions.other, :2], 0.0)
     error = at[:, :2] + moved - origin - positions.position_m
     if len(errors):
@@ -346,7 +373,7 @@ def _position_residuals(problem: Problem, mean: FloatArray) -> tuple[FloatArray,
 def _position_rows(
     problem: Problem, H: FloatArray, rhs: FloatArray, by_other: FloatArray, weight: FloatArray
 ) -> list[Rows]:
-    """Equations of positions, with their errors where these are unknowns."""
+    """Return the equations of positions, including the errors of correlated fixes."""
     positions, errors = problem.positions, problem.errors
     own = np.setdiff1d(np.arange(len(positions)), errors.position)
     rows = [Rows(positions.node[own], H[own], rhs[own], positions.other[own], by_other[own], weight[own])]
@@ -358,7 +385,7 @@ def _position_rows(
 
 
 def _direction_residuals(directions: ObservedDirections, mean: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Whitened angle between the way from `first` to `last` and the known one (H, 1), derivative by the last state."""
+    """Return the whitened residuals (H, 1) of known directions, and their derivatives by the last state."""
     way = mean[directions.last, :2] - mean[directions.first, :2]
     square = np.maximum((way**2).sum(axis=1), (0.5 * directions.length_m) ** 2 + 1e-12)
     error = wrap_angle(np.arctan2(way[:, 0], way[:, 1]) - directions.heading_rad) / directions.std_rad
@@ -368,9 +395,10 @@ def _direction_residuals(directions: ObservedDirections, mean: FloatArray) -> tu
 
 
 def _relaxed(problem: Problem) -> list[Rows]:
-    """Equations in (p, z), z = e^s (cos theta, sin theta), linear, isotropic covariances: no start is needed.
+    """Return the equations of the relaxed problem that hold for any observations.
 
-    Those that hold whatever was observed.
+    The unknowns are (p, z) with z = e^s (cos theta, sin theta). In these the problem is linear, with isotropic
+    covariances, and needs no initial guess.
     """
     intervals, n = problem.intervals, len(problem.intervals)
     spread = min(problem.start_cov[HEADING_OFFSET, HEADING_OFFSET], MAX_HEADING_VARIANCE)
@@ -385,7 +413,7 @@ def _relaxed(problem: Problem) -> list[Rows]:
     variance[:, 2:] = drift[:, None]
     W = 1 / np.sqrt(variance)
     A = np.broadcast_to(np.eye(N_STATES), (n, N_STATES, N_STATES)).copy()
-    A[:, :2, 2:] = _linear(intervals.total_m)
+    A[:, :2, 2:] = _rotation_matrix_of(intervals.total_m)
     B = W[:, :, None] * np.eye(N_STATES)
     rows.append(Rows(np.arange(n), -W[:, :, None] * A, np.zeros((n, N_STATES)), np.arange(1, n + 1), B))
     rows += _error_rows(problem, np.zeros((problem.n_states, N_ERRORS)))
@@ -395,7 +423,10 @@ def _relaxed(problem: Problem) -> list[Rows]:
 
 
 def _relaxed_observations(problem: Problem, weight: FloatArray) -> list[Rows]:
-    """Those of positions, directions and headings; a scale alone is no vector."""
+    """Return the relaxed equations of positions, directions and headings.
+
+    A scale alone has none, because it is no vector.
+    """
     positions, directions, states = problem.positions, problem.directions, problem.states
     of_positions, of_directions, of_states = np.split(weight, [len(positions), len(positions) + len(directions)])
     H, H_other, target = _relaxed_positions(problem)
@@ -410,7 +441,7 @@ def _relaxed_observations(problem: Problem, weight: FloatArray) -> list[Rows]:
 
 
 def _relaxed_squared_residuals(problem: Problem, state: FloatArray) -> FloatArray:
-    """Squared residuals of all observations (F + H + S,) for states (N, 6) in (p, z)."""
+    """Return the squared residuals (F + H + S,) of all observations for states (N, 6) in (p, z)."""
     positions, directions, errors = problem.positions, problem.directions, problem.errors
     by_errors = np.einsum("nab,nb->na", positions.whiten[errors.position] @ errors.by, state[problem.n_nodes :])
     state = state[: problem.n_nodes, :N_STATES]
@@ -426,29 +457,34 @@ def _relaxed_squared_residuals(problem: Problem, state: FloatArray) -> FloatArra
     return np.concatenate([np.square(r).sum(axis=1) for r in (residual, turn, of_states)])
 
 
-def _linear(sum_m: FloatArray) -> FloatArray:
-    """M(D) (n, 2, 2): D turned and scaled is M(D) (e^s cos theta, e^s sin theta)."""
+def _rotation_matrix_of(sum_m: FloatArray) -> FloatArray:
+    """Return M(D) (n, 2, 2): D rotated and scaled is M(D) (e^s cos theta, e^s sin theta)."""
     east, north = sum_m[:, 0], sum_m[:, 1]
     return np.stack([np.stack([east, north], axis=-1), np.stack([north, -east], axis=-1)], axis=-2)
 
 
 def _relaxed_positions(problem: Problem) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the derivatives of relaxed positions by both anchors, and their targets, whitened."""
     positions = problem.positions
     H = np.zeros((len(positions), 2, N_STATES))
     H[:, :, _POSITION] = np.eye(2)
-    H[:, :, 2:] = _linear(positions.ahead_m)
+    H[:, :, 2:] = _rotation_matrix_of(positions.ahead_m)
     target = np.einsum("nab,nb->na", positions.whiten, positions.position_m)
     return positions.whiten @ H, -(positions.whiten @ _OF_POSITION), target
 
 
 def _vector(state: FloatArray) -> FloatArray:
-    """Z = e^s (cos theta, sin theta) of a state (4,)."""
+    """Return z = e^s (cos theta, sin theta) of a state (4,)."""
     theta, s = state[HEADING_OFFSET], state[LOG_SCALE]
     return np.exp(s) * np.array([np.cos(theta), np.sin(theta)])
 
 
 def _relaxed_directions(directions: ObservedDirections) -> tuple[FloatArray, FloatArray]:
-    """The way between two anchors is the known direction times the length of dead reckoning, within a tenth or more."""
+    """Return the relaxed equations of directions, as derivatives and targets.
+
+    The displacement between two anchors equals the known direction times the dead-reckoned length, with a relative
+    standard deviation of a tenth or more.
+    """
     inverse = 1 / (np.maximum(directions.std_rad, 0.1) * np.maximum(directions.length_m, MIN_HEADING_LENGTH_M))
     H = np.zeros((len(directions), 2, N_STATES))
     H[:, 0, 0], H[:, 1, 1] = inverse, inverse
@@ -457,7 +493,10 @@ def _relaxed_directions(directions: ObservedDirections) -> tuple[FloatArray, Flo
 
 
 def _relaxed_states(states: ObservedStates) -> tuple[FloatArray, FloatArray]:
-    """A heading offset is a vector of length one within a tenth or more, a log scale nothing."""
+    """Return the relaxed equations of measured states, as derivatives and targets.
+
+    A heading offset is a unit vector with a standard deviation of a tenth or more. A log scale has weight zero.
+    """
     inverse = np.where(states.state == HEADING_OFFSET, 1 / np.maximum(states.std, 0.1), 0.0)
     H = np.zeros((len(states), 2, N_STATES))
     H[:, 0, 2], H[:, 1, 3] = inverse, inverse
@@ -465,7 +504,10 @@ def _relaxed_states(states: ObservedStates) -> tuple[FloatArray, FloatArray]:
 
 
 def _relaxed_offsets(offsets: ObservedOffsets, key: int, frame_std_rad: float) -> list[Rows]:
-    """The rotation of the frame is a vector of key `key`: z is the offset's own turned by it."""
+    """Return the relaxed equations of the heading offsets, in which the rotation of the frame is a vector of key `key`.
+
+    z is the measured offset's unit vector, rotated by that vector.
+    """
     inverse = 1 / np.minimum(offsets.std_rad, np.sqrt(MAX_HEADING_VARIANCE))
     by_state = np.zeros((len(offsets), 2, N_STATES))
     by_state[:, 0, 2], by_state[:, 1, 3] = inverse, inverse

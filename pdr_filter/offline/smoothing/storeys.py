@@ -1,4 +1,4 @@
-"""Storeys of a smoothed walk: those at which it arrived, numbered as fixes name them."""
+"""Storeys of a smoothed walk: changed at arrivals, and numbered as in the fixes."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ AnyRows = TypeVar("AnyRows", bound=TrackRows)
 
 
 def with_arrivals(track: AnyRows) -> AnyRows:
-    """A track that is on another storey only where a floor change led there.
+    """Return a track that changes its storey only where a floor passage led to another one.
 
-    The filter changes the storey before it knows that somebody arrives there, or that good locations show a hill.
+    The filter changes the storey before it has confirmed the arrival, or before accurate locations reveal a hill
+    instead.
     """
     floor, begin, now = track.floor.copy(), 0, int(track.floor[0]) if track.n_steps else 0
     for passage in track.floor_passages:
@@ -27,7 +28,10 @@ def with_arrivals(track: AnyRows) -> AnyRows:
 
 
 def with_named_floors(track: AnyRows, fixes: Sequence[object]) -> AnyRows:
-    """A track whose storeys are numbered as fixes name them: all of them by the first, later ones by those after it."""
+    """Return a track with storeys numbered as in the fixes.
+
+    The first fix with a storey sets the number of all storeys. Each later one corrects those from its time on.
+    """
     named = sorted((f.time_s, f.floor) for f in fixes if isinstance(f, PositionFix) and f.floor is not None)
     if not named or not track.n_steps:
         return track
@@ -44,10 +48,12 @@ def with_named_floors(track: AnyRows, fixes: Sequence[object]) -> AnyRows:
 
 
 def _step_at(track: TrackRows, time_s: float) -> int:
+    """Return the index of the step at a time."""
     return min(int(np.searchsorted(track.time_s, time_s)), track.n_steps - 1)
 
 
 def _shifted(track: TrackRows, shift: IntArray) -> IntArray:
+    """Return the storeys of a track plus a shift, read-only."""
     floor = track.floor + shift
     floor.flags.writeable = False
     return floor

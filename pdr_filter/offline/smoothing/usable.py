@@ -1,4 +1,4 @@
-"""Which observations of a walk the smoother uses, in which form, and why it does not use the others."""
+"""Selection of the observations that the smoother uses, their form in the problem, and notes about the others."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 
 from pdr_filter.filter.fixes.repeated_fixes import frozen_fixes
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, Mode
-from pdr_filter.offline.smoothing.location_errors import by_contact, evenly_sure
-from pdr_filter.offline.smoothing.observations import LoopClosure, Observations, says_nothing
+from pdr_filter.offline.smoothing.location_errors import joined_at_contacts, with_even_variances
+from pdr_filter.offline.smoothing.observations import LoopClosure, Observations, is_uninformative
 from pdr_filter.offline.smoothing.preintegration import Increments
 from pdr_filter.offline.smoothing.problem import ObservedStates, mode_offsets, nearest_contact
 from pdr_filter.values import (
@@ -26,37 +26,58 @@ from pdr_filter.values import (
     TrackRows,
 )
 
-# The magnetic field of so long a time is one measurement of north: twice the memory of `MagneticNorth`.
+# The magnetic field during this time is one measurement of north: twice the memory of `MagneticNorth`.
 _NORTH_INTERVAL_S = 200.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Used:
-    """Observations in the form of a problem, and what became of those that were given."""
+    """Observations in the form of the least-squares problem, and the use of each given observation.
 
-    observed: Observations  # position fixes alone, and locations, each in the order of time
-    states: ObservedStates  # at numbers of steps: heading and speed fixes, then the magnetic north
-    n_north: int  # of the states
-    measured: tuple[Measurement, ...]  # any other measurements
-    device_rad: FloatArray  # (K,) walking heading of each step less its heading offset
-    row: IntArray  # of each given one among all used (positions, directions, states, measurements), -1 if it is not
-    is_frozen: BoolArray  # (F + L,) fixes, then locations
+    Attributes
+    ----------
+    observed : Observations
+        Position fixes only, and locations, each in order of time.
+    states : ObservedStates
+        Heading and speed fixes, followed by magnetic north, by the number of steps before them.
+    n_north : int
+        Number of `states` that are magnetic north.
+    measured : tuple of Measurement
+        All other measurements.
+    device_rad : array (K,)
+        Walking heading of each step minus its heading offset.
+    row : array of int
+        Row of each given observation in the problem (positions, directions, states, measurements), -1 if it is not
+        used.
+    is_frozen : array (F + L,) of bool
+        True for fixes, followed by locations, that repeat the previous position.
+    notes : tuple of str
+        Observations that are not used, and why.
+    """
+
+    observed: Observations
+    states: ObservedStates
+    n_north: int
+    measured: tuple[Measurement, ...]
+    device_rad: FloatArray
+    row: IntArray
+    is_frozen: BoolArray
     notes: tuple[str, ...]
 
     @property
     def knows_north(self) -> bool:
-        """Whether the magnetic field says where north is."""
+        """True if the magnetic field gives the direction of north."""
         return self.n_north > 0
 
     @property
     def has_places(self) -> bool:
-        """Whether there are position fixes, locations or ranges, which may be in any frame."""
+        """True if there are position fixes, locations or ranges, which may be in any frame."""
         ranges = any(isinstance(fix, RangeFix) for fix in self.measured)
         return bool(self.observed.fixes or self.observed.locations) or ranges
 
     @property
     def is_oriented(self) -> bool:
-        """Whether anything but the phone's first heading says which way the walk went."""
+        """True if an observation other than the phone's first heading gives the direction of the walk."""
         headings = len(self.states.state) and (self.states.state == HEADING_OFFSET).any()
         return bool(self.has_places or self.observed.known_headings or headings)
 
@@ -69,12 +90,13 @@ def usable(
     observed: Observations,
     inside: BoolArray,
 ) -> Used:
-    """Observations that carry information; `inside` (F + L,) are fixes and locations within the recording.
+    """Return the observations that carry information.
 
-    `log_scale_std` is what the track took the person's step scale for: the speeds of a track share that error.
+    `inside` (F + L,) is a mask of the fixes and locations within the recording. `log_scale_std` is the standard
+    deviation of the person's step scale in the track, an error that all speeds of the track share.
 
-    Loop closures of the same two contacts share one row: copies of a wrong one would confirm each other. So do
-    correlated fixes at one contact.
+    Loop closures of the same two contacts share one row, because copies of a wrong closure would confirm each other.
+    Correlated fixes at one contact share one row too.
     """
     fixes = (*observed.fixes, *observed.locations)
     is_place = np.array([isinstance(f, PositionFix) for f in fixes], dtype=bool)
@@ -84,7 +106,7 @@ def usable(
     is_used = is_place & inside & ~is_frozen
     n_fixes, of_places = len(places) - len(observed.locations), is_used[is_place]
     positions, number = _at_contacts(compress(places[:n_fixes], of_places[:n_fixes]), steps)
-    located = evenly_sure(list(compress(places[n_fixes:], of_places[n_fixes:])))
+    located = with_even_variances(list(compress(places[n_fixes:], of_places[n_fixes:])))
     locations, of_location = _at_contacts(located, steps)
     of_closure, near, closures = _closures(track, observed)
     is_state = np.array([isinstance(f, HeadingFix | SpeedFix) for f in fixes], dtype=bool)
@@ -112,12 +134,12 @@ def usable(
     n_given = len(observed.fixes)
     reasons = (
         ("fix", ~inside[:n_given], "outside the recording"),
-        ("fix", (inside & is_frozen)[:n_given], "repeats the last position while steps go on"),
-        ("location", (inside & is_frozen)[n_given:], "repeats the last position while steps go on"),
-        ("loop closure", near, "its two times are so near that the way between them is within its uncertainty"),
+        ("fix", (inside & is_frozen)[:n_given], "repeats the last position while steps continue"),
+        ("location", (inside & is_frozen)[n_given:], "repeats the last position while steps continue"),
+        ("loop closure", near, "the distance walked between its two times is within its uncertainty"),
     )
     notes = tuple(
-        f"{kind} {listed(np.flatnonzero(which))}: {why}, not used" for kind, which, why in reasons if which.any()
+        f"{kind} {name_list(np.flatnonzero(which))}: {why}, not used" for kind, which, why in reasons if which.any()
     )
     used = replace(observed, fixes=positions, locations=locations, loop_closures=tuple(closures))
     columns = ([getattr(part, name) for part in (of_states, north)] for name in ObservedStates.__slots__)
@@ -126,22 +148,26 @@ def usable(
 
 
 def _at_contacts(fixes: Iterable[PositionFix], steps: Increments) -> tuple[tuple[PositionFix, ...], IntArray]:
+    """Return the fixes with correlated ones at one contact joined, and the number of each given fix among them."""
     fixes = list(fixes)
-    return by_contact(fixes, np.array([nearest_contact(steps, f.time_s)[0] for f in fixes], dtype=np.int64))
+    return joined_at_contacts(fixes, np.array([nearest_contact(steps, f.time_s)[0] for f in fixes], dtype=np.int64))
 
 
-def listed(names: Sequence[object] | IntArray) -> str:
-    """The first ten names, and how many there are besides."""
+def name_list(names: Sequence[object] | IntArray) -> str:
+    """Return the first ten names as text, with the number of the others."""
     shown = ", ".join(str(n) for n in names[:10])
     return shown if len(names) <= 10 else f"{shown} and {len(names) - 10} more"
 
 
 def _closures(track: TrackRows, observed: Observations) -> tuple[IntArray, BoolArray, list[LoopClosure]]:
-    """The number of each loop closure among those that are used, which say nothing, and those that are used."""
+    """Return the number of each loop closure among those that are used, a mask of uninformative ones, and those used.
+
+    The number is -1 for a closure that is not used.
+    """
     closures = observed.loop_closures
     at_s = np.array([(c.first_s, c.second_s) for c in closures]).reshape(-1, 2)
     walked_m = np.diff(np.interp(at_s, track.time_s, track.walked_m), axis=1)[:, 0]
-    near = np.array([says_nothing(c, d) for c, d in zip(closures, walked_m.tolist(), strict=True)], dtype=bool)
+    near = np.array([is_uninformative(c, d) for c, d in zip(closures, walked_m.tolist(), strict=True)], dtype=bool)
     contacts = np.searchsorted(track.time_s, at_s)
     kept: dict[tuple[int, int], int] = {}
     number = np.full(len(closures), -1)
@@ -157,7 +183,7 @@ def _of_state_fixes(
     device_rad: FloatArray,
     log_scale_std: float,
 ) -> ObservedStates:
-    """Heading and speed fixes as measurements of heading offset and log scale."""
+    """Return heading and speed fixes as measurements of heading offset and log scale."""
     rows = np.zeros((len(fixes), 4))
     for k, fix in enumerate(fixes):
         at = nearest_contact(steps, fix.time_s)[0]
@@ -173,7 +199,7 @@ def _of_state_fixes(
 
 
 def _magnetic_north(track: TrackRows, modes: Sequence[Mode]) -> ObservedStates:
-    """Walking less device heading against north, as the magnetic field shows it at the last step of each interval."""
+    """Return magnetic north as measurements of the heading offset, at the last step of each interval."""
     steps = track.steps
     std = np.hypot(np.asarray(steps.north_std_rad), np.asarray(steps.shown_offset_std_rad))
     known = np.flatnonzero(np.isfinite(std))
@@ -183,12 +209,13 @@ def _magnetic_north(track: TrackRows, modes: Sequence[Mode]) -> ObservedStates:
     return ObservedStates(last + 1, np.full(len(last), HEADING_OFFSET), value, std[last])
 
 
-# So well a walk is closed along each axis that ended within 1 m of its start: 86 % of such a Gaussian.
+# Standard deviation along each axis of the closure of a walk that ended within 1 m of its start: 86 % of such a
+# Gaussian are within 1 m.
 _LOOP_STD_M = 0.5
 
 
-def whole_loop(track: TrackRows) -> LoopClosure | None:
-    """The statement that the walk ended where it began; None if there is no step."""
+def start_end_closure(track: TrackRows) -> LoopClosure | None:
+    """Return the loop closure between the first and the last contact of a walk, or None without steps."""
     if not track.n_steps:
         return None
     begin_s = float(track.time_s[0] - track.steps.duration_s[0])

@@ -1,1 +1,1 @@
-"""Fitting of the shipped models."""
+"""Training of the shipped models, and of context models on other recordings."""

@@ -1,13 +1,12 @@
-"""Train the models of the carrying mode: where a moving person has the phone.
+"""Training of the models of the carrying mode: where a moving person carries the phone.
 
-Beside recordings they learn from windows that stand for other people (`synthetic_windows`), each where nothing real
-does:
+Besides recordings, training uses synthetic windows (`synthetic_windows`) where real ones are missing:
 
 - **simulated** people, who differ in gait and in how they hold the phone, in all modes;
-- **turned** windows: a real hand held in front of the body, the phone turned to the ear by one fixed rotation;
-- **weak** windows: a real trouser pocket, its motion scaled down, for the slow walkers that the recordings lack.
+- **turned** windows: a real hand in front of the body, with the phone rotated to the ear by one fixed rotation;
+- **weak** windows: a real trouser pocket with its motion scaled down, for slow walkers.
 
-There is no bag: no licensed recording of one has a gyroscope. Its probability is zero.
+There are no bags, because no licensed recording of one has a gyroscope. The probability of a bag is zero.
 """
 
 from __future__ import annotations
@@ -28,12 +27,12 @@ from pdr_filter.offline.training.classifier_choice import fit_softmax
 from pdr_filter.offline.training.cross_validation import (
     SCORED_DATASET,
     Columns,
+    HeldOut,
     LabelledWindows,
-    LeftOut,
     Progress,
     TextArray,
     TrainingPlan,
-    in_order,
+    in_window_order,
     label_of,
     part_progress,
     score,
@@ -46,9 +45,9 @@ from pdr_filter.offline.training.synthetic_windows import (
     SIMULATED,
     TURNED,
     balanced_weight,
+    ear_rotations,
     from_sources,
-    grips,
-    made_card,
+    synthetic_card,
 )
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.contexts.context_stage import CARRYING_EXPONENT, CARRYING_STAY_PROB, follow_mode
@@ -60,19 +59,20 @@ from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray
 from pdr_filter.values.recording import Recording
 
 WEAK = "weak"
-N_SIMULATED = 120  # simulated people in each mode: as many as two cores make in a minute
+N_SIMULATED = 120  # simulated people in each mode: as many as two cores simulate in a minute
 
 FEATURE_NAMES: tuple[str, ...] = (*invariant.NAMES, *carrying.NAMES)
-# Of the force, without the timing of the vertical within a step, which is there to recognise stairs: with it half of
-# the swinging of oxford, left out, was missed, without it a seventh (calling of tyrex, left out, 12 % and 26 %).
+# Features of the force without the timing of the vertical within a step, which serves to recognise stairs. With it,
+# half of the swinging in the held-out oxford data was missed, and without it a seventh (calling in the held-out tyrex
+# data: 12 % and 26 %).
 _SHAKING_NAMES: tuple[str, ...] = tuple(n for n in invariant.WITHOUT_GYROSCOPE if not n.startswith("squared_vertical"))
 
 
 @dataclass(frozen=True, kw_only=True)
 class CarryingPlan(TrainingPlan):
-    """How one model of the carrying mode is made.
+    """Plan of one model of the carrying mode.
 
-    `source_weight` is of simulated, turned and weak windows; a data set has one.
+    `source_weight` has the weights of simulated, turned and weak windows. A data set has weight one.
     """
 
     head: str = "carrying_mode"
@@ -80,16 +80,19 @@ class CarryingPlan(TrainingPlan):
     source_weight: Mapping[str, float]
 
     def weight(self, windows: LabelledWindows) -> FloatArray:
-        """Every mode has the same weight, and inside a mode every source its own."""
+        """Return weights (W,) with the same total for every mode, and the source weights within a mode."""
         return balanced_weight(windows.carrying_mode, windows.dataset, self.source_weight)
 
     def held_out(self, windows: LabelledWindows) -> dict[str, BoolArray]:
-        """Every real person."""
+        """Return the windows of each real person, including synthetic ones made from them."""
         return {str(name): windows.person == name for name in np.unique(windows.person[self.is_real(windows)])}
 
-    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, LeftOut]) -> ContextModel:
-        """The model with a temperature and the limit of what it knows, both of people left out, and its card."""
-        left = in_order(left_out.values())
+    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]) -> ContextModel:
+        """Return the final model, with its temperature, its `Familiarity` and its card.
+
+        The temperature and the limit of `Familiarity` are determined from held-out people.
+        """
+        left = in_window_order(left_out.values())
         rows, prob, distance = left.rows, left.prob, left.distance
         real = windows.part(rows)
         even = _even_rows(real)
@@ -100,7 +103,7 @@ class CarryingPlan(TrainingPlan):
         people = sites.pop(SCORED_DATASET, {})
         card = {
             **self.card(windows, people, sites),
-            **made_card(windows.dataset[~rows], self.source_weight),
+            **synthetic_card(windows.dataset[~rows], self.source_weight),
             "scored": "People and sites that the scored model has not seen, nor anything derived from them. One "
             "number, the temperature, is fitted on the same held-out people. Other draws of simulated people change "
             "the recalls of calling, swinging and pocket on tyrex by up to 6 points, because these are one or two "
@@ -110,7 +113,7 @@ class CarryingPlan(TrainingPlan):
         return replace(known, temperature=temperature, card=card)
 
 
-# C is a seventh of what the contexts take: classes are known from few people, whose habits it must not learn.
+# C is a seventh of that of the contexts: some classes have few people, whose habits the model must not learn.
 _FIT = partial(fit_softmax, C=0.003)
 _USE = "Windows of a moving person. It is not meant for people who stand or sit."
 _LIMITS = (
@@ -148,9 +151,10 @@ PLANS: tuple[CarryingPlan, ...] = (
 def train_carrying(
     paths: Sequence[Path], out_dir: Path, progress: Progress = silent, n_simulated: int = N_SIMULATED
 ) -> list[dict[str, Any]]:
-    """Cards of the models of `PLANS`, which are written to `out_dir`, with so many simulated people in each mode.
+    """Train the models of `PLANS`, save them to `out_dir`, and return their cards.
 
-    Recordings of other data sets than a plan's are not used.
+    `n_simulated` is the number of simulated people in each mode. Recordings of data sets that a plan does not list are
+    ignored.
     """
     cards: list[dict[str, Any]] = []
     for i, plan in enumerate(PLANS):
@@ -165,45 +169,48 @@ def train_carrying(
 def carrying_windows(
     plan: CarryingPlan, paths: Sequence[Path], n_simulated: int, progress: Progress = silent
 ) -> LabelledWindows:
-    """Windows of moving people with the features of the plan: real ones, those made of them, and simulated ones.
+    """Return windows of moving people with the features of the plan: real, made from real ones, and simulated.
 
-    `dataset` is the source: a data set, `simulated`, or `turned_` or `weak_` and the data set.
+    `dataset` of a window is its source: a data set, `simulated`, or `turned_` or `weak_` and the data set.
     """
     found = from_sources(partial(_windows_of, plan), paths, n_simulated, f"{plan.name}: features", progress)
     parts = [part for of_source in found for part in of_source]
     if not any(plan.is_real(part).any() for part in parts):
         raise ValueError(
-            f"no windows for {plan.name}: it needs recordings of {', '.join(plan.datasets)} of people who "
-            f"move, with the carrying modes {', '.join(MODES)} in their truth_labels.csv"
+            f"no windows for {plan.name}: give recordings of {', '.join(plan.datasets)} with moving people and "
+            f"the carrying modes {', '.join(MODES)} in their truth_labels.csv"
         )
     return LabelledWindows.joined(parts)
 
 
 @dataclass(frozen=True)
 class RawSignals:
-    """Features that are the samples of a window, `invariant.SIGNALS`, one row after the other."""
+    """Feature set of the raw samples of a window, the rows of `invariant.SIGNALS` one after the other."""
 
     name: str = "signals"
     names: tuple[str, ...] = invariant.SIGNALS
     low_pass_hz: None = None
 
     def describe(self, windows: FloatArray, rate_hz: float) -> FloatArray:
-        """Samples (W, 12 N) of the signals of windows (W, N_SIGNALS, N)."""
+        """Return the samples (W, 12 N) of the signals of windows (W, N_SIGNALS, N)."""
         return windows[:, N_MAGNITUDES:].reshape(len(windows), -1)
 
 
 @dataclass(frozen=True, eq=False)
 class _Signals(Columns):
-    """Windows of one recording and one carrying mode, a moving person's."""
+    """Windows of a moving person, from one recording and one carrying mode.
 
-    samples: FloatArray  # (W, 12, N)
-    context: TextArray  # (W,)
-    mode: TextArray  # (W,)
-    has_gyroscope: BoolArray  # (W,)
+    `samples` is (W, 12, N), and all other fields are (W,).
+    """
+
+    samples: FloatArray
+    context: TextArray
+    mode: TextArray
+    has_gyroscope: BoolArray
 
 
 def _windows_of(plan: CarryingPlan, recording: Recording, dataset: str, person: str) -> list[LabelledWindows]:
-    """Windows of one recording or simulated person, and what is made of them."""
+    """Return the windows of one recording or simulated person, and synthetic windows made from them."""
     if dataset not in (*plan.datasets, SIMULATED):
         return []
     found: list[tuple[str, _Signals]] = []
@@ -214,14 +221,14 @@ def _windows_of(plan: CarryingPlan, recording: Recording, dataset: str, person: 
             continue
         if TURNED in plan.source_weight and mode == "texting":
             found.append((f"{TURNED}_{dataset}", _turned(walking, recording.name)))
-        # of the one data set with more than a few people: of fewer it would be more of the same
+        # only from the data set with many people: for few people, these windows would repeat the same information
         if WEAK in plan.source_weight and mode == "pocket" and dataset == SCORED_DATASET:
             found.append((f"{WEAK}_{dataset}", _weak(walking, recording.name)))
     return [_labelled(plan, signals, person, made_of, recording.name) for made_of, signals in found]
 
 
 def _signals(plan: CarryingPlan, recording: Recording) -> list[_Signals]:
-    """What of a recording the plan is made of, by carrying mode."""
+    """Return the windows of a recording that the plan can use, by carrying mode."""
     stage = FeatureWindows(features=RawSignals())
     recording = recording if plan.has_gyroscope else replace(recording, gyroscope=None)
     rows: dict[str, list[tuple[FloatArray, str, str, bool]]] = {}
@@ -235,28 +242,30 @@ def _signals(plan: CarryingPlan, recording: Recording) -> list[_Signals]:
 
 
 def features_of(samples: FloatArray, rate_hz: float = 100.0) -> FloatArray:
-    """Features (W, F) of windows of `invariant.SIGNALS`, (W, 12, N), in the order of `FEATURE_NAMES`."""
+    """Return the features (W, F) of windows (W, 12, N) of `invariant.SIGNALS`, in the order of `FEATURE_NAMES`."""
     parts = [f(samples, rate_hz) for f in (invariant.invariant_features, carrying.carrying_features)]
     return np.concatenate(parts, axis=1)
 
 
 def _labelled(plan: CarryingPlan, signals: _Signals, person: str, source: str, name: str) -> LabelledWindows:
+    """Return windows with the features of the plan."""
     with threadpool_limits(1):
         features = features_of(signals.samples)[:, [FEATURE_NAMES.index(name) for name in plan.feature_names]]
     return LabelledWindows.of_one(features, signals.context, signals.mode, person, source, name, signals.has_gyroscope)
 
 
-# Rows of `invariant.SIGNALS`: what is in the world's frame, and the vectors in the sensor's.
+# Rows of `invariant.SIGNALS`: signals in the world frame, and three vectors in the sensor frame.
 _WORLD, _RATE, _UP, _FORCE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
-# Grips that a recording is turned to, each with every second window: how many matters little, as the weight is shared.
+# Number of rotations per recording, each with every second window. The exact number matters little, because the
+# rotations share one weight.
 _TURNS = 4
 
 
 def _turned(signals: _Signals, name: str) -> _Signals:
-    """The phone of one recording turned from in front of the body to the ear: calling, with the same motion."""
+    """Return windows of a phone in front of the body rotated to the ear: calling, with the same motion."""
     up = signals.samples[:, _UP].mean(axis=(0, 2))
     parts: list[_Signals] = []
-    for turn, matrix in enumerate(grips([up] * _TURNS, name)):
+    for turn, matrix in enumerate(ear_rotations([up] * _TURNS, name)):
         half = signals.part(slice(turn % 2, None, 2))
         samples = half.samples.copy()
         for rows in (_RATE, _UP, _FORCE):
@@ -266,7 +275,10 @@ def _turned(signals: _Signals, name: str) -> _Signals:
 
 
 def _weak(signals: _Signals, name: str) -> _Signals:
-    """Every second window slowed down: angles and rates times f = 0.25 to 0.85, accelerations (frequency too) f^1.5."""
+    """Return every second window slowed down by a random factor f = 0.25 to 0.85.
+
+    Angles and rates are multiplied by f, and accelerations by f^1.5, because the frequency decreases too.
+    """
     signals = signals.part(slice(None, None, 2))
     samples = signals.samples.copy()
     factor = np.random.default_rng(crc32(name.encode())).uniform(0.25, 0.85, len(samples))[:, None, None]
@@ -280,7 +292,7 @@ def _weak(signals: _Signals, name: str) -> _Signals:
 
 
 def _even_rows(windows: LabelledWindows, at_most: int = 300) -> BoolArray:
-    """Rows that hold about as many windows of every data set and carrying mode, (W,)."""
+    """Return a mask (W,) of about the same number of windows of each data set and carrying mode."""
     use = np.zeros(len(windows.dataset), dtype=bool)
     for dataset in np.unique(windows.dataset):
         for mode in MODES:
@@ -290,9 +302,9 @@ def _even_rows(windows: LabelledWindows, at_most: int = 300) -> BoolArray:
 
 
 def site_scores(windows: LabelledWindows, prob: FloatArray, use: BoolArray) -> dict[str, Any]:
-    """Scores of some windows: `score`, the number of windows of each mode, and the recall of the worst person.
+    """Return the scores of some windows: `score`, the number of windows of each mode, and the worst person's accuracy.
 
-    "followed" are the probabilities after each window, as `ContextModels` follows the mode through a recording.
+    "followed" scores are of the probabilities filtered over time, as `ContextModels` does.
     """
     own, prob = windows.part(use), prob[use]
     truth = own.carrying_mode
@@ -307,7 +319,7 @@ def site_scores(windows: LabelledWindows, prob: FloatArray, use: BoolArray) -> d
 
 
 def _followed(recording: TextArray, prob: FloatArray) -> FloatArray:
-    """Probabilities (W, L) after each window of its recording, all modes alike before the first."""
+    """Return the filtered probabilities (W, L) after each window of its recording, from equally probable modes."""
     prior = np.array([float(mode in MODES) for mode in CARRYING_MODES])
     prior /= prior.sum()
     result = np.zeros_like(prob)

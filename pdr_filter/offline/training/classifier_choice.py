@@ -1,4 +1,4 @@
-"""The machines that the shipped models are made of: each function fits one, and gives it with its classes."""
+"""Classifiers of the shipped models: each function fits one, and returns it with its classes."""
 
 from __future__ import annotations
 
@@ -27,23 +27,24 @@ Classes = tuple[str, ...]
 
 
 def fit_softmax(Z: FloatArray, y: TextArray, weight: FloatArray, C: float = 0.02) -> tuple[SoftmaxRegression, Classes]:
-    """Multinomial logistic regression.
+    """Return a multinomial logistic regression and its classes.
 
-    C, the inverse of the penalty: 0.1 to 0.005 give the same log loss within 0.02 on people left out; below, the
-    probabilities get less sure than the temperature is meant to mend.
+    C is the inverse of the penalty. Values of 0.1 to 0.005 have the same log loss within 0.02 on held-out people. With
+    smaller values, the probabilities become less certain than the temperature can correct.
     """
     fitted: Any = LogisticRegression(C=C, max_iter=300, tol=1e-3).fit(Z, y, sample_weight=weight)
     weights, intercept = fitted.coef_, fitted.intercept_
-    if len(weights) == 1:  # with two classes scikit-learn stores one logit, that of the second class
+    if len(weights) == 1:  # scikit-learn stores a single logit for two classes, that of the second class
         weights, intercept = (np.concatenate([-0.5 * each, 0.5 * each]) for each in (weights, intercept))
     return SoftmaxRegression(weights, intercept), _names(fitted.classes_)
 
 
 def fit_blend(Z: FloatArray, y: TextArray, weight: FloatArray) -> tuple[Machine, Classes]:
-    """The mean of logistic regression and boosted trees.
+    """Return the mean of logistic regression and boosted trees, and its classes.
 
-    A fifth of the features for each split and at least 50 windows in a leaf: the trees then differ and do not learn one
-    person's habits (log loss 0.149 -> 0.147 on people left out, and 0.35 -> 0.34 in the pockets of ubicomp13).
+    Each split sees a fifth of the features, and a leaf has at least 50 windows. This makes the trees more diverse and
+    keeps them from learning one person's habits (log loss 0.149 -> 0.147 on held-out people, and 0.35 -> 0.34 in the
+    pockets of ubicomp13).
     """
     linear, classes = fit_softmax(Z, y, weight)
     options: Any = {"max_iter": 100, "max_leaf_nodes": 15, "max_features": 0.2, "min_samples_leaf": 50}
@@ -62,11 +63,12 @@ def fit_relevance_vectors(
     max_rows: int = 20_000,
     max_samples: int = 1000,
 ) -> tuple[Machine, Classes]:
-    """Relevance vector machine, one-against-all, of at most `max_rows` rows, drawn class by class.
+    """Return a relevance vector machine (one against all) and its classes, fitted on at most `max_rows` rows.
 
-    A window counts as `window_weight` of an independent example: windows overlap, and the steps of one person are alike
-    (counted in full, the macro recall is 0.935 instead of 0.95 on people left out). `kernel_width` None is one and a
-    half times the distance of two typical windows, the square root of twice the number of features.
+    The rows are drawn by class. A window counts as `window_weight` of an independent example, because windows overlap
+    and the steps of one person are similar. With full weight, the macro recall on held-out people is 0.935 instead of
+    0.95. The default `kernel_width` is one and a half times the distance of two typical windows, which is the square
+    root of twice the number of features.
     """
     rows = np.arange(len(y))
     if len(y) > max_rows:
@@ -80,14 +82,15 @@ def fit_relevance_vectors(
         random_state=0,
     )
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)  # it warns of the budget of candidates that is meant here
+        # the warning is about the limited number of candidates, which is intended here
+        warnings.simplefilter("ignore", ConvergenceWarning)
         classifier.fit(Z[rows], y[rows], sample_weight=window_weight * weight[rows])
     return classifier.machine_, _names(classifier.classes_)
 
 
 def fit_forest(Z: FloatArray, y: TextArray, weight: FloatArray, n_trees: int = 50) -> tuple[Machine, Classes]:
-    """A random forest."""
-    # Leaves of 20 windows: smaller ones memorise people and cost log loss (0.35 -> 0.38 with 5).
+    """Return a random forest and its classes."""
+    # Leaves have at least 20 windows. Smaller leaves memorise people and increase the log loss (0.35 -> 0.38 with 5).
     options: Any = {"min_samples_leaf": 20, "random_state": 0, "n_jobs": 1}
     forest = RandomForestClassifier(n_trees, **options).fit(Z, y, sample_weight=weight)
     return Forest.from_sklearn(forest), _names(forest.classes_)
@@ -95,35 +98,38 @@ def fit_forest(Z: FloatArray, y: TextArray, weight: FloatArray, n_trees: int = 5
 
 @dataclass(frozen=True)
 class FitOfObject:
-    """Fit of an object with `fit`, `predict_proba` and `classes_`, such as those of scikit-learn.
+    """Fit of a classifier object with `fit`, `predict_proba` and `classes_`, such as a scikit-learn classifier.
 
-    Each fit is of a copy without what the object has learnt before. Weights are not passed: not all objects take them.
+    Each fit uses an untrained copy of the object. Weights are not passed, because not all objects accept them.
     """
 
     classifier: Any
 
     def __call__(self, Z: FloatArray, y: TextArray, weight: FloatArray) -> tuple[Machine, Classes]:
-        """Return the machine and its classes. ValueError if the fitted object cannot be used."""
+        """Return the machine and its classes. Raise ValueError if the fitted object cannot be used."""
         fitted: Any = clone(self.classifier, safe=False)
         fitted.fit(Z, y)
         if not hasattr(fitted, "classes_"):
             raise ValueError(
-                f"classifier must have classes_ when it is fitted, got {type(fitted).__name__} without: set it in fit"
+                f"classifier must have classes_ after fit, but {type(fitted).__name__} has none: set it in fit"
             )
-        # only `RelevanceVectorClassifier` has a machine, which can be saved
+        # only `RelevanceVectorClassifier` has a machine that can be saved
         machine = getattr(fitted, "machine_", None)
         if not isinstance(machine, Machine):
             machine = ForeignClassifier(fitted, Z.shape[1])
         return machine, _names(fitted.classes_)
 
 
-# By the names that `fit_contexts` and `pdr-filter train` take.
+# Names of the classifiers in `fit_contexts` and `pdr-filter train`.
 MACHINE_FITS: dict[str, MachineFit] = {"rvm": fit_relevance_vectors, "forest": fit_forest, "blend": fit_blend}
 _KINDS = {"rvm": "Relevance vector machine", "forest": "Random forest", "blend": "Logistic regression, boosted trees"}
 
 
 def machine_fit_of(classifier: object) -> tuple[MachineFit, str]:
-    """Return how a classifier is fitted, and what it is in words; ValueError if it is none."""
+    """Return the function that fits a classifier, and the description of the classifier.
+
+    Raises ValueError if the argument is neither a known name nor a classifier object.
+    """
     if isinstance(classifier, str) and classifier in MACHINE_FITS:
         return MACHINE_FITS[classifier], _KINDS[classifier]
     is_object = not isinstance(classifier, str | type)
@@ -136,11 +142,11 @@ def machine_fit_of(classifier: object) -> tuple[MachineFit, str]:
 
 
 def fit_pose_forest(Z: FloatArray, y: TextArray, weight: FloatArray) -> tuple[Forest, Classes]:
-    """A random forest of 30 trees for the poses of Guo et al. 2018.
+    """Return a random forest of 30 trees for the poses of Guo et al. 2018, and its classes.
 
-    One random feature a split: with the usual three nearly all pockets of oxford, left out, were missed, with one a
-    half. Leaves have at least 60 windows; those of 20 make the file twice as large and are no better on people left
-    out.
+    Each split sees one random feature. With the usual three, nearly all pockets of the held-out oxford data were
+    missed; with one, half of them. Leaves have at least 60 windows. Leaves of 20 windows double the size of the file
+    and are no better on held-out people.
     """
     options: Any = {"max_features": 1, "min_samples_leaf": 60, "random_state": 0, "n_jobs": 1}
     fitted = RandomForestClassifier(30, **options).fit(_in_float32(Z), y, sample_weight=weight)
@@ -148,20 +154,24 @@ def fit_pose_forest(Z: FloatArray, y: TextArray, weight: FloatArray) -> tuple[Fo
 
 
 def _compact(forest: Forest) -> Forest:
-    """The forest with probabilities of leaves in steps of about 1/100, so that its file packs well."""
+    """Return the forest with leaf probabilities in steps of about 1/100, so that its file compresses well."""
     trees = forest.trees
     counts = np.round(100 * forest.probability)
     probability = np.where(trees.is_leaf[:, None], counts / np.maximum(counts.sum(axis=1), 1)[:, None], 0.0)
     threshold = _in_float32(trees.threshold)
     down = np.nextafter(threshold.astype(np.float32), np.float32(-np.inf)).astype(np.float64)
-    threshold = np.where(threshold > trees.threshold, down, threshold)  # decides as before on float32 numbers
+    threshold = np.where(threshold > trees.threshold, down, threshold)  # same decisions as before for float32 numbers
     return Forest(replace(trees, threshold=threshold), probability)
 
 
 def _in_float32(values: FloatArray) -> FloatArray:
-    """The stored trees compare float32 numbers: trained on such, they decide everywhere as scikit-learn's."""
+    """Return values rounded to float32.
+
+    The stored trees compare float32 numbers. Trained on such numbers, they decide exactly as those of scikit-learn.
+    """
     return values.astype(np.float32).astype(np.float64)
 
 
 def _names(classes: NDArray[Any]) -> Classes:
+    """Return the classes as a tuple of strings."""
     return tuple(str(c) for c in classes)

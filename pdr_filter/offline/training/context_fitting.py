@@ -1,6 +1,6 @@
-"""Context models from labelled recordings of any people and labels: `fit_contexts`.
+"""Fitting of context models on labelled recordings with any people and labels.
 
-The shipped models are made of the same parts (`context_training`), on data sets and with choices of their own.
+The shipped models use the same parts (`context_training`), with data sets and options of their own.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from pdr_filter.offline.training.classifier_choice import machine_fit_of
 from pdr_filter.offline.training.context_sequences import UNKNOWN, LabelledProbabilities
 from pdr_filter.offline.training.context_training import calibrated, calibration, cross_calibrated
 from pdr_filter.offline.training.cross_validation import (
+    HeldOut,
     LabelledWindows,
-    LeftOut,
     TextArray,
     TrainingPlan,
-    in_order,
+    in_window_order,
     label_row,
     score,
     train_one,
@@ -59,10 +59,10 @@ from pdr_filter.values.recording import Recording
 
 Head = Literal["context", "carrying_mode"]
 
-UNNAMED = "unnamed"  # person of the recordings that do not say whose they are
-# Workers take some seconds to start: with fewer windows all folds are done by then.
+UNNAMED = "unnamed"  # person of recordings without a subject id
+# Smallest number of windows for parallel folds. With fewer, all folds finish before the worker processes have started.
 _WINDOWS_FOR_PARALLEL = 5000
-_WINDOWS_SHARE, _STEPS_SHARE = 0.4, 0.2  # shares of the progress bar; the folds take the rest
+_WINDOWS_SHARE, _STEPS_SHARE = 0.4, 0.2  # shares of the progress; the folds take the rest
 
 
 def fit_contexts(
@@ -75,39 +75,56 @@ def fit_contexts(
     name: str = "",
     progress: Callable[[float], None] | None = None,
 ) -> ContextModel:
-    """Context model fitted on labelled recordings, with calibrated probabilities.
+    """Fit a context model on labelled recordings, with calibrated probabilities.
 
-    Windows of 2 s count if they lie inside one label. Each person is held out in turn (tenths of the people if there
-    are more than ten): the windows of people not in training calibrate the probabilities and give the scores of
-    `report()` and of the card. Transitions are estimated from 10 changes of context from one step to the next on. With
-    4 people, the exponents of the evidence are, too. `Config.with_contexts` uses both.
+    A window of 2 s is used if it lies inside one label. Each person is held out in turn, or a tenth of the people if
+    there are more than ten. The predictions for held-out people calibrate the probabilities, and give the scores of
+    `ContextModel.report` and of the card.
+
+    If the labels have at least 10 changes of context between two steps, the transition matrix is estimated too. With at
+    least 4 people, the exponents of the evidence are estimated as well. `Config.with_contexts` uses both.
 
     Parameters
     ----------
-    recordings : iterable of Recording
-        With `truth.labels` (start_s, end_s, context, carrying_mode), any names; an empty name is unknown.
-        `subject.id` of `meta` says whose a recording is; all without are of one person.
+    recordings : Recording or iterable of Recording
+        Recordings with `truth.labels` (columns start_s, end_s, context, carrying_mode). Any names are allowed, and an
+        empty name means unknown. `subject.id` of the metadata names the person. All recordings without one are
+        attributed to one person.
     classifier : {"rvm", "forest", "blend"} or object
-        Relevance vector machine, random forest, mean of logistic regression and boosted trees, or an object with
-        `fit(X, y)`, `predict_proba(X)` and `classes_`, such as those of scikit-learn. It gets standardised features.
-    features : FeatureSet or function, optional
-        A function gets the signals of a window by name (`values.WINDOW_SIGNALS`, (N,) each) and returns a dict of
-        numbers. If not given, the features of the default recipe.
+        Relevance vector machine (default), random forest, or the mean of logistic regression and boosted trees. Or an
+        object with `fit(X, y)`, `predict_proba(X)` and `classes_`, such as a scikit-learn classifier. It receives
+        standardised features.
+    features : FeatureSet or callable, optional
+        Features of a window. A function receives the signals of a window by name (`values.WINDOW_SIGNALS`, arrays (N,))
+        and returns a dict of numbers. The default is the feature set of the default recipe.
     head : {"context", "carrying_mode"}
-        Column of the labels that is learnt. Carrying modes must have the names of `CARRYING_MODES`; windows of the
-        context "stationary" are not used for these.
+        Column of the labels to be learnt, "context" by default. Carrying modes must have the names in `CARRYING_MODES`;
+        windows with the context "stationary" are not used for them.
     people : sequence of str, optional
         Name of the person of each recording, in place of `subject.id`.
-    name : str
-        Of the model and its files; "contexts" or "carrying" if not given.
+    name : str, optional
+        Name of the model and its files. The default is "contexts" or "carrying".
     progress : callable, optional
-        Called with the fraction done.
+        Called with the fraction done, 0 to 1.
+
+    Returns
+    -------
+    ContextModel
+        Model fitted on all people, with calibration, `Familiarity` and card.
 
     Raises
     ------
     ValueError
-        No labels, labels of one class, recordings of one person, or arguments that cannot be used; it says which and
-        what to do.
+        If there are no labels, labels of a single class, recordings of a single person, or invalid arguments. The
+        message names the problem and the remedy.
+
+    See Also
+    --------
+    pdr_filter.Config.with_contexts : Configuration that uses a fitted model.
+
+    References
+    ----------
+    M. E. Tipping, "Sparse Bayesian learning and the relevance vector machine", J. Machine Learning Research 1, 2001.
 
     Examples
     --------
@@ -129,9 +146,11 @@ def fit_contexts(
     given = [recordings] if isinstance(recordings, Recording) else list(recordings)
     for each in given:
         if not isinstance(each, Recording):  # pyright: ignore[reportUnnecessaryIsInstance]
-            raise ValueError(f"recordings must be of Recording, got {each!r}: read files with pdr.read")
+            raise ValueError(f"recordings must contain Recording objects, got {each!r}: read files with pdr.read")
     if people is not None and len(people) != len(given):
-        raise ValueError(f"people must be {len(given)} names, one for each recording, got {len(people)}: name them all")
+        raise ValueError(
+            f"people must have {len(given)} names, one for each recording, got {len(people)}: name the person of each"
+        )
     labelled = _labelled(given, feature_set, head, people, done)
     windows, labels = labelled.windows, _labels_of(labelled.windows, head)
     _check_people(windows, head)
@@ -169,17 +188,29 @@ def fit_contexts(
 
 
 def _silent(fraction: float) -> None:
-    """Report no progress."""
+    """Ignore the progress."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Labelled:
-    """Windows of all recordings in order, those outside every label included (their label is "")."""
+    """Windows of all recordings in order, including those outside every label, with empty strings as labels.
+
+    Attributes
+    ----------
+    windows : LabelledWindows
+        The windows.
+    at_middle : array (W,) of str
+        Context at the middle of each window, or an empty string outside every label.
+    sequence : array (W,) of str
+        Recording and stretch without gaps, such as "3/0".
+    has_gyroscope : bool
+        True if all windows have an angular rate, False if none has one.
+    """
 
     windows: LabelledWindows
-    at_middle: TextArray  # (W,) context at the middle of each window, "" outside every label
-    sequence: TextArray  # (W,) recording and stretch without gaps, as "3/0"
-    has_gyroscope: bool  # in all windows; without, in none
+    at_middle: TextArray
+    sequence: TextArray
+    has_gyroscope: bool
 
 
 def _labelled(
@@ -189,7 +220,7 @@ def _labelled(
     people: Sequence[str] | None,
     progress: Callable[[float], None],
 ) -> _Labelled:
-    """Return the windows of the recordings. ValueError if there are none, or if a feature is not finite."""
+    """Return the windows of the recordings. Raise ValueError if none has a label, or a feature is not finite."""
     stage = FeatureWindows(features=features)
     rows: list[tuple[Any, ...]] = []
     names = [None] * len(recordings) if people is None else people
@@ -211,8 +242,8 @@ def _labelled(
     if not arrays or not (arrays[2 if head == "carrying_mode" else 1] != "").any():
         raise ValueError(
             f"recordings must have labels of the {head.replace('_', ' ')}, got "
-            f"{how_many(len(recordings), 'recording')} with {len(rows)} windows of 2 s and no label around one: give "
-            "truth.labels, or truth_labels.csv in their folders"
+            f"{how_many(len(recordings), 'recording')} with {len(rows)} windows of 2 s, none of them inside a label: "
+            "give truth.labels, or truth_labels.csv in their folders"
         )
     with_gyroscope = arrays[6]
     has_gyroscope = bool(with_gyroscope.any())
@@ -221,17 +252,20 @@ def _labelled(
 
 
 def _check_finite(window: FeatureWindow, recording: Recording) -> None:
-    """ValueError that names the first feature of a window that is not finite."""
+    """Raise ValueError with the name of the first feature of a window that is not finite."""
     bad = [name for name, value in zip(window.names, window.features.tolist(), strict=True) if not np.isfinite(value)]
     if bad:
         raise ValueError(
-            f"features must be finite, got {bad[0]} of NaN or infinity in {recording.name!r} at {window.time_s:.1f} s: "
-            "return a number for every window"
+            f"features must be finite, but {bad[0]} is NaN or infinite in {recording.name!r} at {window.time_s:.1f} s: "
+            "return a finite number for every window"
         )
 
 
 def _name_in(labels: Table | None, column: str, start_s: float, end_s: float) -> str:
-    """Name of the label that a time lies inside, "" outside every label and without this column."""
+    """Return the name of the label that contains a time interval.
+
+    The name is empty outside every label, and if the labels lack this column.
+    """
     if labels is None or column not in (labels.dtype.names or ()):
         return ""
     row = label_row(labels, column, start_s, end_s)
@@ -239,54 +273,66 @@ def _name_in(labels: Table | None, column: str, start_s: float, end_s: float) ->
 
 
 def _labels_of(windows: LabelledWindows, head: Head) -> tuple[str, ...]:
-    """Labels of the model in order. ValueError for labels of one class, or carrying modes that no filter knows."""
+    """Return the labels of the model in order. Raise ValueError for a single class, or for unknown carrying modes."""
     found = tuple(str(c) for c in np.unique(windows.label(head)) if c)
     what = head.replace("_", " ")
     if len(found) < 2:
         raise ValueError(
-            f"labels of the recordings must be of two {what}s or more, got {', '.join(map(repr, found)) or 'none'}: "
-            "add recordings of another one"
+            f"labels of the recordings must have at least two {what}s, got {', '.join(map(repr, found)) or 'none'}: "
+            "add recordings of another class"
         )
     if head == "context":
         return found
     if unknown := sorted(set(found) - set(CARRYING_MODES)):
-        raise ValueError(f"carrying modes must be of {CARRYING_MODES}, got {unknown}: rename them in the labels")
+        raise ValueError(f"carrying modes must be among {CARRYING_MODES}, got {unknown}: rename them in the labels")
     return CARRYING_MODES
 
 
 def _check_people(windows: LabelledWindows, head: Head) -> None:
-    """ValueError unless without each person labels of two classes are left."""
+    """Raise ValueError unless labels of two classes remain without each person in turn."""
     label, of_label = windows.label(head), windows.label(head) != ""
     people = np.unique(windows.person[of_label])
     if len(people) < 2:
         raise ValueError(
-            f"recordings must be of two people or more, of whom each can be held out, got {str(people[0])!r} alone: "
-            "name whose they are by people=[...], by subject.id in meta.json, or by a folder for each person on the "
-            "command line"
+            f"recordings must be of at least two people, because each is held out in turn, got {str(people[0])!r} "
+            "alone: name the people by people=[...], by subject.id in meta.json, or by a folder for each person on "
+            "the command line"
         )
     for person in people:
         left = np.unique(label[of_label & (windows.person != person)])
         if len(left) < 2:
             raise ValueError(
-                f"without {str(person)!r} only windows of {str(left[0])!r} are left, so nobody can be held out: label "
-                "two or more of them for two people"
+                f"{str(person)!r} cannot be held out, because the other people have only windows of {str(left[0])!r}: "
+                "label each class for at least two people"
             )
 
 
 @dataclass(frozen=True, eq=False)
 class _StepLabels:
-    """True contexts of the detected steps of recordings in which people change their context."""
+    """True contexts of the detected steps, for recordings in which the context changes.
 
-    label: IntArray  # (K,) index into the labels, `UNKNOWN` outside every label
-    person: TextArray  # (K,)
-    sequence: TextArray  # (K,)
-    recordings: tuple[int, ...]  # numbers of the recordings
+    Attributes
+    ----------
+    label : array (K,) of int
+        Index into the labels, `UNKNOWN` outside every label.
+    person : array (K,) of str
+        Person of each step.
+    sequence : array (K,) of str
+        Stretch without gaps of each step.
+    recordings : tuple of int
+        Numbers of the recordings used.
+    """
+
+    label: IntArray
+    person: TextArray
+    sequence: TextArray
+    recordings: tuple[int, ...]
 
 
 def _step_labels(
     recordings: Sequence[Recording], labelled: _Labelled, labels: tuple[str, ...], progress: Callable[[float], None]
 ) -> _StepLabels:
-    """Return the contexts of all steps that the default recipe detects in recordings with changes of context."""
+    """Return the true contexts of all steps that the default recipe detects in recordings with changes of context."""
     rows: list[tuple[int, str, str]] = []
     numbers = np.array([int(s.partition("/")[0]) for s in labelled.sequence])
     used: list[int] = []
@@ -305,7 +351,7 @@ def _step_labels(
 
 @dataclass(frozen=True, eq=False)
 class _DefaultEvidence:
-    """Transitions and exponents of the default recipe for any contexts."""
+    """Transition matrix and exponents of the default recipe, for any contexts."""
 
     transition_prob: FloatArray
     evidence_exponent: float
@@ -315,33 +361,49 @@ class _DefaultEvidence:
 
 @dataclass(frozen=True, kw_only=True)
 class FittingPlan(TrainingPlan):
-    """Fit of a model on recordings of any data."""
+    """Plan of a model fitted on recordings of any data.
+
+    Attributes
+    ----------
+    own_labels : tuple of str
+        Labels of the recordings.
+    command : str
+        Command that fits the model, for the card.
+    n_recordings : int
+        Number of recordings.
+    step_labels : _StepLabels or None
+        Contexts of the steps, or None if no transitions are estimated.
+    at_middle : array (W,) of str
+        Context at the middle of each window.
+    sequence : array (W,) of str
+        Recording and stretch of each window.
+    """
 
     own_labels: tuple[str, ...]
-    command: str  # that made the model
+    command: str
     n_recordings: int
-    step_labels: _StepLabels | None  # None where no transitions are estimated
-    at_middle: TextArray  # (W,) context at the middle of each window
-    sequence: TextArray  # (W,) recording and stretch of each window
+    step_labels: _StepLabels | None
+    at_middle: TextArray
+    sequence: TextArray
 
     @property
     def labels(self) -> tuple[str, ...]:
         """Labels of the recordings."""
         return self.own_labels
 
-    def learnt_from(self, windows: LabelledWindows) -> LabelledWindows:
+    def training_windows(self, windows: LabelledWindows) -> LabelledWindows:
         """Return the labelled windows."""
         return windows.part(windows.label(self.head) != "")
 
     def held_out(self, windows: LabelledWindows) -> dict[str, BoolArray]:
-        """Return each person, or tenths of the people where there are more than ten."""
+        """Return the windows of each person, or of tenths of the people if there are more than ten."""
         people = np.unique(windows.person)
         n = min(len(people), MAX_PARTS)
         return {", ".join(map(str, people[k::n])): np.isin(windows.person, people[k::n]) for k in range(n)}
 
-    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, LeftOut]) -> ContextModel:
-        """Return the model, calibrated on people not in training, with its card and what its labels show."""
-        left, label = in_order(left_out.values()), windows.label(self.head)
+    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]) -> ContextModel:
+        """Return the model, calibrated on held-out people, with its card, transitions and exponents."""
+        left, label = in_window_order(left_out.values()), windows.label(self.head)
         scored = np.zeros(len(label), dtype=bool)
         for group in left_out.values():
             others = np.unique(label[~group.rows])
@@ -357,7 +419,7 @@ class FittingPlan(TrainingPlan):
             "worst_person_accuracy": worst_person_accuracy(y, held_out, person, self.labels),
         }
         card: dict[str, Any] = {
-            **self.card(self.learnt_from(windows), scores, {}),
+            **self.card(self.training_windows(windows), scores, {}),
             "leave_one_subject_out": scores,
             "n_recordings": self.n_recordings,
             "gyroscope": self.has_gyroscope,
@@ -377,7 +439,7 @@ class FittingPlan(TrainingPlan):
             if found.of_exponents == "estimated":
                 estimated["evidence_exponent"] = found.evidence_exponent
                 estimated["prior_exponent"] = found.prior_exponent
-        known = with_familiarity(model, self.learnt_from(windows), limit)
+        known = with_familiarity(model, self.training_windows(windows), limit)
         return replace(
             known, temperature=temperature, slip=slip, card=card, needs_gyroscope=self.has_gyroscope, **estimated
         )
@@ -385,7 +447,7 @@ class FittingPlan(TrainingPlan):
     def _evidence(
         self, prob: FloatArray, distance: FloatArray, limit: float, model: ContextModel, windows: LabelledWindows
     ) -> EvidenceEstimate | None:
-        """Transitions and exponents that the labels show; None for carrying modes."""
+        """Return the transitions and exponents estimated from the labels, or None for carrying modes."""
         steps = self.step_labels
         if steps is None:
             return None

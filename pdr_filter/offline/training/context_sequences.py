@@ -1,7 +1,7 @@
-"""How contexts follow each other, and how much a window counts: estimated from labelled sequences of windows.
+"""Transition probabilities between contexts, and the weight of a window, from labelled sequences of windows.
 
-The probabilities of changing from one context to another between two steps are counts with a prior; the two exponents
-of the evidence (`weighting.context_log_evidence`) those with the lowest log loss on people left out.
+The probabilities of changing from one context to another between two steps are counts with a Dirichlet prior. The two
+exponents of the evidence (`weighting.context_log_evidence`) are those with the lowest log loss on held-out people.
 """
 
 from __future__ import annotations
@@ -14,21 +14,41 @@ from pdr_filter.offline.training.cross_validation import TextArray
 from pdr_filter.values import BoolArray, FloatArray, IntArray, check_array, check_transition_prob, read_only
 from pdr_filter.values.mixtures import reweighted
 
-UNKNOWN = -1  # a context that is not known: it is neither stayed in nor left
-# A tenth is finer than the log loss is known: next to the optimum it changes in the third decimal.
+UNKNOWN = -1  # label of an unknown context, which counts neither as staying nor as changing
+# Candidates for the exponents. A step of a tenth is fine enough: next to the optimum, the log loss changes in the third
+# decimal.
 EXPONENTS = read_only(np.linspace(0.0, 1.5, 16))
-PRIOR_STEPS = 100.0  # steps that the prior of a row of transitions counts as: as many as a minute of walking
+PRIOR_STEPS = 100.0  # weight of the prior of a row of transitions in steps: about a minute of walking
 
 
 @dataclass(frozen=True, eq=False)
 class LabelledProbabilities:
-    """What a classifier said of windows in a row, of people whom it had not seen, and what was true."""
+    """Predicted probabilities of windows in order, for people who were not in training, with the true contexts.
 
-    prob: FloatArray  # (W, C)
-    training_prior: FloatArray  # (W, C) of the classifier that gave them; one for each fold
-    label: IntArray  # (W,) true context, `UNKNOWN` where there is none
-    person: TextArray  # (W,)
-    sequence: TextArray  # (W,) whose windows follow each other in time
+    Attributes
+    ----------
+    prob : array (W, C)
+        Predicted probabilities.
+    training_prior : array (W, C)
+        Class probabilities in the training data of the classifier, which may differ between folds.
+    label : array (W,) of int
+        True context, `UNKNOWN` if there is none.
+    person : array (W,) of str
+        Person of each window.
+    sequence : array (W,) of str
+        Sequence of each window. Windows of one sequence are consecutive in time.
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ, or labels or probabilities are out of range.
+    """
+
+    prob: FloatArray
+    training_prior: FloatArray
+    label: IntArray
+    person: TextArray
+    sequence: TextArray
 
     def __post_init__(self) -> None:
         if self.prob.ndim != 2 or self.prob.shape != self.training_prior.shape or not len(self.prob):
@@ -44,35 +64,65 @@ class LabelledProbabilities:
 
     @property
     def starts(self) -> BoolArray:
-        """Whether a window is the first of its sequence, (W,)."""
+        """True for the first window of each sequence, shape (W,)."""
         return sequence_starts(self.sequence)
 
 
 def sequence_starts(sequence: TextArray) -> BoolArray:
-    """Whether a row is the first of its sequence, (W,). ValueError if a sequence is in two pieces."""
+    """Return True for the first row of each sequence, (W,). Raise ValueError if a sequence is not contiguous."""
     starts = np.ones(len(sequence), dtype=bool)
     starts[1:] = sequence[1:] != sequence[:-1]
     if starts.sum() > len(np.unique(sequence)):
-        raise ValueError("the windows of a sequence must follow each other: sort by sequence and time")
+        raise ValueError("the windows of a sequence must be contiguous: sort the rows by sequence and time")
     return starts
 
 
 def count_transitions(
     label: IntArray, sequence: TextArray, n_contexts: int, steps: FloatArray | None = None
 ) -> FloatArray:
-    """Times that context i was followed by context j, (C, C), in steps.
+    """Count the transitions between contexts in labelled sequences, in steps.
 
-    n_ij is the number of changes from i to j; n_ii the steps made in i less the changes out of it, so that
-    n_ij / sum_j n_ij is the probability of a change at a step. The last row of a sequence is followed by nothing.
+    Parameters
+    ----------
+    label : array (W,) of int
+        Context of each row, a step or a window, in order of time. `UNKNOWN` (-1) breaks a sequence.
+    sequence : array (W,)
+        Sequence of each row. There is no transition between different sequences.
+    n_contexts : int
+        Number of contexts C.
+    steps : array (W,), optional
+        Number of steps in each row, for windows. The default is one.
 
-    `label` (W,) are contexts of rows in a row, steps or windows; `UNKNOWN` breaks a sequence, and rows of different
-    `sequence` (W,) do not follow each other. `steps` (W,) are those in each row, for windows; one each if not given. A
-    window has one change at most: windows of 2 steps are as steps to first order in the probability of a change.
+    Returns
+    -------
+    array (C, C)
+        n_ij, the number of changes from context i to context j. The diagonal n_ii is the number of steps in i minus the
+        changes out of it.
+
+    Raises
+    ------
+    ValueError
+        If lengths differ, labels are out of range, or a sequence is not contiguous.
+
+    Notes
+    -----
+    n_ij / sum_j n_ij is the probability of a change at a step. The last row of a sequence has no successor. A window
+    has at most one change. Windows of 2 steps are equivalent to steps up to first order in the probability of a change.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.offline.training.context_sequences import count_transitions
+    >>> count_transitions(np.array([0, 0, 1, 1, 1]), np.array(["a"] * 5), n_contexts=2)
+    array([[1., 1.],
+           [0., 2.]])
     """
     _check_labels(label, n_contexts)
     steps = np.ones(len(label)) if steps is None else steps
     if len(sequence) != len(label) or len(steps) != len(label):
-        raise ValueError(f"label, sequence and steps differ in length: {len(label)}, {len(sequence)}, {len(steps)}")
+        raise ValueError(
+            f"label, sequence and steps must have the same length, got {len(label)}, {len(sequence)}, {len(steps)}"
+        )
     check_array("steps", steps, "0 or more")
     follows = ~sequence_starts(sequence)[1:] & (label[1:] != UNKNOWN) & (label[:-1] != UNKNOWN)
     before, after, made = label[:-1][follows], label[1:][follows], steps[:-1][follows]
@@ -80,20 +130,47 @@ def count_transitions(
     counts = np.zeros((n_contexts, n_contexts))
     np.add.at(counts, (before[changed], after[changed]), 1.0)
     spent = np.bincount(before, weights=made, minlength=n_contexts)
-    # more changes than steps (standing has none): the context is left at the first
+    # there can be more changes than steps, because standing has no steps: the context is then left at the first step
     counts[np.diag_indices(n_contexts)] = np.maximum(spent - counts.sum(axis=1), 0.0)
     return counts
 
 
 def estimate_transitions(counts: FloatArray, prior: FloatArray, prior_steps: float = PRIOR_STEPS) -> FloatArray:
-    """Transition matrix (C, C), rows from: p_ij = (n_ij + s q_ij) / (sum_j n_ij + s).
+    """Estimate a transition matrix from counts of transitions and a prior.
 
-    The mean of the posterior of each row, the prior of which is Dirichlet with parameters s q_i. A context without
-    data keeps its row of the prior q; a transition that q says is impossible is possible if it was seen. The counts
-    must be of recordings in which people could change: those cut into one context each say that nobody ever does.
+    Parameters
+    ----------
+    counts : array (C, C)
+        Counts from `count_transitions`. They must come from recordings in which the context can change. Recordings cut
+        into one context each would show that it never changes.
+    prior : array (C, C)
+        Prior transition matrix, such as `recipes.context_transitions()`.
+    prior_steps : float, default 100.0
+        Weight of the prior, as a number of steps per row.
 
-    `counts` (C, C) are those of `count_transitions`, `prior` (C, C) is q, a transition matrix
-    (`recipes.context_transitions()`), and `prior_steps` s, above zero, how many steps it counts as.
+    Returns
+    -------
+    array (C, C)
+        Transition matrix. Rows are the previous context, and sum to one.
+
+    Raises
+    ------
+    ValueError
+        If shapes differ, counts are negative, `prior` is not a transition matrix, or `prior_steps` is not positive.
+
+    Notes
+    -----
+    p_ij = (n_ij + s q_ij) / (sum_j n_ij + s), with the prior q and its weight s. This is the posterior mean of each row
+    under a Dirichlet prior with parameters s q_i. A context without data keeps its row of the prior. A transition that
+    the prior excludes is possible if it was observed.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.offline.training.context_sequences import estimate_transitions
+    >>> estimate_transitions(np.array([[80.0, 20.0], [0.0, 0.0]]), np.array([[0.9, 0.1], [0.1, 0.9]]))
+    array([[0.85, 0.15],
+           [0.1 , 0.9 ]])
     """
     if counts.shape != prior.shape or counts.ndim != 2 or counts.shape[0] != counts.shape[1]:
         raise ValueError(f"counts and prior must both be (C, C), got {counts.shape} and {prior.shape}")
@@ -106,12 +183,24 @@ def estimate_transitions(counts: FloatArray, prior: FloatArray, prior_steps: flo
 
 @dataclass(frozen=True, slots=True)
 class Tempering:
-    """Exponents of the evidence, and how good they are."""
+    """Exponents of the evidence and their log losses.
+
+    Attributes
+    ----------
+    evidence_exponent : float
+        Exponent of the probabilities.
+    prior_exponent : float
+        Exponent of the classifier's prior.
+    log_loss : float
+        Mean over people of the log loss with these exponents, which were chosen on the same people (in-sample).
+    held_out_log_loss : float
+        Mean log loss of each person with the exponents chosen on all other people. NaN for one person.
+    """
 
     evidence_exponent: float
     prior_exponent: float
-    log_loss: float  # of these exponents, mean over people; the exponents were chosen on them
-    held_out_log_loss: float  # of each person with the exponents chosen on all others; NaN of one person
+    log_loss: float
+    held_out_log_loss: float
 
 
 def filter_windows(
@@ -121,10 +210,11 @@ def filter_windows(
     prior_exponent: FloatArray | float,
     floor: float,
 ) -> FloatArray:
-    """Context probabilities (W, ..., C) after each window, for exponents (...); all alike before each sequence's first.
+    """Return the filtered context probabilities (W, ..., C) after each window, for exponents of shape (...).
 
-    p_k ~ (sum_j p_j t_jk) exp(e_k) with the log evidence e of `weighting.context_log_evidence`: the mode probabilities
-    of the filter if all steps came with the windows. `transition_prob` is that between windows: of steps, its power.
+    p_k ~ (sum_j p_j t_jk) exp(e_k) with the log evidence e of `weighting.context_log_evidence`. These are the mode
+    probabilities of the filter if all steps came together with the windows. All contexts are equally probable before
+    each sequence. `transition_prob` applies between two windows: it is a power of that between two steps.
     """
     n_contexts = windows.prob.shape[1]
     check_transition_prob(transition_prob, n_contexts)
@@ -150,7 +240,7 @@ def log_loss_by_person(
     prior_exponent: FloatArray,
     floor: float,
 ) -> tuple[tuple[str, ...], FloatArray]:
-    """People, and the log loss (G, P) of each for G pairs of exponents: minus log probability of what was true."""
+    """Return the people, and the log loss (G, P) of each person for G pairs of exponents."""
     result = filter_windows(windows, transition_prob, evidence_exponent, prior_exponent, floor)
     known = windows.label != UNKNOWN
     loss = -np.log(np.maximum(result[known, :, windows.label[known]], 1e-300))
@@ -160,19 +250,49 @@ def log_loss_by_person(
 
 
 def exponent_pairs() -> tuple[FloatArray, FloatArray]:
-    """All pairs (G,) of exponents of evidence and prior to choose from."""
+    """Return all candidate pairs (G,) of the exponents of evidence and prior."""
     of_evidence, of_prior = np.meshgrid(EXPONENTS, EXPONENTS, indexing="ij")
     return of_evidence.ravel(), of_prior.ravel()
 
 
 def fit_tempering(windows: LabelledProbabilities, transition_prob: FloatArray, floor: float = 0.01) -> Tempering:
-    """The exponents with the lowest log loss of filtered windows, every person counting alike.
+    """Choose the exponents of the evidence with the lowest log loss of filtered windows.
 
-    The probabilities must be of people whom the classifier has not seen, in sequences with changes of context.
-    `transition_prob` (C, C) is that between windows, `floor` that of the probabilities as in `PedestrianModel`.
+    All people have the same weight.
+
+    Parameters
+    ----------
+    windows : LabelledProbabilities
+        Predicted probabilities of people who were not in training, in sequences with changes of context.
+    transition_prob : array (C, C)
+        Transition matrix between two windows.
+    floor : float, default 0.01
+        Smallest probability of a window, as in `PedestrianModel`.
+
+    Returns
+    -------
+    Tempering
+        Exponents with their in-sample and held-out log loss.
+
+    Raises
+    ------
+    ValueError
+        If no window has a known context, or `floor` is not between 0 and 1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.offline.training.context_sequences import LabelledProbabilities, fit_tempering
+    >>> truth = np.repeat([0, 1, 0, 1], 10)
+    >>> prob = np.where(truth[:, None] == [0, 1], 0.8, 0.2)
+    >>> sequence = np.full(40, "anna/1")
+    >>> windows = LabelledProbabilities(prob, np.full((40, 2), 0.5), truth, np.full(40, "anna"), sequence)
+    >>> fitted = fit_tempering(windows, np.array([[0.9, 0.1], [0.1, 0.9]]))
+    >>> fitted.evidence_exponent, round(fitted.log_loss, 2)
+    (1.5, 0.08)
     """
     if not (windows.label != UNKNOWN).any():
-        raise ValueError("no window has a known context")
+        raise ValueError("no window has a known context: give windows with labels of the contexts")
     of_evidence, of_prior = exponent_pairs()
     people, loss = log_loss_by_person(windows, transition_prob, of_evidence, of_prior, floor)
     best = int(loss.mean(axis=1).argmin())
@@ -184,5 +304,6 @@ def fit_tempering(windows: LabelledProbabilities, transition_prob: FloatArray, f
 
 
 def _check_labels(label: IntArray, n_contexts: int) -> None:
+    """Raise ValueError if a label is out of range."""
     if len(label) and not (label.min() >= UNKNOWN and label.max() < n_contexts):
         raise ValueError(f"labels must be from {UNKNOWN} to {n_contexts - 1}, got {label.min()} to {label.max()}")

@@ -1,4 +1,4 @@
-"""Train the context models: what a person does, from windows of features."""
+"""Training of the shipped context models, which classify the motion of a person from feature windows."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from pdr_filter.classifiers.context_model import ContextModel, not_told_apart
+from pdr_filter.classifiers.context_model import ContextModel, blend_stairs_with_prior
 from pdr_filter.classifiers.familiarity import unknown_share
 from pdr_filter.classifiers.probability_calibration import fit_calibration, slipped, tempered
 from pdr_filter.offline.training.classifier_choice import fit_blend, fit_forest, fit_relevance_vectors
@@ -19,12 +19,12 @@ from pdr_filter.offline.training.cross_validation import (
     SCORED_DATASET,
     STAIRS,
     STAIRS_SHARPNESS,
+    HeldOut,
     LabelledWindows,
-    LeftOut,
     Progress,
     TextArray,
     TrainingPlan,
-    in_order,
+    in_window_order,
     label_of,
     read_recording,
     score,
@@ -42,53 +42,57 @@ from pdr_filter.values import CONTEXTS, BoolArray, FloatArray
 
 FEATURE_SETS: dict[str, FeatureSet] = {s.name: s for s in (martinelli.TABLE_II, ATTITUDE_FREE)}
 
-DEFAULT_MODEL = "context"  # the model of the default recipe: transitions and tempering are estimated for it
-# Whose people are left out, one at a time. Were a site's only person, the calibration would be that of new sites as
-# well, and make the model unsure about everybody; `Familiarity` is the guard there.
+DEFAULT_MODEL = "context"  # model of the default recipe, for which transitions and exponents are estimated
+# Data sets whose people are held out, one at a time. If the only person of a site were held out too, the calibration
+# would be that of new sites, and the model would be uncertain about all people. `Familiarity` handles new sites
+# instead.
 SCORED_DATASETS = (SCORED_DATASET, "difronzo")
-# Of the windows on stairs of people left out, those that must still be like stairs in training.
+# Share of the windows on stairs of held-out people that must be similar to the training windows on stairs.
 _STAIRS_QUANTILE = 0.98
 
 
 @dataclass(frozen=True, kw_only=True)
 class ContextPlan(TrainingPlan):
-    """How one model of the context is made."""
+    """Plan of one model of the context.
+
+    `recording_weight` has the weights of windows whose recording's name contains a word; all others have weight one.
+    """
 
     head: str = "context"
-    # How much windows count whose recording's name holds a word; what has none counts one.
     recording_weight: Mapping[str, float] = field(default_factory=dict[str, float])
 
     def weight(self, windows: LabelledWindows) -> FloatArray:
-        """How much each window counts, (W,)."""
+        """Return the weight of each window, (W,)."""
         result = np.ones(len(windows.recording))
         for word, weight in self.recording_weight.items():
             result[np.char.find(windows.recording, word) >= 0] = weight
         return result
 
     def rows(self, windows: LabelledWindows) -> BoolArray:
-        """Which windows the model learns from, (W,)."""
+        """Return a mask (W,) of the windows that the model is trained on."""
         return self.is_real(windows) & (windows.has_gyroscope | (not self.has_gyroscope)) & (windows.context != "")
 
     def features(self, windows: LabelledWindows) -> FloatArray:
-        """The model's features of windows with all features of the set, (W, F)."""
+        """Return the model's features (W, F) from windows with all features of the set."""
         names = FEATURE_SETS[self.feature_set].names
         return windows.features[:, [names.index(name) for name in self.feature_names]]
 
     def of(self, windows: LabelledWindows) -> LabelledWindows:
-        """The windows that the model learns from, with its features, out of those with all features of the set."""
+        """Return the training windows with the model's features, from windows with all features of the set."""
         return replace(windows, features=self.features(windows)).part(self.rows(windows))
 
     def held_out(self, windows: LabelledWindows) -> dict[str, BoolArray]:
-        """Every person of the scored data sets."""
+        """Return the windows of each person of the scored data sets."""
         people = np.unique(windows.person[np.isin(windows.dataset, SCORED_DATASETS)])
         return {str(name): windows.person == name for name in people}
 
-    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, LeftOut]) -> ContextModel:
-        """The model, calibrated, with the limits of what it knows and its card, on which sites are left out too.
+    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]) -> ContextModel:
+        """Return the final model, with its calibration, its `Familiarity` and its card.
 
-        Its calibration is fitted on all people left out; the one that a person is scored with, on all others of them.
+        The model is calibrated on all held-out people. To score a person, the calibration is that of all other held-out
+        people. The card also has the scores on held-out sites.
         """
-        left = in_order(left_out.values())
+        left = in_window_order(left_out.values())
         of_left = windows.part(left.rows)
         y, person = of_left.context, of_left.person
         prob = cross_calibrated(left.prob, y, person, model)
@@ -97,7 +101,7 @@ class ContextPlan(TrainingPlan):
         if self.guards_stairs:
             stairs_limit = float(np.quantile(left.stairs_distance[np.isin(y, STAIRS)], _STAIRS_QUANTILE))
             share = unknown_share(left.stairs_distance, stairs_limit, STAIRS_SHARPNESS)
-            prob = not_told_apart(prob, share, [self.labels.index(label) for label in ("walking", *STAIRS)])
+            prob = blend_stairs_with_prior(prob, share, [self.labels.index(label) for label in ("walking", *STAIRS)])
         limits = float(np.quantile(left.distance, 0.99)), stairs_limit
         model = replace(model, temperature=temperature, slip=slip)
         scores = {name: self._scores(of_left, prob, name) for name in SCORED_DATASETS if name in of_left.dataset}
@@ -111,6 +115,7 @@ class ContextPlan(TrainingPlan):
         return replace(with_familiarity(model, windows, *limits), card=card)
 
     def _scores(self, windows: LabelledWindows, prob: FloatArray, dataset: str) -> dict[str, Any]:
+        """Return the scores of the held-out people of one data set."""
         own = windows.dataset == dataset
         y, prob, person = windows.context[own], prob[own], windows.person[own]
         worst = worst_person_accuracy(y, prob, person, self.labels)
@@ -118,7 +123,7 @@ class ContextPlan(TrainingPlan):
 
 
 def cross_calibrated(prob: FloatArray, context: TextArray, person: TextArray, model: ContextModel) -> FloatArray:
-    """Probabilities (W, C) of people left out, those of each calibrated on all others; `model` has the classes."""
+    """Return the probabilities (W, C) of held-out people, each person's calibrated on all others."""
     result = np.zeros_like(prob)
     for name in np.unique(person):
         own = person == name
@@ -127,10 +132,10 @@ def cross_calibrated(prob: FloatArray, context: TextArray, person: TextArray, mo
 
 
 def calibration(prob: FloatArray, context: TextArray, model: ContextModel) -> tuple[float, float]:
-    """Return temperature and slip of the probabilities of windows (W, C) of people left out.
+    """Return the temperature and the slip that calibrate the probabilities (W, C) of held-out people.
 
-    `model` has the classes. The slip is 1 / (W + 2) at least, by Laplace's rule of succession: W windows without a
-    surprise do not exclude one, and a single impossible label of a stranger would have an infinite log loss.
+    The slip is at least 1 / (W + 2), by Laplace's rule of succession. W windows without an error do not exclude one,
+    and a single label with probability zero would have an infinite log loss.
     """
     if not len(context):
         return 1.0, 0.0
@@ -140,18 +145,19 @@ def calibration(prob: FloatArray, context: TextArray, model: ContextModel) -> tu
 
 
 def calibrated(prob: FloatArray, model: ContextModel, temperature: float, slip: float) -> FloatArray:
-    """Return calibrated probabilities (W, C), which are zero but for the classes of `model`."""
+    """Return calibrated probabilities (W, C), which are zero for classes that `model` does not have."""
     result = np.zeros_like(prob)
     result[:, _columns(model)] = slipped(tempered(prob[:, _columns(model)], temperature), slip)
     return result
 
 
 def _columns(model: ContextModel) -> list[int]:
+    """Return the columns of the model's classes among its labels."""
     return [model.labels.index(c) for c in model.classes]
 
 
 def _walking_scores(prob: FloatArray) -> dict[str, Any]:
-    """How much of a site's walking is taken for walking by a model that has not seen the site."""
+    """Return how often the walking of a held-out site is recognised as walking."""
     walking = CONTEXTS.index("walking")
     return {
         "n_windows": len(prob),
@@ -175,9 +181,10 @@ PLANS: tuple[ContextPlan, ...] = (
         datasets=("motionsense", "difronzo", "tyrex", "humolire", "ms_indoor"),
         machine_fit=fit_blend,
         guards_stairs=True,
-        # One person stands for all back pockets, sixteen for front pockets. Counted five times, level walking of
-        # ubicomp13 in back pockets is called stairs in 7 % of the steps instead of 11 %, and the macro recall of people
-        # left out is 0.4 points lower. (The five was chosen with a look at ubicomp13, which trains nothing.)
+        # There is one person with a back pocket and sixteen with front pockets. With a weight of five, level walking of
+        # ubicomp13 in back pockets is classified as stairs in 7 % of the steps instead of 11 %. The macro recall of
+        # held-out people decreases by 0.4 points. (The five was chosen with a look at ubicomp13, which is not used for
+        # training.)
         recording_weight={"backpocket": 5.0},
         description="Mean of logistic regression and boosted trees on all attitude-free features; the default recipe.",
         use="A phone in a trouser pocket or in the hand; bags and shirt pockets were not in the training but are "
@@ -211,7 +218,8 @@ PLANS: tuple[ContextPlan, ...] = (
         name="context_martinelli_forest",
         feature_set="martinelli",
         feature_names=martinelli.WITHOUT_GYROSCOPE,
-        # Without difronzo: on sixteen features its stairs cost more of the others' walking than they are worth.
+        # Without difronzo: with sixteen features, its stairs reduce the recall of the others' walking by more than they
+        # gain.
         datasets=("motionsense", "tyrex", "humolire", "ms_indoor", "oxford"),
         machine_fit=fit_forest,
         description="Random forest on the 16 accelerometer features of Martinelli et al. 2018.",
@@ -225,7 +233,10 @@ PLANS: tuple[ContextPlan, ...] = (
 def labelled_windows(
     paths: Sequence[Path], progress: Progress = silent, feature_set: str = "martinelli", with_gyroscope: bool = True
 ) -> LabelledWindows:
-    """Windows of recordings that lie wholly inside a label with a known context, with or without their gyroscopes."""
+    """Return the windows of recordings that lie entirely inside a label with a known context.
+
+    `with_gyroscope` False removes the gyroscope of all recordings first.
+    """
     stage = FeatureWindows(features=FEATURE_SETS[feature_set])
     rows: list[tuple[FloatArray, str, str, str, str, str, bool]] = []
     for i, path in enumerate(paths):
@@ -239,16 +250,16 @@ def labelled_windows(
                 rows.append((window.features, *label, person, dataset, recording.name, window.has_gyroscope))
         progress(f"features of {path.stem}", (i + 1) / len(paths))
     if not rows:
-        raise ValueError("no labelled windows: the recordings need truth_labels.csv with known contexts")
+        raise ValueError("no labelled windows: give recordings with known contexts in truth_labels.csv")
     return LabelledWindows(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
 def model_without(
     model: ContextModel, plan: ContextPlan, windows: LabelledWindows, people: Sequence[str]
 ) -> ContextModel:
-    """The model of a plan as it is when these people are not in its training; itself if none of them was.
+    """Return the model of a plan trained without some people, or the model itself if none of them was in its training.
 
-    Calibration and the limits of what is familiar stay: they are those of people left out already.
+    Calibration and limits of familiarity are kept, because they are from held-out people already.
     """
     rest = ~np.isin(windows.person, people)
     if rest.all():

@@ -1,7 +1,7 @@
-"""How every shipped model is trained and scored: labelled windows, a plan, and people who are left out in turn.
+"""Training and scoring protocol of all shipped models: labelled windows, a plan, and held-out people.
 
-`train_one` is the protocol: each group is scored by a model of all others, then the model is fitted on everybody, and
-what was said of the groups left out gives its calibration, its `Familiarity` and its card.
+`train_one` is the protocol. Each group is scored by a model of all other groups, and then the model is fitted on all
+people. The predictions for the held-out groups give its calibration, its `Familiarity` and its card.
 """
 
 from __future__ import annotations
@@ -32,52 +32,56 @@ from pdr_filter.values.recording import Recording
 J = TypeVar("J")
 R = TypeVar("R")
 TextArray = NDArray[np.str_]
-Progress = Callable[[str, float], None]  # what is done, and the fraction of the whole, 0 to 1
-# Standardised features (W, F), labels (W,) and weights (W,) in, a machine and its classes out.
+# Arguments: name of the current task, and the fraction of the whole that is done, 0 to 1.
+Progress = Callable[[str, float], None]
+
+# Arguments: standardised features (W, F), labels (W,) and weights (W,). Results: a machine and its classes.
 MachineFit = Callable[[FloatArray, TextArray, FloatArray], tuple[Machine, tuple[str, ...]]]
 
-# Held-out people are those of MotionSense: the only set with stairs, and with more than a few people.
+# Data set of the held-out people: the only set with stairs and with more than a few people.
 SCORED_DATASET = "motionsense"
-# Labels that contradict the same person's other recordings in cadence, swing and skewness of the vertical, all three
-# as of the other direction: two swapped recordings of MotionSense, and the end of one of Di Fronzo. Recording
-# and when the doubt begins, s. Nothing learns from them, and no figure but those "as labelled" counts them.
+# Recordings with doubtful labels, and the time in s from which they are doubtful. Cadence, swing and skewness of the
+# vertical contradict the same person's other recordings, and all three fit the other direction on stairs: two swapped
+# recordings of MotionSense, and the end of one of Di Fronzo. They are not used for training, and count only in figures
+# "as labelled".
 DOUBTFUL: dict[str, float] = {
     "motionsense_s09_dws_2": 0.0,
     "motionsense_s09_ups_3": 0.0,
     "difronzo_user03_exp07": 428.0,
 }
-DUPLICATES = ("motionsense_s01_sit_13",)  # published twice: the same samples are also in motionsense_s01_sit_5
+DUPLICATES = ("motionsense_s01_sit_13",)  # published twice: the samples are identical to motionsense_s01_sit_5
 STAIRS = ("upstairs", "downstairs")
-# Half unknown at 1.09 times the limit, nine tenths at 1.33: walking in bags, hands and at the waist lies at 1.1 to 1.5.
+# The unknown share is a half at 1.09 times the limit and nine tenths at 1.33 times. Walking with the phone in bags, in
+# hands and at the waist lies at 1.1 to 1.5 times the limit.
 STAIRS_SHARPNESS = 8.0
-FEATURE_LIMIT = 4.0  # standard deviations at which a feature is cut: beyond them there is nothing to learn from
-_LEAST_STD = 1e-6  # a standard deviation below this is rounding: the feature does not vary
+FEATURE_LIMIT = 4.0  # standard deviations at which features are clipped, because larger deviations carry no information
+_LEAST_STD = 1e-6  # a smaller standard deviation is rounding noise of a constant feature
 
 
 def recordings_of(data_dir: Path, datasets: Iterable[str]) -> list[Path]:
-    """Recordings of data sets, one folder each, without those that are published twice."""
+    """Return the paths of the recordings of data sets, one folder each, without duplicates."""
     found = [path for dataset in datasets for path in sorted((data_dir / dataset).glob("*.zip"))]
     return [path for path in found if path.stem not in DUPLICATES]
 
 
 def read_recording(path: Path) -> Recording:
-    """Read a recording to train on."""
-    # Only when called: fitting works on recordings, whatever their files.
+    """Return the recording of a file, for training."""
+    # imported late, because fitting needs recordings but no file formats
     from pdr_filter.io.formats import read
 
     return read(path)
 
 
 def source_of(recording: Recording) -> tuple[str, str]:
-    """Data set and person, "data set/subject", of a recording."""
+    """Return the data set of a recording, and its person as "data set/subject"."""
     dataset = str(recording.meta.get("dataset", ""))
     return dataset, f"{dataset}/{recording.subject.id}"
 
 
 def label_of(recording: Recording, start_s: float, end_s: float) -> tuple[str, str] | None:
-    """Context and carrying mode of the label that a window lies inside, None outside every known context.
+    """Return the context and carrying mode of the label that contains a window.
 
-    None, too, where the label is `DOUBTFUL`.
+    None if no label with a known context contains the window, or the label is `DOUBTFUL`.
     """
     labels = recording.truth.labels
     row = None if start_s >= DOUBTFUL.get(recording.name, np.inf) else label_row(labels, "context", start_s, end_s)
@@ -85,8 +89,8 @@ def label_of(recording: Recording, start_s: float, end_s: float) -> tuple[str, s
 
 
 def label_row(labels: Table | None, column: str, start_s: float, end_s: float) -> int | None:
-    """Row of the label that a time lies inside, None outside every label with a name in this column."""
-    # Half a sample of slack: labels start with the first sample, windows half an interval before its middle.
+    """Return the row of the label that contains a time interval, or None if no label with a name in the column does."""
+    # Labels start with their first sample, but windows start half a sample interval before it.
     slack_s = 0.02
     for row, label in enumerate(() if labels is None else labels):
         if label["start_s"] - slack_s <= start_s and end_s <= label["end_s"] + slack_s and label[column]:
@@ -95,29 +99,47 @@ def label_row(labels: Table | None, column: str, start_s: float, end_s: float) -
 
 
 class Columns:
-    """Base of a dataclass of arrays with a row for each window."""
+    """Base class of dataclasses of arrays with one row per window."""
 
     def part(self, use: BoolArray | slice) -> Self:
-        """Some of the windows."""
+        """Return the windows of a mask or slice."""
         return type(self)(*(getattr(self, name)[use] for name in vars(self)))
 
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
-        """All windows of at least one part, one part after the other."""
+        """Return the windows of one or more parts, concatenated."""
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in vars(parts[0])))
 
 
 @dataclass(frozen=True, eq=False)
 class LabelledWindows(Columns):
-    """Feature windows that lie inside one label, with whose they are."""
+    """Feature windows that lie inside one label, with their person and source.
 
-    features: FloatArray  # (W, F)
-    context: TextArray  # (W,)
-    carrying_mode: TextArray  # (W,)
-    person: TextArray  # (W,) data set/subject
-    dataset: TextArray  # (W,) or what was made of which data set
-    recording: TextArray  # (W,) name
-    has_gyroscope: BoolArray  # (W,)
+    Attributes
+    ----------
+    features : array (W, F)
+        Features of each window.
+    context : array (W,) of str
+        Label of the context, or an empty string if unknown.
+    carrying_mode : array (W,) of str
+        Label of the carrying mode, or an empty string if unknown.
+    person : array (W,) of str
+        Person as "data set/subject".
+    dataset : array (W,) of str
+        Data set, or the kind of synthetic windows and the data set that they were made from.
+    recording : array (W,) of str
+        Name of the recording.
+    has_gyroscope : array (W,) of bool
+        True for windows with an angular rate.
+    """
+
+    features: FloatArray
+    context: TextArray
+    carrying_mode: TextArray
+    person: TextArray
+    dataset: TextArray
+    recording: TextArray
+    has_gyroscope: BoolArray
 
     @classmethod
     def of_one(
@@ -130,69 +152,108 @@ class LabelledWindows(Columns):
         recording: str,
         has_gyroscope: BoolArray,
     ) -> Self:
-        """Windows of one recording, or made of it."""
+        """Return the windows of a single recording, or synthetic windows made from it."""
         whose, source, name = (np.full(len(features), text) for text in (person, dataset, recording))
         return cls(features, context, carrying_mode, whose, source, name, has_gyroscope)
 
     def label(self, head: str) -> TextArray:
-        """True labels of a head, "" where unknown."""
+        """Return the true labels of a head, with empty strings where unknown."""
         return self.context if head == "context" else self.carrying_mode
 
 
 @dataclass(frozen=True, eq=False)
-class LeftOut:
-    """What a model said of windows that it had not seen."""
+class HeldOut:
+    """Predictions for held-out windows.
 
-    rows: BoolArray  # (W,) which windows of the plan's
-    prob: FloatArray  # (n, L) of the plan's labels
-    distance: FloatArray  # (n,) from the windows trained on
-    stairs_distance: FloatArray  # (n,) from those on stairs; zeros where the plan does not guard stairs
+    Attributes
+    ----------
+    rows : array (W,) of bool
+        Held-out windows among all windows of the plan.
+    prob : array (n, L)
+        Predicted probabilities of the plan's labels.
+    distance : array (n,)
+        Distance from the training windows.
+    stairs_distance : array (n,)
+        Distance from the training windows on stairs. Zero if the plan does not guard stairs.
+    """
+
+    rows: BoolArray
+    prob: FloatArray
+    distance: FloatArray
+    stairs_distance: FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingPlan(ABC):
-    """How one model is made."""
+    """Base class of the plans that define how one model is trained.
+
+    Attributes
+    ----------
+    name : str
+        Name of the model and its files.
+    head : str
+        "context" or "carrying_mode".
+    feature_set : str
+        Name of the set of features.
+    feature_names : tuple of str
+        Features used from that set.
+    datasets : tuple of str
+        Data sets for training. Windows of any other source are synthetic and are never scored.
+    machine_fit : callable
+        Function that fits the classifier.
+    description : str
+        Description on the card.
+    use : str
+        Intended use on the card.
+    limits : str
+        Limits on the card.
+    has_gyroscope : bool, default True
+        If False, the angular rate is removed before any processing, because the attitude, and with it the vertical,
+        differs if it comes from the accelerometer alone.
+    feature_limit : float
+        Number of standard deviations at which features are clipped.
+    guards_stairs : bool, default False
+        If True, stairs are distinguished from walking only in windows similar to the training windows on stairs.
+    """
 
     name: str
     head: str
-    feature_set: str  # the set that its features are of
+    feature_set: str
     feature_names: tuple[str, ...]
-    datasets: tuple[str, ...]  # that it learns from; windows of any other source were made, and are never scored
+    datasets: tuple[str, ...]
     machine_fit: MachineFit
-    description: str  # on its card for people, as are the next two
+    description: str
     use: str
     limits: str
-    # Without, the angular rate is taken away before anything else: the attitude, and with it what is vertical, is
-    # another when it comes from the accelerometer alone.
     has_gyroscope: bool = True
-    feature_limit: float = FEATURE_LIMIT  # standard deviations at which its features are cut
-    guards_stairs: bool = False  # that stairs are told from walking only where windows are like those on stairs
+    feature_limit: float = FEATURE_LIMIT
+    guards_stairs: bool = False
 
     @property
     def labels(self) -> tuple[str, ...]:
         """Labels of the head."""
         return HEADS[self.head]
 
-    def learnt_from(self, windows: LabelledWindows) -> LabelledWindows:
-        """Return the windows that the model learns from: all of them, unless a plan has unlabelled ones, too."""
+    def training_windows(self, windows: LabelledWindows) -> LabelledWindows:
+        """Return the training windows: all of them, unless a plan also has unlabelled ones."""
         return windows
 
     def is_real(self, windows: LabelledWindows) -> BoolArray:
-        """Which windows were recorded as they are, (W,)."""
+        """Return a mask (W,) of the windows that are recorded, not synthetic."""
         return np.isin(windows.dataset, self.datasets)
 
     def weight(self, windows: LabelledWindows) -> FloatArray:
-        """How much each window counts, (W,); all alike unless a plan has reasons."""
+        """Return the weight of each window (W,). All are one, unless a plan overrides this."""
         return np.ones(len(windows.person))
 
     def standardisation(self, features: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean and scale (F,) of the features (W, F)."""
+        """Return the mean and scale (F,) of the features (W, F)."""
         mean = np.average(features, axis=0, weights=weight)
         std = np.sqrt(np.average((features - mean) ** 2, axis=0, weights=weight))
         return mean, np.where(std > _LEAST_STD, std, 1.0)
 
     def fit_machine(self, windows: LabelledWindows) -> ContextModel:
-        """A model of some windows, its probabilities not yet calibrated, and nothing unknown to it."""
+        """Return a model fitted on some windows, without calibration and without `Familiarity`."""
         y, weight = windows.label(self.head), self.weight(windows)
         mean, scale = self.standardisation(windows.features, weight)
         standardised = np.clip((windows.features - mean) / scale, -self.feature_limit, self.feature_limit)
@@ -213,11 +274,11 @@ class TrainingPlan(ABC):
         )
 
     def fit(self, windows: LabelledWindows) -> ContextModel:
-        """A model of some windows as it is used: for those left out, and in the end of all."""
+        """Return a model fitted on some windows, as used for held-out groups and for the final model."""
         return self.fit_machine(windows)
 
     def card(self, windows: LabelledWindows, scores: Mapping[str, Any], sites: Mapping[str, Any]) -> dict[str, Any]:
-        """The model card: what it is made of and for, and the figures of `SCORED_DATASET` and of sites left out."""
+        """Return the model card: data, purpose, and the scores on `SCORED_DATASET` and on held-out sites."""
         real = windows.part(self.is_real(windows))
         n_windows = Counter(real.label(self.head).tolist())
         n_scored = len(np.unique(real.person[real.dataset == SCORED_DATASET]))
@@ -241,34 +302,40 @@ class TrainingPlan(ABC):
 
     @abstractmethod
     def held_out(self, windows: LabelledWindows) -> Mapping[str, BoolArray]:
-        """Groups of windows (W,) that are left out together, by name."""
+        """Return the groups of windows that are held out together, as masks (W,) by name."""
 
     @abstractmethod
-    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, LeftOut]) -> ContextModel:
-        """The model of all windows with its card, and what else only windows left out can show."""
+    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]) -> ContextModel:
+        """Return the final model with its card and the calibration from the held-out groups."""
 
 
 def train_one(plan: TrainingPlan, windows: LabelledWindows, progress: Progress, n_jobs: int = -1) -> ContextModel:
-    """The model of one plan, fitted on all its windows, its card scored on groups left out, on so many processes."""
+    """Return the model of one plan, fitted on all its windows and scored on held-out groups.
+
+    `n_jobs` is the number of processes, -1 for all processors.
+    """
     groups = plan.held_out(windows)
     n = len(groups) + 2
-    left_out: dict[str, LeftOut] = {}
-    said = in_parallel(partial(leave_out, plan, windows), groups.values(), n_jobs)
+    left_out: dict[str, HeldOut] = {}
+    said = in_parallel(partial(predict_held_out, plan, windows), groups.values(), n_jobs)
     for i, (name, group) in enumerate(zip(groups, said, strict=True)):
         left_out[name] = group
         progress(f"{plan.name}: without {name}", (i + 1) / n)
     with threadpool_limits(1):
-        model = plan.fit(plan.learnt_from(windows))
+        model = plan.fit(plan.training_windows(windows))
         progress(f"{plan.name}: all people", 1 - 1 / n)
         model = plan.finished(model, windows, left_out)
     progress(f"{plan.name}: done", 1.0)
     return model
 
 
-def leave_out(plan: TrainingPlan, windows: LabelledWindows, group: BoolArray) -> LeftOut:
-    """What a model of all other windows says of the real ones of a group; what was made of them is left out with it."""
+def predict_held_out(plan: TrainingPlan, windows: LabelledWindows, group: BoolArray) -> HeldOut:
+    """Return the predictions for the real windows of a group by a model of all other windows.
+
+    Synthetic windows made from the group are held out with it.
+    """
     with threadpool_limits(1):
-        rest, rows = plan.learnt_from(windows.part(~group)), group & plan.is_real(windows)
+        rest, rows = plan.training_windows(windows.part(~group)), group & plan.is_real(windows)
         model = plan.fit(rest)
         features = windows.features[rows]
         known = with_familiarity(model, rest, 1.0, 1.0 if plan.guards_stairs else None)
@@ -276,13 +343,16 @@ def leave_out(plan: TrainingPlan, windows: LabelledWindows, group: BoolArray) ->
             np.zeros(len(features)) if k is None else k.distance(model.standardised(features))
             for k in (known.familiarity, known.stairs)
         )
-        return LeftOut(rows, model.probabilities(features), of_all, of_stairs)
+        return HeldOut(rows, model.probabilities(features), of_all, of_stairs)
 
 
 def with_familiarity(
     model: ContextModel, windows: LabelledWindows, limit: float, stairs_limit: float | None = None
 ) -> ContextModel:
-    """The model with the windows that it learnt from as what it knows, up to a distance; so for stairs, if guarded."""
+    """Return the model with the distribution of its training windows, beyond whose limit a window is unknown.
+
+    With `stairs_limit`, the model has such a distribution of the training windows on stairs too.
+    """
     standardised = model.standardised(windows.features)
     stairs = None
     if stairs_limit is not None:
@@ -291,40 +361,43 @@ def with_familiarity(
     return replace(model, familiarity=fit_familiarity(standardised, limit), stairs=stairs)
 
 
-def in_order(left_out: Iterable[LeftOut]) -> LeftOut:
-    """All that was left out in some group, in the order of the windows."""
+def in_window_order(left_out: Iterable[HeldOut]) -> HeldOut:
+    """Return the predictions of all held-out groups, in the order of the windows."""
     groups = list(left_out)
     rows = np.any([group.rows for group in groups], axis=0)
     order = np.argsort(np.concatenate([np.flatnonzero(group.rows) for group in groups]))
     names = "prob", "distance", "stairs_distance"
-    return LeftOut(rows, *(np.concatenate([getattr(group, name) for group in groups])[order] for name in names))
+    return HeldOut(rows, *(np.concatenate([getattr(group, name) for group in groups])[order] for name in names))
 
 
 def in_parallel(work: Callable[[J], R], jobs: Iterable[J], n_jobs: int = -1) -> Iterator[R]:
-    """Results in the order of the jobs, as they come; every job uses one thread for its matrices.
+    """Return an iterator over the results in the order of the jobs. Each job uses one thread for linear algebra.
 
-    They are small, and threads that wait for each other cost ten times what they gain.
+    The matrices are small, so that the synchronisation of threads would cost ten times what it gains.
     """
     done: Any = Parallel(n_jobs=n_jobs, return_as="generator")(delayed(work)(job) for job in jobs)
     return iter(done)
 
 
 def part_progress(progress: Progress, start: float, span: float) -> Progress:
-    """Progress of a part of the whole."""
+    """Return a progress callback for a part of the whole, from `start` over `span`."""
     return lambda what, fraction: progress(what, start + span * fraction)
 
 
 def silent(what: str, fraction: float) -> None:
-    """Progress that nobody watches."""
+    """Ignore the progress."""
 
 
 def predicted(prob: FloatArray, labels: tuple[str, ...]) -> TextArray:
-    """The most probable label of each row, (W,)."""
+    """Return the most probable label of each row, (W,)."""
     return np.array(labels)[prob.argmax(axis=1)]
 
 
 def score(truth: TextArray, prob: FloatArray, labels: tuple[str, ...] = CONTEXTS) -> dict[str, Any]:
-    """Accuracy, macro recall, recall of each class, log loss, Brier score and calibration error of (W, L)."""
+    """Return the scores of probabilities (W, L) as a dict.
+
+    It has accuracy, macro recall, recall per class, log loss, Brier score, calibration error and confusion matrix.
+    """
     present = [c for c in labels if (truth == c).any()]
     best = predicted(prob, labels)
     recall = np.array([np.mean(best[truth == c] == c) for c in present])
@@ -342,12 +415,12 @@ def score(truth: TextArray, prob: FloatArray, labels: tuple[str, ...] = CONTEXTS
 
 
 def worst_person_accuracy(truth: TextArray, prob: FloatArray, person: TextArray, labels: tuple[str, ...]) -> float:
-    """Accuracy of the person with the lowest, of (W, L)."""
+    """Return the lowest accuracy among the people, from probabilities (W, L)."""
     right = predicted(prob, labels) == truth
     return round(float(min(right[person == name].mean() for name in np.unique(person))), 4)
 
 
 def provenance(command: str) -> dict[str, Any]:
-    """When something was made, with which versions, and how to make it again."""
+    """Return the date, the package versions and the command of a training, for the card."""
     versions = {"python": platform.python_version(), "numpy": np.__version__, "scikit-learn": sklearn.__version__}
     return {"date": datetime.datetime.now(datetime.UTC).date().isoformat(), "versions": versions, "command": command}

@@ -1,10 +1,10 @@
-"""Train the pose forest of Guo et al. 2018 and the thresholds of its walk detection, on recordings with a licence.
+"""Training of the pose forest of Guo et al. 2018 and of the thresholds of its walk detection, on licensed recordings.
 
-`python -m pdr_filter.offline.training.guo2018_training DATA_DIR OUT_DIR` runs it: two minutes. Calling is known from
-one person, swinging from two, and trained on the recordings alone, the forest finds none of the calling and half of the
-swinging of a person left out. So windows stand for others (`synthetic_windows`): **mirrored** (the other side of the
-body), turned **over** (in the pocket, in all combinations), **turned** to the ear from in front of the body, and
-**simulated** people.
+Run it with `python -m pdr_filter.offline.training.guo2018_training DATA_DIR OUT_DIR` (two minutes). The recordings
+contain calling of one person and swinging of two. Trained on them alone, the forest recognises none of the calling and
+half of the swinging of a held-out person. Synthetic windows are therefore added (`synthetic_windows`): **mirrored**
+(the other side of the body), turned **over** (in the pocket, in all combinations), **turned** to the ear from in front
+of the body, and **simulated** people.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from pdr_filter.offline.training.classifier_choice import fit_pose_forest
 from pdr_filter.offline.training.cross_validation import (
     SCORED_DATASET,
     Columns,
+    HeldOut,
     LabelledWindows,
-    LeftOut,
     Progress,
     TextArray,
     TrainingPlan,
@@ -40,9 +40,9 @@ from pdr_filter.offline.training.synthetic_windows import (
     SIMULATED,
     TURNED,
     balanced_weight,
+    ear_rotations,
     from_sources,
-    grips,
-    made_card,
+    synthetic_card,
 )
 from pdr_filter.recipes.guo2018.features import WITHOUT_LIGHT_AND_PROXIMITY, MotionLevel, pitch_and_roll, pose_features
 from pdr_filter.sensing.attitude import AttitudeEstimator
@@ -53,11 +53,12 @@ from pdr_filter.values.recording import Recording
 
 DATASETS = ("motionsense", "tyrex", "humolire", "ms_indoor", "oxford")
 MIRRORED, OVER = "mirrored", "over"
-# A recording has one. Half and a third: what is made must not outvote what is real, and the pocket, which from pitch
-# and roll alone is hard to distinguish from the ear, loses with every window turned to the ear.
+# Weights relative to a recording, which has weight one: a half and a third. Synthetic windows must not outweigh real
+# ones. Besides, the pocket is hard to distinguish from the ear by pitch and roll alone, and its recall decreases with
+# every window turned to the ear.
 SOURCE_WEIGHT = {SIMULATED: 0.5, TURNED: 0.3}
 N_SIMULATED = 60
-# Of the windows of a pocket, every so manyth is turned over: there are far more of them than of anything else.
+# Interval of the pocket windows that are turned over, because there are far more of them than of all others.
 _EVERY = 4
 _GRIPS = 4
 _WINDOW_SAMPLES, _RATE_HZ = 60, 100.0
@@ -65,26 +66,29 @@ _WINDOW_SAMPLES, _RATE_HZ = 60, 100.0
 
 @dataclass(frozen=True, kw_only=True)
 class PosePlan(TrainingPlan):
-    """How the pose forest is made: of pitch and roll as they are, all poses with the same weight."""
+    """Plan of the pose forest, with pitch and roll not standardised and the same weight for all poses."""
 
     head: str = "carrying_mode"
     feature_limit: float = np.inf
 
     def weight(self, windows: LabelledWindows) -> FloatArray:
-        """Every pose has the same weight, and inside a pose every source its own."""
+        """Return weights (W,) with the same total for every pose, and the source weights within a pose."""
         return balanced_weight(windows.carrying_mode, windows.dataset, SOURCE_WEIGHT)
 
     def standardisation(self, features: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """None."""
+        """Return mean zero and scale one, because the features are not standardised."""
         return np.zeros(features.shape[1]), np.ones(features.shape[1])
 
     def fit(self, windows: LabelledWindows) -> ContextModel:
-        """The forest; so weighted, all poses that it knows are alike."""
+        """Return the random forest, with a training prior of equal probabilities for all poses in the data."""
         model = self.fit_machine(windows)
         return replace(model, training_prior=(model.training_prior > 0) / len(model.classes))
 
     def held_out(self, windows: LabelledWindows) -> dict[str, BoolArray]:
-        """A scenario, the sites of few people, and every person of the scored data set; where others are left."""
+        """Return the held-out groups: a scenario, the sites with few people, and every person of the scored data set.
+
+        Groups without real windows, and groups that leave no real windows for training, are omitted.
+        """
         groups = {
             "tyrex, its scenarios with magnets left out": np.char.find(windows.recording, "_dist_") >= 0,
             **{s: np.char.startswith(windows.person, f"{s}/") for s in self.datasets if s != SCORED_DATASET},
@@ -93,8 +97,8 @@ class PosePlan(TrainingPlan):
         real = self.is_real(windows)
         return {name: group for name, group in groups.items() if (group & real).any() and (~group & real).any()}
 
-    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, LeftOut]) -> ContextModel:
-        """The model with its card: figures of each group left out, and of people their mean."""
+    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]) -> ContextModel:
+        """Return the model with its card: scores of each held-out group, and means over the held-out people."""
         scores = {name: pose_scores(windows.carrying_mode[group.rows], group.prob) for name, group in left_out.items()}
         people = [s for name, s in scores.items() if _is_scored(name)]
         summary: dict[str, Any] = {}
@@ -109,7 +113,7 @@ class PosePlan(TrainingPlan):
             **self.card(windows, summary, {name: s for name, s in scores.items() if not _is_scored(name)}),
             "window_s": 0.6,
             "hop_s": 0.6,
-            **made_card(windows.dataset[~self.is_real(windows)], SOURCE_WEIGHT),
+            **synthetic_card(windows.dataset[~self.is_real(windows)], SOURCE_WEIGHT),
             "scored": "People and sites that the scored forest has not seen, nor anything made of them; the scenarios "
             "with magnets are of a person whom it has seen. What is made and the size of the leaves were chosen, out "
             "of fifteen ways, on the same people left out.",
@@ -119,6 +123,7 @@ class PosePlan(TrainingPlan):
 
 
 def _is_scored(name: str) -> bool:
+    """Return True for a person of the scored data set."""
     return name.startswith(f"{SCORED_DATASET}/")
 
 
@@ -140,9 +145,10 @@ PLAN = PosePlan(
 def train_guo(
     paths: Sequence[Path], out_dir: Path, progress: Progress = silent, n_simulated: int = N_SIMULATED
 ) -> dict[str, Any]:
-    """Card of the model `guo_pose`, which is written to `out_dir`, with so many simulated people in each pose.
+    """Train the model `guo_pose`, save it to `out_dir`, and return its card.
 
-    Recordings of data sets other than `DATASETS` are not used.
+    `n_simulated` is the number of simulated people in each pose. Recordings of data sets other than `DATASETS` are
+    ignored.
     """
     windows, walks = labelled_poses(paths, n_simulated, part_progress(progress, 0.0, 0.6))
     model = train_one(PLAN, windows, part_progress(progress, 0.6, 0.4))
@@ -153,46 +159,70 @@ def train_guo(
 
 @dataclass(frozen=True, eq=False)
 class WalkWindows(Columns):
-    """Levels of motion (eq. 1) of labelled windows."""
+    """Motion levels (eq. 1) of labelled windows.
 
-    level: FloatArray  # (W,)
-    level_accelerometer: FloatArray  # (W,) without the term of the angular rate
-    has_rate: BoolArray  # (W,)
-    is_moving: BoolArray  # (W,)
-    place: TextArray  # (W,) data set and carrying mode
-    person: TextArray  # (W,)
+    Attributes
+    ----------
+    level : array (W,)
+        Level of motion.
+    level_accelerometer : array (W,)
+        Level without the term of the angular rate.
+    has_rate : array (W,) of bool
+        True for windows with an angular rate.
+    is_moving : array (W,) of bool
+        True unless the context is "stationary".
+    place : array (W,) of str
+        Data set and carrying mode.
+    person : array (W,) of str
+        Person.
+    """
+
+    level: FloatArray
+    level_accelerometer: FloatArray
+    has_rate: BoolArray
+    is_moving: BoolArray
+    place: TextArray
+    person: TextArray
 
 
 @dataclass(frozen=True, eq=False)
-class _Ups(Columns):
-    """Directions of up in windows of one recording."""
+class _UpDirections(Columns):
+    """Directions of up in the windows of one recording.
 
-    up_sensor: FloatArray  # (W, N, 3)
-    context: TextArray  # (W,)
-    mode: TextArray  # (W,)
-    has_rate: BoolArray  # (W,)
-    level: FloatArray  # (W,)
-    level_accelerometer: FloatArray  # (W,)
+    `up_sensor` is (W, N, 3) in the sensor frame. `level` and `level_accelerometer` (W,) are the motion levels with and
+    without the angular rate.
+    """
+
+    up_sensor: FloatArray
+    context: TextArray
+    mode: TextArray
+    has_rate: BoolArray
+    level: FloatArray
+    level_accelerometer: FloatArray
 
 
 def labelled_poses(
     paths: Sequence[Path], n_simulated: int = N_SIMULATED, progress: Progress = silent
 ) -> tuple[LabelledWindows, WalkWindows]:
-    """Windows of moving people with their 12 features, real, made of real ones and simulated; and levels of motion.
+    """Return windows of moving people with their 12 features, and the motion levels of all recorded windows.
 
-    `dataset` of a window is its source: a data set, `simulated`, or what was made of which data set.
+    The windows are real, made from real ones, or simulated. `dataset` of a window is its source: a data set,
+    `simulated`, or the kind of synthetic windows and the data set.
     """
     found = from_sources(_windows_of, paths, n_simulated, f"{PLAN.name}: poses", progress)
     levels = [level for _, of_source in found for level in of_source]
     if not levels:
-        raise ValueError(f"no labelled windows of {', '.join(DATASETS)}: give recordings with truth_labels.csv")
+        raise ValueError(f"no labelled windows of {', '.join(DATASETS)}: give their recordings with truth_labels.csv")
     poses = [part for of_source, _ in found for part in of_source]
     return LabelledWindows.joined(poses), WalkWindows.joined(levels)
 
 
 def _windows_of(recording: Recording, dataset: str, person: str) -> tuple[list[LabelledWindows], list[WalkWindows]]:
-    """Poses of one recording or simulated person and what is made of them, and levels if it is a recording."""
-    ups = _ups(recording) if dataset in (*DATASETS, SIMULATED) else None
+    """Return the poses of one recording or simulated person, and the motion levels of a recording.
+
+    The poses include synthetic ones made from the recording.
+    """
+    ups = _up_directions(recording) if dataset in (*DATASETS, SIMULATED) else None
     if ups is None:
         return [], []
     walks: list[WalkWindows] = []
@@ -201,13 +231,13 @@ def _windows_of(recording: Recording, dataset: str, person: str) -> tuple[list[L
         moving, who = ups.context != "stationary", np.full(len(place), person)
         walks.append(WalkWindows(ups.level, ups.level_accelerometer, ups.has_rate, moving, place, who))
     ups = ups.part((ups.context != "stationary") & np.isin(ups.mode, MODES))
-    made = [] if dataset == SIMULATED else _made_of(ups, recording.name)
+    made = [] if dataset == SIMULATED else _synthetic_from(ups, recording.name)
     found = [(dataset, ups), *((f"{kind}_{dataset}", more) for kind, more in made)]
     return [_labelled(some, made_of, person, recording.name) for made_of, some in found if len(some.mode)], walks
 
 
-def _ups(recording: Recording) -> _Ups | None:
-    """All windows that lie inside one label, None if there are none."""
+def _up_directions(recording: Recording) -> _UpDirections | None:
+    """Return all windows of a recording that lie inside one label, or None if there are none."""
     conditioner, attitudes, level = Conditioner(), AttitudeEstimator(), MotionLevel()
     rows: list[tuple[FloatArray, str, str, bool, float, float]] = []
     attitude_state = attitudes.init()
@@ -223,11 +253,11 @@ def _ups(recording: Recording) -> _Ups | None:
                 has_rate = bool(block.angular_rate_known[start : last + 1].all())
                 up = attitude.up_sensor[start : last + 1]
                 rows.append((up, *label, has_rate, float(levels[last]), float(levels_accelerometer[last])))
-    return _Ups(*(np.array(column) for column in zip(*rows, strict=True))) if rows else None
+    return _UpDirections(*(np.array(column) for column in zip(*rows, strict=True))) if rows else None
 
 
-def _made_of(ups: _Ups, name: str) -> list[tuple[str, _Ups]]:
-    """What stands for other people, by kind."""
+def _synthetic_from(ups: _UpDirections, name: str) -> list[tuple[str, _UpDirections]]:
+    """Return synthetic windows made from those of a recording, by kind."""
     made = [(MIRRORED, replace(ups, up_sensor=ups.up_sensor * np.array([-1.0, 1.0, 1.0])))]
     pocket = ups.part(ups.mode == "pocket").part(slice(None, None, _EVERY))
     for signs in itertools.product((1.0, -1.0), repeat=3):
@@ -235,26 +265,32 @@ def _made_of(ups: _Ups, name: str) -> list[tuple[str, _Ups]]:
             made.append((OVER, replace(pocket, up_sensor=pocket.up_sensor * np.array(signs))))
     held = ups.part(ups.mode == "texting")
     parts = [held.part(slice(grip, None, _GRIPS)) for grip in range(min(_GRIPS, len(held.mode)))]
-    for part, matrix in zip(parts, grips([part.up_sensor.mean(axis=(0, 1)) for part in parts], name), strict=True):
+    for part, matrix in zip(
+        parts, ear_rotations([part.up_sensor.mean(axis=(0, 1)) for part in parts], name), strict=True
+    ):
         mode = np.full(len(part.mode), "calling")
         made.append((TURNED, replace(part, up_sensor=part.up_sensor @ matrix.T, mode=mode)))
     return made
 
 
-def _labelled(ups: _Ups, source: str, person: str, name: str) -> LabelledWindows:
+def _labelled(ups: _UpDirections, source: str, person: str, name: str) -> LabelledWindows:
+    """Return windows with the features of pitch and roll."""
     features = np.array([pose_features(np.stack(pitch_and_roll(up))) for up in ups.up_sensor])
     return LabelledWindows.of_one(features, ups.context, ups.mode, person, source, name, ups.has_rate)
 
 
 def pose_scores(truth: TextArray, prob: FloatArray) -> dict[str, Any]:
-    """Scores (`score`) of probabilities (W, L), windows of each pose, and kappa if there is more than one."""
+    """Return the scores (`score`) of probabilities (W, L), the number of windows of each pose, and kappa.
+
+    Kappa is omitted if there is only one pose.
+    """
     n = {mode: int((truth == mode).sum()) for mode in MODES if (truth == mode).any()}
     scores = {**score(truth, prob, CARRYING_MODES), "n": n}
     return {**scores, "kappa": kappa(truth, prob)} if len(n) > 1 else scores
 
 
 def kappa(truth: TextArray, prob: FloatArray) -> float:
-    """Cohen's kappa of the most probable class; at least two classes must be true of some window."""
+    """Return Cohen's kappa of the most probable class. At least two classes must be true for some window."""
     found = predicted(prob, CARRYING_MODES)
     by_chance = sum(float(np.mean(truth == c) * np.mean(found == c)) for c in CARRYING_MODES)
     agreed = float(np.mean(truth == found))
@@ -262,7 +298,10 @@ def kappa(truth: TextArray, prob: FloatArray) -> float:
 
 
 def walk_threshold(level: FloatArray, is_moving: BoolArray, place: TextArray) -> tuple[float, dict[str, float]]:
-    """delta_min at which the worst recall is best, and the recalls: of rest, and of movement at each place."""
+    """Return the threshold delta_min that maximises the worst recall, and the recalls.
+
+    The recalls are that of rest, and that of movement for each place.
+    """
     at_rest, moving = np.sort(level[~is_moving]), is_moving
     places = {str(p): np.sort(level[moving & (place == p)]) for p in np.unique(place[moving])}
     candidates = np.geomspace(0.02, 20.0, 301)
@@ -278,7 +317,7 @@ def walk_threshold(level: FloatArray, is_moving: BoolArray, place: TextArray) ->
 
 
 def walk_card(walks: WalkWindows) -> dict[str, Any]:
-    """Thresholds of eq. 1, and how well they separate walking from standing and sitting on people left out."""
+    """Return the thresholds of eq. 1, and the recalls of walking and of rest for held-out people."""
     with_rate = walks.has_rate
     result: dict[str, Any] = {}
     for key, level, use in (

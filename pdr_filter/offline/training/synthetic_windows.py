@@ -1,7 +1,7 @@
-"""Windows that stand for people who were not recorded, and how much they count.
+"""Synthetic windows for people who were not recorded, and the weights of their sources.
 
-Licensed recordings know calling, swinging and the back pocket of one person. Where nothing real exists, windows are
-simulated, or made of real ones. What was made of a recording is left out with it.
+The licensed recordings contain calling, swinging and the back pocket of one person each. Missing windows are simulated,
+or made from real ones. Windows made from a recording are held out together with it.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from pdr_filter.values.recording import Recording
 
 R = TypeVar("R")
 SIMULATED, TURNED = "simulated", "turned"
-# A recording's path, or the carrying mode and number of a simulated person.
+# Path of a recording, or carrying mode and number of a simulated person.
 Source = Path | tuple[str, int]
 
 
 def from_sources(
     work: Callable[[Recording, str, str], R], paths: Sequence[Path], n_simulated: int, what: str, progress: Progress
 ) -> list[R]:
-    """Results of recordings and then of simulated people, so many in each carrying mode.
+    """Return the results of `work` for all recordings, followed by `n_simulated` people in each carrying mode.
 
-    `work` takes the recording, its data set or "simulated", and whose it is.
+    `work` receives the recording, its data set or "simulated", and its person.
     """
     jobs: list[Source] = [*paths, *((mode, number) for number in range(n_simulated) for mode in MODES)]
     results: list[R] = []
@@ -43,6 +43,7 @@ def from_sources(
 
 
 def _on_source(work: Callable[[Recording, str, str], R], source: Source) -> R:
+    """Return the result of `work` for one recording or simulated person."""
     if isinstance(source, Path):
         recording = read_recording(source)
         return work(recording, *source_of(recording))
@@ -50,10 +51,11 @@ def _on_source(work: Callable[[Recording, str, str], R], source: Source) -> R:
     return work(recording, SIMULATED, f"{SIMULATED}/{recording.name}")
 
 
-def grips(mean_up: Sequence[FloatArray], name: str) -> Iterator[FloatArray]:
-    """Rotations (3, 3) of the sensor's axes that turn a phone in front of the body to the ear, at random by name.
+def ear_rotations(mean_up: Sequence[FloatArray], name: str) -> Iterator[FloatArray]:
+    """Yield random rotations (3, 3) of the sensor axes that move a phone from in front of the body to the ear.
 
-    `mean_up` are the mean directions of up (3,) in front of the body, one for each grip.
+    `mean_up` are the mean directions of up (3,) in front of the body, one for each rotation. The random numbers depend
+    on `name`.
     """
     rng = np.random.default_rng(crc32(name.encode()))
     for up in mean_up:
@@ -64,9 +66,10 @@ def grips(mean_up: Sequence[FloatArray], name: str) -> Iterator[FloatArray]:
 
 
 def balanced_weight(label: TextArray, source: TextArray, source_weight: Mapping[str, float]) -> FloatArray:
-    """Weights (W,), mean one: every class the same sum, and inside a class every source its own, one if not given.
+    """Return weights (W,) with mean one, which give all classes the same total weight.
 
-    `source_weight` is by the source's name up to the first underscore, or by the whole name.
+    Within a class, each source has the total weight `source_weight`, or one if it is not listed. `source_weight` is by
+    the source's name up to the first underscore, or by the whole name.
     """
     weight = np.zeros(len(label))
     for name in np.unique(label):
@@ -78,7 +81,7 @@ def balanced_weight(label: TextArray, source: TextArray, source_weight: Mapping[
     return weight / weight.mean()
 
 
-def made_card(source: TextArray, source_weight: Mapping[str, float]) -> dict[str, Any]:
-    """What a card says of the sources (W,) of windows that were made."""
+def synthetic_card(source: TextArray, source_weight: Mapping[str, float]) -> dict[str, Any]:
+    """Return the entries of a card about synthetic windows, from their sources (W,)."""
     n_windows = {str(name): int((source == name).sum()) for name in np.unique(source)}
     return {"made_windows": n_windows, "source_weight": dict(source_weight)}

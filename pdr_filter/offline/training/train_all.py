@@ -1,6 +1,7 @@
-"""Train all shipped models, then estimate transitions and tempering.
+"""Training of all shipped models, followed by the estimation of transitions and exponents.
 
-`python -m pdr_filter.offline.training.train_all DATA_DIR OUT_DIR` runs it. `fit_contexts` fits models on other data.
+Run it with `python -m pdr_filter.offline.training.train_all DATA_DIR OUT_DIR`. `fit_contexts` fits models on other
+data.
 """
 
 from __future__ import annotations
@@ -30,23 +31,23 @@ from pdr_filter.offline.training.transition_training import changing_recordings,
 def train(
     data_dir: Path | None, out_dir: Path, progress: Progress = silent, sequences: Sequence[Path] | None = None
 ) -> list[dict[str, Any]]:
-    """Cards of the models that were trained and written to `out_dir`, and of the transitions and exponents.
+    """Train the models, save them to `out_dir`, and return their cards.
 
-    `data_dir` has one folder for each data set of the models; without it no model is trained, and transitions and
-    exponents are those of the shipped models. `sequences` are further labelled recordings in which people change their
-    context, for transitions and exponents only. `out_dir` gets `<name>.npz`, `<name>.json` and `transitions.json`.
+    `data_dir` has one folder per data set. Without it no model is trained, and transitions and exponents are estimated
+    with the shipped models. `sequences` are further labelled recordings in which the context changes, for transitions
+    and exponents only. The files are `<name>.npz`, `<name>.json` and `transitions.json`.
     """
     if sequences is not None and not sequences:
-        raise ValueError("no recordings in the folder of sequences; give one of recordings with truth_labels.csv")
+        raise ValueError("the folder of sequences has no recordings; give a folder of recordings with truth_labels.csv")
     if data_dir is None:
         if sequences is None:
-            raise ValueError("nothing to train on: give the folder of the data sets, or one of labelled sequences")
+            raise ValueError("nothing to train on: give the folder of the data sets, or a folder of labelled sequences")
         return [train_evidence(changing_recordings(sequences), out_dir, shipped_model_without, progress)]
     wanted = sorted({d for plan in contexts.PLANS for d in plan.datasets})
     paths = recordings_of(data_dir, wanted)
     if not paths:
-        raise ValueError(f"{data_dir} holds none of the data sets {wanted}; give the folder that holds theirs")
-    # before the models: a recording that cannot be read shows at once
+        raise ValueError(f"{data_dir} has none of the data sets {wanted}; give the folder that contains their folders")
+    # before the models are trained, so that an unreadable recording raises its error at once
     changing = changing_recordings([*paths, *(sequences or ())])
     cards, default_without = _train_contexts(paths, out_dir, part_progress(progress, 0.0, 0.85))
     with threadpool_limits(1):
@@ -58,7 +59,7 @@ def train(
 def _train_contexts(
     paths: Sequence[Path], out_dir: Path, progress: Progress
 ) -> tuple[list[dict[str, Any]], Callable[[Sequence[str]], ContextModel]]:
-    """Cards of the context models, and what gives the default's without some people."""
+    """Return the cards of the context models, and a function that trains the default's without some people."""
     cards: list[dict[str, Any]] = []
     default_without: Callable[[Sequence[str]], ContextModel] = shipped_model_without
     share = 1 / len(contexts.PLANS)
@@ -77,6 +78,6 @@ def _train_contexts(
 
 
 if __name__ == "__main__":
-    from pdr_filter.offline.training import train_all  # by its name: other processes cannot import __main__
+    from pdr_filter.offline.training import train_all  # by its name, because other processes cannot import __main__
 
     train_all.train(Path(sys.argv[1]), Path(sys.argv[2]), lambda what, done: print(f"{100 * done:5.1f} %  {what}"))

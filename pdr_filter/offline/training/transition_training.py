@@ -1,8 +1,8 @@
-"""Estimate transitions and tempering from labelled recordings in which people change their context.
+"""Estimation of transitions and exponents from labelled recordings in which the context changes.
 
-Each recording goes through the front end of the default recipe with a context model that has not seen the person: its
-steps are counted for the transitions, and its windows choose the exponents. What the data do not show stays the
-default, and the file says so and why.
+Each recording is processed by the front end of the default recipe with a context model that was not trained on the
+person. The transitions are counted over its steps, and the exponents are chosen on its windows. If the data are not
+sufficient, the default values are kept, and the file states the reason.
 """
 
 from __future__ import annotations
@@ -43,30 +43,45 @@ from pdr_filter.tracking.whole_recording import run_sensing
 from pdr_filter.values import CONTEXTS, FloatArray, IntArray, Step
 from pdr_filter.values.recording import Recording
 
-MIN_CHANGES = 10  # with n changes a rate is known to 1 / sqrt(n) of itself: with ten to a third
-# A choice for other people must have been good for some of them: so many also for the calibration of the models.
+MIN_CHANGES = 10  # n changes give a rate with a relative error of 1 / sqrt(n): with ten, a third
+# Smallest number of people for a choice of exponents, which must be good for people who had no part in it. The
+# calibration of the models needs as many.
 MIN_PEOPLE = 4
-MAX_PARTS = 10  # held-out figures are of at most so many parts of the people: the time grows with them
-# Models are trained again without a third of the people each.
+MAX_PARTS = 10  # largest number of parts of the people that are held out, because the time grows with it
+# Number of folds: models are trained again without a third of the people each.
 N_FOLDS = 3
 HALF_WINDOW_S = 1.0
-STEPS_PER_WINDOW = 2  # a window a second, and 1.6 to 2 steps a second
-# The context model of people who must not have been in its training.
+STEPS_PER_WINDOW = 2  # one window and 1.6 to 2 steps per second
+# Function that returns the context model trained without the given people.
 ModelWithout = Callable[[Sequence[str]], ContextModel]
 
 
 @dataclass(frozen=True, eq=False)
 class LabelledSequences:
-    """Steps and windows of recordings in which people change their context."""
+    """Steps and windows of recordings in which the context changes.
 
-    step_label: IntArray  # (K,) true context of each step, `UNKNOWN` outside every label
-    step_person: TextArray  # (K,)
-    step_sequence: TextArray  # (K,) stretch without gaps
-    windows: LabelledProbabilities  # their label is the true context at their middle
+    Attributes
+    ----------
+    step_label : array (K,) of int
+        True context of each step, `UNKNOWN` outside every label.
+    step_person : array (K,) of str
+        Person of each step.
+    step_sequence : array (K,) of str
+        Stretch without gaps of each step.
+    windows : LabelledProbabilities
+        Windows, with the true context at their middle.
+    n_recordings : int
+        Number of recordings.
+    """
+
+    step_label: IntArray
+    step_person: TextArray
+    step_sequence: TextArray
+    windows: LabelledProbabilities
     n_recordings: int
 
     def counts(self, without: Sequence[str] = ()) -> FloatArray:
-        """Steps from context i to context j, (C, C), of all people but some."""
+        """Return the transitions (C, C) between steps, of all people except some."""
         use = ~np.isin(self.step_person, without)
         return count_transitions(self.step_label[use], self.step_sequence[use], self.windows.prob.shape[1])
 
@@ -74,10 +89,10 @@ class LabelledSequences:
 def train_evidence(
     changing: Mapping[Path, str], out_dir: Path, model_without: ModelWithout, progress: Progress = silent
 ) -> dict[str, Any]:
-    """Card of the transitions and exponents, which are written to `out_dir` as `transitions.json`.
+    """Estimate transitions and exponents, save them to `out_dir` as `transitions.json`, and return their card.
 
-    `changing` are recordings in which people change their context, and whose they are (`changing_recordings`);
-    `model_without` takes people and gives the default's context model as it is without them in its training.
+    `changing` maps recordings in which the context changes to their persons (`changing_recordings`). `model_without`
+    returns the default's context model trained without the given people.
     """
     found = estimate(labelled_sequences(changing, model_without, progress), default().model)
     found.save(out_dir)
@@ -85,9 +100,9 @@ def train_evidence(
 
 
 def changing_recordings(paths: Sequence[Path]) -> dict[Path, str]:
-    """Recordings with gyroscope and more than one known context in their labels, and the person of each.
+    """Return the recordings with a gyroscope and more than one known context in their labels, with their persons.
 
-    Without gyroscope another model speaks, and tempering is that of the default's.
+    Recordings without a gyroscope use another model, but the exponents are for the default's model.
     """
     found: dict[Path, str] = {}
     for path in dict.fromkeys(path.resolve() for path in paths):
@@ -100,13 +115,16 @@ def changing_recordings(paths: Sequence[Path]) -> dict[Path, str]:
 
 
 def shipped_model_without(people: Sequence[str]) -> ContextModel:
-    """The shipped model, for people who were not in its training; ValueError that names those who may have been."""
+    """Return the shipped model, if it was not trained on the given people.
+
+    Otherwise raise ValueError with their names.
+    """
     model = load_model(DEFAULT_MODEL)
     seen = sorted(person for person in people if person.split("/")[0] in model.card["data"])
     if seen:
         raise ValueError(
-            f"the shipped model {DEFAULT_MODEL!r} was trained on the data sets of {', '.join(seen)}; "
-            "train the models again without them: python -m pdr_filter.offline.training.train_all"
+            f"the shipped model {DEFAULT_MODEL!r} was trained on the data sets of {', '.join(seen)}, who must be held "
+            "out; train the models again without them: python -m pdr_filter.offline.training.train_all"
         )
     return model
 
@@ -114,7 +132,10 @@ def shipped_model_without(people: Sequence[str]) -> ContextModel:
 def labelled_sequences(
     changing: Mapping[Path, str], model_without: ModelWithout, progress: Progress = silent
 ) -> LabelledSequences | None:
-    """Steps and windows of recordings, from models that have not seen the people; None if there are no windows."""
+    """Return steps and windows of recordings, classified by models trained without their persons.
+
+    None if there are no windows.
+    """
     steps: list[tuple[int, str, str]] = []
     windows: list[tuple[FloatArray, FloatArray, int, str, str]] = []
     people = sorted(set(changing.values()))
@@ -146,7 +167,7 @@ def labelled_sequences(
 
 
 def stretches(sensing: Sensing, recording: Recording) -> Iterator[tuple[list[Step], list[WindowContext]]]:
-    """Steps and windows of a recording between its gaps; a step follows no step from before a gap."""
+    """Yield the steps and windows of a recording between its gaps. Steps are never counted across a gap."""
     steps: list[Step] = []
     windows: list[WindowContext] = []
     for event in run_sensing(sensing, recording)[1]:
@@ -161,7 +182,10 @@ def stretches(sensing: Sensing, recording: Recording) -> Iterator[tuple[list[Ste
 
 
 def contexts_at(recording: Recording, time_s: FloatArray, contexts: tuple[str, ...] = CONTEXTS) -> IntArray:
-    """True contexts (N,) at times (N,): an index into `contexts`, `UNKNOWN` outside every label and of other names."""
+    """Return the true contexts (N,) at times (N,), as indices into `contexts`.
+
+    `UNKNOWN` marks times outside every label and labels with other names.
+    """
     result = np.full(len(time_s), UNKNOWN, dtype=np.int64)
     labels = recording.truth.labels
     for label in () if labels is None else labels:
@@ -171,11 +195,14 @@ def contexts_at(recording: Recording, time_s: FloatArray, contexts: tuple[str, .
 
 
 class EvidenceModel(Protocol):
-    """Transition matrix (C, C) between contexts and use of a window's probabilities, as of a `PedestrianModel`."""
+    """Interface of a model with transitions (C, C) between contexts and exponents of a window's probabilities.
+
+    `PedestrianModel` is an example.
+    """
 
     @property
     def transition_prob(self) -> FloatArray:
-        """From context i to context j between two steps; rows sum to one."""
+        """Transition matrix between two steps, from context i to context j. Rows sum to one."""
         ...
 
     @property
@@ -190,33 +217,51 @@ class EvidenceModel(Protocol):
 
     @property
     def evidence_floor(self) -> float:
-        """Least probability of a window."""
+        """Smallest probability of a window."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class EvidenceEstimate:
-    """Transitions and exponents, those of a default where labels show too little."""
+    """Estimated transitions and exponents, or those of a default if the labels are not sufficient.
 
-    transition_prob: FloatArray  # (C, C)
+    Attributes
+    ----------
+    transition_prob : array (C, C)
+        Transition matrix between two steps.
+    evidence_exponent : float
+        Exponent of the probabilities.
+    prior_exponent : float
+        Exponent of the classifier's prior.
+    counts : array (C, C)
+        Counted transitions.
+    of_matrix : str
+        "estimated", or "default: " and the reason.
+    of_exponents : str
+        "estimated", or "default: " and the reason.
+    log_loss : dict of str to float
+        Result of `held_out_log_loss`. Empty if no exponents could be chosen.
+    """
+
+    transition_prob: FloatArray
     evidence_exponent: float
     prior_exponent: float
-    counts: FloatArray  # (C, C)
-    of_matrix: str  # "estimated", or "default: " and why
+    counts: FloatArray
+    of_matrix: str
     of_exponents: str
-    log_loss: dict[str, float]  # from `held_out_log_loss`; empty if no exponents could be chosen
+    log_loss: dict[str, float]
 
     @property
     def n_changes(self) -> int:
-        """Number of changes of context from one step to the next."""
+        """Number of changes of context between two steps."""
         return int(self.counts.sum() - np.trace(self.counts))
 
 
 def estimate_evidence(sequences: LabelledSequences | None, default: EvidenceModel) -> EvidenceEstimate:
-    """Return transitions and exponents that the sequences show, and those of the default where they show too little.
+    """Return the transitions and exponents estimated from sequences, or the default ones.
 
-    The matrix is estimated from `MIN_CHANGES` changes of context on; the exponents are chosen if there are also
-    `MIN_PEOPLE` people, and if such a choice lowers the log loss of people who had no part in it.
+    The matrix is estimated from at least `MIN_CHANGES` changes of context. The exponents are chosen if there are also
+    at least `MIN_PEOPLE` people, and if such a choice lowers the log loss of people who had no part in it.
     """
     counts = np.zeros_like(default.transition_prob) if sequences is None else sequences.counts()
     n_changes = int(counts.sum() - np.trace(counts))
@@ -224,12 +269,12 @@ def estimate_evidence(sequences: LabelledSequences | None, default: EvidenceMode
     evidence_exponent, prior_exponent = default.evidence_exponent, default.prior_exponent
     losses: dict[str, float] = {}
     of_matrix = of_exponents = (
-        f"default: {n_changes} changes of context from one step to the next in the labels, needed are {MIN_CHANGES}"
+        f"default: {n_changes} changes of context from one step to the next in the labels, but {MIN_CHANGES} are needed"
     )
     if sequences is not None and n_changes >= MIN_CHANGES:
         transition_prob, of_matrix = estimate_transitions(counts, default.transition_prob), "estimated"
         n_people = len(np.unique(sequences.windows.person[sequences.windows.label != UNKNOWN]))
-        of_exponents = f"default: {n_people} people (subject.id in meta.json), needed are {MIN_PEOPLE}"
+        of_exponents = f"default: {n_people} people (subject.id in meta.json), but {MIN_PEOPLE} are needed"
         if n_people >= MIN_PEOPLE:
             losses = held_out_log_loss(sequences, default)
             of_exponents = "default: exponents chosen on some people do not lower the log loss of others"
@@ -242,7 +287,7 @@ def estimate_evidence(sequences: LabelledSequences | None, default: EvidenceMode
 
 
 def estimate(sequences: LabelledSequences | None, default: PedestrianModel) -> Transitions:
-    """Return what `estimate_evidence` finds, with a card."""
+    """Return the estimate of `estimate_evidence` as `Transitions` with a card."""
     found = estimate_evidence(sequences, default)
     people = [] if sequences is None else [str(person) for person in np.unique(sequences.windows.person)]
     card = {
@@ -266,10 +311,10 @@ def estimate(sequences: LabelledSequences | None, default: PedestrianModel) -> T
 
 
 def held_out_log_loss(sequences: LabelledSequences, default: EvidenceModel) -> dict[str, float]:
-    """Log loss of filtered windows, mean over people, by whose matrix and exponents are used.
+    """Return the log loss of filtered windows, as a mean over people, for three choices of matrix and exponents.
 
-    `default`: both the default's. `held_out`: both from all other people (or the other `MAX_PARTS` parts of many).
-    `held_out_default_exponents`: the matrix alone from them.
+    "default" uses both from the default. "held_out" estimates both from all other people (or from the other `MAX_PARTS`
+    parts of many people). "held_out_default_exponents" estimates only the matrix from them.
     """
     windows, floor = sequences.windows, default.evidence_floor
     by_evidence, by_prior = exponent_pairs()

@@ -16,7 +16,7 @@ from pdr_filter.classifiers.context_model import ContextModel
 from pdr_filter.recipes.guo2018.features import WITHOUT_LIGHT_AND_PROXIMITY, PoseWindow, PoseWindows, PoseWindowState
 from pdr_filter.sensing.contexts.context_stage import WindowContext, WindowStage, known_context
 from pdr_filter.sensing.contexts.learned_contexts import shipped_model
-from pdr_filter.values import CARRYING_MODES, FloatArray, check_numbers, read_only
+from pdr_filter.values import CARRYING_MODES, FloatArray, check_numbers
 
 _CONTEXTS = ("stationary", "walking")
 
@@ -66,7 +66,7 @@ class PoseContext(WindowStage[PoseWindowState, PoseWindow, FloatArray | None]):
         min_level = self.min_level if window.has_gyroscope else self.min_level_accelerometer
         is_walking = min_level < window.level < self.max_level  # eq. 1
         if is_walking:
-            memory = read_only(self.model.predict(window.features))
+            memory = self.model.predict(window.features)
         pose = {} if memory is None else dict(zip(CARRYING_MODES, memory.tolist(), strict=True))
         context = {_CONTEXTS[is_walking]: 1.0}
         return memory, known_context(window.time_s, context, pose, _CONTEXTS, self.name)

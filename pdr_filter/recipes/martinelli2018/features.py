@@ -12,8 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_filter.sensing.features.feature_windows import N_MAGNITUDES
-from pdr_filter.values import FloatArray
+from pdr_filter.values import WINDOW_SIGNALS, FloatArray
 
 _OF = ("acc", "acc_f", "gyro", "magn")
 NAMES: tuple[str, ...] = (
@@ -73,6 +72,10 @@ def features_28(magnitudes: FloatArray, rate_hz: float) -> FloatArray:
     )
 
 
+# The signals of a window begin with the magnitudes.
+_N_MAGNITUDES = WINDOW_SIGNALS.index("magnetic_field_ut") + 1
+
+
 @dataclass(frozen=True)
 class MagnitudeFeatures:
     """The 28 features as a `FeatureSet`."""
@@ -84,7 +87,7 @@ class MagnitudeFeatures:
 
     def describe(self, windows: FloatArray, rate_hz: float) -> FloatArray:
         """Features (W, 28) of the signals of windows (W, N_SIGNALS, N)."""
-        return np.array([features_28(window, rate_hz) for window in windows[:, :N_MAGNITUDES]])
+        return np.array([features_28(window, rate_hz) for window in windows[:, :_N_MAGNITUDES]])
 
 
 TABLE_II = MagnitudeFeatures()

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
@@ -56,6 +56,8 @@ class WaveletStepDetector(ResponseStepDetector[WaveletDetectorState]):
     min_interval_s : float
         Two maxima closer than this are one step: heel strike, then push-off. 0.25 s allows 4 steps a second.
     """
+
+    uses_contexts: ClassVar[bool] = False
 
     wavelet: str = "mexh"
     wavelet_frequency_hz: float = 1.5

@@ -13,7 +13,13 @@ class WayMap extends PlaneMap {
     this.isWhole = true;
     this.still = L.layerGroup().addTo(this.leaflet); // what is the same at any time
     this.now = L.layerGroup().addTo(this.leaflet); // and what is not
-    this.leaflet.on("mousemove click", event => { if (!this.leaflet.dragging.moving()) this.point(event.latlng, 40); });
+    // A page around the report chooses steps by clicks alone, and takes clicks for other things.
+    this.followsMouse = true;
+    this.isTaking = false;
+    this.leaflet.on("mousemove click", event => {
+      if (this.leaflet.dragging.moving() || this.isTaking || (event.type === "mousemove" && !this.followsMouse)) return;
+      this.point(event.latlng, 40);
+    });
     this.leaflet.on("movestart", () => { this.isWhole = false; });
     this.leaflet.on("resize", () => { if (this.isWhole) this.whole(); });
     this.leaflet.on("dblclick", () => this.whole());
@@ -43,6 +49,7 @@ class WayMap extends PlaneMap {
       add(...track.start);
       track.east.forEach((east, k) => add(east, track.north[k]));
       if (!this.hidden.has("ellipses")) track.ellipses.forEach(k => add(track.east[k], track.north[k], track.major[k]));
+      if (track.anchors && !this.hidden.has("anchors")) track.anchors.east.forEach((east, k) => add(east, track.anchors.north[k]));
       if (track.truth && !this.hidden.has("truth")) track.truth.east.forEach((east, k) => add(east, track.truth.north[k]));
     }
     this.fit(easts, norths, 4);
@@ -70,6 +77,7 @@ class WayMap extends PlaneMap {
       this.still.addLayer(L.polyline(this.wayOf(t), { color: t.colour, weight: 2, lineCap: "butt", dashArray }));
     });
     if (track.truth && shown("truth")) this.drawTruth(track.truth);
+    if (track.anchors && shown("anchors")) this.places(track.anchors).forEach(place => this.still.addLayer(this.mark(place, "anchor", "", 12)));
     this.drawEnds(track);
     this.show(this.row);
   }

@@ -233,9 +233,9 @@
     const list = byId("layers");
     list.replaceChildren();
     const all = { ellipses: track.ellipses.length, truth: track.truth, GPS: track.gps, plan: track.plan.length,
-      places: track.places, "other tracks": tracks.length > 1 };
+      places: track.places, anchors: track.anchors, "other tracks": tracks.length > 1 };
     const words = { ellipses: "95 % ellipses", truth: "truth, moved to fit", GPS: "locations of the phone", plan: "floor plan",
-      places: "places where it may be" };
+      places: "places where it may be", anchors: "anchors of ranges" };
     for (const [name, is_there] of Object.entries(all)) {
       if (!is_there) continue;
       const box = element("label", "", element("li", "", list)), tick = document.createElement("input");
@@ -327,4 +327,5 @@
   root.dataset.theme = scheme.matches ? "dark" : "light";
   byId("theme").textContent = scheme.matches ? "light" : "dark";
   choose(0);
+  window.report = { map, show, stepAt, get time() { return Number(byId("time").value); } }; // for a page around it
 })();

@@ -72,7 +72,8 @@ def way(
     """Draw the way from the start through all steps with 95 % ellipses, east to the right and north up, in metres.
 
     `reference_m` (N, 2) is the true way, and `plan` lies below it, that of the track if none is given; both are in the
-    frame of the track. Where a plan leaves several places for the end, each is drawn with its probability.
+    frame of the track. Where a plan leaves several places for the end, each is drawn with its probability. Anchors of
+    ranges that were used are triangles.
     """
     axes = given_or_new(ax, (5.6, 5.0))
     for storey in storeys_of(plan or plan_of(track), track.floor):
@@ -97,7 +98,8 @@ def way(
     marker: dict[str, Any] = {"linestyle": "none", "markeredgecolor": INK, "markeredgewidth": 1.5, "zorder": 6}
     axes.plot(*way_m[0], marker="o", markersize=9, markerfacecolor="white", **marker)
     axes.plot(*way_m[-1], marker="s", markersize=7, markerfacecolor=INK, **marker)
-    _frame_plane(axes, way_m if reference_m is None else np.vstack([way_m, reference_m]))
+    axes.plot(*track.anchors_m.T, marker="^", markersize=7, markerfacecolor="white", **marker)
+    _frame_plane(axes, np.vstack([way_m, track.anchors_m, *([] if reference_m is None else [reference_m])]))
     beside(axes, _plane_legend(track, reference_m is not None))
     return axes
 
@@ -262,6 +264,8 @@ def _plane_legend(track: TrackRows, has_reference: bool) -> list[Line2D | Patch]
     ends: dict[str, Any] = {"linestyle": "none", "markeredgecolor": INK, "markersize": 7}
     handles.append(Line2D([], [], marker="o", markerfacecolor="white", label="start", **ends))
     handles.append(Line2D([], [], marker="s", markerfacecolor=INK, label="end", **ends))
+    if len(track.anchors_m):
+        handles.append(Line2D([], [], marker="^", markerfacecolor="white", label="anchor of ranges", **ends))
     if track.n_steps:
         handles.append(Patch(**_ellipse_style("facecolor", "edgecolor"), label="95 % ellipse"))
     if track.n_steps and places_at(track, -1):

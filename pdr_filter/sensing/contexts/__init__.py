@@ -1,1 +1,1 @@
-"""Context and carrying-mode probabilities of windows, behind one interface."""
+"""Context stages: context and carrying-mode probabilities of windows."""

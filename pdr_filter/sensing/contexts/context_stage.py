@@ -1,4 +1,4 @@
-"""Feature windows in, context and carrying-mode probabilities out: which model classifies what, and what is unknown."""
+"""Context and carrying-mode probabilities of windows: the interface, the choice of models, and unknown windows."""
 
 from __future__ import annotations
 
@@ -33,81 +33,178 @@ from pdr_filter.values import (
 )
 from pdr_filter.values.mixtures import reweighted
 
-# Half a minute to a minute between changes of the carrying mode, at a window a second.
+# Probability that the carrying mode does not change from one window to the next: 30 to 60 s between changes, at one
+# window a second.
 CARRYING_STAY_PROB = 0.98
-# Hop over window: overlapping windows repeat the same second of data.
+# Exponent of the evidence of a window: hop over window length, because overlapping windows repeat the same data.
 CARRYING_EXPONENT = 0.5
-# Where the phone is in all recordings of stairs that the models learn from.
+# Place of the phone in all training recordings of stairs.
 _POCKET = CARRYING_MODES.index("pocket")
 _EVEN = read_only(np.full(len(CARRYING_MODES), 1 / len(CARRYING_MODES)))
 
 
 @dataclass(frozen=True, eq=False)
 class WindowContext:
-    """The classifiers' result for a window: for the samples from `start_s` to `time_s`."""
+    """Classification of one window, which describes the samples from `start_s` to `time_s`.
 
-    time_s: float  # end of the window
-    prob: FloatArray  # (C,) of the contexts of the stage; the unknown share of it is the classifier's prior
-    training_prior: FloatArray  # (C,) of the classifier that gave them
-    carrying_prob: FloatArray = field(default_factory=lambda: _EVEN)  # (5,) after this window
-    unknown_share: float = 0.0  # how unlike the training windows it is, 0 to 1
-    stairs_unknown_share: float = 0.0  # how unlike stairs in training window and place are, 0 to 1
-    irregular_prob: float = 0.0  # that its motion moves nobody
-    model: str = ""  # name of the context model
-    climb_rate_mps: float = np.nan  # from the barometer, up positive; NaN without
-    has_gyroscope: bool = True  # that angular rate was measured all through the window
-    start_s: float = np.nan  # of the first sample that it describes
-    hop_s: float = 1.0  # its end less that of the window before, where none is missing
+    Attributes
+    ----------
+    time_s : float
+        End of the window, s.
+    prob : FloatArray
+        Probabilities of the contexts of the stage, shape (C,). They contain the training prior with weight
+        `unknown_share`.
+    training_prior : FloatArray
+        Prior of the classifier, shape (C,).
+    carrying_prob : FloatArray
+        Probabilities of `CARRYING_MODES` after this window, shape (5,).
+    unknown_share : float
+        Dissimilarity of the window to all training windows, 0 to 1.
+    stairs_unknown_share : float
+        Dissimilarity of the window and the place of the phone to stairs in training, 0 to 1.
+    irregular_prob : float
+        Probability of irregular motion: the phone is handled while the person does not walk.
+    model : str
+        Name of the context model.
+    climb_rate_mps : float
+        Climb rate from the barometer, up positive, m/s. NaN without barometer.
+    has_gyroscope : bool
+        True if the angular rate is known throughout the window.
+    start_s : float
+        Time of the first sample of the window, s.
+    hop_s : float
+        Time between the ends of consecutive windows, s.
+    """
+
+    time_s: float
+    prob: FloatArray
+    training_prior: FloatArray
+    carrying_prob: FloatArray = field(default_factory=lambda: _EVEN)
+    unknown_share: float = 0.0
+    stairs_unknown_share: float = 0.0
+    irregular_prob: float = 0.0
+    model: str = ""
+    climb_rate_mps: float = np.nan
+    has_gyroscope: bool = True
+    start_s: float = np.nan
+    hop_s: float = 1.0
 
     @property
     def new_since_s(self) -> float:
-        """Where its samples begin that no window before has."""
+        """Start of the samples that are new in this window, s."""
         return self.time_s - self.hop_s
 
 
 class ContextStage(Protocol):
-    """A causal stage that finds, window by window, what the person does and where the phone is.
+    """Interface of a causal stage that classifies the context and the carrying mode, window by window.
 
-    Samples are numbered from 0 in each segment (between gaps). The result does not depend on how the samples were cut
-    into blocks.
+    `config.with_contexts` uses such a stage, and `pdr_filter.testing.check_stage` tests it. Samples are numbered from 0
+    in each segment between gaps. The result must not depend on how samples are cut into blocks.
+
+    Examples
+    --------
+    A stage that reports walking once a second:
+
+    >>> from dataclasses import dataclass
+    >>> import numpy as np
+    >>> from pdr_filter.sensing.contexts.context_stage import WindowContext
+    >>> @dataclass(frozen=True)
+    ... class AlwaysWalking:
+    ...     contexts: tuple[str, ...] = ("stationary", "walking")
+    ...     rate_hz: float = 100.0
+    ...     hop_s: float = 1.0
+    ...     def init(self):
+    ...         return 0
+    ...     def after_gap(self, state):
+    ...         return 0
+    ...     def update(self, state, block, attitude):
+    ...         end = state + len(block.time_s)
+    ...         lasts = range(state + 99 - state % 100, end, 100)
+    ...         prob, prior = np.array([0.1, 0.9]), np.array([0.5, 0.5])
+    ...         return end, [(last, WindowContext(float(block.time_s[last - state]), prob, prior)) for last in lasts]
+    >>> import pdr_filter as pdr
+    >>> modes = [pdr.Mode("stationary", moves=False), pdr.Mode("walking")]
+    >>> config = pdr.recipes.default().with_contexts(AlwaysWalking(), modes)
     """
 
     @property
     def contexts(self) -> tuple[str, ...]:
-        """Names of the contexts, C, in the order of the probabilities."""
+        """Names of the C contexts in the order of the probabilities."""
         ...
 
     @property
     def rate_hz(self) -> float:
-        """Sampling rate of the blocks."""
+        """Sampling rate of the blocks, Hz."""
         ...
 
     @property
     def hop_s(self) -> float:
-        """Longest time from one window end to the next."""
+        """Longest time between the ends of consecutive windows, s."""
         ...
 
     def init(self) -> Any:
-        """State before the first sample."""
+        """Return the state before the first sample.
+
+        Returns
+        -------
+        object
+            Initial state.
+        """
         ...
 
     def after_gap(self, state: Any) -> Any:
-        """State at the start of a new segment: what lasts over a time without samples, and nothing else."""
+        """Return the state at the start of a segment after a gap.
+
+        Parameters
+        ----------
+        state : object
+            State before the gap.
+
+        Returns
+        -------
+        object
+            State that keeps only the information that remains valid after a time without samples.
+        """
         ...
 
     def update(
         self, state: Any, block: UniformBlock, attitude: AttitudeBlock
     ) -> tuple[Any, list[tuple[int, WindowContext]]]:
-        """New state and the windows that became known, each with the number of its last sample."""
+        """Return the new state and the windows that a block completes.
+
+        Parameters
+        ----------
+        state : object
+            State after the previous block.
+        block : UniformBlock
+            Uniform samples that follow.
+        attitude : AttitudeBlock
+            Attitude at these samples.
+
+        Returns
+        -------
+        state : object
+            New state.
+        windows : list of (int, WindowContext)
+            Classified windows, each with the number of its last sample.
+        """
         ...
 
 
-M = TypeVar("M")  # what lasts from window to window
+M = TypeVar("M")  # memory of a stage: its state between windows, apart from the samples
 
 
 @dataclass(frozen=True, eq=False)
 class WindowStageState(Generic[W, M]):
-    """Samples of open windows, and what lasts from window to window."""
+    """State of a stage that classifies windows.
+
+    Attributes
+    ----------
+    windows : W
+        State of the sliding windows.
+    memory : M
+        State of the classification, which is updated by each window.
+    """
 
     windows: W
     memory: M
@@ -115,7 +212,13 @@ class WindowStageState(Generic[W, M]):
 
 @dataclass(frozen=True, eq=False)
 class WindowStage(ABC, Generic[W, X, M]):
-    """A context stage that judges windows one after the other."""
+    """Base class of context stages that classify sliding windows one after the other.
+
+    Parameters
+    ----------
+    windows : SlidingWindows
+        Stage that cuts windows and describes them.
+    """
 
     windows: SlidingWindows[W, X]
 
@@ -126,24 +229,60 @@ class WindowStage(ABC, Generic[W, X, M]):
 
     @property
     def rate_hz(self) -> float:
-        """Sampling rate of the blocks."""
+        """Sampling rate of the blocks, Hz."""
         return self.windows.rate_hz
 
     @property
     def hop_s(self) -> float:
-        """Time from one window end to the next."""
+        """Time between the ends of consecutive windows, s."""
         return self.windows.hop_s
 
     @abstractmethod
     def first_memory(self) -> M:
-        """What lasts from window to window, before the first."""
+        """Return the memory before the first window.
+
+        Returns
+        -------
+        M
+            Initial memory.
+        """
 
     @abstractmethod
     def assess(self, memory: M, window: X) -> tuple[M, WindowContext]:
-        """New memory, and the result for a window."""
+        """Return the new memory and the classification of a window.
+
+        Parameters
+        ----------
+        memory : M
+            Memory after the previous window.
+        window : X
+            Description of the window.
+
+        Returns
+        -------
+        memory : M
+            New memory.
+        context : WindowContext
+            Classification.
+        """
 
     def assess_all(self, memory: M, windows: Sequence[X]) -> tuple[M, list[WindowContext]]:
-        """New memory, and the results for windows that became known together."""
+        """Return the new memory and the classifications of windows that became complete together.
+
+        Parameters
+        ----------
+        memory : M
+            Memory after the previous window.
+        windows : sequence of X
+            Descriptions of consecutive windows.
+
+        Returns
+        -------
+        memory : M
+            New memory.
+        contexts : list of WindowContext
+            Classifications in the same order.
+        """
         contexts: list[WindowContext] = []
         for window in windows:
             memory, context = self.assess(memory, window)
@@ -151,21 +290,32 @@ class WindowStage(ABC, Generic[W, X, M]):
         return memory, contexts
 
     def memory_after_gap(self, memory: M) -> M:
-        """What lasts over a time without samples: nothing."""
+        """Return the memory after a gap, which is the initial one unless a subclass keeps something.
+
+        Parameters
+        ----------
+        memory : M
+            Memory before the gap.
+
+        Returns
+        -------
+        M
+            Memory after the gap.
+        """
         return self.first_memory()
 
     def init(self) -> WindowStageState[W, M]:
-        """State before the first sample."""
+        """Return the state before the first sample."""
         return WindowStageState(self.windows.init(), self.first_memory())
 
     def after_gap(self, state: WindowStageState[W, M]) -> WindowStageState[W, M]:
-        """State at the start of a new segment."""
+        """Return the state at the start of a segment after a gap."""
         return WindowStageState(self.windows.after_gap(state.windows), self.memory_after_gap(state.memory))
 
     def update(
         self, state: WindowStageState[W, M], block: UniformBlock, attitude: AttitudeBlock
     ) -> tuple[WindowStageState[W, M], list[tuple[int, WindowContext]]]:
-        """New state and the windows that became known, each with the number of its last sample."""
+        """Return the new state and the classified windows, each with the number of its last sample."""
         windows, found = self.windows.update(state.windows, block, attitude)
         if not found:
             return WindowStageState(windows, state.memory), []
@@ -179,10 +329,20 @@ class WindowStage(ABC, Generic[W, X, M]):
 def known_context(
     time_s: float, context: Mapping[str, float], carrying_mode: Mapping[str, float], contexts: Sequence[str], name: str
 ) -> WindowContext:
-    """The result of a rule: probabilities by name, those not named zero.
+    """Return the result of a rule for the window that ends at `time_s`.
 
-    `contexts` are all those that the rule distinguishes, alike before it has seen anything. Where the carrying mode
-    is unknown (an empty mapping) all modes are alike.
+    Parameters
+    ----------
+    time_s : float
+        End of the window.
+    context : mapping
+        Probability of each of the default contexts by name. Contexts that are not named have probability zero.
+    carrying_mode : mapping
+        Probability of each of `CARRYING_MODES` by name. All modes are equally probable if it is empty.
+    contexts : sequence of str
+        Contexts that the rule distinguishes. They are equally probable a priori.
+    name : str
+        Name of the rule, the `model` of the windows.
     """
     prob = np.array([context.get(c, 0.0) for c in CONTEXTS])
     carrying = np.array([carrying_mode.get(c, 0.0) for c in CARRYING_MODES]) if carrying_mode else _EVEN
@@ -192,23 +352,38 @@ def known_context(
 
 @dataclass(frozen=True, eq=False)
 class ContextModels:
-    """The models of a filter: which ones classify a window depends on the sensors that it has.
+    """Trained models of a filter, which choose the model of each window by the available sensors.
 
-    Stairs are known from trouser pockets. As far as a phone seems to be elsewhere, what a model that guards them
-    (`ContextModel.stairs`) says of stairs is not known, however like the windows are: a barometer decides, if there is
-    one.
+    Stairs are learned from trouser pockets only. If the phone is probably elsewhere and the model guards its stairs
+    (`ContextModel.stairs`), its decision between stairs and walking counts as unknown, however familiar the windows
+    look. A barometer decides instead, if there is one.
 
-    Context probabilities are of each window alone. A carrying mode lasts, and a phone that nobody moves shows nothing
-    of it, so its probabilities are those of all windows so far: a forward filter over the modes that the model knows,
-    in which a window counts by how much of it is motion. Without a model of it all modes stay equally probable.
+    Context probabilities are those of each window alone. A carrying mode persists, and a phone at rest gives no
+    evidence of it. The carrying-mode probabilities therefore come from all windows so far: a forward filter over the
+    modes that the model knows, in which a window is weighted by its probability of motion. Without a carrying model all
+    modes stay equally probable.
+
+    Parameters
+    ----------
+    with_gyroscope : ContextModel
+        Context model for windows with angular rate.
+    without_gyroscope : ContextModel or None
+        Context model for windows without angular rate, with the same contexts. None means that such windows are
+        unknown.
+    carrying_with_gyroscope, carrying_without_gyroscope : ContextModel or None
+        Carrying-mode models for windows with and without angular rate.
+    carrying_stay_prob : float
+        Probability that the carrying mode does not change from one window to the next.
+    carrying_exponent : float
+        Exponent of the carrying-mode evidence of a window.
     """
 
     with_gyroscope: ContextModel
-    without_gyroscope: ContextModel | None  # with the same contexts; None: such windows are unknown
+    without_gyroscope: ContextModel | None
     carrying_with_gyroscope: ContextModel | None = None
     carrying_without_gyroscope: ContextModel | None = None
-    carrying_stay_prob: float = CARRYING_STAY_PROB  # that the mode is the same a window later
-    carrying_exponent: float = CARRYING_EXPONENT  # of a window's evidence
+    carrying_stay_prob: float = CARRYING_STAY_PROB
+    carrying_exponent: float = CARRYING_EXPONENT
 
     def __post_init__(self) -> None:
         check_numbers(self, zero=("carrying_exponent",))
@@ -216,21 +391,23 @@ class ContextModels:
         heads = [(self.with_gyroscope, "context"), (self.without_gyroscope, "context")]
         for model, head in [*heads, *((model, "carrying_mode") for model in carrying)]:
             if model is not None and model.head != head:
-                raise ValueError(f"model {model.name!r} classifies the {model.head}, not the {head}; give another one")
+                raise ValueError(
+                    f"model {model.name!r} classifies the {model.head}, not the {head}: pass a model of the {head}"
+                )
         if self.without_gyroscope is not None and self.with_gyroscope.labels != self.without_gyroscope.labels:
             raise ValueError(
                 f"models of windows with and without gyroscope must have the same contexts, got "
-                f"{self.with_gyroscope.labels} and {self.without_gyroscope.labels}"
+                f"{self.with_gyroscope.labels} and {self.without_gyroscope.labels}: train both with the same labels"
             )
 
     @property
     def models(self) -> tuple[ContextModel, ...]:
-        """All models that there are."""
+        """All models that are given."""
         optional = self.without_gyroscope, self.carrying_with_gyroscope, self.carrying_without_gyroscope
         return (self.with_gyroscope, *(model for model in optional if model is not None))
 
     def init(self) -> FloatArray:
-        """Carrying-mode probabilities (5,) before the first window: all modes that are known, alike."""
+        """Return the carrying-mode probabilities (5,) before the first window: equal for all modes of the model."""
         model = self.carrying_with_gyroscope or self.carrying_without_gyroscope
         known = np.ones(len(CARRYING_MODES)) if model is None else (model.training_prior > 0).astype(float)
         return read_only(known / known.sum())
@@ -238,41 +415,48 @@ class ContextModels:
     def update(
         self, carrying_prob: FloatArray, window: FeatureWindow, contexts: ContextSet = DEFAULT_CONTEXTS
     ) -> tuple[FloatArray, WindowContext]:
-        """New carrying-mode probabilities (5,), and the result for the window."""
-        carrying_prob, (context,) = self.step_all(carrying_prob, [window], contexts)
+        """Return the new carrying-mode probabilities (5,) and the classification of a window."""
+        carrying_prob, (context,) = self.update_all(carrying_prob, [window], contexts)
         return carrying_prob, context
 
-    def step_all(
+    def update_all(
         self, carrying_prob: FloatArray, windows: Sequence[FeatureWindow], contexts: ContextSet = DEFAULT_CONTEXTS
     ) -> tuple[FloatArray, list[WindowContext]]:
-        """The same for windows that follow each other, with the same bits: models look at all of them at once."""
-        of_contexts = _assessed(self.with_gyroscope, self.without_gyroscope, windows)
-        of_carrying = _assessed(self.carrying_with_gyroscope, self.carrying_without_gyroscope, windows)
+        """Return the new carrying-mode probabilities (5,) and the classifications of consecutive windows.
+
+        The models process all windows together. The results have the same bits as with `update` for each window.
+        """
+        context_assessments = _assessed(self.with_gyroscope, self.without_gyroscope, windows)
+        carrying_assessments = _assessed(self.carrying_with_gyroscope, self.carrying_without_gyroscope, windows)
         irregular = _irregular(windows)
         results: list[WindowContext] = []
         for i, window in enumerate(windows):
-            found = of_contexts.get(i), of_carrying.get(i), irregular[i]
-            carrying_prob, context = self._judged(carrying_prob, window, *found, contexts.standing)
+            assessments = context_assessments.get(i), carrying_assessments.get(i), irregular[i]
+            carrying_prob, context = self._classified(carrying_prob, window, *assessments, contexts.standing)
             results.append(context)
         return carrying_prob, results
 
-    def _judged(
+    def _classified(
         self,
         carrying_prob: FloatArray,
         window: FeatureWindow,
-        of_context: Assessment | None,
-        of_carrying: Assessment | None,
+        context_assessment: Assessment | None,
+        carrying_assessment: Assessment | None,
         irregular: float,
         standing: IntArray,
     ) -> tuple[FloatArray, WindowContext]:
-        """New carrying-mode probabilities (5,), and the result for a window of which this is known."""
+        """Return the new carrying-mode probabilities (5,) and the classification of a window from its assessments.
+
+        An assessment is None if there is no model for the sensors of the window. `standing` are the indices of the
+        contexts without steps.
+        """
         model = (
             self.with_gyroscope if window.has_gyroscope or self.without_gyroscope is None else self.without_gyroscope
         )
-        prob, unknown, unlike_stairs = of_context or Assessment(model.training_prior, 1.0, 1.0)
+        prob, unknown, unlike_stairs = context_assessment or Assessment(model.training_prior, 1.0, 1.0)
         prob = (1 - unknown) * prob + unknown * model.training_prior
         moving = 1.0 - float(sum(prob[standing].tolist()))
-        carrying_prob = self._follow(carrying_prob, window, of_carrying, moving)
+        carrying_prob = self._update_carrying(carrying_prob, window, carrying_assessment, moving)
         if model.stairs is not None and self.carrying_with_gyroscope is not None:
             unlike_stairs = 1.0 - (1.0 - unlike_stairs) * float(carrying_prob[_POCKET])
         return carrying_prob, WindowContext(
@@ -287,14 +471,17 @@ class ContextModels:
             has_gyroscope=window.has_gyroscope,
         )
 
-    def _follow(
-        self, carrying_prob: FloatArray, window: FeatureWindow, found: Assessment | None, moving: float
+    def _update_carrying(
+        self, carrying_prob: FloatArray, window: FeatureWindow, assessment: Assessment | None, moving: float
     ) -> FloatArray:
-        """Carrying-mode probabilities after one window more; a window counts by how much of it is known motion."""
+        """Return the carrying-mode probabilities after a window.
+
+        The evidence of the window is weighted by its probability of motion `moving` and by its familiar share.
+        """
         model = self.carrying_with_gyroscope if window.has_gyroscope else self.carrying_without_gyroscope
-        if model is None or found is None:
+        if model is None or assessment is None:
             return carrying_prob
-        prob, unknown, _ = found
+        prob, unknown, _ = assessment
         exponent = self.carrying_exponent * moving * (1 - unknown)
         return follow_mode(carrying_prob, prob, model.training_prior, self.carrying_stay_prob, exponent)
 
@@ -302,16 +489,15 @@ class ContextModels:
 def follow_mode(
     before: FloatArray, window_prob: FloatArray, prior: FloatArray, stay_prob: float, exponent: float
 ) -> FloatArray:
-    """p_k ~ (sum_j p_j t_jk) (w_k / prior_k)^exponent, (D,), over the modes that the classifier knows (prior > 0).
+    """Return the posterior p_k ~ (sum_j p_j t_jk) (w_k / prior_k)^exponent, (D,), of the modes with a prior above zero.
 
-    t has `stay_prob` on its diagonal and shares the rest alike.
+    p is `before`, and w is `window_prob`. The transition matrix t has `stay_prob` on its diagonal and equal values
+    elsewhere.
     """
-    of_mode = list(zip(before.tolist(), window_prob.tolist(), prior.tolist(), strict=True))
-    leave = (1 - stay_prob) / max(sum(r > 0 for _, _, r in of_mode) - 1, 1)
-    # so few numbers are quicker in plain ones
-    after = [
-        (p * (stay_prob - leave) + leave) * (max(w, 1e-9) / r) ** exponent if r > 0 else 0.0 for p, w, r in of_mode
-    ]
+    modes = list(zip(before.tolist(), window_prob.tolist(), prior.tolist(), strict=True))
+    leave = (1 - stay_prob) / max(sum(r > 0 for _, _, r in modes) - 1, 1)
+    # Plain floats, because NumPy is slower for so few numbers.
+    after = [(p * (stay_prob - leave) + leave) * (max(w, 1e-9) / r) ** exponent if r > 0 else 0.0 for p, w, r in modes]
     total = sum(after)
     return frozen(np.array([p / total for p in after]))
 
@@ -319,32 +505,33 @@ def follow_mode(
 def with_climbs(
     windows: Sequence[WindowContext], climbs: Sequence[Climb | None], contexts: ContextSet = DEFAULT_CONTEXTS
 ) -> list[WindowContext]:
-    """The windows with the climb rates of a barometer, where there are some, as evidence for stairs.
+    """Return the windows with the evidence of climb rates added to their context probabilities.
 
-    Motion and pressure are independent, so that their likelihoods multiply. Windows of the barometer overlap: the most
-    that one can say is bounded, and draughts, which last for seconds, are in its standard deviation.
+    `climbs` holds the climb of the barometer for each window, or None. Motion and pressure are independent, so their
+    likelihoods multiply. Windows of the barometer overlap, so the evidence of each is bounded. The standard deviation
+    of the climb rate includes draughts, which last for seconds.
     """
     both = [(window, climb) for window, climb in zip(windows, climbs, strict=True) if climb is not None]
     if not both:
         return list(windows)
     rates_mps, std_mps = np.array([(climb.climb_rate_mps, climb.std_mps) for _, climb in both]).T
-    told = np.array([to_be_told_apart(window.prob, window.stairs_unknown_share, contexts) for window, _ in both])
-    prob = iter(reweighted(told, climb_log_evidence(rates_mps, std_mps, contexts)))
+    prior = np.array([with_stairs_in_thirds(window.prob, window.stairs_unknown_share, contexts) for window, _ in both])
+    prob = iter(reweighted(prior, climb_log_evidence(rates_mps, std_mps, contexts)))
     return [
         window if climb is None else replace_unchecked(window, prob=next(prob), climb_rate_mps=climb.climb_rate_mps)
         for window, climb in zip(windows, climbs, strict=True)
     ]
 
 
-# Step frequency in Hz of people in each context, mean and standard deviation between and within them: medians of people
-# of motionsense, difronzo, humolire, ms_indoor and ubicomp13, a fifth wider. Somebody who stands makes no steps.
+# Mean and standard deviation of the step frequency in each context, Hz, between and within persons. They are medians
+# over the persons of motionsense, difronzo, humolire, ms_indoor and ubicomp13, with standard deviations a fifth larger.
 _WALKING_HZ, _RUNNING_HZ, _UP_HZ, _DOWN_HZ, _TURNED_HZ = (1.85, 0.25), (2.75, 0.25), (1.8, 0.3), (2.0, 0.35), (1.6, 0.5)
-# How often steps are found twice or missed, and what they may show then.
+# Probability that steps were missed or detected twice, and the range of frequencies that then results, Hz.
 _CADENCE_OUTLIER_SHARE, _CADENCE_RANGE_HZ = 0.1, 4.5
 
 
 def _cadence_hz(context: Context) -> tuple[float, float]:
-    """Mean and standard deviation of the step frequency in a context; the mean is NaN without steps."""
+    """Return the mean and standard deviation of the step frequency in a context, Hz. The mean is NaN without steps."""
     if context.stands:
         return np.nan, 1.0
     if context.runs:
@@ -356,26 +543,30 @@ def _cadence_hz(context: Context) -> tuple[float, float]:
 
 @lru_cache
 def _cadences_hz(contexts: ContextSet) -> tuple[FloatArray, FloatArray]:
-    """Mean (C,) and standard deviation (C,) of the step frequency in each context."""
+    """Return the means (C,) and standard deviations (C,) of the step frequency in all contexts, Hz."""
     mean_hz, std_hz = np.array([_cadence_hz(c) for c in contexts.contexts]).T
     return mean_hz, std_hz
 
 
 def cadence_log_evidence(frequency_hz: float, contexts: ContextSet = DEFAULT_CONTEXTS) -> FloatArray:
-    """Log likelihood of a step frequency in each context, (C,): log((1 - e) N(f; m_c, s_c^2) + e / range)."""
+    """Return the log likelihood (C,) of a step frequency f in each context.
+
+    It is log((1 - e) N(f; m_c, s_c^2) + e / range), where e is the probability of an outlier.
+    """
     mean_hz, std_hz = _cadences_hz(contexts)
-    away = (frequency_hz - mean_hz) / std_hz
-    density = np.exp(-0.5 * away * away) / (math.sqrt(2 * math.pi) * std_hz)
-    right = (1.0 - _CADENCE_OUTLIER_SHARE) * np.nan_to_num(density, nan=0.0)
-    return np.log(right + _CADENCE_OUTLIER_SHARE / _CADENCE_RANGE_HZ)
+    normalised = (frequency_hz - mean_hz) / std_hz
+    density = np.exp(-0.5 * normalised * normalised) / (math.sqrt(2 * math.pi) * std_hz)
+    inlier = (1.0 - _CADENCE_OUTLIER_SHARE) * np.nan_to_num(density, nan=0.0)
+    return np.log(inlier + _CADENCE_OUTLIER_SHARE / _CADENCE_RANGE_HZ)
 
 
 def with_cadence(window: WindowContext, frequency_hz: float, contexts: ContextSet = DEFAULT_CONTEXTS) -> WindowContext:
-    """The window in which, as far as it is unlike all training data, the step frequency decides.
+    """Return the window with the step frequency as evidence for its unknown share.
 
-    Its unknown share has the classifier's prior. People run with more steps a second than they walk, wherever the phone
-    is: at the belt half of all running was taken for walking. Where windows are familiar the classifier has the
-    frequency among its features already.
+    The unknown share of the probabilities is the prior of the classifier. Here it is replaced by the posterior given
+    the step frequency. The step frequency is higher in running than in walking wherever the phone is. With the phone at
+    the belt, half of all running was otherwise classified as walking. For familiar windows the step frequency is
+    already among the features of the classifier.
     """
     if window.unknown_share == 0.0:
         return window
@@ -383,11 +574,12 @@ def with_cadence(window: WindowContext, frequency_hz: float, contexts: ContextSe
     return replace_unchecked(window, prob=window.prob + window.unknown_share * (guess - window.training_prior))
 
 
-def to_be_told_apart(prob: FloatArray, share: float, contexts: ContextSet = DEFAULT_CONTEXTS) -> FloatArray:
-    """Probabilities (C,) where another sensor decides what motion does not tell: that share divided into thirds.
+def with_stairs_in_thirds(prob: FloatArray, share: float, contexts: ContextSet = DEFAULT_CONTEXTS) -> FloatArray:
+    """Return probabilities (C,) as a prior for another sensor that distinguishes stairs from walking.
 
-    A day's division (`classifiers.context_model.not_told_apart`) is a prior. As evidence, window after window, it would
-    outvote what the other sensor measures.
+    A share of the probability of level walking and stairs is divided into equal thirds. The unequal division of
+    `classifiers.context_model.blend_stairs_with_prior` is a prior of daily life. Used as evidence in each window, it would
+    outvote the measurements of the other sensor.
     """
     in_thirds = contexts.in_thirds
     return (1.0 - share) * prob + share * (prob @ in_thirds) if share and in_thirds is not None else prob
@@ -395,35 +587,39 @@ def to_be_told_apart(prob: FloatArray, share: float, contexts: ContextSet = DEFA
 
 @lru_cache
 def _gated(names: tuple[str, ...]) -> bool:
-    """Whether a feature set has what the gate for irregular motion needs."""
+    """Return True if a feature set has all features that the gates for irregular motion need."""
     return {*GATE.names, *GATE_ACCELEROMETER.names} <= set(names)
 
 
 def _irregular(windows: Sequence[FeatureWindow]) -> list[float]:
-    """Probability of irregular motion in each window; zero where the gate has not what it needs."""
+    """Return the probability of irregular motion for each window; zero where features of the gate are missing."""
     prob = np.zeros(len(windows))
     for has_gyroscope in (True, False):
-        mine = [i for i, w in enumerate(windows) if w.has_gyroscope == has_gyroscope and _gated(w.names)]
-        if mine:
-            features = np.stack([windows[i].features for i in mine])
-            prob[mine] = irregular_prob(windows[mine[0]].names, features, has_gyroscope)
+        selected = [i for i, w in enumerate(windows) if w.has_gyroscope == has_gyroscope and _gated(w.names)]
+        if selected:
+            features = np.stack([windows[i].features for i in selected])
+            prob[selected] = irregular_prob(windows[selected[0]].names, features, has_gyroscope)
     return prob.tolist()
 
 
 def _assessed(
     with_gyroscope: ContextModel | None, without_gyroscope: ContextModel | None, windows: Sequence[FeatureWindow]
 ) -> dict[int, Assessment]:
-    """What the model for its sensors says of each window, by number; nothing where there is none."""
+    """Return the assessments of windows by their index, from the model for the sensors of each window.
+
+    Windows without such a model are omitted.
+    """
     found: dict[int, Assessment] = {}
     for model, has_gyroscope in ((with_gyroscope, True), (without_gyroscope, False)):
-        mine = [i for i, window in enumerate(windows) if window.has_gyroscope == has_gyroscope]
-        if model is not None and mine:
+        selected = [i for i, window in enumerate(windows) if window.has_gyroscope == has_gyroscope]
+        if model is not None and selected:
             columns = _columns(model.feature_names, windows[0].names)
-            assessed = model.assess_all(np.stack([windows[i].features[columns] for i in mine]))
-            found |= zip(mine, assessed, strict=True)
+            assessed = model.assess_all(np.stack([windows[i].features[columns] for i in selected]))
+            found |= zip(selected, assessed, strict=True)
     return found
 
 
 @lru_cache
 def _columns(wanted: tuple[str, ...], names: tuple[str, ...]) -> IntArray:
+    """Return the positions of the wanted features among all names."""
     return np.array([names.index(name) for name in wanted])

@@ -1,41 +1,41 @@
-"""The probability that the phone's motion moves nobody: it is taken out, typed on, turned or put away.
+"""Probability of irregular motion: the phone is taken out, typed on, turned or put away while the person stands.
 
-The irregular class of Susi, Renaudin and Lachapelle 2013, "Motion mode recognition and step detection algorithms for
-mobile phone users" (Sensors 13). The contexts of `pdr_filter.values.contexts.CONTEXTS` have no such class, and a
-classifier of them has to call a hand that types one of them. Here it is two classes and a logistic gate: irregular
-motion against gait (walking, stairs, running, however the phone is carried). A window in which the phone lies or hangs
-still is neither and gets zero.
+This is the irregular class of Susi, Renaudin and Lachapelle 2013, "Motion mode recognition and step detection
+algorithms for mobile phone users" (Sensors 13). The contexts of `pdr_filter.values.contexts.CONTEXTS` have no such
+class, so a context classifier must assign the motion of a typing hand to one of them. Here a logistic gate separates
+irregular motion from gait (walking, stairs, running, with any carrying mode). A window in which the phone lies or hangs
+still is neither, and gets probability zero.
 
-p = sigmoid(b + sum_i w_i clip((x_i - m_i) / s_i, -4, 4)), x the features of one 2 s window of
-`pdr_filter.sensing.features.invariant`. In words: a phone that is handled turns far for how little it bounces, and
-what it does does not repeat from step to step.
+p = sigmoid(b + sum_i w_i clip((x_i - m_i) / s_i, -4, 4)), where x are the features of one 2 s window of
+`pdr_filter.sensing.features.invariant`. A handled phone rotates much relative to its bounce, and its motion does not
+repeat from step to step.
 
-Where the numbers come from:
+Source of the numbers:
 
-- Irregular: what six people (1 to 6) do with the phone more than 1 s before or after the walk, in the recordings of
-  A. Brajdic and R. Harle, "Walk detection and step counting on unconstrained smartphones", UbiComp 2013,
-  doi:10.1145/2493432.2493449. Only these weights are printed, nothing else of that data is here.
-- Gait: half of it the walks of these six, half MotionSense, Tyrex, humolire, ms_indoor and, without gyroscope, oxford,
-  every context and carrying mode of a set with the same mass; windows slower than 0.5 m/s (Tyrex, by motion capture)
-  are left out. Still windows are left out of both classes.
-- m and s are mean and standard deviation of both classes, irregular windows having the mass `TRAINING_PRIOR`, rounded;
-  w and b are the logistic regression on the rounded ones (mean log loss + 0.0005 sum_i w_i^2), rounded. Which eight
-  features was decided by log loss on people and sets left out, without people 7 to 13.
+- Irregular motion: what six persons (1 to 6) do with the phone more than 1 s before or after the walk, in the
+  recordings of A. Brajdic and R. Harle, "Walk detection and step counting on unconstrained smartphones", UbiComp 2013,
+  doi:10.1145/2493432.2493449. Only the weights below are derived from these data; the data are not included.
+- Gait: one half are the walks of these six persons. The other half are MotionSense, Tyrex, humolire, ms_indoor and,
+  without gyroscope, oxford, with equal weight for each context and carrying mode of a data set. Windows slower than
+  0.5 m/s (Tyrex, by motion capture) are excluded. Still windows are excluded from both classes.
+- m and s are the rounded mean and standard deviation over both classes, where irregular windows have the total weight
+  `TRAINING_PRIOR`. w and b are the rounded logistic regression on these (mean log loss + 0.0005 sum_i w_i^2). The eight
+  features were selected by the log loss on held-out persons and data sets, without persons 7 to 13.
 
-On the seven other people of the same data (7 to 13) it finds 0.89 of irregular
-windows at 1 % false alarms with gyroscope (90 % interval 0.78 to 0.95) and 0.80 (0.69 to 0.94) without; at p > 0.5 it
-finds 0.93 and 0.91 at 2.4 % and 3.6 % false alarms.
+On the other seven persons of the same data (7 to 13), the gate with gyroscope finds 0.89 of the irregular windows at
+1 % false alarms (90 % interval 0.78 to 0.95), and 0.80 (0.69 to 0.94) without gyroscope. At p > 0.5 it finds 0.93 and
+0.91 at 2.4 % and 3.6 % false alarms.
 
 Limits:
 
-- One protocol: people who handle a phone before and after a walk. Handling it while walking is not in the data.
-- Slow shuffling counts as irregular: below 0.5 m/s 45 % of the moving windows with gyroscope, 67 % without (Tyrex).
-- A phone that swings in the hand is hard to recognise without gyroscope: false alarms 24 % in Tyrex, 38 % with Tyrex
-  left out of the fit (oxford: 4 % both times); with gyroscope 1 %.
-- Fidgeting while sitting or standing counts as irregular: 99 % of the moving windows of MotionSense's sitting and
-  standing.
-- The features change with how the attitude was found, and each gate is for its own: where the attitude had a gyroscope
-  the accelerometer gate finds 0.64 instead of 0.80 at 1 % false alarms.
+- One protocol: persons who handle a phone before and after a walk. Handling while walking is not in the data.
+- Slow shuffling counts as irregular: below 0.5 m/s, 45 % of the moving windows with gyroscope and 67 % without (Tyrex).
+- A phone that swings in the hand is hard to recognise without gyroscope: 24 % false alarms in Tyrex, 38 % with Tyrex
+  held out (oxford: 4 % in both cases). With gyroscope there are 1 %.
+- Fidgeting while sitting or standing counts as irregular: 99 % of the moving windows of sitting and standing in
+  MotionSense.
+- The features depend on how the attitude was estimated, so each gate is only for its own sensors. With an attitude from
+  a gyroscope, the accelerometer gate finds 0.64 instead of 0.80 at 1 % false alarms.
 """
 
 from __future__ import annotations
@@ -47,24 +47,42 @@ import numpy as np
 
 from pdr_filter.values import FloatArray, IntArray, check_numbers, read_only
 
-# Share of irregular among moving windows in the fit: divide it out where another prior holds. Among the moving windows
-# of people 7 to 13 it is 0.31.
+# Prior probability of irregular motion among moving windows in the fit. Divide the odds by those of this prior where
+# another prior holds. Among the moving windows of persons 7 to 13 the share is 0.31.
 TRAINING_PRIOR = 0.30
-# Standard deviations at which a feature is cut, in the fit too: no single feature can outvote the others.
+# Number of standard deviations at which features are clipped, also in the fit, so that no single feature dominates.
 _LIMIT = 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IrregularGate:
-    """A logistic gate with a rule for stillness."""
+    """Logistic model of irregular motion with a rule for still windows.
 
-    feature_names: tuple[str, ...]  # (F,) of `pdr_filter.sensing.features.invariant.NAMES`
-    mean: FloatArray  # (F,) m
-    scale: FloatArray  # (F,) s
-    weight: FloatArray  # (F,) w
-    intercept: float  # b
-    still_names: tuple[str, ...]  # (S,) features that are all low where the phone is still
-    still_below: FloatArray  # (S,) how low
+    Attributes
+    ----------
+    feature_names : tuple of str
+        Names of the F features of the logistic model, from `pdr_filter.sensing.features.invariant.NAMES`.
+    mean : FloatArray
+        Means m of the features, shape (F,).
+    scale : FloatArray
+        Standard deviations s of the features, shape (F,).
+    weight : FloatArray
+        Weights w, shape (F,).
+    intercept : float
+        Intercept b.
+    still_names : tuple of str
+        Names of the S features that are all below their limits in a still window.
+    still_below : FloatArray
+        Limits of these features, shape (S,).
+    """
+
+    feature_names: tuple[str, ...]
+    mean: FloatArray
+    scale: FloatArray
+    weight: FloatArray
+    intercept: float
+    still_names: tuple[str, ...]
+    still_below: FloatArray
 
     def __post_init__(self) -> None:
         check_numbers(self, signed=("intercept",))
@@ -73,54 +91,67 @@ class IrregularGate:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Features that `prob` takes, in its order: those of the logit, then those of the stillness rule."""
+        """Names of the features that `prob` takes: those of the logistic model, then those of the stillness rule."""
         return (*self.feature_names, *self.still_names)
 
     def prob(self, features: FloatArray) -> FloatArray:
-        """Probabilities (...) of irregular motion from the features of windows, (..., F + S) in the order of `names`.
+        """Return the probabilities (...) of irregular motion for features (..., F + S) in the order of `names`.
 
-        Zero for a still window. Raises ValueError for NaN, naming the feature.
+        A still window has probability zero. Raises ValueError for a wrong number of features, and for NaN with the name
+        of the feature.
         """
         if features.shape[-1] != len(self.names):
-            raise ValueError(f"features must be (..., {len(self.names)}) in the order of names, got {features.shape}")
+            raise ValueError(
+                f"features must be (..., {len(self.names)}), got {features.shape}: select the columns that "
+                "IrregularGate.names lists"
+            )
         if np.isnan(features).any():
             bad = self.names[int(np.argwhere(np.isnan(features))[0, -1])]
-            raise ValueError(f"feature {bad} is NaN: leave such windows out")
-        of_logit, of_stillness = features[..., : len(self.mean)], features[..., len(self.mean) :]
-        z = np.minimum(np.maximum((of_logit - self.mean) / self.scale, -_LIMIT), _LIMIT)
-        # One addition after the other: the order of `np.sum`, and so the last bit, depends on the number of windows.
+            raise ValueError(f"feature {bad} is NaN: remove the windows with missing features first")
+        logit_features, still_features = features[..., : len(self.mean)], features[..., len(self.mean) :]
+        z = np.minimum(np.maximum((logit_features - self.mean) / self.scale, -_LIMIT), _LIMIT)
+        # Python's `sum` adds in a fixed order. The order of `np.sum`, and with it the last bit, depends on the number
+        # of windows.
         log_odds = self.intercept + sum(np.moveaxis(self.weight * z, -1, 0))
-        is_still = (of_stillness < self.still_below).all(axis=-1)
+        is_still = (still_features < self.still_below).all(axis=-1)
         return np.where(is_still, 0.0, 1.0 / (1.0 + np.exp(-log_odds)))
 
 
 def irregular_prob(names: tuple[str, ...], features: FloatArray, has_gyroscope: bool) -> FloatArray:
-    """Probabilities (...) of irregular motion of windows with features (..., F): the gate depends on the gyroscope."""
+    """Return the probabilities (...) of irregular motion for features (..., F) of windows with or without gyroscope.
+
+    `names` are the names of the F features.
+    """
     gate = GATE if has_gyroscope else GATE_ACCELEROMETER
     return gate.prob(features[..., _columns(names, has_gyroscope)])
 
 
 @cache
 def _columns(names: tuple[str, ...], has_gyroscope: bool) -> IntArray:
-    """Where the features of a gate are."""
+    """Return the positions of the features of a gate among all names."""
     needed = (GATE if has_gyroscope else GATE_ACCELEROMETER).names
     missing = sorted(set(needed) - set(names))
     if missing:
-        raise ValueError(f"the gate needs {', '.join(missing)}: take windows of the features ATTITUDE_FREE")
+        raise ValueError(
+            f"the gate for irregular motion needs the features {', '.join(missing)}, which the windows do not have: "
+            "use windows with the feature set ATTITUDE_FREE"
+        )
     return np.array([names.index(n) for n in needed])
 
 
 def _gate(rows: dict[str, tuple[float, float, float]], intercept: float, still: dict[str, float]) -> IrregularGate:
+    """Return the gate for rows of (mean, scale, weight) and limits of stillness, both by feature."""
     mean, scale, weight = np.array(list(rows.values())).T
     return IrregularGate(tuple(rows), mean, scale, weight, intercept, tuple(still), np.array(list(still.values())))
 
 
-# Feature: mean, scale, weight; fitted as in the module's docstring.
+# Each row has the mean, scale and weight of a feature, fitted as described in the docstring of the module.
 #
-# Stillness: a vertical standard deviation below exp(-1) - 0.02 = 0.35 m/s2, and a rate about the main axis of rotation
-# below exp(-1.6) - 0.005 = 0.20 rad/s or, without gyroscope, a horizontal standard deviation below 0.35 m/s2 as well
-# (the floors are those of `invariant`). It takes none of the 2948 windows of walks of all thirteen people, 7 of 11 560
-# of gait in the other sets (3 of 13 889 without gyroscope), and 93 % (88 %) of MotionSense's sitting and standing.
+# A window is still if its vertical standard deviation is below exp(-1) - 0.02 = 0.35 m/s2 and the rate about its main
+# axis of rotation is below exp(-1.6) - 0.005 = 0.20 rad/s. Without gyroscope, the second condition is a horizontal
+# standard deviation below 0.35 m/s2. The subtracted floors are those of `invariant`. The rule holds for none of the
+# 2948 walking windows of all thirteen persons, for 7 of 11 560 gait windows of the other sets (3 of 13 889 without
+# gyroscope), and for 93 % (88 %) of sitting and standing in MotionSense.
 GATE = _gate(
     {
         "log_swing": (-2.135, 0.833, +3.144),

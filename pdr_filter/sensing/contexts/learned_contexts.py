@@ -1,4 +1,4 @@
-"""The context stage of the default: feature windows, classified by trained models."""
+"""Context stage of the default recipe: feature windows classified by trained models."""
 
 from __future__ import annotations
 
@@ -16,12 +16,37 @@ from pdr_filter.values import DEFAULT_CONTEXTS, ContextSet, FloatArray, JoinedFe
 class LearnedContexts(WindowStage[WindowState, FeatureWindow, FloatArray]):
     """Context stage that classifies feature windows with trained models.
 
-    What lasts from window to window are the probabilities (5,) of `CARRYING_MODES`, over a gap, too.
+    The memory between windows is the probability vector (5,) of `CARRYING_MODES`. It is kept over a gap.
+
+    Parameters
+    ----------
+    windows : FeatureWindows
+        Sliding windows and their features.
+    models : ContextModels
+        Models of context and carrying mode, for windows with and without gyroscope.
+    context_set : ContextSet, default the six contexts of `pdr_filter.CONTEXTS`
+        Meanings of the contexts. `Sensing` replaces it by its own.
+
+    Raises
+    ------
+    ValueError
+        If a model needs features that the windows do not have.
+
+    Examples
+    --------
+    The stage of the default recipe:
+
+    >>> import pdr_filter as pdr
+    >>> stage = pdr.recipes.default().sensing.contexts
+    >>> type(stage).__name__, stage.hop_s
+    ('LearnedContexts', 1.0)
+    >>> stage.contexts
+    ('stationary', 'walking', 'upstairs', 'downstairs', 'sideways', 'running')
     """
 
     windows: FeatureWindows
     models: ContextModels
-    context_set: ContextSet = DEFAULT_CONTEXTS  # what the contexts mean; `Sensing` gives that of its own
+    context_set: ContextSet = DEFAULT_CONTEXTS
 
     def __post_init__(self) -> None:
         for model in self.models.models:
@@ -29,7 +54,8 @@ class LearnedContexts(WindowStage[WindowState, FeatureWindow, FloatArray]):
             if missing:
                 raise ValueError(
                     f"context model {model.name!r} needs features {missing[:5]}, which the feature set "
-                    f"{self.windows.features.name!r} does not have; use a model and windows of one set"
+                    f"{self.windows.features.name!r} does not have: use a model that was trained with the feature set "
+                    "of the windows"
                 )
 
     @property
@@ -38,26 +64,73 @@ class LearnedContexts(WindowStage[WindowState, FeatureWindow, FloatArray]):
         return self.models.with_gyroscope.labels
 
     def first_memory(self) -> FloatArray:
-        """All carrying modes that the models know, alike."""
+        """Return equal probabilities of all carrying modes that the models know.
+
+        Returns
+        -------
+        FloatArray
+            Carrying-mode probabilities, shape (5,).
+        """
         return self.models.init()
 
     def memory_after_gap(self, memory: FloatArray) -> FloatArray:
-        """The phone is where it was."""
+        """Return the unchanged carrying-mode probabilities, because the phone probably stays in its place during a gap.
+
+        Parameters
+        ----------
+        memory : FloatArray
+            Carrying-mode probabilities before the gap, shape (5,).
+
+        Returns
+        -------
+        FloatArray
+            The same probabilities.
+        """
         return memory
 
     def assess(self, memory: FloatArray, window: FeatureWindow) -> tuple[FloatArray, WindowContext]:
-        """New carrying-mode probabilities, and the context of a window."""
+        """Return the new carrying-mode probabilities and the classification of a window.
+
+        Parameters
+        ----------
+        memory : FloatArray
+            Carrying-mode probabilities after the previous window, shape (5,).
+        window : FeatureWindow
+            Features of the window.
+
+        Returns
+        -------
+        memory : FloatArray
+            New carrying-mode probabilities, shape (5,).
+        context : WindowContext
+            Classification of the window.
+        """
         return self.models.update(memory, window, self.context_set)
 
     def assess_all(
         self, memory: FloatArray, windows: Sequence[FeatureWindow]
     ) -> tuple[FloatArray, list[WindowContext]]:
-        """New carrying-mode probabilities, and the contexts of windows."""
-        return self.models.step_all(memory, windows, self.context_set)
+        """Return the new carrying-mode probabilities and the classifications of consecutive windows.
+
+        Parameters
+        ----------
+        memory : FloatArray
+            Carrying-mode probabilities after the previous window, shape (5,).
+        windows : sequence of FeatureWindow
+            Features of the windows.
+
+        Returns
+        -------
+        memory : FloatArray
+            New carrying-mode probabilities, shape (5,).
+        contexts : list of WindowContext
+            Classifications in the same order.
+        """
+        return self.models.update_all(memory, windows, self.context_set)
 
 
 def attitude_free_contexts() -> LearnedContexts:
-    """The default's context stage."""
+    """Return the context stage of the default recipe, with the shipped models."""
     models = ContextModels(
         shipped_model("context"),
         shipped_model("context_accelerometer"),
@@ -70,12 +143,12 @@ def attitude_free_contexts() -> LearnedContexts:
 def stage_of(
     contexts: ContextModel | tuple[ContextModel, ContextModel] | ContextStage, present: ContextStage | None
 ) -> ContextStage:
-    """Return the context stage that uses a context model; a stage is returned as it is.
+    """Return the context stage that uses a context model; a given stage is returned unchanged.
 
-    Of two models, the second is for windows without gyroscope. A single model classifies such windows only if it does
-    with the features of the shipped model for them, or learnt from such windows; otherwise they are unknown. Windows,
-    carrying modes and features stay those of the present stage if it has the features of the model. Features that a
-    model brings along are added. ValueError if no feature set has the features.
+    In a pair of models, the second is for windows without gyroscope. A single model classifies such windows only if it
+    was trained on them, or if the shipped model for them has all its features. Otherwise such windows are unknown.
+    Windows, carrying-mode models and features are those of the present stage if it has the features of the model.
+    Features that come with a model are added. Raises ValueError if no feature set has the features of the model.
     """
     if not isinstance(contexts, ContextModel | tuple):
         check_members("model", contexts, ContextStage)
@@ -95,23 +168,23 @@ def stage_of(
     missing = sorted(set(model.feature_names) - set(ATTITUDE_FREE.names))
     raise ValueError(
         f"context model {model.name!r} needs features {missing[:5]}, which no feature set of the configuration has: "
-        "give a context stage in place of the model, or, if it was fitted with features of your own, load it with "
-        "ContextModel.load(path, features=...)"
+        "if the model was fitted with your own features, load it with ContextModel.load(path, features=...); "
+        "otherwise pass a context stage instead of the model"
     )
 
 
 def with_carrying_models(
     models: ContextModel | tuple[ContextModel, ContextModel], present: ContextStage | None
 ) -> LearnedContexts:
-    """Return the present context stage with other models of the carrying mode.
+    """Return the present context stage with other carrying-mode models.
 
-    Of two models, the second is for windows without gyroscope. A single model is for windows with gyroscope, and for
-    those without only if it learnt from such. ValueError if the stage has no trained models.
+    In a pair of models, the second is for windows without gyroscope. A single model is used for windows without
+    gyroscope only if it was trained on them. Raises ValueError if the stage has no trained models.
     """
     if not isinstance(present, LearnedContexts):
         raise ValueError(
-            f"the context stage of the configuration has no trained models, got {type(present).__name__}: use recipe "
-            '"default", or give the stage to config.with_contexts'
+            f"the context stage of the configuration, {type(present).__name__}, has no trained models whose "
+            'carrying-mode models could be replaced: use recipe "default", or pass your stage to config.with_contexts'
         )
     both = models if isinstance(models, tuple) else (models, None if models.needs_gyroscope else models)
     stage = _with_features_of(both, present)
@@ -122,15 +195,18 @@ def with_carrying_models(
 
 
 def _with_features_of(models: Sequence[ContextModel | None], stage: LearnedContexts) -> LearnedContexts:
-    """Return the stage with the features that context models bring along, after its own."""
-    brought = {id(m.features): m.features for m in models if m is not None and m.features is not None}
-    if not brought:
+    """Return the stage with the features that come with context models appended to its own."""
+    model_features = {id(m.features): m.features for m in models if m is not None and m.features is not None}
+    if not model_features:
         return stage
-    joined = JoinedFeatures((ATTITUDE_FREE, *brought.values()))
+    joined = JoinedFeatures((ATTITUDE_FREE, *model_features.values()))
     return replace(stage, windows=replace(stage.windows, features=joined))
 
 
 @cache
 def shipped_model(name: str) -> ContextModel:
-    """A model of the package, read once."""
+    """Return a context model of the package by its name; it is read once.
+
+    Raises ValueError for another name.
+    """
     return load_model(name)

@@ -1,1 +1,1 @@
-"""Windows of samples and their features."""
+"""Sliding windows of samples and their features."""

@@ -1,12 +1,12 @@
-"""Climb rate and height from a barometer, and the evidence of the rate for stairs.
+"""Climb rate and height from a barometer, and the evidence of the climb rate for stairs.
 
-Height differences come from the hydrostatic relation, dh = -(R T / (g M)) dp / p: air of 15 degrees has a scale height
-of 8435 m, so that 1 hPa is 8.32 m at 1013 hPa. Only differences count: weather moves the pressure by a few hPa an hour
-at most, which is less than 0.01 m/s.
+Height differences follow from the hydrostatic relation dh = -(R T / (g M)) dp / p. Air of 15 degrees Celsius has a
+scale height of 8435 m, so that 1 hPa is 8.32 m at 1013 hPa. Only differences are used, because weather changes the
+pressure by at most a few hPa an hour, which is less than 0.01 m/s.
 
-What `climb_log_evidence` takes for stairs comes from building codes, what it takes for lifts from judgement, the noise
-of the sensor from data sheets. Two recordings with a barometer are at hand, none with labels: draughts were measured on
-them, and on eight changes of storey (ipin2023) the rates on stairs are 0.2 to 0.4 m/s, as the codes say.
+The climb rates of stairs in `climb_log_evidence` come from building codes, those of lifts from judgement, and the noise
+of the sensor from data sheets. Two recordings with a barometer were available, without labels. They gave the size of
+draughts. On eight changes of storey (ipin2023) the rates on stairs are 0.2 to 0.4 m/s, which agrees with the codes.
 """
 
 from __future__ import annotations
@@ -30,64 +30,95 @@ from pdr_filter.values import (
 )
 
 GAS_CONSTANT_J_PER_MOL_K = 8.314462618
-MOLAR_MASS_OF_AIR_KG_PER_MOL = 0.0289644  # dry; damp air at 20 degrees is up to 0.9 % lighter
+MOLAR_MASS_OF_AIR_KG_PER_MOL = 0.0289644  # dry air; humid air at 20 degrees Celsius is up to 0.9 % lighter
 ZERO_CELSIUS_K = 273.15
 STANDARD_PRESSURE_HPA = 1013.25
 
-# The range of phones' sensors (Bosch BMP280, data sheet BST-BMP280-DS001: 300 to 1100 hPa). What is outside is a failed
-# reading, unless it is inside in another unit.
+# Measuring range of phone sensors (Bosch BMP280, data sheet BST-BMP280-DS001: 300 to 1100 hPa). A value outside is a
+# failed reading, unless it is inside the range in another unit.
 _MIN_HPA, _MAX_HPA = 300.0, 1100.0
 _OTHER_UNITS = {"Pa": (0.01, "divide by 100"), "kPa": (10.0, "multiply by 10")}
-# Times of recordings have six decimals: a sample this little outside a window is not.
+# Tolerance for the ends of a window, in s, because times of recordings have six decimals.
 _ROUNDING_S = 1e-6
-# So many samples in a row behind the clock, in order, are no stragglers: the clock was set back.
+# Samples in a row, in order, that lie behind the last time and show a backward clock jump instead of late samples.
 _CLOCK_RESET_SAMPLES = 10
 
 
 @dataclass(frozen=True, slots=True)
 class Climb:
-    """Climb rate over one window, and the height at its end."""
+    """Climb rate over one window, and the height at its end.
 
-    time_s: float  # last sample of the window: the rate is the mean over the window before, half a window old
-    climb_rate_mps: float  # up positive
+    Attributes
+    ----------
+    time_s : float
+        Time of the last sample of the window, s. The rate is a mean over the window, so it refers to half a window
+        earlier.
+    climb_rate_mps : float
+        Climb rate, up positive, m/s.
+    std_mps : float
+        Standard deviation of the climb rate, m/s.
+    n_samples : int
+        Samples of the window.
+    height_m : float
+        Height of the mean pressure of the last hop above the level of 1013.25 hPa, m.
+    height_std_m : float
+        Standard deviation of the height due to the sensor alone, m.
+    """
+
+    time_s: float
+    climb_rate_mps: float
     std_mps: float
     n_samples: int
-    height_m: float  # of the mean pressure of the last hop, above that of 1013.25 hPa
-    height_std_m: float  # of the sensor alone
+    height_m: float
+    height_std_m: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClimbState:
-    """Samples that later windows still need, when the next is due, and whether the clock was set back."""
+    """Buffered samples, the end of the next window, and the check of the clock.
 
-    samples: FloatArray  # (2, B): time, pressure
-    due_s: float  # the sample nearest to this ends a window
-    behind_s: float = -np.inf  # time of the last sample that was behind
-    n_behind: int = 0  # samples in a row that were behind, and increasing
-    quantum_hpa: float = np.inf  # least difference of two samples that follow one another
+    Attributes
+    ----------
+    samples : FloatArray
+        Times and pressures that later windows still need, shape (2, B).
+    due_s : float
+        Nominal end of the next window, s. The window ends with the sample nearest to it.
+    behind_s : float
+        Time of the last sample that lies behind the last accepted one, s.
+    n_behind : int
+        Consecutive samples with increasing times that lie behind the last accepted one.
+    quantum_hpa : float
+        Smallest nonzero difference of consecutive samples, hPa: the resolution of the sensor.
+    """
+
+    samples: FloatArray
+    due_s: float
+    behind_s: float = -np.inf
+    n_behind: int = 0
+    quantum_hpa: float = np.inf
 
 
 @dataclass(frozen=True)
 class ClimbRate:
-    """Least-squares slope of the height over a trailing window; causal, samples at any rate.
+    """Causal stage that estimates the climb rate as the least-squares slope of the height over a trailing window.
 
-    A window ends with the sample nearest to each hop, as far as the spacing of the last two shows, and has at least
-    three samples. It never spans a gap: after one, windows start afresh, the first when it is full. Duplicate and
-    backward times are dropped, NaN and failed readings left out.
+    Samples may come at any rate. A window ends with the sample nearest to each hop, judged by the interval of the last
+    two samples, and has at least three samples. No window spans a gap. After a gap the first window is complete after
+    `window_s`. Repeated and backward times are dropped, as are NaN and failed readings.
 
     Parameters
     ----------
     window_s, hop_s : float
-        Length and advance. At 1 Hz, the slowest that phones deliver, 4 s are five samples: a standard deviation of
-        0.026 m/s with the noise below, a tenth of what stairs climb.
+        Length of the windows, and time between their ends, s. At 1 Hz, the slowest rate of phones, 4 s are five
+        samples. With the noise below their standard deviation is 0.026 m/s, a tenth of the climb rate on stairs.
     max_gap_s : float
-        A longer time without samples is a gap.
+        A longer time without samples is a gap, s.
     noise_hpa : float
-        Least standard deviation of a sample: few samples may lie on a line by chance, and a coarse sensor repeats
-        itself. 0.01 hPa (0.08 m) is the noise of the ST LPS25HB; the Bosch BMP280 has 0.005 hPa in the setting that its
-        data sheet suggests for Android.
+        Lower limit of the standard deviation of a sample, hPa. It is needed because a few samples can lie on a line by
+        chance, and a coarse sensor repeats its values. The default of 0.01 hPa (0.08 m) is the noise of the ST LPS25HB.
+        The Bosch BMP280 has 0.005 hPa in the setting that its data sheet suggests for Android.
     temperature_c : float
-        Of the air; 10 degrees more make the rate 3.5 % larger.
+        Temperature of the air, degrees Celsius. An increase of 10 degrees increases the rate by 3.5 %.
     """
 
     window_s: float = 4.0
@@ -99,28 +130,37 @@ class ClimbRate:
     def __post_init__(self) -> None:
         check_numbers(self, signed=("temperature_c",))
         if self.hop_s > self.window_s:
-            raise ValueError(f"hop_s must be at most window_s, got {self.hop_s} and {self.window_s}")
+            raise ValueError(
+                f"hop_s must be at most window_s, got {self.hop_s} and {self.window_s}: shorten hop_s or lengthen "
+                "window_s"
+            )
         if not -60 <= self.temperature_c <= 60:
-            raise ValueError(f"temperature_c must be in degrees Celsius, -60 to 60, got {self.temperature_c}")
+            raise ValueError(
+                f"temperature_c must be in degrees Celsius, -60 to 60, got {self.temperature_c}: convert kelvin or "
+                "degrees Fahrenheit"
+            )
 
     @property
     def scale_height_m(self) -> float:
-        """R T / (g M): the height over which the pressure falls by a factor e."""
+        """Scale height R T / (g M), m, over which the pressure falls by a factor e."""
         temperature_k = self.temperature_c + ZERO_CELSIUS_K
         return GAS_CONSTANT_J_PER_MOL_K * temperature_k / (STANDARD_GRAVITY_MPS2 * MOLAR_MASS_OF_AIR_KG_PER_MOL)
 
     def init(self) -> ClimbState:
-        """State before the first sample."""
+        """Return the state before the first sample."""
         return ClimbState(np.empty((2, 0)), np.nan)
 
     def update(self, state: ClimbState, time_s: FloatArray, pressure_hpa: FloatArray) -> tuple[ClimbState, list[Climb]]:
-        """New state and the windows that became complete, from samples (N,), N >= 0; ValueError for Pa or kPa."""
-        fresh = checked_pressure(time_s, pressure_hpa)
+        """Return the new state and the climbs of the windows completed by samples (N,), where N may be 0.
+
+        Raises ValueError for pressures in Pa or kPa.
+        """
+        checked = checked_pressure(time_s, pressure_hpa)
         times, pressures = (samples.tolist() for samples in state.samples)
         due_s, behind_s, n_behind, quantum_hpa = state.due_s, state.behind_s, state.n_behind, state.quantum_hpa
-        first = 0  # of the samples since a gap
+        first = 0  # index of the first sample after the last gap
         windows: list[tuple[int, int, int, float]] = []
-        for t, p in fresh.T.tolist():
+        for t, p in checked.T.tolist():
             if len(times) > first and t <= times[-1]:
                 n_behind = n_behind + 1 if t > behind_s else 1
                 behind_s = t
@@ -135,7 +175,7 @@ class ClimbRate:
                 continue
             if p != pressures[-1]:
                 quantum_hpa = min(quantum_hpa, abs(p - pressures[-1]))
-            nearest_s = t + 0.5 * (t - times[-1])  # until when no later sample is expected to be nearer
+            nearest_s = t + 0.5 * (t - times[-1])  # this sample is the nearest one to all times up to here
             times.append(t)
             pressures.append(p)
             if nearest_s >= due_s:
@@ -147,10 +187,15 @@ class ClimbRate:
         samples = np.array([times, pressures])
         start = bisect_left(times, times[-1] - self.window_s - _ROUNDING_S, lo=first) if times else 0
         kept = samples[:, start:].copy()
-        return ClimbState(kept, due_s, behind_s, n_behind, quantum_hpa), self._fits(samples, windows) if windows else []
+        return ClimbState(kept, due_s, behind_s, n_behind, quantum_hpa), self._climbs(
+            samples, windows
+        ) if windows else []
 
-    def _fits(self, samples: FloatArray, windows: list[tuple[int, int, int, float]]) -> list[Climb]:
-        """Climbs of windows: first sample, first of the last hop, end, and the least difference so far."""
+    def _climbs(self, samples: FloatArray, windows: list[tuple[int, int, int, float]]) -> list[Climb]:
+        """Return the climbs of windows.
+
+        Each window is given by its first sample, the first sample of its last hop, its end, and the resolution so far.
+        """
         starts, lasts, ends = np.array([w[:3] for w in windows]).T
         quantum_hpa, n, n_last = np.array([w[3] for w in windows]), ends - starts, ends - lasts
         time_s, pressure_hpa = samples[:, _ranges(starts, n)]
@@ -169,7 +214,7 @@ class ClimbRate:
         noise_m = metres_per_hpa * self.noise_hpa
         std_mps = np.sqrt(np.maximum(sums(residual_m * residual_m) / (n - 2), noise_m**2) / spread_s2)
         last_hpa = np.add.reduceat(samples[1, _ranges(lasts, n_last)], np.cumsum(n_last) - n_last) / n_last
-        # noise is of each sample, rounding of all of them alike
+        # Noise averages out over the samples. Rounding does not, because at rest it is the same in all of them.
         rounding_m = metres_per_hpa * np.where(np.isfinite(quantum_hpa), quantum_hpa, 0.0) / math.sqrt(12)
         end_m = -self.scale_height_m * np.log(last_hpa / STANDARD_PRESSURE_HPA)
         end_std_m = np.hypot(noise_m / np.sqrt(n_last), rounding_m)
@@ -178,44 +223,51 @@ class ClimbRate:
 
 
 def _ranges(starts: IntArray, n: IntArray) -> IntArray:
-    """Indices of all ranges one after the other."""
+    """Return the indices of consecutive ranges with the given starts and lengths, concatenated."""
     return np.repeat(starts - (np.cumsum(n) - n), n) + np.arange(n.sum())
 
 
 def checked_pressure(time_s: FloatArray, pressure_hpa: FloatArray) -> FloatArray:
-    """Time and pressure (2, N) without what cannot be used."""
+    """Return the times and pressures (2, N) of the usable samples.
+
+    Raises ValueError for wrong shapes and for pressures in Pa or kPa.
+    """
     if time_s.ndim != 1 or time_s.shape != pressure_hpa.shape:
         raise ValueError(
-            f"time_s and pressure_hpa must both be (N,), got {time_s.shape} and {pressure_hpa.shape}: of a recording, "
-            "give barometer.time_s and barometer.values[:, 0]"
+            f"time_s and pressure_hpa must both be (N,), got {time_s.shape} and {pressure_hpa.shape}: for a recording, "
+            "pass barometer.time_s and barometer.values[:, 0]"
         )
     for unit, (factor, remedy) in _OTHER_UNITS.items():
         other = _is_plausible(factor * pressure_hpa)
         if other.any():
-            raise ValueError(f"a pressure of {pressure_hpa[other][0]:g} must be {unit}, not hPa: {remedy}")
+            raise ValueError(
+                f"pressure_hpa must be in hPa, got {pressure_hpa[other][0]:g}, which must be {unit}, not hPa: {remedy}"
+            )
     good = np.isfinite(time_s) & _is_plausible(pressure_hpa)
     return np.stack([time_s[good], pressure_hpa[good]])
 
 
 def _is_plausible(hpa: FloatArray) -> BoolArray:
-    return (hpa >= _MIN_HPA) & (hpa <= _MAX_HPA)  # NaN is not
+    """Return True for pressures within the range of phone sensors; NaN compares False."""
+    return (hpa >= _MIN_HPA) & (hpa <= _MAX_HPA)
 
 
-# Stairs: the riser times the steps a second. A riser is 0.14 to 0.19 m in buildings in general (DIN 18065), mostly
-# about 0.17 m; people take 1.6 +- 0.3 steps a second, up or down.
+# Climb rate on stairs: riser times steps a second. A riser is 0.14 to 0.19 m in general buildings (DIN 18065), mostly
+# about 0.17 m. Persons take 1.6 +- 0.3 steps a second, up or down.
 RISER_M, RISER_STD_M = 0.17, 0.01
 STAIR_CADENCE_HZ, STAIR_CADENCE_STD_HZ = 1.6, 0.3
-# Elsewhere: ramps (1.3 m/s on 4 % are 0.05 m/s; 6 % is the steepest that DIN 18040 allows) and draughts. Rates over 4 s
-# have a standard deviation of 0.055 m/s on one storey (ipin21) and of 0.07 where somebody stands near doors (ipin2023).
+# Standard deviation of the climb rate in other contexts, due to ramps (1.3 m/s on a slope of 4 % are 0.05 m/s, and DIN
+# 18040 allows at most 6 %) and draughts. Rates over 4 s have a standard deviation of 0.055 m/s on one storey (ipin21)
+# and of 0.07 m/s for persons who stand near doors (ipin2023).
 OTHER_STD_MPS = 0.06
-# Lifts (0.5 to 2.5 m/s), doors that slam, a sensor that heats up: the share of windows of any context whose rate shows
-# nothing of it, even over what lifts do. It bounds the evidence: between two contexts a window weighs at most
-# log(1 + (1 - 0.1) / 0.1 * 5 m/s / (sqrt(2 pi) 0.06 m/s)) = 5.7 nats.
+# Probability that the climb rate is independent of the context, with a uniform distribution over the speeds of lifts:
+# lifts (0.5 to 2.5 m/s), slamming doors, a sensor that warms up. It bounds the evidence of a window between two
+# contexts by log(1 + (1 - 0.1) / 0.1 * 5 m/s / (sqrt(2 pi) 0.06 m/s)) = 5.7 nats.
 OUTLIER_SHARE = 0.1
 LIFT_MAX_MPS = 2.5
 
 _STAIRS_MPS = RISER_M * STAIR_CADENCE_HZ  # 0.27
-# 0.08: cadence 0.051, riser 0.016, and draughts on stairs too
+# 0.08 m/s: 0.051 from the step frequency, 0.016 from the riser, and 0.06 from draughts, which occur on stairs too.
 _STAIRS_STD_MPS = float(
     np.sqrt((RISER_M * STAIR_CADENCE_STD_HZ) ** 2 + (STAIR_CADENCE_HZ * RISER_STD_M) ** 2 + OTHER_STD_MPS**2)
 )
@@ -223,7 +275,7 @@ _STAIRS_STD_MPS = float(
 
 @lru_cache
 def _climb_rates(contexts: ContextSet) -> tuple[FloatArray, FloatArray]:
-    """Mean climb rate (C,) in m/s of each context, and its variance (C,)."""
+    """Return the mean climb rate (C,) of each context in m/s, and its variance (C,)."""
     climbs = np.array([c.climbs for c in contexts.contexts])
     return climbs * _STAIRS_MPS, np.where(climbs != 0, _STAIRS_STD_MPS**2, OTHER_STD_MPS**2)
 
@@ -231,19 +283,24 @@ def _climb_rates(contexts: ContextSet) -> tuple[FloatArray, FloatArray]:
 def climb_log_evidence(
     climb_rate_mps: ArrayLike, std_mps: ArrayLike, contexts: ContextSet = DEFAULT_CONTEXTS
 ) -> FloatArray:
-    """Log likelihood of climb rates (...) in each context, (..., C), up to a constant common to all.
+    """Return the log likelihood of climb rates (...) in each context, (..., C), up to a common constant.
 
-    log((1 - e) N(v; m_c, s_c^2 + std^2) + e / (2 v_max)): upstairs 0.27 +- 0.08 m/s, downstairs -0.27 +- 0.08 m/s, the
-    others 0 +- 0.06 m/s, and with probability e = 0.1 anything that a lift does. At the speed of a lift all contexts
-    are equally likely, and the other sensors distinguish standing from stairs. A slow lift (0.5 m/s) is still 1 nat for
-    stairs, each lift passes their rate on the way to its own, and an escalator keeps it: so the evidence is bounded,
-    and must not be the only one. A rate with a large `std_mps` is no evidence.
+    It is log((1 - e) N(v; m_c, s_c^2 + std^2) + e / (2 v_max)). The rates are 0.27 +- 0.08 m/s upstairs, -0.27 +- 0.08
+    m/s downstairs and 0 +- 0.06 m/s in other contexts. With probability e = 0.1 the rate is that of a lift, uniform
+    between -2.5 and 2.5 m/s. At the speed of a lift all contexts are equally likely, and the other sensors must
+    distinguish standing from stairs. A slow lift (0.5 m/s) still gives 1 nat for stairs, each lift passes the rate of
+    stairs while it accelerates, and an escalator keeps it. The evidence is therefore bounded, and must not be the only
+    evidence. A rate with a large `std_mps` gives no evidence. Raises ValueError for a rate that is not finite or a
+    negative `std_mps`.
     """
     rate, std = np.asarray(climb_rate_mps, dtype=float)[..., None], np.asarray(std_mps, dtype=float)[..., None]
     if not (np.isfinite(rate) & (std >= 0)).all():
-        raise ValueError(f"climb_rate_mps must be finite and std_mps at least zero, got {climb_rate_mps}, {std_mps}")
+        raise ValueError(
+            f"climb_rate_mps must be finite and std_mps at least zero, got {climb_rate_mps} and {std_mps}: leave out "
+            "windows without a climb rate"
+        )
     mean_mps, var_mps2 = _climb_rates(contexts)
     var = var_mps2 + std**2
-    away = rate - mean_mps
-    density = np.exp(-0.5 * away * away / var) / np.sqrt(2 * math.pi * var)
+    deviation = rate - mean_mps
+    density = np.exp(-0.5 * deviation * deviation / var) / np.sqrt(2 * math.pi * var)
     return np.log((1 - OUTLIER_SHARE) * density + OUTLIER_SHARE / (2 * LIFT_MAX_MPS))

@@ -1,14 +1,14 @@
-"""Features that show where a moving person carries the phone: its attitude, how it turns and what shakes it.
+"""Features that show where a moving person carries the phone: its attitude, rotation and vibration.
 
-Held for reading, the screen looks up and the phone barely turns. At the ear it stands on its edge. In a swinging hand
-it tilts by tens of degrees once a stride about one axis, at the end of a lever, the arm. In a trouser pocket it tilts
-with the thigh, and heel strikes reach it hard, sideways too. Angles come from the spectrum of the rate, each bin
-divided by 2 pi f, so neither drift nor the start of the window matters; relative to the vertical acceleration, the step
-itself, they do not grow with the pace.
+While reading, the screen faces up and the phone hardly rotates. At the ear the phone stands on its edge. In a swinging
+hand it tilts by tens of degrees in each stride about one axis, at the end of a lever, the arm. In a trouser pocket it
+tilts with the thigh, and heel strikes reach it strongly, also sideways. Angles are computed from the spectrum of the
+angular rate, each bin divided by 2 pi f, so that neither drift nor the start of the window matters. Features relative
+to the vertical acceleration of the step do not grow with the pace.
 
-Of the attitude only sizes of the components of up enter, and whether the screen faces up: a sign memorises habits.
-Nothing depends on north, on left or right, or on which end of the phone is up. Use them of windows of a moving person
-only: a phone that lies still is carried nowhere.
+Only absolute components of up are used, and whether the screen faces up, because signs would memorise habits. No
+feature depends on north, on left or right, or on which end of the phone is up. The features are meaningful only for
+windows of a moving person, because a phone at rest has no carrying mode.
 """
 
 from __future__ import annotations
@@ -67,64 +67,67 @@ _TURNING_NAMES: tuple[str, ...] = (
 WITHOUT_GYROSCOPE: tuple[str, ...] = (*ATTITUDE, *_FORCE_NAMES)
 NAMES: tuple[str, ...] = (*WITHOUT_GYROSCOPE, *_TURNING_NAMES)
 
-# Floors of amplitudes before the logarithm: the noise of a phone's sensors, and a tenth of a degree.
+# Added to amplitudes before the logarithm: the noise of the sensors of a phone, and a tenth of a degree.
 _FLOOR_MPS2, _FLOOR_RADPS, _FLOOR_RAD = 0.02, 0.005, 0.002
-# The screen faces up when it leans less than 60 degrees from level: cos 60.
+# Component of up along the screen normal above which the screen faces up: at most 60 degrees from horizontal, cos 60.
 _FACES_UP = 0.5
-# The lowest that the screen faces up: below it for a tenth of the window, which one knock is not.
+# Quantile of the screen direction taken as its lowest value. A tenth of the window is longer than a single knock.
 _LOWEST = 0.1
-# How much of a heel strike is left, in which band, shows what lies between heel and phone.
-_BLOWS_HZ: tuple[tuple[float, float], ...] = ((4.0, 7.5), (7.5, 12.0), (12.0, 20.0))
-# Angles: from the slowest stride to the fastest step; slower is turning round a corner, and drift.
+# Bands of heel impacts, Hz. The remaining power in each band shows how the body between heel and phone damps impacts.
+_IMPACTS_HZ: tuple[tuple[float, float], ...] = ((4.0, 7.5), (7.5, 12.0), (12.0, 20.0))
+# Band of angles, Hz, from the slowest stride to the fastest step. Slower rotation is a turn of the person, or drift.
 _ANGLE_HZ = (0.5, 3.5)
 _STRIDE_HZ = (0.5, 1.3)
-_SWING_HZ = (0.5, 1.8)  # a limb's swing and its fastest stride, without the step
+_SWING_HZ = (0.5, 1.8)  # swing of a limb up to the fastest stride, without the steps
 _FAST_HZ = (4.0, 12.0)  # rocking of a loose phone
-_BANDS_HZ = (*_BLOWS_HZ, _ANGLE_HZ, _STRIDE_HZ, _SWING_HZ, _FAST_HZ, (0.0, np.inf))
-_BLOWS, _ANGLE, _STRIDE, _SWING, _FAST, _ALL = slice(0, 3), 3, 4, 5, 6, 7
-# The strongest vertical frequency from a slow walk to a run is the step's.
+_BANDS_HZ = (*_IMPACTS_HZ, _ANGLE_HZ, _STRIDE_HZ, _SWING_HZ, _FAST_HZ, (0.0, np.inf))
+_IMPACTS, _ANGLE, _STRIDE, _SWING, _FAST, _ALL = slice(0, 3), 3, 4, 5, 6, 7
+# Band that contains the step frequency from slow walking to running, Hz. The strongest vertical frequency in it is
+# taken as the step frequency.
 _STEP_HZ = (1.25, 3.3)
-# Variances below which there is no lever to speak of, (0.14 rad/s2)^2, and no coherence, (0.03 rad/s2)^2 and
-# (0.03 m/s2)^2; and the floor of the lever, m, before the logarithm: the thickness of a hand.
+# Noise variances that make the lever vanish at small rotation, (0.14 rad/s2)^2, and the coherence at small motion,
+# (0.03 rad/s2)^2 and (0.03 m/s2)^2. The third value is added to the lever before the logarithm, m: the thickness of a
+# hand.
 _LEVER_NOISE, _COHERENCE_NOISE, _FLOOR_M = 0.02, 1e-3, 0.05
 
 
 def carrying_features(windows: FloatArray, rate_hz: float) -> FloatArray:
-    """Features (W, 38) of windows of `invariant.SIGNALS`, shape (W, 12, N), in the order of `NAMES`.
+    """Return the features (W, 38) of windows of `invariant.SIGNALS`, shape (W, 12, N), in the order of `NAMES`.
 
-    A missing gyroscope is three rows of zeros: the features named in `WITHOUT_GYROSCOPE` do not use it.
+    A missing gyroscope is given as three rows of zeros. The features named in `WITHOUT_GYROSCOPE` do not use it.
     """
     return in_groups(features_of, windows, rate_hz, len(NAMES))
 
 
 def features_of(windows: FloatArray, rate_hz: float) -> FloatArray:
-    """The same of few windows."""
+    """Return the features (W, 38) of a few windows of `invariant.SIGNALS` (W, 12, N)."""
     n = windows.shape[2]
     force, rate, up = windows[:, :3], windows[:, 3:6], windows[:, 6:9]
     yaw_rate = (rate * up).sum(axis=1)
     tilt_rate = rate - up * yaw_rate[:, None]
     centred = about_mean(np.concatenate([force, tilt_rate, yaw_rate[:, None]], axis=1))
     spectrum = np.fft.rfft(centred * hann_taper(n))
-    # Lines of power, which sum to the variance: vertical, horizontal, tilt rate, tilt angle, yaw angle.
-    each = (spectrum.real**2 + spectrum.imag**2) * (2.0 / n**2)
-    tilt, squared_omega = each[:, 3] + each[:, 4] + each[:, 5], _omega(n, rate_hz) ** 2
-    lines = [each[:, 0], each[:, 1] + each[:, 2], tilt, tilt / squared_omega, each[:, 6] / squared_omega]
-    power = np.stack(lines, axis=1)
+    # Power spectra, each of which sums to a variance: vertical, horizontal, tilt rate, tilt angle, yaw angle.
+    axis_power = (spectrum.real**2 + spectrum.imag**2) * (2.0 / n**2)
+    tilt, squared_omega = axis_power[:, 3] + axis_power[:, 4] + axis_power[:, 5], _omega(n, rate_hz) ** 2
+    horizontal, yaw = axis_power[:, 1] + axis_power[:, 2], axis_power[:, 6]
+    power = np.stack([axis_power[:, 0], horizontal, tilt, tilt / squared_omega, yaw / squared_omega], axis=1)
     bands = power @ _bands(n, rate_hz)
     centred_rate = about_mean(rate)
     about_axes = mean_square(centred_rate)
     stride, step = _stride_and_step(power, n, rate_hz)
     return columns(
         [
-            _attitude(up),
-            _shaking(centred[:, :3], bands, stride, step),
-            _turning(centred[:, 3:6], spectrum, bands, stride, step, rate_hz),
+            _attitude_features(up),
+            _force_features(centred[:, :3], bands, stride, step),
+            _rotation_features(centred[:, 3:6], spectrum, bands, stride, step, rate_hz),
             about_axes / (about_axes.sum(axis=1) + _FLOOR_RADPS**2)[:, None],
         ]
     )
 
 
-def _attitude(up: FloatArray) -> FloatArray:
+def _attitude_features(up: FloatArray) -> FloatArray:
+    """Return the features of the attitude (W, 9) from the up vectors (W, 3, N), in the order of `ATTITUDE`."""
     mean = up.mean(axis=2)
     mean = mean / (np.sqrt((mean * mean).sum(axis=1)) + 1e-9)[:, None]
     x, y, z = np.abs(mean).T
@@ -140,27 +143,31 @@ def _attitude(up: FloatArray) -> FloatArray:
             z,
             x * x,
             y * y,
-            x * y,  # largest, 0.5, when the long axis is 45 degrees off the vertical: from ear to mouth
+            x * y,  # largest (0.5) when the long axis is 45 degrees off the vertical, as from ear to mouth
         ]
     )
 
 
-def _shaking(force: FloatArray, bands: FloatArray, stride: FloatArray, step: FloatArray) -> FloatArray:
-    """Of the centred vertical, east and north force (W, 3, N), relative to the vertical: not the person's strength."""
+def _force_features(force: FloatArray, bands: FloatArray, stride: FloatArray, step: FloatArray) -> FloatArray:
+    """Return the features of the specific force (W, 14), in the order of `_FORCE_NAMES`.
+
+    `force` (W, 3, N) is the centred vertical, east and north specific force. Most features are relative to the vertical
+    force, so that they do not depend on how hard the person steps.
+    """
     vertical, east, north = force[:, 0], force[:, 1], force[:, 2]
     size = _log_rms(bands[:, :2, _ALL], _FLOOR_MPS2)
-    blows = _log_rms(bands[:, :2, _BLOWS], _FLOOR_MPS2) - size[:, :1, None]
+    impacts = _log_rms(bands[:, :2, _IMPACTS], _FLOOR_MPS2) - size[:, :1, None]
     stride_size, step_size = _log_rms(stride[:, :2], _FLOOR_MPS2), _log_rms(step[:, :2], _FLOOR_MPS2)
     scaled = vertical / (np.sqrt(mean_square(vertical)) + _FLOOR_MPS2)[:, None]
     squared = scaled * scaled
-    # variances along the main horizontal axis and across it: their difference over their sum
+    # (a - b) / (a + b) with the variances a and b along the main horizontal axis and across it
     difference, mixed = (east * east - north * north).mean(axis=1), 2 * (east * north).mean(axis=1)
     total = (east * east + north * north).mean(axis=1)
     return columns(
         [
             size[:, 0],
             size[:, 1] - size[:, 0],
-            blows.transpose(0, 2, 1).reshape(len(force), -1),
+            impacts.transpose(0, 2, 1).reshape(len(force), -1),
             stride_size[:, 0] - step_size[:, 0],
             stride_size[:, 1] - step_size[:, 0],
             step_size[:, 1] - step_size[:, 0],
@@ -171,7 +178,7 @@ def _shaking(force: FloatArray, bands: FloatArray, stride: FloatArray, step: Flo
     )
 
 
-def _turning(
+def _rotation_features(
     tilt_rate: FloatArray,
     spectrum: ComplexArray,
     bands: FloatArray,
@@ -179,6 +186,7 @@ def _turning(
     step: FloatArray,
     rate_hz: float,
 ) -> FloatArray:
+    """Return the features of the rotation (W, 12): `_TURNING_NAMES` without the last three."""
     n = tilt_rate.shape[2]
     variance, axes = np.linalg.eigh(tilt_rate @ tilt_rate.transpose(0, 2, 1) / n)
     size = _log_rms(bands[:, 0, _ALL], _FLOOR_MPS2)
@@ -200,7 +208,7 @@ def _turning(
             (variance[:, 2] - variance[:, 1]) / (variance.sum(axis=1) + _FLOOR_RADPS**2),
             np.log(lever + _FLOOR_M),
             coherence,
-            # a phone that only tilts, without moving, would show as much horizontal force as gravity it tilts by
+            # A phone that only tilts has a horizontal force of gravity times the tilt angle, so this log ratio is 0.
             _log_rms(bands[:, 1, _SWING], _FLOOR_MPS2)
             - np.log(STANDARD_GRAVITY_MPS2)
             - _log_rms(bands[:, 3, _SWING], _FLOOR_RAD),
@@ -209,43 +217,51 @@ def _turning(
 
 
 def _lever(acceleration_about: ComplexArray, horizontal: ComplexArray, n: int) -> tuple[FloatArray, FloatArray]:
-    """Length of the lever, m, and how much of the horizontal acceleration it explains, 0 to 1, each (W,)."""
-    # least squares of the horizontal acceleration on the angular one, whose quarter turn to the rate falls out
+    """Return the length of the lever in m and the share of the horizontal acceleration that it explains, each (W,).
+
+    The arguments are spectra of the angular acceleration about the main axis and of the horizontal specific force.
+    """
+    # Least squares of the horizontal acceleration on the angular one. The factor i between angular rate and angular
+    # acceleration is omitted, because only absolute values are used.
     product = (horizontal * acceleration_about.conj()[:, None]).sum(axis=2)
     matched = (product.real**2 + product.imag**2).sum(axis=1)
     about = (acceleration_about.real**2 + acceleration_about.imag**2).sum(axis=1)
     moved = (horizontal.real**2 + horizontal.imag**2).sum(axis=2).sum(axis=1)
-    noise = n**2 / 2.0  # spectra of this much power have a variance of one
+    noise = n**2 / 2.0  # summed squared spectrum of a line with variance one
     lever = np.sqrt(matched) / (about + _LEVER_NOISE * noise)
     coherence = matched / ((about + _COHERENCE_NOISE * noise) * (moved + _COHERENCE_NOISE * noise))
     return lever, coherence
 
 
 def _stride_and_step(power: FloatArray, n: int, rate_hz: float) -> tuple[FloatArray, FloatArray]:
-    """Power (W, L) of lines (W, L, K) at the stride's frequency and at the step's, which the vertical shows."""
+    """Return the power (W, L) of spectra (W, L, K) at stride frequency and at step frequency.
+
+    The step frequency is that of the strongest vertical motion.
+    """
     first, last = _bins(_STEP_HZ, n, rate_hz)
     step = first + power[:, 0, first:last].argmax(axis=1)
     stride = np.maximum(step // 2, 1)
     window = np.arange(len(power))
-    # a step at an odd bin has its stride between two
+    # For a step at an odd bin, the stride frequency lies between two bins.
     at_stride = power[window, :, stride] + power[window, :, stride + 1] * (step % 2)[:, None]
     return at_stride, power[window, :, step - 1] + power[window, :, step] + power[window, :, step + 1]
 
 
 def _log_rms(power: FloatArray, floor: float) -> FloatArray:
+    """Return the logarithm of the rms amplitude for a power, with a floor of the amplitude."""
     return np.asarray(0.5 * np.log(power + floor**2))
 
 
 @cache
 def _omega(n: int, rate_hz: float) -> FloatArray:
-    """Angular frequency of each bin, rad/s; the first bin, which holds no motion, as the second."""
+    """Return the angular frequency of each bin, rad/s. The bin of zero frequency has that of the next bin."""
     bins = np.arange(n // 2 + 1, dtype=np.float64)
     return 2 * np.pi * rate_hz / n * np.maximum(bins, 1.0)
 
 
 @cache
 def _bins(band_hz: tuple[float, float], n: int, rate_hz: float) -> tuple[int, int]:
-    """First bin of a band and the first one after it."""
+    """Return the first bin of a band and the first bin after it."""
     frequency_hz = np.arange(n // 2 + 1) * rate_hz / n
     first, last = np.searchsorted(frequency_hz, np.array(band_hz) - 1e-9)
     return int(first), int(last)
@@ -253,7 +269,7 @@ def _bins(band_hz: tuple[float, float], n: int, rate_hz: float) -> tuple[int, in
 
 @cache
 def _bands(n: int, rate_hz: float) -> FloatArray:
-    """Matrix (n // 2 + 1, B) that sums the bins of each of `_BANDS_HZ`."""
+    """Return the matrix (n // 2 + 1, B) that sums the bins of each of `_BANDS_HZ`."""
     matrix = np.zeros((n // 2 + 1, len(_BANDS_HZ)))
     for column, band in enumerate(_BANDS_HZ):
         first, last = _bins(band, n, rate_hz)

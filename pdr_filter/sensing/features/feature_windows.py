@@ -1,7 +1,7 @@
-"""Sliding windows over the signals of all sensors: one feature vector a window, causal.
+"""Sliding windows over the signals of all sensors, each with one feature vector, as a causal stage.
 
-Windows of 2 s with 50 % overlap (Martinelli et al. 2018, section V and Fig. 12) start with the segment; a window that a
-gap would cut does not exist.
+Windows of 2 s with 50 % overlap (Martinelli et al. 2018, section V and Fig. 12) start at the beginning of the segment.
+No window spans a gap.
 """
 
 from __future__ import annotations
@@ -19,26 +19,30 @@ from pdr_filter.sensing.signal_filters import butterworth, filtered
 from pdr_filter.sensing.steps.step_log import specific_force_magnitude
 from pdr_filter.values import FeatureSet, FloatArray
 
-# What a feature set is given of a window: |f| and low-passed |f| in m/s2, |omega| in rad/s, |m| in uT, and then
-# `invariant.SIGNALS`.
+# Signals of a window that a feature set receives: |f| and low-passed |f| in m/s2, |omega| in rad/s, |m| in uT, and then
+# `invariant.SIGNALS`. `values.WINDOW_SIGNALS` has their names.
 N_MAGNITUDES = 4
-N_SIGNALS = N_MAGNITUDES + len(invariant.SIGNALS)  # named by `values.WINDOW_SIGNALS`
+N_SIGNALS = N_MAGNITUDES + len(invariant.SIGNALS)
 
 
 @dataclass(frozen=True)
 class AttitudeFreeFeatures:
-    """Features that do not change with the phone's attitude, then those of the carrying mode, then of the stride."""
+    """Feature set of the shipped models, independent of the attitude of the phone.
+
+    The features are those of the motion (`invariant`), of the carrying mode (`carrying`) and of the stride (`stride`).
+    """
 
     name: str = "invariant"
     low_pass_hz: None = None
     names: tuple[str, ...] = (*invariant.NAMES, *carrying.NAMES, *stride.NAMES)
 
     def describe(self, windows: FloatArray, rate_hz: float) -> FloatArray:
-        """Features (W, F) of the signals of windows (W, N_SIGNALS, N)."""
-        return invariant.in_groups(_of_group, windows[:, N_MAGNITUDES:], rate_hz, len(self.names))
+        """Return the features (W, F) of the signals of windows (W, N_SIGNALS, N)."""
+        return invariant.in_groups(_all_features, windows[:, N_MAGNITUDES:], rate_hz, len(self.names))
 
 
-def _of_group(windows: FloatArray, rate_hz: float) -> FloatArray:
+def _all_features(windows: FloatArray, rate_hz: float) -> FloatArray:
+    """Return all features (W, F) of windows (W, 12, N) of `invariant.SIGNALS`."""
     swing = invariant.swing_lines(windows)
     parts = (
         invariant.features_of(windows, swing, rate_hz),
@@ -53,40 +57,116 @@ ATTITUDE_FREE = AttitudeFreeFeatures()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FeatureWindow(DescribedWindow):
-    """Features of one window."""
+    """Features of one window.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Names of the F features.
+    features : FloatArray
+        Values of the features, shape (F,).
+    has_gyroscope : bool
+        True if the angular rate is known in all samples of the window.
+    """
 
     names: tuple[str, ...]
-    features: FloatArray  # (F,) in the order of the names
+    features: FloatArray
     has_gyroscope: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WindowState:
-    """Filter memory, and samples that later windows still need."""
+    """State of the feature windows.
 
-    zi: FloatArray | None  # (1, 1, 2); None before the first sample, and where nothing is filtered
-    buffer: WindowBuffer  # of the angular rate known or not, and N_SIGNALS signals
+    Attributes
+    ----------
+    zi : FloatArray or None
+        State of the low-pass, shape (1, 1, 2). None before the first sample, and for feature sets without low-pass.
+    buffer : WindowBuffer
+        Buffered signals: one that tells whether the angular rate is known, and `N_SIGNALS` more.
+    """
+
+    zi: FloatArray | None
+    buffer: WindowBuffer
 
 
 @dataclass(frozen=True)
 class FeatureWindows(SlidingWindows[WindowState, FeatureWindow]):
-    """Windows and their features."""
+    """Causal stage that cuts sliding windows and computes the features of each.
+
+    Parameters
+    ----------
+    rate_hz : float, default 100
+        Sampling rate of the blocks, Hz.
+    window_s : float, default 2
+        Length of the windows, s.
+    hop_s : float, default 1
+        Time between the starts of consecutive windows, s, at most `window_s`.
+    features : FeatureSet
+        Feature set: names, cutoff of the low-pass, and a function of the signals of windows.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is not positive, or `hop_s` is longer than `window_s`.
+
+    Examples
+    --------
+    Three seconds of a phone at rest give two windows of 2 s:
+
+    >>> import numpy as np
+    >>> from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindows
+    >>> from pdr_filter.sensing.front_end import feature_windows
+    >>> from pdr_filter.values import ImuBlock
+    >>> time_s = np.arange(0.0, 3.1, 0.01)
+    >>> force, rate = np.full((310, 3), [0.0, 0.0, 9.81]), np.zeros((310, 3))
+    >>> samples = ImuBlock(time_s, force, rate, magnetic_field_ut=np.full((310, 3), np.nan))
+    >>> windows = list(feature_windows(FeatureWindows(features=ATTITUDE_FREE), [samples]))
+    >>> [(round(w.start_s, 2), round(w.time_s, 2), w.has_gyroscope) for w in windows]
+    [(0.0, 2.0, True), (1.0, 3.0, True)]
+    >>> windows[0].features.shape == (len(ATTITUDE_FREE.names),)
+    True
+    """
 
     features: FeatureSet = field(kw_only=True)
 
     @cached_property
     def _sos(self) -> FloatArray | None:
+        """Second-order sections of the low-pass, or None if the feature set needs no low-pass."""
         low_pass_hz = self.features.low_pass_hz
         return None if low_pass_hz is None else butterworth(2, low_pass_hz, self.rate_hz)
 
     def init(self) -> WindowState:
-        """State at the start of a segment."""
+        """Return the state at the start of a segment.
+
+        Returns
+        -------
+        WindowState
+            Initial state.
+        """
         return WindowState(None, no_samples(1 + N_SIGNALS))
 
     def update(
         self, state: WindowState, block: UniformBlock, attitude: AttitudeBlock
     ) -> tuple[WindowState, list[tuple[int, FeatureWindow]]]:
-        """New state and the windows that became complete, each with the index of its last sample."""
+        """Return the new state and the windows that a block completes.
+
+        Parameters
+        ----------
+        state : WindowState
+            State after the previous block.
+        block : UniformBlock
+            Uniform samples that follow.
+        attitude : AttitudeBlock
+            Attitude at these samples.
+
+        Returns
+        -------
+        state : WindowState
+            New state.
+        windows : list of (int, FeatureWindow)
+            Windows with their features, each with the number of its last sample.
+        """
         force = specific_force_magnitude(block.specific_force_mps2)
         low_passed, zi = np.zeros((1, len(force))), None
         if self._sos is not None:

@@ -1,14 +1,16 @@
-"""Features that do not change when the phone is turned over, put in the other pocket or carried by somebody else.
+"""Features of windows that do not depend on the attitude of the phone, the side of its pocket, or the person.
 
-Of one window: statistics and band powers of vertical and horizontal acceleration, of the turning about the vertical and
-of the tilting, of the device's own main axes of rotation, how regular the steps are, and how the parts of the motion
-follow each other. No feature depends on the device's attitude, on its handedness or on north: signed angles and axes
-memorise a person's habit and fail on the next one (docs/benchmarks.md).
+The features of a window are statistics and band powers of the vertical and horizontal acceleration, of the rotation
+about the vertical, of the tilting, and of the rotation about the main axes of the device. Further features are the
+regularity of the steps and the phase relations between the parts of the motion. No feature depends on the attitude of
+the device, on its handedness or on north. Signed angles and axes would memorise the habit of a person and fail for the
+next one (docs/benchmarks.md).
 
-Stairs differ from walking in when in the step things happen: the swing of the limb that carries the phone against
-the bounce of the body. The limb swings about the main axis of the angular rate, whose sign is arbitrary: it is squared
-away, or cancels in a product, or is the one for which the acceleration across the axis points forward, weighted by how
-clearly it does (docs/methods/contexts.md). Amplitudes and powers enter as logarithms: people differ by factors.
+Stairs differ from walking in the timing within a step: the swing of the limb that carries the phone relative to the
+bounce of the body. The limb swings about the main axis of the angular rate, whose sign is arbitrary. Features avoid the
+sign by squares or products, or choose the sign for which the acceleration across the axis points forward, weighted by
+how clearly it does (docs/methods/contexts.md). Amplitudes and powers enter as logarithms, because persons differ by
+factors.
 """
 
 from __future__ import annotations
@@ -21,10 +23,10 @@ import numpy as np
 
 from pdr_filter.values import FloatArray, IntArray
 
-# Rows of a window, as `FeatureWindows` keeps them.
+# Signals of a window, in the order of `FeatureWindows`.
 SIGNALS: tuple[str, ...] = (
-    "vertical",  # specific force along up less gravity, m/s2
-    "east",  # horizontal specific force in the attitude's frame, m/s2
+    "vertical",  # specific force along up minus gravity, m/s2
+    "east",  # horizontal specific force in the attitude frame, m/s2
     "north",
     "rate_x",  # angular rate, sensor frame, rad/s
     "rate_y",
@@ -36,7 +38,7 @@ SIGNALS: tuple[str, ...] = (
     "force_y",
     "force_z",
 )
-# Sub-harmonics to harmonics of a step: stride 0.6 to 1.2 Hz, step 1.2 to 3 Hz, and the blow of the heel above.
+# Frequency bands, Hz: stride 0.6 to 1.2 Hz, step 1.2 to 3 Hz, and the harmonics and the impact of the heel above.
 BANDS_HZ: tuple[tuple[float, float], ...] = (
     (0.4, 1.2),
     (1.2, 1.7),
@@ -49,23 +51,26 @@ BANDS_HZ: tuple[tuple[float, float], ...] = (
 )
 QUANTILES: tuple[float, ...] = (0.05, 0.25, 0.5, 0.75, 0.95)
 LAGS_S: tuple[float, ...] = (-0.3, -0.2, -0.1, 0.0, 0.1, 0.2, 0.3)
-# Timing within a step: a step takes 0.35 to 0.8 s, half of it on each side.
+# Lags for the timing within a step, s. A step takes 0.35 to 0.8 s, of which half lies on each side.
 STEP_LAGS_S: tuple[float, ...] = (-0.4, -0.32, -0.24, -0.16, -0.08, 0.0, 0.08, 0.16, 0.24, 0.32, 0.4)
-# A swing repeats after a stride of 0.7 to 1.4 s and is opposite after half of it.
+# Lags for the repetition of a swing, s. It repeats after a stride of 0.7 to 1.4 s and is opposite after half a stride.
 SWING_LAGS_S: tuple[float, ...] = (0.2, 0.32, 0.44, 0.56, 0.68, 0.8, 0.92)
-# Floor of amplitudes before the logarithm: the noise of a phone's accelerometer and gyroscope.
+# Added to amplitudes before the logarithm: the noise of the accelerometer and gyroscope of a phone.
 _FLOOR_MPS2, _FLOOR_RADPS = 0.02, 0.005
 
+# A line is a scalar signal of a window over time.
 _LINES = ("vertical", "forward", "lateral", "horizontal", "yaw_rate", "tilt_rate", "main_rate")
 _FORCES = _LINES[:4]
 _RATES = _LINES[4:]
 
 
 def _band_names(line: str) -> list[str]:
+    """Return the names of the band powers of a line."""
     return [f"log_band_{line}_{low:g}_{high:g}_hz" for low, high in BANDS_HZ]
 
 
 def _timing_names(line: str) -> list[str]:
+    """Return the names of the correlations of a line with the vertical at each of `STEP_LAGS_S`."""
     return [f"{line}_follows_vertical_{lag:+g}_s" for lag in STEP_LAGS_S]
 
 
@@ -109,7 +114,7 @@ WITHOUT_GYROSCOPE: tuple[str, ...] = _FORCE_NAMES
 
 @cache
 def _bands(n: int, rate_hz: float) -> FloatArray:
-    """Matrix (n // 2 + 1, B) that sums the bins of each band, each bin shared by the bands that it touches."""
+    """Return the matrix (n // 2 + 1, B) that sums the bins of each band, with bins shared at the edges of bands."""
     frequency = np.arange(n // 2 + 1) * rate_hz / n
     width = rate_hz / n
     low, high = np.array(BANDS_HZ).T
@@ -119,46 +124,49 @@ def _bands(n: int, rate_hz: float) -> FloatArray:
 
 @cache
 def hann_taper(n: int) -> FloatArray:
-    """Of unit power."""
+    """Return a Hann taper of n samples with a mean square of one."""
     taper = np.hanning(n + 2)[1:-1]
     return np.asarray(taper / np.sqrt((taper**2).mean()))
 
 
 def about_mean(lines: FloatArray) -> FloatArray:
-    """Lines (..., N) less their means."""
+    """Return lines (..., N) minus their means."""
     return lines - (np.add.reduce(lines, axis=-1) / lines.shape[-1])[..., None]
 
 
 def mean_square(lines: FloatArray) -> FloatArray:
-    """Of lines (..., N)."""
+    """Return the mean squares (...) of lines (..., N)."""
     return np.asarray(np.add.reduce(lines * lines, axis=-1) / lines.shape[-1], dtype=np.float64)
 
 
 def columns(features: Sequence[FloatArray]) -> FloatArray:
-    """Features (W,) and (W, F) beside each other, as np.column_stack has them in a fifth of the time."""
+    """Return features (W,) and (W, F) joined as columns, like np.column_stack but in a fifth of the time."""
     return np.concatenate([f[:, None] if f.ndim == 1 else f for f in features], axis=1)
 
 
 def in_groups(
-    of_group: Callable[[FloatArray, float], FloatArray], windows: FloatArray, rate_hz: float, n_features: int
+    features: Callable[[FloatArray, float], FloatArray], windows: FloatArray, rate_hz: float, n_features: int
 ) -> FloatArray:
-    """Features (W, F) of windows, computed 32 at a time: their lines fit the processor's cache. No result changes."""
-    groups = (of_group(windows[i : i + 32], rate_hz) for i in range(0, len(windows), 32))
+    """Return the features (W, F) of windows, computed for 32 windows at a time.
+
+    The lines of 32 windows fit into the processor's cache. The grouping changes no result.
+    """
+    groups = (features(windows[i : i + 32], rate_hz) for i in range(0, len(windows), 32))
     return np.concatenate([np.empty((0, n_features)), *groups])
 
 
 def invariant_features(windows: FloatArray, rate_hz: float) -> FloatArray:
-    """Features (W, F) of windows of `SIGNALS`, shape (W, 12, N), in the order of `NAMES`.
+    """Return the features (W, F) of windows of `SIGNALS`, shape (W, 12, N), in the order of `NAMES`.
 
-    A missing gyroscope is three rows of zeros: the features named in `WITHOUT_GYROSCOPE` do not use it. A window has
-    the same bits alone and among others: sums run along the last axis of contiguous arrays, products of matrices and
-    transforms are made window by window.
+    A missing gyroscope is given as three rows of zeros. The features named in `WITHOUT_GYROSCOPE` do not use it. A
+    window has the same bits alone and among others, because sums run along the last axis of contiguous arrays, and
+    matrix products and transforms are computed window by window.
     """
     return in_groups(lambda group, hz: features_of(group, swing_lines(group), hz), windows, rate_hz, len(NAMES))
 
 
 def features_of(windows: FloatArray, swing: SwingLines, rate_hz: float) -> FloatArray:
-    """The same of few windows, whose swing is known."""
+    """Return the features (W, F) of a few windows of `SIGNALS` (W, 12, N), with computed swing."""
     n = windows.shape[2]
     vertical = about_mean(windows[:, 0])
     horizontal = about_mean(windows[:, 1:3])
@@ -177,8 +185,8 @@ def features_of(windows: FloatArray, swing: SwingLines, rate_hz: float) -> Float
     std = np.sqrt(mean_square(centred))
     power = _power(centred)
     bands = power[:, [0, 1, 2, 4, 5, 6]] @ _bands(n, rate_hz)
-    order = np.sort(lines[:, [0, 3, 5]], axis=2)
-    quantiles = order[:, :, _quantile_places(n)]
+    ordered = np.sort(lines[:, [0, 3, 5]], axis=2)
+    quantiles = ordered[:, :, _quantile_indices(n)]
     regularity, lag_s, stride = _regularity(power[:, 0], n, rate_hz)
     velocity = about_mean(np.cumsum(vertical, axis=1) / rate_hz)
     lagged = _lagged(vertical, STEP_LAGS_S, rate_hz)
@@ -199,7 +207,7 @@ def features_of(windows: FloatArray, swing: SwingLines, rate_hz: float) -> Float
         _asymmetry(power[:, 0], lag_s, n, rate_hz),
         _rows(_timing(squares, _SQUARED_FLOORS, lagged, std[:, 0])),
     ]
-    turning = [
+    rotation = [
         np.log(std[:, 4:] + _FLOOR_RADPS),
         np.log(np.sqrt(np.maximum(spread[:, 1::-1], 0.0)) + _FLOOR_RADPS),
         np.log(np.abs(lines[:, 4:]).mean(axis=2) + _FLOOR_RADPS),
@@ -211,33 +219,36 @@ def features_of(windows: FloatArray, swing: SwingLines, rate_hz: float) -> Float
         np.abs(_moments(centred[:, 6], std[:, 6], _FLOOR_RADPS)[:, 0]),
         *_swing_timing(swing, lagged, std[:, 0], velocity, rate_hz),
     ]
-    return columns([*force, *turning])
+    return columns([*force, *rotation])
 
 
 def _norm(vectors: FloatArray) -> FloatArray:
-    """Lengths (W, N) of vectors (W, d, N)."""
+    """Return the lengths (W, N) of vectors (W, d, N)."""
     return np.sqrt((vectors * vectors).sum(axis=1))
 
 
 def _along(axis: FloatArray, vectors: FloatArray) -> FloatArray:
-    """Components (W, N) of vectors (W, 3, N) along axes (W, 3)."""
+    """Return the components (W, N) of vectors (W, 3, N) along axes (W, 3)."""
     return (axis[:, :, None] * vectors).sum(axis=1)
 
 
 def _rows(features: FloatArray) -> FloatArray:
+    """Return features (W, ...) flattened to one row for each window."""
     return features.reshape(len(features), -1)
 
 
 @cache
-def _quantile_places(n: int) -> IntArray:
+def _quantile_indices(n: int) -> IntArray:
+    """Return the positions of the quantiles in n sorted values."""
     return np.array([min(int(q * n), n - 1) for q in QUANTILES])
 
 
 def _main_axes(horizontal: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Components (W, N) along the axis of largest spread in the horizontal plane, and across it."""
+    """Return the components (W, N) of horizontal vectors (W, 2, N) along the axis of largest variance and across it."""
     east, north = horizontal[:, 0], horizontal[:, 1]
     difference, mixed = (east * east - north * north).sum(axis=1), 2 * (east * north).sum(axis=1)
-    # half of the angle whose cosine is difference / size: without trigonometry, whose bits depend on the processor
+    # The axis has half of the angle whose cosine is difference / size. The half-angle formulas avoid trigonometric
+    # functions, whose bits depend on the processor.
     size = np.sqrt(difference * difference + mixed * mixed)
     cosine = np.divide(difference, size, out=np.ones_like(size), where=size > 0)
     c = np.sqrt(0.5 * (1 + cosine))[:, None]
@@ -246,38 +257,43 @@ def _main_axes(horizontal: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _principal(centred: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Principal axes (W, 3, 3) in columns and variances (W, 3), smallest first."""
+    """Return the principal axes (W, 3, 3) as columns and their variances (W, 3), smallest first."""
     variance, axes = np.linalg.eigh(centred @ centred.transpose(0, 2, 1) / centred.shape[2])
     return axes, variance
 
 
 def _moments(centred: FloatArray, std: FloatArray, floor: float) -> FloatArray:
-    """Skewness and kurtosis (W, 2), those of a constant being zero."""
+    """Return the skewness and kurtosis (W, 2), which are zero for a constant line."""
     scaled = centred / np.maximum(std, floor)[:, None]
     squared = scaled * scaled
     return np.stack([(squared * scaled).mean(axis=1), mean_square(squared)], axis=1)
 
 
 def _power(centred: FloatArray) -> FloatArray:
-    """Power of each bin (..., N // 2 + 1) of tapered lines (..., N)."""
+    """Return the power of each bin (..., N // 2 + 1) of lines (..., N) after the Hann taper."""
     n = centred.shape[-1]
     spectrum = np.fft.rfft(centred * hann_taper(n))
     return (spectrum.real**2 + spectrum.imag**2) * (2.0 / n**2)
 
 
 def _peak_hz(power: FloatArray, n: int, rate_hz: float) -> FloatArray:
+    """Return the frequency (W,) of largest power below half of the Nyquist frequency, Hz."""
     return (power[:, 1 : n // 4].argmax(axis=1) + 1) * (rate_hz / n)
 
 
 @cache
 def _taper_correlation(n: int) -> FloatArray:
-    """Share of the taper's overlap at each lag, at least 0.05."""
+    """Return the autocorrelation of the taper at each lag, at least 0.05, which corrects the loss of overlap."""
     overlap = np.fft.irfft(np.abs(np.fft.rfft(hann_taper(n))) ** 2, n)
     return np.maximum(overlap / overlap[0], 0.05)
 
 
 def _regularity(power: FloatArray, n: int, rate_hz: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Largest autocorrelation at a step's lag (0.28 to 1 s), that lag in s, and the autocorrelation at twice it."""
+    """Return the step regularity (W,), the lag of a step (W,) in s, and the stride regularity (W,).
+
+    The step regularity is the largest autocorrelation at a lag of 0.28 to 1 s. The stride regularity is the
+    autocorrelation at twice that lag.
+    """
     correlation = np.fft.irfft(power, n)
     correlation = correlation / np.maximum(correlation[:, :1], 1e-12) / _taper_correlation(n)
     first, last = round(0.28 * rate_hz), min(round(1.0 * rate_hz), n // 2)
@@ -292,17 +308,33 @@ _SWING_FLOORS = np.array([_FLOOR_RADPS**2, _FLOOR_RADPS**2, _FLOOR_RADPS, _FLOOR
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SwingLines:
-    """The limb's swing about its main horizontal axis, whose sign is arbitrary, and the force beside it."""
+    """Swing of the limb about its main horizontal axis, with the specific force along and across the axis.
 
-    mean_up: FloatArray  # (W, 3)
-    rate: FloatArray  # (W, N) about the axis
-    roll_rate: FloatArray  # (W, N) about the horizontal axis across it
-    across: FloatArray  # (W, N) force across the axis: the direction in which the limb swings
-    along: FloatArray  # (W, N) force along it
+    The sign of the axis is arbitrary.
+
+    Attributes
+    ----------
+    mean_up : FloatArray
+        Mean unit vector up in the sensor frame, shape (W, 3).
+    rate : FloatArray
+        Angular rate about the axis, shape (W, N), rad/s.
+    roll_rate : FloatArray
+        Angular rate about the horizontal axis perpendicular to it, shape (W, N), rad/s.
+    across : FloatArray
+        Specific force across the axis, which is the direction of the swing, shape (W, N), m/s2.
+    along : FloatArray
+        Specific force along the axis, shape (W, N), m/s2.
+    """
+
+    mean_up: FloatArray
+    rate: FloatArray
+    roll_rate: FloatArray
+    across: FloatArray
+    along: FloatArray
 
 
 def swing_lines(windows: FloatArray) -> SwingLines:
-    """Of windows of `SIGNALS`, (W, 12, N)."""
+    """Return the swing of windows of `SIGNALS`, (W, 12, N)."""
     rate, up, sensor_force = windows[:, 3:6], windows[:, 6:9], windows[:, 9:12]
     mean_up = up.mean(axis=2)
     mean_up = mean_up / np.sqrt((mean_up * mean_up).sum(axis=1))[:, None]
@@ -327,35 +359,41 @@ def _swing_timing(
     velocity: FloatArray,
     rate_hz: float,
 ) -> list[FloatArray]:
-    """How the limb's swing, and the force along and across its axis, follow the vertical within a step."""
+    """Return the features of the timing of the swing relative to the vertical motion within a step.
+
+    They describe the angular rate about the swing axis, its angle, and the specific force across and along the axis.
+    """
     n = swing.rate.shape[1]
     swing_rate, across_force, along_force = swing.rate, swing.across, swing.along
     angle = np.cumsum(swing_rate, axis=1) / rate_hz
-    # from its first to its last value a straight line is taken away: a window cannot show whether it is drift
+    # Remove the straight line from the first to the last value, because a window cannot distinguish it from drift.
     angle = about_mean(angle - (angle[:, -1:] - angle[:, :1]) * (np.arange(n) / (n - 1)))
 
     swing_std = np.sqrt(mean_square(swing_rate)) + _FLOOR_RADPS
     across_std = np.sqrt(mean_square(across_force)) + _FLOOR_MPS2
     velocity_std = np.sqrt(mean_square(velocity)) + _FLOOR_MPS2
-    # -1 to 1: whether the axis across points forward, and how clearly
+    # From -1 to 1: the sign tells whether the direction across the axis points forward, the size how clearly.
     forward = -(across_force * velocity).mean(axis=1) / (across_std * velocity_std)
     lines = np.stack([swing_rate * swing_rate, angle * angle, swing_rate, across_force, along_force], axis=1)
     timing = _timing(lines, _SWING_FLOORS, lagged_vertical, vertical_std)
     timing[:, 2:4] *= forward[:, None, None]
-    timing[:, 4] = np.abs(timing[:, 4])  # to the left or to the right
+    timing[:, 4] = np.abs(timing[:, 4])  # left and right must not differ
     follows = _product(swing_rate, _lagged(across_force, STEP_LAGS_S, rate_hz))
     repeats = _product(swing_rate, _lagged(swing_rate, SWING_LAGS_S, rate_hz))
-    order = np.sort(np.where(forward > 0, 1.0, -1.0)[:, None] * angle, axis=1)
+    ordered = np.sort(np.where(forward > 0, 1.0, -1.0)[:, None] * angle, axis=1)
     return [
         _rows(timing),
         follows / (n * swing_std * across_std)[:, None],
         repeats / (n * swing_std * swing_std)[:, None],
-        order[:, _quantile_places(n)] * np.abs(forward)[:, None],
+        ordered[:, _quantile_indices(n)] * np.abs(forward)[:, None],
     ]
 
 
 def _timing(lines: FloatArray, floor: FloatArray, lagged_vertical: FloatArray, vertical_std: FloatArray) -> FloatArray:
-    """Correlation (W, K, L) of lines (W, K, N) with the vertical, later by each of `STEP_LAGS_S`; near 0 at rest."""
+    """Return the correlations (W, K, L) of lines (W, K, N) with the vertical at each of `STEP_LAGS_S`.
+
+    The floors make the result approach 0 for a phone at rest.
+    """
     centred = about_mean(lines)
     std = np.sqrt(mean_square(centred)) + floor
     product = centred @ lagged_vertical.transpose(0, 2, 1)
@@ -363,12 +401,12 @@ def _timing(lines: FloatArray, floor: FloatArray, lagged_vertical: FloatArray, v
 
 
 def _product(line: FloatArray, lagged: FloatArray) -> FloatArray:
-    """Sums (W, L) of a line (W, N) times another at each lag, (W, L, N)."""
+    """Return the sums (W, L) of products of a line (W, N) with another line at L lags, (W, L, N)."""
     return (lagged @ line[:, :, None])[:, :, 0]
 
 
 def _lagged(line: FloatArray, lags_s: tuple[float, ...], rate_hz: float) -> FloatArray:
-    """The line later by each lag, (W, L, N): row l holds line(t + lag_l), zero outside the window."""
+    """Return the line (W, N) at each lag, (W, L, N): row l holds line(t + lag_l), and zero outside the window."""
     n_windows, n = line.shape
     starts, margin = _lag_samples(lags_s, rate_hz)
     padded = np.zeros((n_windows, n + 2 * margin))
@@ -381,21 +419,27 @@ def _lagged(line: FloatArray, lags_s: tuple[float, ...], rate_hz: float) -> Floa
 
 @cache
 def _lag_samples(lags_s: tuple[float, ...], rate_hz: float) -> tuple[tuple[int, ...], int]:
-    """First sample of each lag in a line with margins, and the margin."""
+    """Return the first sample of each lag in a line padded by a margin, and the margin in samples."""
     lags = [round(lag * rate_hz) for lag in lags_s]
     margin = max(abs(lag) for lag in lags)
     return tuple(lag + margin for lag in lags), margin
 
 
 def _follows(vertical: FloatArray, horizontal: FloatArray, rate_hz: float) -> FloatArray:
-    """Size (W, L) of the correlation of the horizontal with the vertical at each lag, 0 to 1, whatever its axes."""
+    """Return the correlation (W, L) of the horizontal with the vertical at each of `LAGS_S`, 0 to 1.
+
+    It is the length of the correlation vector, so that it does not depend on the horizontal axes.
+    """
     scale = np.sqrt((vertical * vertical).sum(axis=1) * (horizontal * horizontal).sum(axis=(1, 2))) + 1e-9
     product = _lagged(vertical, LAGS_S[::-1], rate_hz) @ horizontal.transpose(0, 2, 1)
     return np.sqrt((product * product).sum(axis=2)) / scale[:, None]
 
 
 def _asymmetry(power: FloatArray, step_lag_s: FloatArray, n: int, rate_hz: float) -> FloatArray:
-    """Log ratio of the vertical's power at stride frequency to that at step frequency: a limp, or one pocket."""
+    """Return the log ratio (W,) of the amplitude of the vertical at stride frequency to that at step frequency.
+
+    It is large for a limp, and for a phone in one trouser pocket.
+    """
     step = n / (step_lag_s * rate_hz)  # bin of the step frequency
     each, around = np.arange(len(power))[:, None], np.arange(-1, 2)
     stride_power, step_power = (
@@ -406,6 +450,6 @@ def _asymmetry(power: FloatArray, step_lag_s: FloatArray, n: int, rate_hz: float
 
 
 def _swing(up: FloatArray) -> FloatArray:
-    """Root mean square angle of the up vector about its mean direction, rad (small angles)."""
+    """Return the rms angle (W,) between the up vector and its mean direction, rad (for small angles)."""
     centred = about_mean(up)
     return np.sqrt((centred * centred).sum(axis=1).mean(axis=1))

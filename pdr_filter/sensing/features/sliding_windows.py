@@ -1,4 +1,4 @@
-"""Windows cut from a stream that arrives in blocks: the one place that counts their samples."""
+"""Cut sliding windows from a stream that arrives in blocks. No other module counts the samples of windows."""
 
 from __future__ import annotations
 
@@ -15,44 +15,72 @@ from pdr_filter.values import FloatArray, check_numbers
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampleWindow:
-    """The samples of one window."""
+    """Samples of one window.
 
-    last: int  # number of its last sample
+    Attributes
+    ----------
+    last : int
+        Number of the last sample in the segment.
+    start_s, end_s : float
+        Start and end of the window, s.
+    samples : FloatArray
+        Signals, shape (R, N), contiguous so that sums have the same order for every window.
+    """
+
+    last: int
     start_s: float
     end_s: float
-    samples: FloatArray  # (R, N) contiguous, so that reductions take the same path for every window
+    samples: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WindowBuffer:
-    """Samples that later windows still need."""
+    """Samples that later windows still need.
 
-    first: int  # number of the first sample in the buffer
-    rows: FloatArray  # (1 + R, B) time and signals
+    Attributes
+    ----------
+    first : int
+        Number of the first buffered sample in the segment.
+    rows : FloatArray
+        Times and signals, shape (1 + R, B).
+    """
+
+    first: int
+    rows: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DescribedWindow:
-    """What is known of the samples of one window."""
+    """Time span of a window, the base class of descriptions of windows.
+
+    Attributes
+    ----------
+    start_s : float
+        Start of the window, s.
+    time_s : float
+        End of the window, s.
+    """
 
     start_s: float
-    time_s: float  # its end
+    time_s: float
 
 
-W = TypeVar("W")  # state
-X = TypeVar("X", bound=DescribedWindow)
+W = TypeVar("W")  # type of the state
+X = TypeVar("X", bound=DescribedWindow)  # type of the description of a window
 
 
 @dataclass(frozen=True)
 class SlidingWindows(ABC, Generic[W, X]):
-    """Windows of constant length and advance, each described by features; the first starts with the segment.
+    """Base class of stages that cut windows of constant length and hop. The first window starts with the segment.
 
     Parameters
     ----------
-    rate_hz : float
-        Sampling rate of the blocks.
-    window_s, hop_s : float
-        Length and advance; the hop is at most the window.
+    rate_hz : float, default 100
+        Sampling rate of the blocks, Hz.
+    window_s : float, default 2
+        Length of the windows, s.
+    hop_s : float, default 1
+        Time between the starts of consecutive windows, s, at most `window_s`.
     """
 
     rate_hz: float = 100.0
@@ -63,37 +91,38 @@ class SlidingWindows(ABC, Generic[W, X]):
         check_numbers(self)
         if not 1 <= self.hop_samples <= self.window_samples:
             raise ValueError(
-                f"hop_s must be positive and at most window_s, got {self.hop_samples} and {self.window_samples} samples"
+                f"hop_s must be positive and at most window_s, got {self.hop_s} s ({self.hop_samples} samples) and "
+                f"{self.window_s} s ({self.window_samples} samples): shorten hop_s or lengthen window_s"
             )
 
     @property
     def window_samples(self) -> int:
-        """Length in samples."""
+        """Length of a window in samples."""
         return round(self.window_s * self.rate_hz)
 
     @property
     def hop_samples(self) -> int:
-        """Advance in samples."""
+        """Hop in samples."""
         return round(self.hop_s * self.rate_hz)
 
     @abstractmethod
     def init(self) -> W:
-        """State before the first sample."""
+        """Return the state before the first sample."""
 
     def after_gap(self, state: W) -> W:
-        """State at the start of a new segment: every window stands alone."""
+        """Return the state at the start of a segment after a gap: the initial one, because no window spans a gap."""
         return self.init()
 
     @abstractmethod
     def update(self, state: W, block: UniformBlock, attitude: AttitudeBlock) -> tuple[W, list[tuple[int, X]]]:
-        """New state and the windows that became complete, each with the number of its last sample."""
+        """Return the new state and the completed windows, each with the number of its last sample."""
 
     def cut(
         self, buffer: WindowBuffer, time_s: FloatArray, *signals: FloatArray
     ) -> tuple[WindowBuffer, list[SampleWindow]]:
-        """What is left of the buffer and of further signals, R in all of (r, N), and the windows that became complete.
+        """Return the new buffer and the windows completed by further samples.
 
-        `time_s` (N,) is the middle of each sample's interval.
+        `time_s` (N,) are the middles of the intervals of the samples. `signals` are arrays (r, N) with R rows in total.
         """
         n_rows, n_old = buffer.rows.shape
         rows = np.empty((n_rows, n_old + len(time_s)))
@@ -107,10 +136,10 @@ class SlidingWindows(ABC, Generic[W, X]):
             from_s, until_s = float(rows[0, start]) - half_s, float(rows[0, start + n - 1]) + half_s
             windows.append(SampleWindow(buffer.first + start + n - 1, from_s, until_s, samples))
             start += self.hop_samples
-        # a copy: a view would keep the whole block in memory
+        # Copied, because a view would keep the whole block in memory.
         return WindowBuffer(buffer.first + start, rows[:, start:].copy()), windows
 
 
 def no_samples(n_signals: int) -> WindowBuffer:
-    """The buffer at the start of a segment."""
+    """Return the empty buffer of R signals at the start of a segment."""
     return WindowBuffer(0, np.empty((1 + n_signals, 0)))

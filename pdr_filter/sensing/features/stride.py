@@ -1,12 +1,12 @@
-"""Features in step with the gait: how force and rotation divide over the harmonics of the stride.
+"""Features of the harmonics of the stride: how force and rotation are distributed over them.
 
-A window holds two strides or three, so that the bins of its spectrum are wider than what distinguishes people's stairs
-from their walking. So the frequency f of the stride is found first, and then each line is the sum of `N_HARMONICS`
-harmonics of f that fits it best; even ones repeat every step, odd ones tell left from right. Shares of harmonics do not
-change with the cadence or the pace, and no feature depends on the device's attitude or handedness.
+A window holds two or three strides, so the bins of its spectrum are wider than the difference between walking and
+stairs. The frequency f of the stride is therefore estimated first. Each line is then fitted by a sum of `N_HARMONICS`
+harmonics of f. Even harmonics repeat every step, odd ones distinguish left from right. Shares of harmonics do not
+change with step frequency or pace, and no feature depends on the attitude or handedness of the device.
 
-The frequency is the one of `STRIDES_HZ` at which the vertical force is explained best by even harmonics and the swing
-of the limb by odd ones: at half of the true frequency all harmonics would be even, at twice none would fit.
+The frequency is the one of `STRIDES_HZ` at which even harmonics explain the vertical force and odd harmonics explain
+the swing of the limb best. At half of the true frequency all harmonics would be even, and at twice none would fit.
 """
 
 from __future__ import annotations
@@ -18,15 +18,17 @@ import numpy as np
 from pdr_filter.sensing.features.invariant import SwingLines, about_mean, columns, hann_taper, in_groups, swing_lines
 from pdr_filter.values import FloatArray, IntArray
 
-# Slow walkers make 0.5 strides a second, sprinters 1.6; 5 % apart, less than the tenth of a cycle that a window of
-# two seconds resolves.
+# Candidate stride frequencies, Hz, from slow walkers (0.5) to sprinters (1.6). The spacing of 5 % is less than the
+# tenth of a cycle that a window of two seconds resolves.
 STRIDES_HZ: FloatArray = np.geomspace(0.5, 1.6, 24)
-N_HARMONICS = 6  # up to three times the frequency of the steps, where phones in pockets and hands still move together
+# The harmonics reach three times the step frequency, up to which phones in pockets and hands follow the body.
+N_HARMONICS = 6
 LINES: tuple[str, ...] = ("vertical", "forward", "lateral", "swing_rate", "yaw_rate", "roll_rate")
 VERTICAL, FORWARD, LATERAL, SWING, YAW, ROLL = range(len(LINES))
-# Phases that depend neither on when the window starts nor on the sign of the swing's axis, with which `FORWARD`,
-# `LATERAL`, `SWING` and `ROLL` turn over: products of powers of harmonics, (line, harmonic, power), negative ones of
-# the conjugate. The harmonics add up to zero, and the lines with a sign to an even power.
+# Phases as products of powers of complex harmonics, (line, harmonic, power), with the conjugate for a negative power.
+# They do not depend on the start of the window, because harmonic times power adds up to zero. They do not depend on the
+# sign of the swing axis either, which reverses `FORWARD`, `LATERAL`, `SWING` and `ROLL`, because the powers of these
+# lines add up to an even number.
 PHASES: dict[str, tuple[tuple[int, int, int], ...]] = {
     "swing": ((SWING, 1, 2), (VERTICAL, 2, -1)),
     "yaw": ((YAW, 1, 2), (VERTICAL, 2, -1)),
@@ -54,26 +56,28 @@ NAMES: tuple[str, ...] = (
     "log_forward_to_vertical_step",
     *(f"{part}_of_phase_{name}" for name in PHASES for part in ("cosine", "sine")),
 )
-# The noise of a phone's accelerometer, m/s2, and gyroscope, rad/s; of its angle, rad, and of the bounce, m.
+# Noise of each line (accelerometer, m/s2; gyroscope, rad/s), of the swing angle (rad) and of the bounce (m).
 _FLOOR = np.array([0.02, 0.02, 0.02, 0.005, 0.005, 0.005])
 _FLOOR_RAD, _FLOOR_M = 0.01, 0.001
-_LEAST_SHARE_OF = 0.05, 0.05, 0.05, 0.02, 0.02, 0.02  # amplitudes below which shares fade out: nobody walks
+# Amplitudes below which the shares fade to zero, because the person does not walk.
+_LEAST_SHARE_OF = 0.05, 0.05, 0.05, 0.02, 0.02, 0.02
 
 
 def stride_features(windows: FloatArray, rate_hz: float) -> FloatArray:
-    """Features (W, F) of windows of `invariant.SIGNALS`, (W, 12, N), in the order of `NAMES`; zeros are no gyroscope.
+    """Return the features (W, F) of windows of `invariant.SIGNALS`, (W, 12, N), in the order of `NAMES`.
 
-    A window has the same bits alone and among others.
+    A missing gyroscope is given as three rows of zeros. A window has the same bits alone and among others.
     """
     return in_groups(lambda group, hz: features_of(group, swing_lines(group), hz), windows, rate_hz, len(NAMES))
 
 
 @cache
 def _harmonics(n: int, rate_hz: float) -> tuple[FloatArray, FloatArray]:
-    """Matrices (S, N, K) of n samples to orthonormal parts of a tapered line, and (S, K, K) of those to coefficients.
+    """Return two matrices for each of S stride frequencies, (S, N, K) and (S, K, K), that fit harmonics to a line.
 
-    For each stride frequency, K = 1 + 2H. The squares of the parts sum to the power that the harmonics explain;
-    coefficients are those of one, and of cosine and sine of each harmonic.
+    K = 1 + 2 H. The first matrix converts n samples of a tapered line to orthonormal parts, whose squares sum to the
+    explained power. The second converts these parts to coefficients: of the constant, and of the cosine and sine of
+    each harmonic.
     """
     t = (np.arange(n) - (n - 1) / 2) / rate_hz
     root = hann_taper(n) ** 0.5
@@ -86,24 +90,27 @@ def _harmonics(n: int, rate_hz: float) -> tuple[FloatArray, FloatArray]:
     return np.ascontiguousarray(basis * root[:, None] / scale), np.ascontiguousarray(to_coefficients)
 
 
-# Columns of `_harmonics` that are the same read backwards, and those that change their sign: cosines and sines.
+# Columns of `_harmonics` that are even in time (constant and cosines), and those that are odd (sines).
 _EVEN, _ODD = [0, *range(1, 2 * N_HARMONICS, 2)], [*range(2, 2 * N_HARMONICS + 1, 2)]
 
 
 @cache
 def _side_by_side(n: int, rate_hz: float) -> tuple[FloatArray, FloatArray]:
-    """The later half of the first of `_harmonics` for all stride frequencies beside each other: cosines and sines."""
+    """Return the even and odd columns of the first matrix of `_harmonics` for the later half of the samples.
+
+    The columns of all stride frequencies are next to each other.
+    """
     later = _harmonics(n, rate_hz)[0][:, n // 2 :].copy()
     if n % 2:
-        later[:, 0] *= 0.5  # the sample in the middle is its own mirror image
+        later[:, 0] *= 0.5  # the middle sample is its own mirror image, so it is counted twice
     even, odd = (later[:, :, column].swapaxes(0, 1).reshape(later.shape[1], -1) for column in (_EVEN, _ODD))
     return np.ascontiguousarray(even), np.ascontiguousarray(odd)
 
 
-def _of_all_strides(lines: FloatArray, rate_hz: float) -> FloatArray:
-    """Parts (W, S, L, K) of tapered lines (W, L, N) at all stride frequencies, window by window.
+def _all_stride_parts(lines: FloatArray, rate_hz: float) -> FloatArray:
+    """Return the parts (W, S, L, K) of tapered lines (W, L, N) at all stride frequencies, window by window.
 
-    A line less its mirror image has no cosines, and their sum no sines: half of the work.
+    The sum of a line and its mirror image has only even parts, their difference only odd ones. This halves the work.
     """
     n_windows, n_lines, n = lines.shape
     later, earlier = lines[:, :, n // 2 :], lines[:, :, (n - 1) // 2 :: -1]
@@ -115,7 +122,7 @@ def _of_all_strides(lines: FloatArray, rate_hz: float) -> FloatArray:
 
 
 def features_of(windows: FloatArray, swing: SwingLines, rate_hz: float) -> FloatArray:
-    """The same of few windows, whose swing is known."""
+    """Return the features (W, F) of a few windows of `invariant.SIGNALS` (W, 12, N) with computed swing."""
     n_windows, n = len(windows), windows.shape[2]
     yaw_rate = about_mean((windows[:, 3:6] * swing.mean_up[:, :, None]).sum(axis=1))
     vertical = about_mean(windows[:, 0])
@@ -123,7 +130,7 @@ def features_of(windows: FloatArray, swing: SwingLines, rate_hz: float) -> Float
     taper = hann_taper(n)
     scale = np.sqrt((lines * lines * taper).sum(axis=2) / taper.sum()) + _FLOOR
     to_parts, to_coefficients = _harmonics(n, rate_hz)
-    parts = _of_all_strides((lines / scale[:, :, None])[:, [VERTICAL, SWING]], rate_hz)
+    parts = _all_stride_parts((lines / scale[:, :, None])[:, [VERTICAL, SWING]], rate_hz)
     explained = (parts * parts).sum(axis=3)
     power = _power(parts @ to_coefficients)
     in_step = np.stack([power[:, :, 0, 1::2].sum(axis=2), power[:, :, 1, 0::2].sum(axis=2)], axis=2)
@@ -154,34 +161,38 @@ def features_of(windows: FloatArray, swing: SwingLines, rate_hz: float) -> Float
 
 @cache
 def _factors() -> tuple[IntArray, IntArray]:
-    """Of each phase: which units are multiplied, (P, 4), a power being so many of them, and which shares, (P, 3).
+    """Return the indices of the factors of each phase: complex units (P, 4) and shares (P, 3).
 
-    Units are harmonic by harmonic, line by line; then those of the conjugates; the last one is 1, as is the last share.
+    The units of all harmonics come line by line, followed by their conjugates and by 1. A power is a repeated unit. The
+    shares have the same order and also end with 1.
     """
     n = len(LINES) * N_HARMONICS
     units, shares = np.full((len(PHASES), 4), 2 * n), np.full((len(PHASES), 3), n)
     for i, factors in enumerate(PHASES.values()):
-        places = [line * N_HARMONICS + harmonic - 1 for line, harmonic, _ in factors]
+        harmonics = [line * N_HARMONICS + harmonic - 1 for line, harmonic, _ in factors]
         powers = [power for _, _, power in factors]
-        shares[i, : len(places)] = places
-        of_powers = [k + n * (power < 0) for k, power in zip(places, powers, strict=True) for _ in range(abs(power))]
-        units[i, : len(of_powers)] = of_powers
+        shares[i, : len(harmonics)] = harmonics
+        repeated = [k + n * (power < 0) for k, power in zip(harmonics, powers, strict=True) for _ in range(abs(power))]
+        units[i, : len(repeated)] = repeated
     return units, shares
 
 
 def _phases(coefficients: FloatArray, amplitude: FloatArray, share: FloatArray) -> FloatArray:
-    """Cosine and sine (W, 2P) of the phases, each times the shares of its harmonics, so that noise has none."""
+    """Return the cosine and sine (W, 2 P) of the phases, each multiplied by the shares of its harmonics.
+
+    The shares make the phase of noise vanish.
+    """
     n_windows = len(share)
     unit = (coefficients[..., 1::2] - 1j * coefficients[..., 2::2]) / np.maximum(amplitude, 1e-12)
     unit, one = unit.reshape(n_windows, -1), np.ones((n_windows, 1))
-    of_units, of_shares = _factors()
-    units = np.concatenate([unit, unit.conj(), one], axis=1)[:, of_units]
-    shares = np.concatenate([share.reshape(n_windows, -1), one], axis=1)[:, of_shares]
+    unit_indices, share_indices = _factors()
+    units = np.concatenate([unit, unit.conj(), one], axis=1)[:, unit_indices]
+    shares = np.concatenate([share.reshape(n_windows, -1), one], axis=1)[:, share_indices]
     product = units[..., 0] * units[..., 1] * units[..., 2] * units[..., 3]
     product = product * (shares[..., 0] * shares[..., 1] * shares[..., 2])
     return np.ascontiguousarray(product).view(np.float64)
 
 
 def _power(coefficients: FloatArray) -> FloatArray:
-    """Mean power (..., H) of each harmonic."""
+    """Return the mean power (..., H) of each harmonic from coefficients (..., 1 + 2 H)."""
     return 0.5 * (coefficients[..., 1::2] ** 2 + coefficients[..., 2::2] ** 2)

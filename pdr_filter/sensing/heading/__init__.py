@@ -1,1 +1,1 @@
-"""Where the person walks, behind one interface."""
+"""Heading stages: the walking direction of each step, and the direction of north."""

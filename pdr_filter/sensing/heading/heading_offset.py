@@ -1,16 +1,18 @@
-"""How far the walking direction is turned from the device, and how much of that a track needs to know.
+"""Heading offset between device and walking direction, and the part of it that a track needs.
 
-A track begins in a frame of its own: its north is where the person walks when the device's heading is zero. So the
-angle from the device to the walking direction in the phone's first place is a matter of the frame. However badly it is
-known, it does not bend a track: the turn of the device alone leads it. It counts when the phone goes to another place,
-because the track needs the difference of the two angles. Three numbers, normal with a joint covariance, hold that:
+A track begins in its own frame, whose north is the walking direction at a device heading of zero. The angle from the
+device to the walking direction in the first place of the phone is therefore part of the definition of the frame. An
+error of this angle does not deform the track, because the turn of the device alone determines its shape. The angle
+matters when the phone moves to another place, because the track needs the difference of the two angles. Three normally
+distributed quantities with a joint covariance describe this:
 
-- o, the heading offset in the track's frame: walking less device heading. It is 0 at first and wanders slowly.
-- g, the offset that counted as 0: the angle that strides show in the phone's own axes is o + g.
-- s, what strides in this place are off by, however many there are.
+- o, the heading offset in the frame of the track: walking heading minus device heading. It starts at 0 and drifts
+  slowly.
+- g, the angle that defines the zero of o: strides measure o + g in the axes of the phone.
+- s, the systematic error of all strides in the present place.
 
-A stride measures o + g + s, the axis of a phone that somebody reads on o + g. In the first place o is known and g is
-learnt; in the next one o is found from g, and from where the person walked before.
+A stride measures o + g + s. The axis of a phone that is being read measures o + g. In the first place o is known and g
+is estimated. In the next place o is estimated from g, and from the walking direction before the change.
 """
 
 from __future__ import annotations
@@ -21,76 +23,91 @@ from dataclasses import dataclass
 
 from pdr_filter.sensing.heading.vectors import Vector
 
-# What strides and the axis measure has so much of the systematic error in it.
-OF_STRIDES, OF_AXIS = 1.0, 0.0
-# An angle that could be anything is uniform on the circle.
+# Coefficient of the systematic error s in a measurement by strides and in one by the axis of the phone.
+STRIDE_MEASUREMENT, AXIS_MEASUREMENT = 1.0, 0.0
+# Standard deviation of an unknown angle, which is uniform on the circle.
 UNKNOWN_STD_RAD = math.pi / math.sqrt(3.0)
 UNKNOWN_VAR_RAD2 = UNKNOWN_STD_RAD**2
-# Nothing at all is known of g at first: large against any variance of a stride, small enough for the arithmetic.
+# Prior variance of g, which is unknown at first: large against the variance of a stride, small enough for rounding.
 _NO_IDEA_RAD2 = 1e4
-# The first offset is 0 by definition, and as a measurement it needs a variance: 1 degree.
+# Variance of the first offset, (1 degree)^2. It is 0 by definition, but the filter needs a positive variance.
 _DEFINED_RAD2 = math.radians(1.0) ** 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Offset:
-    """Mean and covariance of offset o, frame g and systematic error s, rad."""
+    """Mean and covariance of the heading offset o, its zero g and the systematic error s.
+
+    Attributes
+    ----------
+    mean : tuple of float
+        Means of (o, g, s), rad.
+    cov : tuple of float
+        Covariances oo, og, os, gg, gs and ss, rad2.
+    """
 
     mean: Vector = (0.0, 0.0, 0.0)
-    # oo, og, os, gg, gs, ss
     cov: tuple[float, float, float, float, float, float] = (_DEFINED_RAD2, 0.0, 0.0, _NO_IDEA_RAD2, 0.0, 0.0)
 
     @property
     def offset_rad(self) -> float:
-        """The heading offset in the track's frame."""
+        """Heading offset o in the frame of the track, rad."""
         return self.mean[0]
 
     @property
     def var_rad2(self) -> float:
-        """Its variance."""
+        """Variance of the heading offset o, rad2."""
         return self.cov[0]
 
     @property
     def shown_rad(self) -> float:
-        """The angle from the device's zero to the walking direction, as strides and axis show it."""
+        """Angle o + g from the zero of the device heading to the walking direction, as strides measure it, rad."""
         return self.mean[0] + self.mean[1]
 
     @property
     def shown_var_rad2(self) -> float:
-        """Its variance; that of a uniform angle at most."""
+        """Variance of o + g, rad2, at most that of a uniform angle."""
         oo, og, _, gg, _, _ = self.cov
         return min(oo + 2.0 * og + gg, UNKNOWN_VAR_RAD2)
 
-    def wandered(self, var_rad2: float, stay: float, systematic_rad2: float) -> Offset:
-        """After a while: the phone was turned a little against the body, and strides are off by something else.
+    def predicted(self, var_rad2: float, stay: float, systematic_rad2: float) -> Offset:
+        """Return the offset after a time in which the phone was turned slightly against the body.
 
-        `stay` is the share of the systematic error that is left, and `systematic_rad2` the variance that it keeps.
+        `var_rad2` is the variance of this turn. The systematic error keeps the share `stay`, and a new error is added
+        so that its stationary variance is `systematic_rad2`.
         """
         (o, g, s), (oo, og, os, gg, gs, ss) = self.mean, self.cov
         ss = stay * stay * ss + (1.0 - stay * stay) * systematic_rad2
         return Offset((o, g, stay * s), (oo + var_rad2, og, stay * os, gg, stay * gs, ss))
 
-    def seen(self, of: float, toward: complex, var_rad2: float) -> Offset:
-        """After a direction was seen: `of` says of which sum, `toward` points there, with a length of 1 on average.
+    def updated(self, c: float, direction: complex, var_rad2: float) -> Offset:
+        """Return the offset after a measurement of o + g + c s.
 
-        The mean goes to the direction of the sum of two von Mises likelihoods, e^(ia) / V + toward / r, which is that
-        of a Kalman filter where both are narrow; a vector that is shorter than usual counts less.
+        `c` is `STRIDE_MEASUREMENT` or `AXIS_MEASUREMENT`. `direction` is a complex number whose argument is the
+        measured angle, with an absolute value of 1 on average. A shorter one has less weight.
+
+        With h = (1, 1, c), the predicted angle a and its variance V = h' P h, the mean moves to the direction of
+        e^(ia) / V + direction / r. This is the product of two von Mises distributions, and equals a Kalman update if
+        both are narrow.
         """
         (o, g, s), (oo, og, os, gg, gs, ss) = self.mean, self.cov
-        of_o, of_g, of_s = oo + og + of * os, og + gg + of * gs, os + gs + of * ss
-        variance = of_o + of_g + of * of_s
-        turn = toward * cmath.exp(-1j * (o + g + of * s))
+        ph_o, ph_g, ph_s = oo + og + c * os, og + gg + c * gs, os + gs + c * ss  # P h
+        variance = ph_o + ph_g + c * ph_s
+        turn = direction * cmath.exp(-1j * (o + g + c * s))
         shift = cmath.phase(1.0 / variance + turn / var_rad2) / variance
-        # what is learnt of each, P h / (h' P h + r)
         total = variance + var_rad2
-        k_o, k_g, k_s = of_o / total, of_g / total, of_s / total
-        cov = (oo - k_o * of_o, og - k_o * of_g, os - k_o * of_s, gg - k_g * of_g, gs - k_g * of_s, ss - k_s * of_s)
-        return Offset((o + of_o * shift, g + of_g * shift, s + of_s * shift), cov)
+        k_o, k_g, k_s = ph_o / total, ph_g / total, ph_s / total  # gain P h / (h' P h + r)
+        cov = (oo - k_o * ph_o, og - k_o * ph_g, os - k_o * ph_s, gg - k_g * ph_g, gs - k_g * ph_s, ss - k_s * ph_s)
+        return Offset((o + ph_o * shift, g + ph_g * shift, s + ph_s * shift), cov)
 
     def moved(self, offset_rad: float, var_rad2: float, systematic_rad2: float) -> Offset:
-        """In another place: the offset goes there with a variance more, and strides are off by something else."""
+        """Return the offset after the phone was moved to another place.
+
+        The new heading offset is `offset_rad`, with a variance increased by `var_rad2`. The systematic error is a new
+        one with variance `systematic_rad2`.
+        """
         oo, og, _, gg, _, _ = self.cov
         oo += var_rad2
-        # no angle is less known than a uniform one
+        # The variance of an angle is at most that of a uniform distribution; the covariance with g is scaled with it.
         scale = math.sqrt(min(UNKNOWN_VAR_RAD2 / oo, 1.0))
         return Offset((offset_rad, self.mean[1], 0.0), (scale * scale * oo, scale * og, 0.0, gg, 0.0, systematic_rad2))

@@ -1,4 +1,4 @@
-"""The interface of a heading stage: where the person walked, step by step, as far as the samples show it."""
+"""Interface of a heading stage, which estimates the walking direction of each step."""
 
 from __future__ import annotations
 
@@ -12,25 +12,65 @@ from pdr_filter.values import HeadingDrift, Step, Table, replace_unchecked
 
 
 class HeadingStage(Protocol):
-    """A causal stage: `walking_heading_rad` of steps, its standard deviation, and `offset_change_std_rad`.
+    """Interface of a causal stage that sets the walking headings of steps.
 
-    `config.with_heading` takes one, and `pdr_filter.testing.check_stage` tests it. Headings are in rad, clockwise, with
-    the zero of `Step.device_heading_rad`. Further attributes are optional:
+    The stage sets `Step.walking_heading_rad`, `Step.walking_heading_std_rad` and `Step.offset_change_std_rad`.
+    `config.with_heading` uses such a stage, and `pdr_filter.testing.check_stage` tests it. Headings are in rad,
+    clockwise, with the zero of `Step.device_heading_rad`. These further attributes are optional:
 
-    - `drift`, a `HeadingDrift` that must be that of the filter.
-    - `learns_directions`: True if the stage sets `Step.shown_offset_rad`, which the magnetic north needs; False if
-      north must not be used with it. Without this attribute the offset shown by a step is its walking heading less its
-      device heading.
-    - `drift_in_time(state)`: error of the device's heading that time has added, rad, and its variance.
-    - `after_first_pass(steps)`: the stage for a second pass over a whole recording, given the table of its steps.
+    - `drift`: a `HeadingDrift`, which must equal that of the filter.
+    - `learns_directions`: True if the stage sets `Step.shown_offset_rad`, which the magnetic north needs. False if
+      north must not be used with the stage. Without this attribute, `shown_offset_rad` of a step is its walking heading
+      minus its device heading.
+    - `drift_in_time(state)`: returns the error of the device heading accumulated over time, in rad, and its variance.
+    - `after_first_pass(steps)`: returns the stage for a second pass over a whole recording, given the table of its
+      steps.
+
+    Examples
+    --------
+    A stage for a phone whose y axis always points in the walking direction:
+
+    >>> from dataclasses import dataclass, replace
+    >>> @dataclass(frozen=True)
+    ... class DeviceHeading:
+    ...     learns_directions: bool = True
+    ...     def init(self):
+    ...         return 0
+    ...     def after_gap(self, state):
+    ...         return state
+    ...     def update(self, state, block, attitude, contexts, steps):
+    ...         return self.finish(state, steps)
+    ...     def finish(self, state, steps):
+    ...         def with_heading(step):
+    ...             return replace(step, walking_heading_rad=step.device_heading_rad, walking_heading_std_rad=0.3)
+    ...         return state, [(number, with_heading(step)) for number, step in steps]
+    >>> import pdr_filter as pdr
+    >>> config = pdr.recipes.default().with_heading(DeviceHeading())
     """
 
     def init(self) -> Any:
-        """State before the first sample."""
+        """Return the state before the first sample.
+
+        Returns
+        -------
+        object
+            Initial state.
+        """
         ...
 
     def after_gap(self, state: Any) -> Any:
-        """State after a time without samples: nothing is known of how the phone was turned in it."""
+        """Return the state after a gap, during which the phone may have been turned in an unknown way.
+
+        Parameters
+        ----------
+        state : object
+            State before the gap.
+
+        Returns
+        -------
+        object
+            State before the first sample after the gap.
+        """
         ...
 
     def update(
@@ -41,42 +81,79 @@ class HeadingStage(Protocol):
         contexts: ContextBlock,
         steps: list[tuple[int, Step]],
     ) -> tuple[Any, list[tuple[int, Step]]]:
-        """New state and the steps of a block with their walking headings.
+        """Return the new state and the steps of a block with their walking headings.
 
-        `steps` are those that became known in this block, with the number (in the segment) of the sample that revealed
-        each, maybe seconds after its contact; the direction of a step depends on samples up to that one only.
+        Parameters
+        ----------
+        state : object
+            State after the previous block.
+        block : UniformBlock
+            Uniform samples of the block.
+        attitude : AttitudeBlock
+            Attitude at these samples.
+        contexts : ContextBlock
+            Most probable context and carrying mode at each sample.
+        steps : list of (int, Step)
+            Steps that became known in this block, each with the number in the segment of the sample that revealed it.
+            The contact may be seconds earlier.
+
+        Returns
+        -------
+        state : object
+            New state.
+        steps : list of (int, Step)
+            The same steps with their walking headings. The heading of a step may depend only on samples up to the one
+            that revealed the step.
         """
         ...
 
     def finish(self, state: Any, steps: list[tuple[int, Step]]) -> tuple[Any, list[tuple[int, Step]]]:
-        """The same for steps that a gap or the end revealed."""
+        """Return the new state and the steps revealed by a gap or the end, with their walking headings.
+
+        Parameters
+        ----------
+        state : object
+            State after the last block.
+        steps : list of (int, Step)
+            Steps that the detector and the gate completed at the gap or the end.
+
+        Returns
+        -------
+        state : object
+            New state.
+        steps : list of (int, Step)
+            The same steps with their walking headings.
+        """
         ...
 
 
 def drift_of(stage: HeadingStage | None) -> HeadingDrift | None:
-    """The drift that a stage reckons with; None if it states none."""
+    """Return the heading drift that a stage assumes, or None if it states none."""
     return getattr(stage, "drift", None)
 
 
 def learns_directions(stage: HeadingStage | None) -> bool:
-    """True if the steps of a stage say where the person walks against the phone."""
+    """Return True if the steps of a stage tell the walking direction relative to the phone."""
     return stage is not None and bool(getattr(stage, "learns_directions", True))
 
 
 def drift_in_time(stage: HeadingStage | None, state: Any) -> tuple[float, float]:
-    """What time has added to the device's heading, rad, and its variance: infinite if the stage does not know it."""
+    """Return the error of the device heading accumulated over time, in rad, and its variance.
+
+    The variance is infinite if the stage does not know the error.
+    """
     of_stage = getattr(stage, "drift_in_time", None)
     return (0.0, math.inf) if of_stage is None else of_stage(state)
 
 
 def after_first_pass(stage: HeadingStage | None, steps: Table) -> HeadingStage | None:
-    """The stage for a second pass; itself if it learns nothing from the first."""
+    """Return the stage for a second pass, or the same stage if it learns nothing from the first pass."""
     of_stage = getattr(stage, "after_first_pass", None)
     return stage if of_stage is None else of_stage(steps)
 
 
 def with_shown_offsets(stage: HeadingStage, steps: list[tuple[int, Step]]) -> list[tuple[int, Step]]:
-    """Steps whose shown offset is that of their walking heading, if the stage does not say what it shows."""
+    """Return the steps with `shown_offset_rad` set from the walking heading, unless the stage sets it itself."""
     if hasattr(stage, "learns_directions"):
         return steps
     return [

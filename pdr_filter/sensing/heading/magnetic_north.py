@@ -1,16 +1,18 @@
-"""Which way is north in the attitude's frame, from the magnetic field along the way, with honest doubt.
+"""Direction of north in the attitude frame, from the magnetic field along the way, with its uncertainty.
 
-In the attitude's frame (east, north, up, turned by an unknown angle) the field that the phone's magnetometer shows is
+In the attitude frame (east, north, up, rotated by an unknown angle about up), the field measured by the phone is
 
-    f = m + R b + e,
+    f = m + R b + e.
 
-m that of the Earth, R the rotation from the sensor to that frame, b what iron in the phone and a wrong calibration add
-(hard iron), e the disturbances of the place. A linear regression over the way finds m and b together: who turns shows
-b, and before he does the prior of b is the doubt of m. In a building e may turn single readings by a right angle, and
-averages out all the same, because it is another one every few metres; how much is left follows from its scatter. So
-nothing is gated by size or dip of the field, which hardly show which readings point north: in ms_indoor the headings
-of single steps scatter by 11 to 13 degrees at any distance from the model of the Earth's field. The field counts where
-somebody steps: all the samples in one place are one witness.
+Here m is the field of the Earth, R the rotation from the sensor to the frame, b the hard iron (iron in the phone and a
+wrong calibration), and e the disturbance of the place. A linear regression over the way estimates m and b together. b
+becomes observable when the pedestrian turns. Before that, the prior of b determines the uncertainty of m. In a building
+e may rotate single readings by 90 degrees. It averages out, because it changes every few metres, and the remaining
+error follows from its scatter.
+
+Readings are not gated by the magnitude or dip of the field, because these hardly show which readings point north. In
+ms_indoor the headings of single steps scatter by 11 to 13 degrees at any distance from the model of the Earth's field.
+Only the field during steps is used, because all samples at one place share one disturbance.
 """
 
 from __future__ import annotations
@@ -26,56 +28,103 @@ from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.values import FloatArray, Step, replace_unchecked
 from pdr_filter.values.quaternions import rotation_matrix
 
-# Mean readings are over half a second, about a step.
+# Duration of a reading, which is a mean over about a step, s.
 _READING_S = 0.5
-# Columns of the samples that wait for a whole reading, and of readings that wait for their step.
+# Columns of the samples that wait for a complete reading, and of the readings that wait for their step.
 _FIELD, _QUAT, _KNOWN, _SAMPLE_COLUMNS = slice(0, 3), slice(3, 7), 7, 8
 _TIME, _SQUARES, _READING_COLUMNS = 0, slice(1, 50), 50
-# Steps become known some seconds after their contact, behind a gate most of all; no result depends on more.
+# Time for which readings are buffered, s. Steps become known some seconds after their contact, above all behind a gate.
 _MAX_LATENCY_S = 20.0
 _M, _B, _F = slice(0, 3), slice(3, 6), 6
 _DIAGONAL = np.diag_indices(_F)
-_OF_M = 1e-9  # next to nothing is known of m
-# North stays where it is in the attitude's frame: the regression is solved anew when there is a twentieth more.
-_MORE = 0.05
+_PRIOR_INFORMATION_M = 1e-9  # prior information of m, 1/uT2, practically none
+# Share of new readings after which the regression is solved again. North changes little in the attitude frame.
+_SOLVE_SHARE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class MagneticNorthState:
-    """Readings that wait, and the sums of the regression."""
+    """Buffered readings, and the sums of the regression.
 
-    samples: FloatArray  # (R, 8) since the last whole reading
-    readings: FloatArray  # (W, 50) last time, and [X f]' [X f] of the mean rotation and the mean field
-    n: float  # readings used, those of long ago counted less
-    squares: FloatArray  # (7, 7) sum of [X f]' [X f], X = [1 R]
-    variance_ut2: float  # of e on each axis
-    used_s: float  # time of the last reading used
-    n_fresh: int = 0  # readings used since the regression was solved
-    north_rad: float = 0.0  # as it was solved
+    Attributes
+    ----------
+    samples : FloatArray
+        Samples since the last complete reading, shape (R, 8).
+    readings : FloatArray
+        Time and matrix [X f]' [X f] of each buffered reading, from its mean rotation and mean field, shape (W, 50).
+    n : float
+        Effective number of readings used, with exponential forgetting.
+    squares : FloatArray
+        Sum of [X f]' [X f] with X = [1 R], shape (7, 7).
+    variance_ut2 : float
+        Estimated variance of e on each axis, uT2.
+    used_s : float
+        Time of the last reading used, s.
+    n_fresh : int
+        Readings used since the regression was last solved.
+    north_rad : float
+        Direction of true north at the last solution, clockwise from north of the attitude frame, rad.
+    north_std_rad : float
+        Standard deviation of `north_rad`, rad.
+    """
+
+    samples: FloatArray
+    readings: FloatArray
+    n: float
+    squares: FloatArray
+    variance_ut2: float
+    used_s: float
+    n_fresh: int = 0
+    north_rad: float = 0.0
     north_std_rad: float = math.inf
 
 
 @dataclass(frozen=True)
 class MagneticNorth:
-    """A causal stage: where north is, at each step; it needs a gyroscope and a magnetometer.
+    """Causal stage that estimates the direction of north at each step from the magnetometer.
 
-    Numbers were chosen on storeys B1 and F1 of ms_indoor; the other storeys and sets agree with them
+    It needs a gyroscope and a magnetometer, and sets `Step.north_rad` and `Step.north_std_rad`. The default parameters
+    were chosen on storeys B1 and F1 of ms_indoor. The other storeys and data sets agree with them
     (tests/benchmarks/absolute_heading.py).
 
     Parameters
     ----------
-    declination_rad, declination_std_rad : float
-        By how much magnetic north is east of true north, and how well that is known.
-    iron_std_ut : float
-        Hard iron on each axis: its root mean square where people turned, up to 13; 0 to 3 in the other sets. The
-        horizontal field of the Earth is 20 to 35.
-    disturbance_ut, disturbance_readings : float
-        What disturbances are on each axis before they are seen, and after how many independent readings what is seen
-        has as much weight. Malls have 4, an office 6, a building of steel 15.
-    correlation_readings : float
-        Memory of disturbances: their correlation is 0.9 from one step to the next, 0.4 after five and 0.1 after ten.
-    memory_s : float
-        How long a reading counts: the attitude itself drifts by some 0.001 rad/s.
+    rate_hz : float, default 100
+        Sampling rate of the blocks, Hz.
+    declination_rad, declination_std_rad : float, default 0
+        Direction of magnetic north east of true north, and its standard deviation, rad.
+    iron_std_ut : float, default 7
+        Prior standard deviation of the hard iron on each axis, uT. It is the rms of pedestrians who turned; single
+        values reach 13, and are 0 to 3 in the other sets. The horizontal field of the Earth is 20 to 35 uT.
+    disturbance_ut, disturbance_readings : float, default 8 and 4
+        Prior standard deviation of the disturbances on each axis, uT, and its weight as a number of independent
+        readings. Malls have 4, an office 6, a building of steel 15 uT.
+    correlation_readings : float, default 6
+        Correlation length of disturbances, in readings. Their correlation is 0.9 from one step to the next, 0.4 after
+        five and 0.1 after ten steps.
+    memory_s : float, default 100
+        Time constant of the forgetting, s. The attitude itself drifts by some 0.001 rad/s.
+
+    Notes
+    -----
+    In the attitude frame, the measured field is f = m + R b + e: the field of the Earth m, the hard iron b of the phone
+    rotated by R from the sensor frame, and the disturbance e of the place. A linear regression with forgetting over the
+    readings of all steps estimates m and b. North is atan2(m_east, m_north) minus the declination.
+
+    Examples
+    --------
+    Steps of a simulated walk along a curve receive the direction of north:
+
+    >>> from dataclasses import replace
+    >>> import numpy as np
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.sensing.heading.magnetic_north import MagneticNorth
+    >>> recording = pdr.simulate.simulate([pdr.simulate.Leg("walking", duration_s=10.0, turn_rad=1.57, curve=True)])
+    >>> config = pdr.recipes.default()
+    >>> config = replace(config, sensing=replace(config.sensing, north=MagneticNorth()))
+    >>> steps = pdr.detect_steps(recording, config)
+    >>> bool(np.isfinite(steps[-1].north_std_rad))
+    True
     """
 
     rate_hz: float = 100.0
@@ -88,7 +137,13 @@ class MagneticNorth:
     memory_s: float = 100.0
 
     def init(self) -> MagneticNorthState:
-        """State before the first sample."""
+        """Return the state before the first sample.
+
+        Returns
+        -------
+        MagneticNorthState
+            Initial state.
+        """
         return MagneticNorthState(
             samples=np.empty((0, _SAMPLE_COLUMNS)),
             readings=np.empty((0, _READING_COLUMNS)),
@@ -101,7 +156,26 @@ class MagneticNorth:
     def update(
         self, state: MagneticNorthState, block: UniformBlock, attitude: AttitudeBlock, steps: list[tuple[int, Step]]
     ) -> tuple[MagneticNorthState, list[tuple[int, Step]]]:
-        """New state, and the steps of a block with the heading of north."""
+        """Return the new state and the steps of a block with the direction of north.
+
+        Parameters
+        ----------
+        state : MagneticNorthState
+            State after the previous block.
+        block : UniformBlock
+            Uniform samples that follow.
+        attitude : AttitudeBlock
+            Attitude at these samples.
+        steps : list of (int, Step)
+            Steps that became known in this block, each with the number of the sample that revealed it.
+
+        Returns
+        -------
+        state : MagneticNorthState
+            New state.
+        steps : list of (int, Step)
+            The same steps with `north_rad` and `north_std_rad`.
+        """
         is_sampled = block.magnetic_field_known & block.angular_rate_known
         samples = np.concatenate(
             [state.samples, np.column_stack([block.magnetic_field_ut, attitude.quat, is_sampled.astype(float)])]
@@ -121,7 +195,22 @@ class MagneticNorth:
     def finish(
         self, state: MagneticNorthState, steps: list[tuple[int, Step]]
     ) -> tuple[MagneticNorthState, list[tuple[int, Step]]]:
-        """The same for steps that a gap or the end revealed."""
+        """Return the new state and the steps revealed by a gap or the end, with the direction of north.
+
+        Parameters
+        ----------
+        state : MagneticNorthState
+            State after the last block.
+        steps : list of (int, Step)
+            Steps that were completed at the gap or the end, each with the number of the last sample.
+
+        Returns
+        -------
+        state : MagneticNorthState
+            New state.
+        steps : list of (int, Step)
+            The same steps with `north_rad` and `north_std_rad`.
+        """
         result: list[tuple[int, Step]] = []
         times: list[float] = state.readings[:, _TIME].tolist()
         for number, step in steps:
@@ -132,16 +221,18 @@ class MagneticNorth:
         return state, result
 
     def _at_step(self, state: MagneticNorthState, step: Step, times: list[float]) -> MagneticNorthState:
-        """State with the readings of a step, whose times are given."""
-        if step.heading_unknown_s > 0:  # and with it what was north in the attitude's frame
+        """Return the state after the readings during a step; `times` are the times of all buffered readings."""
+        if step.heading_unknown_s > 0:
+            # Without angular rate the attitude frame is rotated by an unknown angle, so earlier readings are useless.
             state = replace_unchecked(self.init(), samples=state.samples, readings=state.readings, used_s=state.used_s)
         first = bisect_right(times, max(step.time_s - step.duration_s, state.used_s))
         end = bisect_right(times, step.time_s)
         if end > first:
             state = self._with_readings(state, state.readings[first:end])
-        return self._solved(state) if state.n_fresh > _MORE * state.n else state
+        return self._solved(state) if state.n_fresh > _SOLVE_SHARE * state.n else state
 
     def _with_readings(self, state: MagneticNorthState, readings: FloatArray) -> MagneticNorthState:
+        """Return the state with readings added to the sums, and older ones forgotten."""
         used_s = float(readings[-1, _TIME])
         weight = np.exp((readings[:, _TIME] - used_s) / self.memory_s)
         stay = math.exp((state.used_s - used_s) / self.memory_s)
@@ -150,24 +241,25 @@ class MagneticNorth:
         return replace_unchecked(state, n=n, squares=squares, used_s=used_s, n_fresh=n_fresh)
 
     def _solved(self, state: MagneticNorthState) -> MagneticNorthState:
-        """The regression with the variance of e so far, from whose residuals follows that of the next one.
+        """Return the state with the regression solved, and the variance of e re-estimated from its residuals.
 
-        n correlated readings are worth n / c of independent ones, c = (1 + r) / (1 - r), r = e^(-1 / correlation). With
-        x = (m, b): P^-1 = diag(0, 1 / iron^2) + sum X' X / (c v), P^-1 x = sum X' f / (c v); psi = atan2(m_e, m_n) has
-        the variance u' P u / (m_e^2 + m_n^2), u = (cos psi, -sin psi, 0).
+        n correlated readings are worth n / c independent ones, with c = (1 + r) / (1 - r) and r = e^(-1 / correlation).
+        For x = (m, b) and the variance v of e so far, P^-1 = diag(0, 1 / iron^2) + sum X' X / (c v), and P^-1 x = sum
+        X' f / (c v). The direction psi = atan2(m_e, m_n) has the variance u' P u / (m_e^2 + m_n^2) with u = (cos psi,
+        -sin psi, 0).
         """
-        c, of_b = 1.0 / math.tanh(0.5 / self.correlation_readings), 1.0 / self.iron_std_ut**2
+        c, iron_information = 1.0 / math.tanh(0.5 / self.correlation_readings), 1.0 / self.iron_std_ut**2
         weight = 1.0 / (c * state.variance_ut2)
         XX, Xf, ff = state.squares[:_F, :_F], state.squares[:_F, _F], float(state.squares[_F, _F])
         information = weight * XX
-        information[_DIAGONAL] += _OF_M, _OF_M, _OF_M, of_b, of_b, of_b
+        information[_DIAGONAL] += 3 * (_PRIOR_INFORMATION_M,) + 3 * (iron_information,)
         P = np.linalg.inv(information)
         x = weight * (P @ Xf)
-        left_ut2 = ff - 2.0 * float(x @ Xf) + float(x @ XX @ x)
+        residual_ut2 = ff - 2.0 * float(x @ Xf) + float(x @ XX @ x)
         prior_ut2 = self.disturbance_readings * self.disturbance_ut**2
-        # one of the independent readings went into m
-        seen, share = max(state.n / c - 1.0, 0.0), max(left_ut2, 0.0) / (3.0 * c)
-        variance_ut2 = (prior_ut2 + share) / (self.disturbance_readings + seen)
+        # The three components of m use up the degrees of freedom of one independent reading.
+        n_independent, share = max(state.n / c - 1.0, 0.0), max(residual_ut2, 0.0) / (3.0 * c)
+        variance_ut2 = (prior_ut2 + share) / (self.disturbance_readings + n_independent)
         east, north = float(x[0]), float(x[1])
         psi = math.atan2(east, north)
         cosine, sine = math.cos(psi), math.sin(psi)
@@ -181,7 +273,10 @@ class MagneticNorth:
 
 
 def _readings(samples: FloatArray, time_s: FloatArray) -> FloatArray:
-    """Time and [X f]' [X f] (R, 50) of whole samples (R, size, 8), X and f being their means."""
+    """Return the times and flattened matrices [X f]' [X f] (R, 50) of complete readings.
+
+    `samples` (R, size, 8) are their samples. X and f are means over each reading.
+    """
     to_frame = np.moveaxis(rotation_matrix(samples[:, :, _QUAT]), (-2, -1), (0, 1))
     Xf = np.empty((len(samples), 3, 7))
     Xf[:, :, _M], Xf[:, :, _B] = np.eye(3), np.moveaxis(to_frame.mean(axis=3), 2, 0)

@@ -1,8 +1,8 @@
-"""What the strides of one place of the phone have in common: which of their vectors point ahead, and how well.
+"""Statistics over the strides in one place of the phone: which stride vectors point forward, and how well they agree.
 
-A place is where the phone is from when it was put there until it is moved. Sums over its strides, with a memory, tell a
-swinging hand from a pocket, show the phase of this person, and how far strides agree on a direction: in a bag hardly,
-however it is called.
+A place lasts from the time when the phone is put there until it is moved. Exponentially forgotten sums over its strides
+distinguish a swinging hand from a pocket. They also give the phase of the push forward of this person, and the
+agreement of the strides on a direction. In a bag the strides hardly agree, whatever its carrying mode is called.
 """
 
 from __future__ import annotations
@@ -16,59 +16,89 @@ from pdr_filter.values import CARRYING_MODES, check_numbers, replace_unchecked
 
 _SWINGING = CARRYING_MODES.index("swinging")
 _MAY_SWING = (-1, _SWINGING, CARRYING_MODES.index("pocket"))
-# Strides after which it is known whether they agree.
+# Strides after which their agreement can be judged.
 _SETTLED_STRIDES = 4
 # Strides over which the powers that distinguish a swinging hand are averaged.
 _POWER_STRIDES = 6.0
-# Before strides have shown what they have in common it is taken to be this, worth as many strides without overlap.
+# Prior of the agreement of strides, and its weight as a number of strides that do not overlap.
 _PRIOR_SHARE, _PRIOR_STRIDES = 0.3, 2.0
-# A mean vector is off by so much, m/s2, and by this part of the motion at stride frequency, however many strides agree.
+# Errors of a mean vector that do not average out over strides: a constant, m/s2, and a share of the motion at stride
+# frequency.
 _NOISE_MPS2, _LEAK = 0.05, 0.06
-# Sway looks like a slow change to a single stride, by 6 / (2 pi^2) of its amplitude; the next stride takes it back.
+# Share of the sway that leaks into the vector of a single stride. Within one stride, sway looks like a slow change of
+# 6 / (2 pi^2) of its amplitude, which the next stride cancels.
 _SWAY_LEAK = 0.3
-# A hand that is said to swing may have more at step frequency than one that nobody speaks of, and need not lift.
+# Largest amplitude at step frequency, relative to that at stride frequency, of a hand that the carrying mode calls
+# swinging. Without that label less is allowed, and the hand must also move up and down.
 _LABELLED_STEP_SHARE = 1.3
 _Plane = tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """What was learnt since the phone came to where it is. Angles are clockwise from the reference axis."""
+    """Statistics of the strides since the phone was put into its present place.
+
+    Vectors are horizontal, with components forward and right of the reference axis in m/s2. Sums are exponentially
+    forgotten.
+
+    Attributes
+    ----------
+    start_s : float
+        Time when the phone was put there, s.
+    carrying_mode : int
+        Index into `CARRYING_MODES`; -1 if unknown.
+    old_mode : int
+        Carrying mode of the previous place, which the classifier still reports for some seconds; -1 if none.
+    up : tuple of float
+        Mean unit vector up of the strides, sensor frame.
+    n_strides : int
+        Strides in this place.
+    n_read : int
+        Strides during which the phone may have been read.
+    vectors : tuple of tuple of float
+        Sums of the three vectors of `Stride.vectors`.
+    squares : tuple of float
+        Sums of the squared lengths of these vectors.
+    product : float
+        Sum of the inner products of the two vectors at step frequency.
+    weight : float
+        Effective number of strides in the sums.
+    powers : tuple of float
+        Mean squared amplitudes, as in `Stride.powers`.
+    """
 
     start_s: float
-    carrying_mode: int  # -1 unknown
-    old_mode: int  # of the place before, which is still said of this one for some seconds; -1 none
-    up: Vector  # mean up direction of its strides, sensor frame
+    carrying_mode: int
+    old_mode: int
+    up: Vector
     n_strides: int = 0
-    n_read: int = 0  # strides during which the phone may have been read
-    # Sums over strides of vectors forward and right of the axis: motion at stride frequency in phase, at step frequency
-    # in phase and 90 degrees ahead.
+    n_read: int = 0
     vectors: tuple[_Plane, _Plane, _Plane] = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
-    squares: Vector = (0.0, 0.0, 0.0)  # of their squared lengths
-    product: float = 0.0  # of the inner products of the two at step frequency
-    weight: float = 0.0  # strides
-    # Means of squared amplitudes: horizontal once and twice a stride, vertical once.
+    squares: Vector = (0.0, 0.0, 0.0)
+    product: float = 0.0
+    weight: float = 0.0
     powers: Vector = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class StrideAgreement:
-    """Sums over the strides of a place, and what they say.
+    """Rules that update the statistics of a place by a stride, and derive a direction from them.
 
     Parameters
     ----------
     memory_s : float
-        How long a stride counts, in time of walking.
+        Time constant of the sums, in time of walking, s.
     max_phase_rad : float
-        How far the phase of a person may be from these.
+        Largest deviation of the phase of a person from the usual one, rad.
     phase_strides : float
-        So many strides must show it to be believed by half.
+        Number of strides after which half of the largest deviation is allowed.
     swinging_mps2, swinging_lift, swinging_step_share, swinging_agreement : float
-        A hand swings if its horizontal amplitude at stride frequency is at least the first, the vertical one at least
-        the second part of it (a back pocket has less), the horizontal one at step frequency at most the third (a pocket
-        has more), and its vectors from step frequency agree no better than the fourth, the squared length of their
-        mean over their mean squared length: 0.1 in two swinging hands, 0.5 to 0.97 in trouser pockets. Of a hand
-        that is said to swing less is asked.
+        Conditions for a swinging hand. The horizontal amplitude at stride frequency is at least `swinging_mps2`.
+        Relative to it, the vertical amplitude at stride frequency is at least `swinging_lift` (a back pocket has less),
+        and the horizontal amplitude at step frequency is at most `swinging_step_share` (a pocket has more). The vectors
+        at step frequency agree by at most `swinging_agreement`, the squared length of their mean over their mean
+        squared length: 0.1 in two swinging hands, 0.5 to 0.97 in trouser pockets. The conditions are weaker for a hand
+        whose carrying mode is swinging.
     """
 
     memory_s: float = 30.0
@@ -83,7 +113,7 @@ class StrideAgreement:
         check_numbers(self)
 
     def learn(self, place: Placement, stride: Stride, elapsed_s: float) -> Placement:
-        """The place after one stride more."""
+        """Return the statistics of a place updated with one more stride."""
         n_strides = place.n_strides + 1
         stay = math.exp(-elapsed_s / self.memory_s)
         (af, ar), (bf, br), (cf, cr) = place.vectors
@@ -105,31 +135,35 @@ class StrideAgreement:
         )
 
     def mix(self, place: Placement) -> Vector:
-        """How much of each of the stride's vectors points ahead: of that at stride frequency all or nothing."""
+        """Return the coefficients of the three stride vectors whose combination points forward.
+
+        For a swinging hand it is the vector at stride frequency alone, otherwise a combination of the two at step
+        frequency.
+        """
         if self._swings(place):
             return (1.0, 0.0, 0.0)
         ahead_rad = self._phase_ahead(place)
         return (0.0, math.cos(ahead_rad), math.sin(ahead_rad))
 
     def agreement(self, place: Placement, mix: Vector) -> tuple[float, float]:
-        """Mean squared length of the vectors, and the share of it that they have in common, 0 to 1."""
+        """Return the mean squared length of the combined vectors, and the share that they have in common, 0 to 1."""
         (a, b, c), (aa, bb, cc) = mix, place.squares
         (af, ar), (bf, br), (cf, cr) = place.vectors
         forward, right = (a * af + b * bf + c * cf) / place.weight, (a * ar + b * br + c * cr) / place.weight
         length2 = (a * a * aa + b * b * bb + c * c * cc + 2.0 * b * c * place.product) / place.weight
         leak2 = _NOISE_MPS2**2 + (_LEAK**2 + (_SWAY_LEAK / place.weight) ** 2) * place.powers[0]
-        n = 0.5 * place.weight  # overlapping by half, n strides are worth half of n
-        # n vectors that have nothing in common have a mean of length2 / n, squared
+        n = 0.5 * place.weight  # strides overlap by half, so two count as one
+        # For n independent vectors, the squared length of their mean is length2 / n on average. It is subtracted.
         shared2 = max(n * (forward * forward + right * right - leak2) - length2, 0.0) / max(n - 1.0, 1.0)
         share = min(shared2 / length2, 1.0) if length2 > 0 else 0.0
         return length2, (n * share + _PRIOR_STRIDES * _PRIOR_SHARE) / (n + _PRIOR_STRIDES)
 
     def _swings(self, place: Placement) -> bool:
-        """Whether the phone is in a hand that swings."""
+        """Return True if the phone is in a swinging hand."""
         stride_power, step_power, lift_power = place.powers
         if place.carrying_mode not in _MAY_SWING or stride_power < self.swinging_mps2**2:
             return False
-        # Steps that agree on a direction: the hand knows nothing of them, a pocket does.
+        # The motion at step frequency agrees on a direction in a pocket, but not in a swinging hand.
         (_, (forward, right), _), (_, length2, _) = place.vectors, place.squares
         agree = forward * forward + right * right > self.swinging_agreement * place.weight * length2
         if place.carrying_mode == _SWINGING:
@@ -139,7 +173,10 @@ class StrideAgreement:
         return not agree and lifts and step_power <= self.swinging_step_share**2 * stride_power
 
     def _phase_ahead(self, place: Placement) -> float:
-        """By how much this person's phase is ahead of the usual one: where |a cos x + b sin x| is largest."""
+        """Return the phase of this person minus the usual one, rad: the x that maximises |a cos x + b sin x|.
+
+        a and b are the sums of the two vectors at step frequency. The result is limited while strides are few.
+        """
         _, (af, ar), (bf, br) = place.vectors
         ahead_rad = 0.5 * math.atan2(2.0 * (af * bf + ar * br), af * af + ar * ar - (bf * bf + br * br))
         limit_rad = self.max_phase_rad * place.weight / (place.weight + self.phase_strides)
@@ -147,4 +184,5 @@ class StrideAgreement:
 
 
 def _inner(a: complex, b: complex) -> float:
+    """Return the inner product of two vectors given as complex numbers."""
     return a.real * b.real + a.imag * b.imag

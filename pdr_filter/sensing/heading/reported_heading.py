@@ -1,9 +1,10 @@
-"""What a filter knows that believes every walking heading that was reported to it, and what is new for it.
+"""Keep track of the heading information already passed to the filter, so that each step reports only what is new.
 
-Errors of successive headings are alike, and a Kalman filter would take them for independent. So each step reports only
-what is new: the measurement and the variance which, by the Kalman update, take a filter that lets the offset wander as
-`HeadingDrift` says from what all measurements before have taught it to what is known now (docs/methods/heading.md).
-Where the device's heading itself was lost, by a time without angular rate or a gap, that variance stays.
+The errors of successive headings are correlated, but a Kalman filter treats them as independent. Each step therefore
+reports only the new information. Let a filter use all measurements so far, with an offset that drifts as stated by
+`HeadingDrift`. The reported measurement and its variance are those whose Kalman update takes this filter from its
+present estimate to the new one (docs/methods/heading.md). Variance added by a time without angular rate or by a gap
+stays, because the device heading itself was lost.
 """
 
 from __future__ import annotations
@@ -15,17 +16,28 @@ from typing import NamedTuple
 from pdr_filter.sensing.heading.heading_offset import UNKNOWN_VAR_RAD2
 from pdr_filter.values import HeadingDrift, Step, replace_unchecked, wrap_angle
 
-# With a standard deviation above one radian a heading is unknown, and says nothing on a circle.
+# Variance above which a heading counts as unknown, because it gives no information on the circle.
 _UNKNOWN_VAR_RAD2 = 1.0
-# Less is not worth a report, and its measurement would be far from everything.
+# Smallest gain that is reported. With a smaller one, the measurement z would be implausibly far from the estimate.
 _MIN_GAIN = 1e-3
 _MAX_INNOVATION_RAD = 2.5
-# Where more is lost it is not reported: the filter must still hear of a phone that is moved.
+# Largest variance that the device heading is counted to have lost. Without a limit, no later measurement would be
+# reported, not even that of a phone that is moved.
 _MAX_LOST_VAR_RAD2 = 1.0
 
 
 class Shown(NamedTuple):
-    """Heading offset that strides and the phone's axis show, and how probable it is that the walk keeps to axes."""
+    """Heading offset estimated from strides and the axis of the phone.
+
+    Attributes
+    ----------
+    offset_rad : float
+        Heading offset, rad.
+    var_rad2 : float
+        Variance of the offset, rad2.
+    axes_prob : float
+        Probability that the walk follows the axes of a building.
+    """
 
     offset_rad: float
     var_rad2: float
@@ -34,18 +46,36 @@ class Shown(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Reported:
-    """Walking less device heading, as a filter knows it that believes all measurements so far."""
+    """Estimate of a filter that has used all reported measurements.
+
+    Attributes
+    ----------
+    offset_rad : float
+        Walking heading minus device heading, rad.
+    shown_rad : float
+        Part of the offset that comes from strides and the axis of the phone, rad.
+    shown_var_rad2 : float
+        Smallest variance of this part so far, rad2.
+    error_rad : float
+        Error of the device heading in the last report, rad.
+    var_rad2 : float
+        Variance of `offset_rad`, rad2. Infinite before the first report.
+    lost_var_rad2 : float
+        Part of the variance that the device heading has lost, rad2.
+    time_s : float
+        Time of the last step, s.
+    """
 
     offset_rad: float = 0.0
-    shown_rad: float = 0.0  # the part of it that strides show
+    shown_rad: float = 0.0
     shown_var_rad2: float = math.inf
-    error_rad: float = 0.0  # of the device's heading, in the last report
+    error_rad: float = 0.0
     var_rad2: float = math.inf
-    lost_var_rad2: float = 0.0  # the part of it that the device's heading has lost
+    lost_var_rad2: float = 0.0
     time_s: float = math.nan
 
     def after_loss(self, lost_var_rad2: float) -> Reported:
-        """After the device's heading has lost this variance."""
+        """Return the estimate after the device heading has lost this variance."""
         if lost_var_rad2 == 0.0 and (self.var_rad2 <= UNKNOWN_VAR_RAD2 or math.isinf(self.var_rad2)):
             return self
         lost = min(self.lost_var_rad2 + lost_var_rad2, _MAX_LOST_VAR_RAD2)
@@ -55,7 +85,7 @@ class Reported:
         )
 
     def at_step(self, step: Step, drift: HeadingDrift, yaw_bias_std_radps: float) -> Reported:
-        """What the filter still knows at a step with this bias, before more is reported."""
+        """Return the estimate predicted to a step with this standard deviation of the bias about the vertical."""
         elapsed_s = step.duration_s if math.isnan(self.time_s) else step.time_s - self.time_s
         wandered_var, lost_var = drift.variances_rad2(elapsed_s, step.heading_unknown_s, yaw_bias_std_radps)
         drifted = replace_unchecked(self, var_rad2=self.var_rad2 + wandered_var, time_s=step.time_s)
@@ -64,15 +94,16 @@ class Reported:
     def with_report(
         self, step: Step, shown: Shown, error_rad: float, var_rad2: float, change_std_rad: float
     ) -> tuple[Reported, dict[str, float]]:
-        """Return what the filter knows after a step, and the fields of the step with the measurement that leads there.
+        """Return the estimate after a step, and the fields of the step with the reported measurement.
 
-        The walking heading less the device's is `shown.offset_rad` - `error_rad`, the second by the gyroscope's bias or
-        the axes of a building. The filter hears of a new error always. It hears of a new offset as far as strides have
-        made it more certain: the offset of a phone that stays in its place fluctuates, and the lever of a heading that
-        has been uncertain for long would turn the whole past by that.
+        The offset of walking heading minus device heading is `shown.offset_rad` - `error_rad`, with variance
+        `var_rad2`. The error of the device heading comes from the gyroscope bias or the axes of a building. A new error
+        is always reported. A new shown offset of a phone that stays in its place is reported only as far as strides
+        have reduced its variance. The reason is that this offset fluctuates, and that each change turns the whole past
+        track if the heading has been uncertain for a long time.
 
-        The measurement is z = o- + (o - o-) / K, K = 1 - P / P-, and its variance P- P / (P- - P)
-        (docs/methods/heading.md).
+        With the estimate o- of variance P- and the new offset o of variance P, the measurement is z = o- + (o - o-) / K
+        with K = 1 - P / P-, and its variance is P- P / (P- - P) (docs/methods/heading.md).
         """
         var_rad2 += self.lost_var_rad2
         if math.isinf(self.var_rad2):
@@ -84,15 +115,16 @@ class Reported:
         before_var = min(self.var_rad2 + change_std_rad**2, UNKNOWN_VAR_RAD2)
         shown_rad = float(wrap_angle(shown.offset_rad - self.shown_rad))
         if change_std_rad == 0:
-            most_rad = _MAX_INNOVATION_RAD * max(1.0 - shown.var_rad2 / self.shown_var_rad2, 0.0)
-            limited_rad = min(max(shown_rad, -most_rad), most_rad)
+            max_rad = _MAX_INNOVATION_RAD * max(1.0 - shown.var_rad2 / self.shown_var_rad2, 0.0)
+            limited_rad = min(max(shown_rad, -max_rad), max_rad)
             shown_rad = limited_rad + shown.axes_prob * (shown_rad - limited_rad)
-        away_rad = float(wrap_angle(shown_rad - (error_rad - self.error_rad)))
-        # Half a turn and more would be taken for the other way round. A filter that has to be turned further than its
-        # variance allows was wrong about that variance: without more of it, the rest of the turn would never reach it.
+        change_rad = float(wrap_angle(shown_rad - (error_rad - self.error_rad)))
+        # An innovation of half a turn or more would be applied in the opposite direction, so it is limited. If the
+        # gain is too small for the required change, the variance of the filter was too small. It is then inflated,
+        # because the rest of the change would otherwise never be reported.
         gain = 1.0 - var_rad2 / before_var
-        if gain < abs(away_rad) / _MAX_INNOVATION_RAD:
-            gain = min(abs(away_rad) / _MAX_INNOVATION_RAD, 1.0 - var_rad2 / UNKNOWN_VAR_RAD2)
+        if gain < abs(change_rad) / _MAX_INNOVATION_RAD:
+            gain = min(abs(change_rad) / _MAX_INNOVATION_RAD, 1.0 - var_rad2 / UNKNOWN_VAR_RAD2)
             before_var = var_rad2 / (1.0 - gain)
         added_std_rad = math.sqrt(max(before_var - self.var_rad2, 0.0))
         is_unknown = var_rad2 > _UNKNOWN_VAR_RAD2 and change_std_rad == 0
@@ -100,7 +132,7 @@ class Reported:
             return replace_unchecked(self, var_rad2=max(before_var, self.var_rad2)), {
                 "offset_change_std_rad": added_std_rad
             }
-        innovation_rad = min(max(away_rad / gain, -_MAX_INNOVATION_RAD), _MAX_INNOVATION_RAD)
+        innovation_rad = min(max(change_rad / gain, -_MAX_INNOVATION_RAD), _MAX_INNOVATION_RAD)
         reported = replace_unchecked(
             self,
             offset_rad=self.offset_rad + gain * innovation_rad,
@@ -113,6 +145,7 @@ class Reported:
 
 
 def _heading(step: Step, offset_rad: float, var_rad2: float, change_std_rad: float) -> dict[str, float]:
+    """Return the heading fields of a step for a measured offset."""
     return {
         "walking_heading_rad": step.device_heading_rad + offset_rad,
         "walking_heading_std_rad": math.sqrt(var_rad2),

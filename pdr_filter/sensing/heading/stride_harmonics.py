@@ -1,7 +1,7 @@
-"""What strides show: their axes in the sensor frame, and the harmonics of their motion.
+"""Harmonics of the motion in each stride, and the axes of the phone to which they refer.
 
-Many strides are described together, each with the bits that it has alone: their samples stand one after the other, T in
-all, and `ends` (K + 1) are the columns at which each begins, and where the last one ends.
+Many strides are computed together, with the same bits as for each stride alone. Their samples are concatenated to T
+columns. `ends` (K + 1) holds the first column of each of the K strides, and finally T.
 """
 
 from __future__ import annotations
@@ -16,35 +16,59 @@ import numpy as np
 from pdr_filter.sensing.heading.vectors import Vector, across, combined, cross, dot
 from pdr_filter.values import BoolArray, ComplexArray, FloatArray, IntArray
 
-# Longer ones may be two: 1.4 steps a second is slow, 2.8 running.
+# Duration in s from which a stride may be two strides with missed contacts: 1.4 steps a second is slow, 2.8 is running.
 _TWO_STRIDES_S = 1.4
-# Horizontal amplitude at step frequency beyond that of slow steps: a swinging hand has it at stride frequency.
+# Largest horizontal amplitude at step frequency of slow steps. A larger one is the stride frequency of a swinging hand.
 _SLOW_STEP_MPS2 = 2.0
-# y is up rather than forward beyond 60 degrees.
+# Sine of the elevation of the y axis above which it points up rather than forward, 60 degrees.
 _UPRIGHT = math.sin(math.radians(60.0))
 _AHEAD, _UPRIGHT_AHEAD = (0.0, 1.0, 0.0), (0.0, 0.0, -1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stride:
-    """What one stride shows. Angles are clockwise, vectors forward + i right of the reference axis, m/s2."""
+    """Motion of one stride relative to a horizontal reference axis of the phone.
 
-    up: Vector  # mean, sensor frame
-    axis: Vector  # the reference axis, sensor frame
-    axis_heading_rad: float  # its mean direction in the attitude's frame, clockwise from north
-    device_heading_rad: float  # mean
-    pointing_rad: float  # where the phone points, from the axis
+    Angles are clockwise.
+
+    Attributes
+    ----------
+    up : tuple of float
+        Mean unit vector up, sensor frame.
+    axis : tuple of float
+        Reference axis, a unit vector perpendicular to `up`, sensor frame.
+    axis_heading_rad : float
+        Mean direction of the axis in the attitude frame, from north, rad.
+    device_heading_rad : float
+        Mean device heading, rad.
+    pointing_rad : float
+        Direction in which the phone points, from the axis, rad.
+    runs : bool
+        True if the pedestrian runs.
+    vectors : tuple of complex
+        Horizontal vectors, forward + i right of the axis, m/s2: motion at stride frequency in phase with the vertical,
+        and motion at step frequency in phase with the advanced vertical and 90 degrees ahead of it.
+    powers : tuple of float
+        Squared amplitudes, (m/s2)^2: horizontal at stride frequency, horizontal at step frequency, and vertical at
+        stride frequency.
+    """
+
+    up: Vector
+    axis: Vector
+    axis_heading_rad: float
+    device_heading_rad: float
+    pointing_rad: float
     runs: bool
-    vectors: tuple[complex, complex, complex]  # as in `Place`
-    powers: Vector  # squared amplitudes: horizontal once and twice a stride, vertical once
+    vectors: tuple[complex, complex, complex]
+    powers: Vector
 
     @property
     def axis_offset_rad(self) -> float:
-        """The reference axis, clockwise from where the device heads."""
+        """Direction of the reference axis, clockwise from the device heading, rad."""
         return self.axis_heading_rad - self.device_heading_rad
 
     def about(self, axis: Vector) -> Stride:
-        """The same about another axis across up."""
+        """Return the stride relative to another axis perpendicular to up."""
         turn_rad = math.atan2(dot(self.axis, cross(axis, self.up)), dot(self.axis, axis))
         (a, b, c), turn = self.vectors, cmath.rect(1.0, turn_rad)
         return Stride(
@@ -61,20 +85,44 @@ class Stride:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StrideSamples:
-    """Samples of strides, one after the other; all but the force and up in the attitude's frame."""
+    """Concatenated samples of K strides.
 
-    ends: IntArray  # (K + 1,)
-    force_mps2: FloatArray  # (3, T) sensor frame
-    up: FloatArray  # (3, T) sensor frame
-    east_mps2: FloatArray  # (T,)
-    north_mps2: FloatArray  # (T,)
-    vertical_mps2: FloatArray  # (T,)
-    heading_rad: FloatArray  # (T,) of the device
+    Attributes
+    ----------
+    ends : IntArray
+        First column of each stride, and the number of columns T, shape (K + 1,).
+    force_mps2 : FloatArray
+        Specific force in the sensor frame, shape (3, T), m/s2.
+    up : FloatArray
+        Unit vectors up in the sensor frame, shape (3, T).
+    east_mps2, north_mps2, vertical_mps2 : FloatArray
+        Specific force in the attitude frame, shape (T,), m/s2.
+    heading_rad : FloatArray
+        Device heading, shape (T,), rad.
+    """
+
+    ends: IntArray
+    force_mps2: FloatArray
+    up: FloatArray
+    east_mps2: FloatArray
+    north_mps2: FloatArray
+    vertical_mps2: FloatArray
+    heading_rad: FloatArray
 
 
 @dataclass(frozen=True)
 class Phases:
-    """By how much the vertical force is advanced to be in phase with the push forward; see `WalkingHeading`."""
+    """Phases by which the vertical specific force is advanced to be in phase with the push forward.
+
+    Attributes
+    ----------
+    walking_rad : float
+        Phase of walking, rad.
+    running_rad : float
+        Phase of running, rad.
+    running_mps2 : float
+        Vertical amplitude at step frequency from which the motion is running, m/s2.
+    """
 
     walking_rad: float
     running_rad: float
@@ -82,17 +130,20 @@ class Phases:
 
 
 def strides_of(samples: StrideSamples, is_running: BoolArray, rate_hz: float, phases: Phases) -> list[Stride]:
-    """Strides about where the phone points in each; `is_running` (K,) says which of them are surely running."""
+    """Return the strides relative to the pointing axis of the phone in each.
+
+    `is_running` (K,) is True for strides that are known to be running.
+    """
     ends, starts = samples.ends, samples.ends[:-1]
     n = np.diff(ends)
     ups = np.add.reduceat(samples.up, starts, axis=1).T
     ups = ups / np.sqrt(ups[:, 0] * ups[:, 0] + ups[:, 1] * ups[:, 1] + ups[:, 2] * ups[:, 2])[:, None]
-    up_of: list[Vector] = [(x, y, z) for x, y, z in ups.tolist()]
-    axes = [pointing_axis(up) for up in up_of]
-    frames = np.array([[axis, cross(axis, up), up] for axis, up in zip(axes, up_of, strict=True)])
+    mean_ups: list[Vector] = [(x, y, z) for x, y, z in ups.tolist()]
+    axes = [pointing_axis(up) for up in mean_ups]
+    frames = np.array([[axis, cross(axis, up), up] for axis, up in zip(axes, mean_ups, strict=True)])
     forward, right = in_mean_frame(samples.force_mps2, samples.up, frames, ends)
-    # Both, the device's and the attitude's, are one vector, so their angle is that of the axis, clockwise from north.
-    # Where there is no horizontal force, none is known, and the samples around decide.
+    # The horizontal force is the same vector in the axes of the device and in the attitude frame, so the angle between
+    # its two representations is the heading of the axis. A sample without horizontal force has no weight.
     size = np.maximum(forward * forward + right * right, 1e-12)
     along = (samples.north_mps2 * forward + samples.east_mps2 * right) / size
     across_ = (samples.east_mps2 * forward - samples.north_mps2 * right) / size
@@ -103,33 +154,34 @@ def strides_of(samples: StrideSamples, is_running: BoolArray, rate_hz: float, ph
     vectors = in_phase(once, np.zeros(len(n))), in_phase(twice, phase_rad), in_phase(twice, phase_rad + 0.5 * np.pi)
     powers = power(once[:, :2]), power(twice[:, :2]), power(once[:, 2:])
     rows = zip(
-        up_of,
+        mean_ups,
         axes,
         np.arctan2(across_, along).tolist(),
         (heading / n).tolist(),
         runs.tolist(),
         zip(*(vector.tolist() for vector in vectors), strict=True),
-        zip(*(power_of.tolist() for power_of in powers), strict=True),
+        zip(*(squared.tolist() for squared in powers), strict=True),
         strict=True,
     )
     return [
-        Stride(up, axis, at_rad, device_rad, 0.0, run, *motion) for up, axis, at_rad, device_rad, run, *motion in rows
+        Stride(up, axis, axis_rad, device_rad, 0.0, run, *motion)
+        for up, axis, axis_rad, device_rad, run, *motion in rows
     ]
 
 
 def pointing_axis(up: Vector) -> Vector:
-    """Horizontal unit vector along which somebody who reads holds the phone: y, or -z if it stands upright."""
+    """Return the horizontal unit vector along which a reader holds the phone: y, or -z for a phone held upright."""
     return across(_AHEAD if abs(up[1]) < _UPRIGHT else _UPRIGHT_AHEAD, up)
 
 
 def carry_axis(axis: Vector, up: Vector, new_up: Vector) -> Vector:
-    """The axis, across `up`, turned by the shortest way from `up` to `new_up`.
+    """Return an axis perpendicular to `up`, rotated by the shortest rotation from `up` to `new_up`.
 
-    v' = v - (m . v) / (1 + u . m) (u + m) turns v, across u, by the shortest way from u to m.
+    For v perpendicular to u, v' = v - (m . v) / (1 + u . m) (u + m) is the shortest rotation from u to m.
     """
     cosine = dot(up, new_up)
     if cosine < -0.99:
-        return pointing_axis(new_up)  # turned over: no way is the shortest
+        return pointing_axis(new_up)  # the phone was turned over, so the shortest rotation is not unique
     between = combined(1.0, up, 1.0, new_up)
     return across(combined(1.0, axis, -dot(new_up, axis) / (1.0 + cosine), between), new_up)
 
@@ -137,30 +189,32 @@ def carry_axis(axis: Vector, up: Vector, new_up: Vector) -> Vector:
 def in_mean_frame(
     force: FloatArray, up: FloatArray, frames: FloatArray, ends: IntArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Horizontal part of vectors (3, T), sensor frame: (T,) along the axis of each stride, and (T,) right of it.
+    """Return the horizontal components of vectors (3, T): (T,) along the axis of each stride and (T,) right of it.
 
-    Each is turned by the shortest way from its own `up` (3, T) to the mean one, as in `carry_axis`: what turns with the
-    device stays, what swings with it does not. The rows of `frames` (K, 3, 3) are axis, right and mean up.
+    Each vector is given in the sensor frame. It is rotated by the shortest rotation from its own `up` (3, T) to the
+    mean up of its stride, as in `carry_axis`. This removes the swing of the device, but keeps its turn about the
+    vertical. The rows of `frames` (K, 3, 3) are the axis, the direction right of it, and the mean up.
     """
-    vectors, turned = np.stack([force, up]), np.empty((2, *force.shape))
+    vectors, rotated = np.stack([force, up]), np.empty((2, *force.shape))
     for frame, start, end in zip(frames, ends[:-1].tolist(), ends[1:].tolist(), strict=True):
-        np.matmul(frame, vectors[:, :, start:end], out=turned[:, :, start:end])
-    ups = turned[1]
-    flat = turned[0] - (force[0] * up[0] + force[1] * up[1] + force[2] * up[2]) * ups
+        np.matmul(frame, vectors[:, :, start:end], out=rotated[:, :, start:end])
+    ups = rotated[1]
+    flat = rotated[0] - (force[0] * up[0] + force[1] * up[1] + force[2] * up[2]) * ups
     tilted = flat[2] / np.maximum(1.0 + ups[2], 1e-6)
     return flat[0] - tilted * ups[0], flat[1] - tilted * ups[1]
 
 
 def harmonics(signals: FloatArray, ends: IntArray, rate_hz: float) -> tuple[ComplexArray, ComplexArray]:
-    """Complex amplitudes (K, 3) of signals (3, T), once and twice a stride.
+    """Return the complex amplitudes (K, 3) of signals (3, T) at stride frequency, and those at step frequency.
 
-    The last signal is the vertical specific force, the others are horizontal. The samples are a stride, or two strides
-    if every other step was missed: if they are slow, and the vertical force goes up and down four times rather than
-    twice, or the horizontal one twice with an amplitude that nobody has at each of such slow steps.
+    The last signal is the vertical specific force, the others are horizontal. The samples of a stride may be two
+    strides if every other step was missed. This is assumed for slow strides under one of two conditions. Either the
+    vertical force oscillates four times rather than twice, or the horizontal amplitude at twice the stride frequency is
+    too large for slow steps.
     """
     amplitudes: ComplexArray = np.empty((len(ends) - 1, 3, 3), np.complex128)
-    for of_stride, start, end in zip(amplitudes.view(np.float64), ends[:-1].tolist(), ends[1:].tolist(), strict=True):
-        np.matmul(signals[:, start:end], _waves(end - start), out=of_stride)
+    for rows, start, end in zip(amplitudes.view(np.float64), ends[:-1].tolist(), ends[1:].tolist(), strict=True):
+        np.matmul(signals[:, start:end], _waves(end - start), out=rows)
     once, twice, four_times = amplitudes[:, :, 0], amplitudes[:, :, 1], amplitudes[:, :, 2]
     is_slow = np.diff(ends) >= _TWO_STRIDES_S * rate_hz
     is_shaken = power(twice[:, :-1]) > _SLOW_STEP_MPS2**2
@@ -169,7 +223,10 @@ def harmonics(signals: FloatArray, ends: IntArray, rate_hz: float) -> tuple[Comp
 
 
 def in_phase(amplitudes: ComplexArray, phase_rad: FloatArray) -> ComplexArray:
-    """Part (K,) of horizontal amplitudes, forward + i right, m/s2, in phase with the vertical ones advanced by (K,)."""
+    """Return the part (K,) of the horizontal amplitudes in phase with the vertical ones advanced by a phase (K,).
+
+    The result is forward + i right, m/s2. `amplitudes` is (K, 3): forward, right, vertical.
+    """
     horizontal, vertical = amplitudes[:, :2], amplitudes[:, 2]
     size = np.abs(vertical)
     direction = vertical / np.where(size > 0, size, 1.0) * np.exp(1j * phase_rad)
@@ -178,18 +235,20 @@ def in_phase(amplitudes: ComplexArray, phase_rad: FloatArray) -> ComplexArray:
 
 
 def power(amplitudes: ComplexArray) -> FloatArray:
-    """Squared amplitude (K,) of all signals (K, n) together."""
+    """Return the sum of the squared amplitudes (K,) of signals with complex amplitudes (K, n)."""
     return (amplitudes.real**2 + amplitudes.imag**2).sum(axis=1)
 
 
 @lru_cache(maxsize=512)
 def _waves(n: int) -> FloatArray:
-    """Waves once, twice and four times in n samples, scaled to give amplitudes; phases are at the middle.
+    """Return waves with one, two and four periods in n samples, (n, 6), whose products with signals are amplitudes.
 
-    Real and imaginary parts one after the other, (N, 6). None has a mean, so that that of a signal does not enter.
+    The columns are real and imaginary parts in turn. Phases refer to the middle of the samples. All waves have zero
+    mean, so that the mean of a signal has no influence.
     """
     part = (np.arange(n) - 0.5 * (n - 1)) / n
     waves: ComplexArray = np.exp(-2j * np.pi * np.outer(part, [1.0, 2.0, 4.0]))
-    # the faster ones have no slope, so that a slow change does not enter; of the first too little would remain
+    # Remove the slope of the faster waves, so that a slow change has no influence. The first wave keeps its slope,
+    # because too little of it would remain.
     waves[:, 1:] -= np.outer(part, part @ waves[:, 1:] / (part @ part))
     return (2.0 / n * waves).view(np.float64)

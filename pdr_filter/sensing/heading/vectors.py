@@ -1,4 +1,4 @@
-"""Vectors in the sensor frame as three plain numbers: for one of them NumPy takes five times as long."""
+"""Vectors in the sensor frame as tuples of three floats, because NumPy takes five times as long for a single vector."""
 
 from __future__ import annotations
 
@@ -8,28 +8,28 @@ Vector = tuple[float, float, float]
 
 
 def dot(a: Vector, b: Vector) -> float:
-    """Inner product."""
+    """Return the inner product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def cross(a: Vector, b: Vector) -> Vector:
-    """Cross product."""
+    """Return the cross product."""
     (x, y, z), (u, v, w) = a, b
     return (y * w - z * v, z * u - x * w, x * v - y * u)
 
 
 def combined(p: float, a: Vector, q: float, b: Vector) -> Vector:
-    """The sum of p a and q b."""
+    """Return p a + q b."""
     return (p * a[0] + q * b[0], p * a[1] + q * b[1], p * a[2] + q * b[2])
 
 
 def unit(a: Vector) -> Vector:
-    """The vector with length 1."""
+    """Return the vector scaled to length 1."""
     x, y, z = a
     length = math.sqrt(x * x + y * y + z * z)
     return (x / length, y / length, z / length)
 
 
 def across(axis: Vector, up: Vector) -> Vector:
-    """Unit vector: the part of an axis across up."""
+    """Return the unit vector of the part of an axis that is perpendicular to up."""
     return unit(combined(1.0, axis, -dot(axis, up), up))

@@ -1,19 +1,19 @@
-"""Where a person walks, from a phone carried anywhere: the body's push forward shows in every stride.
+"""Walking direction from a phone carried anywhere: the push forward of the body shows in every stride.
 
 The horizontal specific force at step frequency, in phase with the vertical one advanced by 85 degrees (minus the
-vertical velocity), points where the person walks, sign included. Running has another phase; a swinging hand moves at
-stride frequency, and its horizontal force in phase with its vertical one points forward (docs/methods/heading.md).
+vertical velocity), points in the walking direction, including the sign. Running has another phase. A swinging hand
+moves at stride frequency, and its horizontal force in phase with its vertical one points forward
+(docs/methods/heading.md).
 
-What is learnt is the angle from the device to the walking heading, which stays while the phone stays in its place.
-Strides count by how well they agree with each other (`phone_placement`); the phone's own axis counts where somebody
-reads on it, and after the phone was moved to another place the last walking direction does, and what was learnt in a
-former place that this looks like. A track needs only how the angle differs from that of the first place
-(`heading_offset`), less what the gyroscope's bias and the axes of a building say of the device's own heading
-(`corridors`).
+The stage estimates the angle from the device to the walking heading, which is constant while the phone stays in its
+place. Strides are weighted by their agreement (`phone_placement`). The axis of the phone counts while it is being read.
+After the phone was moved to another place, the last walking direction gives the new angle, and so does a previous place
+with the same tilt. A track needs only the difference of the angle to that of the first place (`heading_offset`). The
+error of the device heading itself comes from the gyroscope bias and from the axes of a building (`corridors`).
 
-The angle is learnt in the attitude's own frame (`AttitudeBlock.horizontal_mps2`) and said against `device_heading_rad`,
-both averaged over a stride: how the two relate does not matter, and swings cancel. What is reported to the filter of
-each step is only what is new: `pdr_filter.sensing.heading.reported_heading`.
+The angle is estimated in the attitude frame (`AttitudeBlock.horizontal_mps2`) and expressed relative to
+`device_heading_rad`, both averaged over a stride. The relation between the two therefore does not matter, and swings
+cancel. Each step reports only what is new for the filter: `pdr_filter.sensing.heading.reported_heading`.
 """
 
 from __future__ import annotations
@@ -32,7 +32,13 @@ import numpy as np
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.heading.corridors import Corridors, CorridorState
-from pdr_filter.sensing.heading.heading_offset import OF_AXIS, OF_STRIDES, UNKNOWN_STD_RAD, UNKNOWN_VAR_RAD2, Offset
+from pdr_filter.sensing.heading.heading_offset import (
+    AXIS_MEASUREMENT,
+    STRIDE_MEASUREMENT,
+    UNKNOWN_STD_RAD,
+    UNKNOWN_VAR_RAD2,
+    Offset,
+)
 from pdr_filter.sensing.heading.phone_placement import Placement, StrideAgreement
 from pdr_filter.sensing.heading.reported_heading import Reported, Shown
 from pdr_filter.sensing.heading.stride_harmonics import Phases, Stride, StrideSamples, carry_axis, strides_of
@@ -51,47 +57,59 @@ from pdr_filter.values import (
 
 _TEXTING = CARRYING_MODES.index("texting")
 
-# Rows of the remembered signals.
+# Rows of the buffered signals.
 _TIME, _FORCE, _UP, _EAST, _NORTH, _VERTICAL, _HEADING, _KNOWN = 0, slice(1, 4), slice(4, 7), 7, 8, 9, 10, 11
 _ERROR, _ERROR_VAR, _LOST_VAR = 12, 13, 14
 _N_ROWS = 15
 
-# Two steps between these are a stride: 0.9 to 4.5 steps a second, as the step detectors have it.
+# Shortest and longest duration of two steps that form a stride, s: 0.9 to 4.5 steps a second, as in the step detectors.
 _MIN_STRIDE_S, _MAX_STRIDE_S = 0.45, 2.2
+# Longest delay from a contact to its step, s, for the slowest detector or a gate behind it.
 _MAX_LATENCY_S = 8.0
-# A step longer than this part of the stride is not one of two alike: one was missed, or the walk has just begun.
+# Largest share of a step in its stride. Beyond it a step was missed, or the walk has just begun.
 _MAX_SHARE = 0.68
-# So many strides of a place are told from others by their sum alone.
-_YOUNG_STRIDES = 30
-# Strides that agree so well speak for themselves, against a phone's axis that is this far off: people walk where they
-# read, but do not hold the phone upright always.
+# Number of first strides of a place that are used by their sum instead of one by one.
+_FIRST_STRIDES = 30
+# Agreement of strides above which they overrule the axis of the phone, if they differ from it by this angle. Readers
+# walk in the direction in which they read, but do not always hold the phone straight.
 _OVERRULES_AXIS, _AGAINST_AXIS_RAD = 0.6, math.radians(50.0)
-# Strides after which a direction is good enough to be kept when the phone is moved.
+# Number of strides after which the direction of a place is remembered when the phone is moved.
 _SETTLED_STRIDES = 4
-# Former places that are remembered: a look at the phone may be two.
-_N_FORMERS = 3
+# Number of previous places that are remembered. A look at the phone can produce two places.
+_N_PREVIOUS_PLACES = 3
 # Strides over which the up direction of a place is averaged.
 _UP_STRIDES = 8.0
-# Strides that are described at once: their samples fit into a cache.
+# Strides that are processed together, so that their samples fit into the processor's cache.
 _MAX_GROUP = 32
-# Classifiers of carrying modes look at some seconds, and follow slowly.
+# Time after a change of place during which the classifier still reports the old carrying mode, s. It uses several
+# seconds of samples, and follows slowly.
 _LABEL_LAG_S = 10.0
-_NOWHERE = (0.0, 0.0, 0.0)
-# People turn while nothing is known of it: 3 degrees in a second, as a random walk.
+_NO_DIRECTION = (0.0, 0.0, 0.0)
+# Turn of a pedestrian while no stride is measured: a random walk of 3 degrees per square root of a second.
 _TURN_VAR_RAD2_PER_S = math.radians(3.0) ** 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownPlace:
-    """Walking direction in the phone's axes while it is carried in one place, estimated from all strides there."""
+    """Walking direction in the axes of the phone while it is carried in one place, estimated from all strides there.
+
+    Attributes
+    ----------
+    start_s : float
+        Time when the phone was put there, s.
+    shown_rad : float
+        Walking direction, clockwise from the zero of the device heading, rad.
+    var_rad2 : float
+        Variance of the direction, rad2.
+    """
 
     start_s: float
-    shown_rad: float  # walking direction, clockwise from the zero of the device heading
+    shown_rad: float
     var_rad2: float
 
 
 def known_places(steps: Table) -> tuple[KnownPlace, ...]:
-    """Return the places of the phone in the steps of a track, each with the direction after its last stride."""
+    """Return the places of the phone during a track, each with the direction estimated at its last stride."""
     since_s, std_rad = np.asarray(steps.carried_since_s), np.asarray(steps.shown_offset_std_rad)
     shown_rad = np.asarray(steps.shown_offset_rad)
     (in_place,) = (np.isfinite(since_s) & np.isfinite(std_rad)).nonzero()
@@ -101,79 +119,169 @@ def known_places(steps: Table) -> tuple[KnownPlace, ...]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Former:
-    """A place where the phone was, and where it may come back to."""
+    """A previous place of the phone, to which it may return.
+
+    Attributes
+    ----------
+    left_s : float
+        Time when the phone left the place, s.
+    n_strides : int
+        Strides in the place.
+    up : tuple of float
+        Mean unit vector up of its last stride, sensor frame.
+    direction : tuple of float
+        Walking direction, a unit vector perpendicular to `up`, sensor frame.
+    """
 
     left_s: float
     n_strides: int
-    up: Vector  # mean up direction of its last stride, sensor frame
-    direction: Vector  # of walking, across it
+    up: Vector
+    direction: Vector
 
 
 @dataclass(frozen=True, eq=False)
 class WalkingHeadingState:
-    """Signals of the last seconds, the last contacts, and what was learnt."""
+    """Buffered signals, the last contacts, and the estimates of the stage.
 
-    n_samples: int  # of this segment
-    start_s: float  # its first sample
-    signals: FloatArray  # (15, H)
-    contacts_s: tuple[float, ...]  # the last two
-    up: Vector | None  # mean up direction of the last stride; None before the first
-    axis: Vector  # unit, across `up`: the reference axis, sensor frame
+    Attributes
+    ----------
+    n_samples : int
+        Samples of the segment.
+    start_s : float
+        Time of the first sample of the segment, s.
+    signals : FloatArray
+        Buffered signals, shape (15, H).
+    contacts_s : tuple of float
+        Last two contacts, s.
+    up : tuple of float or None
+        Mean unit vector up of the last stride, sensor frame. None before the first.
+    axis : tuple of float
+        Reference axis, a unit vector perpendicular to `up`, sensor frame.
+    place : Placement or None
+        Statistics of the strides in the present place of the phone.
+    offset : Offset
+        Heading offset without temporary information (the axis of the phone, and the first strides of a place).
+    shown : Offset
+        Heading offset with the temporary information.
+    trust : float
+        Agreement of the strides in this place, 0 to 1.
+    corridors : CorridorState
+        State of the estimation of drift from the axes of a building.
+    error_rad : float
+        Error of the device heading when the search for axes last restarted, rad.
+    error_of_bias_rad : float
+        Error of the device heading according to the gyroscope bias at that time, rad.
+    of_bias_rad : float
+        Present error of the device heading according to the gyroscope bias, rad.
+    of_bias_var_rad2 : float
+        Variance of `of_bias_rad`, rad2.
+    lost_var_rad2 : float
+        Heading variance added by the uncertain gyroscope bias so far, rad2.
+    reported : Reported
+        Information already passed to the filter.
+    walking_rad : float
+        Last walking heading in the frame of the track, not wrapped, rad. NaN before the first.
+    walking_s : float
+        Time of the last walking heading, s.
+    direction : tuple of float
+        Last walking direction, a unit vector perpendicular to `direction_up`, sensor frame.
+    direction_up : tuple of float
+        Mean unit vector up of that stride, sensor frame.
+    formers : tuple of Former
+        Up to three previous places of the phone.
+    """
+
+    n_samples: int
+    start_s: float
+    signals: FloatArray
+    contacts_s: tuple[float, ...]
+    up: Vector | None
+    axis: Vector
     place: Placement | None
-    offset: Offset  # without what is believed for the moment only
-    shown: Offset  # with that
-    trust: float  # how well the strides of the place agree
+    offset: Offset
+    shown: Offset
+    trust: float
     corridors: CorridorState
-    error_rad: float  # of the device's heading when axes were looked for anew
-    error_of_bias_rad: float  # what biases found late said of it then
-    of_bias_rad: float  # what they say now
+    error_rad: float
+    error_of_bias_rad: float
+    of_bias_rad: float
     of_bias_var_rad2: float
-    lost_var_rad2: float  # by biases so far
+    lost_var_rad2: float
     reported: Reported
-    walking_rad: float  # last walking heading, in the track's frame with any number of turns; NaN before
+    walking_rad: float
     walking_s: float
-    direction: Vector  # the same in the sensor frame, across `direction_up`
-    direction_up: Vector  # mean up direction of that stride
-    formers: tuple[Former, ...]  # the last three
+    direction: Vector
+    direction_up: Vector
+    formers: tuple[Former, ...]
 
 
 @dataclass(frozen=True)
 class WalkingHeading:
-    """The heading stage for any carrying mode; it needs a gyroscope, and says nothing without.
+    """Causal heading stage that estimates the walking direction of each step for any carrying mode.
+
+    It needs a gyroscope, and gives no headings without. It is the heading stage of the default recipe.
 
     Parameters
     ----------
-    phase_rad : float
-        By which the vertical specific force is advanced to be in phase with the push forward. Phones in hands, at ears
-        and in pockets have 40 to 145 degrees.
-    running_phase_rad : float
-        The same for running: -60 to -180 degrees in the trouser pockets of twelve people, if they run with the phone
-        as they walk with it.
-    running_mps2 : float
-        Amplitude of the vertical specific force at step frequency that is running. Walking has up to 6.5 m/s2,
-        jogging 11 to 16.
-    strides : StrideAgreement
-        What the strides of one place have in common.
-    systematic_std_rad : float
-        How far the push forward is from the walking heading after any number of strides.
-    held_systematic_std_rad : float
-        The same for a phone with its screen up, where the arm that holds it gives way to one side, and for running.
-    systematic_s : float
-        How long such an error lasts.
-    axis_std_rad : float
-        How far the axis of a phone that somebody reads, or may read, is from the walking heading.
-    max_tilt_rad : float
-        If the mean up direction of a stride is further from that of the place, the phone was moved.
-    change_std_rad : float
-        How far people turn while they move the phone.
-    away_s, return_std_rad : float
-        A phone that within this time is found tilted as in a former place is as it was there, this well.
-    corridors : Corridors
-        What the axes of a building say of the drift.
-    known_places : tuple of KnownPlace
-        Directions from a first pass over the same recording, in order of time. Strides are not used in these places.
-    drift : HeadingDrift
-        That of the filter behind (`MotionNoise.heading_drift`); `Config` refuses another one.
+    rate_hz : float, default 100
+        Sampling rate of the blocks, Hz.
+    phase_rad : float, default 85 degrees
+        Phase by which the vertical specific force is advanced to be in phase with the push forward while walking, rad.
+        Phones in hands, at ears and in pockets have 40 to 145 degrees.
+    running_phase_rad : float, default -135 degrees
+        Phase for running, rad. It is -60 to -180 degrees in the trouser pockets of twelve persons, if they run with the
+        phone in the same place as they walk.
+    running_mps2 : float, default 8.5
+        Amplitude of the vertical specific force at step frequency from which the motion is running, m/s2. Walking has
+        up to 6.5 m/s2, jogging 11 to 16.
+    strides : StrideAgreement, optional
+        Statistics over the strides of one place.
+    systematic_std_rad : float, default 6 degrees
+        Standard deviation of the error of the push forward that remains after any number of strides, rad.
+    held_systematic_std_rad : float, default 20 degrees
+        The same standard deviation for running and for a phone with its screen up, where the arm that holds it gives
+        way to one side, rad.
+    systematic_s : float, default 300
+        Correlation time of the systematic error, s.
+    axis_std_rad : float, default 12 degrees
+        Standard deviation of the angle between walking heading and the axis of a phone that is or may be read, rad.
+    max_tilt_rad : float, default 35 degrees
+        The phone was moved if the mean up direction of a stride differs from that of the place by more than this angle,
+        rad.
+    change_std_rad : float, default 35 degrees
+        Standard deviation of the turn of the pedestrian while the phone is moved, rad.
+    away_s, return_std_rad : float, default 30 and 20 degrees
+        A phone that returns within `away_s` seconds to the tilt of a previous place has the direction that it had
+        there, with a standard deviation of `return_std_rad`.
+    corridors : Corridors, optional
+        Estimation of the heading drift from the axes of a building.
+    known_places : tuple of KnownPlace, default empty
+        Directions from a first pass over the same recording, in order of time. If given, strides are not used.
+    drift : HeadingDrift, optional
+        Heading drift of the filter of the track (`MotionNoise.heading_drift`). `Config` refuses a different one.
+
+    Attributes
+    ----------
+    learns_directions : bool
+        True: the stage sets `Step.shown_offset_rad`.
+
+    Notes
+    -----
+    docs/methods/heading.md has the equations. With the complex amplitudes H (forward and right) and V of the horizontal
+    and vertical specific force at step frequency over a stride, the push forward is d = Re(H conj(V) exp(-i phase)) /
+    abs(V).
+
+    Examples
+    --------
+    The strides of a simulated walk with the phone in a trouser pocket agree on a direction:
+
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.sensing.heading.walking_heading import WalkingHeading
+    >>> recording = pdr.simulate.simulate([pdr.simulate.Leg("walking", duration_s=10.0)], carrying_mode="pocket")
+    >>> config = pdr.recipes.default().with_heading(WalkingHeading())
+    >>> steps = pdr.detect_steps(recording, config)
+    >>> bool(steps[-1].direction_trust > 0.5)
+    True
     """
 
     rate_hz: float = 100.0
@@ -199,18 +307,35 @@ class WalkingHeading:
         check_numbers(self, zero=("away_s",), signed=("phase_rad", "running_phase_rad"))
 
     def after_first_pass(self, steps: Table) -> WalkingHeading:
-        """The stage for a second pass over the same recording, given the steps of the first."""
+        """Return the stage for a second pass over the same recording, with the directions of the first pass.
+
+        Parameters
+        ----------
+        steps : Table
+            Steps of the first pass, such as `Track.steps`.
+
+        Returns
+        -------
+        WalkingHeading
+            Stage with `known_places`.
+        """
         return replace(self, known_places=known_places(steps))
 
     def init(self) -> WalkingHeadingState:
-        """State before the first sample."""
+        """Return the state before the first sample.
+
+        Returns
+        -------
+        WalkingHeadingState
+            Initial state.
+        """
         return WalkingHeadingState(
             n_samples=0,
             start_s=math.nan,
             signals=np.empty((_N_ROWS, 0)),
             contacts_s=(),
             up=None,
-            axis=_NOWHERE,
+            axis=_NO_DIRECTION,
             place=None,
             offset=Offset(),
             shown=Offset(),
@@ -224,15 +349,25 @@ class WalkingHeading:
             reported=Reported(),
             walking_rad=math.nan,
             walking_s=math.nan,
-            direction=_NOWHERE,
-            direction_up=_NOWHERE,
+            direction=_NO_DIRECTION,
+            direction_up=_NO_DIRECTION,
             formers=(),
         )
 
     def after_gap(self, state: WalkingHeadingState) -> WalkingHeadingState:
-        """State after a time without samples: where the person turned in it is unknown, where the phone is may not be.
+        """Return the state after a gap, during which the pedestrian may have turned in an unknown way.
 
-        A phone that is found tilted as before is taken to be where it was.
+        A phone whose tilt is the same as before is assumed to be in the same place.
+
+        Parameters
+        ----------
+        state : WalkingHeadingState
+            State before the gap.
+
+        Returns
+        -------
+        WalkingHeadingState
+            State before the first sample after the gap.
         """
         signals = np.empty((_N_ROWS, 0))
         state = self._without_axes(state)
@@ -248,7 +383,28 @@ class WalkingHeading:
         contexts: ContextBlock,
         steps: list[tuple[int, Step]],
     ) -> tuple[WalkingHeadingState, list[tuple[int, Step]]]:
-        """New state and the steps of a block with their walking headings."""
+        """Return the new state and the steps of a block with their walking headings.
+
+        Parameters
+        ----------
+        state : WalkingHeadingState
+            State after the previous block.
+        block : UniformBlock
+            Uniform samples that follow.
+        attitude : AttitudeBlock
+            Attitude at these samples.
+        contexts : ContextBlock
+            Most probable context and carrying mode at each sample.
+        steps : list of (int, Step)
+            Steps that became known in this block, each with the number of the sample that revealed it.
+
+        Returns
+        -------
+        state : WalkingHeadingState
+            New state.
+        steps : list of (int, Step)
+            The same steps with their walking headings and heading offsets.
+        """
         n_before = state.n_samples
         if n_before == 0:
             gap_s = block.gap_before_s if math.isfinite(block.gap_before_s) else 0.0
@@ -275,12 +431,29 @@ class WalkingHeading:
     def finish(
         self, state: WalkingHeadingState, steps: list[tuple[int, Step]]
     ) -> tuple[WalkingHeadingState, list[tuple[int, Step]]]:
-        """The same for steps that a gap or the end revealed; nothing new is said of modes."""
+        """Return the new state and the steps revealed by a gap or the end, with their walking headings.
+
+        The carrying mode and the context of these steps are unknown.
+
+        Parameters
+        ----------
+        state : WalkingHeadingState
+            State after the last block.
+        steps : list of (int, Step)
+            Steps that were completed at the gap or the end, each with the number of the last sample.
+
+        Returns
+        -------
+        state : WalkingHeadingState
+            New state.
+        steps : list of (int, Step)
+            The same steps with their walking headings and heading offsets.
+        """
         return self._annotated(state, steps, unknown_contexts(len(steps)))
 
     @property
     def _n_kept(self) -> int:
-        # a stride, and the time that the slowest detector, or a gate behind it, takes to let its last step pass
+        """Number of buffered samples: a stride and the longest delay of a step."""
         return round((_MAX_STRIDE_S + _MAX_LATENCY_S) * self.rate_hz)
 
     def _annotated(
@@ -289,7 +462,7 @@ class WalkingHeading:
         steps: list[tuple[int, Step]],
         contexts: ContextBlock,
     ) -> tuple[WalkingHeadingState, list[tuple[int, Step]]]:
-        """New state and steps with their walking headings, from what their strides show."""
+        """Return the new state and the steps with their walking headings."""
         if not steps:
             return state, []
         contacts_s = (*state.contacts_s, *(step.time_s for _, step in steps))
@@ -313,12 +486,12 @@ class WalkingHeading:
         stride: Stride | None,
         carrying_mode: int,
     ) -> tuple[WalkingHeadingState, dict[str, Any]]:
-        """Return the new state, and the fields of a step that its stride and the gyroscope's bias show.
+        """Return the new state and the changed fields of a step.
 
-        `bias_error` is by how much the device's heading is too large at the contact, its variance, and the variance
-        that the heading has gained by the uncertain bias so far.
+        `bias_error` holds three quantities that follow from the gyroscope bias: the error of the device heading at the
+        contact, its variance, and the heading variance lost so far.
         """
-        loss = self._loss(state, step, bias_error[2] - state.lost_var_rad2)
+        loss = self._bias_field(state, step, bias_error[2] - state.lost_var_rad2)
         reported = state.reported.at_step(step, self.drift, loss.get("yaw_bias_std_radps", step.yaw_bias_std_radps))
         of_bias_rad, of_bias_var_rad2, lost_var_rad2 = bias_error
         state = replace_unchecked(
@@ -327,21 +500,23 @@ class WalkingHeading:
         if stride is None and state.place is None:
             return replace_unchecked(state, reported=reported), loss
         if stride is None:
-            # a bias that was found while the pedestrian stood turns the first step already, not the first stride
-            heard = dict[str, float]()
+            # A bias that was estimated while the pedestrian stood must already correct the first step, before the first
+            # complete stride.
+            report = dict[str, float]()
             if step.heading_unknown_s == 0:
                 error_rad, var_rad2 = self._error(state, state.shown.var_rad2 + of_bias_var_rad2)
-                reported, heard = reported.with_report(step, self._reportable(state), error_rad, var_rad2, 0.0)
-            return replace_unchecked(state, reported=reported), loss | heard | _shown(state)
+                reported, report = reported.with_report(step, self._reportable(state), error_rad, var_rad2, 0.0)
+            return replace_unchecked(state, reported=reported), loss | report | _shown_fields(state)
         stride = stride.about(stride.axis if state.up is None else carry_axis(state.axis, state.up, stride.up))
-        offset, formers, place, change_std_rad = self._settle(state, stride, step.time_s, carrying_mode)
-        known_place = self._known(step.time_s)
+        offset, formers, place, change_std_rad = self._update_place(state, stride, step.time_s, carrying_mode)
+        known_place = self._known_place_at(step.time_s)
         if known_place is not None and (change_std_rad > 0 or state.place is None):
-            offset = offset.seen(OF_AXIS, cmath.rect(1.0, known_place.shown_rad), known_place.var_rad2)
+            known_direction = cmath.rect(1.0, known_place.shown_rad)
+            offset = offset.updated(AXIS_MEASUREMENT, known_direction, known_place.var_rad2)
         may_read = place.carrying_mode == _TEXTING or (place.carrying_mode < 0 and stride.up[2] > 0.5)
         place = self.strides.learn(replace_unchecked(place, n_read=place.n_read + may_read), stride, step.duration_s)
         elapsed_s = step.duration_s if math.isnan(state.walking_s) else step.time_s - state.walking_s
-        offset, shown, trust = self._believe(place, offset, stride, elapsed_s)
+        offset, shown, trust = self._update_offset(place, offset, stride, elapsed_s)
         shown = self._with_axis(place, shown, stride, trust) if known_place is None else offset
         angle_rad = shown.shown_rad - stride.axis_offset_rad
         offset_rad = shown.offset_rad
@@ -364,24 +539,29 @@ class WalkingHeading:
             corridors=self.corridors.update(state.corridors, step.time_s, walking_rad),
         )
         error_rad, var_rad2 = self._error(state, shown.var_rad2 + of_bias_var_rad2)
-        reported, heard = reported.with_report(step, self._reportable(state), error_rad, var_rad2, change_std_rad)
-        shown_too = _shown(state, on_axes=self.corridors.is_sure(state.corridors))
-        return replace_unchecked(state, reported=reported), loss | heard | shown_too
+        reported, report = reported.with_report(step, self._reportable(state), error_rad, var_rad2, change_std_rad)
+        shown_fields = _shown_fields(state, on_axes=self.corridors.is_sure(state.corridors))
+        return replace_unchecked(state, reported=reported), loss | report | shown_fields
 
     def _reportable(self, state: WalkingHeadingState) -> Shown:
+        """Return the present heading offset in the form that `Reported.with_report` takes."""
         return Shown(state.shown.offset_rad, state.shown.var_rad2, self.corridors.probability(state.corridors))
 
-    def _loss(self, state: WalkingHeadingState, step: Step, lost_var_rad2: float) -> dict[str, float]:
-        """Field of a step with the random walk of the filter that loses as much of the heading as the bias has."""
+    def _bias_field(self, state: WalkingHeadingState, step: Step, lost_var_rad2: float) -> dict[str, float]:
+        """Return the bias field of a step, or nothing if no heading variance was lost since the last step.
+
+        The value is the standard deviation of the bias with which the filter of the track adds exactly the lost
+        variance.
+        """
         if lost_var_rad2 <= 0:
             return {}
         since_s = step.duration_s if math.isnan(state.reported.time_s) else step.time_s - state.reported.time_s
         return {"yaw_bias_std_radps": math.sqrt(lost_var_rad2 / (2.0 * self.drift.bias_correlation_s * since_s))}
 
     def _bias_error(self, state: WalkingHeadingState, contact_s: float, number: int) -> tuple[float, float, float]:
-        """By how much the device's heading is too large at a contact, its variance, and the variance lost so far.
+        """Return the error of the device heading at a contact, its variance, and the heading variance lost so far.
 
-        Those of the step before where the samples are no longer remembered.
+        If the sample of the contact is no longer buffered, the values of the previous step are returned.
         """
         index = round((contact_s - state.start_s) * self.rate_hz) - 1
         if not max(number + 1 - self._n_kept, 0) <= index <= number:
@@ -390,24 +570,40 @@ class WalkingHeading:
         return error_rad, var_rad2, lost_var_rad2
 
     def drift_in_time(self, state: WalkingHeadingState) -> tuple[float, float]:
-        """What time has added to the device's heading, rad, and its variance: infinite unless axes are sure."""
+        """Return the error of the device heading accumulated over time, and its variance.
+
+        Parameters
+        ----------
+        state : WalkingHeadingState
+            State after any step.
+
+        Returns
+        -------
+        error_rad : float
+            Error of the device heading, clockwise, rad.
+        var_rad2 : float
+            Variance of the error, rad2. Infinite unless the walk certainly follows the axes of a building.
+        """
         if not self.corridors.is_sure(state.corridors):
             return 0.0, math.inf
         shown_rad, var_rad2 = self.corridors.drift_in_time(state.corridors)
         return state.error_rad + shown_rad, var_rad2
 
     def _error(self, state: WalkingHeadingState, free_var_rad2: float) -> tuple[float, float]:
-        """By how much the device's heading is too large, and the variance of the walking heading without that error.
+        """Return the error of the device heading, and the variance of the walking heading corrected by it.
 
-        Axes show the walking heading itself. Without axes there is what biases show of the device's heading, and the
-        walking heading has the variance `free_var_rad2`.
+        The axes of a building measure the walking heading itself. Without axes, the error follows from the gyroscope
+        bias, and the variance is `free_var_rad2`. The result is the mixture of both cases.
         """
         free_rad = state.of_bias_rad - state.error_of_bias_rad
         drift_rad, var_rad2 = self.corridors.mixed(state.corridors, free_rad, free_var_rad2)
         return state.error_rad + drift_rad, var_rad2
 
     def _without_axes(self, state: WalkingHeadingState) -> WalkingHeadingState:
-        """State that looks for axes anew, because headings do not follow on those before; what they showed is kept."""
+        """Return the state with the search for axes restarted, after a break in the headings.
+
+        The error of the device heading found so far is kept.
+        """
         return replace_unchecked(
             state,
             corridors=self.corridors.restart(state.corridors),
@@ -418,7 +614,7 @@ class WalkingHeading:
     def _stride_samples(
         self, state: WalkingHeadingState, contacts_s: tuple[float, ...], number: int
     ) -> FloatArray | None:
-        """Samples of the last two steps, or None if they are not two steps alike with angular rate."""
+        """Return the samples of the last two steps, or None if they do not form a regular stride with angular rate."""
         if len(contacts_s) < 3:
             return None
         start_s, middle_s, end_s = contacts_s
@@ -426,8 +622,8 @@ class WalkingHeading:
         if not _MIN_STRIDE_S <= end_s - start_s <= _MAX_STRIDE_S or longer_s > _MAX_SHARE * (end_s - start_s):
             return None
         first, last = (round((t - state.start_s) * self.rate_hz) for t in (start_s, end_s))
-        # Samples after the step are ignored even if they are in its block: otherwise the result would depend on the
-        # length of the blocks.
+        # Samples after sample `number`, which revealed the step, are not used even if they are in the block. Otherwise
+        # the result would depend on the length of the blocks.
         if first < max(number + 1 - self._n_kept, 0) or last > number + 1:
             return None
         oldest = state.n_samples - state.signals.shape[1]
@@ -435,9 +631,10 @@ class WalkingHeading:
         return samples if samples[_KNOWN].all() else None
 
     def _strides(self, samples: Sequence[FloatArray | None], contexts: ContextBlock) -> list[Stride | None]:
-        """What each stride shows; None where there is none, and where the person does not walk forward.
+        """Return the stride of each step, or None.
 
-        A person who steps sideways pushes sideways.
+        A step has no stride if its samples are missing or the pedestrian walks sideways or backward, because the push
+        then does not point forward.
         """
         strides: list[Stride | None] = [None] * len(samples)
         is_turned, is_running = contexts.is_turned.tolist(), contexts.runs.tolist()
@@ -446,23 +643,27 @@ class WalkingHeading:
             group = usable[start : start + _MAX_GROUP]
             joined = np.concatenate([s for _, s in group], axis=1)
             ends = np.cumsum([0, *(s.shape[1] for _, s in group)])
-            of_all = StrideSamples(
+            stride_samples = StrideSamples(
                 ends, joined[_FORCE], joined[_UP], joined[_EAST], joined[_NORTH], joined[_VERTICAL], joined[_HEADING]
             )
             runs = np.array([is_running[i] for i, _ in group])
-            group_strides = strides_of(of_all, runs, self.rate_hz, self._phases)
+            group_strides = strides_of(stride_samples, runs, self.rate_hz, self._phases)
             for (i, _), stride in zip(group, group_strides, strict=True):
                 strides[i] = stride
         return strides
 
     @cached_property
     def _phases(self) -> Phases:
+        """Phases of walking and running."""
         return Phases(self.phase_rad, self.running_phase_rad, self.running_mps2)
 
-    def _settle(
+    def _update_place(
         self, state: WalkingHeadingState, stride: Stride, time_s: float, carrying_mode: int
     ) -> tuple[Offset, tuple[Former, ...], Placement, float]:
-        """The offset, former places, the place that a stride is in, and by how much the offset may have changed."""
+        """Return the offset, the previous places, the place of a stride, and the change of the offset.
+
+        The change is a standard deviation in rad, and zero unless the phone was moved.
+        """
         place_before, formers = state.place, state.formers
         if place_before is None:
             offset = state.offset.moved(0.0, 0.0, self._systematic_rad2(stride))
@@ -473,7 +674,7 @@ class WalkingHeading:
         if not is_moved:
             up = unit(combined(1.0 - 1.0 / _UP_STRIDES, place_before.up, 1.0 / _UP_STRIDES, stride.up))
             return state.offset, formers, replace_unchecked(place_before, up=up, carrying_mode=label), 0.0
-        # What is said of the mode is of windows that ended before the phone was moved.
+        # The reported carrying mode comes from windows that ended before the phone was moved, so it is the old one.
         place = Placement(time_s, -1, carrying_mode, stride.up)
         offset = state.shown
         moved_rad, turned_var = offset.offset_rad, UNKNOWN_VAR_RAD2
@@ -481,76 +682,87 @@ class WalkingHeading:
             turned_var = self.change_std_rad**2 + _TURN_VAR_RAD2_PER_S * (time_s - state.walking_s)
             moved_rad = state.walking_rad - stride.device_heading_rad
         offset = offset.moved(moved_rad, turned_var, self._systematic_rad2(stride))
-        former_rad = self._came_back(state.formers, stride, time_s)
-        if former_rad is not None:
-            shown_rad = stride.axis_offset_rad + former_rad
-            offset = offset.seen(OF_STRIDES, cmath.rect(1.0, shown_rad), self.return_std_rad**2)
+        previous_rad = self._previous_direction(state.formers, stride, time_s)
+        if previous_rad is not None:
+            shown_rad = stride.axis_offset_rad + previous_rad
+            offset = offset.updated(STRIDE_MEASUREMENT, cmath.rect(1.0, shown_rad), self.return_std_rad**2)
         if place_before.n_strides >= _SETTLED_STRIDES:
-            former = Former(time_s, place_before.n_strides, state.direction_up, state.direction)
-            formers = (*formers, former)[-_N_FORMERS:]
+            previous = Former(time_s, place_before.n_strides, state.direction_up, state.direction)
+            formers = (*formers, previous)[-_N_PREVIOUS_PLACES:]
         return offset, formers, place, UNKNOWN_STD_RAD
 
-    def _known(self, time_s: float) -> KnownPlace | None:
-        """Place of the first pass that holds at a time; None without a first pass."""
+    def _known_place_at(self, time_s: float) -> KnownPlace | None:
+        """Return the place of the first pass at a time, or None without a first pass."""
         i = bisect_right(self.known_places, time_s, key=attrgetter("start_s"))
         return self.known_places[i - 1] if i else None
 
-    def _came_back(self, formers: tuple[Former, ...], stride: Stride, time_s: float) -> float | None:
-        """The direction learnt in a former place, if this looks like it: a hand takes the phone up and swings on."""
-        alike = [
+    def _previous_direction(self, formers: tuple[Former, ...], stride: Stride, time_s: float) -> float | None:
+        """Return the walking direction in a previous place with the tilt of this stride, or None if there is none.
+
+        The direction is clockwise from the reference axis of the stride, in rad. It helps when a hand lifts the phone
+        for a look and then swings on.
+        """
+        matching = [
             f for f in formers if time_s - f.left_s < self.away_s and dot(f.up, stride.up) > math.cos(self.max_tilt_rad)
         ]
-        if not alike:
+        if not matching:
             return None
-        former = max(alike, key=lambda f: f.n_strides)
-        direction = carry_axis(former.direction, former.up, stride.up)
+        previous = max(matching, key=lambda f: f.n_strides)
+        direction = carry_axis(previous.direction, previous.up, stride.up)
         right = cross(stride.axis, stride.up)
         return math.atan2(dot(direction, right), dot(direction, stride.axis))
 
     def _systematic_rad2(self, stride: Stride) -> float:
-        is_vague = stride.runs or stride.up[2] > 0.5
-        return (self.held_systematic_std_rad if is_vague else self.systematic_std_rad) ** 2
+        """Return the variance of the systematic error of a stride, rad2."""
+        has_large_error = stride.runs or stride.up[2] > 0.5
+        return (self.held_systematic_std_rad if has_large_error else self.systematic_std_rad) ** 2
 
     def _with_axis(self, place: Placement, offset: Offset, stride: Stride, trust: float) -> Offset:
-        """What is believed for the moment: the phone's own axis counts as long as somebody reads on it."""
+        """Return the offset updated with the axis of the phone if it was read in at least half of the strides here.
+
+        The axis is not used if strides with high agreement contradict it.
+        """
         if 2 * place.n_read < place.n_strides:
             return offset
         pointing_rad = stride.axis_offset_rad + stride.pointing_rad
         if trust > _OVERRULES_AXIS and abs(wrap_angle(pointing_rad - offset.shown_rad)) > _AGAINST_AXIS_RAD:
             return offset
-        return offset.seen(OF_AXIS, cmath.rect(1.0, pointing_rad), self.axis_std_rad**2)
+        return offset.updated(AXIS_MEASUREMENT, cmath.rect(1.0, pointing_rad), self.axis_std_rad**2)
 
-    def _believe(
+    def _update_offset(
         self, place: Placement, offset: Offset, stride: Stride, elapsed_s: float
     ) -> tuple[Offset, Offset, float]:
-        """The offset after a stride, what is believed for the moment, and how well strides agree: so much they count.
+        """Return the offset after a stride, the offset with temporary information, and the agreement of strides.
 
-        The first strides of a place count as their sum, which later ones may show in another light: that it is a hand
-        which swings, or another phase. From then on each has its say.
+        The first strides of a place update the offset only temporarily, by their sum. Later strides may show that the
+        phone is in a swinging hand, or has another phase, and this changes the direction of the sum. After
+        `_FIRST_STRIDES` strides the sum is used permanently, and further strides are used one by one.
         """
         stay = math.exp(-elapsed_s / self.systematic_s)
-        wandered_rad2 = self.drift.random_walk_rad_per_sqrt_s**2 * elapsed_s
-        offset = offset.wandered(wandered_rad2, stay, self._systematic_rad2(stride))
+        random_walk_rad2 = self.drift.random_walk_rad_per_sqrt_s**2 * elapsed_s
+        offset = offset.predicted(random_walk_rad2, stay, self._systematic_rad2(stride))
         mix = self.strides.mix(place)
         length2, share = self.strides.agreement(place, mix)
         if length2 == 0 or self.known_places:
             return offset, offset, share
-        # half of what is not shared is across the direction, and two overlapping strides count as one
-        is_young = place.n_strides <= _YOUNG_STRIDES
-        vectors, weight = (_as_complex(place), place.weight) if is_young else (stride.vectors, 1.0)
+        # Variance (1 - share) / share per stride: half of the squared length that strides do not share is across the
+        # direction, and two overlapping strides count as one.
+        uses_sum = place.n_strides <= _FIRST_STRIDES
+        vectors, weight = (_as_complex(place), place.weight) if uses_sum else (stride.vectors, 1.0)
         forward = (mix[0] * vectors[0] + mix[1] * vectors[1] + mix[2] * vectors[2]) / weight
-        toward = forward / math.sqrt(share * length2) * cmath.rect(1.0, stride.axis_offset_rad)
-        shown = offset.seen(OF_STRIDES, toward, (1.0 - share) / share / weight)
-        return (offset if place.n_strides < _YOUNG_STRIDES else shown), shown, share
+        direction = forward / math.sqrt(share * length2) * cmath.rect(1.0, stride.axis_offset_rad)
+        shown = offset.updated(STRIDE_MEASUREMENT, direction, (1.0 - share) / share / weight)
+        return (offset if place.n_strides < _FIRST_STRIDES else shown), shown, share
 
 
 def _as_complex(place: Placement) -> tuple[complex, complex, complex]:
+    """Return the summed vectors of a place as complex numbers, forward + i right."""
     a, b, c = place.vectors
     return complex(*a), complex(*b), complex(*c)
 
 
-def _shown(state: WalkingHeadingState, on_axes: bool = False) -> dict[str, Any]:
-    """What a step has of where the phone points against the body."""
+def _shown_fields(state: WalkingHeadingState, on_axes: bool = False) -> dict[str, Any]:
+    """Return the fields of a step that describe the direction of the phone relative to the body."""
     return {
         "on_axes": on_axes,
         "shown_offset_rad": state.shown.shown_rad,

@@ -1,1 +1,1 @@
-"""Step detectors of one interface, and the gate against false steps."""
+"""Step detectors, the gate against false steps, and the smoothing of contact times."""

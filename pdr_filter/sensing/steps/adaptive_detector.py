@@ -1,18 +1,20 @@
-"""Steps as local maxima of a wavelet transform whose scale follows the power of the motion: the default detector.
+"""Step detector with a wavelet whose scale follows the power of the motion: the default detector.
 
-People step faster where they step harder, whoever walks and wherever the phone is: f = 1.43 R^0.31 within 11 %, R the
-rms of |specific force| around the step, m/s2, f in Hz (a regression over 106 recordings of ubicomp13, oxford and of
-runs of motionsense, each with the same weight).
+Pedestrians step faster when they step harder, for all persons and phone places: f = 1.43 R^0.31 within 11 %. Here f is
+the step frequency in Hz, and R the rms of |specific force| around the step in m/s2. The law is a regression over 106
+recordings of ubicomp13, oxford and of runs of motionsense, each with the same weight.
 
-1. R(t): standard deviation of the low-passed |f| from `before_s` before to `after_s` after t. The hat's frequency is
-   1.37 R(t)^0.3. Soft running breaks that law, by 0.6, but there |f| is nearly one sine, whose frequency shows: with
-   the rms R, R' and R'' of |f| and its derivatives it is f_1 = R' / (2 pi R), and f_2 = R'' / (2 pi R') is alike. Where
-   f_2 < `sine_ratio` f_1 and f_1 < `max_sine_hz` the hat's frequency is `sine_share` f_1 at least.
-2. Response: transform of |f| with the Mexican hat of that frequency, interpolated between a bank of hats, each
-   low-passed and cut off at `after_s`. It has unit gain at its frequency.
-3. A local maximum is a step if it reaches `min_peak_mps2` and `relative_peak` times R, and comes `min_interval`
-   periods 1 / f or more after the last step. Where it comes when the rhythm of the last steps expects it,
-   `rhythm_share` of both thresholds is enough.
+1. R(t) is the standard deviation of the low-passed |f| from `before_s` before to `after_s` after t. The frequency of
+the
+   wavelet is 1.37 R(t)^0.3. Soft running deviates from the law by a factor of 0.6. There |f| is nearly a sine, whose
+   frequency can be measured: with the rms values R, R' and R'' of |f| and its derivatives it is f_1 = R' / (2 pi R),
+   and for a sine it equals f_2 = R'' / (2 pi R'). Where f_2 < `sine_ratio` f_1 and f_1 < `max_sine_hz`, the frequency
+   of the wavelet is at least `sine_share` f_1.
+2. The response is the transform of |f| with the Mexican hat wavelet of this frequency, interpolated between a bank of
+   such wavelets. Each wavelet is low-passed, ends at `after_s` and has unit gain at its frequency.
+3. A local maximum is a step if it reaches `min_peak_mps2` and `relative_peak` times R, and follows the last step by at
+   least `min_interval` periods 1 / f. If the rhythm of the last steps predicts a step at this time, `rhythm_share` of
+   both thresholds is sufficient.
 
 Reasons: docs/methods/steps.md; figures: docs/benchmarks.md. Source of the transform: Martinelli et al. 2018,
 section IV.
@@ -24,6 +26,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import ClassVar
 
 import numpy as np
 
@@ -34,59 +37,110 @@ from pdr_filter.sensing.steps.step_detector import ContextBlock, ResponseState, 
 from pdr_filter.sensing.steps.step_log import specific_force_magnitude
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, read_only, replace_unchecked
 
-# Frequencies of the bank, a factor of 1.15 apart: 0.6 to 4.9 Hz. Power shows no lower and no higher ones.
+# Frequencies of the wavelet bank, a factor of 1.15 apart: 0.6 to 4.9 Hz. R never maps to frequencies outside.
 _BANK_HZ: FloatArray = np.asarray(0.6 * 1.15 ** np.arange(16), dtype=float)
 
 
 @dataclass(frozen=True, slots=True)
 class Rhythm:
-    """The last steps of the bout."""
+    """Rhythm of the last steps of a bout.
 
-    period_s: float  # running mean of their intervals
+    Attributes
+    ----------
+    period_s : float
+        Running mean of the step intervals, s.
+    n_intervals : int
+        Intervals so far.
+    """
+
+    period_s: float
     n_intervals: int
 
 
 @dataclass(frozen=True, eq=False)
 class AdaptiveDetectorState(ResponseState):
-    """The last |f| less gravity, the last values of transform, R and frequency, and the last intervals."""
+    """State of the adaptive detector.
+
+    The signal in `line` is |f| minus gravity. The rows of `response` are the transform, R and the wavelet frequency.
+
+    Attributes
+    ----------
+    rhythm : Rhythm
+        Rhythm of the last steps.
+    """
 
     rhythm: Rhythm
 
 
 @dataclass(frozen=True)
 class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
-    """Causal step detector; a step is reported `latency_s`, 0.88 s, after its contact.
+    """Causal step detector with a wavelet whose scale adapts to the power of the motion.
+
+    A step is reported `latency_s` (0.88 s) after its contact. It is the step detector of the default recipe.
 
     Parameters
     ----------
-    frequency_at_1_mps2_hz, frequency_exponent : float
-        Step frequency where R is 1 m/s2, and its power of R; see the module.
-    before_s, after_s : float
-        What R is taken over: about three steps, the one in question in the middle. `after_s` is also half the length of
-        the longest hat.
-    sine_ratio, sine_share, max_sine_hz : float
-        Where |f| is one sine of the steps, see the module. In walking f_1 is 1.0 to 1.2 steps a second there, so that
-        with this share of it the hat follows the power as before. Faster sines are the two humps of a walking step on
-        somebody's back.
-    power_low_pass_hz, low_pass_hz : float
-        Cutoffs (Hamming window, 0.25 s) before R and in the response.
-    min_peak_mps2 : float
-        Smallest response that is a step outside a rhythm.
-    relative_peak : float
-        A step of a walk must also reach this part of R; a sine has 1.4.
-    rhythm_share : float
-        Part of both thresholds that a peak needs when it is expected.
-    rhythm_tolerance : float
-        It is expected if the logarithm of interval over period is within this, after two or more intervals.
-    min_interval : float
-        Smallest interval in periods of the wavelet. Heel strike and push-off are closer.
-    min_running_interval : float
-        The same from `running_hz` on: there a step is one blow, and R shows less of the frequency.
-    running_hz : float
-        Wavelet frequency of a run, or of the hardest walking (R = 3.5 m/s2).
-    rate_hz, max_interval_s, first_step_s : float
-        Of every `BaseStepDetector`; the slowest steps, 0.5 Hz, are 2 s apart.
+    rate_hz : float, default 100
+        Sampling rate of the blocks, Hz.
+    max_interval_s : float, default 2.5
+        A new bout begins after a longer time without a contact, s. The slowest steps, at 0.5 Hz, are 2 s apart.
+    first_step_s : float, default 0.6
+        Duration assigned to the first step of a bout, s.
+    frequency_at_1_mps2_hz, frequency_exponent : float, default 1.37 and 0.3
+        Wavelet frequency at R = 1 m/s2, Hz, and its exponent of R.
+    before_s, after_s : float, default 1 and 0.75
+        Time before and after a sample over which R is computed, s. It covers about three steps. `after_s` is also half
+        the length of the longest wavelet.
+    sine_ratio, sine_share, max_sine_hz : float, default 1.12, 0.8 and 2.9
+        Conditions under which the motion counts as a sine, and the resulting lower limit of the wavelet frequency.
+        While walking, f_1 of a sine is 1.0 to 1.2 times the step frequency, so that with this share the wavelet follows
+        the power as before. Faster sines are the two maxima within a walking step of a phone on the back.
+    power_low_pass_hz, low_pass_hz : float, default 5.5 and 4
+        Cutoff frequencies of the low-passes (Hamming window, 0.25 s) before R and in the response, Hz.
+    min_peak_mps2 : float, default 0.15
+        Smallest response of a step outside a rhythm, m/s2.
+    relative_peak : float, default 0.3
+        Smallest response of a walking step relative to R. A sine has 1.4.
+    rhythm_share : float, default 1/3
+        Factor of both thresholds for an expected maximum.
+    rhythm_tolerance : float, default 0.25
+        A maximum is expected if the logarithm of its interval over the period is within this limit, after at least two
+        intervals.
+    min_interval : float, default 0.6
+        Shortest interval in periods of the wavelet. Heel strike and push-off of one step are closer together.
+    min_running_interval : float, default 0.35
+        Shortest interval for a wavelet frequency of `running_hz` and above. A running step has a single impact, and R
+        determines the frequency less well.
+    running_hz : float, default 2
+        Wavelet frequency from which the motion is running, or the hardest walking (R = 3.5 m/s2), Hz.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is not a positive number.
+
+    Notes
+    -----
+    |f| is the magnitude of the specific force. R(t) is the standard deviation of the low-passed |f| from `before_s`
+    before to `after_s` after t, and R' and R'' are those of its derivatives. The frequency of the wavelet, a Mexican
+    hat, is f = 1.37 R^0.3. If |f| is nearly a sine, f is at least `sine_share` f_1, with f_1 = R' / (2 pi R). |f|
+    counts as a sine if f_2 = R'' / (2 pi R') is less than `sine_ratio` f_1, and f_1 is less than `max_sine_hz`. A local
+    maximum of the wavelet transform is a step if it reaches `min_peak_mps2` and `relative_peak` R, and follows the last
+    step by at least `min_interval` / f. The docstring of the module has the derivation of the constants. Source of the
+    transform: Martinelli et al. 2018, section IV.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.sensing.steps.adaptive_detector import AdaptiveStepDetector
+    >>> recording = pdr.simulate.simulate([pdr.simulate.Leg("walking", duration_s=8.0)])
+    >>> config = pdr.recipes.default().with_steps(AdaptiveStepDetector(min_peak_mps2=0.2))
+    >>> steps = pdr.detect_steps(recording, config)
+    >>> abs(len(steps) - len(recording.truth.steps)) <= 1
+    True
     """
+
+    uses_contexts: ClassVar[bool] = False
 
     max_interval_s: float = 2.5
     frequency_at_1_mps2_hz: float = 1.37
@@ -116,7 +170,10 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
 
     @cached_property
     def _derivatives(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Low-pass, and low-pass with one and two derivatives, each as long as that before R with zeros at the ends."""
+        """Low-pass kernel, and the same with one and two derivatives.
+
+        All three are as long as the low-pass before R, with zeros at the ends.
+        """
         slope = np.array([0.5, 0.0, -0.5]) * self.rate_hz
         smooth = low_pass_kernel(self.low_pass_hz, self.rate_hz, 0.25 - 4 / self.rate_hz)
         first: FloatArray = np.asarray(np.convolve(smooth, slope), dtype=float)
@@ -124,12 +181,12 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
 
     @cached_property
     def _n_before(self) -> int:
-        """Samples before a contact that enter."""
+        """Samples before a contact that enter the response."""
         return round(self.before_s * self.rate_hz) + len(self._power_low_pass) // 2
 
     @property
     def _delay_samples(self) -> int:
-        """Samples after a contact that enter."""
+        """Samples after a contact that enter the response."""
         return self._n_after
 
     @cached_property
@@ -141,7 +198,13 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
         return self.rhythm_share * self.min_peak_mps2
 
     def init(self) -> AdaptiveDetectorState:
-        """State before the first sample of a segment."""
+        """Return the state before the first sample of a segment.
+
+        Returns
+        -------
+        AdaptiveDetectorState
+            Initial state.
+        """
         return AdaptiveDetectorState(self._log.init(), np.zeros((1, self._n_line)), np.zeros((3, 2)), Rhythm(0.0, 0))
 
     @property
@@ -151,37 +214,45 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
     def _signals(
         self, state: AdaptiveDetectorState, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
     ) -> tuple[AdaptiveDetectorState, FloatArray]:
-        """|f| less gravity, (1, N)."""
+        """Return the unchanged state and |f| minus gravity, (1, N)."""
         return state, specific_force_magnitude(block.specific_force_mps2)[None] - STANDARD_GRAVITY_MPS2
 
-    # Every value below is a sum over the samples around in a fixed order: cutting the signal elsewhere changes no bit.
+    # Each value below is a sum over neighbouring samples in a fixed order, so that its bits do not depend on where the
+    # signal is cut into blocks.
 
     def _response(self, line: FloatArray) -> FloatArray:
-        rms, *of_sine = self._rms(line[0], (self._power_low_pass, *self._derivatives))
+        """Return the transform, R and the wavelet frequency, (3, N)."""
+        rms, *derivative_rms = self._rms(line[0], (self._power_low_pass, *self._derivatives))
         frequency_hz = np.maximum(self.frequency_at_1_mps2_hz * rms**self.frequency_exponent, _BANK_HZ[0])
-        frequency_hz = np.maximum(np.minimum(frequency_hz, _BANK_HZ[-1]), self._sine_hz(*of_sine))
+        frequency_hz = np.maximum(np.minimum(frequency_hz, _BANK_HZ[-1]), self._sine_hz(*derivative_rms))
         return np.array([self._transform(line[0], frequency_hz), rms, frequency_hz])
 
     @cached_property
     def _n_around(self) -> int:
-        """Samples that R is taken over."""
+        """Number of samples over which R is computed."""
         return round(self.before_s * self.rate_hz) + round(self.after_s * self.rate_hz) + 1
 
     def _rms(self, line: FloatArray, kernels: Sequence[FloatArray]) -> FloatArray:
-        """Standard deviations (K, N) of the filtered signal around each sample that has enough samples around it."""
+        """Return the standard deviations (K, N) of the signal filtered by K kernels, around each sample.
+
+        Only samples with enough neighbours on both sides are included.
+        """
         smooth = np.array([np.convolve(line, kernel, mode="valid") for kernel in kernels])
         mean, square = running_sums(np.array([smooth, smooth * smooth]), self._n_around) / self._n_around
         return np.sqrt(np.maximum(square - mean * mean, 0.0))
 
-    def _sine_hz(self, position: FloatArray, speed: FloatArray, acceleration: FloatArray) -> FloatArray:
-        """What the hat's frequency is at least, by the rms of |f| and its derivatives; 0 where |f| is no sine."""
-        position, speed = np.maximum(position, 1e-9), np.maximum(speed, 1e-9)
-        frequency_hz = speed / (2 * np.pi * position)
-        is_sine = acceleration / (2 * np.pi * speed) < self.sine_ratio * frequency_hz
+    def _sine_hz(self, rms: FloatArray, rms_first: FloatArray, rms_second: FloatArray) -> FloatArray:
+        """Return the lower limit of the wavelet frequency (N,), Hz, or 0 where |f| is not a sine.
+
+        The arguments are the rms values (N,) of |f| and its first two derivatives.
+        """
+        rms, rms_first = np.maximum(rms, 1e-9), np.maximum(rms_first, 1e-9)
+        frequency_hz = rms_first / (2 * np.pi * rms)
+        is_sine = rms_second / (2 * np.pi * rms_first) < self.sine_ratio * frequency_hz
         return np.where(is_sine & (frequency_hz < self.max_sine_hz), self.sine_share * frequency_hz, 0.0)
 
     def _transform(self, line: FloatArray, frequency_hz: FloatArray) -> FloatArray:
-        """Transform at a frequency for each sample, between two members of the bank."""
+        """Return the transform (N,) at the wavelet frequency of each sample, interpolated within the bank."""
         place = np.interp(frequency_hz, _BANK_HZ, np.arange(len(_BANK_HZ), dtype=float))
         lower = np.minimum(place.astype(int), len(_BANK_HZ) - 2)
         upper_share = place - lower
@@ -199,6 +270,7 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
     def _accepted(
         self, state: AdaptiveDetectorState, peak: FloatArray, interval_s: float, new_bout: bool
     ) -> AdaptiveDetectorState | None:
+        """Return the new state if a maximum passes the thresholds and the shortest interval, else None."""
         response, rms, frequency_hz = peak.tolist()
         rhythm = Rhythm(0.0, 0) if new_bout else state.rhythm
         share = self.rhythm_share if self._is_expected(rhythm, interval_s) else 1.0
@@ -211,12 +283,14 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
         return replace_unchecked(state, rhythm=_with_step(rhythm, interval_s, new_bout))
 
     def _is_expected(self, rhythm: Rhythm, interval_s: float) -> bool:
+        """Return True if the rhythm predicts a step after this interval."""
         if rhythm.n_intervals < 2 or interval_s <= 0:
             return False
         return abs(math.log(interval_s / rhythm.period_s)) < self.rhythm_tolerance
 
 
 def _with_step(rhythm: Rhythm, interval_s: float, new_bout: bool) -> Rhythm:
+    """Return the rhythm updated with the interval of a step."""
     if new_bout:
         return Rhythm(0.0, 0)
     period_s = 0.7 * rhythm.period_s + 0.3 * interval_s if rhythm.n_intervals else interval_s
@@ -225,10 +299,10 @@ def _with_step(rhythm: Rhythm, interval_s: float, new_bout: bool) -> Rhythm:
 
 @lru_cache
 def bounce_kernel(frequency_hz: float, low_pass_hz: float, max_half_s: float, rate_hz: float) -> FloatArray:
-    """Low-passed Mexican hat: symmetric, odd length, zero mean, unit gain at its frequency.
+    """Return a low-passed Mexican hat kernel: symmetric, odd length, zero mean, unit gain at its frequency.
 
-    The hat (1 - u^2) exp(-u^2 / 2), u = t / s, has s = 1 / (4 f), a quarter of a step, and ends at 3.5 s (1 % of its
-    peak is left there) or at `max_half_s`.
+    The hat is (1 - u^2) exp(-u^2 / 2) with u = t / s and s = 1 / (4 f), a quarter of a step. It ends at 3.5 s, where 1
+    % of its peak is left, or at `max_half_s`.
     """
     half = round(min(3.5 * 0.25 / frequency_hz, max_half_s) * rate_hz)
     u = np.arange(-half, half + 1) / (rate_hz * (0.25 / frequency_hz))

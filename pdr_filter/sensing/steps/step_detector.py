@@ -1,11 +1,11 @@
-"""What all step detectors share: their interface, and the loop over blocks of samples."""
+"""Base classes of the step detectors: the interface, and the loop over blocks of samples."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
@@ -23,21 +23,35 @@ from pdr_filter.values import (
     replace_unchecked,
 )
 
-_BY_DEFAULT: Any = None  # until the block is made
+_BY_DEFAULT: Any = None  # replaced in `ContextBlock.__post_init__`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContextBlock:
-    """The context and the carrying mode at each uniform sample: those with at least half of the probability.
+    """Most probable context and carrying mode at each uniform sample.
 
-    What the context means is that of the default contexts unless it is given; `of` takes it from other contexts.
+    A class is given only if it has at least half of the probability. The meanings of the contexts are those of the
+    default contexts unless they are given; `of` takes them from other contexts.
+
+    Attributes
+    ----------
+    context : IntArray
+        Index of the context, shape (N,). -1 if no context has half of the probability, and before the first window.
+    carrying_mode : IntArray
+        Index into `CARRYING_MODES`, shape (N,). -1 likewise.
+    stands : BoolArray
+        True where the context is one without steps, shape (N,).
+    runs : BoolArray
+        True where the context is running, shape (N,).
+    is_turned : BoolArray
+        True where the context is walking sideways or backward, shape (N,).
     """
 
-    context: IntArray  # (N,) index into the contexts; -1 where none has half, and before anything is known
-    carrying_mode: IntArray  # (N,) index into `CARRYING_MODES`; -1 likewise
-    stands: BoolArray = _BY_DEFAULT  # (N,) whether the context is one without steps
-    runs: BoolArray = _BY_DEFAULT  # (N,) whether the person runs
-    is_turned: BoolArray = _BY_DEFAULT  # (N,) whether the person walks to the side or backward
+    context: IntArray
+    carrying_mode: IntArray
+    stands: BoolArray = _BY_DEFAULT
+    runs: BoolArray = _BY_DEFAULT
+    is_turned: BoolArray = _BY_DEFAULT
 
     def __post_init__(self) -> None:
         for name in ("stands", "runs", "is_turned"):
@@ -46,23 +60,31 @@ class ContextBlock:
 
     @classmethod
     def of(cls, context: IntArray, carrying_mode: IntArray, contexts: ContextSet) -> ContextBlock:
-        """Return the block of indices (N,) into some contexts and of carrying modes (N,)."""
+        """Return the block for indices (N,) into the given contexts and into the carrying modes."""
         meanings = contexts.stands, contexts.runs, contexts.is_turned
         return cls(context, carrying_mode, *(meaning[context] for meaning in meanings))
 
 
 def unknown_contexts(n_samples: int) -> ContextBlock:
-    """Nothing known at any of the samples."""
+    """Return a block in which context and carrying mode are unknown at all samples."""
     unknown = np.full(n_samples, -1)
     return ContextBlock(unknown, unknown)
 
 
 @dataclass(frozen=True, eq=False)
 class DetectorState:
-    """What every detector remembers; each adds its own."""
+    """State that all detectors share; each detector adds its own fields.
+
+    Attributes
+    ----------
+    log : StepLogState
+        Recent samples and the last contact.
+    line : FloatArray
+        Delay line with the last signals of the detector, shape (R, L). Zeros before the first sample.
+    """
 
     log: StepLogState
-    line: FloatArray  # (R, L) its last signals; zeros before the first sample
+    line: FloatArray
 
 
 S = TypeVar("S", bound=DetectorState)
@@ -70,20 +92,40 @@ S = TypeVar("S", bound=DetectorState)
 
 @dataclass(frozen=True)
 class BaseStepDetector(ABC, Generic[S]):
-    """A causal stage that looks for steps in a few signals; all detectors share this loop over blocks.
+    """Base class of causal stages that detect steps in one or more signals.
 
-    Samples are numbered from 0 in each segment (between gaps). The result does not depend on how the samples were cut
-    into blocks.
+    A subclass computes signals from the samples and detects contacts in them. This class provides the loop over blocks,
+    the delay line, and the description of the steps. Samples are numbered from 0 in each segment between gaps. The
+    result does not depend on how samples are cut into blocks.
 
     Parameters
     ----------
-    rate_hz : float
-        Sampling rate of the blocks.
-    max_interval_s : float
-        After a longer pause a new bout begins.
-    first_step_s : float
-        Duration given to the first step of a bout, whose start no contact marks: a typical step from rest.
+    rate_hz : float, default 100
+        Sampling rate of the blocks, Hz.
+    max_interval_s : float, default 2
+        A new bout begins after a longer time without a contact, s.
+    first_step_s : float, default 0.6
+        Duration assigned to the first step of a bout, s, because no contact marks its start. The default is typical for
+        a step from rest.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is not a positive number.
+
+    Examples
+    --------
+    The detectors of the package are subclasses:
+
+    >>> from pdr_filter.sensing.steps.adaptive_detector import AdaptiveStepDetector
+    >>> from pdr_filter.sensing.steps.step_detector import BaseStepDetector
+    >>> detector = AdaptiveStepDetector(max_interval_s=3.0)
+    >>> isinstance(detector, BaseStepDetector), round(detector.latency_s, 2)
+    (True, 0.88)
     """
+
+    # Whether the steps depend on the contexts or carrying modes. If not, `Sensing.steps_only` computes none.
+    uses_contexts: ClassVar[bool] = True
 
     rate_hz: float = 100.0
     max_interval_s: float = 2.0
@@ -95,43 +137,72 @@ class BaseStepDetector(ABC, Generic[S]):
     @property
     @abstractmethod
     def latency_s(self) -> float:
-        """Longest time from a contact to its detection."""
+        """Longest time from a contact to its detection, s."""
 
     @abstractmethod
     def init(self) -> S:
-        """State before the first sample of a segment."""
+        """Return the state before the first sample of a segment.
+
+        Returns
+        -------
+        DetectorState
+            Initial state.
+        """
 
     @property
     @abstractmethod
     def _n_line(self) -> int:
-        """How many columns of earlier signals `_detect` is given, L."""
+        """Length L of the delay line: columns of earlier signals that `_detect` receives."""
 
     @abstractmethod
     def _signals(
         self, state: S, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
     ) -> tuple[S, FloatArray]:
-        """New filter memories and the signals (R, N) of a block."""
+        """Return the state with new filter memories, and the signals (R, N) of a block."""
 
     @abstractmethod
     def _detect(self, state: S, line: FloatArray, first: int) -> tuple[S, list[tuple[int, Step]]]:
-        """Detect in signals (R, L + N): the last N are new, and the first of these is sample number `first`."""
+        """Return the new state and the steps detected in signals (R, L + N).
+
+        The last N columns are new, and the first of them is sample number `first`.
+        """
 
     def _before(self, signals: FloatArray) -> FloatArray:
-        """Signals (R, L) assumed before the first sample: like it, because a zero there would look like a blow."""
+        """Return the signals (R, L) assumed before the first sample: copies of it, as zeros would be an impulse."""
         return np.repeat(signals[:, :1], self._n_line, axis=1)
 
     def _continued(self, state: S) -> FloatArray:
-        """Signals (R, n) assumed after the last sample, where a gap or the end comes: the last value stays."""
+        """Return the signals (R, n) assumed after the last sample of a segment: the last value repeated."""
         return np.repeat(state.line[:, -1:], round(self.latency_s * self.rate_hz), axis=1)
 
     @cached_property
     def _log(self) -> StepLog:
+        """Buffer that describes the detected steps."""
         return StepLog(self.rate_hz, self.latency_s, self.max_interval_s, self.first_step_s)
 
     def update(
         self, state: S, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
     ) -> tuple[S, list[tuple[int, Step]]]:
-        """New state and the steps that became known, each with the number of the sample that revealed it."""
+        """Return the new state and the steps that a block reveals.
+
+        Parameters
+        ----------
+        state : DetectorState
+            State after the previous block.
+        block : UniformBlock
+            Uniform samples that follow, N samples.
+        attitude : AttitudeBlock
+            Attitude at these samples.
+        contexts : ContextBlock
+            Most probable context and carrying mode at each sample.
+
+        Returns
+        -------
+        state : DetectorState
+            New state.
+        steps : list of (int, Step)
+            Steps that became known, each with the number of the sample that revealed it.
+        """
         first = state.log.n_samples
         state = replace_unchecked(state, log=self._log.extend(state.log, block, attitude))
         state, signals = self._signals(state, block, attitude, contexts)
@@ -141,7 +212,18 @@ class BaseStepDetector(ABC, Generic[S]):
         return replace_unchecked(state, log=self._log.trim(state.log)), steps
 
     def finish(self, state: S) -> list[tuple[int, Step]]:
-        """Steps whose detection would have needed more samples, when a gap or the end comes."""
+        """Return the steps that still wait for samples when a gap or the end comes.
+
+        Parameters
+        ----------
+        state : DetectorState
+            State after the last block of a segment.
+
+        Returns
+        -------
+        list of (int, Step)
+            Remaining steps, each with the number of the last sample.
+        """
         end = state.log.n_samples
         if end == 0:
             return []
@@ -150,20 +232,27 @@ class BaseStepDetector(ABC, Generic[S]):
         return [(end - 1, replace_unchecked(s, detected_time_s=last_s)) for _, s in steps if s.time_s <= last_s]
 
     def _advance(self, state: S, signals: FloatArray, first: int) -> tuple[S, list[tuple[int, Step]]]:
+        """Return the state and the steps after signals (R, N), whose first column is sample number `first`."""
         line = np.concatenate([state.line, signals], axis=1)
         state, steps = self._detect(state, line, first)
         return replace_unchecked(state, line=line[:, signals.shape[1] :].copy()), steps
 
 
-# Samples whose response is made at once: what is needed for it fits into a cache.
+# Samples whose response is computed together, so that the intermediate arrays fit into the processor's cache.
 _SAMPLES_AT_ONCE = 2000
 
 
 @dataclass(frozen=True, eq=False)
 class ResponseState(DetectorState):
-    """Its last signals, and the last values of the response."""
+    """State of a detector of response maxima.
 
-    response: FloatArray  # (K, 2)
+    Attributes
+    ----------
+    response : FloatArray
+        Last two columns of the response and its further values, shape (K, 2).
+    """
+
+    response: FloatArray
 
 
 R = TypeVar("R", bound=ResponseState)
@@ -171,31 +260,40 @@ R = TypeVar("R", bound=ResponseState)
 
 @dataclass(frozen=True)
 class ResponseStepDetector(BaseStepDetector[R]):
-    """Steps as local maxima of a response, which is `_delay_samples` late and may come with further values."""
+    """Base class of detectors whose steps are local maxima of a response signal.
+
+    The response is delayed by `_delay_samples`. Further values may accompany each of its samples.
+    """
 
     @property
     @abstractmethod
-    def _delay_samples(self) -> int: ...
+    def _delay_samples(self) -> int:
+        """Delay of the response, in samples."""
 
     @property
     @abstractmethod
     def _min_response(self) -> float:
-        """Lower maxima are no steps in any case."""
+        """Smallest maximum that can be a step."""
 
     @abstractmethod
     def _response(self, line: FloatArray) -> FloatArray:
-        """The response and what comes with it, (K, N), from signals (R, L + N)."""
+        """Return the response (row 0) and its further values, (K, N), for signals (R, L + N)."""
 
     @abstractmethod
     def _accepted(self, state: R, peak: FloatArray, interval_s: float, new_bout: bool) -> R | None:
-        """New state if a maximum (K,) that comes so long after the last step is a step, else None."""
+        """Return the new state if a maximum (K,) is a step, else None.
+
+        `interval_s` is the time since the last step, and `new_bout` tells whether the step would be the first of a
+        bout.
+        """
 
     @property
     def latency_s(self) -> float:
-        """Time from a contact to its detection."""
+        """Time from a contact to its detection, s."""
         return (self._delay_samples + 1) / self.rate_hz
 
     def _detect(self, state: R, line: FloatArray, first: int) -> tuple[R, list[tuple[int, Step]]]:
+        """Return the new state and the steps at accepted local maxima of the response."""
         width = self._n_line + _SAMPLES_AT_ONCE
         pieces = [
             self._response(line[:, i : i + width]) for i in range(0, line.shape[1] - self._n_line, _SAMPLES_AT_ONCE)
@@ -204,7 +302,7 @@ class ResponseStepDetector(BaseStepDetector[R]):
         is_peak = local_maxima(response[0]) & (response[0, 1:-1] >= self._min_response)
         numbers, spans = list[int](), list[StepSpan]()
         for i in np.flatnonzero(is_peak).tolist():
-            # column i + 2 was made by sample first + i
+            # Column i + 2 of the response became known with sample number first + i.
             state, span = self._step_at(state, response[:, i : i + 3], first + i)
             if span is not None:
                 numbers.append(first + i)
@@ -213,7 +311,10 @@ class ResponseStepDetector(BaseStepDetector[R]):
         return replace_unchecked(state, log=log, response=response[:, -2:]), list(zip(numbers, steps, strict=True))
 
     def _step_at(self, state: R, values: FloatArray, known: int) -> tuple[R, StepSpan | None]:
-        """The step that a local maximum of the response, the middle of (K, 3), ends, if it ends one."""
+        """Return the new state and the span of the step that ends at a local maximum, or None if it is no step.
+
+        The maximum is the middle column of `values` (K, 3). Sample number `known` revealed it.
+        """
         contact = known - 1 - self._delay_samples
         if not self._log.can_end(state.log, contact):
             return state, None
@@ -228,15 +329,15 @@ class ResponseStepDetector(BaseStepDetector[R]):
 
 
 def local_maxima(values: FloatArray) -> BoolArray:
-    """Whether each value but the first and the last of (..., N) is a local maximum, (..., N - 2)."""
+    """Return True for each local maximum of values (..., N), shape (..., N - 2), without the end values."""
     middle = values[..., 1:-1]
     return (middle > values[..., :-2]) & (middle >= values[..., 2:])
 
 
 def vertex(peak: FloatArray) -> float:
-    """Where the parabola through three values (3,) has its extremum, in samples after the middle one.
+    """Return the position of the extremum of the parabola through three values (3,), in samples from the middle one.
 
-    It dates contacts more finely than the sampling interval.
+    It gives contact times a finer resolution than the sampling interval.
     """
     before, middle, after = peak.tolist()
     curvature = before - 2 * middle + after

@@ -1,18 +1,20 @@
-"""Steps of somebody who walks, without those of a phone that is handled: a causal gate behind the step detector.
+"""Causal gate behind the step detector that rejects steps caused by handling the phone.
 
-The gate holds each step until its fate is known and lets it pass, with its own contact time, where somebody walks. It
-needs the specific force alone: neither gyroscope nor attitude, no model, no carrying mode.
+The gate holds each step until it is decided. Accepted steps pass with their own contact times. The gate needs only the
+specific force: neither gyroscope nor attitude, no context model, no carrying mode.
 
-1. Evidence of each step, from the specific force around its contact and the contacts before it (`walking_evidence`).
-   Of its log odds of walking `evidence_weight` counts, because the windows of neighbouring steps overlap. The clock of
-   the evidence runs with the steps: `slowness` stretches its times for a slow walker.
+1. Evidence. The evidence of each step comes from the specific force around its contact and the contacts before it
+   (`walking_evidence`). Its log odds of walking are multiplied by `evidence_weight`, because the windows of
+   neighbouring steps overlap. For slow walkers the time scales are stretched by `slowness`.
 2. Smoothing. Walking and not walking are the two states of a Markov chain in continuous time, observed at the contacts
    (Rabiner, "A tutorial on hidden Markov models", Proc. IEEE 77, 1989, eqs. 20 and 25). A step is accepted if walking
-   is more probable than not, from its own evidence and all before.
-3. Bouts. Every accepted step corrects the ones before it by the evidence after them (backward recursion). `min_steps`
-   of them that are walking are a bout and leave together, later ones leave at once; fewer are dropped.
-4. Edges. A step before the first accepted one belongs to the bout if walking is not improbable, and so do up to
-   `n_fill` more, close by. A refused step between two accepted ones of a bout belongs to it.
+   is more probable than not, given its own evidence and all evidence before.
+3. Bouts. Each accepted step updates the probabilities of the steps before it (backward recursion). `min_steps` steps
+   that are probably walking form a bout and are released together. Later steps of the bout are released at once. Fewer
+   steps are dropped.
+4. Edges. A step before the first accepted step belongs to the bout if its probability of walking is above
+   `min_edge_prob`. Up to `n_fill` further steps close to it belong to the bout as well. A rejected step between two
+   accepted ones of a bout belongs to it.
 
 The steps of a block are judged together. docs/methods/steps.md has data and limits, docs/benchmarks.md figures.
 """
@@ -40,39 +42,77 @@ from pdr_filter.sensing.steps.walking_evidence import (
 )
 from pdr_filter.values import FloatArray, Step, check_numbers, replace_unchecked
 
-# A step may become known so long after its contact and still find its window whole.
+# Longest delay between a contact and its detection, in s, for which the window of the evidence is still buffered.
 _MAX_KNOWN_AFTER_S = 4.0
 
 
 @dataclass(frozen=True, slots=True)
 class JudgedStep:
-    """A step whose evidence is known."""
+    """A step with its evidence.
+
+    Attributes
+    ----------
+    step : Step
+        The step.
+    walking_prob : float
+        Probability of walking at its contact, given its evidence and all evidence before.
+    ratio : float
+        Likelihood ratio of its evidence, walking to not walking.
+    slowness : float
+        Slowness of the steps up to this one.
+    """
 
     step: Step
-    walking_prob: float  # at its contact, from its evidence and all before
-    ratio: float  # likelihood of its evidence while walking to that while not
-    slowness: float  # of the steps up to it
+    walking_prob: float
+    ratio: float
+    slowness: float
 
 
 @dataclass(frozen=True, eq=False)
 class StepGateState:
-    """Belief in walking, the force of the last seconds, and the steps whose fate is open."""
+    """Probability of walking, recent specific force, and undecided steps.
 
-    walking_prob: float  # after the last step that is judged
-    judged_s: float = -math.inf  # its contact
-    start_s: float = math.nan  # of the segment: time of its first sample
-    n_samples: int = 0  # of the segment
-    rest: FloatArray = field(default_factory=lambda: np.empty((0, 3)))  # force of samples that are no whole row yet
-    rows: FloatArray = field(default_factory=lambda: np.empty((0, 3)))  # last rows of averaged force
-    waiting: tuple[tuple[int, Step], ...] = ()  # for their window, with the number of the sample that revealed them
-    contacts_s: tuple[float, ...] = ()  # the last four of the segment that are judged
-    held: tuple[JudgedStep, ...] = ()  # judged, but not out: they may still belong to a bout
-    run_s: tuple[float, float] = (-math.inf, -math.inf)  # first and last contact of accepted steps without a pause
-    is_bout: bool = False  # that they are a bout
+    Attributes
+    ----------
+    walking_prob : float
+        Probability of walking after the last judged step.
+    judged_s : float
+        Contact time of the last judged step, s.
+    start_s : float
+        Time of the first sample of the segment, s.
+    n_samples : int
+        Samples of the segment.
+    rest : FloatArray
+        Specific force of the samples of the incomplete row, shape (r, 3), m/s2.
+    rows : FloatArray
+        Recent rows of specific force averaged to 25 Hz, shape (R, 3), m/s2.
+    waiting : tuple of (int, Step)
+        Steps whose window is not complete, each with the number of the sample that revealed it.
+    contacts_s : tuple of float
+        Last four judged contacts of the segment, s.
+    held : tuple of JudgedStep
+        Judged steps that are not released and may still belong to a bout.
+    run_s : tuple of float
+        First and last contact of the current run of accepted steps without a pause, s.
+    is_bout : bool
+        True if this run is long enough to be a bout.
+    """
+
+    walking_prob: float
+    judged_s: float = -math.inf
+    start_s: float = math.nan
+    n_samples: int = 0
+    rest: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    rows: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    waiting: tuple[tuple[int, Step], ...] = ()
+    contacts_s: tuple[float, ...] = ()
+    held: tuple[JudgedStep, ...] = ()
+    run_s: tuple[float, float] = (-math.inf, -math.inf)
+    is_bout: bool = False
 
     @property
     def candidates(self) -> tuple[Step, ...]:
-        """Steps that are found and not accepted yet; none while the person does not seem to walk."""
+        """Detected steps that are not accepted yet; none while walking is improbable."""
         if not (self.is_bout or self.walking_prob > 0.5):
             return ()
         return (*(judged.step for judged in self.held), *(step for _, step in self.waiting))
@@ -80,39 +120,60 @@ class StepGateState:
 
 @dataclass(frozen=True)
 class StepGate:
-    """Causal gate for steps.
+    """Causal gate that rejects false steps.
 
-    In a bout a step passes `latency_s` after its contact, 1.04 s, or as soon as the detector knows it. The first steps
-    of a bout pass together with the one that makes it `min_steps`: the first waits three step intervals longer, 2.7 s
-    at 1.8 steps a second, and longer where the evidence is weak. A gap or the end decides at once.
+    Within a bout a step passes `latency_s` (1.04 s) after its contact, or as soon as the detector reveals it. The first
+    steps of a bout pass together with the one that completes `min_steps`. The first step therefore waits three step
+    intervals longer: 2.7 s at 1.8 steps a second, and longer if the evidence is weak. A gap or the end of the recording
+    decides all waiting steps at once.
 
     Parameters
     ----------
-    rate_hz : float
-        Sampling rate of the blocks, a multiple of 25 Hz.
-    evidence : WalkEvidence
-        Log odds of walking.
-    before_s, after_s : float
-        Window of the evidence around a contact: four steps of a usual walk fit in before it, by `slowness` times more
-        seconds for a slow one, and the end of a walk is seen.
-    evidence_weight : float
-        Power of the likelihood of one step. Smaller: fewer steps lost, more handling passes.
-    max_log_ratio : float
-        Largest weight of one step, natural logarithm.
-    mean_walk_s, mean_pause_s : float
-        Mean stays of the Markov chain in walking and out of it.
-    min_steps : int
-        Fewest steps that are a bout. Five in place of four: half of the false steps, half a second more to wait.
-    max_interval_s : float
-        After a longer time without accepted steps a new bout begins. The slowest steps are 2 s apart.
-    min_edge_prob : float
-        Probability of walking, with the evidence after it, with which a step before a bout belongs to it.
-    max_edge_s : float
-        No step before a bout is that early, times `slowness`.
-    n_fill : int
-        So many refused steps more may belong to the beginning of a bout.
-    fill_interval_s : float
-        If they are this close, times `slowness`.
+    rate_hz : float, default 100
+        Sampling rate of the blocks, Hz, a multiple of 25 Hz.
+    evidence : WalkEvidence, default `EVIDENCE`
+        Model of the log odds of walking.
+    before_s, after_s : float, default 2.5 and 1
+        Window of the evidence before and after a contact, s. Four steps of a normal walk fit into the part before the
+        contact, which is multiplied by `slowness` for a slow walk. The part after it shows the end of a walk.
+    evidence_weight : float, default 0.4
+        Power of the likelihood of one step. A smaller value loses fewer steps but lets more handling pass.
+    max_log_ratio : float, default 4
+        Largest absolute log likelihood ratio of one step.
+    mean_walk_s, mean_pause_s : float, default 40 and 13
+        Mean durations of walking and of not walking in the Markov chain, s.
+    min_steps : int, default 4
+        Fewest steps of a bout. Five instead of four halve the false steps and delay the first step by another half
+        second.
+    max_interval_s : float, default 2.5
+        A new bout begins after a longer time without accepted steps, s. The slowest steps are 2 s apart.
+    min_edge_prob : float, default 0.2
+        Smallest probability of walking, including the evidence after the step, for a step before a bout to belong to
+        it.
+    max_edge_s : float, default 3
+        Longest time of such a step before the bout, s, multiplied by `slowness`.
+    n_fill : int, default 2
+        Largest number of further rejected steps that are added to the beginning of a bout.
+    fill_interval_s : float, default 1.5
+        Longest interval between such steps, s, multiplied by `slowness`.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is not positive, or `rate_hz` is not a multiple of 25 Hz.
+
+    Examples
+    --------
+    The gate passes the steps of a simulated walk. A front end without it reports the same steps earlier:
+
+    >>> from dataclasses import replace
+    >>> import pdr_filter as pdr
+    >>> recording = pdr.simulate.simulate([pdr.simulate.Leg("walking", duration_s=8.0)])
+    >>> config = pdr.recipes.default()
+    >>> ungated = replace(config, sensing=replace(config.sensing, gate=None))
+    >>> gated_steps, steps = pdr.detect_steps(recording, config), pdr.detect_steps(recording, ungated)
+    >>> bool(gated_steps[0].detected_time_s > steps[0].detected_time_s)
+    True
     """
 
     rate_hz: float = 100.0
@@ -133,39 +194,68 @@ class StepGate:
     def __post_init__(self) -> None:
         check_numbers(self, zero=("n_fill",))
         if self.rate_hz % EVIDENCE_HZ:
-            raise ValueError(f"rate_hz must be a multiple of {EVIDENCE_HZ:g}, got {self.rate_hz}")
+            raise ValueError(
+                f"rate_hz must be a multiple of {EVIDENCE_HZ:g}, got {self.rate_hz}: set the rate of all stages, for "
+                "example to 100"
+            )
 
     @cached_property
     def _samples_per_row(self) -> int:
+        """Samples that are averaged to one row of the evidence."""
         return round(self.rate_hz / EVIDENCE_HZ)
 
     @cached_property
     def _n_before(self) -> int:
+        """Rows of a window before the contact, at normal walking."""
         return round(self.before_s * EVIDENCE_HZ)
 
     @cached_property
     def _n_after(self) -> int:
+        """Rows of a window after the contact."""
         return round(self.after_s * EVIDENCE_HZ)
 
     @cached_property
     def _n_rows_kept(self) -> int:
+        """Number of buffered rows: the longest window and the longest delay of a step."""
         return round(MAX_SLOWNESS * self._n_before) + self._n_after + round(_MAX_KNOWN_AFTER_S * EVIDENCE_HZ)
 
     @property
     def latency_s(self) -> float:
-        """Time from a contact to its step in a bout, unless the detector takes longer."""
+        """Time from a contact to the release of its step within a bout, s, unless the detector takes longer."""
         return (self._n_after + 1) / EVIDENCE_HZ
 
     def init(self) -> StepGateState:
-        """State before the first sample."""
+        """Return the state before the first sample.
+
+        Returns
+        -------
+        StepGateState
+            Initial state.
+        """
         return StepGateState(self._walking_share)
 
     def update(
         self, state: StepGateState, block: UniformBlock, attitude: AttitudeBlock, steps: Sequence[tuple[int, Step]]
     ) -> tuple[StepGateState, list[tuple[int, Step]]]:
-        """New state and the steps that pass, each with the number of the sample that decided.
+        """Return the new state and the steps released by a block.
 
-        `steps` are what the detector found in this block, in order; the attitude is not looked at.
+        Parameters
+        ----------
+        state : StepGateState
+            State after the previous block.
+        block : UniformBlock
+            Uniform samples that follow.
+        attitude : AttitudeBlock
+            Attitude at these samples, which is not used.
+        steps : sequence of (int, Step)
+            Steps that the detector found in this block, in order, each with the number of the sample that revealed it.
+
+        Returns
+        -------
+        state : StepGateState
+            New state.
+        steps : list of (int, Step)
+            Released steps, each with the number of the sample that decided it.
         """
         samples = np.concatenate([state.rest, block.specific_force_mps2])
         n = self._samples_per_row
@@ -175,7 +265,7 @@ class StepGate:
             start_s=float(block.time_s[0]) if state.n_samples == 0 else state.start_s,
             n_samples=state.n_samples + len(block.time_s),
             rest=samples[len(whole) :],
-            # summed one after the other: the same bits however the samples came
+            # samples are added one after the other, so that the bits do not depend on how blocks are cut
             rows=np.concatenate([state.rows, sum((whole[i::n] for i in range(1, n)), whole[0::n]) / n]),
             waiting=(*state.waiting, *steps),
         )
@@ -191,23 +281,39 @@ class StepGate:
     def close(
         self, state: StepGateState, steps: Sequence[tuple[int, Step]]
     ) -> tuple[StepGateState, list[tuple[int, Step]]]:
-        """State before the first sample after a gap or the end, and the steps that pass of those that still waited.
+        """Return the state after the end of a segment, and the steps released by it.
 
-        `steps` are what the detector's `finish` gave. A bout goes on after a short gap, the belief in walking fades
-        with time.
+        A bout continues after a short gap. The probability of walking decays towards its stationary value with time.
+
+        Parameters
+        ----------
+        state : StepGateState
+            State after the last block of the segment.
+        steps : sequence of (int, Step)
+            Steps that `finish` of the detector returned.
+
+        Returns
+        -------
+        state : StepGateState
+            State before the first sample of the next segment.
+        steps : list of (int, Step)
+            Released steps, each with the number of the last sample.
         """
         state = replace_unchecked(state, waiting=(*state.waiting, *steps))
         state, released = self._judge(state, [state.n_samples - 1] * len(state.waiting))
-        # Steps that are no bout yet are given up: what the gap holds is unknown.
+        # Steps that do not form a bout yet are dropped, because a gap gives no evidence for more steps.
         after = StepGateState(state.walking_prob, state.judged_s)
         return (replace_unchecked(after, run_s=state.run_s, is_bout=True) if state.is_bout else after), released
 
     def _row(self, state: StepGateState, step: Step) -> int:
-        """Number of the row that a contact is in."""
+        """Return the number of the row that contains the contact of a step."""
         return max(math.floor((step.time_s - state.start_s) * EVIDENCE_HZ), 0)
 
     def _judge(self, state: StepGateState, numbers: Sequence[int]) -> tuple[StepGateState, list[tuple[int, Step]]]:
-        """State after the steps that have waited longest, judged at samples of these numbers, and those that pass."""
+        """Return the state and the released steps after judging the steps that have waited longest.
+
+        `numbers` are the numbers of the samples at which these steps are judged, one for each step.
+        """
         if not numbers:
             return state, []
         steps = [step for _, step in state.waiting[: len(numbers)]]
@@ -216,37 +322,41 @@ class StepGate:
         state = replace_unchecked(state, waiting=state.waiting[len(numbers) :], contacts_s=contacts_s[-4:])
         released: list[tuple[int, Step]] = []
         log_odds = self._log_odds(state, steps, numbers, intervals_s)
-        for step, number, of_step, intervals in zip(steps, numbers, log_odds, intervals_s, strict=True):
-            ratio = math.exp(min(max(self.evidence_weight * of_step, -self.max_log_ratio), self.max_log_ratio))
+        for step, number, step_log_odds, intervals in zip(steps, numbers, log_odds, intervals_s, strict=True):
+            log_ratio = self.evidence_weight * step_log_odds
+            ratio = math.exp(min(max(log_ratio, -self.max_log_ratio), self.max_log_ratio))
             prob = _posterior(self._prob_after(state.walking_prob, step.time_s - state.judged_s), ratio)
             held = (*state.held, JudgedStep(step, prob, ratio, slowness(intervals)))
             state = replace_unchecked(state, walking_prob=prob, judged_s=step.time_s, held=held)
-            state, passed = self._accept(state, step.time_s) if prob > 0.5 else (self._without_old(state), [])
+            state, passed = self._accept(state, step.time_s) if prob > 0.5 else (self._without_expired(state), [])
             now_s = state.start_s + number / self.rate_hz
             released += [(number, replace_unchecked(s, detected_time_s=max(now_s, s.detected_time_s))) for s in passed]
         return state, released
 
     def _intervals_s(self, contacts_s: Sequence[float]) -> list[float]:
-        """Up to three intervals before the last contact."""
+        """Return up to three step intervals before the last contact, s, without pauses."""
         return [b - a for a, b in pairwise(contacts_s[-4:]) if 0.0 < b - a < self.max_interval_s]
 
     def _log_odds(
         self, state: StepGateState, steps: Sequence[Step], numbers: Sequence[int], intervals_s: Sequence[list[float]]
     ) -> list[float]:
-        """Log odds of walking of each step, from its evidence alone; even where there is too little of it."""
+        """Return the log odds of walking of each step given its own evidence; 0 if its window is too short."""
         rows = [self._row(state, step) for step in steps]
         windows = [
-            self._window(state, *of_step) for of_step in zip(rows, numbers, map(slowness, intervals_s), strict=True)
+            self._window(state, *arguments) for arguments in zip(rows, numbers, map(slowness, intervals_s), strict=True)
         ]
-        seen = [i for i, window in enumerate(windows) if len(window) >= MIN_ROWS]
+        usable = [i for i, window in enumerate(windows) if len(window) >= MIN_ROWS]
         log_odds = np.zeros(len(steps))
-        if seen:
-            features = evidence_features([windows[i] for i in seen], [intervals_s[i] for i in seen])
-            log_odds[seen] = self.evidence.log_odds(features)
+        if usable:
+            features = evidence_features([windows[i] for i in usable], [intervals_s[i] for i in usable])
+            log_odds[usable] = self.evidence.log_odds(features)
         return log_odds.tolist()
 
     def _window(self, state: StepGateState, row: int, number: int, stretch: float) -> FloatArray:
-        """Rows around a row; the same however many are remembered."""
+        """Return the rows of the window around row number `row`, as known at sample `number`.
+
+        The result does not depend on how many rows are still buffered.
+        """
         n_rows = (state.n_samples - len(state.rest)) // self._samples_per_row
         n_seen = (number + 1) // self._samples_per_row
         first = max(row - round(stretch * self._n_before), n_seen - self._n_rows_kept, 0)
@@ -255,7 +365,10 @@ class StepGate:
         return state.rows[max(first - oldest, 0) : max(last - oldest, 0)]
 
     def _accept(self, state: StepGateState, contact_s: float) -> tuple[StepGateState, list[Step]]:
-        """The last judged step is walking: it leaves if it belongs to a bout, or makes one."""
+        """Return the state and the released steps when the last judged step is walking.
+
+        The step is released if it continues a bout. If it completes a new bout, all steps of that bout are released.
+        """
         continues = contact_s - state.run_s[1] <= self.max_interval_s
         run_s = (state.run_s[0] if continues else contact_s, contact_s)
         if continues and state.is_bout:
@@ -263,14 +376,18 @@ class StepGate:
         state = replace_unchecked(state, run_s=run_s, is_bout=False)
         first, n_walking = self._run(state)
         if n_walking < self.min_steps:
-            return self._without_old(state), []
+            return self._without_expired(state), []
         for _ in range(self.n_fill):
             interval_s = state.held[first].step.time_s - state.held[first - 1].step.time_s
             first -= first > 0 and interval_s <= self.fill_interval_s * state.held[-1].slowness
         return replace_unchecked(state, held=(), is_bout=True), [judged.step for judged in state.held[first:]]
 
     def _run(self, state: StepGateState) -> tuple[int, int]:
-        """First held step of the run, with what belongs to its beginning, and how many from there are walking."""
+        """Return the index of the first held step of the run, and the number of walking steps from there on.
+
+        The run includes the earlier steps that belong to its edge. Probabilities are updated by the evidence after each
+        step (backward recursion).
+        """
         first, n_walking, ratio = len(state.held) - 1, 1, 1.0
         for i in range(len(state.held) - 2, -1, -1):
             earlier, later = state.held[i], state.held[i + 1]
@@ -283,8 +400,8 @@ class StepGate:
             first, n_walking = i, n_walking + (prob > 0.5)
         return first, n_walking
 
-    def _without_old(self, state: StepGateState) -> StepGateState:
-        """State without the held steps that are too early for any bout to come."""
+    def _without_expired(self, state: StepGateState) -> StepGateState:
+        """Return the state without the held steps that are too early to belong to a future bout."""
         begin_s = state.held[-1].step.time_s
         if not state.is_bout and begin_s - state.run_s[1] <= self.max_interval_s:
             begin_s = state.run_s[0]
@@ -293,23 +410,25 @@ class StepGate:
 
     @property
     def _walking_share(self) -> float:
+        """Stationary probability of walking."""
         return self.mean_walk_s / (self.mean_walk_s + self.mean_pause_s)
 
     def _change_probs(self, duration_s: float) -> tuple[float, float]:
-        """Probability to walk no more, and to walk, after a time, of one who did, and of one who did not."""
-        forgotten = -math.expm1(-duration_s * (1.0 / self.mean_walk_s + 1.0 / self.mean_pause_s))
-        return forgotten * (1.0 - self._walking_share), forgotten * self._walking_share
+        """Return the probabilities to have stopped walking and to have started walking after a time."""
+        mixed = -math.expm1(-duration_s * (1.0 / self.mean_walk_s + 1.0 / self.mean_pause_s))
+        return mixed * (1.0 - self._walking_share), mixed * self._walking_share
 
     def _prob_after(self, prob: float, duration_s: float) -> float:
-        """Probability of walking after a time without evidence."""
+        """Return the probability of walking after a time without evidence."""
         leave, enter = self._change_probs(duration_s)
         return prob * (1.0 - leave) + (1.0 - prob) * enter
 
     def _ratio_before(self, ratio: float, duration_s: float) -> float:
-        """Likelihood ratio of what comes, seen from earlier."""
+        """Return the likelihood ratio of later evidence, propagated back over a time to an earlier step."""
         leave, enter = self._change_probs(duration_s)
         return ((1.0 - leave) * ratio + leave) / (enter * ratio + 1.0 - enter)
 
 
 def _posterior(prob: float, ratio: float) -> float:
+    """Return the posterior probability for a prior probability and a likelihood ratio."""
     return prob * ratio / (prob * ratio + 1.0 - prob)

@@ -1,4 +1,4 @@
-"""What a detector remembers of the signals, and how a contact becomes a step: every detector makes its steps here."""
+"""Buffer of recent samples, and the description of the step that a contact ends. All detectors use it."""
 
 from __future__ import annotations
 
@@ -13,72 +13,130 @@ from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Step, replace_unchecked
 
-# Rows of the signals: time, magnitude, vertical, device heading, samples without angular rate so far, std of the yaw
-# bias.
+# Rows of the signals: time, magnitude, vertical, device heading, cumulative count of samples without angular rate, and
+# standard deviation of the bias about the vertical.
 _TIME, _MAGNITUDE, _VERTICAL, _HEADING, _UNKNOWN, _BIAS_STD = range(6)
 
 
 @dataclass(frozen=True, slots=True)
 class StepSpan:
-    """From when to when a step took place, and which samples are its own."""
+    """Time span of a step, and the samples that belong to it.
+
+    Attributes
+    ----------
+    contact_s : float
+        Time of the contact that ends the step, s.
+    known_s : float
+        Time at which the detector detected the contact, s.
+    duration_s : float
+        Duration of the step, s.
+    heading_unknown_s : float
+        Time without angular rate since the last contact, s.
+    columns : tuple of int
+        First column of the step and column of the contact in the signals of a `StepLogState`.
+    is_first : bool
+        True if the step is the first of a bout.
+    """
 
     contact_s: float
-    known_s: float  # when the detector knew
+    known_s: float
     duration_s: float
-    heading_unknown_s: float  # without angular rate
-    columns: tuple[int, int]  # of the signals in a `StepLogState`: the first, and that of the contact
-    is_first: bool  # of its bout
+    heading_unknown_s: float
+    columns: tuple[int, int]
+    is_first: bool
 
 
 @dataclass(frozen=True, eq=False)
 class StepLogState:
-    """The signals of the last seconds, and the last contact."""
+    """Signals of the last seconds, the last contact, and running means over the steps of the person.
 
-    n_samples: int  # seen so far in this segment
-    signals: FloatArray  # (6, H), see the rows above
-    last_contact: int  # number of the sample; negative before the first
+    Attributes
+    ----------
+    n_samples : int
+        Samples of the segment.
+    signals : FloatArray
+        Recent signals, shape (6, H). The rows are time, magnitude and vertical part of the specific force, device
+        heading, cumulative count of samples without angular rate, and standard deviation of the bias about the
+        vertical.
+    last_contact : int
+        Sample number of the last contact; negative before the first.
+    last_contact_s : float
+        Time of the last contact, s.
+    last_unknown : float
+        Samples without angular rate up to the last contact.
+    n_usual : float
+        Number of steps in the two following sums, exponentially forgotten with `USUAL_DECAY`.
+    log_amplitudes : float
+        Sum of the logarithms of the vertical amplitudes.
+    log_durations : float
+        Sum of the logarithms of the step durations.
+    last_turn_rad : float
+        Turn of the device over the last step, rad; 0 at the start of a bout.
+    last_duration_s : float
+        Duration of the last step, s; 0 at the start of a bout.
+    last_amplitude_mps2 : float
+        Vertical amplitude of the last step, m/s2; 0 if the step was longer than usual.
+    """
+
+    n_samples: int
+    signals: FloatArray
+    last_contact: int
     last_contact_s: float
-    last_unknown: float  # samples without angular rate up to the last contact
-    n_usual: float  # steps in the sums of the two logarithms, with the forgetting of `USUAL_DECAY`
+    last_unknown: float
+    n_usual: float
     log_amplitudes: float
     log_durations: float
-    last_turn_rad: float  # of the device over the last step, and how long that took; 0 at the start of a bout
+    last_turn_rad: float
     last_duration_s: float
-    last_amplitude_mps2: float  # of the last step; 0 if it was longer than usual
+    last_amplitude_mps2: float
 
 
-# What is usual for somebody is the mean of about the last twenty steps.
+# Decay per step of the running means, which average about the last twenty steps.
 USUAL_DECAY = 0.95
-# A step that takes so many times the usual time began with a rest.
+# A step longer than this multiple of the usual duration began with a rest, or spans two steps.
 _REST_PERIODS = 1.8
-# Unless it is two of which one contact was missed: then it is not longer than this, and the body rises and falls twice
-# in it, with this part of the usual amplitude. Pauses have up to 0.3 (ms_indoor, ipol), pairs of steps about 0.4 to 0.8
-# (oxford with foot switches, tyrex with the hand that swings). Only in walking: of runs the contacts are not known.
+# A step spans two steps with a missed contact if it is at most this multiple of the usual duration, and its vertical
+# oscillates twice with at least this share of the usual amplitude. Pauses have up to 0.3, pairs of steps about 0.4 to
+# 0.8 (pauses: ms_indoor, ipol; pairs: oxford with foot switches, tyrex with a swinging hand). The rule is limited to
+# walking, with a usual duration above the third value in s, because no ground truth of contacts exists for running.
 _TWO_PERIODS, _TWICE_SHARE, _WALKING_S = 2.6, 0.5, 1 / 2.4
 
 
 @dataclass(frozen=True)
 class StepLog:
-    """Remembers signals and describes the step that a contact ends.
+    """Buffer of signals that describes the step ended by a contact.
 
-    The parameters are those of a `BaseStepDetector`.
+    Parameters
+    ----------
+    rate_hz : float
+        Sampling rate of the blocks, Hz.
+    latency_s : float
+        Longest time from a contact to its detection, s, which determines the length of the buffer.
+    max_interval_s : float, default 2
+        A new bout begins after a longer time without a contact, s.
+    first_step_s : float, default 0.6
+        Duration assigned to the first step of a bout, s.
     """
 
     rate_hz: float
-    latency_s: float  # how long after a contact it may be given
+    latency_s: float
     max_interval_s: float = 2.0
     first_step_s: float = 0.6
 
     @cached_property
     def _n_kept(self) -> int:
+        """Number of buffered samples: the longest step and the latency."""
         return round(self.latency_s * self.rate_hz) + 1 + int(np.ceil(self.max_interval_s * self.rate_hz))
 
     def init(self) -> StepLogState:
-        """State before the first sample of a segment."""
+        """Return the state before the first sample of a segment."""
         return StepLogState(0, np.empty((6, 0)), -1, -np.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
     def extend(self, state: StepLogState, block: UniformBlock, attitude: AttitudeBlock) -> StepLogState:
-        """State with the samples of a block; call before their contacts are given, and `trim` after."""
+        """Return the state with the samples of a block appended.
+
+        Call it before detecting contacts in the block, and `trim` afterwards.
+        """
         magnitude = specific_force_magnitude(block.specific_force_mps2)
         unknown_before = state.signals[4, -1] if state.signals.shape[1] else 0.0
         n_before, bias_std = state.signals.shape[1], attitude.yaw_bias_std_radps
@@ -93,29 +151,32 @@ class StepLog:
         return replace_unchecked(state, n_samples=state.n_samples + len(magnitude), signals=signals)
 
     def trim(self, state: StepLogState) -> StepLogState:
-        """State without the signals that no later contact can need."""
+        """Return the state without the signals that no later contact can need."""
         return replace_unchecked(state, signals=state.signals[:, -self._n_kept :])
 
     def first_sample(self, state: StepLogState) -> int:
-        """Number of the oldest sample that is remembered: contacts must be later."""
+        """Return the number of the oldest buffered sample. Contacts must be later."""
         return state.n_samples - state.signals.shape[1]
 
     def can_end(self, state: StepLogState, contact: int) -> bool:
-        """Whether a step can end at a sample: it exists, is remembered, and later than the last contact."""
+        """Return True if a step can end at a sample: it is buffered and later than the last contact."""
         return max(self.first_sample(state), state.last_contact, 0) < contact < state.n_samples
 
     def time_s(self, state: StepLogState, sample: float) -> float:
-        """Time of a sample, between samples too."""
+        """Return the time of a sample in s; fractional sample numbers are interpolated."""
         whole = floor(sample)
         index = min(max(whole - self.first_sample(state), 0), state.signals.shape[1] - 1)
         return float(state.signals[0, index] + (sample - whole) / self.rate_hz)
 
     def starts_bout(self, state: StepLogState, contact_s: float) -> bool:
-        """Whether a contact at this time is the first of a bout."""
+        """Return True if a contact at this time is the first of a bout."""
         return contact_s - state.last_contact_s > self.max_interval_s
 
     def add(self, state: StepLogState, contact: int, known: int, fraction: float = 0.0) -> tuple[StepLogState, Step]:
-        """New state and the step that a contact ends: `end_step` and `describe` in one."""
+        """Return the new state and the step that a contact ends.
+
+        It combines `end_step` and `describe` for a single step.
+        """
         state, span = self.end_step(state, contact, known, fraction)
         state, (step,) = self.describe(state, [span])
         return state, step
@@ -123,10 +184,11 @@ class StepLog:
     def end_step(
         self, state: StepLogState, contact: int, known: int, fraction: float = 0.0
     ) -> tuple[StepLogState, StepSpan]:
-        """New state and the span of the step that a contact ends; `describe` it before the next samples.
+        """Return the new state and the span of the step that a contact ends.
 
-        The contact is at a sample at which a step `can_end`, and a fraction of a sampling interval. Sample `known`
-        revealed it: beyond the last one where a segment ends.
+        The contact is at sample `contact`, for which `can_end` must be true, plus a fraction of a sampling interval.
+        Sample number `known` revealed it. At the end of a segment this number may lie beyond the last sample. Call
+        `describe` for the span before the next samples are appended.
         """
         first = self.first_sample(state)
         contact_s = float(state.signals[_TIME, contact - first] + fraction / self.rate_hz)
@@ -145,14 +207,20 @@ class StepLog:
         return replace_unchecked(state, last_contact=contact, last_contact_s=contact_s, last_unknown=unknown), span
 
     def describe(self, state: StepLogState, spans: Sequence[StepSpan]) -> tuple[StepLogState, list[Step]]:
-        """New state and steps, from their samples and what is usual for this person, each step itself included."""
+        """Return the new state and the steps of some spans.
+
+        Besides the statistics of its own samples, each step receives quantities that depend on earlier steps: the turn
+        rate over two steps, the mean amplitude of a stride, and the usual amplitude and duration of the person. The
+        usual amplitude includes the step itself.
+        """
         steps: list[Step] = []
         turn_rad, before_s, before_mps2 = state.last_turn_rad, state.last_duration_s, state.last_amplitude_mps2
         n_usual, log_amplitudes, log_durations = state.n_usual, state.log_amplitudes, state.log_durations
         for span, step in zip(spans, describe_steps(state.signals, spans), strict=True):
             if span.is_first:
                 turn_rad, before_s = 0.0, 0.0
-            # Body and arm sway once in a stride: over two steps that is gone, and what is left is the person's turn.
+            # Body and arm sway with the period of a stride. The sum over two steps cancels the sway, so that only the
+            # turn of the pedestrian remains.
             turn_rate_radps = abs(step.heading_change_rad + turn_rad) / (step.duration_s + before_s)
             turn_rad, before_s = step.heading_change_rad, step.duration_s
             usual_s = exp(log_durations / n_usual) if n_usual > 0 else inf
@@ -167,12 +235,12 @@ class StepLog:
                 log_durations = USUAL_DECAY * log_durations + log(step.duration_s)
             usual_mps2 = exp(log_amplitudes / n_usual) if n_usual > 0 else 0.0
             own_mps2 = step.vertical_amplitude_mps2
-            goes_on = before_mps2 > 0 and not is_long
+            continues_walk = before_mps2 > 0 and not is_long
             steps.append(
                 replace_unchecked(
                     step,
                     turn_rate_radps=turn_rate_radps,
-                    stride_amplitude_mps2=0.5 * (before_mps2 + own_mps2) if goes_on else own_mps2,
+                    stride_amplitude_mps2=0.5 * (before_mps2 + own_mps2) if continues_walk else own_mps2,
                     usual_amplitude_mps2=usual_mps2,
                     usual_duration_s=usual_s if usual_s < inf else 0.0,
                     from_rest=is_long and not is_two,
@@ -192,12 +260,15 @@ class StepLog:
         return state, steps
 
 
-# Steps that are described at once: their samples fit into a cache.
+# Steps that are described together, so that their samples fit into the processor's cache.
 _MAX_GROUP = 32
 
 
 def describe_steps(signals: FloatArray, spans: Sequence[StepSpan]) -> list[Step]:
-    """Steps from their samples alone, in signals (6, H) as in `StepLogState`; each with the bits that it has alone."""
+    """Return the steps of some spans with the statistics of their own samples in signals (6, H) of a `StepLogState`.
+
+    Each step has the same bits as if it were computed alone.
+    """
     if len(spans) > _MAX_GROUP:
         parts = (spans[i : i + _MAX_GROUP] for i in range(0, len(spans), _MAX_GROUP))
         return [step for part in parts for step in describe_steps(signals, part)]
@@ -208,12 +279,12 @@ def describe_steps(signals: FloatArray, spans: Sequence[StepSpan]) -> list[Step]
     starts = np.cumsum(n) - n
     magnitude = samples[_MAGNITUDE]
     extremes = (f.reduceat(samples[_MAGNITUDE : _VERTICAL + 1], starts, axis=1) for f in (np.maximum, np.minimum))
-    away = magnitude - np.repeat(np.add.reduceat(magnitude, starts) / n, n)
-    sums = np.stack([away * away, np.abs(magnitude - STANDARD_GRAVITY_MPS2), samples[_HEADING]])
+    deviation = magnitude - np.repeat(np.add.reduceat(magnitude, starts) / n, n)
+    sums = np.stack([deviation * deviation, np.abs(magnitude - STANDARD_GRAVITY_MPS2), samples[_HEADING]])
     figures = np.concatenate([*extremes, np.add.reduceat(sums, starts, axis=1) / n]).T.tolist()
     steps: list[Step] = []
-    for span, of_step in zip(spans, figures, strict=True):
-        magnitude_max, vertical_max, magnitude_min, vertical_min, variance, mean_abs, heading_rad = of_step
+    for span, step_figures in zip(spans, figures, strict=True):
+        magnitude_max, vertical_max, magnitude_min, vertical_min, variance, mean_abs, heading_rad = step_figures
         first, contact = span.columns
         steps.append(
             Step(
@@ -238,20 +309,23 @@ def describe_steps(signals: FloatArray, spans: Sequence[StepSpan]) -> list[Step]
 
 
 def amplitude(values: FloatArray, periods: int = 1) -> float:
-    """Amplitude of the sinusoid with m periods in the values (n,): 2 / n |sum x_k exp(-2 pi i m k / n)|."""
+    """Return the amplitude of the sinusoid with m periods in values (n,): 2 / n |sum x_k exp(-2 pi i m k / n)|."""
     cosine, sine = (values @ _periods(len(values), periods)).tolist()
     return 2 / len(values) * hypot(cosine, sine)
 
 
 @lru_cache(maxsize=512)
 def _periods(n: int, periods: int) -> FloatArray:
-    """Cosine and sine (n, 2) of some periods in n samples; of one sample, which has no motion, they are zero."""
+    """Return the cosine and sine (n, 2) with the given number of periods in n samples, with their means removed.
+
+    For a single sample they are zero, so its amplitude is zero.
+    """
     phase = 2 * np.pi * periods * np.arange(n) / n
     waves = np.stack([np.cos(phase), np.sin(phase)], axis=1)
     return waves - waves.mean(axis=0)
 
 
 def specific_force_magnitude(specific_force_mps2: FloatArray) -> FloatArray:
-    """|f| of (N, 3) samples, m/s2 (Martinelli et al. 2018, eq. 1)."""
+    """Return the norm of the specific force, shape (N,), of samples (N, 3), m/s2 (Martinelli et al. 2018, eq. 1)."""
     x, y, z = specific_force_mps2.T
     return np.sqrt(x * x + y * y + z * z)

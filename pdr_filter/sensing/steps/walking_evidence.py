@@ -1,7 +1,7 @@
-"""Evidence of walking around the contact of a step: four features of the specific force, and what they say together.
+"""Evidence for walking around the contact of a step: four features of the specific force, and their log odds.
 
-The features of many steps are computed together, each with the bits that it has alone. Their times run with the steps:
-`slowness` stretches them for a slow walker. tests/benchmarks/steps.py fits the weights.
+The features of many steps are computed together, with the same bits as for each step alone. For a slow walker the time
+scales of the features are stretched by the `slowness` of the steps. tests/benchmarks/steps.py fits the weights.
 """
 
 from __future__ import annotations
@@ -15,31 +15,45 @@ import numpy as np
 
 from pdr_filter.values import FloatArray, check_numbers, pickled, read_only
 
-# Rate at which the evidence looks at the force: steps are below 5 Hz.
+# Rate to which the specific force is averaged, Hz. It is sufficient because steps are below 5 Hz.
 EVIDENCE_HZ = 25.0
-# A window with fewer rows (1 s) is no evidence: it holds no two steps.
+# Fewest rows of a window (1 s). A shorter one does not contain two steps and gives no evidence.
 MIN_ROWS = 26
-# Longest interval of a usual walk, 1.67 steps a second: below that the times of the evidence are stretched.
+# Longest step interval of normal walking, s, which is 1.67 steps a second. Slower walking stretches the time scales.
 _USUAL_INTERVAL_S = 0.6
-# The slowest walk to which they follow, 0.76 steps a second: more of the past would have to be remembered.
+# Largest stretch, reached at 0.76 steps a second. A larger value would need a longer buffer.
 MAX_SLOWNESS = 2.2
-# Longest lag at which a motion is looked for again; of slow walkers as many steps, a stride and a quarter.
+# Longest lag of the autocorrelation, in s and, for slow walkers, in step intervals (a stride and a quarter).
 _MAX_LAG_S = 2.24
 _MAX_LAG_STEPS = 2.5
-# Standard deviations at which a feature is cut, in the fit too: no single feature can outvote the others.
+# Number of standard deviations at which features are clipped, also in the fit, so that no single feature dominates.
 _LIMIT = 3.0
-# Windows at once: their spectra fit into a cache.
+# Windows that are processed together, so that their spectra fit into the processor's cache.
 _MAX_GROUP = 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WalkEvidence:
-    """Log odds of walking from the features of `evidence_features`: b + sum_i w_i clip((x_i - m_i) / s_i, -3, 3)."""
+    """Linear model of the log odds of walking given the features of `evidence_features`.
 
-    mean: FloatArray  # (4,) m
-    scale: FloatArray  # (4,) s
-    weight: FloatArray  # (4,) w
-    intercept: float  # b
+    The log odds are b + sum_i w_i clip((x_i - m_i) / s_i, -3, 3).
+
+    Attributes
+    ----------
+    mean : FloatArray
+        Means m of the features, shape (4,).
+    scale : FloatArray
+        Standard deviations s of the features, shape (4,).
+    weight : FloatArray
+        Weights w, shape (4,).
+    intercept : float
+        Intercept b.
+    """
+
+    mean: FloatArray
+    scale: FloatArray
+    weight: FloatArray
+    intercept: float
 
     __reduce__ = pickled
 
@@ -49,12 +63,12 @@ class WalkEvidence:
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
     def log_odds(self, features: FloatArray) -> FloatArray:
-        """Log odds of walking (K,) of steps with features (K, 4)."""
-        cut = np.minimum(np.maximum((features - self.mean) / self.scale, -_LIMIT), _LIMIT)
-        return self.intercept + (self.weight * cut).sum(axis=1)
+        """Return the log odds of walking (K,) for features (K, 4)."""
+        clipped = np.minimum(np.maximum((features - self.mean) / self.scale, -_LIMIT), _LIMIT)
+        return self.intercept + (self.weight * clipped).sum(axis=1)
 
 
-# In the order of `evidence_features`. Walking and not walking had the same mass.
+# Fitted with equal total weights of walking and not walking. The order is that of `evidence_features`.
 EVIDENCE = WalkEvidence(
     mean=np.array([0.40, 0.25, -0.60, 0.55]),
     scale=np.array([0.37, 0.21, 0.96, 0.27]),
@@ -64,37 +78,42 @@ EVIDENCE = WalkEvidence(
 
 
 def slowness(intervals_s: Sequence[float]) -> float:
-    """Median step interval in longest intervals of a usual walk, 1 to 2.2; 1 where none is known."""
+    """Return the median step interval relative to the longest one of normal walking, clipped to 1 to 2.2.
+
+    The result is 1 if no interval is known.
+    """
     if not intervals_s:
         return 1.0
     return min(max(sorted(intervals_s)[len(intervals_s) // 2] / _USUAL_INTERVAL_S, 1.0), MAX_SLOWNESS)
 
 
 def evidence_features(windows: Sequence[FloatArray], intervals_s: Sequence[Sequence[float]]) -> FloatArray:
-    """The features (K, 4) of steps in which walking and handling differ.
+    """Return the features (K, 4) that distinguish walking from handling of the phone.
 
-    From the specific force around each contact at 25 Hz, (N, 3), N >= 26, and up to three step intervals before it: how
-    much the force repeats with its direction (the autocorrelation's highest value after it was negative), how uneven
-    the rhythm is (standard deviation of the logarithm of three intervals), how far the phone turns for how little it
-    bounces (log of the rms of the force averaged over 0.76 s, over that of its magnitude), and how much the magnitude
-    repeats.
+    The input of each step is the specific force around its contact at 25 Hz, (N, 3) with N >= 26, and up to three step
+    intervals before it. The features are:
 
-    A walk that is c times as slow, c the `slowness`, is averaged c times as long and looked for again at lags of a
-    stride. Its bounce counts c times as much: acceleration falls with c^2 while the tilt of the phone stays. With all
-    of c^2 a phone that is wagged slowly passes as a walk.
+    0. Repetition of the force vector: highest value of its autocorrelation after it was first negative.
+    1. Irregularity of the rhythm: standard deviation of the logarithm of three intervals.
+    2. Rotation relative to bounce: log of the rms of the force averaged over 0.76 s, over the rms of its magnitude.
+    3. Repetition of the magnitude of the force, as for the vector.
+
+    For a walk with slowness c the averaging time is c times longer, and the longest lag is at least 2.5 slow step
+    intervals. The bounce is multiplied by c, because the acceleration falls with c^2 while the tilt of the phone does
+    not change. With the full c^2, a phone that is slowly wagged would pass as walking.
     """
     features = np.empty((len(windows), 4))
     stretch = np.array([slowness(intervals) for intervals in intervals_s])
-    alike: dict[tuple[int, int, int], list[int]] = defaultdict(list)
+    same_size: dict[tuple[int, int, int], list[int]] = defaultdict(list)
     for i, (window, c) in enumerate(zip(windows, stretch.tolist(), strict=True)):
         n, max_lag_s = len(window), max(_MAX_LAG_S, _MAX_LAG_STEPS * _USUAL_INTERVAL_S * c)
-        alike[n, min(2 * round(9 * c) + 1, n - 1), min(round(max_lag_s * EVIDENCE_HZ) + 1, n - 11)].append(i)
-    for (_, n_box, n_lags), found in alike.items():
+        same_size[n, min(2 * round(9 * c) + 1, n - 1), min(round(max_lag_s * EVIDENCE_HZ) + 1, n - 11)].append(i)
+    for (_, n_box, n_lags), found in same_size.items():
         for start in range(0, len(found), _MAX_GROUP):
             group = found[start : start + _MAX_GROUP]
             force = np.stack([windows[i].T for i in group])
-            features[np.ix_(group, (0, 2, 3))] = _of_group(force, n_box, n_lags, stretch[group])
-    # fewer than three intervals keep no rhythm: as uneven as handling
+            features[np.ix_(group, (0, 2, 3))] = _force_features(force, n_box, n_lags, stretch[group])
+    # Fewer than three intervals define no rhythm, so the irregularity is set to that of handling.
     rhythmic = [len(intervals) > 2 for intervals in intervals_s]
     features[:, 1] = 0.5
     if any(rhythmic):
@@ -102,8 +121,8 @@ def evidence_features(windows: Sequence[FloatArray], intervals_s: Sequence[Seque
     return features
 
 
-def _of_group(force: FloatArray, n_box: int, n_lags: int, stretch: FloatArray) -> FloatArray:
-    """The features of force (B, 3, N) but for the rhythm, (B, 3)."""
+def _force_features(force: FloatArray, n_box: int, n_lags: int, stretch: FloatArray) -> FloatArray:
+    """Return features 0, 2 and 3 (B, 3) of windows of specific force (B, 3, N)."""
     x, y, z = force[:, 0], force[:, 1], force[:, 2]
     signals = np.concatenate([force, np.sqrt(x * x + y * y + z * z)[:, None]], axis=1)
     signals -= signals.mean(axis=2)[:, :, None]
@@ -117,25 +136,26 @@ def _of_group(force: FloatArray, n_box: int, n_lags: int, stretch: FloatArray) -
 
 
 def repetitions(signals: FloatArray, n_lags: int) -> FloatArray:
-    """Highest autocorrelations (B, 2) after they were negative, 0 to 1; 0 if one never was.
+    """Return the highest autocorrelations (B, 2) after they were first negative, 0 to 1; 0 if they never were.
 
-    r(l) = sum x(t) . x(t + l) / sqrt(sum |x(t)|^2 sum |x(t + l)|^2) over the samples that both have, for lags of 0 to
-    `n_lags` - 1 samples. Of signals (B, 4, N) with mean zero x is the vector of the first three, and the last alone.
-    The products are summed by their spectra, of so many points that no end meets the other.
+    r(l) = sum x(t) . x(t + l) / sqrt(sum |x(t)|^2 sum |x(t + l)|^2) over the samples in the overlap, for lags l of 0 to
+    `n_lags` - 1 samples. For zero-mean signals (B, 4, N), x is the vector of the first three signals in the first
+    result, and the fourth signal in the second. The products are computed from spectra, zero-padded to avoid circular
+    wrap-around.
     """
     n = signals.shape[2]
     n_points = 32 * math.ceil((n + n_lags) / 32)
     spectrum = np.fft.rfft(signals, n_points)
-    product = np.fft.irfft(_of_both(spectrum.real**2 + spectrum.imag**2), n_points)[:, :, :n_lags]
+    product = np.fft.irfft(_vector_and_last(spectrum.real**2 + spectrum.imag**2), n_points)[:, :, :n_lags]
     energy = np.zeros((len(signals), 2, n + 1))
-    np.cumsum(_of_both(signals**2), axis=2, out=energy[:, :, 1:])
-    # of the samples up to each lag before the end, and from each lag on
+    np.cumsum(_vector_and_last(signals**2), axis=2, out=energy[:, :, 1:])
+    # energy of the samples in the overlap: those before the last l, and those from l on
     both = energy[:, :, : n - n_lags : -1] * (energy[:, :, -1:] - energy[:, :, :n_lags])
     correlation = product / np.sqrt(both + 1e-6)
     was_negative = np.logical_or.accumulate(correlation < 0, axis=2)
     return np.where(was_negative, correlation, 0.0).max(axis=2)
 
 
-def _of_both(squares: FloatArray) -> FloatArray:
-    """Squares (B, 4, N) of the vector and of the last signal, (B, 2, N)."""
+def _vector_and_last(squares: FloatArray) -> FloatArray:
+    """Return the squared length of the first three signals and the square of the fourth, (B, 2, N), of (B, 4, N)."""
     return np.add.reduceat(squares, [0, 3], axis=1)

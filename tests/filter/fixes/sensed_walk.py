@@ -1,4 +1,4 @@
-"""A simulated walk whose sensing is done once, so that many sets of fixes can be tracked in a second each."""
+"""A simulated walk whose sensing runs once, so that many sets of fixes can be tracked in a second each."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from pdr_filter.values.recording import Recording
 
 @dataclass(frozen=True)
 class Tracked:
-    """Steps of a track, and what became of its fixes in the order in which they were used."""
+    """Steps of a track, and the outcomes of its fixes in the order of their use."""
 
     time_s: FloatArray  # (K,)
     position_m: FloatArray  # (K, 2)
@@ -30,13 +30,13 @@ class Tracked:
     known: PedestrianState
 
     def times_of(self, outcome: str) -> list[float]:
-        """Times of the fixes of which this became."""
+        """Return the times of the fixes with an outcome."""
         return [fix.time_s for fix, own in zip(self.fixes, self.outcomes, strict=True) if own == outcome]
 
 
 @dataclass(frozen=True)
 class SensedWalk:
-    """A recording with truth, and the steps and windows that the default recipe finds in it."""
+    """Recording with ground truth, and the steps and windows that the default recipe detects in it."""
 
     recording: Recording
 
@@ -62,12 +62,12 @@ class SensedWalk:
         return float(self.recording.truth.position.time_s[-1])
 
     def at(self, time_s: FloatArray | float) -> FloatArray:
-        """True positions (..., 2)."""
+        """Return true positions (..., 2)."""
         truth = self.recording.truth.position
         return np.stack([np.interp(time_s, truth.time_s, truth[name]) for name in ("east_m", "north_m")], axis=-1)
 
     def tracked(self, fixes: Sequence[Fix], config: Config | None = None, until_s: float = np.inf) -> Tracked:
-        """The track with fixes until a time, in the world frame if no other configuration is given."""
+        """Return the track with fixes until a time, by default in the world frame."""
         config = config or self.world
         tracker, waiting = config.tracker, sorted(fixes, key=lambda fix: due_s(config, fix))
         state, used, rows = tracker.init(), 0, []
@@ -92,5 +92,5 @@ class SensedWalk:
         return Tracked(times, places, covs, tuple(waiting[:used]), tuple(outcomes), state.pedestrian)
 
     def errors_m(self, track: Tracked) -> FloatArray:
-        """Distance of each step from the truth, (K,)."""
+        """Return the distance of each step from the ground truth, (K,)."""
         return np.linalg.norm(track.position_m - self.at(track.time_s), axis=1)

@@ -1,4 +1,4 @@
-"""Fixes of every kind, right and wrong ones: covariances stay valid, and a wrong fix never costs the track."""
+"""Mixtures of correct and wrong fixes of every kind: valid covariances, and recovery from wrong fixes."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ def rounds(n: int) -> list[Leg]:
 
 @pytest.fixture(scope="module")
 def walk() -> SensedWalk:
-    """Seven and a half minutes round a block."""
+    """Walk of seven and a half minutes round a block."""
     return SensedWalk(simulate(rounds(5), seed=2))
 
 
 @pytest.fixture(scope="module")
 def poor_walk() -> SensedWalk:
-    """A stranger with long steps and a cheap gyroscope: dead reckoning alone is soon off by metres."""
+    """Walk of an unknown person with long steps and a cheap gyroscope: dead reckoning soon has errors of metres."""
     made = simulate(rounds(3), Gait(length_factor=1.2), errors=SensorErrors.bmi160(), seed=5)
     return SensedWalk(replace(made, meta={**made.meta, "subject": {}}))
 
@@ -46,7 +46,7 @@ def fix_at(walk: SensedWalk, time_s: float, off_m: np.ndarray, **more: float) ->
 
 
 def every(walk: SensedWalk, interval_s: float, rng: np.random.Generator, jitter: float = 0.0) -> list[PositionFix]:
-    """Right fixes with independent errors."""
+    """Return correct fixes with independent errors."""
     times = np.arange(3.0, walk.end_s - 1.0, interval_s)
     times = np.sort(times + interval_s * rng.uniform(-jitter, jitter, len(times)))
     return [fix_at(walk, t, rng.normal(0.0, STD_M, 2)) for t in times]
@@ -56,7 +56,7 @@ def every(walk: SensedWalk, interval_s: float, rng: np.random.Generator, jitter:
 
 
 def mixture(walk: SensedWalk, rng: np.random.Generator, has_wrong: bool) -> list[PositionFix]:
-    """Fixes of two sources at any and at equal times, some late; with outliers, frozen stretches and gaps."""
+    """Return fixes of two sources at any and at equal times, some late, with outliers, frozen intervals and gaps."""
     n = int(rng.integers(5, 100))
     times = rng.uniform(2.0, walk.end_s - 1.0, n)
     if rng.random() < 0.5:
@@ -103,12 +103,12 @@ def test_any_mixture_of_fixes_leaves_valid_covariances_that_hold_the_truth(
         error = (track.position_m - poor_walk.at(track.time_s))[known]
         if len(error):
             nees.append(float(np.einsum("ka,kab,kb->k", error, np.linalg.inv(track.cov_m2[known]), error).mean()))
-    # two on average; the errors of a walk are alike, and with wrong fixes their share is larger than is said
+    # the expected mean is two; the errors of one walk are correlated, and wrong fixes increase them
     assert np.median(nees) < (3.0 if has_wrong else 2.5)
     assert np.mean(nees) < (6.0 if has_wrong else 4.0)
 
 
-def test_where_a_share_of_the_fixes_is_wrong_the_track_is_better_than_dead_reckoning_alone(
+def test_with_a_share_of_wrong_fixes_the_track_is_better_than_dead_reckoning(
     poor_walk: SensedWalk,
 ) -> None:
     alone_m = poor_walk.errors_m(poor_walk.tracked([], poor_walk.config))
@@ -119,7 +119,7 @@ def test_where_a_share_of_the_fixes_is_wrong_the_track_is_better_than_dead_recko
 
 
 @pytest.mark.parametrize("constants_s", [(20.0,), (20.0, 12.0), (300.0, 20.0)])
-def test_correlated_fixes_of_one_time_and_of_two_sources_are_used(
+def test_correlated_fixes_at_one_time_and_from_two_sources_are_used(
     walk: SensedWalk, constants_s: tuple[float, ...]
 ) -> None:
     rng = np.random.default_rng(1)
@@ -128,14 +128,14 @@ def test_correlated_fixes_of_one_time_and_of_two_sources_are_used(
         for t in np.arange(5.0, 200.0, 6.0)
         for k in range(2)
     ]
-    fixes += [replace(fix) for fix in fixes[::3]]  # repetitions to the last bit
+    fixes += [replace(fix) for fix in fixes[::3]]  # exact repetitions
     track = walk.tracked(fixes)
     assert np.linalg.eigvalsh(track.cov_m2).min() > 0.0
     assert walk.errors_m(track)[track.time_s > 60.0].max() < 6.0
 
 
-def test_a_hundred_consistent_fixes_leave_the_covariance_of_a_kalman_filter() -> None:
-    """The factor of Student's t is that of all errors together, and does not grow with each that is above the mean."""
+def test_a_hundred_consistent_fixes_give_the_covariance_of_a_kalman_filter() -> None:
+    """The factor of Student's t is that of all errors together. It does not grow with each error above the mean."""
     tracker = pdr.recipes.default().tracker
     assert isinstance(tracker, ImmTracker)
     larger = []
@@ -164,27 +164,29 @@ def test_a_hundred_consistent_fixes_leave_the_covariance_of_a_kalman_filter() ->
         *((6.0, 3), (6.3, 3), (10.0, 5), (20.0, 1), (20.0, 5), (40.0, 3), (60.0, 2)),
     ],
 )
-def test_wrong_first_fixes_are_outlived_at_any_interval(walk: SensedWalk, interval_s: float, n_wrong: int) -> None:
+def test_the_track_recovers_from_wrong_first_fixes_at_any_interval(
+    walk: SensedWalk, interval_s: float, n_wrong: int
+) -> None:
     fixes = every(walk, interval_s, np.random.default_rng(n_wrong), jitter=0.3 if n_wrong == 5 else 0.0)
     fixes[:n_wrong] = [replace(f, position_m=f.position_m + FAR_M) for f in fixes[:n_wrong]]
     late_s = fixes[n_wrong].time_s + 75.0 + 3.0 * interval_s
     track = walk.tracked(fixes, until_s=late_s + 60.0)
     is_late = track.time_s > late_s
     assert walk.errors_m(track)[is_late].max() < 15.0
-    if n_wrong > 1:  # one alone is outvoted before it places the track
+    if n_wrong > 1:  # a single wrong fix is outvoted before it places the track
         assert len(track.times_of("moved")) == 1
-        assert track.known.frame.moves
+        assert track.known.frame.relocations
 
 
 @pytest.fixture(scope="module")
 def broken_walk() -> SensedWalk:
-    """Two stretches of walking, with a minute between them in which a ride may be."""
+    """Two stretches of walking with a minute between them, in which there may be a ride."""
     return SensedWalk(simulate([*rounds(1), Leg("stationary", duration_s=RIDE_S), *rounds(2)], seed=3))
 
 
 @pytest.mark.parametrize("interval_s", [0.5, 5.5, 20.0])
 @pytest.mark.parametrize("far_m", [30.0, 1e3, 1e5])
-def test_after_a_ride_of_any_length_the_track_is_where_its_fixes_are(
+def test_after_a_ride_of_any_length_the_track_is_relocated_to_its_fixes(
     broken_walk: SensedWalk, interval_s: float, far_m: float
 ) -> None:
     walk, ride_s = broken_walk, RIDE_S
@@ -202,7 +204,7 @@ def test_after_a_ride_of_any_length_the_track_is_where_its_fixes_are(
     assert error_m[track.time_s > begin_s + ride_s + 120.0].max() < 12.0
 
 
-def test_outliers_between_them_do_not_make_the_rejected_fixes_forgotten(walk: SensedWalk) -> None:
+def test_outliers_in_between_do_not_remove_the_rejected_fixes(walk: SensedWalk) -> None:
     rng = np.random.default_rng(7)
     fixes = every(walk, 1.0, rng)
     for k, fix in enumerate(fixes):
@@ -216,7 +218,7 @@ def test_outliers_between_them_do_not_make_the_rejected_fixes_forgotten(walk: Se
     assert np.median(walk.errors_m(track)[track.time_s > moved_s + 20.0]) < 3.0
 
 
-def test_two_sources_that_contradict_each_other_do_not_move_the_track_to_and_fro(walk: SensedWalk) -> None:
+def test_two_contradicting_sources_do_not_relocate_the_track_repeatedly(walk: SensedWalk) -> None:
     fixes = every(walk, 2.0, np.random.default_rng(8))
     fixes = [replace(f, position_m=f.position_m + FAR_M) if k % 2 else f for k, f in enumerate(fixes)]
     track = walk.tracked(fixes, walk.config)
@@ -235,7 +237,7 @@ def with_heading(walk: SensedWalk, time_s: float, off_deg: float, interval_s: fl
 
 @pytest.fixture(scope="module")
 def late_error_m(walk: SensedWalk) -> Callable[[int], float]:
-    """Largest error after a minute of the track with right fixes alone, by seed."""
+    """Largest error after a minute of the track with correct fixes alone, by seed."""
 
     @cache
     def of_seed(seed: int) -> float:
@@ -247,7 +249,7 @@ def late_error_m(walk: SensedWalk) -> Callable[[int], float]:
 
 @pytest.mark.parametrize("off_deg", [45.0, 90.0, 180.0])
 @pytest.mark.parametrize(("time_s", "seed"), [(4.0, 2), (4.0, 3), (7.0, 1)])
-def test_one_wrong_early_heading_is_withdrawn(
+def test_one_wrong_early_heading_fix_is_discarded(
     walk: SensedWalk, late_error_m: Callable[[int], float], time_s: float, seed: int, off_deg: float
 ) -> None:
     track = with_heading(walk, time_s, off_deg, 1.0, seed)
@@ -257,7 +259,7 @@ def test_one_wrong_early_heading_is_withdrawn(
 
 
 @pytest.mark.parametrize("interval_s", [1.0, 5.0])
-def test_a_right_early_heading_is_kept_and_places_the_track_from_the_first_fix_on(
+def test_a_correct_early_heading_fix_rotates_the_track_from_the_first_position_fix_on(
     walk: SensedWalk, interval_s: float
 ) -> None:
     track = with_heading(walk, 4.0, 0.0, interval_s, 1)
@@ -265,14 +267,14 @@ def test_a_right_early_heading_is_kept_and_places_the_track_from_the_first_fix_o
     assert walk.errors_m(track)[track.time_s > 10.0].max() < 8.0
 
 
-def test_the_note_of_a_withdrawn_heading_says_what_to_check() -> None:
+def test_the_note_about_a_discarded_heading_says_what_to_check() -> None:
     recording = simulate(rounds(1), seed=2)
     walk = SensedWalk(recording)
     east_m, north_m = walk.at(8.0) - walk.at(6.0)
     wrong = HeadingFix(7.0, float(np.arctan2(-east_m, -north_m)), 0.1)
     track = pdr.track(recording, walk.world, fixes=iter([*every(walk, 2.0, np.random.default_rng(0)), wrong]))
-    assert any("contradict a heading fix" in note for note in track.notes)
-    assert any("moved it by" in note for note in track.notes) is False
+    assert any("contradict an earlier heading fix" in note for note in track.notes)
+    assert any("the track was moved by" in note for note in track.notes) is False
 
 
 # --- frozen positions -------------------------------------------------------------------------------------------------
@@ -280,7 +282,7 @@ def test_the_note_of_a_withdrawn_heading_says_what_to_check() -> None:
 
 @pytest.mark.parametrize("interval_s", [1.0, 5.0, 30.0])
 @pytest.mark.parametrize("frame", ["world", "start"])
-def test_fixes_that_repeat_the_last_position_do_not_hold_somebody_who_walks(
+def test_repeated_positions_do_not_hold_back_a_walking_pedestrian(
     walk: SensedWalk, frame: str, interval_s: float
 ) -> None:
     config, half_s = walk.world if frame == "world" else walk.config, 0.5 * walk.end_s
@@ -290,23 +292,23 @@ def test_fixes_that_repeat_the_last_position_do_not_hold_somebody_who_walks(
     held = [replace(f, position_m=last.position_m) for f in fixes if f.time_s >= half_s]
     alone, track = walk.tracked(right, config), walk.tracked([*right, *held], config)
     late = track.time_s > half_s
-    # a fix within its own deviation of the last one may still be used
+    # a fix within its standard deviation of the last one may still be used
     assert np.abs(walk.errors_m(track)[late] - walk.errors_m(alone)[late]).max() < 1.5
     assert track.outcomes.count("frozen") >= 0.8 * len(held)
     assert track.known.fixes.n_frozen == track.outcomes.count("frozen")
     assert not track.times_of("moved")
 
 
-def test_a_closed_walk_may_end_at_the_very_position_where_it_began(walk: SensedWalk) -> None:
+def test_a_closed_walk_may_end_at_exactly_its_first_position(walk: SensedWalk) -> None:
     recording = simulate(rounds(1), seed=2)
     once = SensedWalk(recording)
     same = [PositionFix(t, np.zeros(2), 0.25 * np.eye(2)) for t in (1.0, once.end_s - 1.0)]
     assert once.tracked(same, once.config).outcomes == ("used", "used")
-    # and somebody who stands may be told the same position again and again
+    # a standing pedestrian may receive the same position again and again
     assert frozen_fixes(same, np.array([0.0, 90.0]), np.zeros((2, 2)), np.zeros(2)) == [False, False]
 
 
-def test_frozen_locations_are_recognised_online_aligned_and_smoothed(walk: SensedWalk) -> None:
+def test_frozen_locations_are_detected_online_in_alignment_and_in_smoothing(walk: SensedWalk) -> None:
     recording = simulate(rounds(2), seed=4)
     whole, rng = SensedWalk(recording), np.random.default_rng(3)
     times = np.arange(0.0, whole.end_s, 10.0)
@@ -336,7 +338,7 @@ def whole_error_m(walk: SensedWalk, track: pdr.Track) -> np.ndarray:
 
 
 @pytest.mark.parametrize("late_s", [5.0, 36.0, 59.0])
-def test_a_fix_that_is_accepted_when_it_comes_is_used_however_late(walk: SensedWalk, late_s: float) -> None:
+def test_a_fix_within_the_age_limit_is_used_whatever_its_delay(walk: SensedWalk, late_s: float) -> None:
     assert late_s < MAX_FIX_AGE_S
     rng = np.random.default_rng(2)
     fixes = [replace(f, received_time_s=f.time_s + late_s) for f in every(walk, 10.0, rng)[:20]]

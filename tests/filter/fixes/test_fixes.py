@@ -1,4 +1,4 @@
-"""Fixes of every kind: positions in a frame that the track does not know, headings, speeds, standstills."""
+"""Fixes of every kind: positions in an unknown frame, headings, speeds, standstills."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import pdr_filter as pdr
 from pdr_filter import recipes
 from pdr_filter.filter.fixes.alignment import Alignment, Place
 from pdr_filter.filter.fixes.frame import UNKNOWN_FRAME
-from pdr_filter.filter.fixes.frame_rotation import PairedPoint, align, least_squares_error, open_turn
+from pdr_filter.filter.fixes.frame_rotation import PairedPoint, align, least_squares_error, rotation_density
 from pdr_filter.filter.imm.imm_tracker import ImmState, ImmTracker
 from pdr_filter.filter.imm.pedestrian_state import present_position
 from pdr_filter.simulate import Leg, simulate
@@ -40,7 +40,7 @@ def truth_at(walk: Recording, times: np.ndarray) -> np.ndarray:
 
 
 def fixes_in(walk: Recording, angle_rad: float, shift_m: np.ndarray, every_s: float = 8.0, until_s: float = 1e9):
-    """Fixes of 1 m in another frame, without noise."""
+    """Return fixes in another frame without noise, with a standard deviation of 1 m."""
     times = np.arange(4.0, min(walk.duration_s, until_s), every_s)
     places = truth_at(walk, times) @ clockwise(angle_rad).T + shift_m
     return [PositionFix(float(t), p, np.eye(2)) for t, p in zip(times, places, strict=True)]
@@ -50,7 +50,7 @@ def fixes_in(walk: Recording, angle_rad: float, shift_m: np.ndarray, every_s: fl
 
 
 @pytest.mark.parametrize("angle_rad", [0.0, 0.8, 2.9, -2.0])
-def test_three_points_give_the_rotation_and_the_shift_that_moved_them(angle_rad: float) -> None:
+def test_three_point_pairs_determine_rotation_and_shift(angle_rad: float) -> None:
     track = np.array([[0.0, 0.0], [0.0, 30.0], [25.0, 40.0]])
     world = track @ clockwise(angle_rad).T + [100.0, -40.0]
     found = align([PairedPoint(t, w, 1.0) for t, w in zip(track, world, strict=True)], 7)
@@ -60,14 +60,14 @@ def test_three_points_give_the_rotation_and_the_shift_that_moved_them(angle_rad:
     assert found.n_steps == 7
 
 
-def test_fixes_that_are_close_together_leave_the_angle_open() -> None:
+def test_fixes_close_together_do_not_determine_the_rotation() -> None:
     near = [PairedPoint(np.array([0.0, y]), np.array([5.0, y]), 25.0) for y in (0.0, 2.0, 4.0)]
     assert align(near, 0) is None
     assert align(near[:1], 0) is None
     assert align([*near, PairedPoint(np.array([0.0, 60.0]), np.array([5.0, 60.0]), 25.0)], 0) is not None
 
 
-def test_the_first_fix_is_not_forgotten_while_the_turn_is_open() -> None:
+def test_the_first_fix_is_kept_while_the_rotation_is_unknown() -> None:
     frame = UNKNOWN_FRAME
     for k in range(100):
         frame = frame.with_pair(PairedPoint(np.array([0.0, k]), np.array([k, 0.0]), 1.0))
@@ -78,13 +78,15 @@ def test_the_first_fix_is_not_forgotten_while_the_turn_is_open() -> None:
 
 @pytest.mark.parametrize("weighting", ["imm", "wc"])
 @pytest.mark.parametrize("angle_rad", [0.0, 2.5, -1.3])
-def test_a_track_finds_the_place_and_the_north_of_its_fixes(walk: Recording, weighting: str, angle_rad: float) -> None:
+def test_fixes_determine_the_position_and_the_north_of_a_track(
+    walk: Recording, weighting: str, angle_rad: float
+) -> None:
     shift = np.array([400.0, -250.0])
     config = recipes.for_recording("default", walk).in_world_frame()
     track = pdr.track(walk, config, weighting, fixes=fixes_in(walk, angle_rad, shift))
     error = np.linalg.norm(track.position_m - (truth_at(walk, track.time_s) @ clockwise(angle_rad).T + shift), axis=1)
     assert np.median(error) < 2.0
-    assert error.max() < 6.0  # also of the steps before anything was known
+    assert error.max() < 6.0  # also for the steps before the first fix
     outcomes = [f.outcome for f in track.fixes]
     n_turned = outcomes.count("turned")
     assert 1 <= n_turned <= 3
@@ -94,30 +96,30 @@ def test_a_track_finds_the_place_and_the_north_of_its_fixes(walk: Recording, wei
     assert np.abs(first).max() < 0.4
 
 
-def test_the_density_of_the_turn_is_that_of_normal_errors_whose_variance_nobody_knows() -> None:
+def test_the_density_of_the_rotation_is_that_of_normal_errors_of_unknown_variance() -> None:
     rng = np.random.default_rng(3)
     track, fix_var, walked_var = rng.normal(scale=6.0, size=(4, 2)), [1.0, 4.0, 2.0, 1.0], [3.0, 3.5, 5.0, 9.0]
     world = track @ clockwise(1.1).T + [30.0, 8.0] + rng.normal(scale=3.5, size=(4, 2))
     pairs = [PairedPoint(t, w, v, s) for t, w, v, s in zip(track, world, fix_var, walked_var, strict=True)]
-    assert least_squares_error(pairs) > 2 * 4 - 3  # the errors are larger than they are said to be
+    assert least_squares_error(pairs) > 2 * 4 - 3  # the errors are larger than stated
     walked = np.array(walked_var) - walked_var[0]
     cov = np.diag(fix_var) + np.minimum(walked[:, None], walked)
     angles = np.linspace(-np.pi, np.pi, 120, endpoint=False)
 
     def log_density(factor: float) -> np.ndarray:
-        # the shift may be anything: a wide normal distribution of it
+        # a wide normal distribution of the unknown shift
         errors = [(world - track @ clockwise(a).T).T for a in angles]
         return np.array([multivariate_normal.logpdf(e, cov=factor * cov + 1e6).sum() for e in errors])
 
-    np.testing.assert_allclose(open_turn(pairs).normal_prob, softmax(log_density(1.0)), atol=1e-4)
-    # a scaled inverse chi-square distribution of four degrees of freedom: 4 over the factor is chi-square
+    np.testing.assert_allclose(rotation_density(pairs).normal_prob, softmax(log_density(1.0)), atol=1e-4)
+    # a scaled inverse chi-square distribution with four degrees of freedom: 4 / factor is chi-square
     factors = np.geomspace(0.02, 200.0, 150)
     weights = invgamma.logpdf(factors, 2.0, scale=2.0) + np.log(factors)
     each = np.array([w + log_density(factor) for w, factor in zip(weights, factors, strict=True)])
-    np.testing.assert_allclose(open_turn(pairs).prob, softmax(logsumexp(each, axis=0)), atol=2e-4)
+    np.testing.assert_allclose(rotation_density(pairs).prob, softmax(logsumexp(each, axis=0)), atol=2e-4)
 
 
-def test_errors_that_are_smaller_than_they_are_said_to_be_do_not_make_the_turn_surer() -> None:
+def test_errors_smaller_than_stated_do_not_make_the_rotation_more_certain() -> None:
     track = np.array([[0.0, 0.0], [0.0, 20.0], [15.0, 20.0], [15.0, 60.0]])
     exact = [PairedPoint(t, clockwise(0.8) @ t, 9.0) for t in track]
     off = [replace(exact[0], world_m=np.array([0.0, 3.0])), *exact[1:]]
@@ -128,13 +130,13 @@ def test_errors_that_are_smaller_than_they_are_said_to_be_do_not_make_the_turn_s
     assert of_exact.angle_rad == pytest.approx(0.8, abs=1e-9)
     assert of_exact.angle_var_rad2 == pytest.approx(9.0 / (away_m**2).sum())
     assert of_off.angle_var_rad2 == pytest.approx(of_exact.angle_var_rad2, rel=0.1)
-    # five errors are free
+    # there are five degrees of freedom
     scatter = (4.0 + least_squares_error(further)) / (4.0 + 5.0)
     assert scatter > 1.5
     assert of_further.centre_var_m2 == pytest.approx(scatter * of_exact.centre_var_m2, rel=0.02)
 
 
-def test_after_one_fix_the_pedestrian_is_on_a_circle_around_it(walk: Recording) -> None:
+def test_after_one_fix_the_position_is_distributed_on_a_circle_around_it(walk: Recording) -> None:
     fix = PositionFix(6.0, np.array([70.0, 20.0]), np.eye(2))
     track = pdr.track(walk, recipes.for_recording("default", walk).in_world_frame(), fixes=[fix])
     alone = pdr.track(walk, recipes.for_recording("default", walk))
@@ -146,7 +148,7 @@ def test_after_one_fix_the_pedestrian_is_on_a_circle_around_it(walk: Recording) 
     np.testing.assert_allclose(np.trace(track.position_cov_m2, axis1=1, axis2=2), squared_m2 + 2.0, rtol=1e-6)
 
 
-def test_two_fixes_two_metres_apart_leave_the_track_inside_of_its_ellipse(walk: Recording) -> None:
+def test_after_two_fixes_two_metres_apart_the_track_is_inside_its_ellipse(walk: Recording) -> None:
     rng = np.random.default_rng(5)
     times = np.array([5.0, 6.6])
     inside = []
@@ -162,7 +164,7 @@ def test_two_fixes_two_metres_apart_leave_the_track_inside_of_its_ellipse(walk: 
     assert np.mean(inside) > 0.85
 
 
-def test_a_heading_alone_turns_the_whole_track_and_not_only_what_comes_after_it(walk: Recording) -> None:
+def test_a_heading_fix_alone_rotates_the_whole_track_including_earlier_steps(walk: Recording) -> None:
     config = recipes.for_recording("default", walk).in_world_frame()
     fix = HeadingFix(20.0, 0.9, 0.01)
     track, alone = (pdr.track(walk, config, fixes=fixes) for fixes in ([fix], []))
@@ -172,7 +174,7 @@ def test_a_heading_alone_turns_the_whole_track_and_not_only_what_comes_after_it(
     np.testing.assert_allclose(track.position_m, alone.position_m @ clockwise(turn_rad[0]).T, atol=1.0)
 
 
-def test_a_heading_that_is_known_exactly_is_no_trouble_for_the_first_fixes(walk: Recording) -> None:
+def test_first_fixes_work_with_a_heading_that_is_known_exactly(walk: Recording) -> None:
     config = recipes.for_recording("default", walk).in_world_frame()
     config = config.with_model(noise=replace(config.model.noise, initial_heading_offset_std_rad=0.0))
     track = pdr.track(walk, config, fixes=[PositionFix(0.0, np.array([3.0, 4.0]), np.eye(2))])
@@ -180,7 +182,7 @@ def test_a_heading_that_is_known_exactly_is_no_trouble_for_the_first_fixes(walk:
     assert np.isfinite(track.position_m).all() and np.isfinite(track.position_cov_m2).all()
 
 
-def test_wrong_first_fixes_are_outvoted(walk: Recording) -> None:
+def test_later_fixes_outvote_wrong_first_fixes(walk: Recording) -> None:
     shift, angle_rad = np.array([50.0, 80.0]), 1.9
     fixes = fixes_in(walk, angle_rad, shift, every_s=6.0)
     wrong = [PositionFix(1.0, np.array([400.0, 0.0]), np.eye(2)), PositionFix(2.5, np.array([10.0, -300.0]), np.eye(2))]
@@ -189,14 +191,14 @@ def test_wrong_first_fixes_are_outvoted(walk: Recording) -> None:
     assert np.median(error) < 2.0
 
 
-def test_the_same_fixes_without_that_are_rejected_as_they_fit_nothing(walk: Recording) -> None:
+def test_in_the_start_frame_fixes_of_another_frame_are_rejected(walk: Recording) -> None:
     fixes = fixes_in(walk, 2.5, np.array([400.0, -250.0]))
     track = pdr.track(walk, recipes.for_recording("default", walk), fixes=fixes)
     assert not any(f.accepted for f in track.fixes)
 
 
-def test_when_the_fixes_stop_the_track_goes_on_in_their_frame(walk: Recording) -> None:
-    """GNSS until the person enters a building."""
+def test_after_the_last_fix_the_track_continues_in_the_frame_of_the_fixes(walk: Recording) -> None:
+    """GNSS fixes until the person enters a building."""
     shift, angle_rad = np.array([50.0, 80.0]), 1.9
     config = recipes.for_recording("default", walk).in_world_frame()
     track = pdr.track(walk, config, fixes=fixes_in(walk, angle_rad, shift, every_s=3.0, until_s=40.0))
@@ -207,7 +209,7 @@ def test_when_the_fixes_stop_the_track_goes_on_in_their_frame(walk: Recording) -
     assert deviation[-1] > 1.5 * deviation[track.time_s < 38.0][-1]
 
 
-def test_blocks_and_saving_change_no_bit_of_a_track_with_fixes_of_all_kinds(walk: Recording) -> None:
+def test_block_sizes_and_saving_change_no_bit_of_a_track_with_all_kinds_of_fixes(walk: Recording) -> None:
     fixes: list[Fix] = [
         *fixes_in(walk, 1.0, np.array([9.0, 9.0])),
         HeadingFix(30.0, 1.0, 0.2, received_time_s=31.5),
@@ -222,18 +224,18 @@ def test_blocks_and_saving_change_no_bit_of_a_track_with_fixes_of_all_kinds(walk
     online, updates = pushed(online, cut_randomly(pdr.merge_streams(walk), 5), n_resumed=10)
     frame = online.state.tracker.pedestrian.frame
     assert frame.alignment is not None
-    # offline the steps from before the turn was settled are brought along
+    # offline tracking also transforms the steps before the rotation was known
     told = [u.position_m if u.of_start is None else frame.world(u.of_start).position_m for u in updates]
     np.testing.assert_array_equal(told, whole.position_m)
     assert sum(u.of_start is not None for u in updates) == frame.alignment.n_steps
     assert [f.kind for f in whole.fixes].count("position") == len(fixes) - 3
 
 
-# --- fixes whose errors are alike -------------------------------------------------------------------------------------
+# --- fixes with correlated errors -------------------------------------------------------------------------------------
 
 
-def somebody_who_stands(std_m: float, n_fix_errors: int = 10**12) -> tuple[ImmTracker, ImmState]:
-    """In a known frame, so unsure of the position, where so many errors of fixes were as large as the fixes say."""
+def standing_pedestrian(std_m: float, n_fix_errors: int = 10**12) -> tuple[ImmTracker, ImmState]:
+    """Return a standing pedestrian in a known frame, with a position uncertainty and a number of earlier errors."""
     tracker = recipes.default().tracker
     assert isinstance(tracker, ImmTracker)
     state = tracker.init()
@@ -246,10 +248,8 @@ def somebody_who_stands(std_m: float, n_fix_errors: int = 10**12) -> tuple[ImmTr
 
 
 @pytest.mark.parametrize(("n_before", "east_m"), [(0, 9.0), (6, 9.0), (0, 2.0)])
-def test_a_fix_that_was_not_expected_leaves_a_track_less_sure_the_fewer_were_before(
-    n_before: int, east_m: float
-) -> None:
-    tracker, state = somebody_who_stands(3.0, n_before)
+def test_an_unexpected_fix_increases_the_covariance_more_after_few_fixes(n_before: int, east_m: float) -> None:
+    tracker, state = standing_pedestrian(3.0, n_before)
     state, outcome, nis = tracker.on_fix(state, PositionFix(0.0, np.array([east_m, 0.0]), 7.0 * np.eye(2)))
     assert outcome == "used"
     assert nis == pytest.approx(east_m**2 / 16.0)
@@ -261,17 +261,17 @@ def test_a_fix_that_was_not_expected_leaves_a_track_less_sure_the_fewer_were_bef
 
 
 @pytest.mark.parametrize("std_m", [(5.0, 5.0, 5.0, 5.0), (4.0, 9.0, 3.0, 5.0)])
-def test_fixes_with_correlated_errors_say_what_generalised_least_squares_makes_of_them(
+def test_fixes_with_correlated_errors_agree_with_generalised_least_squares(
     std_m: tuple[float, ...],
 ) -> None:
-    tracker, state = somebody_who_stands(8.0)
+    tracker, state = standing_pedestrian(8.0)
     times, places = np.array([0.0, 10.0, 18.0, 40.0]), np.random.default_rng(2).normal(scale=2.0, size=(4, 2))
     stds = np.array(std_m)
     for t, place, std in zip(times, places, stds, strict=True):
         fix = PositionFix(float(t), place, std**2 * np.eye(2), correlation_s=20.0)
         state, outcome, _ = tracker.on_fix(state, fix)
         assert outcome == "used"
-    # two errors share no more than the better fix of the two has
+    # the covariance of two errors is at most the variance of the better fix
     cov = 0.99 * np.minimum(stds[:, None], stds) ** 2 * np.exp(-np.abs(times[:, None] - times) / 20.0)
     np.fill_diagonal(cov, stds**2)
     precision = np.ones(4) @ np.linalg.inv(cov) @ np.ones(4) + 1 / 64.0
@@ -281,9 +281,9 @@ def test_fixes_with_correlated_errors_say_what_generalised_least_squares_makes_o
     np.testing.assert_allclose(cov_m2, np.eye(2) / precision, atol=1e-9)
 
 
-def test_correlated_fixes_of_crossed_ellipses_stay_measurements() -> None:
-    """Long in one direction, then in the other, as along two corridors: a^2 R_1 must stay below R_2 in each."""
-    tracker, state = somebody_who_stands(8.0)
+def test_correlated_fixes_with_crossed_ellipses_never_increase_the_covariance() -> None:
+    """Ellipses alternate between two directions, as along two corridors: a^2 R_1 must stay below R_2 in both."""
+    tracker, state = standing_pedestrian(8.0)
     covs = (np.diag([400.0, 9.0]), np.diag([9.0, 400.0]))
     for k in range(8):
         fix = PositionFix(4.0 * k, np.zeros(2), covs[k % 2], correlation_s=30.0)
@@ -295,9 +295,9 @@ def test_correlated_fixes_of_crossed_ellipses_stay_measurements() -> None:
         assert np.linalg.eigvalsh(gained).min() > -1e-9
 
 
-def test_across_a_gap_a_correlated_fix_counts_by_itself_and_not_as_a_way() -> None:
-    """Somebody goes 40 m while there are no samples: the fix that follows shows where, and teaches no heading."""
-    tracker, state = somebody_who_stands(2.0)
+def test_across_a_gap_a_correlated_fix_counts_as_a_position_and_not_as_a_displacement() -> None:
+    """After 40 m in a gap, the next fix corrects the position and not the heading."""
+    tracker, state = standing_pedestrian(2.0)
     first = PositionFix(0.0, np.zeros(2), 16.0 * np.eye(2), correlation_s=20.0)
     state, _, _ = tracker.on_fix(state, first)
     state, _ = tracker.on_gap(state, 20.0)
@@ -312,10 +312,10 @@ def test_across_a_gap_a_correlated_fix_counts_by_itself_and_not_as_a_way() -> No
     np.testing.assert_array_equal(state.pedestrian.estimates.mean[:, 2], heading)
 
 
-def test_the_innovations_of_correlated_fixes_are_as_large_as_they_say_and_independent() -> None:
+def test_the_innovations_of_correlated_fixes_are_independent_with_the_stated_variance() -> None:
     rng, nis = np.random.default_rng(7), []
     for _ in range(60):
-        tracker, state = somebody_who_stands(6.0)
+        tracker, state = standing_pedestrian(6.0)
         truth = rng.normal(scale=6.0, size=2)
         error = rng.normal(scale=4.0, size=2)
         for t in np.arange(0.0, 80.0, 8.0):
@@ -328,13 +328,13 @@ def test_the_innovations_of_correlated_fixes_are_as_large_as_they_say_and_indepe
     assert abs(np.corrcoef(nis[:-1], nis[1:])[0, 1]) < 4 / np.sqrt(n)
 
 
-def test_the_way_between_correlated_fixes_teaches_the_scale_of_the_steps_as_two_more_states_would() -> None:
-    """A straight walk of two legs with a known heading: only the scale is learnt, and only from the way."""
-    tracker, state = somebody_who_stands(3.0)
+def test_displacements_between_correlated_fixes_estimate_the_step_scale_as_two_more_states_would() -> None:
+    """On a straight walk with a known heading only the scale is estimated, from the displacements alone."""
+    tracker, state = standing_pedestrian(3.0)
     scale_var = 0.1**2
 
     def placed(mean: np.ndarray, cov: np.ndarray, trail: np.ndarray) -> ImmState:
-        """The state with these estimates and remembered steps."""
+        """Return the state with other estimates and stored steps."""
         pedestrian = state.pedestrian
         estimates = replace(pedestrian.estimates, mean=mean, cov=cov)
         steps = replace(pedestrian.steps, trail=trail)
@@ -344,7 +344,7 @@ def test_the_way_between_correlated_fixes_teaches_the_scale_of_the_steps_as_two_
     mean, cov = estimates.mean.copy(), np.zeros_like(estimates.cov)
     cov[:, :2, :2], cov[:, 3, 3] = 9.0 * np.eye(2), scale_var
     state = placed(mean, cov, np.array([[0.0, 0.0, 0.0, 0.0]]))
-    # the oracle: position, log scale and the error of the fix along north
+    # reference filter: position, log scale and error of the fix along north
     oracle, oracle_cov, left = np.zeros(3), np.diag([9.0, scale_var, 16.0]), np.exp(-0.5)
     for k in range(4):
         if k:
@@ -364,7 +364,8 @@ def test_the_way_between_correlated_fixes_teaches_the_scale_of_the_steps_as_two_
         h = np.array([1.0, 0.0, 1.0])
         gain = oracle_cov @ h / (h @ oracle_cov @ h)
         oracle, oracle_cov = oracle + gain * (z - h @ oracle), oracle_cov - np.outer(gain, h @ oracle_cov)
-    # The filter does not correct the way since the earlier fix, so it agrees with the oracle to first order only.
+    # The filter does not correct the displacement since the earlier fix, so it agrees with the reference to first order
+    # only.
     mean, cov = state.pedestrian.estimates.mean[0], state.pedestrian.estimates.cov[0]
     np.testing.assert_allclose(mean[[1, 3]], oracle[:2], rtol=0.03)
     np.testing.assert_allclose(np.diag(cov)[[1, 3]], np.diag(oracle_cov)[:2], rtol=0.03)
@@ -376,7 +377,7 @@ def test_the_way_between_correlated_fixes_teaches_the_scale_of_the_steps_as_two_
 def test_headings_keep_a_drifting_gyroscope_straight() -> None:
     walk = simulate([Leg("walking", distance_m=150.0)], seed=8)
     assert walk.gyroscope is not None
-    # a drift that no still window and no corner shows
+    # a drift that neither still windows nor corners reveal
     drifting = replace(
         walk,
         gyroscope=pdr.Samples(walk.gyroscope.time_s, walk.gyroscope.values + np.array([0.0, 0.0, 0.02])),
@@ -390,22 +391,22 @@ def test_headings_keep_a_drifting_gyroscope_straight() -> None:
     assert {f.kind for f in helped.fixes} == {"heading"}
 
 
-def test_a_heading_that_cannot_be_is_rejected(walk: Recording) -> None:
+def test_an_impossible_heading_is_rejected(walk: Recording) -> None:
     track = pdr.track(walk, fixes=[HeadingFix(20.0, np.pi, 0.05)])
     assert [f.accepted for f in track.fixes] == [False]
-    assert any("not fit the track or its time, and were not used: 1" in note for note in track.notes)
+    assert any("not fit the track or its time were not used: 1" in note for note in track.notes)
 
 
-def test_in_the_world_frame_the_first_heading_says_where_north_is(walk: Recording) -> None:
+def test_in_the_world_frame_the_first_heading_fix_defines_north(walk: Recording) -> None:
     config = recipes.for_recording("default", walk).in_world_frame()
     track = pdr.track(walk, config, fixes=[HeadingFix(15.0, 2.0, 0.05)])
     later = (track.time_s > 16.0) & (track.time_s < 40.0)
     assert np.median(wrap_angle(track.walking_heading_rad[later] - 2.0)) == pytest.approx(0.0, abs=0.15)
 
 
-def test_speeds_teach_the_scale_of_the_steps() -> None:
+def test_speed_fixes_estimate_the_step_scale() -> None:
     walk = simulate([Leg("walking", distance_m=150.0)], seed=9)
-    config = recipes.default()  # which does not know the height
+    config = recipes.default()  # the default recipe without a body height
     true_mps = 150.0 / (walk.truth.steps.time_s[-1] - walk.truth.steps.time_s[0])
     fixes = [SpeedFix(t, 1.15 * true_mps, 0.05) for t in np.arange(10.0, 60.0, 5.0)]
     alone, taught = pdr.track(walk, config), pdr.track(walk, config, fixes=fixes)
@@ -415,7 +416,7 @@ def test_speeds_teach_the_scale_of_the_steps() -> None:
     assert all(f.accepted for f in taught.fixes)
 
 
-def test_steps_in_a_known_standstill_lead_nowhere(walk: Recording) -> None:
+def test_steps_in_a_known_standstill_do_not_move_the_position(walk: Recording) -> None:
     for weighting in ("imm", "wc", "hc"):
         config = recipes.for_recording("default", walk).with_weighting(weighting)
         alone = pdr.track(walk, config)
@@ -427,7 +428,7 @@ def test_steps_in_a_known_standstill_lead_nowhere(walk: Recording) -> None:
         assert standing.n_steps == alone.n_steps
 
 
-# --- what cannot be ---------------------------------------------------------------------------------------------------
+# --- impossible fixes -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -437,16 +438,16 @@ def test_steps_in_a_known_standstill_lead_nowhere(walk: Recording) -> None:
         (lambda: HeadingFix(1.0, np.inf, 0.1), "walking_heading_rad must be finite"),
         (lambda: HeadingFix(1.0, 0.0, 0.0), "std_rad must be a number from"),
         (lambda: HeadingFix(1.0, 0.0, 0.1, received_time_s=0.5), "received_time_s not before it"),
-        (lambda: SpeedFix(1.0, 0.0, 0.1), "is a Standstill"),
+        (lambda: SpeedFix(1.0, 0.0, 0.1), "give a Standstill"),
         (lambda: SpeedFix(1.0, 1.0, np.nan), "std_mps must be a number from"),
-        (lambda: Standstill(2.0, 2.0), "must end after its begin"),
+        (lambda: Standstill(2.0, 2.0), "must be after its time_s"),
         (lambda: HeadingFix(1.0, 0.0, 1e200), "std_rad must be a number from"),
         (lambda: SpeedFix(1.0, 1.0, 1e200), "std_mps must be a number from"),
         (lambda: PositionFix(1.0, np.array([np.nan, 0.0]), np.eye(2)), "position_m must be"),
         (lambda: PositionFix(1.0, np.zeros(2), np.eye(2), correlation_s=-1.0), "correlation_s must be 0 or more"),
     ],
 )
-def test_a_fix_that_cannot_be_is_refused_before_it_reaches_a_filter(make, words: str) -> None:
+def test_an_impossible_fix_is_refused_before_it_reaches_a_filter(make, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         make()
 
@@ -463,7 +464,7 @@ def test_a_fix_ten_minutes_late_or_from_before_the_start_leaves_finite_numbers(w
     assert len(track.fixes) == len(fixes)
     assert [f.outcome for f in track.fixes] == ["rejected", "rejected", "rejected", "waiting"]
     np.testing.assert_array_equal(track.position_m, pdr.track(walk).position_m)
-    assert any("fixes from after the last sample, not used: 1" in note for note in track.notes)
+    assert any("fixes from after the last sample were not used: 1" in note for note in track.notes)
 
 
 @pytest.mark.parametrize(
@@ -475,7 +476,7 @@ def test_a_fix_ten_minutes_late_or_from_before_the_start_leaves_finite_numbers(w
         (1e6, None, r"is 999920 s ahead of the last sample \(80\.0 s\)"),
     ],
 )
-def test_a_fix_from_another_time_is_refused_and_the_filter_goes_on_as_if_nothing_had_been(
+def test_a_fix_from_another_time_is_refused_and_leaves_the_filter_unchanged(
     walk: Recording, time_s: float, received_s: float | None, message: str
 ) -> None:
     samples = pdr.merge_streams(walk)
@@ -496,7 +497,7 @@ def test_a_fix_from_another_time_is_refused_and_the_filter_goes_on_as_if_nothing
     np.testing.assert_array_equal(online.position_m, other.position_m)
 
 
-def test_a_fix_soon_after_a_gap_of_minutes_is_taken_while_its_samples_wait_to_be_confirmed(walk: Recording) -> None:
+def test_a_fix_soon_after_a_gap_of_minutes_is_accepted_while_its_samples_await_confirmation(walk: Recording) -> None:
     samples = pdr.merge_streams(walk)
     online = pdr.OnlineFilter()
     for part, later_s in ((slice(0, 8000), 0.0), (slice(8000, 8020), 300.0)):
@@ -507,22 +508,22 @@ def test_a_fix_soon_after_a_gap_of_minutes_is_taken_while_its_samples_wait_to_be
         online.add_fix(PositionFix(250.0, np.zeros(2), np.eye(2)))
 
 
-def test_a_fix_within_a_minute_of_the_last_sample_is_taken(walk: Recording) -> None:
+def test_a_fix_within_a_minute_of_the_last_sample_is_accepted(walk: Recording) -> None:
     samples = pdr.merge_streams(walk)
     now = int(np.searchsorted(samples.time_s, 80.0))
     online = pdr.OnlineFilter()
     online.push(samples.time_s[:now], samples.specific_force_mps2[:now], samples.angular_rate_radps[:now])
     for time_s in (21.0, 80.0, 139.0):
         online.add_fix(PositionFix(time_s, np.zeros(2), np.eye(2)))
-    online.add_fix(Standstill(2.0, 79.0))  # told at its end
+    online.add_fix(Standstill(2.0, 79.0))  # received at its end
     assert len(online.state.waiting_fixes) == 4
     online.finish()
     with pytest.raises(ValueError, match="the filter is finished"):
         online.add_fix(PositionFix(80.0, np.zeros(2), np.eye(2)))
 
 
-def test_ten_thousand_fixes_that_wait_are_added_in_a_second_and_used_in_the_order_in_which_they_are_due() -> None:
-    """Sorted anew with each, they took minutes."""
+def test_ten_thousand_waiting_fixes_are_added_within_seconds_and_wait_in_order_of_their_due_time() -> None:
+    """Sorting again for each fix took minutes."""
     times = np.random.default_rng(0).permutation(10_000) / 100
     fixes = [PositionFix(float(t), np.zeros(2), np.eye(2), received_time_s=float(t) + 0.5) for t in times]
     online, begin = pdr.OnlineFilter(), process_time()
@@ -534,8 +535,8 @@ def test_ten_thousand_fixes_that_wait_are_added_in_a_second_and_used_in_the_orde
     assert add_fixes(online.config, init(online.config), fixes).waiting_fixes == waiting
 
 
-def test_an_accepted_fix_moves_the_place_where_a_later_but_older_one_belongs(walk: Recording) -> None:
-    """Two late fixes of the same moment and place: the second finds what the first has mended, and moves little."""
+def test_an_accepted_fix_corrects_the_stored_position_at_the_time_of_a_later_older_fix(walk: Recording) -> None:
+    """Of two equal late fixes the second has a small innovation: the first has corrected the stored position."""
     alone = pdr.track(walk)
     k = int(np.searchsorted(alone.time_s, 30.0))
     place = alone.position_m[k] + np.array([1.5, 0.0])
@@ -547,8 +548,8 @@ def test_an_accepted_fix_moves_the_place_where_a_later_but_older_one_belongs(wal
     assert two.nis < 0.2 * one.nis
 
 
-def test_what_was_walked_since_a_late_fix_makes_it_less_certain(walk: Recording) -> None:
-    """The deviation after it is not smaller than what a person's scale makes of the way since."""
+def test_the_displacement_since_a_late_fix_makes_the_fix_less_certain(walk: Recording) -> None:
+    """The standard deviation after the fix includes the error of the step scale since its time."""
     alone = pdr.track(walk)
     k = int(np.searchsorted(alone.time_s, 20.0))
     fix_s = float(alone.time_s[k])
@@ -560,14 +561,14 @@ def test_what_was_walked_since_a_late_fix_makes_it_less_certain(walk: Recording)
     assert std_m[0] > 0.7 * recipes.default(walk.subject).model.noise.log_scale_std * since_m
 
 
-def test_a_place_under_an_open_turn_has_the_mean_and_covariance_over_all_turns() -> None:
+def test_a_place_with_unknown_rotation_has_the_mean_and_covariance_over_all_rotations() -> None:
     rng = np.random.default_rng(4)
     pairs = [PairedPoint(rng.normal(size=2), rng.normal(size=2), 4.0) for _ in range(3)]
-    turn, place = open_turn(pairs), Place(np.array([3.0, -7.0]), np.array([[4.0, 1.5], [1.5, 1.0]]), 0.0, 0)
+    turn, place = rotation_density(pairs), Place(np.array([3.0, -7.0]), np.array([[4.0, 1.5], [1.5, 1.0]]), 0.0, 0)
     means, covs = [], []
     for angle_rad in np.linspace(-np.pi, np.pi, 120, endpoint=False):
         turned = clockwise(angle_rad)
-        # where least squares puts it: the three pairs count alike
+        # position by least squares with equal weights of the three pairs
         centre_m, world_m = (np.mean([getattr(p, name) for p in pairs], axis=0) for name in ("track_m", "world_m"))
         means.append(turned @ (place.position_m - centre_m) + world_m)
         covs.append(turned @ place.cov_m2 @ turned.T)
@@ -577,7 +578,7 @@ def test_a_place_under_an_open_turn_has_the_mean_and_covariance_over_all_turns()
     world = turn.world(place)
     np.testing.assert_allclose(world.position_m, mean, atol=1e-12)
     np.testing.assert_allclose(world.cov_m2, cov + turn.centre_var_m2 * np.eye(2), atol=1e-10)
-    # for a picture: under the most probable turn, with mean squares about that
+    # for plots: at the most probable rotation, with mean squares about it
     best, drawn = int(np.argmax(turn.prob)), turn.most_probable().world(place)
     away = np.array(means) - means[best]
     cov = np.tensordot(turn.prob, np.array(covs), 1) + (turn.prob[:, None] * away).T @ away
@@ -585,12 +586,12 @@ def test_a_place_under_an_open_turn_has_the_mean_and_covariance_over_all_turns()
     np.testing.assert_allclose(drawn.cov_m2, cov + turn.centre_var_m2 * np.eye(2), atol=1e-10)
 
 
-def test_a_settled_turn_takes_the_ellipse_of_a_place_with_it_and_adds_its_own_errors() -> None:
+def test_an_alignment_rotates_the_ellipse_of_a_place_and_adds_its_own_errors() -> None:
     turn = Alignment(0.7, 1e-4, np.array([1.0, 2.0]), np.array([10.0, -5.0]), 0.3, n_steps=9)
     place = Place(np.array([4.0, -1.0]), np.array([[4.0, 1.5], [1.5, 1.0]]), 0.2, 0)
     rng, n = np.random.default_rng(0), 200_000
     track = rng.multivariate_normal(place.position_m, place.cov_m2, n) - turn.track_centre_m
-    # clockwise by an angle; the centre is known less well, the angle about the place that is reported
+    # clockwise rotation by a random angle about a random centre
     angle = 0.7 + 0.01 * rng.standard_normal(n)
     c, s = np.cos(angle), np.sin(angle)
     world = np.column_stack([c * track[:, 0] + s * track[:, 1], c * track[:, 1] - s * track[:, 0]])

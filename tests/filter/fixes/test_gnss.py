@@ -1,4 +1,4 @@
-"""Locations of a phone: what they say, how they place a track on Earth, and the ones that say nothing."""
+"""Locations of a phone: their conversion to fixes, tracks on Earth, and unusable locations."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ def clockwise(angle_rad: float) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def bare() -> Recording:
-    """A walk that knows no place."""
+    """Walk without locations."""
     legs = [Leg("walking", distance_m=70.0), Leg("walking", distance_m=60.0, turn_rad=np.pi / 2)]
-    # the world is turned against it, and the magnetic field is not
+    # the world frame is rotated against the walk, but the magnetic field is not
     return replace(simulate(legs, seed=3, name="walk"), magnetometer=None)
 
 
 def truth_m(walk: Recording, times: np.ndarray) -> np.ndarray:
-    """Where it was in the frame of `HERE`."""
+    """Return true positions in the frame of `HERE`."""
     truth = walk.truth.position
     on_track = np.column_stack([np.interp(times, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
     return on_track @ clockwise(TURN_RAD).T + [40.0, -25.0]
@@ -60,7 +60,7 @@ def rows(time_s: np.ndarray, place_m: np.ndarray, accuracy_m: float = 6.0) -> Sa
 
 
 def located(walk: Recording, until_s: float = np.inf, noise_m: float = 3.0) -> Recording:
-    """With a location each second, whose errors are correlated as the filter takes them to be."""
+    """Walk with a location each second, whose errors are correlated as the filter assumes."""
     time_s = np.arange(1.3, min(walk.duration_s, until_s))
     rng, r = np.random.default_rng(8), np.exp(-1.0 / CORRELATION_S)
     error = rng.normal(scale=noise_m, size=(len(time_s), 2))
@@ -76,13 +76,13 @@ def walk(bare: Recording) -> Recording:
 
 @pytest.fixture(scope="module")
 def found(walk: Recording) -> pdr.Track:
-    """The track of the walk with its locations."""
+    """Track of the walk with its locations."""
     return pdr.track(walk)
 
 
 @pytest.fixture(scope="module")
 def alone(bare: Recording) -> pdr.Track:
-    """Dead reckoning without a place."""
+    """Dead reckoning without locations."""
     return pdr.track(bare)
 
 
@@ -93,7 +93,7 @@ def in_frame_of_here(track: pdr.Track) -> np.ndarray:
 # --- places and metres ------------------------------------------------------------------------------------------------
 
 
-def test_a_short_way_in_degrees_is_that_of_the_two_radii_of_curvature() -> None:
+def test_a_short_displacement_in_degrees_follows_from_the_two_radii_of_curvature() -> None:
     a, e2 = 6378137.0, 0.0066943799901413165
     for latitude_deg in (-62.0, 0.0, 48.137):
         origin, w = Origin(latitude_deg, 11.575), 1 - e2 * np.sin(np.radians(latitude_deg)) ** 2
@@ -103,7 +103,7 @@ def test_a_short_way_in_degrees_is_that_of_the_two_radii_of_curvature() -> None:
         np.testing.assert_allclose(east_north_m, expected, rtol=1e-5)
 
 
-def test_metres_and_degrees_go_there_and_back_and_agree_with_pymap3d() -> None:
+def test_metres_and_degrees_convert_both_ways_and_agree_with_pymap3d() -> None:
     place_m = np.random.default_rng(0).normal(scale=800.0, size=(20, 2))
     latitude_deg, longitude_deg = HERE.latitude_longitude_deg(place_m)
     np.testing.assert_allclose(HERE.east_north_m(latitude_deg, longitude_deg), place_m, atol=1e-3)
@@ -112,8 +112,8 @@ def test_metres_and_degrees_go_there_and_back_and_agree_with_pymap3d() -> None:
 
 
 @pytest.mark.parametrize("place", [(91.0, 0.0), (0.0, 181.0), (np.nan, 0.0)])
-def test_an_origin_that_is_nowhere_is_refused(place: tuple[float, float]) -> None:
-    with pytest.raises(ValueError, match="are the two exchanged"):
+def test_an_origin_that_is_not_on_earth_is_refused(place: tuple[float, float]) -> None:
+    with pytest.raises(ValueError, match="check the order of the two"):
         Origin(*place)
 
 
@@ -129,11 +129,11 @@ def test_the_first_location_is_the_origin_and_has_its_own_accuracy() -> None:
     state, fixes = fixes_of(rows(np.array([2.0]), np.array([[30.0, 10.0]]), accuracy_m=9.0))
     np.testing.assert_allclose(HERE.east_north_m(state.origin.latitude_deg, state.origin.longitude_deg), [30.0, 10.0])
     np.testing.assert_array_equal(fixes[0].position_m, [0.0, 0.0])
-    # 68 % of a round normal distribution are inside of the accuracy
+    # 68 % of a circular normal distribution are within the accuracy radius
     assert chi2.cdf(9.0**2 / fixes[0].cov_m2[0, 0], 2) == pytest.approx(0.6827, abs=1e-3)
 
 
-def test_the_mean_of_many_fixes_is_as_sure_as_correlated_errors_allow() -> None:
+def test_the_variance_of_the_mean_of_many_fixes_accounts_for_correlated_errors() -> None:
     time_s = np.arange(0.0, 4000.0)  # one a second
     _, correlated = fixes_of(rows(time_s, np.zeros((len(time_s), 2)), accuracy_m=RADIUS_68 * 4.0))
     fixes = independent(correlated)
@@ -144,17 +144,17 @@ def test_the_mean_of_many_fixes_is_as_sure_as_correlated_errors_allow() -> None:
     true_var = 16.0 * np.exp(-np.abs(times[:, None] - times) / CORRELATION_S).mean()
     claimed = 1.0 / sum(1.0 / fix.cov_m2[0, 0] for fix in fixes)
     assert claimed == pytest.approx(true_var, rel=0.03)
-    # a quarter of an hour of it is no more than some twenty witnesses
+    # 4000 locations count as at most a hundred independent ones
     assert 16.0 / claimed < 4000.0 / (2 * CORRELATION_S) + 2
 
 
-def test_an_accuracy_that_no_phone_has_is_not_believed() -> None:
+def test_an_implausibly_small_accuracy_is_replaced_by_the_smallest_plausible_one() -> None:
     _, (fix,) = fixes_of(rows(np.zeros(1), np.zeros((1, 2)), accuracy_m=0.1))
     assert fix.cov_m2[0, 0] == pytest.approx((MIN_ACCURACY_M / RADIUS_68) ** 2)
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_fixes_do_not_depend_on_how_locations_arrive(walk: Recording, seed: int) -> None:
+def test_fixes_do_not_depend_on_the_blocks_of_locations(walk: Recording, seed: int) -> None:
     whole_state, whole = fixes_of(walk.location)
     rng, n = np.random.default_rng(seed), len(walk.location.time_s)
     cuts = [0, *np.sort(rng.integers(0, n, size=9)).tolist(), n]
@@ -185,7 +185,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("what", BAD)
-def test_a_location_that_says_nothing_is_left_out_and_counted(what: str) -> None:
+def test_an_unusable_location_is_left_out_and_counted(what: str) -> None:
     good = rows(np.array([0.0, 20.0, 40.0]), np.array([[0.0, 0.0], [9.0, 9.0], [18.0, 18.0]]))
     column, value = BAD[what]
     values = good.values.copy()
@@ -212,7 +212,7 @@ def test_zero_zero_is_no_place_and_locations_that_go_back_in_time_are_left_out()
 def test_a_track_with_locations_lies_where_the_person_walked(walk: Recording, weighting: str) -> None:
     track = pdr.track(walk, weighting=weighting)
     error_m = np.linalg.norm(in_frame_of_here(track) - truth_m(walk, track.time_s), axis=1)
-    assert np.median(error_m) < 5.0  # a location is off by 4 m
+    assert np.median(error_m) < 5.0  # a location has an error of 4 m
     assert error_m.max() < 12.0
     assert track.frame == "fixes"
     squared = in_frame_of_here(track) - truth_m(walk, track.time_s)
@@ -220,27 +220,27 @@ def test_a_track_with_locations_lies_where_the_person_walked(walk: Recording, we
     assert nees.max() < chi2.isf(1e-3, 2)
 
 
-def test_the_origin_says_how_far_the_track_was_turned_and_how_well_that_and_its_place_were_known(
+def test_the_origin_contains_rotation_and_position_of_the_track_with_standard_deviations(
     bare: Recording, found: pdr.Track, alone: pdr.Track
 ) -> None:
     known = found.origin
     assert abs(np.angle(np.exp(1j * (known.turn_rad - TURN_RAD)))) < 3.0 * known.turn_std_rad < 0.8
     assert 0.0 < known.position_std_m < 6.0 / RADIUS_68
-    # dead reckoning that is turned with it goes where the person walked
+    # dead reckoning rotated by it follows the person
     placed = alone.placed(known)
     along_m = placed.position_m[-1] - placed.start_position_m
     true_m = truth_m(bare, placed.time_s[[-1]])[0] - truth_m(bare, np.zeros(1))[0]
     assert np.linalg.norm(along_m - true_m) < 3.0 * known.turn_std_rad * np.linalg.norm(true_m)
 
 
-def test_after_one_location_the_turn_may_be_any_and_the_origin_says_so(bare: Recording) -> None:
+def test_after_one_location_the_origin_has_an_unknown_rotation(bare: Recording) -> None:
     time_s = np.array([20.0])
     known = pdr.track(replace(bare, location=rows(time_s, truth_m(bare, time_s)))).origin
     assert known.turn_std_rad == pytest.approx(np.pi / np.sqrt(3.0), rel=1e-3)
     assert known.position_std_m == pytest.approx(6.0 / RADIUS_68, rel=0.1)
 
 
-def test_when_the_locations_stop_the_track_goes_on_in_the_world(bare: Recording) -> None:
+def test_after_the_last_location_the_track_continues_in_the_world_frame(bare: Recording) -> None:
     track = pdr.track(located(bare, until_s=45.0))
     late = track.time_s > 60.0
     error_m = np.linalg.norm(in_frame_of_here(track) - truth_m(bare, track.time_s), axis=1)[late]
@@ -250,7 +250,7 @@ def test_when_the_locations_stop_the_track_goes_on_in_the_world(bare: Recording)
     assert nees.max() < chi2.isf(1e-3, 2)
 
 
-def test_without_locations_or_with_them_off_not_a_bit_changes(walk: Recording, alone: pdr.Track) -> None:
+def test_missing_and_disabled_locations_give_identical_tracks(walk: Recording, alone: pdr.Track) -> None:
     off = pdr.track(walk, gnss="off")
     for track in (off, pdr.track(walk, config=recipes.for_recording("default", walk), gnss="off")):
         np.testing.assert_array_equal(track.position_m, alone.position_m)
@@ -260,9 +260,7 @@ def test_without_locations_or_with_them_off_not_a_bit_changes(walk: Recording, a
         assert track.notes == alone.notes
 
 
-def test_locations_that_say_nothing_leave_the_track_where_it_was_and_are_told(
-    walk: Recording, alone: pdr.Track
-) -> None:
+def test_unusable_locations_do_not_change_the_track_and_are_reported(walk: Recording, alone: pdr.Track) -> None:
     values = walk.location.values.copy()
     values[:, 3] = -1.0
     track = pdr.track(replace(walk, location=Samples(walk.location.time_s, values)))
@@ -282,7 +280,7 @@ def test_jumps_of_a_kilometre_are_rejected(walk: Recording, found: pdr.Track) ->
     assert np.linalg.norm(track.position_m - found.position_m, axis=1).max() < 6.0
 
 
-def test_locations_in_another_order_are_those_that_go_forward(walk: Recording) -> None:
+def test_of_unordered_locations_those_in_order_of_time_are_used(walk: Recording) -> None:
     order = np.arange(len(walk.location.time_s))
     order[10:40] = order[10:40][::-1]
     mixed = replace(walk, location=Samples(walk.location.time_s[order], walk.location.values[order]))
@@ -293,8 +291,8 @@ def test_locations_in_another_order_are_those_that_go_forward(walk: Recording) -
         assert any("locations are not used" in note for note in track.notes)
 
 
-def test_locations_at_one_place_for_minutes_do_not_hold_somebody_who_walks(walk: Recording) -> None:
-    """A phone that repeats its last location: from some time on, and from the start."""
+def test_locations_frozen_for_minutes_do_not_hold_back_a_walking_pedestrian(walk: Recording) -> None:
+    """The phone repeats one location, from some time on or from the start."""
     for held_s in (lambda t: t > 40.0, lambda t: t < 40.0):
         values = walk.location.values.copy()
         is_held = held_s(walk.location.time_s)
@@ -315,17 +313,17 @@ def test_a_first_location_a_kilometre_away_is_outvoted(walk: Recording) -> None:
     assert np.median(error_m) < 6.0
 
 
-def test_a_hundred_locations_that_are_off_together_are_not_a_hundred_witnesses(bare: Recording) -> None:
+def test_a_hundred_locations_with_a_common_error_do_not_count_as_a_hundred(bare: Recording) -> None:
     time_s = np.arange(1.3, bare.duration_s)
     shifted = pdr.track(replace(bare, location=rows(time_s, truth_m(bare, time_s) + np.array([9.0, 0.0]))))
     error = in_frame_of_here(shifted) - truth_m(bare, shifted.time_s)
     nees = np.einsum("ka,kab,kb->k", error, np.linalg.inv(shifted.position_cov_m2), error)
-    # locations are some correlation times apart, but not as much evidence as two independent ones
+    # the locations cover some correlation times, but contain less information than two independent ones
     assert np.median(nees) < 2 * 9.0**2 / (6.0 / RADIUS_68) ** 2
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_an_app_gets_the_same_bits_however_samples_and_locations_arrive(walk: Recording, seed: int) -> None:
+def test_the_blocks_of_samples_and_locations_change_no_bit_of_an_online_track(walk: Recording, seed: int) -> None:
     whole = pdr.track(walk, recipes.default())
     location, sent = walk.location, 0
 
@@ -356,7 +354,7 @@ def test_a_single_location_can_be_pushed_as_four_numbers() -> None:
 
 
 @pytest.mark.parametrize("weighting", ["imm", "wc"])
-def test_an_aligned_track_is_dead_reckoning_turned_and_shifted_to_where_it_was(walk: Recording, weighting: str) -> None:
+def test_an_aligned_track_is_dead_reckoning_after_a_rotation_and_a_shift(walk: Recording, weighting: str) -> None:
     track, alone = pdr.track(walk, weighting=weighting, gnss="align"), pdr.track(walk, weighting=weighting, gnss="off")
     turn_rad = float(np.angle(np.exp(1j * (track.walking_heading_rad - alone.walking_heading_rad)).mean()))
     turned_m = alone.position_m @ clockwise(turn_rad).T
@@ -372,7 +370,7 @@ def test_an_aligned_track_is_dead_reckoning_turned_and_shifted_to_where_it_was(w
     assert {fix.outcome for fix in track.fixes} == {"turned"}
 
 
-def test_outliers_do_not_turn_an_aligned_track(walk: Recording) -> None:
+def test_outliers_do_not_rotate_an_aligned_track(walk: Recording) -> None:
     good = pdr.track(walk, gnss="align")
     values, wrong_s = walk.location.values.copy(), [good.fixes[k].time_s for k in (0, 4, 6)]
     values[np.isin(walk.location.time_s, wrong_s), 0] += 0.009
@@ -380,12 +378,12 @@ def test_outliers_do_not_turn_an_aligned_track(walk: Recording) -> None:
     assert [fix.time_s for fix in track.fixes if fix.outcome == "rejected"] == wrong_s
     error_m = np.linalg.norm(in_frame_of_here(track) - truth_m(walk, track.time_s), axis=1)
     assert error_m.max() < 14.0
-    assert any("not fit the track or its time, and were not used: 3" in note for note in track.notes)
+    assert any("not fit the track or its time were not used: 3" in note for note in track.notes)
 
 
 @pytest.mark.parametrize("gnss", ["filter", "align"])
 @pytest.mark.parametrize("n", [1, 2])
-def test_one_or_two_locations_place_a_track_of_any_kind_and_say_that_north_is_open(
+def test_one_or_two_locations_place_any_track_and_leave_north_unknown(
     bare: Recording, alone: pdr.Track, n: int, gnss: str
 ) -> None:
     time_s = np.array([20.0, 31.0])[:n]
@@ -396,10 +394,10 @@ def test_one_or_two_locations_place_a_track_of_any_kind_and_say_that_north_is_op
     error = in_frame_of_here(track) - truth_m(bare, track.time_s)
     nees = np.einsum("ka,kab,kb->k", error, np.linalg.inv(track.position_cov_m2), error)
     assert nees.max() < chi2.isf(1e-3, 2)
-    assert any("do not settle which way the track lies" in note for note in track.notes)
+    assert any("do not determine the rotation of the track" in note for note in track.notes)
 
 
-def test_locations_that_say_nothing_align_nothing(walk: Recording, alone: pdr.Track) -> None:
+def test_unusable_locations_do_not_align_a_track(walk: Recording, alone: pdr.Track) -> None:
     values = walk.location.values.copy()
     values[:, 3] = np.nan
     track = pdr.track(replace(walk, location=Samples(walk.location.time_s, values)), gnss="align")
@@ -411,26 +409,26 @@ def test_locations_that_say_nothing_align_nothing(walk: Recording, alone: pdr.Tr
 # --- contradictions ---------------------------------------------------------------------------------------------------
 
 
-def test_fixes_in_a_frame_of_their_own_turn_the_locations_off_unless_they_are_asked_for(walk: Recording) -> None:
+def test_fixes_in_their_own_frame_disable_the_locations_and_exclude_gnss_options(walk: Recording) -> None:
     fix = PositionFix(20.0, np.array([0.0, 20.0]), np.eye(2))
     assert pdr.track(walk, fixes=[fix]).origin is None
     assert pdr.track(walk, fixes=[HeadingFix(20.0, 0.0, 0.1)]).origin is None
     assert pdr.track(walk, fixes=[SpeedFix(20.0, 1.3, 0.1)]).origin is not None
     for asked in ("filter", "align"):
-        with pytest.raises(ValueError, match="positions in a frame of their own: leave one of them out"):
+        with pytest.raises(ValueError, match="positions in another frame: leave one of them out"):
             pdr.track(walk, fixes=[fix], gnss=asked)
-    with pytest.raises(ValueError, match="finds the turn of the whole track, got a HeadingFix"):
+    with pytest.raises(ValueError, match="determines the rotation of the whole track, got a HeadingFix"):
         pdr.track(walk, fixes=[HeadingFix(20.0, 0.0, 0.1)], gnss="align")
 
 
-def test_a_wrong_word_or_a_missing_stream_is_refused(bare: Recording, walk: Recording) -> None:
+def test_a_wrong_gnss_option_or_a_missing_stream_is_refused(bare: Recording, walk: Recording) -> None:
     with pytest.raises(ValueError, match=r"gnss must be one of \('filter', 'align', 'off'\), got 'on'"):
         pdr.track(walk, gnss="on")
     with pytest.raises(MissingSensorError, match="walk has no location"):
         pdr.track(bare, gnss="filter")
 
 
-def test_an_app_that_pushes_what_cannot_be_used_is_told_the_remedy() -> None:
+def test_impossible_pushes_of_locations_are_refused_with_the_remedy() -> None:
     with pytest.raises(ValueError, match=r"in_world_frame\(\)"):
         pdr.OnlineFilter().push_location(0.0, 48.0, 11.0, 5.0)
     online = pdr.OnlineFilter(recipes.default().in_world_frame())
@@ -444,7 +442,7 @@ def test_an_app_that_pushes_what_cannot_be_used_is_told_the_remedy() -> None:
 # --- files ------------------------------------------------------------------------------------------------------------
 
 
-def test_map_files_of_a_located_track_need_no_origin_and_others_say_what_is_missing(
+def test_map_files_of_a_located_track_need_no_origin_and_others_state_what_is_missing(
     found: pdr.Track, alone: pdr.Track, tmp_path: Path
 ) -> None:
     track = found
@@ -457,21 +455,21 @@ def test_map_files_of_a_located_track_need_no_origin_and_others_say_what_is_miss
     assert f'lat="{track.latitude_deg[-1]:.9f}"' in track.to_gpx(tmp_path / "a.gpx").read_text()
     assert track.summary()["end_latitude_deg"] == pytest.approx(track.latitude_deg[-1], abs=1e-7)
     for write in (alone.to_geojson, alone.to_gpx, alone.to_kml):
-        with pytest.raises(ValueError, match=r"no location says where .* origin=\(latitude_deg, longitude_deg\)"):
+        with pytest.raises(ValueError, match=r"the geographic position .*origin=\(latitude_deg, longitude_deg\)"):
             write(tmp_path / "b")
-    with pytest.raises(ValueError, match="no location says where"):
+    with pytest.raises(ValueError, match="the geographic position of the track"):
         _ = alone.latitude_deg
     assert not (tmp_path / "b").exists()
 
 
-def test_what_calibration_and_gnss_know_of_accuracy_is_one_number() -> None:
+def test_calibration_and_gnss_share_one_accuracy_constant() -> None:
     from pdr_filter.offline.calibration import segments
 
     assert segments.RADIUS_68 is gnss.RADIUS_68
 
 
-def test_poor_locations_rotate_and_shift_a_short_walk_and_do_not_bend_it(bare: Recording) -> None:
-    """Distances between all positions are those of dead reckoning, as long as its errors are smaller than theirs."""
+def test_inaccurate_locations_rotate_and_shift_a_short_walk_without_bending_it(bare: Recording) -> None:
+    """Distances between positions equal those of dead reckoning while its errors are below those of the locations."""
     time_s = np.arange(1.3, bare.duration_s)
     errors_m = np.random.default_rng(5).normal(scale=3.0, size=(len(time_s), 2))
     poor = rows(time_s, truth_m(bare, time_s) + errors_m, 13.0)

@@ -1,4 +1,4 @@
-"""Ranges to anchors and measurements of other classes: accuracy, reflections, two places that fit, gating."""
+"""Ranges to anchors and measurements of other classes: accuracy, reflections, two hypotheses, gating."""
 
 from __future__ import annotations
 
@@ -11,7 +11,15 @@ import pytest
 from scipy.stats import chi2
 
 import pdr_filter as pdr
-from pdr_filter.filter.fixes.range_placement import MAX_RANGES, PairedRange, recent, solutions
+from pdr_filter.filter.fixes import range_updates
+from pdr_filter.filter.fixes.range_placement import (
+    MAX_RANGES,
+    PairedRange,
+    PlacedTrack,
+    PriorPose,
+    recent,
+    solutions,
+)
 from pdr_filter.filter.fixes.range_updates import _is_wide
 from pdr_filter.filter.imm.imm_tracker import ImmTracker
 from pdr_filter.filter.imm.pedestrian_state import initial_state
@@ -40,7 +48,7 @@ def place_at(recording: pdr.Recording, time_s: FloatArray | float) -> FloatArray
 def ranges(
     recording: pdr.Recording, anchors: Sequence[Sequence[float]], seed: int, reflected: float = 0.0
 ) -> list[pdr.RangeFix]:
-    """A range to each anchor every two seconds, with 0.3 m of noise; a share of them is reflected and 3 m too long."""
+    """Return a range to each anchor every two seconds with noise of 0.3 m. Reflected ones are 3 m too long."""
     rng, truth, fixes = np.random.default_rng(seed), recording.truth.position, list[pdr.RangeFix]()
     assert truth is not None
     for time_s in np.arange(1.0, truth.time_s[-1], 2.0):
@@ -54,7 +62,7 @@ def ranges(
 
 
 def errors(track: pdr.Track, recording: pdr.Recording) -> tuple[float, float]:
-    """Root mean square error in m, and mean normalised error squared of two degrees of freedom."""
+    """Return the root mean square error in m, and the mean normalised squared error with two degrees of freedom."""
     off = track.position_m - place_at(recording, track.time_s)
     nees = np.einsum("ka,kab,kb->k", off, np.linalg.inv(track.position_cov_m2), off)
     return float(np.sqrt((off**2).sum(axis=1).mean())), float(nees.mean())
@@ -63,7 +71,7 @@ def errors(track: pdr.Track, recording: pdr.Recording) -> tuple[float, float]:
 @pytest.mark.parametrize("world", [False, True], ids=["start", "unknown frame"])
 @pytest.mark.parametrize(("reflected", "most_m"), [(0.0, 0.5), (1 / 3, 0.8)])
 @pytest.mark.parametrize("seed", [4, 5, 6])
-def test_ranges_to_three_anchors_keep_a_track_within_half_a_metre_and_reflections_within_eight_tenths(
+def test_ranges_to_three_anchors_keep_the_error_below_half_a_metre_and_with_reflections_below_eight_tenths(
     seed: int, reflected: float, most_m: float, world: bool
 ) -> None:
     recording, config = walk(seed), pdr.recipes.default()
@@ -99,7 +107,7 @@ def test_the_innovations_of_ranges_are_as_large_as_the_filter_expects() -> None:
     assert low < np.mean(nis) < high
 
 
-def test_two_anchors_leave_two_places_and_both_are_followed_until_the_path_turns() -> None:
+def test_ranges_to_two_anchors_leave_two_hypotheses_until_the_path_turns() -> None:
     recording, seen = walk(7), list[tuple[float, float, float]]()
     filter_ = pdr.OnlineFilter(pdr.recipes.default().in_world_frame())
     samples = pdr.merge_streams(recording)
@@ -124,7 +132,7 @@ def test_two_anchors_leave_two_places_and_both_are_followed_until_the_path_turns
     assert np.quantile(off_m, 0.9) < 1.5
 
 
-def test_a_filter_with_two_places_goes_on_after_saving_as_if_nothing_had_been() -> None:
+def test_saving_does_not_change_a_filter_with_two_hypotheses() -> None:
     recording, samples = walk(7), pdr.merge_streams(walk(7))
     first = pdr.OnlineFilter(pdr.recipes.default().in_world_frame())
     n = int(np.searchsorted(samples.time_s, 16.0))
@@ -156,7 +164,7 @@ def test_placements_by_ranges_are_the_mirror_images_of_a_straight_path() -> None
     starts = [(s.world_centre_m + (track_m[0] - s.track_centre_m) @ _turned(s.angle_rad).T) for s in (first, second)]
     found = sorted(starts, key=lambda place: -place[1])
     np.testing.assert_allclose(found, [(3.0, 4.0), (3.0, -4.0)], atol=0.4)
-    assert solutions([p for p in pairs if p.fix.anchor_m[0] < 0]) == []  # one anchor leaves a circle
+    assert solutions([p for p in pairs if p.fix.anchor_m[0] < 0]) == []  # ranges to one anchor leave a circle
 
 
 def _turned(angle_rad: float) -> FloatArray:
@@ -166,7 +174,7 @@ def _turned(angle_rad: float) -> FloatArray:
 
 @dataclass
 class FromAnchor:
-    """A range of another library, as an innovation with the derivative of the prediction, or as a residual."""
+    """Range of another library, as an innovation with the derivative of the prediction, or as a residual."""
 
     time_s: float
     fix: pdr.RangeFix
@@ -179,7 +187,7 @@ class FromAnchor:
 
 
 class OfHeading:
-    """A compass without a base class."""
+    """Compass measurement without a base class."""
 
     received_time_s = None
 
@@ -216,7 +224,7 @@ def test_a_measurement_of_the_heading_turns_a_track_like_a_heading_fix() -> None
 
 
 @pytest.mark.parametrize("reflected", [0.0, 1 / 3])
-def test_smoothed_ranges_are_nearer_to_the_truth_than_online_ones_and_reflections_are_left_out(
+def test_smoothing_with_ranges_has_small_errors_and_leaves_out_reflections(
     reflected: float,
 ) -> None:
     recording = walk(4)
@@ -231,18 +239,33 @@ def test_smoothed_ranges_are_nearer_to_the_truth_than_online_ones_and_reflection
     assert {fix.kind for fix in smoothed.track.fixes} == {"range"}
 
 
-def test_an_anchor_above_the_phone_is_as_far_as_space_says() -> None:
+def test_anchors_at_coordinates_of_a_map_are_smoothed_as_well_as_those_near_the_origin() -> None:
+    recording, away_m = walk(4), np.array([4e5, 5.8e6])
+    near = ranges(recording, ANCHORS, 4)
+    far = [replace(fix, anchor_m=fix.anchor_m + away_m) for fix in near]
+    config = pdr.recipes.default().in_world_frame()
+    tracks = [pdr.smooth(recording, fixes, config=config).track for fixes in (near, far)]
+    (rmse_m, _), (far_rmse_m, _) = (
+        errors(replace(track, position_m=track.position_m - offset_m), recording)
+        for track, offset_m in zip(tracks, (np.zeros(2), away_m), strict=True)
+    )
+    assert far_rmse_m == pytest.approx(rmse_m, abs=1e-4)
+    assert rmse_m < 0.35
+
+
+def test_the_range_to_an_anchor_above_the_phone_is_a_distance_in_space() -> None:
     fix = pdr.RangeFix(1.0, (3.0, 0.0, 4.0), 5.0, 0.1)
     residual, jacobian, _ = fix.measurement(np.zeros(2), 0.0)
     np.testing.assert_allclose(residual, 0.0, atol=1e-12)
     np.testing.assert_allclose(jacobian, [[-0.6, 0.0]])
 
 
-def test_only_ranges_that_are_too_long_are_taken_for_reflections() -> None:
+def test_only_ranges_that_are_too_long_count_as_reflections() -> None:
     fix = pdr.RangeFix(1.0, (10.0, 0.0), 10.0, 0.3)
     longer, shorter = fix.direct_prob(-2.0, 0.5**2), fix.direct_prob(2.0, 0.5**2)
     assert longer < 0.05 and shorter > 0.9
-    assert fix.direct_prob(-2.0, 2.0**2) > 0.6  # the track may be off by as much
+    assert fix.direct_prob(-2.0, 2.0**2) > 0.6  # the track may have an error of this size
+    assert fix.direct_prob(0.0, 20.0**2) > 0.7  # an uncertain track does not make a range that fits it a reflection
 
 
 @pytest.mark.parametrize(
@@ -254,7 +277,7 @@ def test_only_ranges_that_are_too_long_are_taken_for_reflections() -> None:
         (FromAnchor(2.0, pdr.RangeFix(1.0, (0, 0), 1, 1), False, 1.0), "received_time_s not before"),
     ],
 )
-def test_what_is_no_fix_is_refused_with_what_it_lacks(fix: object, message: str) -> None:
+def test_an_object_that_is_not_a_valid_fix_is_refused_with_the_reason(fix: object, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         pdr.OnlineFilter().add_fix(fix)  # type: ignore[arg-type]
 
@@ -268,12 +291,12 @@ def test_what_is_no_fix_is_refused_with_what_it_lacks(fix: object, message: str)
         (((1.0, 1.0), 1.0, 0.0), "std_m"),
     ],
 )
-def test_a_range_that_cannot_be_is_refused(values: tuple[tuple[float, ...], float, float], message: str) -> None:
+def test_an_impossible_range_is_refused(values: tuple[tuple[float, ...], float, float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         pdr.RangeFix(1.0, *values)
 
 
-def test_a_measurement_with_a_wrong_shape_says_what_it_must_return() -> None:
+def test_a_measurement_with_a_wrong_shape_is_refused_with_the_expected_shape() -> None:
     class Wrong(OfHeading):
         def measurement(self, position_m: FloatArray, heading_rad: float) -> tuple[FloatArray, FloatArray, FloatArray]:
             return np.zeros(2), np.zeros((1, 2)), np.eye(2)
@@ -282,13 +305,13 @@ def test_a_measurement_with_a_wrong_shape_says_what_it_must_return() -> None:
         pdr.track(walk(5), fixes=[Wrong(10.0, 0.0)])
 
 
-def test_ranges_and_measurements_are_measurements_and_other_fixes_are_none() -> None:
+def test_ranges_and_own_measurements_fulfil_the_measurement_protocol_and_heading_fixes_do_not() -> None:
     of_all: list[Fix] = [pdr.RangeFix(1.0, (0, 0), 1, 1), OfHeading(1.0, 0.0)]
     assert all(isinstance(fix, Measurement) for fix in of_all)
     assert not isinstance(pdr.HeadingFix(1.0, 0.0, 0.1), Measurement)
 
 
-def test_ranges_are_remembered_in_the_order_of_time_and_over_the_whole_time_however_often_they_come() -> None:
+def test_stored_ranges_are_in_order_of_time_and_cover_the_whole_time_at_a_high_rate() -> None:
     pairs: tuple[PairedRange, ...] = ()
     for time_s in np.arange(0.0, 30.0, 0.1):
         for anchor_m in ANCHORS:
@@ -314,7 +337,7 @@ def test_frequent_ranges_place_a_track_in_an_unknown_frame() -> None:
     assert track.frame == "fixes"
 
 
-def test_after_a_time_behind_walls_good_ranges_count_again() -> None:
+def test_after_a_time_behind_walls_correct_ranges_are_used_again() -> None:
     recording = walk(4)
     rng, fixes = np.random.default_rng(0), list[pdr.RangeFix]()
     for time_s in np.arange(1.0, 100.0, 1.0):
@@ -327,7 +350,7 @@ def test_after_a_time_behind_walls_good_ranges_count_again() -> None:
     assert sum(fix.outcome == "used" for fix in after) > 0.8 * len(after)
 
 
-def test_a_range_to_an_anchor_overhead_bends_over_its_distance_in_space() -> None:
+def test_a_range_to_an_overhead_anchor_has_less_curvature_than_one_at_the_same_level() -> None:
     overhead = pdr.RangeFix(1.0, (0.1, 0.0, 3.0), 3.0, 0.3)
     beside = pdr.RangeFix(1.0, (0.1, 0.0), 0.1, 0.3)
     model = pdr.recipes.default().model
@@ -337,6 +360,57 @@ def test_a_range_to_an_anchor_overhead_bends_over_its_distance_in_space() -> Non
     state = replace(state, estimates=replace(state.estimates, cov=cov))
     assert not _is_wide(state, overhead, np.zeros(3))
     assert _is_wide(state, beside, np.zeros(3))
+
+
+def searches(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Numbers of ranges of the searches for places from now on."""
+    counted = list[int]()
+
+    def counting(pairs: Sequence[PairedRange], *prior: PriorPose | None) -> list[PlacedTrack]:
+        counted.append(len(pairs))
+        return solutions(pairs, *prior)
+
+    monkeypatch.setattr(range_updates, "solutions", counting)
+    return counted
+
+
+def test_places_are_searched_twice_a_second_at_most_however_often_ranges_come(monkeypatch: pytest.MonkeyPatch) -> None:
+    counted, recording = searches(monkeypatch), walk(4)
+    fixes = [
+        pdr.RangeFix(time_s, np.array(anchor_m), 200.0, 0.3)  # of no place at all
+        for time_s in np.arange(5.0, 9.0, 1 / 60)
+        for anchor_m in ANCHORS[:2]
+    ]
+    track = pdr.track(recording, config=pdr.recipes.default().in_world_frame(), fixes=fixes)
+    assert {fix.outcome for fix in track.fixes} == {"waiting"}
+    assert 5 <= len(counted) <= 2 * 9  # and those of one moment are all tried
+
+
+def test_ranges_that_a_track_has_used_do_not_place_it_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = own_model("walking")
+    tracker, drawn = ImmTracker(model), simulated_walk(model, 30, np.random.default_rng(1))
+    state = tracker.init()
+    for step in drawn.steps:
+        state, _ = tracker.on_step(state, step)
+    time_s, pedestrian = drawn.steps[-1].time_s, state.pedestrian
+    cov = pedestrian.estimates.cov.copy()
+    cov[:, [0, 1], [0, 1]] = 400.0
+    used = tuple(
+        PairedRange(pdr.RangeFix(time_s - k, np.array(ANCHORS[k % 3]), 9.0, 0.3), np.zeros(2), is_used=True)
+        for k in (9, 8, 7, 6, 5)
+    )
+    known = replace(
+        pedestrian,
+        estimates=replace(pedestrian.estimates, cov=cov),
+        fixes=replace(pedestrian.fixes, ranges=used),
+    )
+    counted, outcomes = searches(monkeypatch), list[str]()
+    state = replace(state, pedestrian=known)
+    for k in range(4):
+        state, outcome, _ = tracker.on_fix(state, pdr.RangeFix(time_s + 0.01 * k, np.array(ANCHORS[k % 3]), 9.0, 0.3))
+        outcomes.append(outcome)
+    assert outcomes[:3] == ["waiting"] * 3
+    assert counted == [4]
 
 
 class WithProperties:
@@ -359,7 +433,7 @@ class WithClassAttribute:
         return np.zeros(1), np.ones((1, 2)), np.eye(1)
 
 
-def test_fixes_of_other_classes_move_with_a_clock_that_was_set_back_or_are_refused() -> None:
+def test_fixes_of_other_classes_follow_a_backward_clock_jump_or_are_refused() -> None:
     assert moved(WithClassAttribute(12.0), 10.0).time_s == 22.0
     with pytest.raises(ValueError, match="time_s of WithProperties cannot be set"):
         moved(WithProperties(), 10.0)

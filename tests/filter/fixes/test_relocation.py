@@ -1,4 +1,4 @@
-"""Fixes that agree with each other and not with the track: it is moved to where they show it, and not for less."""
+"""Relocation of a track by fixes that agree with each other but not with the track."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from scipy.stats import chi2
 import pdr_filter as pdr
 from pdr_filter import recipes
 from pdr_filter.filter.fixes.frame_rotation import PairedPoint
-from pdr_filter.filter.fixes.relocation import EPISODE_S, LOG_ODDS_BEFORE, Doubt
+from pdr_filter.filter.fixes.relocation import EPISODE_S, PRIOR_LOG_ODDS, Doubt
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import PositionFix
 from pdr_filter.values.recording import Recording
 
 TURN_RAD = 1.9
 FAR_M = np.array([80.0, -60.0])
-# One fix in ten seconds: after so long as the odds ask there is one that decides.
-PATIENCE_S = LOG_ODDS_BEFORE * EPISODE_S + 11.0
+# Time until the odds are sufficient, plus the interval of ten seconds between two fixes.
+PATIENCE_S = PRIOR_LOG_ODDS * EPISODE_S + 11.0
 
 
 def clockwise(angle_rad: float) -> np.ndarray:
@@ -31,7 +31,7 @@ def clockwise(angle_rad: float) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def walk() -> Recording:
-    """Five minutes through streets."""
+    """Walk of five minutes through streets."""
     legs = [Leg("walking", distance_m=60.0, turn_rad=turn) for turn in (0.0, 1.2, -0.9, 1.6, 0.7, -1.4, 1.0)]
     return simulate(legs, seed=3, name="walk")
 
@@ -46,7 +46,7 @@ def truth_m(walk: Recording, times: np.ndarray) -> np.ndarray:
 def fixes_of(
     walk: Recording, wrong_m: Callable[[np.ndarray, np.ndarray], np.ndarray], every_s: float = 10.0
 ) -> list[PositionFix]:
-    """Some with errors of 4 m, and what `wrong_m` (times, places) adds to them."""
+    """Return fixes with errors of 4 m, plus the error `wrong_m` (times, places)."""
     times = np.arange(2.0, walk.duration_s - 4.0, every_s)
     places = truth_m(walk, times)
     errors = np.random.default_rng(4).normal(scale=4.0, size=places.shape)
@@ -65,12 +65,12 @@ def outcomes(track: pdr.Track) -> list[str]:
 
 
 def displaced(begin_s: float) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """Somebody was carried by `FAR_M` at some time."""
+    """Return an error of `FAR_M` from some time on, as after a ride."""
     return lambda times, _: FAR_M * (times > begin_s)[:, None]
 
 
 @pytest.mark.parametrize("weighting", ["imm", "wc"])
-def test_somebody_who_was_carried_on_is_found_again_and_the_track_says_so(walk: Recording, weighting: str) -> None:
+def test_after_a_ride_the_track_is_relocated_and_a_note_says_so(walk: Recording, weighting: str) -> None:
     track = tracked(walk, fixes_of(walk, displaced(120.0)), weighting)
     assert outcomes(track).count("moved") == 1
     error = track.position_m - truth_m(walk, track.time_s) - FAR_M * (track.time_s > 120.0)[:, None]
@@ -78,15 +78,15 @@ def test_somebody_who_was_carried_on_is_found_again_and_the_track_says_so(walk: 
     assert np.linalg.norm(error[late], axis=1).max() < 15.0
     nees = np.einsum("ka,kab,kb->k", error[late], np.linalg.inv(track.position_cov_m2[late]), error[late])
     assert nees.max() < chi2.isf(1e-3, 2)
-    assert any("agree with each other and not with the track moved it by 1" in note for note in track.notes)
+    assert any("the track was moved by 1" in note for note in track.notes)
     moved = next(fix for fix in track.fixes if fix.outcome == "moved")
     assert moved.accepted
     assert np.linalg.norm(error[track.time_s < 120.0], axis=1).max() < 15.0
 
 
 @pytest.mark.parametrize("angle_rad", [0.0, 2.0])
-def test_wrong_first_fixes_that_settled_the_frame_are_outlived(walk: Recording, angle_rad: float) -> None:
-    """A kilometre away, and turned about there."""
+def test_the_track_recovers_from_wrong_first_fixes_that_determined_the_frame(walk: Recording, angle_rad: float) -> None:
+    """The wrong fixes are a kilometre away, and rotated."""
 
     def wrong_m(times: np.ndarray, places: np.ndarray) -> np.ndarray:
         return ((places @ clockwise(angle_rad).T - places) + [800.0, 600.0]) * (times < 45.0)[:, None]
@@ -98,9 +98,9 @@ def test_wrong_first_fixes_that_settled_the_frame_are_outlived(walk: Recording, 
     assert error_m[track.time_s > 45.0 + PATIENCE_S + 20.0].max() < 20.0
 
 
-def test_wrong_first_fixes_that_left_the_turn_open_are_outlived_too(walk: Recording) -> None:
+def test_the_track_recovers_from_wrong_first_fixes_that_left_the_rotation_unknown(walk: Recording) -> None:
     begin_m = truth_m(walk, np.array([2.0]))[0]
-    # as if he stood: the turn stays open, and nothing rights it but the fixes that come
+    # fixes in one place leave the rotation unknown, so that only later fixes can correct the track
     wrong = fixes_of(walk, lambda times, places: (begin_m + 10.0 * FAR_M - places) * (times < 50.0)[:, None])
     track = tracked(walk, [replace(fix, cov_m2=64.0 * np.eye(2)) for fix in wrong])
     assert "moved" in outcomes(track)
@@ -111,7 +111,7 @@ def test_wrong_first_fixes_that_left_the_turn_open_are_outlived_too(walk: Record
     assert np.median(error_m[late]) < 10.0
 
 
-def test_outliers_that_do_not_agree_stay_rejected(walk: Recording) -> None:
+def test_inconsistent_outliers_stay_rejected(walk: Recording) -> None:
     rng = np.random.default_rng(1)
 
     def wrong_m(times: np.ndarray, places: np.ndarray) -> np.ndarray:
@@ -125,16 +125,16 @@ def test_outliers_that_do_not_agree_stay_rejected(walk: Recording) -> None:
 
 
 @pytest.mark.parametrize(("lasts_s", "is_moved"), [(0.8, False), (2.0, True)])
-def test_fixes_that_are_off_together_are_believed_when_they_outlast_a_reflection(
+def test_fixes_with_a_common_error_relocate_the_track_when_they_outlast_a_reflection(
     walk: Recording, lasts_s: float, is_moved: bool
 ) -> None:
-    end_s = 120.0 + lasts_s * LOG_ODDS_BEFORE * EPISODE_S
+    end_s = 120.0 + lasts_s * PRIOR_LOG_ODDS * EPISODE_S
     track = tracked(walk, fixes_of(walk, lambda times, _: FAR_M * ((times > 120.0) & (times < end_s))[:, None]))
     assert ("moved" in outcomes(track)) == is_moved
 
 
-def test_fixes_that_stay_where_they_were_move_nobody_who_walks(walk: Recording) -> None:
-    """A phone that repeats its last location for two minutes."""
+def test_static_fixes_do_not_relocate_a_walking_pedestrian(walk: Recording) -> None:
+    """The fixes stay in one place for two minutes."""
 
     def wrong_m(times: np.ndarray, places: np.ndarray) -> np.ndarray:
         stays = (times > 120.0) & (times < 240.0)
@@ -145,7 +145,7 @@ def test_fixes_that_stay_where_they_were_move_nobody_who_walks(walk: Recording) 
     assert "moved" not in outcomes(track)
 
 
-def test_somebody_who_stands_is_not_moved_by_fixes_that_stand_too() -> None:
+def test_static_fixes_do_not_relocate_a_standing_pedestrian() -> None:
     doubt = Doubt()
     for t in np.arange(0.0, 600.0, 10.0):
         last = PairedPoint(np.zeros(2), FAR_M, 9.0, 0.0, t)
@@ -163,7 +163,7 @@ def test_somebody_who_stands_is_not_moved_by_fixes_that_stand_too() -> None:
     assert alignment.angle_var_rad2 < 0.01
 
 
-def test_a_frame_that_was_given_is_shifted_but_never_turned(walk: Recording) -> None:
+def test_a_given_frame_is_shifted_but_never_rotated(walk: Recording) -> None:
     straight = [
         replace(fix, position_m=fix.position_m @ clockwise(TURN_RAD) + FAR_M * (fix.time_s > 100.0))
         for fix in fixes_of(walk, lambda times, places: np.zeros_like(places))
@@ -174,7 +174,7 @@ def test_a_frame_that_was_given_is_shifted_but_never_turned(walk: Recording) -> 
     assert "moved" not in outcomes(pdr.track(walk, config, fixes=turned))
 
 
-def test_blocks_and_saving_change_no_bit_of_a_track_that_is_moved(walk: Recording) -> None:
+def test_block_sizes_and_saving_change_no_bit_of_a_relocated_track(walk: Recording) -> None:
     fixes, config = fixes_of(walk, displaced(120.0)), recipes.default().in_world_frame()
     whole = pdr.track(walk, config, fixes=fixes)
     assert "moved" in outcomes(whole)
@@ -189,7 +189,7 @@ def test_blocks_and_saving_change_no_bit_of_a_track_that_is_moved(walk: Recordin
 
 
 @pytest.mark.parametrize("every_s", [1.0, 3.0])
-def test_fixes_in_quick_succession_move_the_track_as_soon_as_rare_ones(walk: Recording, every_s: float) -> None:
+def test_frequent_fixes_relocate_the_track_as_soon_as_rare_ones(walk: Recording, every_s: float) -> None:
     carried_s = 120.0
     track = tracked(walk, fixes_of(walk, displaced(carried_s), every_s))
     late = track.time_s > carried_s + PATIENCE_S

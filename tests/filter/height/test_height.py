@@ -1,4 +1,4 @@
-"""Heights and storeys of walks with a barometer, and without."""
+"""Heights and storeys of walks with and without a barometer."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from helpers import cut_randomly, pushed
 
 import pdr_filter as pdr
-from pdr_filter.filter.height.floor_detection import FloorState, Level, learnt, storeys_up
+from pdr_filter.filter.height.floor_detection import FloorState, Level, storey_number, with_new_level
 from pdr_filter.offline.smoothing.storeys import with_arrivals
 from pdr_filter.simulate import BAROMETER, Leg, SensorErrors, simulate
 from pdr_filter.tracking.track import Track
@@ -23,7 +23,7 @@ LANDING = Leg("walking", distance_m=2.0, turn_rad=np.pi)
 
 
 def storey(context: str) -> list[Leg]:
-    """18 steps on stairs, 3.06 m, with a landing."""
+    """Return 18 steps on stairs, 3.06 m, with a landing."""
     return [Leg(context, distance_m=9 * 0.29), LANDING, Leg(context, distance_m=9 * 0.29)]
 
 
@@ -65,7 +65,7 @@ def ways(track: Track) -> list[tuple[int, int, str]]:
     return [(c.from_floor, c.to_floor, c.how) for c in track.floor_changes()]
 
 
-# --- what is climbed ------------------------------------------------------------------------------------------------
+# --- climbs ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("carrying_mode", ["texting", "pocket"])
@@ -83,12 +83,12 @@ def test_stairs_lead_to_the_next_storey_and_back(stairs: Recording, in_pocket: R
     assert all((rows == f).all() for f, rows in held.items())
 
 
-def test_errors_of_heights_are_what_their_standard_deviation_says(stairs: Recording, in_pocket: Recording) -> None:
+def test_errors_of_heights_agree_with_their_standard_deviation(stairs: Recording, in_pocket: Recording) -> None:
     nees = [np.mean((error_m(t, r) / t.height_std_m) ** 2) for r in (stairs, in_pocket) for t in [pdr.track(r)]]
     assert 0.05 < np.mean(nees) < 3.0
 
 
-def test_a_lift_moves_somebody_who_makes_no_steps_several_storeys_at_once() -> None:
+def test_a_lift_moves_a_pedestrian_without_steps_by_several_storeys() -> None:
     ride = [Leg("stationary", duration_s=8.0), Leg("stationary", duration_s=11.0, ride_up_m=9.9)]
     recording = walk(*AROUND, *ride, Leg("stationary", duration_s=3.0), *AROUND)
     track = pdr.track(recording)
@@ -120,15 +120,15 @@ def test_a_lift_that_stops_between_storeys_is_one_ride() -> None:
 
 
 @pytest.mark.parametrize("up_m", [4.0, -4.0])
-def test_an_escalator_climbs_slowly_whoever_stands_on_it(up_m: float) -> None:
+def test_an_escalator_is_recognised_by_its_slow_climb(up_m: float) -> None:
     recording = walk(*AROUND, Leg("stationary", duration_s=13.0, ride_up_m=up_m, ride_m=7.0), *AROUND)
     track = pdr.track(recording)
     assert ways(track) == [(0, int(np.sign(up_m)), "escalator")]
     assert abs(error_m(track, recording)[-1]) < 0.5
 
 
-def test_a_hill_is_height_and_no_storey(level: Recording) -> None:
-    """5 % for a minute: 4 m, more than a storey."""
+def test_a_hill_changes_the_height_and_not_the_storey(level: Recording) -> None:
+    """A slope of 5 % for a minute leads 4 m up, more than a storey."""
     hill = with_pressure(level, lambda t, p: (t, p - 0.065 / 8.32 * np.clip(t - 10.0, 0.0, 30.0)))
     track = pdr.track(hill)
     assert track.height_m[-1] == pytest.approx(1.95, abs=0.6)
@@ -136,7 +136,7 @@ def test_a_hill_is_height_and_no_storey(level: Recording) -> None:
 
 
 def located(recording: Recording, accuracy_m: float) -> Recording:
-    """The recording with its true places as locations once a second."""
+    """Return the recording with its true positions as locations, one a second."""
     truth = recording.truth.position
     assert truth is not None
     time_s = np.arange(0.5, float(truth.time_s[-1]), 1.0)
@@ -148,12 +148,12 @@ def located(recording: Recording, accuracy_m: float) -> Recording:
 
 @pytest.fixture(scope="module")
 def hill() -> Recording:
-    """15 % for 25 s, which the pressure alone does not tell from stairs."""
+    """A slope of 15 % for 25 s, which pressure alone cannot distinguish from stairs."""
     recording = walk(Leg("walking", distance_m=70.0))
     return with_pressure(recording, lambda t, p: (t, p - 0.2 / 8.32 * np.clip(t - 15.0, 0.0, 25.0)))
 
 
-def test_a_climb_along_which_good_locations_move_far_is_a_hill_and_no_storey(hill: Recording) -> None:
+def test_a_climb_with_a_long_displacement_of_accurate_locations_is_a_hill(hill: Recording) -> None:
     plain, outdoors = pdr.track(hill), pdr.track(located(hill, 5.0))
     assert ways(plain) == [(0, 1, "stairs")]
     assert ways(outdoors) == []
@@ -162,25 +162,25 @@ def test_a_climb_along_which_good_locations_move_far_is_a_hill_and_no_storey(hil
     assert outdoors.height_m[-1] > 4.0
 
 
-def test_locations_that_are_not_good_do_not_show_hills(hill: Recording) -> None:
+def test_inaccurate_locations_do_not_identify_hills(hill: Recording) -> None:
     assert ways(pdr.track(located(hill, 30.0))) == [(0, 1, "stairs")]
 
 
-def test_stairs_with_good_locations_lead_to_another_storey(stairs: Recording) -> None:
+def test_stairs_with_accurate_locations_lead_to_another_storey(stairs: Recording) -> None:
     assert ways(pdr.track(located(stairs, 5.0))) == [(0, 1, "stairs"), (1, 0, "stairs")]
 
 
-def test_locations_that_only_align_the_track_show_hills_too(hill: Recording) -> None:
+def test_locations_used_for_alignment_only_identify_hills_as_well(hill: Recording) -> None:
     assert ways(pdr.track(located(hill, 5.0), gnss="align")) == []
 
 
-def test_a_smoothed_hill_is_no_storey_at_any_step(hill: Recording) -> None:
+def test_a_smoothed_hill_never_changes_the_storey(hill: Recording) -> None:
     track = pdr.smooth(located(hill, 5.0)).track
     assert ways(track) == []
     assert set(track.floor) == {0}
 
 
-def test_a_smoothed_walk_changes_the_storey_during_its_floor_changes_alone(stairs: Recording) -> None:
+def test_a_smoothed_walk_changes_the_storey_only_during_its_floor_changes(stairs: Recording) -> None:
     track = pdr.track(stairs)
     floor = track.floor.copy()
     floor[[3, -3]] = 5
@@ -188,7 +188,7 @@ def test_a_smoothed_walk_changes_the_storey_during_its_floor_changes_alone(stair
     np.testing.assert_array_equal(after.floor, track.floor)
 
 
-def test_hills_do_not_depend_on_how_samples_and_locations_are_cut(hill: Recording) -> None:
+def test_hills_do_not_depend_on_the_blocks_of_samples_and_locations(hill: Recording) -> None:
     recording = located(hill, 5.0)
     block, location, pressure = pdr.merge_streams(recording), recording.location, recording.barometer
     assert location is not None and pressure is not None
@@ -212,7 +212,7 @@ def test_hills_do_not_depend_on_how_samples_and_locations_are_cut(hill: Recordin
     assert floors[0][-1] == 0
 
 
-# --- what is not climbed --------------------------------------------------------------------------------------------
+# --- pressure changes without a climb -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -239,8 +239,8 @@ def test_nothing_but_climbing_changes_the_storey(level: Recording, change: Chang
 
 
 @pytest.mark.parametrize("hpa_s", [(-10.0, 300.0), (-50.0, 300.0)])
-def test_the_cabin_of_an_aeroplane_is_no_lift(hpa_s: tuple[float, float]) -> None:
-    """10 hPa while the phone lies still, or the cabin on its way up; a note says so."""
+def test_the_pressure_of_an_aircraft_cabin_is_not_a_lift(hpa_s: tuple[float, float]) -> None:
+    """The pressure changes by 10 hPa while the phone lies still or is carried, and a note says so."""
     hpa, seconds = hpa_s
     recording = walk(*AROUND, Leg("stationary", duration_s=seconds + 20.0), *AROUND)
     cabin = with_pressure(recording, lambda t, p: (t, p + hpa * np.clip((t - 35.0) / seconds, 0.0, 1.0)))
@@ -248,7 +248,7 @@ def test_the_cabin_of_an_aeroplane_is_no_lift(hpa_s: tuple[float, float]) -> Non
     assert ways(track) == []
     assert set(track.floor) == {0}
     assert np.abs(track.height_m).max() < 1.0
-    assert any("that nobody climbed" in note for note in track.notes)
+    assert any("without a climb" in note for note in track.notes)
 
 
 # --- with less ------------------------------------------------------------------------------------------------------
@@ -262,8 +262,8 @@ def test_without_a_barometer_steps_on_stairs_climb_by_their_treads(in_pocket: Re
     assert np.mean((error / track.height_std_m) ** 2) < 3.0
 
 
-def test_where_nothing_tells_the_height_it_stays_zero_and_its_doubt_grows(stairs: Recording) -> None:
-    """Stairs with the phone in the hand are not seen by motion alone."""
+def test_without_information_the_height_stays_zero_and_its_variance_grows(stairs: Recording) -> None:
+    """Stairs with the phone in the hand cannot be recognised from motion alone."""
     track = pdr.track(replace(stairs, barometer=None))
     assert np.abs(track.height_m).max() < 0.5
     assert set(track.floor) == {0}
@@ -271,14 +271,14 @@ def test_where_nothing_tells_the_height_it_stays_zero_and_its_doubt_grows(stairs
     assert track.height_std_m[-1] > 1.0
 
 
-def test_pressure_that_begins_late_or_ends_early_tells_of_its_own_time(stairs: Recording) -> None:
+def test_pressure_that_begins_late_or_ends_early_is_used_for_its_own_time(stairs: Recording) -> None:
     late = pdr.track(with_pressure(stairs, lambda t, p: (t[t > 48.0], p[t > 48.0])))
     early = pdr.track(with_pressure(stairs, lambda t, p: (t[t < 48.0], p[t < 48.0])))
     assert ways(late) == [(0, -1, "stairs")]
     assert ways(early) == [(0, 1, "stairs")]
 
 
-def test_a_fix_that_names_a_storey_names_all_others(stairs: Recording) -> None:
+def test_a_fix_with_a_storey_renumbers_all_storeys(stairs: Recording) -> None:
     fix = PositionFix(10.0, np.array([0.0, 5.0]), 9.0 * np.eye(2), floor=4)
     track = pdr.track(stairs, fixes=[fix])
     assert track.floor[0] == 0
@@ -292,7 +292,7 @@ def test_a_storey_of_a_rejected_fix_is_not_used(stairs: Recording) -> None:
 
 
 @pytest.mark.parametrize("floor", [1.5, np.nan])
-def test_a_storey_that_is_no_whole_number_is_refused(floor: float) -> None:
+def test_a_storey_that_is_not_an_integer_is_refused(floor: float) -> None:
     with pytest.raises(ValueError, match="floor must be a whole number"):
         PositionFix(1.0, np.zeros(2), np.eye(2), floor=floor)  # type: ignore[arg-type]
 
@@ -306,8 +306,10 @@ def blocks_of(recording: Recording, seed: int) -> list[ImuBlock]:
 
 @pytest.mark.parametrize("weighting", ["imm", "wc"])
 @pytest.mark.parametrize("rate", [1, 10])
-def test_heights_do_not_depend_on_how_samples_and_pressure_arrive(stairs: Recording, weighting: str, rate: int) -> None:
-    """Pressure in pieces of its own, each before the samples of its time, and the filter saved and loaded between."""
+def test_heights_do_not_depend_on_the_blocks_of_samples_and_pressure(
+    stairs: Recording, weighting: str, rate: int
+) -> None:
+    """Pressure arrives in separate blocks before the samples, and the filter is saved and loaded in between."""
     recording = with_pressure(stairs, lambda t, p: (t[:: 10 // rate], p[:: 10 // rate]))
     assert recording.barometer is not None
     time_s, pressure = recording.barometer.time_s, recording.barometer.values[:, 0]
@@ -341,22 +343,22 @@ def test_a_smoothed_track_has_the_heights_of_the_filter(stairs: Recording) -> No
 
 
 @pytest.mark.parametrize(("climbed_m", "floor"), [(2.6, 1), (5.5, 1), (-3.2, -1), (1.5, 0), (11.4, 3)])
-def test_any_height_of_a_storey_is_one_where_nothing_is_known(climbed_m: float, floor: int) -> None:
-    assert round(storeys_up(FloorState().levels, climbed_m)) == floor
+def test_any_plausible_storey_height_counts_as_one_storey_in_an_unknown_building(climbed_m: float, floor: int) -> None:
+    assert round(storey_number(FloorState().levels, climbed_m)) == floor
 
 
-def test_storeys_that_were_visited_say_how_high_the_next_one_is() -> None:
+def test_visited_storeys_determine_the_height_of_the_next_one() -> None:
     low = (Level(0, 0.0, 0.1), Level(1, 2.7, 0.1), Level(2, 5.4, 0.1))
-    assert storeys_up(low, 1.35) == pytest.approx(0.5)
-    assert storeys_up(low, 5.4 + 0.5 * (3.8 + 2 * 2.7) / 3) == pytest.approx(2.5)
-    assert storeys_up(low, -1.0) == pytest.approx(-1.0 / ((3.8 + 2 * 2.7) / 3))
+    assert storey_number(low, 1.35) == pytest.approx(0.5)
+    assert storey_number(low, 5.4 + 0.5 * (3.8 + 2 * 2.7) / 3) == pytest.approx(2.5)
+    assert storey_number(low, -1.0) == pytest.approx(-1.0 / ((3.8 + 2 * 2.7) / 3))
 
 
-def test_a_landing_is_no_storey_however_long_somebody_stays_there() -> None:
+def test_a_landing_is_never_a_storey_however_long_the_stay() -> None:
     at_landing = FloorState(floor=1, level_since_s=0.0, n_level_steps=20)
-    assert learnt(at_landing, 60.0, 1.9, 0.1).levels == FloorState().levels
-    assert [level.floor for level in learnt(at_landing, 60.0, 3.0, 0.1).levels] == [0, 1]
+    assert with_new_level(at_landing, 60.0, 1.9, 0.1).levels == FloorState().levels
+    assert [level.floor for level in with_new_level(at_landing, 60.0, 3.0, 0.1).levels] == [0, 1]
 
 
-def test_who_waits_without_a_step_has_not_come_to_a_storey() -> None:
-    assert len(learnt(FloorState(floor=1, level_since_s=0.0), 60.0, 3.0, 0.1).levels) == 1
+def test_a_stay_without_steps_does_not_add_a_level() -> None:
+    assert len(with_new_level(FloorState(floor=1, level_since_s=0.0), 60.0, 3.0, 0.1).levels) == 1

@@ -15,7 +15,7 @@ RISER_M = 0.17
 
 
 def some_estimates(seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Means (7, 4), covariances (7, 4, 4) and probabilities (7,); only a lift has a rate."""
+    """Return means (7, 4), covariances (7, 4, 4) and probabilities (7,). Only a lift has a rate."""
     rng = np.random.default_rng(seed)
     mean = rng.normal(0.0, [5.0, 1.0, 2.0, 300.0], (N_MODES, 4))
     root = rng.normal(0.0, 0.3, (N_MODES, 4, 4))
@@ -35,7 +35,7 @@ def moments_of(mean: FloatArray, cov: FloatArray, prob: FloatArray) -> FloatArra
 
 
 def predicted_by(mode: int, elapsed_s: float, n_steps: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Transition, what is added, and noise of a mode, one after the other as the text of the module says them."""
+    """Return transition matrix, offset and noise of a mode, as the module describes them."""
     lead, added, noise = np.diag([1.0, 0.0, 1.0, 1.0]), np.zeros(4), np.zeros((4, 4))
     noise[AIR, AIR] = elapsed_s * vertical.AIR_WALK_M**2
     if mode in (UP, DOWN):
@@ -55,7 +55,7 @@ def predicted_by(mode: int, elapsed_s: float, n_steps: int) -> tuple[FloatArray,
 
 
 @pytest.mark.parametrize(("elapsed_s", "n_steps", "seed"), [(1.0, 0, 0), (1.0, 2, 1), (2.0, 3, 2), (0.9, 1, 3)])
-def test_a_second_is_that_of_an_imm_of_means_and_covariances(elapsed_s: float, n_steps: int, seed: int) -> None:
+def test_a_second_of_moments_equals_an_imm_of_means_and_covariances(elapsed_s: float, n_steps: int, seed: int) -> None:
     mean, cov, prob = some_estimates(seed)
     evidence = np.random.default_rng(seed).normal(0.0, 1.0, N_MODES)
     height_m = float(prob @ (mean[:, CLIMBED] + mean[:, SLOPED] + mean[:, AIR]))
@@ -90,14 +90,14 @@ def test_a_second_is_that_of_an_imm_of_means_and_covariances(elapsed_s: float, n
     assert now.height_var_m2 == pytest.approx(up @ total_cov @ up, rel=1e-6)
 
 
-def test_a_level_that_is_known_corrects_each_mode_and_leaves_their_probabilities() -> None:
+def test_a_known_level_corrects_each_mode_and_keeps_the_mode_probabilities() -> None:
     mean, cov, prob = some_estimates(5)
     after = vertical.at_level(moments_of(mean, cov, prob), 3.0, 0.04)
     x, after_cov, _, _ = imm.update(mean, cov, np.array([3.0]), np.array([[1.0, 0.0, 0.0, 0.0]]), np.array([[0.04]]))
     np.testing.assert_allclose(after, moments_of(x, after_cov, prob), rtol=1e-6, atol=1e-6)
 
 
-def test_a_step_that_nothing_measured_climbs_in_each_mode() -> None:
+def test_an_unmeasured_step_climbs_in_each_mode() -> None:
     mean, cov, prob = some_estimates(6)
     after = vertical.after_step(moments_of(mean, cov, prob), 0.17, 0.02, 0.003)
     cov[:, CLIMBED, CLIMBED] += 0.02
@@ -106,7 +106,7 @@ def test_a_step_that_nothing_measured_climbs_in_each_mode() -> None:
     np.testing.assert_allclose(after, moments_of(mean, cov, prob), atol=1e-9)
 
 
-def test_a_mode_that_was_ruled_out_comes_back() -> None:
+def test_an_excluded_mode_becomes_probable_again() -> None:
     evidence = np.where(np.arange(N_MODES) == DRIFT, 0.0, -1e6)
     moments = vertical.after_second(vertical.initial(), 1.0, 0, 0.0, 0.0, evidence)
     for _ in range(30):
@@ -116,7 +116,7 @@ def test_a_mode_that_was_ruled_out_comes_back() -> None:
     assert vertical.combined(moments).climbed_m == pytest.approx(0.0, abs=0.2)
 
 
-def test_without_the_air_what_was_climbed_is_as_sure_as_before_and_the_rate_is_none() -> None:
+def test_forgetting_the_air_keeps_the_climbed_variance_and_resets_the_rate() -> None:
     mean, cov, prob = some_estimates(7)
     total, total_cov = imm.combine(mean, cov, prob)
     after = vertical.with_air_unknown(moments_of(mean, cov, prob), 6.0)

@@ -1,6 +1,6 @@
-"""The covariance is the size of the errors: on walks that are drawn from the filter's own model, and over a long time.
+"""Consistency of covariances and errors, on walks drawn from the filter's own model and over a long time.
 
-Smaller than `tests/benchmarks/consistency.py`, whose walks these are; docs/benchmarks.md has its figures.
+A smaller version of `tests/benchmarks/consistency.py`, whose figures are in docs/benchmarks.md.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from tests.benchmarks.consistency import Errors, bounds, errors_of_walks, own_mo
 
 
 def test_the_simulated_classifier_is_calibrated() -> None:
-    """Of the windows that give a context the probability p, the share p is that context."""
+    """Among windows with probability p for a context, the share p has this context."""
     rng = np.random.default_rng(0)
     truth = rng.integers(0, len(CONTEXTS), 8000)
     for overlapping in (False, True):
@@ -35,8 +35,8 @@ def test_the_simulated_classifier_is_calibrated() -> None:
             assert hit[inside].mean() == pytest.approx(prob[inside].mean(), abs=0.03)
 
 
-def test_a_simulated_walk_goes_as_far_as_its_modes_say() -> None:
-    """Without the person's scale: distance of all steps within four deviations of the sum of the modes' lengths."""
+def test_the_distance_of_a_simulated_walk_agrees_with_its_modes() -> None:
+    """Without the step scale, the distance is within four standard deviations of the summed lengths of the modes."""
     model = own_model()
     still = replace(model, noise=replace(model.noise, log_scale_std=0.0, log_scale_drift_per_sqrt_step=0.0))
     walk = simulated_walk(still, 3000, np.random.default_rng(3), redrawn=True)
@@ -57,32 +57,32 @@ def mixed() -> Errors:
     return errors_of_walks(own_model(), own_model(), 200, 40, check_every=20, fix_every=20)
 
 
-def test_the_position_is_off_as_much_as_its_covariance_says(mixed: Errors) -> None:
+def test_position_errors_agree_with_their_covariance(mixed: Errors) -> None:
     low, high = bounds(2, 200)
     mean = mixed.position.mean(axis=0)
     assert ((mean >= low) & (mean <= high)).all(), mean
 
 
-def test_fixes_surprise_as_much_as_they_should(mixed: Errors) -> None:
+def test_the_nis_of_fixes_is_within_its_bounds(mixed: Errors) -> None:
     low, high = bounds(2, mixed.fixes.size)
     assert low <= mixed.fixes.mean() <= high
     assert mixed.rejected <= 0.005 * mixed.fixes.size
 
 
 def test_the_whole_state_is_nearly_consistent(mixed: Errors) -> None:
-    """Approximations of the IMM and of the linear scale cost up to a tenth: docs/benchmarks.md."""
+    """The approximations of the IMM and of the linear scale add up to a tenth (docs/benchmarks.md)."""
     low, high = bounds(4, 200)
     mean = mixed.state.mean(axis=0)
     assert (mean >= low).all()
     assert (mean <= 1.1 * high).all(), mean
 
 
-def test_ellipses_hold_their_share_of_the_positions(mixed: Errors) -> None:
+def test_ellipses_contain_their_nominal_share_of_the_positions(mixed: Errors) -> None:
     for prob, allowed in ((0.5, 0.06), (0.95, 0.03)):
         assert (mixed.position < chi2.ppf(prob, 2)).mean() == pytest.approx(prob, abs=allowed)
 
 
-def test_a_filter_that_trusts_people_too_much_fails_these_tests() -> None:
+def test_an_overconfident_filter_fails_these_tests() -> None:
     model = own_model()
     noise = model.noise
     sure = replace(
@@ -102,8 +102,8 @@ def test_a_filter_that_trusts_people_too_much_fails_these_tests() -> None:
 
 
 @pytest.mark.parametrize("weighting", ["imm", "wc"])
-def test_hours_of_walking_and_rest_leave_the_state_as_large_as_it_was(weighting: str) -> None:
-    """The state holds all that a step may cost: no array of it grows, so that neither memory nor time do."""
+def test_hours_of_walking_and_rest_do_not_enlarge_the_state(weighting: str) -> None:
+    """No array of the state grows, so that neither memory nor time of a step grows."""
     n_steps = 2000
     tracker = pdr.recipes.default().with_weighting(weighting).tracker
     state, found, _ = run_day(tracker, n_steps, 86_400.0 * n_steps / 60_000)

@@ -28,7 +28,7 @@ def random_cov(rng: np.random.Generator, n: int, size: int = 1) -> np.ndarray:
 
 
 def random_modes(seed: int, n_modes: int = 4, n: int = 3) -> tuple[np.ndarray, ...]:
-    """Means, covariances, mode probabilities, transition matrix."""
+    """Return means, covariances, mode probabilities and a transition matrix."""
     rng = np.random.default_rng(seed)
     prob = rng.dirichlet(np.ones(n_modes))
     return rng.normal(size=(n_modes, n)), random_cov(rng, n, n_modes), prob, rng.dirichlet(np.ones(n_modes), n_modes)
@@ -83,7 +83,7 @@ def test_a_hundred_steps_agree_with_filterpy(n_modes: int) -> None:
             np.testing.assert_allclose(mean[j], kalman.x, atol=1e-9)
             np.testing.assert_allclose(cov[j], kalman.P, atol=1e-9)
         visited.add(int(mode_prob.argmax()))
-    assert len(visited) > 1  # a problem on which nothing switches would prove little
+    assert len(visited) > 1  # the test needs a problem with mode switches
 
 
 @settings(max_examples=50, deadline=None)
@@ -101,7 +101,7 @@ def test_the_update_is_the_kalman_update(seed: int, n: int, d: int) -> None:
         np.testing.assert_allclose(updated_cov[j], (np.eye(n) - K @ H_) @ cov[j], atol=1e-9)
         assert log_likelihood[j] == pytest.approx(multivariate_normal(H_ @ mean[j], S).logpdf(z), abs=1e-8)
         assert nis[j] == pytest.approx(y @ np.linalg.inv(S) @ y, abs=1e-8)
-        # its log likelihood is no oracle: it is taken about the updated mean
+        # its log likelihood cannot be compared, because it is evaluated at the updated mean
         x, P, *_ = filterpy_update(mean[j], cov[j], z, R_, H_, return_all=True)
         np.testing.assert_allclose(updated_mean[j], x, atol=1e-9)
         np.testing.assert_allclose(updated_cov[j], P, atol=1e-9)
@@ -146,7 +146,7 @@ def test_two_modes_without_evidence_decay_to_the_stationary_probabilities_in_clo
 
 
 def test_the_transition_matrix_is_read_from_row_to_column() -> None:
-    M = np.array([[0.6, 0.4], [0.0, 1.0]])  # mode 1 is never left
+    M = np.array([[0.6, 0.4], [0.0, 1.0]])  # mode 1 has no transitions to others
     _, _, predicted = mix(np.zeros((2, 1)), np.ones((2, 1, 1)), np.array([0.5, 0.5]), M)
     np.testing.assert_allclose(predicted, [0.3, 0.7])
 
@@ -155,7 +155,7 @@ def test_the_transition_matrix_is_read_from_row_to_column() -> None:
 
 
 def literal_mix(mean: np.ndarray, cov: np.ndarray, prob: np.ndarray, M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Blom and Bar-Shalom as loops."""
+    """Return the mixing by Blom and Bar-Shalom, written as loops."""
     n_modes, n = mean.shape
     mixed_mean, mixed_cov = np.zeros((n_modes, n)), np.zeros((n_modes, n, n))
     for j in range(n_modes):
@@ -192,7 +192,7 @@ def test_mixing_keeps_the_combined_mean_and_covariance(seed: int, n_modes: int) 
 
 @settings(max_examples=30, deadline=None)
 @given(seed=SEEDS)
-def test_naming_the_modes_in_another_order_changes_nothing_else(seed: int) -> None:
+def test_the_order_of_the_modes_only_permutes_the_results(seed: int) -> None:
     mean, cov, prob, M = random_modes(seed)
     order = np.random.default_rng(seed).permutation(4)
     straight = mix(mean, cov, prob, M)
@@ -214,7 +214,7 @@ def test_a_mode_that_cannot_be_reached_keeps_its_own_estimate() -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(seed=SEEDS, n_modes=st.integers(1, 5))
-def test_values_are_mixed_as_means_are(seed: int, n_modes: int) -> None:
+def test_values_are_mixed_like_means(seed: int, n_modes: int) -> None:
     mean, cov, prob, M = random_modes(seed, n_modes)
     np.testing.assert_allclose(mixed_values(mean[:, 0], prob, M), mix(mean, cov, prob, M)[0][:, 0], atol=1e-12)
     two = np.stack([mean[:, 0], mean[:, 1]]), np.stack([prob, prob[::-1]])
@@ -294,7 +294,7 @@ def test_smoothed_mode_probabilities_are_those_of_the_exact_forward_backward_alg
         filtered.append(mu)
     lagged = smoothed_mode_prob(np.array(filtered), T, lag)
     for k in range(n_steps):
-        # all sequences of modes from k on, summed by their probability
+        # sum of the probabilities of all mode sequences from k on
         beta = np.ones(3)
         for later in range(min(k + lag, n_steps - 1), k, -1):
             beta = T @ (np.exp(log_likelihood[later]) * beta)
@@ -303,7 +303,7 @@ def test_smoothed_mode_probabilities_are_those_of_the_exact_forward_backward_alg
     np.testing.assert_array_equal(smoothed_mode_prob(np.array(filtered), T, 0), filtered)
 
 
-def test_a_negative_lag_is_refused_and_no_steps_stay_none() -> None:
-    with pytest.raises(ValueError, match="lag must be 0 steps or more, got -1"):
+def test_a_negative_lag_is_refused_and_an_empty_input_stays_empty() -> None:
+    with pytest.raises(ValueError, match="lag is a number of steps and must be 0 or more, got -1"):
         smoothed_mode_prob(np.ones((2, 1)), np.ones((1, 1)), -1)
     assert smoothed_mode_prob(np.empty((0, 2)), np.eye(2), 3).shape == (0, 2)

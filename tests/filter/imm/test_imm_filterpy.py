@@ -20,7 +20,7 @@ PRIOR = np.array([0.9, 0.1])
 
 
 def estimator(kind: type = MendedIMMEstimator, prob: np.ndarray = PRIOR) -> IMMEstimator:
-    """Two modes in one dimension that differ in their process noise."""
+    """Return two modes in one dimension that differ in their process noise."""
     filters = []
     for q in (0.01, 1.0):
         kalman = KalmanFilter(dim_x=1, dim_z=1)
@@ -37,7 +37,7 @@ def test_the_transition_matrix_is_from_row_to_column() -> None:
     mended = estimator()
     mended.predict()
     np.testing.assert_allclose(mended.mu, PRIOR @ M)
-    assert not np.allclose(mended.mu, M @ PRIOR)  # what the documentation of filterpy says
+    assert not np.allclose(mended.mu, M @ PRIOR)  # as the documentation of filterpy states
 
 
 def test_no_measurement_changes_nothing() -> None:
@@ -63,7 +63,7 @@ def test_two_predictions_in_a_row_are_two_transitions() -> None:
     np.testing.assert_allclose(original.mu, PRIOR)
 
 
-def test_evidence_that_underflows_in_every_mode_still_tells_them_apart() -> None:
+def test_evidence_that_underflows_in_every_mode_still_distinguishes_them() -> None:
     mended, original = estimator(), estimator(IMMEstimator)
     for imm_ in (mended, original):
         imm_.predict()
@@ -82,12 +82,12 @@ def test_a_mode_that_cannot_be_reached_keeps_its_estimate() -> None:
         np.testing.assert_allclose(prob, [1.0, 0.0])
 
 
-# --- one and the same filter ------------------------------------------------------------------------------------------
+# --- equal results ----------------------------------------------------------------------------------------------------
 
 
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), n_modes=st.integers(1, 6), n=st.integers(1, 4))
-def test_every_function_agrees_with_the_one_of_imm(seed: int, n_modes: int, n: int) -> None:
+def test_every_function_agrees_with_the_numpy_one(seed: int, n_modes: int, n: int) -> None:
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(n_modes, n, n))
     mean, cov = rng.normal(size=(n_modes, n)), root @ root.transpose(0, 2, 1) + 0.1 * np.eye(n)

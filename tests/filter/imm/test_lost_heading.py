@@ -1,4 +1,4 @@
-"""A heading that is lost while no samples come: the turn of the track is open again, and fixes close it."""
+"""Heading lost in a gap: the rotation of the track is unknown again until fixes determine it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import HeadingFix, PositionFix
 from pdr_filter.values.recording import Recording, Samples
 
-# Nothing is recorded while the person turns by 2.2 rad.
+# The person turns by 2.2 rad in the gap.
 GAP_BEGIN_S, GAP_END_S = 97.0, 102.0
 FIX_STD_M = 2.0
 FAR_M = np.array([80.0, -60.0])
@@ -33,7 +33,7 @@ def whole() -> Recording:
 
 
 def without(whole: Recording, is_lost: Callable[[np.ndarray], np.ndarray]) -> Recording:
-    """Without the samples of some times."""
+    """Return the recording without the samples at some times."""
     left = {}
     for name in ("accelerometer", "gyroscope", "magnetometer"):
         samples = getattr(whole, name)
@@ -53,7 +53,7 @@ def truth_m(walk: Recording, times: np.ndarray) -> np.ndarray:
 
 
 def fixes_of(walk: Recording) -> list[PositionFix]:
-    """One in twelve seconds, none near the gap."""
+    """Return one fix in twelve seconds, none near the gap."""
     times = np.arange(3.0, walk.duration_s - 4.0, 12.0)
     errors = np.random.default_rng(2).normal(scale=FIX_STD_M, size=(len(times), 2))
     places = truth_m(walk, times) + errors
@@ -70,7 +70,7 @@ def nees(walk: Recording, time_s: np.ndarray, position_m: np.ndarray, cov_m2: np
 
 
 @pytest.mark.parametrize("weighting", ["imm", "wc"])
-def test_fixes_after_a_lost_heading_turn_the_track_and_it_stays_inside_its_ellipse(
+def test_fixes_after_a_lost_heading_rotate_the_track_which_stays_inside_its_ellipse(
     walk: Recording, weighting: str
 ) -> None:
     track = tracked(walk, [*fixes_of(walk)], weighting)
@@ -82,7 +82,7 @@ def test_fixes_after_a_lost_heading_turn_the_track_and_it_stays_inside_its_ellip
     assert error_m[track.time_s > GAP_END_S + 40.0].max() < 8.0
 
 
-def test_a_heading_fix_after_a_lost_heading_turns_the_track_at_once(walk: Recording) -> None:
+def test_a_heading_fix_after_a_lost_heading_rotates_the_track_at_once(walk: Recording) -> None:
     heading = HeadingFix(108.0, 3.4, 0.1)
     track = tracked(walk, sorted([*fixes_of(walk), heading], key=lambda fix: fix.time_s))
     assert next(fix.outcome for fix in track.fixes if fix.time_s == heading.time_s) == "used"
@@ -92,14 +92,14 @@ def test_a_heading_fix_after_a_lost_heading_turns_the_track_at_once(walk: Record
     assert nees(walk, track.time_s, track.position_m, track.position_cov_m2).max() < chi2.isf(1e-3, 2)
 
 
-def test_hindsight_turns_what_was_walked_before_the_fixes_that_close_the_turn(walk: Recording) -> None:
+def test_a_smoothed_track_is_accurate_also_before_the_fixes_that_determine_the_rotation(walk: Recording) -> None:
     found = pdr.smooth(walk, fixes_of(walk)).track
     error_m = np.linalg.norm(found.position_m - truth_m(walk, found.time_s), axis=1)
     assert error_m.max() < 6.0
     assert nees(walk, found.time_s, found.position_m, found.position_cov_m2).max() < chi2.isf(1e-3, 2)
 
 
-def test_a_turn_that_is_open_again_does_not_depend_on_how_samples_are_cut(walk: Recording) -> None:
+def test_a_reopened_rotation_does_not_depend_on_the_blocks_of_samples(walk: Recording) -> None:
     config = recipes.default(walk.subject).in_world_frame()
     tracks = []
     for seed in (None, 1, 2):
@@ -114,11 +114,11 @@ def test_a_turn_that_is_open_again_does_not_depend_on_how_samples_are_cut(walk: 
 
 
 def with_wrong(fixes: list[PositionFix], begin_s: float, end_s: float) -> list[PositionFix]:
-    """Fixes of which those between two times are 100 m off."""
+    """Return fixes, with an error of 100 m between two times."""
     return [replace(fix, position_m=fix.position_m + FAR_M * (begin_s < fix.time_s < end_s)) for fix in fixes]
 
 
-def test_one_wrong_fix_after_a_lost_heading_does_not_take_the_track_with_it(walk: Recording) -> None:
+def test_one_wrong_fix_after_a_lost_heading_does_not_move_the_track(walk: Recording) -> None:
     track = tracked(walk, [*with_wrong(fixes_of(walk), GAP_END_S, GAP_END_S + 12.0)])
     after = [fix.outcome for fix in track.fixes if fix.time_s > GAP_END_S]
     assert after[0] == "rejected"
@@ -126,19 +126,19 @@ def test_one_wrong_fix_after_a_lost_heading_does_not_take_the_track_with_it(walk
     assert nees(walk, track.time_s, track.position_m, track.position_cov_m2).max() < chi2.isf(1e-3, 2)
 
 
-def test_fixes_that_contradict_the_place_of_a_lost_heading_for_long_move_the_track_and_it_says_so(
+def test_fixes_that_contradict_the_position_of_a_lost_heading_for_long_relocate_the_track_with_a_note(
     walk: Recording,
 ) -> None:
     track = tracked(walk, [*with_wrong(fixes_of(walk), GAP_END_S, np.inf)])
     moved = next(fix.time_s for fix in track.fixes if fix.outcome == "moved")
     assert moved > GAP_END_S + 60.0
-    (note,) = (note for note in track.notes if "moved it by" in note)
-    assert "," not in note.partition("moved it by ")[2].partition(" m")[0]  # once
+    (note,) = (note for note in track.notes if "the track was moved by" in note)
+    assert "," not in note.partition("the track was moved by ")[2].partition(" m")[0]  # once
     error_m = np.linalg.norm(track.position_m - truth_m(walk, track.time_s) - FAR_M, axis=1)
     assert error_m[track.time_s > moved + 2.0].max() < 20.0
 
 
-def test_a_fix_at_the_begin_of_a_gap_says_little_of_the_place_at_its_end(whole: Recording) -> None:
+def test_a_fix_at_the_start_of_a_gap_has_little_information_about_the_position_at_its_end(whole: Recording) -> None:
     walk = without(whole, lambda time_s: (time_s > 97.0) & (time_s < 117.0))
     fixes = [fix for fix in fixes_of(walk) if fix.time_s < 97.0]
     late = PositionFix(99.0, truth_m(walk, np.array([99.0]))[0], FIX_STD_M**2 * np.eye(2))
@@ -150,7 +150,7 @@ def test_a_fix_at_the_begin_of_a_gap_says_little_of_the_place_at_its_end(whole: 
     assert np.sqrt(np.linalg.eigvalsh(known.position_cov_m2[first])[0]) < 5.0
 
 
-def test_a_gyroscope_that_dies_behind_the_fixes_leaves_the_walk_inside_the_ellipse(whole: Recording) -> None:
+def test_after_a_gyroscope_failure_behind_the_fixes_the_walk_stays_inside_the_ellipse(whole: Recording) -> None:
     assert whole.gyroscope is not None
     turning, dies_s = whole.gyroscope, 60.0
     stuck = turning.values.copy()

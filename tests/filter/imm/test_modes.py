@@ -1,4 +1,4 @@
-"""Modes beyond one for each context: of a carrying mode, of irregular motion, several of one context."""
+"""Modes with a carrying mode, modes for irregular motion, and several modes of one context."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def a_window(time_s: float, carrying: np.ndarray | None = None, irregular_prob: 
 
 
 def walked(tracker: ImmTracker, windows: list[WindowContext]) -> tuple[ImmState, list[StepUpdate]]:
-    """Two steps with each window."""
+    """Return state and updates after two steps with each window."""
     state, updates = tracker.init(), []
     for window in windows:
         state, _ = updates_of(tracker.on_window(state, window))
@@ -42,15 +42,13 @@ def walked(tracker: ImmTracker, windows: list[WindowContext]) -> tuple[ImmState,
     return state, updates
 
 
-# --- where the phone is ---------------------------------------------------------------------------------------------
+# --- carrying mode --------------------------------------------------------------------------------------------------
 
 
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 1000), unknown=st.integers(0, 2))
-def test_the_evidence_of_a_window_for_a_carrying_mode_is_what_the_classifier_said_of_it_alone(
-    seed: int, unknown: int
-) -> None:
-    """`follow_mode` multiplies the prediction by (window / prior)^exponent: that factor comes out again."""
+def test_the_evidence_of_a_window_for_a_carrying_mode_is_that_of_the_window_alone(seed: int, unknown: int) -> None:
+    """`follow_mode` multiplies the prediction by (window / prior)^exponent, and the evidence is this factor."""
     rng = np.random.default_rng(seed)
     known = np.arange(5) >= unknown
     prior = np.where(known, 1.0, 0.0) / known.sum()
@@ -64,8 +62,8 @@ def test_the_evidence_of_a_window_for_a_carrying_mode_is_what_the_classifier_sai
     np.testing.assert_array_equal(evidence[~known], 0.0)
 
 
-def test_a_mode_of_a_carrying_mode_has_the_probability_of_it() -> None:
-    """The chain of the filter is that of the classifier here: the same transitions, the same evidence."""
+def test_a_mode_with_a_carrying_mode_has_the_probability_of_the_carrying_mode() -> None:
+    """Filter and classifier have the same transitions and the same evidence here."""
     pair = tuple(Mode(c, "walking", LENGTH, carrying_mode=c) for c in ("texting", "swinging"))
     stay = CARRYING_STAY_PROB
     tracker = ImmTracker(PedestrianModel(pair, even_transitions(2, stay)))
@@ -82,15 +80,15 @@ def test_a_mode_of_a_carrying_mode_has_the_probability_of_it() -> None:
         np.testing.assert_allclose(update.mode_prob, carrying[index], atol=1e-9)
 
 
-def test_a_gap_is_no_time_for_the_carrying_mode() -> None:
-    """The classifier keeps its probabilities over a gap, and what it kept is no evidence once more."""
+def test_after_a_gap_an_uninformative_window_is_no_evidence_for_the_carrying_mode() -> None:
+    """The classifier keeps its probabilities over a gap. The kept probabilities are not new evidence."""
     pair = tuple(Mode(c, "walking", LENGTH, carrying_mode=c) for c in ("texting", "pocket"))
     tracker = ImmTracker(PedestrianModel(pair, even_transitions(2, CARRYING_STAY_PROB)))
     even = np.isin(CARRYING_MODES, ["texting", "pocket"]) / 2
     said = np.where(np.array(CARRYING_MODES) == "texting", 0.8, 0.2) * (even > 0)
     state, _ = walked(tracker, [a_window(2.0, said)])
     state, _ = updates_of(tracker.on_gap(state, 60.0))
-    # a window that says nothing: only the transition
+    # uninformative window: only the transition changes the probabilities
     kept = follow_mode(said, even, even, CARRYING_STAY_PROB, 0.5)
     state, _ = updates_of(tracker.on_window(state, a_window(63.0, kept)))
     before = state.pedestrian.estimates.prob
@@ -98,7 +96,7 @@ def test_a_gap_is_no_time_for_the_carrying_mode() -> None:
     np.testing.assert_allclose(update.mode_prob, before @ tracker.model.transition_prob, atol=1e-9)
 
 
-def test_several_windows_without_a_step_say_together_what_the_classifier_says_after_them() -> None:
+def test_several_uninformative_windows_without_a_step_are_no_evidence() -> None:
     pair = tuple(Mode(c, "walking", LENGTH, carrying_mode=c) for c in ("texting", "pocket"))
     index = [CARRYING_MODES.index(c) for c in ("texting", "pocket")]
     even = np.isin(CARRYING_MODES, ["texting", "pocket"]) / 2
@@ -106,7 +104,7 @@ def test_several_windows_without_a_step_say_together_what_the_classifier_says_af
     tracker = ImmTracker(PedestrianModel(pair, np.eye(2)))
     state, updates = walked(tracker, [a_window(2.0, said)])
     before, carrying = updates[-1].mode_prob, said
-    for k in range(3):  # windows that say nothing: the classifier forgets, three windows long
+    for k in range(3):  # uninformative windows: the probabilities of the classifier decay for three windows
         carrying = follow_mode(carrying, even, even, CARRYING_STAY_PROB, 0.5)
         state, _ = updates_of(tracker.on_window(state, a_window(3.0 + k, carrying)))
     _, [update] = updates_of(tracker.on_step(state, a_step(5.0)))
@@ -114,13 +112,13 @@ def test_several_windows_without_a_step_say_together_what_the_classifier_says_af
     assert carrying[index[0]] < 0.78
 
 
-def test_windows_without_a_step_count_for_the_carrying_mode_too() -> None:
+def test_windows_without_a_step_are_evidence_for_the_carrying_mode() -> None:
     pair = tuple(Mode(c, "walking", LENGTH, carrying_mode=c) for c in ("texting", "pocket"))
     tracker = ImmTracker(PedestrianModel(pair, np.eye(2)))
     even = np.isin(CARRYING_MODES, ["texting", "pocket"]) / 2
     put_away = np.where(np.array(CARRYING_MODES) == "pocket", 0.98, 0.005)
     state, _ = walked(tracker, [a_window(2.0, even)])
-    for k in range(3):  # nobody steps while the phone is put away
+    for k in range(3):  # the person makes no steps while the phone is put away
         state, _ = updates_of(tracker.on_window(state, a_window(3.0 + k, put_away)))
     _, [update] = updates_of(tracker.on_step(state, a_step(5.0)))
     assert update.mode_prob[1] > 0.95
@@ -140,12 +138,12 @@ def test_without_a_carrying_mode_of_their_own_modes_do_not_depend_on_it() -> Non
 
 
 def with_irregular() -> ImmTracker:
-    # a long step of its own, which must not matter
+    # a long step length, which must have no effect
     modes = (Mode("walk", "walking", LENGTH), Mode("handling", IRREGULAR, known_length(5.0, 0.02)))
     return ImmTracker(PedestrianModel(modes, even_transitions(2, 0.9)))
 
 
-def test_in_irregular_motion_an_irregular_mode_takes_over_and_moves_nowhere() -> None:
+def test_in_irregular_motion_the_irregular_mode_dominates_and_the_position_stays() -> None:
     tracker = with_irregular()
     _, updates = walked(tracker, [a_window(2.0 + k, irregular_prob=0.97) for k in range(10)])
     # a step without a window of its own follows the transitions, which leave one time in ten
@@ -154,21 +152,21 @@ def test_in_irregular_motion_an_irregular_mode_takes_over_and_moves_nowhere() ->
     assert np.linalg.norm(updates[-1].position_m - updates[-9].position_m) < 8 * 0.1
 
 
-def test_in_regular_motion_an_irregular_mode_hardly_shortens_the_way() -> None:
+def test_in_regular_motion_an_irregular_mode_hardly_shortens_the_distance() -> None:
     _, updates = walked(with_irregular(), [a_window(2.0 + k, irregular_prob=0.01) for k in range(10)])
     assert updates[-1].mode_prob[0] > 0.85
     assert updates[-1].step_length_m == pytest.approx(0.7, abs=0.1)
 
 
-def test_an_irregular_probability_that_is_not_a_number_says_nothing() -> None:
+def test_an_irregular_probability_of_nan_is_no_evidence() -> None:
     _, updates = walked(with_irregular(), [a_window(2.0 + k, irregular_prob=np.nan) for k in range(5)])
     assert np.isfinite(updates[-1].mode_prob).all()
-    # half and half, as the gate would say if it knew nothing
+    # one half, the probability of a gate without information
     _, even = walked(with_irregular(), [a_window(2.0 + k, irregular_prob=0.5) for k in range(5)])
     np.testing.assert_array_equal(updates[-1].mode_prob, even[-1].mode_prob)
 
 
-def test_before_the_first_window_contexts_are_those_of_the_modes_that_have_one() -> None:
+def test_before_the_first_window_context_probabilities_follow_from_the_modes() -> None:
     tracker = with_irregular()
     _, [update] = updates_of(tracker.on_step(tracker.init(), a_step(1.0)))
     assert update.context_prob[WALKING] == 1.0
@@ -183,7 +181,7 @@ def test_without_an_irregular_mode_the_gate_does_not_change_the_evidence() -> No
 # --- several modes of a context -------------------------------------------------------------------------------------
 
 
-def test_two_modes_of_one_context_share_its_evidence_and_fixes_tell_them_apart() -> None:
+def test_two_modes_of_one_context_share_its_evidence_and_fixes_distinguish_them() -> None:
     from pdr_filter.values import PositionFix
 
     modes = (Mode("short", "walking", known_length(0.5, 0.02)), Mode("long", "walking", known_length(0.9, 0.02)))
@@ -196,7 +194,7 @@ def test_two_modes_of_one_context_share_its_evidence_and_fixes_tell_them_apart()
     assert state.pedestrian.estimates.prob[1] > 0.99
 
 
-def test_stays_are_those_of_the_terrain_labels_and_the_long_run_is_mostly_level() -> None:
+def test_mean_stays_are_those_of_the_terrain_labels_and_level_walking_is_most_frequent() -> None:
     transitions = context_transitions()
     np.testing.assert_allclose(transitions.sum(axis=1), 1.0)
     stays = dict(zip(CONTEXTS, 1 / (1 - transitions.diagonal()), strict=True))

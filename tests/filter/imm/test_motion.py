@@ -38,7 +38,7 @@ NO_COV = np.zeros((1, 4, 4))
 
 
 def walking(offset_rad: Sequence[float], heading_var_rad2: Sequence[float]) -> Directions:
-    """Modes with these offsets and scatters of directions, and nothing else."""
+    """Return the directions of modes with these offsets and standard deviations."""
     none = np.zeros(len(offset_rad))
     return Directions(np.asarray(offset_rad), np.asarray(heading_var_rad2), none, none)
 
@@ -54,7 +54,7 @@ def advance_one(
     heading_var_rad2: float = 0.0,
     noise: MotionNoise = STILL,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`predict_heading` and `advance` for a single mode."""
+    """Apply `predict_heading` and `advance` to a single mode."""
     step, directions = step or a_step(), walking([offset_rad], [heading_var_rad2])
     drifted = predict_heading(cov[None], step, step.duration_s, directions, noise)
     moved = advance(
@@ -69,7 +69,7 @@ def advance_one(
     return moved.mean[0], moved.cov[0]
 
 
-# --- where a step leads ---------------------------------------------------------------------------------------------
+# --- direction of a step --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ def advance_one(
     [(0.0, 0.0, 0.7), (np.pi / 2, 0.7, 0.0), (np.pi, 0.0, -0.7), (-np.pi / 2, -0.7, 0.0), (2.5 * np.pi, 0.7, 0.0)],
     ids=["north", "east", "south", "west", "unwrapped east"],
 )
-def test_a_step_goes_where_the_heading_points(heading_rad: float, east_m: float, north_m: float) -> None:
+def test_a_step_leads_in_the_direction_of_the_heading(heading_rad: float, east_m: float, north_m: float) -> None:
     mean, _ = advance_one(np.array([3.0, -4.0, 0.0, 0.0]), step=a_step(heading_rad=heading_rad))
     np.testing.assert_allclose(mean, [3.0 + east_m, -4.0 + north_m, 0.0, 0.0], atol=1e-12)
 
@@ -97,7 +97,7 @@ def test_the_scale_multiplies_the_length() -> None:
     assert mean[NORTH] == pytest.approx(0.77)
 
 
-# --- how unsure it is -----------------------------------------------------------------------------------------------
+# --- uncertainty of a step ------------------------------------------------------------------------------------------
 
 
 @settings(max_examples=30, deadline=None)
@@ -140,7 +140,7 @@ def test_length_noise_lies_along_and_heading_noise_across_the_step(heading_rad: 
     np.testing.assert_allclose(cov[2:, :], 0.0)
 
 
-def test_a_step_in_a_turn_may_lead_in_any_direction_of_the_turn() -> None:
+def test_a_step_in_a_turn_may_lead_in_any_direction_within_the_turn() -> None:
     step = replace(a_step(heading_rad=0.8, duration_s=0.5), turn_rate_radps=0.4)
     _, cov = advance_one(np.zeros(4), step=step, length_m=0.7)
     directions = 0.8 + np.linspace(-0.1, 0.1, 10001)
@@ -152,7 +152,7 @@ def test_a_step_in_a_turn_may_lead_in_any_direction_of_the_turn() -> None:
 
 
 def test_n_equal_steps_add_up_in_closed_form() -> None:
-    """Straight north: independent errors grow with n, those of the common heading and scale with n squared."""
+    """Straight to the north, independent errors grow with n, errors of the common heading and scale with n squared."""
     n, length, var_l, var_psi, var_h, var_s = 50, 0.7, 0.06**2, 0.1**2, 0.15**2, 0.08**2
     mean, cov = np.zeros(4), np.diag([0.0, 0.0, var_h, var_s])
     for _ in range(n):
@@ -171,7 +171,7 @@ def test_heading_and_scale_drift_with_time_and_steps() -> None:
     assert cov[LOG_SCALE, LOG_SCALE] == pytest.approx(0.003**2)
 
 
-def test_the_spread_of_people_is_never_less_known_than_at_the_start() -> None:
+def test_without_measurements_the_variance_of_the_scale_stays_constant() -> None:
     noise = MotionNoise(log_scale_std=0.08, log_scale_drift_per_sqrt_step=0.01)
     mean, cov = initial_estimate(noise)
     for _ in range(300):
@@ -179,9 +179,9 @@ def test_the_spread_of_people_is_never_less_known_than_at_the_start() -> None:
         assert cov[LOG_SCALE, LOG_SCALE] == pytest.approx(0.08**2)
 
 
-def test_what_was_learnt_of_the_scale_is_forgotten_towards_the_spread_of_people() -> None:
+def test_the_estimated_scale_decays_towards_the_population_prior() -> None:
     noise = MotionNoise(log_scale_std=0.08, log_scale_drift_per_sqrt_step=0.01)
-    memory = 1 - 0.01**2 / 0.08**2  # of the variance, a step
+    memory = 1 - 0.01**2 / 0.08**2  # decay of the variance in a step
     mean, cov = np.array([0.0, 0.0, 0.0, 0.1]), np.zeros((4, 4))
     for _ in range(100):
         mean, cov = advance_one(mean, cov, noise=noise)
@@ -189,13 +189,13 @@ def test_what_was_learnt_of_the_scale_is_forgotten_towards_the_spread_of_people(
     assert cov[LOG_SCALE, LOG_SCALE] == pytest.approx(0.08**2 * (1 - memory**100))
 
 
-def test_a_scale_that_is_known_stays_known() -> None:
+def test_an_exactly_known_scale_stays_known() -> None:
     noise = MotionNoise(log_scale_std=0.0)
     mean, cov = advance_one(np.array([0.0, 0.0, 0.0, 0.1]), noise=noise)
     assert mean[LOG_SCALE] == 0.1 and cov[LOG_SCALE, LOG_SCALE] == 0.0
 
 
-def test_the_drift_and_the_noise_of_a_mode_come_on_top() -> None:
+def test_drift_and_noise_of_a_mode_are_added() -> None:
     mode = Mode(
         "bag", "walking", known_length(0.7, 0.0), heading_std_rad=0.0, carrying_mode="bag",
         heading_drift_rad_per_sqrt_s=0.3, extra_noise_m=0.2,
@@ -207,7 +207,7 @@ def test_the_drift_and_the_noise_of_a_mode_come_on_top() -> None:
     np.testing.assert_allclose(cov[0], np.diag([0.04, 0.04, 0.0, 0.0]), atol=1e-15)
 
 
-def test_without_angular_rate_the_heading_is_lost_but_never_more_than_a_uniform_one() -> None:
+def test_without_angular_rate_the_heading_variance_grows_up_to_that_of_a_uniform_heading() -> None:
     noise = MotionNoise()
     step = a_step(duration_s=0.5, heading_unknown_s=0.5)
     _, cov = advance_one(np.zeros(4), step=step, noise=noise)
@@ -220,7 +220,7 @@ def test_without_angular_rate_the_heading_is_lost_but_never_more_than_a_uniform_
     assert cov[HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(np.pi**2 / 3)
 
 
-def test_every_mode_moves_on_its_own() -> None:
+def test_every_mode_moves_independently() -> None:
     rng = np.random.default_rng(0)
     mean, root = rng.normal(size=(3, 4)), rng.normal(size=(3, 4, 4)) / 5
     cov = root @ root.transpose(0, 2, 1)
@@ -245,7 +245,7 @@ def test_every_mode_moves_on_its_own() -> None:
 
 
 @pytest.mark.parametrize("gap_s", [0.5, 2.0, 60.0])
-def test_a_gap_widens_the_position_by_the_way_that_may_have_been_walked(gap_s: float) -> None:
+def test_a_gap_adds_the_variance_of_a_possible_displacement(gap_s: float) -> None:
     noise = MotionNoise(HeadingDrift(unknown_rad_per_sqrt_s=0.7), gap_speed_mps=1.2)
     cov = np.tile(np.diag([1.0, 2.0, 0.01, 0.02]), (2, 1, 1))
     grown = grow_over_gap(cov, gap_s, noise)
@@ -297,7 +297,7 @@ def test_a_step_length_is_linear_in_frequency_and_variance_with_the_variance_of_
         assert var_m2 == pytest.approx(r @ theta_cov @ r + 0.06**2)
 
 
-def test_a_step_is_never_of_negative_length() -> None:
+def test_a_step_never_has_a_negative_length() -> None:
     fit = StepLengthFit(FrequencyVarianceStepLength(), np.array([-1.0, 0.0, 0.0]), np.zeros((3, 3)), 0.0)
     assert fit.predict(a_step())[0] == 0.0
 
@@ -332,11 +332,11 @@ def test_the_second_order_errors_are_those_of_normal_errors_of_heading_and_scale
     assert second_order_errors(heading_std**2, scale_std**2) == pytest.approx((along, across), rel=0.02, abs=1e-12)
 
 
-def test_certain_headings_and_scales_have_no_second_order_error() -> None:
+def test_exactly_known_headings_and_scales_have_no_second_order_error() -> None:
     assert second_order_errors(0.0, 0.0) == (0.0, 0.0)
 
 
-def test_noise_and_fits_that_cannot_be_are_refused() -> None:
+def test_impossible_noise_and_fits_are_refused() -> None:
     with pytest.raises(ValueError, match=r"log_scale_std of MotionNoise must be 0 or more .*, got nan"):
         MotionNoise(log_scale_std=np.nan)
     with pytest.raises(ValueError, match=r"gap_speed_mps of MotionNoise must be 0 or more .*, got -1"):
@@ -351,7 +351,7 @@ def test_noise_and_fits_that_cannot_be_are_refused() -> None:
         StepLengthFit(model, np.array([1.0, np.nan, 0.0]), np.eye(3), 0.1)
 
 
-def test_the_heading_wanders_while_nobody_steps() -> None:
+def test_the_heading_offset_drifts_while_there_are_no_steps() -> None:
     noise = MotionNoise()
     step = a_step(duration_s=0.5)
     rested = predict_heading(np.zeros((1, 4, 4)), step, 600.0, walking([0.0], [0.0]), noise)
@@ -360,17 +360,17 @@ def test_the_heading_wanders_while_nobody_steps() -> None:
     )
 
 
-# --- what samples show of the walking heading -----------------------------------------------------------------------
+# --- measured walking heading ---------------------------------------------------------------------------------------
 
 
 def some_estimate(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """A mean and a covariance with correlations, for one mode."""
+    """Return a mean and a covariance with correlations, for one mode."""
     root = 0.2 * np.random.default_rng(seed).normal(size=(4, 4))
     return np.array([[1.0, 2.0, 0.3, 0.05]]), (root @ root.T + 0.01 * np.eye(4))[None]
 
 
 def turned_by(angle_rad: float) -> np.ndarray:
-    """Clockwise rotation (2, 2) of vectors east, north."""
+    """Return the clockwise rotation matrix (2, 2) of vectors (east, north)."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[c, s], [-s, c]])
 
@@ -386,8 +386,8 @@ def test_a_small_correction_of_the_heading_is_a_kalman_update() -> None:
     np.testing.assert_allclose(updated_cov[0], oracle.P, atol=1e-4)
 
 
-def test_a_large_correction_of_the_heading_rotates_the_way_since_it_was_lost() -> None:
-    """Thirty steps with a heading that is off by a radian: the update leads where they would have led without."""
+def test_a_large_correction_of_the_heading_rotates_the_path_since_it_was_lost() -> None:
+    """After thirty steps with a heading error of a radian, the update gives the position without this error."""
     mean, cov = np.zeros((1, 4)), np.diag([0.0, 0.0, 1.0, 0.0])[None]
     turns = np.linspace(0.0, 2.0, 30)
     noise, directions = replace(STILL, log_scale_std=0.0), walking([0.0], [0.0])
@@ -401,7 +401,7 @@ def test_a_large_correction_of_the_heading_rotates_the_way_since_it_was_lost() -
     assert np.linalg.eigvalsh(updated_cov[0]).min() > -1e-9
 
 
-def test_the_rotated_covariance_stays_valid_and_turns_with_the_way() -> None:
+def test_the_rotated_covariance_stays_valid_and_rotates_with_the_path() -> None:
     mean, cov = some_estimate(1)
     step = replace(a_step(), walking_heading_rad=2.4, walking_heading_std_rad=0.5)
     updated, updated_cov = update_heading(mean, cov, step, 0.0)
@@ -422,14 +422,14 @@ def test_whole_turns_of_a_walking_heading_change_nothing(turns: int) -> None:
         np.testing.assert_allclose(once, again, atol=1e-12)
 
 
-def test_a_step_that_shows_no_direction_changes_nothing() -> None:
+def test_a_step_without_a_measured_direction_changes_nothing() -> None:
     mean, cov = some_estimate()
     updated, updated_cov = update_heading(mean, cov, a_step(), 0.0)
     np.testing.assert_array_equal(updated, mean)
     np.testing.assert_array_equal(updated_cov, cov)
 
 
-def test_a_phone_that_was_moved_forgets_its_heading_offset_as_far_as_it_was_moved() -> None:
+def test_moving_the_phone_adds_the_variance_of_the_offset_change() -> None:
     _, cov = some_estimate()
     step = replace(a_step(), offset_change_std_rad=0.7)
     drifted = predict_heading(cov, step, 0.0, walking([0.0], [0.0]), STILL)
@@ -437,8 +437,8 @@ def test_a_phone_that_was_moved_forgets_its_heading_offset_as_far_as_it_was_move
     assert drifted[0, HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(expected)
 
 
-def test_a_heading_that_was_lost_long_ago_does_not_turn_what_was_walked_before() -> None:
-    """At the variance of a uniform heading the lever forgets: it keeps its length instead of growing without end."""
+def test_a_heading_lost_long_ago_does_not_rotate_earlier_steps() -> None:
+    """At the variance of a uniform heading the lever decays, so that its length stays bounded."""
     cov, step = np.zeros((1, 4, 4)), a_step(duration_s=0.5, heading_unknown_s=0.5)
     directions, mean = walking([0.0], [0.0]), np.zeros((1, 4))
     levers = list[float]()
@@ -450,7 +450,7 @@ def test_a_heading_that_was_lost_long_ago_does_not_turn_what_was_walked_before()
     assert levers[-1] == pytest.approx(0.7 * (1.0 + MAX_HEADING_VARIANCE / 0.5), rel=0.02)
 
 
-def test_the_first_direction_makes_the_steps_before_it_as_unsure_as_if_it_had_been_known_so_from_the_start() -> None:
+def test_the_first_walking_heading_gives_earlier_steps_its_own_uncertainty() -> None:
     begun = {}
     for std in (STILL.initial_heading_offset_std_rad, 0.6):
         mean, cov = initial_estimate(replace(STILL, initial_heading_offset_std_rad=std))
@@ -461,7 +461,7 @@ def test_the_first_direction_makes_the_steps_before_it_as_unsure_as_if_it_had_be
     np.testing.assert_allclose(expect_first_direction(first[None], 0.6)[0], expected, atol=1e-12)
 
 
-def test_a_bias_of_the_gyroscope_makes_the_heading_less_known_by_its_variance_and_memory() -> None:
+def test_a_gyroscope_bias_increases_the_heading_variance_by_its_variance_and_memory() -> None:
     noise = replace(STILL, heading_drift=HeadingDrift(random_walk_rad_per_sqrt_s=0.0, bias_correlation_s=20.0))
     step = replace(a_step(duration_s=0.5), yaw_bias_std_radps=0.01)
     _, cov = advance_one(np.zeros(4), step=step, noise=noise)

@@ -1,5 +1,5 @@
 # ruff: noqa: N803, N806 - the letters of the equations are the readable form
-"""Past steps that follow the present state, against the joint Gaussian of all states."""
+"""Past steps related to the present state, compared with the joint Gaussian of all states."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pdr_filter.filter.fixes.alignment import Alignment
 from pdr_filter.filter.imm.past_path import MAX_STEPS, PastPath, WalkedStep
 from pdr_filter.values import FloatArray
 
-# Of heading offsets: so small that arcs are straight, as a linear smoother has them.
+# Standard deviation of heading offsets, so small that arcs are straight as in a linear smoother.
 SCALE = np.array([1.0, 1.0, 1e-3, 0.05])
 
 
@@ -31,13 +31,13 @@ def motion(rng: np.random.Generator) -> FloatArray:
 def a_step(
     time_s: float, mean: FloatArray, cov: FloatArray, F: FloatArray, after: FloatArray, after_cov: FloatArray
 ) -> WalkedStep:
-    """A step of one filter, with nothing learnt on the way."""
+    """Return a step of one filter without a measurement."""
     before = mean[None], cov[None]
     return WalkedStep(time_s, after, np.ones(1), *before, cov[None], *before, after[None], after_cov[None], F[None])
 
 
 class Joint:
-    """All states of a linear system as one Gaussian."""
+    """Joint Gaussian of all states of a linear system."""
 
     def __init__(self, cov: FloatArray) -> None:
         self.mean, self.cov = np.zeros(4), cov
@@ -73,7 +73,7 @@ def walked(n: int, measured_at: tuple[int, ...]) -> tuple[PastPath, Joint]:
 
 @pytest.mark.parametrize("n", [40, 150])
 def test_past_steps_are_those_of_the_joint_gaussian(n: int) -> None:
-    """Within a block, and over three of them."""
+    """The steps are within one block, or cover three blocks."""
     path, joint = walked(n, (20, 39, 100, 149))
     time_s, place_m, cov_m2 = path.places(joint.cov[-4:, -4:], np.zeros((2, 2)), joint.mean[-4:-2])
     np.testing.assert_array_equal(time_s, np.arange(n))
@@ -83,45 +83,45 @@ def test_past_steps_are_those_of_the_joint_gaussian(n: int) -> None:
     np.testing.assert_allclose(cov_m2[[0, 1, 1, 2]].T.reshape(-1, 2, 2), own, rtol=5e-3, atol=0.02)
 
 
-def test_an_alignment_turns_the_past_with_the_present_and_shares_its_error() -> None:
+def test_an_alignment_rotates_past_and_present_with_a_shared_error() -> None:
     path, joint = walked(100, (50,))
     alignment = Alignment(2.0, 0.01, np.array([1.0, 2.0]), np.array([30.0, 40.0]), 4.0, 100)
-    P, here_m = joint.cov[-4:, -4:], alignment.positions(joint.mean[-4:-2])
+    P, present_m = joint.cov[-4:, -4:], alignment.positions(joint.mean[-4:-2])
     T = np.eye(4)
     T[:2, :2] = alignment.rotation
-    lever = here_m - alignment.world_centre_m
+    lever = present_m - alignment.world_centre_m
     g, shift = np.array([lever[1], -lever[0], 1.0, 0.0]), np.diag([4.0, 4.0, 0.0, 0.0])
     after = T @ P @ T.T + 0.01 * np.outer(g, g) + shift
     before_m = path.places(P, np.zeros((2, 2)), joint.mean[-4:-2])[1]
-    moved = path.turned(alignment, P, after, here_m)
-    _, place_m, cov_m2 = moved.places(after, np.zeros((2, 2)), here_m)
+    moved = path.turned(alignment, P, after, present_m)
+    _, place_m, cov_m2 = moved.places(after, np.zeros((2, 2)), present_m)
     np.testing.assert_allclose(place_m.T, alignment.positions(before_m.T), atol=1e-9)
     first = alignment.positions(joint.mean[4:6])
     east_m, north_m = first - alignment.world_centre_m
     own = alignment.rotation @ joint.cov[4:6, 4:6] @ alignment.rotation.T
     expected = own + 0.01 * np.outer([north_m, -east_m], [north_m, -east_m]) + 4.0 * np.eye(2)
     np.testing.assert_allclose(cov_m2[:, 0], [expected[0, 0], expected[0, 1], expected[1, 1]], rtol=1e-3, atol=1e-3)
-    # a correction of the present in the direction of one state, of which the shift is a part
+    # correction of the present state in proportion to its covariance with one component
     cross = alignment.rotation @ joint.cov[4:6, -4:] @ T.T + 0.01 * np.outer([north_m, -east_m], g) + shift[:2]
     corrected = moved.corrected(after[:, 0] / after[0, 0], 1.0)
-    by_m = corrected.places(after, np.zeros((2, 2)), here_m)[1][:, 0] - place_m[:, 0]
+    by_m = corrected.places(after, np.zeros((2, 2)), present_m)[1][:, 0] - place_m[:, 0]
     np.testing.assert_allclose(by_m, cross[:, 0] / after[0, 0], rtol=0.05, atol=1e-3)
 
 
 def test_a_corrected_heading_moves_the_past_along_an_arc() -> None:
-    """A step of 10 m to the north whose heading was wrong by a quarter turn, seen from its end."""
+    """The heading of a step of 10 m to the north is corrected by a quarter turn at its end."""
     P, origin, end = np.diag([1e-6, 1e-6, 1.0, 1e-6]), np.zeros(4), np.array([0.0, 10.0, 0.0, 0.0])
     path = PastPath().with_event(a_step(0.0, origin, P, np.eye(4), origin, P))
     F = np.eye(4)
     F[0, 2] = 10.0
     path = path.with_event(a_step(1.0, origin, P, F, end, F @ P @ F.T))
-    # the end is known, and the start is a quarter of a circle about it
+    # the end is fixed, and the start moves along a quarter of a circle about it
     path = path.corrected(np.array([0.0, 0.0, np.pi / 2, 0.0]), 1.0)
     _, place_m, _ = path.places(P, np.zeros((2, 2)), np.zeros(2))
     np.testing.assert_allclose(place_m.T, [[-10.0, 10.0], [0.0, 10.0]], atol=0.15)
 
 
-def test_a_detached_path_stays_where_it_is() -> None:
+def test_a_detached_path_is_not_corrected() -> None:
     path, joint = walked(100, ())
     P = joint.cov[-4:, -4:]
     fixed = path.detached(P, 99.0, joint.mean[-4:-2])
@@ -138,7 +138,7 @@ def test_a_late_fix_scales_the_errors_of_all_steps_before_it() -> None:
     P = joint.cov[-4:, -4:]
     before = path.places(P, np.zeros((2, 2)), np.zeros(2))[2]
     scaled = path.corrected(np.zeros(4), 3.0)
-    for later in (scaled, scaled.settled()):
+    for later in (scaled, scaled.rebased()):
         after = later.places(3.0 * P, np.zeros((2, 2)), np.zeros(2))[2]
         np.testing.assert_allclose(after, 3.0 * before, rtol=1e-7)
 

@@ -21,7 +21,7 @@ def test_the_speed_of_a_step_is_its_length_over_its_duration() -> None:
     assert speed.step_std_mps == pytest.approx(np.sqrt(2) * 1.4 * CONTACT_STD_S / 0.5)
 
 
-def test_the_smoothed_speed_is_that_of_a_kalman_filter_whose_steps_scatter_as_said_or_as_they_do() -> None:
+def test_the_smoothed_speed_is_that_of_a_kalman_filter_with_the_stated_or_the_observed_scatter() -> None:
     rng = np.random.default_rng(0)
     lengths, durations = rng.normal(0.7, 0.06, 60), rng.normal(0.55, 0.03, 60)
     durations[30:] += np.where(np.arange(30) % 2, 0.2, -0.2)
@@ -43,7 +43,7 @@ def test_the_smoothed_speed_is_that_of_a_kalman_filter_whose_steps_scatter_as_sa
     assert all(larger[45:])
 
 
-def test_a_walk_of_missed_contacts_is_less_sure_and_stays_so_in_the_next_bout() -> None:
+def test_missed_contacts_increase_the_variance_of_the_speed_also_in_the_next_bout() -> None:
     even = walked(np.full(60, 0.7), np.full(60, 0.5))[-1]
     uneven = walked(np.full(60, 0.7), np.where(np.arange(60) % 3, 0.5, 1.0))[-1]
     assert uneven.smoothed_std_mps > 1.5 * even.smoothed_std_mps
@@ -52,20 +52,20 @@ def test_a_walk_of_missed_contacts_is_less_sure_and_stays_so_in_the_next_bout() 
     assert fresh[1].smoothed_std_mps > 1.2 * fresh[0].smoothed_std_mps
 
 
-def test_limping_disappears_from_the_smoothed_speed_and_not_from_that_of_the_steps() -> None:
+def test_limping_is_removed_from_the_smoothed_speed_and_kept_in_the_step_speed() -> None:
     durations = np.where(np.arange(60) % 2, 0.45, 0.55)
     speeds = walked(np.full(60, 0.7), durations)[30:]
     assert np.ptp([s.step_mps for s in speeds]) == pytest.approx(0.7 / 0.45 - 0.7 / 0.55)
     assert np.ptp([s.smoothed_mps for s in speeds]) < 0.4 * (0.7 / 0.45 - 0.7 / 0.55)
 
 
-def test_what_all_steps_share_does_not_average_out() -> None:
+def test_errors_that_all_steps_share_do_not_average_out() -> None:
     speeds = walked(np.full(200, 0.7), np.full(200, 0.5), scale_var=0.08**2)
     assert speeds[-1].smoothed_std_mps > 0.08 * 1.4
     assert walked(np.full(200, 0.7), np.full(200, 0.5))[-1].smoothed_std_mps < 0.1
 
 
-def test_the_deviation_holds_for_steps_that_scatter_as_said() -> None:
+def test_the_standard_deviation_is_correct_for_steps_with_the_stated_scatter() -> None:
     rng = np.random.default_rng(1)
     errors, stds = [], []
     for _ in range(300):

@@ -36,7 +36,7 @@ Event = Step | WindowContext
 
 
 def modes() -> tuple[Mode, ...]:
-    """One mode for each context; lengths depend on the step, and no two are alike."""
+    """Return one mode for each context, with different lengths that depend on the step."""
     theta = np.array([[0, 0, 0], [0.3, 0.2, 0.01], [0.2, 0.05, 0], [0.3, 0.1, 0], [0.4, 0, 0], [0.2, 0.3, 0.02]])
     return tuple(
         Mode(
@@ -72,7 +72,7 @@ def sure(context: int, prob: float = 1.0) -> np.ndarray:
 
 
 def random_walk(seed: int, duration_s: int = 20) -> tuple[list[Step], list[WindowContext]]:
-    """Steps from 1 s on, and windows that end at 2, 3, 4 s and so on."""
+    """Return steps from 1 s on, and windows that end at 2, 3, 4 s and so on."""
     rng = np.random.default_rng(seed)
     contacts_s = 1.05 + np.cumsum(rng.uniform(0.35, 0.8, 60))
     steps = [
@@ -84,7 +84,7 @@ def random_walk(seed: int, duration_s: int = 20) -> tuple[list[Step], list[Windo
 
 
 def in_order(steps: list[Step], windows: list[WindowContext]) -> list[Event]:
-    """As the front end gives them: a step becomes known some time after its contact."""
+    """Return steps and windows in the order of the front end, which detects a step some time after its contact."""
     timed = [(w.time_s, 0, w) for w in windows] + [(s.time_s + LATENCY_S, 1, s) for s in steps]
     return [event for *_, event in sorted(timed, key=lambda e: e[:2])]
 
@@ -104,7 +104,7 @@ def final(updates: list[StepUpdate]) -> list[StepUpdate]:
 
 
 def distances_of_epochs(steps: list[Step], n_epochs: int) -> tuple[np.ndarray, np.ndarray]:
-    """Distance (K, 6) of each epoch under each context, and the epoch of each step; epoch 1 ends at 2 s."""
+    """Return the distance (K, 6) of each epoch in each context, and the epoch of each step. Epoch 1 ends at 2 s."""
     epochs = np.array([int(np.ceil(s.time_s)) - 1 for s in steps])
     distance_m = np.zeros((n_epochs, 6))
     for step, epoch in zip(steps, epochs, strict=True):
@@ -115,8 +115,8 @@ def distances_of_epochs(steps: list[Step], n_epochs: int) -> tuple[np.ndarray, n
 
 @pytest.mark.parametrize("weighting", ["hc", "imm"])
 @pytest.mark.parametrize("context", [STATIONARY, WALKING])
-def test_how_far_a_step_from_rest_went_is_less_known_where_somebody_walks(weighting: str, context: int) -> None:
-    """A contact in the pause may have been missed: 0.7 m more in one of four, but only who walks goes anywhere."""
+def test_a_step_from_rest_has_a_larger_length_variance_in_modes_that_move(weighting: str, context: int) -> None:
+    """A contact in the pause may have been missed: 0.7 m in one of four cases, in modes that move only."""
     only = replace(model(), transition_prob=np.eye(6)) if weighting == "imm" else model()
     begin, windows = tracker_of(weighting, only), [WindowContext(2.0, sure(context), EVEN_PRIOR)]
     steps = (a_step(1.5), replace(a_step(1.5), from_rest=True))
@@ -131,7 +131,7 @@ def test_how_far_a_step_from_rest_went_is_less_known_where_somebody_walks(weight
 
 
 @pytest.mark.parametrize("duration_s", [0.4, 0.6])
-def test_how_long_an_uneven_step_is_is_less_known(duration_s: float) -> None:
+def test_an_uneven_step_has_a_larger_length_variance(duration_s: float) -> None:
     even = replace(a_step(1.5), duration_s=duration_s, usual_duration_s=duration_s)
     uneven = replace(even, usual_duration_s=0.5)
     m = model()
@@ -198,7 +198,7 @@ def test_imm_reports_every_step_once_and_at_once() -> None:
 
 
 @pytest.mark.parametrize("weighting", ["hc", "wc", "imm"])
-def test_a_sure_context_gives_the_length_and_direction_of_its_mode(weighting: str) -> None:
+def test_a_certain_context_gives_the_length_and_direction_of_its_mode(weighting: str) -> None:
     sideways = CONTEXTS.index("sideways")
     windows = [WindowContext(float(t), sure(sideways), EVEN_PRIOR) for t in range(2, 60)]
     steps = [a_step(2.1 + 0.5 * k, heading_rad=0.3) for k in range(110)]
@@ -220,7 +220,7 @@ def test_imm_with_one_mode_is_a_plain_extended_kalman_filter() -> None:
     steps, windows = random_walk(4)
     x, P = np.zeros(4), np.diag([0.0, 0.0, noise.initial_heading_offset_std_rad**2, noise.log_scale_std**2])
     state = single.init()
-    for window in windows[:3]:  # evidence for the only mode means nothing
+    for window in windows[:3]:  # evidence has no effect with a single mode
         state, _ = updates_of(single.on_window(state, window))
     rng = np.random.default_rng(0)
     consider_error_m, last_s = np.zeros((3, 2)), np.nan
@@ -246,7 +246,7 @@ def test_imm_with_one_mode_is_a_plain_extended_kalman_filter() -> None:
         psi = step.device_heading_rad + x[2]
         u, v = np.array([np.sin(psi), np.cos(psi)]), np.array([np.cos(psi), -np.sin(psi)])
         of_along, of_across = second_order_errors(P[2, 2], P[3, 3])
-        of_parameters = np.sqrt(length_var - residual_var)  # off once a person, so that steps add up
+        of_parameters = np.sqrt(length_var - residual_var)  # an error of the whole person, which adds up over the steps
         consider_error_m += scale * np.array([length * of_along * u, length * of_across * v, of_parameters * u])
         seen = P[:2, :2] + sum(np.outer(e, e) for e in consider_error_m)
         np.testing.assert_allclose(update.position_m, x[:2], atol=1e-9)
@@ -281,7 +281,7 @@ def test_modes_in_another_order_give_the_same_track(seed: int) -> None:
 
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 1000))
-def test_the_walked_distance_of_the_imm_is_at_every_step_the_one_that_a_smoother_finds_up_to_it(seed: int) -> None:
+def test_the_walked_distance_of_the_imm_equals_that_of_a_smoother_at_every_step(seed: int) -> None:
     rows = 0.8 * np.eye(6) + 0.2 * np.random.default_rng(seed).dirichlet(np.ones(6), 6)
     filter_ = ImmTracker(PedestrianModel(modes(), rows))
     _, updates = run(filter_, in_order(*random_walk(seed)))
@@ -293,11 +293,11 @@ def test_the_walked_distance_of_the_imm_is_at_every_step_the_one_that_a_smoother
     assert updates[-1].walked_m != pytest.approx(sum(u.step_length_m for u in updates), rel=1e-9)
 
 
-def test_a_change_that_is_known_late_is_counted_from_its_beginning() -> None:
+def test_a_change_of_mode_detected_late_counts_from_its_beginning() -> None:
     filter_ = ImmTracker(PedestrianModel(modes(), even_transitions(6, 0.97)))
     windows = [WindowContext(float(t), sure(WALKING if t < 12 else RUNNING, 0.95), EVEN_PRIOR) for t in range(2, 30)]
     steps = [a_step(t) for t in np.arange(2.0, 28.0, 0.5)]
-    # every window two seconds late
+    # every window is two seconds late
     late = sorted(
         [(w.time_s + 2.0, 0, w) for w in windows] + [(s.time_s, 1, s) for s in steps], key=lambda timed: timed[:2]
     )
@@ -310,7 +310,7 @@ def test_a_change_that_is_known_late_is_counted_from_its_beginning() -> None:
 
 
 @pytest.mark.parametrize("weighting", ["hc", "wc", "imm"])
-def test_a_step_too_quick_for_walking_and_too_soft_for_running_may_have_any_length_up_to_twice_its_own(
+def test_a_step_too_quick_for_walking_and_too_soft_for_running_may_have_up_to_twice_its_length(
     weighting: str,
 ) -> None:
     filter_ = tracker(weighting)
@@ -344,13 +344,13 @@ def test_one_window_is_evidence_for_one_step_only() -> None:
     np.testing.assert_allclose(second.mode_prob, first.mode_prob @ filter_.model.transition_prob, atol=1e-12)
 
 
-def test_a_detected_step_speaks_against_standing_still() -> None:
+def test_a_detected_step_is_evidence_against_standing() -> None:
     filter_ = tracker("imm")
     _, [update] = updates_of(filter_.on_step(filter_.init(), a_step()))
     assert update.mode_prob[0] / update.mode_prob[1] == pytest.approx(np.exp(filter_.model.step_log_odds_stationary))
 
 
-def test_several_fits_at_once_give_the_numbers_of_each() -> None:
+def test_several_fits_together_give_the_results_of_each() -> None:
     fits = (*(m.step_length for m in modes()), known_length(0.3, 0.1))
     capped = StepLengthFit(FrequencyVarianceStepLength(max_variance=2.0), np.ones(3), np.eye(3), 0.2)
     negative = StepLengthFit(FrequencyVarianceStepLength(), -np.ones(3), np.eye(3), 0.0)
@@ -365,7 +365,7 @@ def test_several_fits_at_once_give_the_numbers_of_each() -> None:
 
 @pytest.mark.parametrize("weighting", ["hc", "wc", "imm"])
 @pytest.mark.parametrize("turn_rad", [np.pi / 2, -2.0])
-def test_turning_all_headings_turns_the_track(weighting: str, turn_rad: float) -> None:
+def test_rotating_all_headings_rotates_the_track(weighting: str, turn_rad: float) -> None:
     steps, windows = random_walk(5)
     turned_steps = [replace(s, device_heading_rad=s.device_heading_rad + turn_rad) for s in steps]
     straight = final(run(tracker(weighting), in_order(steps, windows))[1])
@@ -389,7 +389,7 @@ def test_covariances_are_symmetric_positive_and_grow_without_fixes(weighting: st
 
 
 @pytest.mark.parametrize("weighting", ["hc", "wc", "imm"])
-def test_an_accepted_fix_draws_the_position_and_shrinks_the_covariance(weighting: str) -> None:
+def test_an_accepted_fix_moves_the_position_and_reduces_the_covariance(weighting: str) -> None:
     filter_ = tracker(weighting)
     steps, windows = random_walk(7)
     state, _ = run(filter_, in_order(steps, windows))
@@ -414,7 +414,7 @@ def test_a_fix_that_no_mode_explains_is_rejected_and_changes_no_estimate(weighti
 
 
 @pytest.mark.parametrize("weighting", ["hc", "wc", "imm"])
-def test_a_speed_or_a_heading_before_any_step_has_nothing_to_compare_and_changes_nothing(weighting: str) -> None:
+def test_a_speed_or_a_heading_fix_before_any_step_changes_nothing(weighting: str) -> None:
     filter_ = tracker(weighting)
     state = filter_.init()
     for fix in (SpeedFix(0.5, 1.3, 0.2), HeadingFix(0.5, 1.0, 0.2)):
@@ -424,7 +424,7 @@ def test_a_speed_or_a_heading_before_any_step_has_nothing_to_compare_and_changes
 
 
 def test_fixes_keep_the_scale_of_a_tall_person() -> None:
-    """Steps 10 % longer than the population's: fixes along the way teach it."""
+    """Steps are 10 % longer than those of the population, and fixes estimate the scale."""
     filter_ = ImmTracker(PedestrianModel((modes()[WALKING],), np.ones((1, 1))))
     state = filter_.init()
     true_north_m = 0.0
@@ -438,7 +438,7 @@ def test_fixes_keep_the_scale_of_a_tall_person() -> None:
     assert np.exp(state.pedestrian.estimates.mean[0, 3]) == pytest.approx(1.1, abs=0.01)
 
 
-# --- steps that become known late ------------------------------------------------------------------------------------
+# --- late steps ------------------------------------------------------------------------------------------------------
 
 
 def test_a_late_step_is_weighted_by_the_windows_of_its_own_time() -> None:
@@ -454,7 +454,7 @@ def test_a_late_step_is_weighted_by_the_windows_of_its_own_time() -> None:
         assert updates[0].context_prob[WALKING] == 1.0
 
 
-def test_the_imm_uses_each_window_once_however_late_its_steps_come() -> None:
+def test_the_imm_uses_each_window_once_for_steps_of_any_delay() -> None:
     filter_ = tracker("imm")
     window = WindowContext(2.0, sure(RUNNING, 0.9), EVEN_PRIOR)
     state, _ = updates_of(filter_.on_window(filter_.init(), window))
@@ -462,7 +462,7 @@ def test_the_imm_uses_each_window_once_however_late_its_steps_come() -> None:
     for late_s in (3.0, 4.0, 5.0):
         state, _ = updates_of(filter_.on_window(state, WindowContext(late_s, sure(WALKING), EVEN_PRIOR)))
     _, [second] = updates_of(filter_.on_step(state, a_step(1.9)))
-    # between the two steps only the transitions have moved the probabilities
+    # between the two steps only the transitions change the probabilities
     moved = (
         first.mode_prob
         @ filter_.model.transition_prob
@@ -475,7 +475,7 @@ def test_the_imm_uses_each_window_once_however_late_its_steps_come() -> None:
 
 
 @pytest.mark.parametrize("weighting", ["hc", "wc"])
-def test_at_a_gap_waiting_steps_become_final_with_the_windows_of_their_segment(weighting: str) -> None:
+def test_a_gap_makes_pending_steps_final_with_the_windows_of_their_segment(weighting: str) -> None:
     filter_ = tracker(weighting)
     state, _ = updates_of(filter_.on_window(filter_.init(), WindowContext(2.0, sure(WALKING), EVEN_PRIOR)))
     state, [waiting] = updates_of(filter_.on_step(state, a_step(1.6)))
@@ -497,7 +497,7 @@ def test_after_a_gap_windows_of_the_segment_before_are_not_used(weighting: str) 
     assert [u.mode_prob[WALKING] for u in final(updates)] == [1.0]
 
 
-def test_after_a_gap_the_window_before_is_no_evidence_for_the_imm() -> None:
+def test_after_a_gap_the_previous_window_is_not_evidence_for_the_imm() -> None:
     filter_ = tracker("imm")
     with_window, _ = updates_of(filter_.on_window(filter_.init(), WindowContext(2.0, sure(RUNNING), EVEN_PRIOR)))
     probs = []
@@ -537,7 +537,7 @@ def test_without_any_window_steps_are_still_tracked(weighting: str) -> None:
     assert np.isfinite([u.position_m for u in updates]).all()
 
 
-def test_the_first_imm_step_is_that_of_the_mixed_start() -> None:
+def test_the_first_imm_step_is_the_mixture_of_the_steps_of_all_modes() -> None:
     filter_ = tracker("imm")
     mean, cov = initial_estimate(filter_.model.noise)
     step = a_step(heading_rad=0.4)
@@ -564,15 +564,15 @@ def test_the_first_imm_step_is_that_of_the_mixed_start() -> None:
     [
         ({"modes": (modes()[0],) * 6}, "distinct"),
         ({"transition_prob": np.eye(5)}, "transition_prob"),
-        ({"modes": (), "transition_prob": np.empty((0, 0))}, "one mode at least"),
+        ({"modes": (), "transition_prob": np.empty((0, 0))}, "modes is empty"),
         ({"transition_prob": np.full((6, 6), np.nan)}, "must sum to 1"),
-        ({"transition_prob": np.eye(6)[[0, 0, 0, 1, 2, 3]].T}, "transpose it"),
+        ({"transition_prob": np.eye(6)[[0, 0, 0, 1, 2, 3]].T}, "transpose the matrix"),
         ({"evidence_exponent": np.nan}, "evidence_exponent of PedestrianModel must be 0 or more .*, got nan"),
         ({"evidence_floor": -0.1}, "evidence_floor of PedestrianModel must be 0 or more"),
         ({"step_log_odds_stationary": np.inf}, "step_log_odds_stationary of PedestrianModel must be finite"),
     ],
 )
-def test_a_model_that_makes_no_sense_is_refused(change: dict[str, object], message: str) -> None:
+def test_an_invalid_model_is_refused(change: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         replace(model(), **change)  # type: ignore[arg-type]
 
@@ -589,7 +589,7 @@ def test_an_unknown_weighting_is_refused_with_the_known_ones() -> None:
         recipes.default().with_weighting("best")
 
 
-def test_a_turned_frame_turns_what_all_steps_share_too() -> None:
+def test_rotating_the_frame_rotates_the_shared_errors() -> None:
     filter_ = tracker("imm")
     state, _ = run(filter_, in_order(*random_walk(5)))
     known = state.pedestrian

@@ -11,7 +11,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 
 def random_walk(seed: int, n_epochs: int = 30, concentration: float = 0.3) -> tuple[np.ndarray, np.ndarray]:
-    """Distances (K, 6) of each epoch and probabilities (K + 1, 6) of each window."""
+    """Return distances (K, 6) of each epoch and probabilities (K + 1, 6) of each window."""
     rng = np.random.default_rng(seed)
     return rng.uniform(0, 2, (n_epochs, 6)), rng.dirichlet(np.full(6, concentration), n_epochs + 1)
 
@@ -82,7 +82,7 @@ def test_weights_are_the_probabilities_from_the_threshold_on() -> None:
     np.testing.assert_array_equal(context_weights(at_threshold, 0.81), [1, 0, 0])
 
 
-def test_of_equal_probabilities_hc_takes_the_first_and_wc_both() -> None:
+def test_for_equal_probabilities_hc_uses_the_first_and_wc_both() -> None:
     tie = np.array([0.1, 0.45, 0.45])
     np.testing.assert_array_equal(context_weights(tie, HC), [0, 1, 0])
     np.testing.assert_array_equal(context_weights(tie, 1.0), tie)
@@ -90,16 +90,16 @@ def test_of_equal_probabilities_hc_takes_the_first_and_wc_both() -> None:
 
 
 @given(seed=SEEDS, threshold=st.floats(0, 1))
-def test_weights_sum_to_one_and_leave_their_input_alone(seed: int, threshold: float) -> None:
+def test_weights_sum_to_one_and_do_not_modify_their_input(seed: int, threshold: float) -> None:
     prob = np.random.default_rng(seed).dirichlet(np.full(6, 0.5))
     before = prob.copy()
     weights = context_weights(prob, threshold)
     assert weights.sum() == pytest.approx(1.0)
-    weights = weights + 1  # what is returned may be the input: it is not written to
+    weights = weights + 1  # the result may be the input array, so the input must not change
     np.testing.assert_array_equal(prob, before)
 
 
-def test_a_sure_context_gives_its_own_distance() -> None:
+def test_a_certain_context_gives_its_own_distance() -> None:
     distance_m = np.random.default_rng(0).uniform(0, 2, (10, 6))
     sure = np.tile(np.eye(6)[3], (11, 1))
     for threshold in (HC, 0.8, 0.0):
@@ -122,14 +122,14 @@ def test_evidence_is_the_tempered_ratio_of_posterior_and_prior() -> None:
     np.testing.assert_allclose(evidence, 0.5 * np.log([1.4, 0.8, 0.4]))
 
 
-def test_the_prior_exponent_says_how_far_the_prior_is_divided_out() -> None:
+def test_the_prior_exponent_sets_how_far_the_prior_is_divided_out() -> None:
     prob, prior = np.array([0.7, 0.2, 0.1]), np.array([0.5, 0.25, 0.25])
     half, none = (context_log_evidence(prob, prior, 0.25, 0.01, prior_exponent=e) for e in (0.5, 0.0))
     np.testing.assert_allclose(half, 0.25 * np.log(prob / np.sqrt(prior)))
     np.testing.assert_allclose(none, 0.25 * np.log(prob))
 
 
-def test_a_classifier_that_says_its_prior_says_nothing() -> None:
+def test_probabilities_equal_to_the_prior_are_no_evidence() -> None:
     prior = np.array([0.6, 0.3, 0.1])
     np.testing.assert_allclose(context_log_evidence(prior, prior, 0.5, 0.01), 0.0, atol=1e-15)
 

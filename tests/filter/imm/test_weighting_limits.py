@@ -1,15 +1,17 @@
-"""HC and WC as limits of the IMM, and what no evidence and no fix may do to its mode probabilities.
+"""HC and WC as limits of the IMM, and mode probabilities after extreme evidence and extreme fixes.
 
-The IMM's distance is that of HC or WC, exactly, where
+The distance of the IMM equals that of HC or WC under these conditions:
 
-1. its evidence is what they weigh with: `evidence_exponent` 1, `prior_exponent` 0, a floor of nothing and
-   `step_log_odds_stationary` 0; windows are the weights of HC (one for the highest context) or of WC;
-2. it has no memory: all rows of the transition matrix are even, so that every prediction is;
-3. every step has a window of its own. A window is evidence once, and a second step in it would have even probabilities;
-4. no fix has taught the person's scale: modes that move differently learn different ones.
+1. Its evidence are the weights of HC or WC: `evidence_exponent` 1, `prior_exponent` 0, floor 0 and
+   `step_log_odds_stationary` 0. Windows have the weights of HC (one for the highest context) or of WC.
+2. It has no memory: all rows of the transition matrix are uniform, and so is every prediction.
+3. Every step has a separate window. A window is evidence only once, and a second step in it would have uniform
+   probabilities.
+4. No fix has estimated the step scale. Modes with different motion would estimate different scales.
 
-HC and WC weigh each step by two windows, the one that the step is in and the next. The IMM uses the one that it is in,
-so its total is that of the provisional distances, and that of the final ones where both windows agree.
+HC and WC weight each step with two windows, the one that contains the step and the next one. The IMM uses the one that
+contains the step. Its total is therefore that of the provisional distances, and that of the final distances if both
+windows agree.
 """
 
 from __future__ import annotations
@@ -39,7 +41,7 @@ THRESHOLDS = {"hc": HC, "wc": 0.8, "wc always": 0.0}
 
 
 def modes(sideways_rad: float = np.pi / 2) -> tuple[Mode, ...]:
-    """One mode for each context; lengths depend on the step, and no two are alike."""
+    """Return one mode for each context, with different lengths that depend on the step."""
     theta = np.array([[0, 0, 0], [0.3, 0.2, 0.01], [0.2, 0.05, 0], [0.3, 0.1, 0], [0.4, 0, 0], [0.2, 0.3, 0.02]])
     return tuple(
         Mode(
@@ -71,16 +73,17 @@ def memoryless(sideways_rad: float = np.pi / 2, **changes: Any) -> ImmTracker:
 
 
 def weighted(name: str, sideways_rad: float = np.pi / 2) -> WeightedTracker:
-    """The tracker of that weighting; transitions are no part of it."""
+    """Return the tracker of a weighting, which does not use the transitions."""
     model = replace(memoryless(sideways_rad).model, transition_prob=even_transitions(N, 0.9))
     return WeightedTracker(model, THRESHOLDS[name])
 
 
 def walk(seed: int, n_epochs: int, alike_in_pairs: bool = False) -> tuple[list[Step], list[np.ndarray]]:
-    """A step in each epoch, and probabilities of the windows that end at 2, 3, 4 s and so on, one more than epochs.
+    """Return one step in each epoch, and the probabilities of the windows that end at 2, 3, 4 s and so on.
 
-    Epoch k goes from k to k + 1 s: its step is in window k - 1, that ends with it, and then comes window k. Where these
-    are alike in pairs, only every second epoch has a step.
+    There is one window more than epochs. Epoch k is from k to k + 1 s. Its step is in window k - 1, which ends with the
+    epoch; the next one is window k. With `alike_in_pairs` pairs of windows are equal, and only every second epoch has a
+    step.
     """
     rng = np.random.default_rng(seed)
     steps = [
@@ -93,7 +96,7 @@ def walk(seed: int, n_epochs: int, alike_in_pairs: bool = False) -> tuple[list[S
         for k in range(1, n_epochs + 1)
     ]
     prob = [rng.dirichlet(np.full(N, 0.5)) for _ in range(n_epochs + 1)]
-    # sometimes two contexts are as probable as each other: eq. 19 takes the first
+    # sometimes two contexts are equally probable: eq. 19 uses the first
     for p in prob[:: max(n_epochs // 3, 1)]:
         p[[1, 2]] = p[[1, 2]].mean()
     if alike_in_pairs:
@@ -103,14 +106,14 @@ def walk(seed: int, n_epochs: int, alike_in_pairs: bool = False) -> tuple[list[S
 
 
 def windows_of(prob: list[np.ndarray], threshold: float | None = None) -> list[WindowContext]:
-    """Windows with these probabilities, or with the weights that HC or WC would give them; their prior is odd."""
+    """Return windows with these probabilities, or with the weights of HC or WC, and with a non-uniform prior."""
     prior = np.arange(1.0, N + 1) / np.arange(1.0, N + 1).sum()
     said = prob if threshold is None else [context_weights(p, threshold) for p in prob]
     return [WindowContext(2.0 + k, p, prior) for k, p in enumerate(said)]
 
 
 def run(tracker: Tracker, steps: list[Step], windows: list[WindowContext]) -> tuple[State, list[StepUpdate]]:
-    """Final updates; a step becomes known when its own window is."""
+    """Return the final updates. A step is detected together with its window."""
     state, updates = tracker.init(), []
     for _, _, event in sorted(
         [*((w.time_s, 0, w) for w in windows), *((np.ceil(s.time_s), 1, s) for s in steps)], key=lambda e: e[:2]
@@ -129,14 +132,14 @@ def length_of(updates: list[StepUpdate]) -> np.ndarray:
 
 
 def distances(steps: list[Step], n_epochs: int) -> np.ndarray:
-    """(K, N) distance of each epoch under each context."""
+    """Return the distance (K, N) of each epoch in each context."""
     found = np.zeros((n_epochs, N))
     for step in steps:
         found[int(step.time_s) - 1] += [m.step_length.predict(step)[0] for m in modes()]
     return found
 
 
-# --- the limits -----------------------------------------------------------------------------------------------------
+# --- limits ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", THRESHOLDS)
@@ -163,8 +166,8 @@ def test_where_both_windows_of_a_step_agree_the_imm_has_the_total_distance_of_hc
     np.testing.assert_allclose(length_of(of_imm), length_of(of_weighting), atol=1e-12)
 
 
-def test_raw_probabilities_need_no_weighing_to_be_wc() -> None:
-    """Threshold 0 weighs always: the windows as the classifier gave them are the evidence."""
+def test_with_raw_probabilities_the_imm_has_the_provisional_distance_of_wc_at_threshold_zero() -> None:
+    """With threshold 0 the weights are always the probabilities of the classifier."""
     steps, prob = walk(5, 60)
     expected = weighted_distances(distances(steps, 60), np.stack(prob), 0.0)
     _, updates = run(memoryless(), steps, windows_of(prob))
@@ -172,7 +175,7 @@ def test_raw_probabilities_need_no_weighing_to_be_wc() -> None:
 
 
 def test_with_the_highest_context_the_whole_estimate_is_that_of_hc() -> None:
-    """One mode has all of the probability: where it leads, and how sure it is, is HC's, sideways included."""
+    """One mode has all of the probability. Its position and covariance are those of HC, also sideways."""
     steps, prob = walk(6, 60, alike_in_pairs=True)
     state, of_imm = run(memoryless(), steps, windows_of(prob, HC))
     other, of_hc = run(weighted("hc"), steps, windows_of(prob))
@@ -184,8 +187,8 @@ def test_with_the_highest_context_the_whole_estimate_is_that_of_hc() -> None:
     np.testing.assert_allclose(P, other.pedestrian.estimates.cov[0], atol=1e-9)
 
 
-def test_with_raw_probabilities_the_imm_is_where_wc_is_and_not_surer() -> None:
-    """Where all modes walk the same way. WC's one filter takes the mean length for the slope of the scale."""
+def test_with_raw_probabilities_the_imm_has_the_position_of_wc_and_no_smaller_variance() -> None:
+    """All modes have the same direction. The single filter of WC uses the mean length as derivative by the scale."""
     steps, prob = walk(7, 60, alike_in_pairs=True)
     _, of_imm = run(memoryless(0.0), steps, windows_of(prob))
     _, of_wc = run(weighted("wc always", 0.0), steps, windows_of(prob))
@@ -204,7 +207,7 @@ def test_with_raw_probabilities_the_imm_is_where_wc_is_and_not_surer() -> None:
         {"transition_prob": even_transitions(N, 0.9)},
     ],
 )
-def test_each_of_the_conditions_is_needed(change: dict[str, object]) -> None:
+def test_each_of_the_conditions_is_necessary(change: dict[str, object]) -> None:
     steps, prob = walk(8, 60)
     expected = weighted_distances(distances(steps, 60), np.stack(prob), 0.0)
     _, updates = run(memoryless(**change), steps, windows_of(prob))
@@ -220,7 +223,7 @@ def test_a_second_step_in_a_window_has_even_probabilities_without_memory() -> No
     np.testing.assert_allclose(second.mode_prob, 1 / N, atol=1e-12)
 
 
-# --- what mode probabilities survive ---------------------------------------------------------------------------------
+# --- extreme evidence ------------------------------------------------------------------------------------------------
 
 
 def with_mode_prob(state: ImmState, mode_prob: np.ndarray) -> ImmState:
@@ -236,7 +239,7 @@ def assert_sane(state: State) -> None:
     assert np.isfinite(state.pedestrian.estimates.mean).all()
     assert np.isfinite(state.pedestrian.estimates.cov).all()
     cov = state.pedestrian.estimates.cov
-    # rounding of the largest entry is all that an eigenvalue may be below zero
+    # an eigenvalue may be negative only by rounding of the largest entry
     rounding = 1e-9 * np.abs(cov).max()
     np.testing.assert_allclose(cov, cov.swapaxes(-1, -2), rtol=0, atol=rounding)
     assert np.linalg.eigvalsh(cov).min() >= -rounding
@@ -251,7 +254,7 @@ odd_log = st.one_of(st.floats(-1e308, 1e308), st.sampled_from([-np.inf, np.nan, 
 @example(seed=0, n_zero=5, log_likelihood=[-np.inf] * N)
 @example(seed=0, n_zero=0, log_likelihood=[np.nan] * N)
 @example(seed=0, n_zero=3, log_likelihood=[-1e308, 1e308, 0.0, 0.0, -1e308, 1e308])
-def test_no_evidence_makes_mode_probabilities_nan_or_brings_back_a_mode_without_prior(
+def test_mode_probabilities_stay_finite_and_zero_priors_stay_zero_for_any_evidence(
     seed: int, n_zero: int, log_likelihood: list[float]
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -279,9 +282,7 @@ odd_prob = st.one_of(st.floats(0.0, 1.0), st.sampled_from([0.0, 1.0, np.nan, 1e-
 )
 @example(seed=0, said=[[0.0] * N], exponent=1.0, floor=0.0)
 @example(seed=0, said=[[np.nan] * N] * 3, exponent=0.5, floor=0.01)
-def test_windows_that_make_no_sense_leave_a_sane_state(
-    seed: int, said: list[list[float]], exponent: float, floor: float
-) -> None:
+def test_invalid_windows_leave_a_valid_state(seed: int, said: list[list[float]], exponent: float, floor: float) -> None:
     rng = np.random.default_rng(seed)
     tracker = memoryless(transition_prob=even_transitions(N, 0.9), evidence_exponent=exponent, evidence_floor=floor)
     prior = np.where(rng.random(N) < 0.3, 0.0, 1.0)
@@ -294,7 +295,7 @@ def test_windows_that_make_no_sense_leave_a_sane_state(
         assert np.isfinite(update.position_m).all()
 
 
-def test_evidence_that_rules_out_every_mode_is_as_no_window() -> None:
+def test_evidence_that_excludes_every_mode_is_ignored() -> None:
     tracker = memoryless(evidence_floor=0.0, transition_prob=even_transitions(N, 0.9))
     for prob in (np.zeros(N), np.full(N, np.nan)):
         state, _ = updates_of(tracker.on_window(tracker.init(), WindowContext(1.0, prob, np.full(N, 1 / N))))
@@ -305,7 +306,7 @@ def test_evidence_that_rules_out_every_mode_is_as_no_window() -> None:
         np.testing.assert_allclose(told.position_m, untold.position_m, atol=1e-12)
 
 
-def test_a_mode_without_prior_comes_back_only_by_a_transition() -> None:
+def test_a_mode_with_prior_zero_becomes_probable_only_by_a_transition() -> None:
     closed = np.array(even_transitions(N, 0.9))
     closed[:, 5] = 0.0
     closed /= closed.sum(axis=1, keepdims=True)
@@ -320,7 +321,7 @@ def test_a_mode_without_prior_comes_back_only_by_a_transition() -> None:
         assert (update.mode_prob[5] > 0) == reachable
 
 
-def test_a_fix_a_thousand_kilometres_away_is_rejected_and_one_that_is_that_unsure_is_not() -> None:
+def test_a_fix_a_thousand_kilometres_away_is_rejected_unless_its_deviation_is_that_large() -> None:
     steps, prob = walk(9, 20)
     tracker = memoryless()
     state, _ = run(tracker, steps, windows_of(prob))
@@ -341,7 +342,7 @@ def test_a_fix_a_thousand_kilometres_away_is_rejected_and_one_that_is_that_unsur
     gap_s=st.one_of(st.just(0.0), st.floats(0.1, 1e6)),
     n_zero=st.integers(0, N - 1),
 )
-def test_no_fix_wherever_it_is_leaves_anything_but_a_sane_state(
+def test_a_fix_anywhere_leaves_a_valid_state(
     seed: int, log10_away: float, log10_std: float, gap_s: float, n_zero: int
 ) -> None:
     rng = np.random.default_rng(seed)

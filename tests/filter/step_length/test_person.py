@@ -1,4 +1,4 @@
-"""The person's step length: learnt from fixes, pooled over walks, and known in the next recording."""
+"""Step length of a person: learnt from fixes, pooled over walks, and used in the next recording."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ HERE = pdr.Origin(48.137, 11.575)
 
 
 def walk_of(number: int, seed: int, minutes: float) -> Recording:
-    """A walk of somebody, whose height nobody knows."""
+    """Return a walk of a person of unknown height."""
     gait, carrying = random_person("texting", number)
     n = int(minutes * 75 / 50)
     turns = np.random.default_rng(seed).uniform(-1.5, 1.5, size=n)
@@ -38,7 +38,7 @@ def walk_of(number: int, seed: int, minutes: float) -> Recording:
 
 
 def located(walk: Recording) -> Recording:
-    """With good locations, one a second."""
+    """Return the recording with accurate locations, one a second."""
     times, truth = np.arange(1.0, walk.duration_s), walk.truth.position
     place_m = np.column_stack([np.interp(times, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
     degrees = HERE.latitude_longitude_deg(place_m)
@@ -64,11 +64,11 @@ def learnt(first: Recording) -> pdr.Person:
     return person
 
 
-# Somebody whose steps are a tenth longer than those of people of unknown height.
+# Person whose steps are a tenth longer than those of the default for an unknown height.
 NUMBER = 8
 
 
-def test_a_person_of_unknown_height_with_locations_does_better_in_the_next_recording(learnt: pdr.Person) -> None:
+def test_locations_of_a_person_of_unknown_height_improve_the_next_recording(learnt: pdr.Person) -> None:
     second = walk_of(NUMBER, 2, 2.0)
     alone, known = (length_error(pdr.track(second, person=person), second) for person in (None, learnt))
     assert abs(alone) > 0.08
@@ -76,13 +76,13 @@ def test_a_person_of_unknown_height_with_locations_does_better_in_the_next_recor
     assert learnt.std < 0.04
 
 
-def test_without_fixes_nothing_is_learnt_and_what_was_known_stays(first: Recording, learnt: pdr.Person) -> None:
+def test_without_fixes_the_person_is_unchanged(first: Recording, learnt: pdr.Person) -> None:
     assert pdr.track(first, gnss="off").person is None
     assert pdr.track(first, gnss="off", person=learnt).person == learnt
 
 
-def test_what_was_known_before_is_not_learnt_again(first: Recording, learnt: pdr.Person) -> None:
-    """The same walk, tracked with what it taught, teaches the same once more, and no more surely."""
+def test_prior_knowledge_of_a_person_is_not_learnt_again(first: Recording, learnt: pdr.Person) -> None:
+    """Tracking a walk with the person learnt from it gives an equal session with the same precision."""
     again = pdr.track(first, person=learnt).person
     assert again is not None and len(again.sessions) == 2
     one, two = again.sessions
@@ -108,7 +108,7 @@ def test_a_session_is_the_measurement_without_the_prior(measurement_std: float) 
     assert session_of(model, estimates, 7) is None
 
 
-def test_walks_are_pooled_by_what_they_know_and_each_counts_once() -> None:
+def test_walks_are_pooled_by_precision_and_each_counts_once() -> None:
     a, b = Session(0.70, 0.02, 40), Session(0.76, 0.05, 10)
     pooled = pdr.Person((a,)).pooled(pdr.Person((b,)))
     weights = [1 / (s.std**2 + RECORDING_STD**2) for s in (a, b)]
@@ -119,8 +119,8 @@ def test_walks_are_pooled_by_what_they_know_and_each_counts_once() -> None:
     assert np.isnan(pdr.Person().step_length_m) and np.isinf(pdr.Person().std)
 
 
-def test_people_in_general_count_once_and_a_walk_less_the_less_it_knows() -> None:
-    """The mean of two normal densities, on the length of a typical step."""
+def test_the_population_prior_counts_once_and_a_walk_by_its_precision() -> None:
+    """The step length is the product of two normal densities of the log length of a typical step."""
     config = recipes.default()
     fit = next(m for m in config.model.modes if m.context == "walking").step_length
     usual_m = float(length_and_jacobian(fit.model, TYPICAL_STEP, fit.theta)[0])
@@ -133,7 +133,7 @@ def test_people_in_general_count_once_and_a_walk_less_the_less_it_knows() -> Non
         assert known.noise.log_scale_std == pytest.approx(np.sqrt(1 / precisions.sum() + RECORDING_STD**2))
 
 
-def test_a_step_length_is_that_of_the_person_whatever_the_height_says() -> None:
+def test_the_step_length_is_that_of_the_person_for_any_body_height() -> None:
     person = pdr.Person((Session(0.75, 1e-3, 1000),))
     lengths = []
     for height_m in (None, 1.5, 1.95):
@@ -143,7 +143,7 @@ def test_a_step_length_is_that_of_the_person_whatever_the_height_says() -> None:
     np.testing.assert_allclose(lengths, 0.75, rtol=0.03)
 
 
-def test_a_track_says_whose_steps_it_has(learnt: pdr.Person) -> None:
+def test_a_configuration_with_a_person_notes_the_step_length(learnt: pdr.Person) -> None:
     config = recipes.default()
     assert any("height is not known" in note.text for note in config.notes)
     notes = [note.text for note in config.with_person(learnt).notes]
@@ -154,7 +154,7 @@ def test_a_track_says_whose_steps_it_has(learnt: pdr.Person) -> None:
         config.with_person(learnt).with_person(learnt)
 
 
-def test_an_app_learns_the_same_of_its_person(first: Recording, learnt: pdr.Person) -> None:
+def test_online_and_offline_tracking_learn_the_same_person(first: Recording, learnt: pdr.Person) -> None:
     here = fixes_of(first.location)[0]
     assert here is not None
     online = pdr.OnlineFilter(recipes.default(first.subject).with_magnetic_north(here.declination_rad()))
@@ -164,7 +164,7 @@ def test_an_app_learns_the_same_of_its_person(first: Recording, learnt: pdr.Pers
     assert online.person == learnt
 
 
-def test_a_saved_person_is_the_same_when_it_is_read(learnt: pdr.Person, tmp_path: Path) -> None:
+def test_a_saved_person_is_equal_after_loading(learnt: pdr.Person, tmp_path: Path) -> None:
     assert pdr.Person.load(learnt.save(tmp_path / "me.json")) == learnt
     assert pdr.Person.load(pdr.Person().save(tmp_path / "nobody.json")) == pdr.Person()
 
@@ -181,14 +181,14 @@ def test_a_saved_person_is_the_same_when_it_is_read(learnt: pdr.Person, tmp_path
         '{"pdr_filter_person": 1, "sessions": [{"step_length_m": NaN, "std": 0.1, "n_fixes": 3}]}',
     ],
 )
-def test_a_file_that_is_no_person_is_refused_by_its_name(tmp_path: Path, content: str) -> None:
+def test_a_file_that_is_not_a_person_is_refused_by_its_name(tmp_path: Path, content: str) -> None:
     path = tmp_path / "other.json"
     path.write_text(content)
-    with pytest.raises(ValueError, match=r"other\.json: no person file"):
+    with pytest.raises(ValueError, match=r"other\.json: not a person file"):
         pdr.Person.load(path)
 
 
-def test_the_command_line_reads_a_person_file_if_there_is_one_and_writes_it_anew(
+def test_the_command_line_reads_an_existing_person_file_and_replaces_it(
     first: Recording, learnt: pdr.Person, tmp_path: Path
 ) -> None:
     file, me = first.save(tmp_path / "walk.zip"), tmp_path / "me.json"
@@ -204,19 +204,19 @@ def calibrated(first: Recording) -> Calibration:
     return pdr.calibrate([replace(first, location=None)], subject="me")
 
 
-def test_a_calibration_is_a_person_too_with_the_same_track(first: Recording, calibrated: Calibration) -> None:
+def test_a_calibration_used_as_person_gives_the_same_track(first: Recording, calibrated: Calibration) -> None:
     by_name, as_person = (pdr.track(first, gnss="off", **{name: calibrated}) for name in ("calibration", "person"))
     np.testing.assert_array_equal(by_name.position_m, as_person.position_m)
 
 
-def test_how_sure_a_calibration_is_of_a_person_is_one_factor_of_all_steps(calibrated: Calibration) -> None:
+def test_the_uncertainty_of_a_calibrated_person_is_one_factor_of_all_steps(calibrated: Calibration) -> None:
     model = calibrated.config(recipes.default()).model
     walking = next(m for m in model.modes if m.context == "walking")
     assert model.noise.log_scale_std == calibrated.scale_std()
     assert walking.step_length is not None and not walking.step_length.theta_cov.any()
 
 
-def test_the_command_line_leaves_the_file_of_a_calibration_as_it_is(
+def test_the_command_line_does_not_change_a_calibration_file(
     first: Recording, calibrated: Calibration, tmp_path: Path
 ) -> None:
     file, me = first.save(tmp_path / "walk.zip"), calibrated.save(tmp_path / "me.json")
@@ -227,6 +227,8 @@ def test_the_command_line_leaves_the_file_of_a_calibration_as_it_is(
 
 
 @pytest.mark.parametrize("given", [{}, 5, "missing.json"])
-def test_what_is_no_person_is_refused(first: Recording, given: Any) -> None:
-    with pytest.raises(ValueError, match=r"person must be a Person, a Calibration, or|missing\.json: no person file"):
+def test_an_object_that_is_not_a_person_is_refused(first: Recording, given: Any) -> None:
+    with pytest.raises(
+        ValueError, match=r"person must be a Person, a Calibration, or|missing\.json: not a person file"
+    ):
         pdr.track(first, person=given)

@@ -104,7 +104,7 @@ def length_of(model: StepLengthModel, step: Step, *theta: float) -> float:
 # --- the papers' equations ------------------------------------------------------------------------------------------
 
 
-def test_the_first_step_from_rest_of_tian_et_al_is_of_the_static_model_and_all_others_of_the_frequency() -> None:
+def test_the_static_model_of_tian_et_al_applies_to_steps_from_rest_and_the_frequency_model_to_others() -> None:
     fit, second = recipe_fit(1.8, "M"), step_of()
     first = replace(second, from_rest=True)
     assert fit.predict(first)[0] == pytest.approx(0.415 * 1.8)
@@ -212,7 +212,7 @@ def test_the_default_model_grows_with_the_fourth_root_of_the_bounce_at_any_caden
     assert length == pytest.approx(0.34 * 1.70 * A**0.25, rel=1e-12)
 
 
-def test_the_default_model_takes_no_notice_of_what_no_body_does() -> None:
+def test_the_default_model_bounds_implausible_inputs() -> None:
     model = BounceStepLength()
     assert length_of(model, step_of(amplitude=50.0), 0.34) == length_of(model, step_of(amplitude=3.0), 0.34)
     assert length_of(model, step_of(amplitude=0.0), 0.34) == length_of(model, step_of(amplitude=0.3), 0.34)
@@ -220,7 +220,7 @@ def test_the_default_model_takes_no_notice_of_what_no_body_does() -> None:
     assert spun[0] == spun[1]
 
 
-def test_a_step_that_was_found_twice_is_counted_by_its_speed() -> None:
+def test_a_step_detected_twice_keeps_its_speed() -> None:
     once, twice = (length_of(BounceStepLength(), step_of(frequency_hz=f), 0.34) for f in (2.4, 4.8))
     assert twice == pytest.approx(0.5 * once)
 
@@ -229,7 +229,7 @@ def test_a_step_that_was_found_twice_is_counted_by_its_speed() -> None:
 def test_a_length_of_the_default_is_bounded_and_shorter_in_a_turn(
     step: Step, turn_rate_radps: float, usual_mps2: float, from_rest: bool
 ) -> None:
-    """At most 0.45 of the height, at least a twentieth of that: all parts at their limits are an eighteenth."""
+    """A length is at most 0.45 of the height, and at least a twentieth of that with all factors at their limits."""
     step = replace(step, from_rest=from_rest, usual_amplitude_mps2=usual_mps2)
     step = replace(step, vertical_amplitude_mps2=max(step.vertical_amplitude_mps2, 0.1))
     step = replace(step, stride_amplitude_mps2=step.vertical_amplitude_mps2)
@@ -238,8 +238,8 @@ def test_a_length_of_the_default_is_bounded_and_shorter_in_a_turn(
     assert 0.45 * 1.8 / 20 < turning_m <= straight_m < 0.45 * 1.8
 
 
-def test_who_turns_by_a_radian_a_second_makes_steps_a_fifth_shorter() -> None:
-    """As tyrex and oxiod have it, people in rooms of 4 to 6 m."""
+def test_steps_at_a_turn_rate_of_one_radian_a_second_are_a_fifth_shorter() -> None:
+    """The value is that of people in rooms of 4 to 6 m (tyrex, oxiod)."""
     straight, turning = (length_of(BounceStepLength(), replace(step_of(), turn_rate_radps=w), 0.34) for w in (0, 1))
     assert turning == pytest.approx(4 / 5 * straight, rel=0.02)
 
@@ -276,7 +276,7 @@ def test_many_parameters_at_once_give_the_lengths_and_derivatives_of_each(step: 
         np.testing.assert_array_equal(jacobian[i], own)
 
 
-def test_something_that_is_no_model_is_refused_by_name() -> None:
+def test_an_object_that_is_not_a_step_length_model_is_refused_by_name() -> None:
     with pytest.raises(TypeError, match="str has neither regressors nor"):
         length_and_jacobian("0.7 m", a_step(), np.zeros(1))  # type: ignore[arg-type]
 
@@ -291,7 +291,7 @@ def random_fit(model: StepLengthModel, rng: np.random.Generator) -> StepLengthFi
 
 @settings(max_examples=50)
 @given(step=steps, seed=st.integers(0, 10_000))
-def test_fits_at_once_give_what_each_alone_gives(step: Step, seed: int) -> None:
+def test_fits_together_give_the_results_of_each_alone(step: Step, seed: int) -> None:
     rng = np.random.default_rng(seed)
     fits = tuple(random_fit(MODELS[i], rng) for i in rng.integers(0, len(MODELS), rng.integers(1, 12)))
     length, variance = StepLengths(fits).predict(step)
@@ -304,7 +304,7 @@ def test_the_variance_of_a_length_is_that_of_its_parameters_and_its_residual(mod
     rng = np.random.default_rng(0)
     step = step_of(frequency_hz=1.9)
     theta = np.full(model.n_params, 0.5)
-    root = 0.01 * rng.normal(size=(model.n_params, model.n_params))  # small, so that the models are straight in it
+    root = 0.01 * rng.normal(size=(model.n_params, model.n_params))  # small, so that the models are linear in it
     fit = StepLengthFit(model, theta, root @ root.T, 0.05)
     drawn = theta + rng.normal(size=(40_000, model.n_params)) @ root.T
     length = length_and_jacobian(model, step, drawn)[0] + 0.05 * rng.normal(size=40_000)
@@ -313,7 +313,7 @@ def test_the_variance_of_a_length_is_that_of_its_parameters_and_its_residual(mod
 
 @every_model
 def test_no_model_gives_a_negative_length(model: StepLengthModel) -> None:
-    # Chen's length is a product: its sign is that of c
+    # the length of Chen is a product, so its sign is that of c
     theta = np.array([1.0, 1.0, -1.0]) if isinstance(model, ChenStepLength) else -np.ones(model.n_params)
     fit = StepLengthFit(model, theta, np.zeros((model.n_params,) * 2), 0.0)
     assert length_of(model, step_of(), *theta) < 0
@@ -333,25 +333,25 @@ def test_an_unknown_height_is_the_usual_one() -> None:
     assert bounce_fit(1.9).predict(step_of())[0] == pytest.approx(1.9 / 1.70 * bounce_fit().predict(step_of())[0])
 
 
-def test_a_known_height_makes_lengths_surer_but_not_twice_as_sure() -> None:
-    """Of people left out with their site: docs/tables/step_length_sites.md for a known height."""
+def test_a_known_height_reduces_the_standard_deviation_by_less_than_half() -> None:
+    """The values are those of held-out sites: docs/tables/step_length_sites.md for a known height."""
     assert 0.5 * scale_std(None) < scale_std(1.8) < 0.8 * scale_std(None)
 
 
-def test_one_length_for_every_step_stays_one_length_among_others() -> None:
+def test_a_known_length_is_unchanged_among_other_models() -> None:
     length, variance = StepLengths((known_length(0.29, 0.05), tian_fit(1.8))).predict(step_of())
     assert length[0] == pytest.approx(0.29)
     assert variance[0] == pytest.approx(0.0025)
 
 
-def test_all_steps_on_stairs_may_be_wrong_alike() -> None:
+def test_all_steps_on_stairs_may_share_one_error() -> None:
     fits = {mode.context: mode.step_length for mode in context_modes(bounce_fit(1.7))}
     for context in ("upstairs", "downstairs"):
         _, var_m2 = StepLengths((fits[context],)).predict(step_of())
         assert float(var_m2[0]) - fits[context].residual_std_m ** 2 == pytest.approx(0.1**2)
 
 
-def test_a_step_weaker_than_usual_is_shorter_and_a_stronger_one_is_not_longer_for_that() -> None:
+def test_a_step_weaker_than_usual_is_shorter_and_a_stronger_one_is_not_longer() -> None:
     model = BounceStepLength()
     usual = replace(step_of(amplitude=1.6), stride_amplitude_mps2=1.6)
     lengths = {ratio: length_of(model, replace(usual, usual_amplitude_mps2=1.6 / ratio), 0.3) for ratio in (0.5, 1, 2)}
@@ -359,7 +359,7 @@ def test_a_step_weaker_than_usual_is_shorter_and_a_stronger_one_is_not_longer_fo
     assert lengths[0.5] == pytest.approx(0.5**0.25 * lengths[1])
 
 
-def test_in_a_pocket_the_steps_of_the_weaker_leg_are_not_shorter_for_that() -> None:
+def test_in_a_pocket_the_steps_of_the_weaker_leg_are_not_shorter() -> None:
     model = BounceStepLength()
     weak = replace(step_of(amplitude=1.0), usual_amplitude_mps2=2.0)
     of_pocket = length_of(model, replace(weak, stride_amplitude_mps2=2.5), 0.3)
@@ -377,7 +377,7 @@ def test_a_step_from_rest_is_half_a_step() -> None:
 
 
 @given(st.integers(8, 120), st.floats(0.1, 9.0), st.floats(-3.0, 3.0), st.floats(-20.0, 20.0), st.floats(0.0, 9.0))
-def test_the_amplitude_is_that_of_the_sinusoid_whatever_else_there_is(
+def test_the_amplitude_is_that_of_the_sinusoid_in_spite_of_level_and_harmonics(
     n: int, amplitude: float, phase: float, level: float, heel_strike: float
 ) -> None:
     turn = 2 * np.pi * np.arange(n) / n
@@ -410,7 +410,7 @@ def recorded(path: Path) -> tuple[pdr.Recording, list[Step]]:
 
 
 def legs_of(folder: Path, model: Callable[[float], LinearStepLengthModel]) -> list[Sums]:
-    """Regressors of every leg, each step's projected on the leg: the displacement is their product with theta."""
+    """Return the regressors of every leg, projected on the leg, so that their product with theta is its length."""
     legs: list[Sums] = []
     for path in sorted(folder.glob("*.zip")):
         recording, found = recorded(path)
@@ -444,7 +444,7 @@ def legs_of(folder: Path, model: Callable[[float], LinearStepLengthModel]) -> li
     ],
     ids=["Kim", "Martinelli", "frequency", "Tian", "bounce"],
 )
-def test_a_walk_left_out_is_predicted_from_the_others(
+def test_a_held_out_walk_is_predicted_from_the_others(
     data_dir: Path, model: Callable[[float], LinearStepLengthModel], total_percent: float, leg_percent: float
 ) -> None:
     legs = legs_of(data_dir / "humolire", model)
@@ -463,14 +463,14 @@ def test_a_walk_left_out_is_predicted_from_the_others(
     assert np.sqrt(np.mean(np.square(one))) < leg_percent
 
 
-def test_the_default_model_carries_over_to_another_site_and_its_people(data_dir: Path) -> None:
+def test_the_scale_of_the_default_model_agrees_at_two_sites(data_dir: Path) -> None:
     def scale(site: str, model: Callable[[float], LinearStepLengthModel]) -> float:
         legs = legs_of(data_dir / site, model)
         return sum(m for _, _, m in legs) / sum(float(r[0]) for _, r, _ in legs)
 
     ratio = scale("humolire", BounceStepLength) / scale("ms_indoor", BounceStepLength)
     assert abs(np.log(ratio)) < 0.07
-    # what the impact of the heel is in does not
+    # a model that depends on the heel impact does not
     assert (
         abs(np.log(scale("humolire", lambda h: KimStepLength()) / scale("ms_indoor", lambda h: KimStepLength()))) > 0.2
     )

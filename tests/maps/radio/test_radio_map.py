@@ -1,4 +1,4 @@
-"""Radio maps: what they say of walks that are not in them, and that they say no more than they know."""
+"""Radio maps: positions of walks that are not in the map, and the validity of their covariances."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from pdr_filter.values.recording import Recording
 
 @pytest.fixture(scope="module")
 def radio() -> RadioMap:
-    """Of two walks round the block."""
+    """Radio map of two walks around the block."""
     return RadioMap.fit([walk_with_wifi(round_a_block(), seed) for seed in (1, 2)])
 
 
@@ -39,7 +39,7 @@ def errors_m(fixes: list[PositionFix], walk: Recording) -> np.ndarray:
     return np.array(at) - np.array([f.position_m for f in fixes])
 
 
-def test_another_walk_is_found_where_it_was_within_its_covariance(radio: RadioMap, walk: Recording) -> None:
+def test_fixes_of_another_walk_agree_with_the_truth_within_their_covariance(radio: RadioMap, walk: Recording) -> None:
     fixes = radio.fixes(walk)
     assert len(fixes) > 8
     error = errors_m(fixes, walk)
@@ -48,28 +48,28 @@ def test_another_walk_is_found_where_it_was_within_its_covariance(radio: RadioMa
     assert np.mean(np.array(nees) < 5.99) > 0.85
 
 
-def test_where_nobody_mapped_there_is_no_fix(radio: RadioMap, walk: Recording) -> None:
+def test_a_scan_in_an_unmapped_area_gives_no_fix(radio: RadioMap, walk: Recording) -> None:
     mapped, far = (heard_along(np.array([1.0]), np.array([place]), 4) for place in ([20.0, 10.0], [45.0, -20.0]))
     assert np.isin(far.bssid, radio.bssid).sum() > 20
     assert len(radio.fixes(replace(walk, wifi=mapped))) == 1
     assert radio.fixes(replace(walk, wifi=far)) == []
 
 
-def test_a_fix_is_known_when_its_scan_ended(radio: RadioMap, walk: Recording) -> None:
+def test_the_reception_time_of_a_fix_is_the_end_of_its_scan(radio: RadioMap, walk: Recording) -> None:
     assert walk.wifi is not None
     ends = {scan.time_s: scan.end_s for scan in walk.wifi.scans()}
     for fix in radio.fixes(walk):
         assert fix.received_time_s == ends[fix.time_s] > fix.time_s
 
 
-def test_fixes_say_how_long_they_err_alike_and_do_not_repeat_each_other(radio: RadioMap, walk: Recording) -> None:
+def test_fixes_have_a_correlation_time_and_are_at_least_half_of_it_apart(radio: RadioMap, walk: Recording) -> None:
     fixes = radio.fixes(walk)
     for before, fix in pairwise(fixes):
         assert fix.correlation_s == pytest.approx(2.4 * np.sqrt(fix.var_m2))
         assert fix.time_s - before.time_s >= 0.5 * fix.correlation_s
 
 
-def test_grids_say_where_each_scan_was_with_the_mean_of_its_fix(radio: RadioMap, walk: Recording) -> None:
+def test_every_scan_gives_a_grid_whose_mean_is_the_position_of_its_fix(radio: RadioMap, walk: Recording) -> None:
     fixes, grids = radio.fixes(walk), radio.grids(walk)
     assert walk.wifi is not None and len(grids) == len(walk.wifi.scans())  # none is left out here
     of_time = {grid.time_s: grid for grid in grids}
@@ -91,7 +91,7 @@ def test_grids_say_where_each_scan_was_with_the_mean_of_its_fix(radio: RadioMap,
     assert np.mean(np.array(here) - even) > 1.0
 
 
-def test_what_the_map_never_heard_gives_no_fix(radio: RadioMap, walk: Recording) -> None:
+def test_a_scan_of_unmapped_access_points_gives_no_fix(radio: RadioMap, walk: Recording) -> None:
     assert walk.wifi is not None
     strange = replace(walk.wifi, bssid=walk.wifi.bssid + 10**6)
     assert radio.fixes(replace(walk, wifi=strange)) == []
@@ -110,7 +110,7 @@ def test_the_field_is_the_gaussian_process_of_scikit_learn() -> None:
     np.testing.assert_allclose(ours.variance, std[:, 0] ** 2, atol=1e-8)
 
 
-def test_storeys_are_told_apart_by_what_is_heard_on_them(walk: Recording) -> None:
+def test_the_storey_of_a_scan_is_recognised_by_its_access_points(walk: Recording) -> None:
     below, above = walk_with_wifi(round_a_block(), 1), walk_with_wifi(round_a_block(), 2, first=1000)
     points = above.truth.waypoints.copy()
     points["floor"] = 2
@@ -120,7 +120,7 @@ def test_storeys_are_told_apart_by_what_is_heard_on_them(walk: Recording) -> Non
     assert {f.floor for f in both.fixes(walk_with_wifi(round_a_block(), 5, first=1000))} == {2}
 
 
-def test_a_map_of_tracks_is_in_their_frame(walk: Recording) -> None:
+def test_a_map_fitted_to_tracks_is_in_their_frame(walk: Recording) -> None:
     others = [walk_with_wifi(round_a_block(), seed) for seed in (1, 2)]
     tracks = [pdr.track(other) for other in others]
     moved = [replace(t, position_m=t.position_m + 100.0, start_position_m=t.start_position_m + 100.0) for t in tracks]
@@ -131,11 +131,11 @@ def test_a_map_of_tracks_is_in_their_frame(walk: Recording) -> None:
 
 
 def test_a_map_of_walks_without_wifi_is_refused(walk: Recording) -> None:
-    with pytest.raises(ValueError, match="no walk has Wi-Fi scans on its way"):
+    with pytest.raises(ValueError, match="no walk has Wi-Fi scans at known positions"):
         RadioMap.fit([replace(walk, wifi=None)])
 
 
-def test_a_long_walk_with_a_wrong_scale_ends_nearer_with_the_map(radio: RadioMap) -> None:
+def test_the_map_reduces_the_end_error_of_a_long_walk_with_a_wrong_scale(radio: RadioMap) -> None:
     long = walk_with_wifi([*round_a_block(), *round_a_block()[1:], *round_a_block()[1:]], 6)
     tall = long.of_height(2.4)  # steps are taken for too long
     plain, fixed = pdr.track(tall), pdr.track(tall, fixes=radio.fixes(tall))
@@ -149,7 +149,7 @@ def test_a_long_walk_with_a_wrong_scale_ends_nearer_with_the_map(radio: RadioMap
 # --- files -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_map_that_was_saved_says_the_same(radio: RadioMap, walk: Recording, tmp_path: Path) -> None:
+def test_a_saved_and_loaded_map_gives_the_same_fixes(radio: RadioMap, walk: Recording, tmp_path: Path) -> None:
     loaded = RadioMap.load(radio.save(tmp_path / "mall"))
     assert repr(loaded) == repr(radio)
     for a, b in zip(radio.fixes(walk), loaded.fixes(walk), strict=True):
@@ -183,13 +183,13 @@ def test_a_map_whose_arrays_do_not_fit_is_refused(
     assert "fit it again" in str(refusal.value)
 
 
-def test_a_file_of_something_else_is_refused(tmp_path: Path) -> None:
+def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
     (tmp_path / "other.json").write_text(json.dumps({"kind": "calibration", "format_version": 1}))
     with pytest.raises(ValueError, match="its kind is 'calibration', not 'radio_map'"):
         RadioMap.load(tmp_path / "other.json")
 
 
-def test_a_leg_is_enough_for_a_map() -> None:
+def test_a_single_leg_is_sufficient_for_a_map() -> None:
     one = RadioMap.fit([walk_with_wifi([Leg("walking", distance_m=25.0)], 1)])
     assert one.fixes(walk_with_wifi([Leg("walking", distance_m=25.0)], 2))
     assert isinstance(one.bssid, np.ndarray)

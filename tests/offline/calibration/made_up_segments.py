@@ -1,4 +1,4 @@
-"""Segments of made-up people, to calibrate on."""
+"""Segments of synthetic people for calibration tests."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def segment(
     error_m: float = 0.0,
     **prob: float,
 ) -> Segment:
-    """A segment whose displacement is that of its steps under theta, in a straight line or along an arc."""
+    """Return a segment whose displacement is that of its steps under theta, on a straight line or an arc."""
     pace = rng.normal(1.9, 0.15)
     features = (rng.normal(pace, 0.1, n), rng.normal(4, 1, n), rng.normal(rng.uniform(1.2, 2.4), 0.2, n))
     steps = tuple(step(*values) for values in zip(*features, strict=True))
@@ -62,13 +62,13 @@ def segment(
 
 
 def flat(n_params: int, personal: int = 0) -> StepLengthPrior:
-    """Nothing is known: the first parameters are each person's own, without a tie."""
+    """Return uninformative priors. The first parameters are independent between people."""
     between = np.where(np.arange(n_params) < personal, INF, 0.0)
     return StepLengthPrior(FrequencyVarianceStepLength(), np.zeros(n_params), np.full(n_params, INF), between)
 
 
 def design(rng: np.random.Generator, n_people: int = 15, per_person: int = 33) -> tuple[SegmentSums, np.ndarray]:
-    """Segments of eq. 14, summed lengths, and the matrix H of all of them."""
+    """Return segments of eq. 14 with summed lengths, and their joint matrix H."""
     n = n_people * per_person
     person = rng.permutation(np.repeat(np.arange(n_people), per_person))
     steps = rng.integers(12, 20, n).astype(float)

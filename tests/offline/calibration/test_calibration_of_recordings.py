@@ -1,4 +1,4 @@
-"""A calibration of whole recordings: what it takes of their truth, what it says and saves, what the filter takes."""
+"""Calibration of whole recordings: use of the truth, notes, files, and use by the filter."""
 
 from __future__ import annotations
 
@@ -51,22 +51,22 @@ def test_a_simulated_walk_is_calibrated_to_its_true_length(walk: tuple[Recording
     assert found.subjects["simulated"].height_m == recording.subject.height_m
 
 
-def test_bad_rows_of_the_truth_are_left_out_by_name(walk: tuple[Recording, Track]) -> None:
+def test_bad_rows_of_the_truth_are_not_used_and_named(walk: tuple[Recording, Track]) -> None:
     recording, track = walk
     rows = [(0.0, 9.0, 12.0), (9.0, 5.0, 12.0), (1.0, 5.0, 0.0), (1.0, 5.0, -2.0), (900.0, 909.0, 12.0)]
     found = calibrate(with_segments(recording, rows), tracks=[track])
     assert len(found.segments) == 1
     notes = "\n".join(found.notes)
-    assert "end is not after the start (anchors out of time order) in 9.0-5.0 s: left out" in notes
-    assert "distance is not positive in 1.0-5.0 s (0 m), 1.0-5.0 s (-2 m): left out" in notes
-    assert "no steps in 900.0-909.0 s: left out" in notes
+    assert "end is not after the start (anchors out of time order) in 9.0-5.0 s: not used" in notes
+    assert "distance is not positive in 1.0-5.0 s (0 m), 1.0-5.0 s (-2 m): not used" in notes
+    assert "no steps in 900.0-909.0 s: not used" in notes
     with pytest.raises(ValueError, match=r"nothing to calibrate with: simulated_walk: .*no steps in"):
         calibrate(with_segments(recording, rows[1:]), tracks=[track])
-    with pytest.raises(ValueError, match="no truth of known length, no waypoints, no position fixes"):
+    with pytest.raises(ValueError, match="has no known lengths, no waypoints and no position fixes"):
         calibrate(replace(recording, truth=Truth()), tracks=[track])
 
 
-def test_waypoints_out_of_time_order_are_left_out_by_name(walk: tuple[Recording, Track]) -> None:
+def test_waypoints_out_of_time_order_are_not_used_and_named(walk: tuple[Recording, Track]) -> None:
     recording, track = walk
     time_s = np.array([0.0, 9.3, 18.5, 14.0, 27.0])
     points = table(
@@ -87,7 +87,7 @@ def with_waypoints(recording: Recording, every_s: float, seed: int = 0) -> Recor
 
 
 @pytest.mark.parametrize("every_s", [0.5, 1.0, 2.0])
-def test_dense_waypoints_calibrate_as_well_as_those_that_are_far_apart(every_s: float) -> None:
+def test_dense_waypoints_calibrate_as_well_as_distant_ones(every_s: float) -> None:
     legs = [Leg("walking", distance_m=40.0, turn_rad=1.5), Leg("running", distance_m=40.0)]
     recording = simulate([*legs, *legs], seed=2)
     track = pdr.track(recording)
@@ -100,11 +100,13 @@ def test_dense_waypoints_calibrate_as_well_as_those_that_are_far_apart(every_s: 
     assert np.quantile(np.abs(lengths_m[0] / lengths_m[1] - 1.0), 0.98) < 0.1
 
 
-def test_waypoints_that_are_near_each_other_are_left_out_with_their_times(walk: tuple[Recording, Track]) -> None:
+def test_close_waypoints_are_not_used_and_named_with_their_times(walk: tuple[Recording, Track]) -> None:
     recording, track = walk
     time_s = np.arange(2.0, 20.0, 1.0)
     points = table({"time_s": time_s, "east_m": np.zeros(len(time_s)), "north_m": 0.1 * time_s})
-    with pytest.raises(ValueError, match=r"nothing to calibrate with: .*waypoints in 2.0-19.0 s are near each other"):
+    with pytest.raises(
+        ValueError, match=r"nothing to calibrate with: .*waypoints in 2.0-19.0 s are close to each other"
+    ):
         calibrate(replace(recording, truth=Truth(waypoints=points)), tracks=[track])
 
 
@@ -122,13 +124,13 @@ def test_distances_between_locations_are_those_on_the_ellipsoid(
 
 
 @pytest.mark.parametrize("wrong", [float("nan"), -1.0, "1"])
-def test_a_recording_std_that_cannot_be_is_refused_by_name(walk: tuple[Recording, Track], wrong: float) -> None:
+def test_an_invalid_recording_std_is_refused_by_name(walk: tuple[Recording, Track], wrong: float) -> None:
     recording, track = walk
     with pytest.raises(ValueError, match=r"recording_std must be a number from 0 to 1, got .*usual"):
         calibrate(recording, tracks=[track], recording_std=wrong)
 
 
-def test_waypoints_on_two_floors_are_no_segment(walk: tuple[Recording, Track]) -> None:
+def test_waypoints_on_two_floors_give_no_segment(walk: tuple[Recording, Track]) -> None:
     recording, track = walk
     points = table(
         {
@@ -142,17 +144,17 @@ def test_waypoints_on_two_floors_are_no_segment(walk: tuple[Recording, Track]) -
     assert [s.end_s for s in segments] == [9.3]
 
 
-def test_a_turn_in_a_known_walked_distance_is_measured_along_the_way(walk: tuple[Recording, Track]) -> None:
+def test_step_lengths_are_summed_if_a_known_walked_distance_has_a_turn(walk: tuple[Recording, Track]) -> None:
     recording, track = walk
     ends = recording.truth.segments.end_s
     rows = [(0.0, float(ends[0]), 12.0), (float(ends[0]), float(ends[2]), 24.0)]
     found = calibrate(with_segments(recording, rows), tracks=[track])
     assert found.segments.summed.tolist() == [False, True]
-    assert any("turns in" in note and "summed step lengths" in note for note in found.notes)
+    assert any("turns in" in note and "step lengths are summed" in note for note in found.notes)
     np.testing.assert_allclose(found.segments.predicted_m, [12.0, 24.0], rtol=0.11)
 
 
-def test_a_stair_in_the_truth_is_known_better_than_clicks(walk: tuple[Recording, Track]) -> None:
+def test_a_stair_in_the_truth_has_a_smaller_error_than_clicked_landmarks(walk: tuple[Recording, Track]) -> None:
     recording, track = walk
     segments, _ = segments_of(with_segments(recording, [(2.0, 2.5, 0.29), (2.0, 9.0, 9.0)]), track)
     assert [s.anchor_std_m for s in segments] == [0.02, 0.35]
@@ -162,7 +164,7 @@ def test_without_gyroscope_lengths_are_summed_and_the_report_says_so(walk: tuple
     recording, track = walk
     found = calibrate(replace(recording, gyroscope=None), tracks=[track])
     assert found.segments.summed.all()
-    assert "no gyroscope, so no headings: summed step lengths" in found.report()
+    assert "no gyroscope, so no headings: step lengths are summed" in found.report()
 
 
 def test_position_fixes_calibrate_a_walk_without_any_truth(walk: tuple[Recording, Track]) -> None:
@@ -182,24 +184,24 @@ def test_position_fixes_calibrate_a_walk_without_any_truth(walk: tuple[Recording
     assert found.subjects["simulated"].k0 == pytest.approx(exact.subjects["simulated"].k0, rel=0.08)
 
 
-def test_recordings_without_subject_are_of_one_person_unless_somebody_says_otherwise(
+def test_recordings_without_subject_are_of_one_person_unless_each_a_person_is_set(
     walk: tuple[Recording, Track],
 ) -> None:
     recording, track = walk
     nameless = [replace(recording, meta={}, name=name) for name in ("a", "b")]
     one = calibrate(nameless, tracks=[track, track])
     assert set(one.subjects) == {"unnamed"}
-    assert any('2 recordings have no subject id: taken for one person, "unnamed"' in note for note in one.notes)
+    assert any('2 recordings have no subject id: attributed to one person, "unnamed"' in note for note in one.notes)
     assert any("each_a_person (--each-a-person)" in note for note in one.notes)
     anna = calibrate(nameless, tracks=[track, track], subject="anna")
     assert set(anna.subjects) == {"anna"}
     np.testing.assert_array_equal(anna.people, one.people)
     each = calibrate(nameless, tracks=[track, track], each_a_person=True)
     assert set(each.subjects) == {"a", "b"}
-    assert any("each is taken for a person of its own" in note for note in each.notes)
+    assert any("each is attributed to a different person" in note for note in each.notes)
     named = calibrate([recording, nameless[0]], tracks=[track, track], subject="anna")
     assert set(named.subjects) == {"simulated", "anna"}
-    with pytest.raises(ValueError, match="'anna' names one person, and each_a_person says that there are several"):
+    with pytest.raises(ValueError, match="'anna' names one person, but each_a_person means several people"):
         calibrate(nameless, tracks=[track, track], subject="anna", each_a_person=True)
 
 
@@ -207,23 +209,19 @@ def test_recordings_without_subject_are_of_one_person_unless_somebody_says_other
     ("options", "named"),
     [({"subject": "anna"}, "subject 'anna'"), ({"each_a_person": True}, "each_a_person (--each-a-person)")],
 )
-def test_a_name_that_no_recording_needs_is_said_to_be_unused(
-    walk: tuple[Recording, Track], options: dict[str, Any], named: str
-) -> None:
+def test_an_unneeded_subject_gives_a_note(walk: tuple[Recording, Track], options: dict[str, Any], named: str) -> None:
     recording, track = walk
     found = calibrate(recording, tracks=[track], **options)
-    assert f"every recording says whose it is: {named} was not used" in found.notes
+    assert f"every recording has a subject id, so {named} was not used" in found.notes
 
 
 @pytest.mark.parametrize("prior_std", [0.0, -0.1, 10.0, np.nan])
-def test_a_prior_in_percent_is_refused_before_a_walk_is_tracked(
-    walk: tuple[Recording, Track], prior_std: float
-) -> None:
-    with pytest.raises(ValueError, match=r"prior_std \(--prior\) must be a share"):
+def test_a_prior_std_in_percent_is_refused_before_tracking(walk: tuple[Recording, Track], prior_std: float) -> None:
+    with pytest.raises(ValueError, match=r"prior_std \(--prior\) must be a fraction"):
         calibrate(walk[0], tracks=[None], prior_std=prior_std)  # type: ignore[list-item]
 
 
-def test_the_report_has_what_is_wrong_with_the_whole_before_what_many_recordings_say_alike(
+def test_the_report_has_warnings_about_the_calibration_before_repeated_notes_about_recordings(
     walk: tuple[Recording, Track],
 ) -> None:
     recording, track = walk
@@ -235,7 +233,7 @@ def test_the_report_has_what_is_wrong_with_the_whole_before_what_many_recordings
     lines = found.report().splitlines()
     (of_turns,) = [i for i, line in enumerate(lines) if "turns in" in line]
     assert lines[of_turns].startswith("- walk 0: turns in 0.0-")
-    assert lines[of_turns].endswith("instead of displacement (and 19 more alike)")
+    assert lines[of_turns].endswith("instead of step vectors (and 19 more alike)")
     (of_contexts,) = [i for i, line in enumerate(lines) if "no segments of" in line]
     assert of_contexts < of_turns
 
@@ -248,7 +246,7 @@ def calibration(walk: tuple[Recording, Track]) -> Calibration:
     return calibrate(walk[0], tracks=[walk[1]])
 
 
-def test_saved_and_loaded_it_is_the_same(calibration: Calibration, tmp_path: Path) -> None:
+def test_a_saved_and_loaded_calibration_is_the_same(calibration: Calibration, tmp_path: Path) -> None:
     path = calibration.save(tmp_path / "models" / "me.json")
     for name in (path, path.with_suffix(".npz"), str(path.with_suffix(""))):
         again = load_calibration(name)
@@ -273,7 +271,7 @@ def test_damaged_files_are_refused_by_name(calibration: Calibration, tmp_path: P
         load_calibration(path)
 
 
-def test_the_filter_walks_a_calibrated_length_with_its_uncertainty(walk: tuple[Recording, Track]) -> None:
+def test_the_filter_uses_a_calibrated_length_with_its_uncertainty(walk: tuple[Recording, Track]) -> None:
     recording, track = walk
     doubled = with_segments(
         recording,
@@ -292,13 +290,13 @@ def test_the_filter_walks_a_calibrated_length_with_its_uncertainty(walk: tuple[R
         assert (after.step_length is before.step_length) == (after.context != "walking")
 
 
-def test_a_fit_is_for_the_height_of_the_person(calibration: Calibration) -> None:
+def test_a_fit_has_the_height_of_the_person(calibration: Calibration) -> None:
     assert calibration.fits("simulated")["walking"].model == BounceStepLength(1.75)
     assert calibration.fits(Subject(height_m=1.6))["walking"].model == BounceStepLength(1.6)
     assert calibration.fits(Subject(id="somebody"))["walking"].model == BounceStepLength()
 
 
-def test_a_calibrated_track_says_whose_step_lengths_it_has(walk: tuple[Recording, Track]) -> None:
+def test_a_calibrated_track_names_the_person_of_its_step_lengths(walk: tuple[Recording, Track]) -> None:
     recording, track = walk
     twice = [replace(recording, meta={}, name=name) for name in ("a", "b")]
     one, two = (calibrate(twice, tracks=[track] * 2, each_a_person=each) for each in (False, True))
@@ -320,7 +318,7 @@ def test_a_calibrated_track_says_whose_step_lengths_it_has(walk: tuple[Recording
     assert tall.person_of(Subject(height_m=1.6)) is None
 
 
-def test_the_report_has_people_errors_and_doubts_and_the_figure_is_drawn(
+def test_the_report_has_people_errors_and_outliers_and_the_figure_is_drawn(
     calibration: Calibration, tmp_path: Path
 ) -> None:
     text = calibration.report()

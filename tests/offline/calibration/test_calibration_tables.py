@@ -1,3 +1,5 @@
+"""Tables and report of a calibration."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +16,7 @@ def calibration() -> pdr.Calibration:
     return pdr.calibrate(walks, each_a_person=True)
 
 
-def test_tables_have_the_parameters_their_covariance_and_the_residuals_of_left_out_segments(
+def test_tables_have_the_parameters_their_covariance_and_the_held_out_residuals(
     calibration: pdr.Calibration,
 ) -> None:
     tables, n = calibration.tables(), len(calibration.theta)
@@ -26,7 +28,7 @@ def test_tables_have_the_parameters_their_covariance_and_the_residuals_of_left_o
 
 
 @pytest.mark.parametrize(("off_m", "is_said"), [(0.0, False), (15.0, True)])
-def test_the_report_says_if_strangers_are_worse_off_with_the_calibration(
+def test_the_report_states_if_the_calibration_makes_other_people_worse(
     calibration: pdr.Calibration, off_m: float, is_said: bool
 ) -> None:
     segments = calibration.segments

@@ -1,8 +1,4 @@
-"""People who are not as the prior says: their step lengths, the noise and the errors must come out right all the same.
-
-Nobody here is drawn from the prior of the calibration: the walks of a group are longer or shorter than usual by a
-factor, people are of two kinds and not normal, and a share of the segments is wrong by a factor of two.
-"""
+"""People who differ from the prior: step lengths, noise and covariances must be right nevertheless."""
 
 from __future__ import annotations
 
@@ -18,8 +14,8 @@ from pdr_filter.offline.calibration.priors import (
     DEFAULT_PRIORS,
     GROUP_RELATIVE_STD,
     PEOPLE_RELATIVE_STD,
-    as_wide_as,
     prior,
+    with_relative_std,
 )
 from pdr_filter.offline.calibration.segments import Segment, SegmentSums
 from pdr_filter.recipes.step_length_calibration import TYPICAL_STEP, Calibration
@@ -36,9 +32,10 @@ GROUPS = np.array([-0.10, 0.0, 0.10, 0.20])
 def walked(
     rng: np.random.Generator, n_people: int, per_person: int, factor: float = 1.0, wrong: float = 0.0
 ) -> tuple[SegmentSums, np.ndarray]:
-    """Sums of segments of about 12 m, three recordings a person, and the true k of the people.
+    """Return sums of segments of about 12 m, three recordings a person, and the true k of the people.
 
-    People differ by 7 % of the prior's k to either side; `wrong` of the segments are half or twice as long as said.
+    People differ by 7 % of the prior's k to either side. A share `wrong` of the segments is half or twice as long as
+    stated.
     """
     k = factor * K + PEOPLE_RELATIVE_STD * K * rng.choice([-1, 1], n_people)
     n = n_people * per_person
@@ -65,20 +62,20 @@ def walked(
 
 
 def prior_of_k(relative_std: float = GROUP_RELATIVE_STD) -> Hierarchy:
-    """That of the default model of walking."""
-    known = as_wide_as(DEFAULT_PRIORS["walking"], relative_std)
+    """Return the prior of the default model of walking."""
+    known = with_relative_std(DEFAULT_PRIORS["walking"], relative_std)
     return Hierarchy(known.mean, known.std, known.between_std, np.full(len(CONTEXTS), known.step_std_m), DAY_STD)
 
 
 def noise(found: ParameterEstimate) -> float:
-    """Standard deviation of the segments over the true one."""
+    """Return the ratio of the estimated to the true standard deviation of the segments."""
     return float(np.sqrt(found.noise_factor[WALKING]))
 
 
 @pytest.mark.parametrize("wrong", [0.0, 0.1, 0.2])
 @pytest.mark.parametrize(("n_people", "per_person"), LAYOUTS)
 @pytest.mark.parametrize("factor", [1.0, 1.22])
-def test_the_noise_of_steps_is_found_within_10_percent_with_wrong_segments_and_unusual_people(
+def test_the_noise_of_steps_is_estimated_within_10_percent_despite_outliers_and_unusual_people(
     n_people: int, per_person: int, wrong: float, factor: float
 ) -> None:
     rng = np.random.default_rng(1)
@@ -92,8 +89,8 @@ def test_the_noise_of_steps_is_found_within_10_percent_with_wrong_segments_and_u
 
 
 @pytest.mark.parametrize("loss", ["gnc", "cauchy", "huber"])
-def test_no_loss_makes_the_noise_of_good_segments_larger_or_smaller(loss: str) -> None:
-    """What a loss takes from the tails it must give back, once: 24,000 segments show 1.3 %."""
+def test_no_robust_loss_biases_the_noise_of_good_segments(loss: str) -> None:
+    """A loss reduces the tails, which the estimate must correct exactly once. 24,000 segments resolve 1.3 %."""
     sums, _ = walked(np.random.default_rng(2), 400, 60)
     free = replace(prior_of_k(), noise_dof=0.0)
     plain, found = (noise(estimate_parameters(sums, free, name)) for name in ("none", loss))
@@ -102,8 +99,8 @@ def test_no_loss_makes_the_noise_of_good_segments_larger_or_smaller(loss: str) -
 
 
 @pytest.mark.parametrize(("loss", "efficiency"), [("none", 1.0), ("huber", 0.95), ("cauchy", 0.95), ("gnc", 0.97)])
-def test_a_covariance_is_larger_by_the_efficiency_that_a_loss_gives_up(loss: str, efficiency: float) -> None:
-    """Two people with many segments, nothing but normal noise of a known size: 1 / (E (E psi')^2 / E psi^2)."""
+def test_a_robust_loss_increases_the_covariance_by_its_loss_of_efficiency(loss: str, efficiency: float) -> None:
+    """Two people with many segments and normal noise of a known size: the factor is 1 / (E (E psi')^2 / E psi^2)."""
     sums, _ = walked(np.random.default_rng(9), 2, 6000)
     held = replace(prior_of_k(5.0), recording_std=0.0, noise_dof=np.inf, between_std=np.array([np.inf]))
     clean = replace(sums, distance_m=sums.regressors[:, 0, 0] * K)
@@ -116,8 +113,8 @@ def test_a_covariance_is_larger_by_the_efficiency_that_a_loss_gives_up(loss: str
 
 @pytest.mark.parametrize("factor", [0.85, 1.22])
 @pytest.mark.parametrize("per_person", [1, 3])
-def test_twelve_people_far_from_the_prior_give_the_thirteenth_within_2_percent(factor: float, per_person: int) -> None:
-    """In the mean over groups; a single group's own twelve people scatter by 7 % / sqrt(12)."""
+def test_twelve_people_far_from_the_prior_predict_another_within_2_percent(factor: float, per_person: int) -> None:
+    """As a mean over groups; the twelve people of a single group scatter by 7 % / sqrt(12)."""
     rng = np.random.default_rng(3)
     error = [
         estimate_parameters(walked(rng, 12, per_person, factor, 0.1)[0], prior_of_k()).population[0] / (factor * K) - 1
@@ -128,7 +125,7 @@ def test_twelve_people_far_from_the_prior_give_the_thirteenth_within_2_percent(f
 
 
 @pytest.mark.parametrize("wrong", [0.0, 0.2])
-def test_95_percent_intervals_have_people_of_a_group_far_from_the_prior(wrong: float) -> None:
+def test_95_percent_intervals_contain_people_of_a_group_far_from_the_prior(wrong: float) -> None:
     rng = np.random.default_rng(4)
     inside: list[np.ndarray] = []
     for factor in 1 + np.tile(GROUPS, 8):
@@ -138,8 +135,8 @@ def test_95_percent_intervals_have_people_of_a_group_far_from_the_prior(wrong: f
     assert 0.92 < np.mean(inside) < 0.98
 
 
-def test_the_prior_is_as_wide_as_the_groups_that_were_measured() -> None:
-    """A stranger of a group that nobody calibrated, root mean square of four groups: 12 %."""
+def test_the_prior_is_as_wide_as_the_spread_of_the_measured_groups() -> None:
+    """A person of an uncalibrated group has a root mean square error of 12 % over four groups."""
     claimed = float(np.hypot(GROUP_RELATIVE_STD, PEOPLE_RELATIVE_STD))
     assert claimed == pytest.approx(np.sqrt(np.square(GROUPS).mean()), rel=0.1)
     usual = DEFAULT_PRIORS["walking"]
@@ -150,7 +147,7 @@ def test_the_prior_is_as_wide_as_the_groups_that_were_measured() -> None:
 
 
 def corridors(rng: np.random.Generator, factor: float, n_people: int, per_person: int = 1) -> list[Segment]:
-    """Straight segments of people whose steps are longer than usual."""
+    """Return straight segments of people whose steps are longer than usual."""
     n = 16
     prob = np.zeros((n, len(CONTEXTS)))
     prob[:, WALKING] = 1.0
@@ -174,11 +171,11 @@ def warnings_of(found: Calibration) -> list[str]:
     return [note for note in found.notes if note.startswith("WARNING")]
 
 
-def test_a_bias_that_is_no_chance_is_a_warning_with_what_to_do() -> None:
+def test_a_significant_bias_gives_a_warning_with_a_remedy() -> None:
     segments = corridors(np.random.default_rng(5), 1.22, 12)
     held = calibrate_segments(segments, prior_std=0.01)
     first = warnings_of(held)[0]
-    assert "segments left out come out" in first
+    assert "held-out segments are predicted" in first
     assert "% too short" in first
     assert "standard errors" in first
     assert "(prior_std, --prior)" in first
@@ -188,8 +185,8 @@ def test_a_bias_that_is_no_chance_is_a_warning_with_what_to_do() -> None:
 
 
 @pytest.mark.parametrize(("bias", "warned"), [(2.7, False), (3.3, True), (-3.3, True)])
-def test_three_standard_errors_of_the_recordings_make_the_difference(bias: float, warned: bool) -> None:
-    """Ten recordings of three segments each, 3 % to either side: the standard error is 1 %, whatever the segments."""
+def test_a_bias_is_significant_above_three_standard_errors_of_the_recordings(bias: float, warned: bool) -> None:
+    """Ten recordings of three segments each, 3 % to either side, have a standard error of 1 %."""
     recording = np.repeat(np.arange(10), 3)
     error = bias + np.where(recording % 2, 3.0, -3.0)
     columns = {
@@ -205,17 +202,17 @@ def test_three_standard_errors_of_the_recordings_make_the_difference(bias: float
     assert all(("long" if bias > 0 else "short") in words and "3.3 % too" in words for words in found)
 
 
-def test_one_recording_warns_too_where_nobody_may_differ_and_its_own_day_is_no_bias() -> None:
+def test_a_single_recording_can_give_a_bias_warning_beyond_the_spread_of_recordings() -> None:
     segments = [replace(s, recording="r") for s in corridors(np.random.default_rng(6), 1.22, 1, 20)]
     usual = DEFAULT_PRIORS["walking"]
     held = prior(usual.model, usual.mean, [0.005 * K], [0.0])
-    assert "segments left out come out" in warnings_of(calibrate_segments(segments, {"walking": held}))[0]
+    assert "held-out segments are predicted" in warnings_of(calibrate_segments(segments, {"walking": held}))[0]
     for factor in (0.85, 1.0, 1.22):
         other = [replace(s, recording="r") for s in corridors(np.random.default_rng(7), factor, 1, 20)]
         assert not warnings_of(calibrate_segments(other))
 
 
-def test_good_calibrations_seldom_warn() -> None:
+def test_good_calibrations_rarely_give_a_warning() -> None:
     rng = np.random.default_rng(8)
     warned = sum(bool(warnings_of(calibrate_segments(corridors(rng, f, 6, 2)))) for f in 1 + np.tile(GROUPS, 5))
     assert warned <= 1

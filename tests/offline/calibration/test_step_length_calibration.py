@@ -1,4 +1,4 @@
-"""Step lengths from segments of known length: exactness, probabilities, bad input, the choice of a form."""
+"""Step lengths from segments of known length: exactness, probabilities, bad input, and choice of the model."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ EQ16 = Hierarchy(
 # --- exactness ------------------------------------------------------------------------------------------------------
 
 
-def test_without_priors_it_is_the_normal_equations_of_eq_16() -> None:
+def test_without_priors_the_estimate_solves_the_normal_equations_of_eq_16() -> None:
     sums, full = design(np.random.default_rng(0))
     d = sums.distance_m
     k = np.linalg.solve(full.T @ full, full.T @ d)
@@ -57,7 +57,7 @@ def test_without_priors_it_is_the_normal_equations_of_eq_16() -> None:
     np.testing.assert_allclose(found.people_cov[3][:, :], cov[np.ix_([3, 15, 16], [3, 15, 16])], rtol=1e-4)
 
 
-def test_the_error_with_a_segment_left_out_is_that_of_a_fit_without_it() -> None:
+def test_the_error_of_a_held_out_segment_is_that_of_a_fit_without_it() -> None:
     sums, full = design(np.random.default_rng(1), 4, 6)
     found = estimate_parameters(sums, EQ16, loss="none")
     for i in range(len(sums)):
@@ -78,7 +78,7 @@ HELD = Hierarchy(
 )
 
 
-def test_people_recordings_and_priors_are_those_of_one_dense_solution() -> None:
+def test_the_estimate_with_people_recordings_and_priors_equals_a_dense_solution() -> None:
     rng = np.random.default_rng(2)
     sums, _ = design(rng, 5, 12)
     sums = replace(sums, recording=3 * sums.subject + rng.integers(0, 3, len(sums)), anchor_std_m=np.full(60, 0.35))
@@ -101,7 +101,7 @@ def test_people_recordings_and_priors_are_those_of_one_dense_solution() -> None:
     np.testing.assert_allclose(found.people_cov[:, 0, 0], np.diagonal(own @ cov @ own.T), rtol=1e-4)
 
 
-def test_a_person_left_out_gets_what_a_calibration_without_the_person_gives() -> None:
+def test_the_prediction_for_a_held_out_person_is_that_of_a_calibration_without_them() -> None:
     sums, _ = design(np.random.default_rng(3), 5, 12)
     found = estimate_parameters(sums, HELD, loss="none")
     others = np.flatnonzero(sums.subject != 2)
@@ -110,14 +110,14 @@ def test_a_person_left_out_gets_what_a_calibration_without_the_person_gives() ->
     np.testing.assert_allclose(found.stranger_m[own], sums.regressors[own, 0] @ without.population, rtol=1e-5)
 
 
-def test_cutting_the_work_in_pieces_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_size_of_the_chunks_does_not_change_the_result(monkeypatch: pytest.MonkeyPatch) -> None:
     sums, _ = design(np.random.default_rng(4))
     whole = estimate_parameters(sums, HELD)
     monkeypatch.setattr(estimation, "_CHUNK_SEGMENTS", 50)
     np.testing.assert_allclose(estimate_parameters(sums, HELD).people, whole.people, rtol=1e-12)
 
 
-def test_the_order_of_the_segments_changes_nothing() -> None:
+def test_the_order_of_the_segments_does_not_change_the_result() -> None:
     sums, _ = design(np.random.default_rng(5))
     order = np.random.default_rng(6).permutation(len(sums))
     a, b = estimate_parameters(sums, HELD), estimate_parameters(sums.rows(order), HELD)
@@ -149,14 +149,14 @@ def test_the_sums_are_the_derivative_of_the_displacement(model: StepLengthModel,
 
 
 @pytest.mark.parametrize("turn_rad", [0.0, 2.5])
-def test_exact_displacements_give_back_the_parameters_round_any_bend(turn_rad: float) -> None:
+def test_exact_displacements_recover_the_parameters_for_any_bend(turn_rad: float) -> None:
     rng, model, k = np.random.default_rng(8), FrequencyVarianceStepLength(), np.array([0.45, 0.15, 0.01])
     segments = [segment(rng, model, k, turn_rad=turn_rad) for _ in range(12)]
     found = calibrate_segments(segments, {"walking": flat(3)}, recording_std=0.0)
     np.testing.assert_allclose(found.k["walking"], k, atol=1e-8)
 
 
-def test_a_model_that_is_not_linear_is_calibrated_to_its_exact_parameters() -> None:
+def test_a_nonlinear_model_recovers_its_exact_parameters() -> None:
     rng, k = np.random.default_rng(9), np.array([0.5, 0.3, 1.15])
     segments = [
         replace(segment(rng, ChenStepLength(h), k, turn_rad=1.0, subject=f"{h} m"), height_m=h)
@@ -185,7 +185,7 @@ def test_steps_count_for_each_context_by_their_probability() -> None:
     np.testing.assert_allclose(found.k["sideways"][:2], side[:2], atol=1e-8)
 
 
-def test_single_stairs_of_group_b_give_their_length_in_one_solution_with_the_corridors_of_group_a() -> None:
+def test_stairs_of_group_b_and_corridors_of_group_a_are_solved_together() -> None:
     rng, model = np.random.default_rng(22), FrequencyVarianceStepLength()
     corridors = [segment(rng, model, np.array([0.45, 0.15, 0.01]), f"s{i % 3}") for i in range(30)]
     stairs = [
@@ -219,14 +219,14 @@ PEOPLE = Hierarchy(
 def simulated(
     rng: np.random.Generator, n_people: int, per_person: int, wrong: float = 0.0
 ) -> tuple[SegmentSums, Hierarchy, np.ndarray, np.ndarray]:
-    """Segments of people drawn from the prior, and the truth."""
+    """Return segments of people drawn from the prior, and the true parameters."""
     population = rng.normal(PEOPLE.mean, PEOPLE.std)
     people = population + rng.normal(size=(n_people, 3)) * PEOPLE.between_std
     return walked(rng, people, per_person, wrong), PEOPLE, population, people
 
 
 def walked(rng: np.random.Generator, people: np.ndarray, per_person: int, wrong: float = 0.0) -> SegmentSums:
-    """Segments of people with these parameters (S, 3), a share of them of twice the true length."""
+    """Return segments of people with parameters (S, 3), a share of which has twice the true length."""
     n_people = len(people)
     n = n_people * per_person
     person = np.repeat(np.arange(n_people), per_person)
@@ -251,7 +251,7 @@ def walked(rng: np.random.Generator, people: np.ndarray, per_person: int, wrong:
     )
 
 
-def test_95_percent_intervals_of_200_calibrations_have_the_truth_in_92_to_98_percent() -> None:
+def test_95_percent_intervals_of_200_calibrations_contain_the_truth_in_92_to_98_percent() -> None:
     rng = np.random.default_rng(11)
     own: list[np.ndarray] = []
     shared: list[np.ndarray] = []
@@ -265,8 +265,8 @@ def test_95_percent_intervals_of_200_calibrations_have_the_truth_in_92_to_98_per
         assert 0.92 < share < 0.98
 
 
-def test_intervals_have_the_truth_of_people_who_are_not_as_the_prior_expects() -> None:
-    """People of two kinds, off the prior's mean and further apart than it says: its own intervals have them all."""
+def test_intervals_contain_the_truth_of_people_who_differ_from_the_prior() -> None:
+    """Two kinds of people differ from the prior's mean and from each other more than the prior allows."""
     rng, population = np.random.default_rng(12), np.array([0.55, 0.12, 0.008])
     own: list[np.ndarray] = []
     shared: list[np.ndarray] = []
@@ -281,8 +281,11 @@ def test_intervals_have_the_truth_of_people_who_are_not_as_the_prior_expects() -
         assert 0.9 < share < 0.99
 
 
-def test_a_person_never_does_worse_than_the_population_on_average_and_shrinks_towards_it() -> None:
-    """People with one, three and twelve segments: the error falls with each, from below that of the population."""
+def test_estimates_of_people_shrink_towards_the_population_and_are_no_worse_on_average() -> None:
+    """People have one, three or twelve segments.
+
+    The error decreases with their number and is below the population's.
+    """
     rng = np.random.default_rng(12)
     typical = np.array([1.0, 1.9, 4.0])
     errors: dict[int, list[float]] = {1: [], 3: [], 12: []}
@@ -302,7 +305,7 @@ def test_a_person_never_does_worse_than_the_population_on_average_and_shrinks_to
     assert rms[1] < 0.9 * np.sqrt(np.square(population).mean())
 
 
-def test_somebody_without_segments_has_the_population_s_parameters_and_spread() -> None:
+def test_a_person_without_segments_has_the_parameters_and_spread_of_the_population() -> None:
     sums, prior, _, _ = simulated(np.random.default_rng(13), 6, 10)
     sums = replace(sums, subjects=(*sums.subjects, "nobody"))
     found = estimate_parameters(sums, prior)
@@ -311,7 +314,7 @@ def test_somebody_without_segments_has_the_population_s_parameters_and_spread() 
 
 
 @pytest.mark.parametrize("loss", ["gnc", "cauchy", "huber"])
-def test_wrong_segments_are_named_and_hardly_move_the_parameters(loss: str) -> None:
+def test_outlying_segments_are_named_and_hardly_change_the_parameters(loss: str) -> None:
     rng, model, k = np.random.default_rng(14), BounceStepLength(), np.array([0.3])
     good = [segment(rng, model, k, error_m=float(rng.normal(0, 0.4)), recording=f"r{i}") for i in range(40)]
     wrong = [replace(s, distance_m=2 * s.distance_m, start_s=float(i + 1)) for i, s in enumerate(good[:4])]
@@ -326,7 +329,7 @@ def test_wrong_segments_are_named_and_hardly_move_the_parameters(loss: str) -> N
     assert shift < 0.03 < 0.05 < abs(plain.subjects["anna"].k0 / clean.subjects["anna"].k0 - 1)
 
 
-def test_recordings_of_one_person_count_for_less_than_as_many_independent_segments() -> None:
+def test_segments_of_one_recording_count_less_than_independent_segments() -> None:
     rng, model, k = np.random.default_rng(15), BounceStepLength(), np.array([0.3])
     many = [segment(rng, model, k, error_m=float(rng.normal(0, 0.4)), recording=f"r{i}") for i in range(40)]
     one = [replace(s, recording="r") for s in many]
@@ -337,7 +340,7 @@ def test_recordings_of_one_person_count_for_less_than_as_many_independent_segmen
 # --- bad input ------------------------------------------------------------------------------------------------------
 
 
-def test_one_person_with_one_corridor_gets_a_k_between_the_corridor_and_the_prior() -> None:
+def test_one_corridor_of_one_person_gives_a_k_between_the_data_and_the_prior() -> None:
     rng = np.random.default_rng(16)
     only = segment(rng, BounceStepLength(), np.array([0.383]))
     found = calibrate_segments([only])
@@ -349,7 +352,7 @@ def test_one_person_with_one_corridor_gets_a_k_between_the_corridor_and_the_prio
     assert found.fits("somebody else")["walking"].theta[0] == found.k["walking"][0]
 
 
-def test_one_speed_only_leaves_the_slopes_to_the_prior_with_a_large_covariance() -> None:
+def test_a_single_speed_leaves_the_slopes_at_the_prior_with_a_large_covariance() -> None:
     model, k = FrequencyVarianceStepLength(), np.array([0.45, 0.15, 0.01])
     rng = np.random.default_rng(17)
     once = segment(rng, model, k)
@@ -362,7 +365,7 @@ def test_one_speed_only_leaves_the_slopes_to_the_prior_with_a_large_covariance()
     assert np.sqrt(cov[1, 1]) > 0.1
 
 
-def test_parameters_that_nothing_determines_are_named() -> None:
+def test_undetermined_parameters_are_named() -> None:
     once = segment(np.random.default_rng(18), FrequencyVarianceStepLength(), np.array([0.45, 0.15, 0.01]))
     same = [replace(once, steps=(step(1.9),) * 14)] * 30
     with pytest.raises(ValueError, match=r"do not determine walking k0, walking k1.*one speed"):
@@ -384,15 +387,17 @@ def test_segments_without_length_or_steps_are_refused() -> None:
         calibrate([])
     with pytest.raises(ValueError, match="loss must be one of"):
         calibrate_segments([good], loss="tukey")
-    with pytest.raises(ValueError, match="no context hopping"):
+    with pytest.raises(
+        ValueError, match=r"no context hopping; .* need pdr_filter.calibrate\(recordings, config=config\)"
+    ):
         calibrate_segments([good], {"hopping": DEFAULT_PRIORS["walking"]})
     with pytest.raises(ValueError, match="cannot differ between people"):
         prior(BounceStepLength(), [0.3], [0.0], [0.1])
-    with pytest.raises(ValueError, match=r"mean of BounceStepLength must be \(1,\)"):
+    with pytest.raises(ValueError, match=r"mean of BounceStepLength must have the shape \(1,\)"):
         prior(BounceStepLength(), [0.3, 0.1], [0.0], [0.1])
 
 
-def test_any_model_has_a_weak_prior_that_leaves_the_data_to_decide() -> None:
+def test_any_model_has_a_weak_prior_that_the_data_outweigh() -> None:
     rng, model, k = np.random.default_rng(20), FrequencyVarianceStepLength(), np.array([0.3, 0.25, 0.01])
     segments = [segment(rng, model, k, f"s{i % 4}") for i in range(80)]
     found = calibrate_segments(segments, {"walking": weak_prior(model)})
@@ -400,8 +405,17 @@ def test_any_model_has_a_weak_prior_that_leaves_the_data_to_decide() -> None:
     assert regressors @ found.k["walking"] == pytest.approx(regressors @ k, rel=0.02)
 
 
+def test_people_of_a_weak_prior_differ_by_seven_percent_of_a_typical_step() -> None:
+    model = FrequencyVarianceStepLength()
+    known = weak_prior(model, mean=[0.3, 0.25, 0.01], personal=(0, 1))
+    terms_m = model.regressors(TYPICAL_STEP) * known.between_std
+    length_m = model.regressors(TYPICAL_STEP) @ known.mean
+    assert np.hypot(*terms_m[:2]) == pytest.approx(0.07 * length_m, rel=1e-6)
+    assert terms_m[2] == 0.0
+
+
 @pytest.mark.parametrize(("errors", "name"), [((3.00, 2.99, 5.0), "bounce"), ((3.0, 2.0, 5.0), "eq12")])
-def test_another_form_is_chosen_only_if_it_is_clearly_better(
+def test_another_model_is_chosen_only_if_it_is_clearly_better(
     monkeypatch: pytest.MonkeyPatch, errors: tuple[float, ...], name: str
 ) -> None:
     def held_out(some: Sequence[Any], priors: Mapping[str, Any], *_: object) -> tuple[dict[str, Any], Any]:
@@ -420,7 +434,7 @@ def test_another_form_is_chosen_only_if_it_is_clearly_better(
     ("name", "model", "theta"),
     [("kim", KimStepLength(), [0.55]), ("eq12", FrequencyVarianceStepLength(), [0.1, 0.2, 0.06])],
 )
-def test_enough_segments_choose_the_form_that_made_them_and_few_keep_the_default(
+def test_enough_segments_choose_their_true_model_and_few_keep_the_default(
     name: str, model: StepLengthModel, theta: list[float]
 ) -> None:
     rng = np.random.default_rng(21)
@@ -430,7 +444,9 @@ def test_enough_segments_choose_the_form_that_made_them_and_few_keep_the_default
     ]
     found = calibrate_segments(segments)
     assert type(found.models["walking"]) is type(model)
-    assert any(f"walking by {name} (5 forms" in note and "clearly better than" in note for note in found.notes)
+    assert any(
+        f"walking by the model {name} (5 models" in note and "clearly better than" in note for note in found.notes
+    )
     assert "6 recordings" in found.report()
     few = calibrate_segments(segments[:29])
     in_one = calibrate_segments([replace(s, recording="r") for s in segments])
@@ -441,11 +457,11 @@ def test_enough_segments_choose_the_form_that_made_them_and_few_keep_the_default
     assert type(calibrate_segments(segments[:5], model=name).models["walking"]) is type(model)
     with pytest.raises(ValueError, match=r"model must be one of bounce, eq12, kim, tian, weinberg, got 'guess'"):
         calibrate_segments(segments, model="guess")
-    with pytest.raises(ValueError, match="leave out one of them"):
+    with pytest.raises(ValueError, match="give only one of the two"):
         calibrate_segments(segments, {"walking": DEFAULT_PRIORS["walking"]}, model="kim")
 
 
-def test_of_a_large_cohort_some_people_choose_the_form(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_part_of_a_large_cohort_chooses_the_model(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(forms, "_MAX_SEGMENTS", 20)
     rng = np.random.default_rng(22)
     segments = [

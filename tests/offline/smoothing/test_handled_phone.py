@@ -1,4 +1,4 @@
-"""Smoothed and online tracks of phones that are handled before the walk, or whose heading is unknown for a while."""
+"""Tracks of phones that are handled before the walk, or whose heading is unknown for a while."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pdr_filter.values.rigid_fit import rigid_fit
 
 
 def aligned(reference: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Places (N, 2) rotated and shifted onto a reference (N, 2)."""
+    """Return positions (N, 2) rotated and shifted onto a reference (N, 2)."""
     a, b = places - places.mean(axis=0), reference - reference.mean(axis=0)
     u, _, vt = np.linalg.svd(a.T @ b)
     rotation = u @ np.diag([1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
@@ -31,7 +31,7 @@ def during_walk(track: pdr.Track, times_s: np.ndarray) -> np.ndarray:
 
 @settings(max_examples=6, deadline=None)
 @given(seed=st.integers(0, 10_000), bias=st.sampled_from([0.0, 0.01, 0.05]))
-def test_a_smoothed_walk_has_no_step_much_longer_than_its_longest_online_step(seed: int, bias: float) -> None:
+def test_no_smoothed_step_is_much_longer_than_the_longest_online_step(seed: int, bias: float) -> None:
     walk = handled_walk(seed, bias_std_radps=bias)
     online, smoothed = pdr.track(walk), pdr.smooth(walk).track
     moved_m = np.linalg.norm(np.diff(smoothed.position_m, axis=0), axis=1)
@@ -40,7 +40,7 @@ def test_a_smoothed_walk_has_no_step_much_longer_than_its_longest_online_step(se
 
 
 @pytest.mark.parametrize("change", [{"mirrored": True}, {"turned_rad": 1.3}, {"delay_s": 4.0}])
-def test_another_handling_before_the_walk_changes_nothing_after_it(change: dict[str, float]) -> None:
+def test_handling_the_phone_before_the_walk_does_not_change_the_walk(change: dict[str, float]) -> None:
     times_s = np.arange(HANDLED_S + 14.0, HANDLED_S + 80.0)
     walks = [handled_walk(3), handled_walk(3, **change)]
     one, other = (during_walk(pdr.smooth(walk).track, times_s) for walk in walks)
@@ -48,8 +48,8 @@ def test_another_handling_before_the_walk_changes_nothing_after_it(change: dict[
 
 
 @pytest.mark.parametrize("bias", [0.004, 0.015])
-def test_the_smoothed_track_of_a_handled_phone_is_as_far_off_as_it_says(bias: float) -> None:
-    """Positions less that of the walk's begin, in the frame of its first leg, against their covariances."""
+def test_errors_of_the_smoothed_track_of_a_handled_phone_agree_with_its_covariances(bias: float) -> None:
+    """Positions are relative to the start of the walk, in the frame of its first leg."""
     squares = list[float]()
     for seed in range(8):
         walk = handled_walk(seed + 50, bias_std_radps=bias)
@@ -77,8 +77,10 @@ def jumps_m(track: pdr.Track) -> np.ndarray:
     return moved_m[(moved_m > 3.0) & (np.diff(track.time_s) < 2.0)]
 
 
-def test_a_jump_for_a_bias_that_is_found_late_brings_the_track_nearer_to_the_truth() -> None:
-    """Gyroscopes of 0.05 rad/s without magnetometer: far beyond what a phone that calibrates itself leaves."""
+def test_a_correction_for_a_bias_detected_late_reduces_the_error() -> None:
+    """The gyroscope bias of 0.05 rad/s, without magnetometer, is far larger than that of a phone that calibrates
+    itself.
+    """
     errors = SensorErrors()
     errors = replace(errors, gyroscope=replace(errors.gyroscope, bias_std=0.05))
     gained_m = list[float]()
@@ -108,7 +110,7 @@ def test_a_jump_for_a_bias_that_is_found_late_brings_the_track_nearer_to_the_tru
         "ubicomp13/ubicomp13_p04_e2_handheld_using",
     ],
 )
-def test_tracks_of_real_recordings_can_be_walked(data_dir: Path, name: str) -> None:
+def test_tracks_of_real_recordings_have_plausible_steps(data_dir: Path, name: str) -> None:
     recording = pdr.read(data_dir / f"{name}.zip")
     online, smoothed = pdr.track(recording, gnss="off"), pdr.smooth(recording).track
     moved_m = np.linalg.norm(np.diff(smoothed.position_m, axis=0), axis=1)
@@ -117,8 +119,8 @@ def test_tracks_of_real_recordings_can_be_walked(data_dir: Path, name: str) -> N
     assert not len(jumps_m(online))
 
 
-def test_a_bias_of_the_first_pass_does_not_turn_the_walk_after_the_phone_was_handled(data_dir: Path) -> None:
-    """The heading of a device that is turned over depends on its bias, and so do walking directions."""
+def test_the_bias_of_the_first_pass_does_not_rotate_the_walk_of_a_handled_phone(data_dir: Path) -> None:
+    """The heading of a device that is turned over depends on its bias, and so do the walking directions."""
     recording = pdr.read(data_dir / "ipin2023" / "ipin2023_anon_trial22_rep01.zip")
     track, points = pdr.smooth(recording, gnss="off", north="magnetic").track, recording.truth.waypoints
     at_m = np.column_stack([np.interp(points.time_s, track.time_s, axis) for axis in track.position_m.T])

@@ -1,3 +1,5 @@
+"""Smoothed tracks compared with online tracks and with the truth."""
+
 from __future__ import annotations
 
 from dataclasses import replace
@@ -15,7 +17,7 @@ from pdr_filter.values import PositionFix
 
 
 def fixes_of(walk: pdr.Recording, seed: int = 0, std_m: float = 2.0) -> list[PositionFix]:
-    """A noisy fix every ten seconds."""
+    """Return a noisy fix every ten seconds."""
     truth = walk.truth.position
     assert truth is not None
     rng = np.random.default_rng(seed)
@@ -32,12 +34,12 @@ def errors_m(walk: pdr.Recording, track: pdr.Track) -> np.ndarray:
 
 
 def with_gap(samples: pdr.Samples) -> pdr.Samples:
-    """Without four seconds in the middle."""
+    """Return the recording without four seconds in the middle."""
     keep = (samples.time_s < 20.0) | (samples.time_s > 24.0)
     return pdr.Samples(samples.time_s[keep], samples.values[keep])
 
 
-def test_with_fixes_hindsight_is_closer_to_the_truth_and_surer_than_the_filter() -> None:
+def test_with_fixes_the_smoothed_track_has_smaller_errors_and_covariances_than_the_filter() -> None:
     walks = [
         simulate([Leg("walking", distance_m=40.0), Leg("walking", distance_m=40.0, turn_rad=1.5)], seed=s)
         for s in range(6)
@@ -55,7 +57,7 @@ def test_with_fixes_hindsight_is_closer_to_the_truth_and_surer_than_the_filter()
     assert squares["smoother"] < 0.9 * squares["filter"]
 
 
-def test_without_fixes_the_end_of_the_track_is_near_that_of_a_filter_with_the_exponent_of_hindsight() -> None:
+def test_without_fixes_the_smoothed_end_is_close_to_that_of_a_filter_with_the_same_exponent() -> None:
     walk = demo_walk()
     config = pdr.recipes.default(walk.subject)
     tempered = config.in_hindsight()
@@ -66,7 +68,7 @@ def test_without_fixes_the_end_of_the_track_is_near_that_of_a_filter_with_the_ex
     assert smoothed.n_steps == forward.n_steps
 
 
-def test_the_change_of_context_is_seen_earlier_in_hindsight() -> None:
+def test_a_smoothed_change_of_context_is_earlier_than_the_online_one() -> None:
     walk = simulate([Leg("walking", distance_m=25.0), Leg("running", distance_m=40.0)], carrying_mode="pocket", seed=3)
     walk = replace(walk, gyroscope=None)  # the model with gyroscope knows that nobody's limbs swing like that
     change_s = float(walk.truth.labels.start_s[1])
@@ -78,7 +80,7 @@ def test_the_change_of_context_is_seen_earlier_in_hindsight() -> None:
     assert abs(delay_s[1]) < abs(delay_s[0])
 
 
-def test_a_confident_error_of_some_windows_is_followed_less_in_hindsight_and_true_stairs_are_not_lost() -> None:
+def test_smoothing_reduces_the_effect_of_wrong_windows_and_keeps_true_stairs() -> None:
     config = pdr.recipes.default()
     walking, upstairs = (pdr.CONTEXTS.index(c) for c in ("walking", "upstairs"))
 
@@ -116,12 +118,12 @@ def test_a_recording_with_a_gap_is_smoothed_across_it() -> None:
     assert errors_m(walk, smoothed)[after].mean() < 3.0
 
 
-def test_a_recording_without_steps_stays_without() -> None:
+def test_a_recording_without_steps_has_no_smoothed_steps() -> None:
     still = simulate([Leg("stationary", duration_s=5.0)])
     assert pdr.smooth(still).track.n_steps == 0
 
 
-def test_with_a_weighted_step_length_hindsight_is_that_of_one_filter() -> None:
+def test_with_a_weighted_step_length_the_smoother_agrees_with_a_single_filter() -> None:
     config = pdr.recipes.default().with_weighting("wc")
     walk = simulate([Leg("walking", distance_m=40.0), Leg("walking", distance_m=40.0, turn_rad=1.5)], seed=2)
     fixes = fixes_of(walk)

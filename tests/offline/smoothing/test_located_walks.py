@@ -1,4 +1,4 @@
-"""Smoothed walks with the arguments of `track`: locations, north, a given place, other fixes, loops and storeys."""
+"""Smoothed walks with the arguments of `track`: locations, north, a given origin, other fixes, loops and storeys."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from simulated_steps import simulated_walk
 
 import pdr_filter as pdr
 from pdr_filter.offline.smoothing.linear_graph import Rows, graph_of, joint_covariances
-from pdr_filter.offline.smoothing.location_errors import by_contact, errors_of, evenly_sure
+from pdr_filter.offline.smoothing.location_errors import errors_of, joined_at_contacts, with_even_variances
 from pdr_filter.offline.smoothing.observations import Observations
 from pdr_filter.offline.smoothing.problem import ObservedStates, Problem, pose_problem
 from pdr_filter.offline.smoothing.solve import linearised, solve
@@ -28,14 +28,14 @@ TURN_RAD = 2.1
 
 @cache
 def bare() -> pdr.Recording:
-    """Three legs of a block, which nothing places."""
+    """Return a walk of three legs of a block, without any position information."""
     legs = [Leg("walking", distance_m=50.0)]
     legs += [Leg("walking", distance_m=d, turn_rad=np.pi / 2) for d in (30.0, 50.0)]
     return replace(simulate(legs, seed=3, name="walk"), magnetometer=None)
 
 
 def truth_m(walk: pdr.Recording, times_s: np.ndarray) -> np.ndarray:
-    """Where it was, in metres from `HERE`."""
+    """Return the true positions in metres from `HERE`."""
     truth = walk.truth.position
     assert truth is not None
     place = np.column_stack([np.interp(times_s, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
@@ -44,7 +44,7 @@ def truth_m(walk: pdr.Recording, times_s: np.ndarray) -> np.ndarray:
 
 
 def located(off_m: np.ndarray | tuple[float, float] = (0.0, 0.0), accuracy_m: float = 8.0) -> pdr.Recording:
-    """With a location each two seconds that is off by so much (N, 2)."""
+    """Return the walk with a location every two seconds, with the errors `off_m` (N, 2)."""
     time_s = np.arange(1.3, bare().duration_s, 2.0)
     latitude_deg, longitude_deg = HERE.latitude_longitude_deg(truth_m(bare(), time_s) + off_m)
     values = np.column_stack([latitude_deg, longitude_deg, np.full((len(time_s), 2), [520.0, accuracy_m])])
@@ -80,7 +80,7 @@ def test_smooth_takes_every_argument_of_track() -> None:
         {"fixes": [pdr.GridFix(5.0, (0.0, 0.0), 1.0, np.zeros((2, 2)))]},
     ],
 )
-def test_smooth_refuses_what_track_refuses_with_the_same_words(options: dict[str, Any]) -> None:
+def test_smooth_refuses_the_same_arguments_as_track_with_the_same_messages(options: dict[str, Any]) -> None:
     said: list[str] = []
     for function in (pdr.track, pdr.smooth):
         with pytest.raises(ValueError) as error:
@@ -89,7 +89,7 @@ def test_smooth_refuses_what_track_refuses_with_the_same_words(options: dict[str
     assert said[0] == said[1]
 
 
-def test_a_smoothed_walk_lies_where_its_locations_are_and_is_nearer_to_the_truth_than_the_online_track() -> None:
+def test_a_walk_smoothed_with_locations_has_smaller_errors_than_the_online_track() -> None:
     walk = located()
     smoothed, online = pdr.smooth(walk).track, pdr.track(walk)
     assert (smoothed.frame, smoothed.is_smoothed, online.is_smoothed) == ("fixes", True, False)
@@ -99,13 +99,13 @@ def test_a_smoothed_walk_lies_where_its_locations_are_and_is_nearer_to_the_truth
     assert [fix.kind for fix in smoothed.fixes] == ["position"] * len(online.fixes)
 
 
-def test_without_locations_a_located_walk_is_smoothed_as_one_that_has_none() -> None:
+def test_with_gnss_off_a_walk_is_smoothed_as_if_it_had_no_locations() -> None:
     off, alone = pdr.smooth(located(), gnss="off").track, pdr.smooth(bare()).track
     np.testing.assert_array_equal(off.position_m, alone.position_m)
     assert off.origin is None
 
 
-def test_locations_that_align_turn_and_shift_the_smoothed_walk_and_do_not_bend_it() -> None:
+def test_aligned_locations_rotate_and_shift_the_smoothed_walk_without_deforming_it() -> None:
     walk = located()
     smoothed, alone = pdr.smooth(walk, gnss="align").track, pdr.smooth(bare()).track
     np.testing.assert_allclose(np.diff(smoothed.walked_m), np.diff(alone.walked_m), atol=1e-9)
@@ -114,7 +114,7 @@ def test_locations_that_align_turn_and_shift_the_smoothed_walk_and_do_not_bend_i
     assert np.median(errors_m(smoothed)) < 5.0
 
 
-def test_a_given_place_and_heading_are_those_of_the_smoothed_walk() -> None:
+def test_the_smoothed_walk_has_the_given_origin_and_heading() -> None:
     smoothed = pdr.smooth(bare(), origin=HERE, heading_rad=1.2)
     plain = pdr.smooth(bare())
     expected = plain.track.turned(1.2).placed(HERE)
@@ -125,7 +125,7 @@ def test_a_given_place_and_heading_are_those_of_the_smoothed_walk() -> None:
     assert not smoothed.start_position_m.any()
 
 
-def test_a_phone_whose_attitude_knows_north_turns_the_smoothed_walk_to_it() -> None:
+def test_a_phone_attitude_with_north_rotates_the_smoothed_walk_to_it() -> None:
     recording = simulate([Leg("walking", distance_m=30.0)], seed=4)
     smoothed, online = (function(recording, north="magnetic", origin=HERE) for function in (pdr.smooth, pdr.track))
     assert smoothed.track.frame == online.frame == "north"
@@ -149,7 +149,7 @@ def test_heading_and_speed_fixes_and_standstills_are_used_by_the_smoother() -> N
 # --- errors of locations ----------------------------------------------------------------------------------------------
 
 
-def test_a_location_that_the_walk_contradicts_is_named_with_its_time_and_not_used() -> None:
+def test_a_location_that_contradicts_the_walk_is_named_with_its_time_and_not_used() -> None:
     n = len(located().location.time_s)
     off_m = np.zeros((n, 2))
     time_s = located().location.time_s
@@ -160,7 +160,7 @@ def test_a_location_that_the_walk_contradicts_is_named_with_its_time_and_not_use
     assert errors_m(smoothed.track).max() < 8.0
 
 
-def test_an_error_that_all_locations_share_stays_in_the_covariance() -> None:
+def test_a_common_error_of_all_locations_remains_in_the_covariance() -> None:
     smoothed = pdr.smooth(located((6.0, -6.0))).track
     error = HERE.east_north_m(smoothed.latitude_deg, smoothed.longitude_deg) - truth_m(bare(), smoothed.time_s)
     nees = np.einsum("ka,kab,kb->k", error, np.linalg.inv(smoothed.position_cov_m2), error)
@@ -184,10 +184,10 @@ def test_smoothed_locations_of_a_phone_do_not_shorten_the_steps() -> None:
     assert smaller.scale > 0.93 * pdr.smooth(bare()).scale
 
 
-def test_no_location_is_surer_than_the_median_and_one_that_claims_little_counts_less() -> None:
+def test_location_variances_are_moved_towards_the_median() -> None:
     fixes = [PositionFix(float(k), (0.0, 0.0), v * np.eye(2), correlation_s=20.0) for k, v in enumerate((1, 9, 9, 100))]
-    assert [f.var_m2 for f in evenly_sure(fixes)] == [9.0, 9.0, 9.0, 50.0]
-    assert evenly_sure([]) == ()
+    assert [f.var_m2 for f in with_even_variances(fixes)] == [9.0, 9.0, 9.0, 50.0]
+    assert with_even_variances([]) == ()
 
 
 def _with_errors(rejected: bool) -> Problem:
@@ -203,7 +203,7 @@ def _with_errors(rejected: bool) -> Problem:
 
 
 @pytest.mark.parametrize("rejected", [False, True])
-def test_covariances_with_errors_of_locations_are_those_of_the_dense_inverse(rejected: bool) -> None:
+def test_covariances_with_location_errors_equal_those_of_the_dense_inverse(rejected: bool) -> None:
     problem = _with_errors(rejected)
     found = solve(problem)
     assert (found.weight < 0.5).tolist() == [rejected, False, False, False]
@@ -245,9 +245,9 @@ def test_equations_with_errors_and_measured_states_are_the_derivatives_of_their_
             np.testing.assert_allclose(np.atleast_2d(numeric), expected, atol=2e-4 * np.abs(expected).max())
 
 
-def test_correlated_fixes_at_one_contact_are_one_and_independent_ones_stay_apart() -> None:
+def test_correlated_fixes_at_one_contact_are_joined_and_independent_ones_are_not() -> None:
     fixes = [PositionFix(float(t), (t, 0.0), 4.0 * np.eye(2), correlation_s=c) for t, c in ((3, 20), (1, 20), (2, 0))]
-    joined, number = by_contact(fixes, np.array([7, 7, 7]))
+    joined, number = joined_at_contacts(fixes, np.array([7, 7, 7]))
     assert [(f.position_m[0], f.correlation_s) for f in joined] == [(2.0, 20.0), (2.0, 0.0)]
     assert number.tolist() == [0, 0, 1]
     np.testing.assert_allclose(joined[0].cov_m2, 4.0 * np.eye(2))
@@ -258,7 +258,7 @@ def test_correlated_fixes_at_one_contact_are_one_and_independent_ones_stay_apart
 
 @cache
 def closed(last_m: float = 40.0) -> pdr.Recording:
-    """A walk round a block, whose last side may be too short, with steps that are all a tenth longer than usual."""
+    """Return a walk around a block with steps that are a tenth longer than usual. Its last side may be too short."""
     legs = [Leg("walking", distance_m=40.0)]
     legs += [Leg("walking", distance_m=d, turn_rad=np.pi / 2) for d in (25.0, 40.0, 25.0)]
     if last_m < 40.0:
@@ -266,22 +266,22 @@ def closed(last_m: float = 40.0) -> pdr.Recording:
     return simulate(legs, seed=6)
 
 
-def test_a_walk_that_is_stated_to_be_closed_ends_where_it_began() -> None:
+def test_a_walk_with_loop_ends_at_its_start() -> None:
     open_end, closed_end = (pdr.smooth(closed(), loop=loop).track for loop in (False, True))
     distance_m = [float(np.linalg.norm(t.end_position_m - t.start_position_m)) for t in (open_end, closed_end)]
     assert distance_m[1] < 1.0
     assert closed_end.position_std_m[-1] < 0.7 * open_end.position_std_m[-1]
 
 
-def test_a_false_statement_that_a_walk_is_closed_is_reported_and_not_applied() -> None:
+def test_a_wrong_loop_is_reported_and_not_used() -> None:
     plain, stated = (pdr.smooth(closed(25.0), loop=loop) for loop in (False, True))
     (note,) = set(stated.notes) - set(plain.notes)
-    assert note == "the walk did not end within 1 m of its start, as loop states: not used"
+    assert note == "the walk did not end within 1 m of its start: loop was not used"
     np.testing.assert_allclose(stated.track.position_m, plain.track.position_m, atol=0.05)
 
 
 def a_climb(track: pdr.Track, height_m: float) -> pdr.Track:
-    """The track with a storey more from its middle on, climbed in ten steps."""
+    """Return the track with one storey more from its middle on, climbed in ten steps."""
     k = track.n_steps // 2
     way = np.clip((np.arange(track.n_steps) - k) / 10.0, 0.0, 1.0)
     floor = (way > 0.5).astype(track.floor.dtype)
@@ -289,7 +289,7 @@ def a_climb(track: pdr.Track, height_m: float) -> pdr.Track:
     return replace(track, height_m=height_m * way, floor=floor, floor_passages=(passage,))
 
 
-def test_a_fix_that_names_a_storey_numbers_the_whole_walk() -> None:
+def test_a_fix_with_a_storey_sets_the_storeys_of_the_whole_walk() -> None:
     track = a_climb(pdr.track(bare()), 3.5)
     named = with_named_floors(track, [PositionFix(float(track.time_s[-1]), (0.0, 0.0), np.eye(2), floor=5)])
     assert (int(named.floor[0]), int(named.floor[-1])) == (4, 5)

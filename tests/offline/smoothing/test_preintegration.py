@@ -1,3 +1,5 @@
+"""Preintegrated intervals compared with the filter's recursion step by step."""
+
 from __future__ import annotations
 
 from dataclasses import replace
@@ -10,15 +12,15 @@ from simulated_steps import simulated_walk
 from pdr_filter.filter.imm.motion_model import Directions, Mode, MotionNoise, advance, grow_over_gap, predict_heading
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.step_length.models import known_length
-from pdr_filter.offline.smoothing.preintegration import end_states, frame, increments, preintegrate
+from pdr_filter.offline.smoothing.preintegration import end_states, increments, preintegrate, state_transform
 from pdr_filter.values import Step, step_table
 
 WALK = simulated_walk(60, np.random.default_rng(1))
 START = np.array([[3.0, -2.0, 0.8, 0.1]])
 
 
-def test_the_sum_of_an_interval_is_that_of_its_steps_one_by_one() -> None:
-    """Mean and covariance by the filter's recursion P = F P F' + Q, in the frame of the interval's start."""
+def test_the_sum_of_an_interval_equals_the_recursion_over_its_steps() -> None:
+    """Mean and covariance agree with the filter's recursion P = F P F' + Q, in the frame of the interval's start."""
     steps = WALK.steps
     whole = preintegrate(steps, np.array([0, len(steps)]))
     position, state_cov = np.zeros(2), np.zeros((4, 4))
@@ -36,7 +38,7 @@ def test_the_sum_of_an_interval_is_that_of_its_steps_one_by_one() -> None:
     np.testing.assert_allclose(whole.total_cov[0], state_cov, atol=1e-12)
 
 
-def test_two_intervals_in_a_row_are_one_long_one() -> None:
+def test_two_successive_intervals_equal_one_long_interval() -> None:
     steps = WALK.steps
     whole, halves = preintegrate(steps, np.array([0, 60])), preintegrate(steps, np.array([0, 25, 60]))
     start = np.zeros((1, 4))
@@ -48,15 +50,15 @@ def test_two_intervals_in_a_row_are_one_long_one() -> None:
     np.testing.assert_allclose(joined_cov, whole.total_cov[0], atol=1e-12)
 
 
-def test_the_derivative_of_an_interval_is_that_of_finite_differences() -> None:
+def test_the_derivative_of_an_interval_agrees_with_finite_differences() -> None:
     total = preintegrate(WALK.steps, np.array([0, 60])).total_m
     numeric = approx_fprime(START[0], lambda x: end_states(x[None], total)[0][0], 1e-7)
     np.testing.assert_allclose(end_states(START, total)[1][0], numeric, atol=1e-5)
 
 
-def test_a_turned_and_scaled_walk_has_the_turned_and_scaled_sum_and_covariance() -> None:
-    """What makes it a preintegration: nothing is summed again when the heading offset or the scale change."""
-    own_frame = frame(START)[0]
+def test_rotating_and_scaling_a_walk_rotates_and_scales_its_sum_and_covariance() -> None:
+    """This property makes the sums reusable: a change of heading offset or scale needs no new summation."""
+    own_frame = state_transform(START)[0]
     rotation = own_frame[:2, :2]
     steps = WALK.steps
     other = replace(
@@ -97,7 +99,7 @@ def test_an_increment_is_the_step_of_the_filter(from_rest: bool) -> None:
     assert shared == pytest.approx(0.0, abs=1e-15)
 
 
-def test_a_gap_before_a_step_adds_what_it_adds_in_the_filter() -> None:
+def test_a_gap_before_a_step_adds_the_same_variance_as_in_the_filter() -> None:
     step = Step(1.0, 1.5, 0.5, 2.0, 4.0, 3.0, -3.0, 13.0, 7.0, 1.5, 0.0, 0.7)
     mode, noise = Mode("walking", "walking", known_length(0.7, 0.06)), MotionNoise()
     found, _ = increments(step_table([step]), np.ones((1, 1)), [mode], noise, np.array([1.5]))
@@ -105,7 +107,7 @@ def test_a_gap_before_a_step_adds_what_it_adds_in_the_filter() -> None:
     np.testing.assert_allclose([found.gap_var_m2[0], found.jump_var_rad2[0]], [grown[0, 0], grown[2, 2]])
 
 
-def test_without_angular_rate_mean_and_covariance_are_those_of_simulated_walks() -> None:
+def test_without_angular_rate_mean_and_covariance_agree_with_simulated_walks() -> None:
     steps = replace(WALK.steps.part(0, 20), unknown_var_rad2=np.full(20, 0.3), drift_var_rad2=np.zeros(20))
     interval = preintegrate(steps, np.array([0, 20]))
     rng = np.random.default_rng(0)

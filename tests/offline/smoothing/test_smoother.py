@@ -1,3 +1,5 @@
+"""The smoother: exactness, robustness, and recordings with fixes, loops and known headings."""
+
 from __future__ import annotations
 
 from dataclasses import replace
@@ -17,7 +19,7 @@ from pdr_filter.offline.smoothing.observations import (
     Observations,
     waypoint_fixes,
 )
-from pdr_filter.offline.smoothing.preintegration import Increments, bridge, frame
+from pdr_filter.offline.smoothing.preintegration import Increments, state_transform, step_states
 from pdr_filter.offline.smoothing.problem import NO_OFFSETS, ObservedOffsets, Problem, pose_problem
 from pdr_filter.offline.smoothing.smooth import smooth
 from pdr_filter.offline.smoothing.solve import linearised, solve
@@ -48,7 +50,7 @@ def problem_of(
 def solved(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     found = solve(problem)
     assert found.converged
-    return bridge(problem.intervals, found.mean, found.joint_cov)
+    return step_states(problem.intervals, found.mean, found.joint_cov)
 
 
 def rms_m(walk: Walk, mean: np.ndarray) -> float:
@@ -60,13 +62,15 @@ def rms_m(walk: Walk, mean: np.ndarray) -> float:
 
 @pytest.mark.parametrize("every", [1, 7, 30])
 def test_positions_and_covariances_equal_those_of_a_smoother_with_every_step_as_a_state(every: int) -> None:
-    """A Kalman filter and a Rauch-Tung-Striebel smoother over single steps, linearised where the smoother is."""
+    """The reference is a Kalman filter and a Rauch-Tung-Striebel smoother over single steps, with the same
+    linearisation.
+    """
     rng = np.random.default_rng(every + 10)
     walk = simulated_walk(90, rng)
     fixes = walk.fixes(every, 1.0, rng)
     problem = problem_of(walk, fixes, heading_std_rad=0.15, start_std_m=5.0)
     found = solve(problem)
-    mean, cov = bridge(problem.intervals, found.mean, found.joint_cov)
+    mean, cov = step_states(problem.intervals, found.mean, found.joint_cov)
     assert (found.weight == 1).all()
 
     steps, x, state_cov = walk.steps, problem.start_mean, problem.start_cov
@@ -74,7 +78,7 @@ def test_positions_and_covariances_equal_those_of_a_smoother_with_every_step_as_
     estimates, transitions = [ModeEstimates(x[None], state_cov[None], np.ones(1))], []
     for k in range(len(steps)):
         start = found.mean[problem.intervals.index[k]]
-        own_frame = frame(start[None])[0]
+        own_frame = state_transform(start[None])[0]
         moved = own_frame[:2, :2] @ steps.displacement_m[k]
         by_state = np.eye(4)
         by_state[:2, 2], by_state[:2, 3] = [moved[1], -moved[0]], moved
@@ -82,7 +86,7 @@ def test_positions_and_covariances_equal_those_of_a_smoother_with_every_step_as_
         offset[:2] = moved - by_state[:2, 2:] @ start[2:]
         added_cov = np.zeros((4, 4))
         added_cov[:2, :2] = steps.cov_m2[k]
-        # the drift before a step; that before the first one is in what is known of the start
+        # the drift before a step, which for the first step is part of the prior of the start
         drift_cov = np.zeros((4, 4))
         drift_cov[2, 2] = steps.drift_var_rad2[k] if k else 0.0
         added_cov[3, 3] = steps.scale_drift_var[k]
@@ -99,7 +103,7 @@ def test_positions_and_covariances_equal_those_of_a_smoother_with_every_step_as_
     np.testing.assert_allclose(cov, [e.cov[0] for e in expected], atol=1e-9)
 
 
-def test_equations_are_the_derivatives_of_their_residuals() -> None:
+def test_equations_agree_with_finite_differences_of_their_residuals() -> None:
     """Finite differences of every block: start, intervals, fixes, a loop closure, a known heading, offsets."""
     rng = np.random.default_rng(2)
     walk = simulated_walk(40, rng)
@@ -117,7 +121,7 @@ def test_equations_are_the_derivatives_of_their_residuals() -> None:
     mean = solve(problem).mean + rng.normal(scale=0.05, size=(n, 4))
     ones = np.ones(len(problem.positions) + len(problem.directions))
     kinds = linearised(problem, mean, 0.2, ones)
-    assert len(kinds) == 6  # with what is known of the rotation
+    assert len(kinds) == 6  # the last one is the prior of the rotation
 
     for number, rows in enumerate(kinds):
         for block in range(len(rows.a)):
@@ -128,7 +132,7 @@ def test_equations_are_the_derivatives_of_their_residuals() -> None:
                     return -moved
                 # an interval's covariance stays where it was linearised
                 fixed, own = (
-                    problem.intervals.whiten[block] @ np.linalg.inv(frame(x[None])[0])
+                    problem.intervals.whiten[block] @ np.linalg.inv(state_transform(x[None])[0])
                     for x in (mean[block], values[:-1].reshape(n, 4)[block])
                 )
                 return -fixed @ np.linalg.solve(own, moved)
@@ -146,7 +150,7 @@ def test_equations_are_the_derivatives_of_their_residuals() -> None:
 
 
 @pytest.mark.parametrize("wild_share", [0.0, 0.1])
-def test_ellipses_of_95_percent_hold_the_truth_that_often_in_any_rotation(wild_share: float) -> None:
+def test_95_percent_ellipses_contain_the_truth_with_that_frequency_in_any_rotation(wild_share: float) -> None:
     rng = np.random.default_rng(7)
     inside = []
     for _ in range(60):
@@ -157,7 +161,7 @@ def test_ellipses_of_95_percent_hold_the_truth_that_often_in_any_rotation(wild_s
     assert 0.91 < np.mean(inside) < 0.985
 
 
-def test_a_tenth_of_wild_fixes_is_found_and_does_no_harm() -> None:
+def test_a_tenth_of_outlying_fixes_is_rejected_and_hardly_changes_the_track() -> None:
     rng = np.random.default_rng(3)
     n_wild, missed, false_alarms, worse = 0, 0, 0, []
     for _ in range(30):
@@ -168,7 +172,7 @@ def test_a_tenth_of_wild_fixes_is_found_and_does_no_harm() -> None:
         problem = problem_of(walk, fixes)
         found = solve(problem)
         without = solved(problem_of(walk, [f for f, w in zip(fixes, wild, strict=True) if not w]))[0]
-        worse.append(rms_m(walk, bridge(problem.intervals, found.mean, found.joint_cov)[0]) / rms_m(walk, without))
+        worse.append(rms_m(walk, step_states(problem.intervals, found.mean, found.joint_cov)[0]) / rms_m(walk, without))
         n_wild += wild.sum()
         missed += (wild & (found.weight > 0)).sum()
         false_alarms += (~wild & (found.weight == 0)).sum()
@@ -188,14 +192,17 @@ def test_a_change_of_carrying_starts_a_new_heading_offset() -> None:
         found = [solve(problem_of(w, fixes)) for w in (walk, stiff)]
         problems = [problem_of(w, fixes) for w in (walk, stiff)]
         errors.append(
-            [rms_m(walk, bridge(p.intervals, f.mean, f.joint_cov)[0]) for p, f in zip(problems, found, strict=True)]
+            [
+                rms_m(walk, step_states(p.intervals, f.mean, f.joint_cov)[0])
+                for p, f in zip(problems, found, strict=True)
+            ]
         )
     joint, without = np.median(errors, axis=0)
     assert joint < 2.0
     assert joint < 0.7 * without
 
 
-def test_the_start_of_fixes_may_be_thousands_of_metres_away_and_turned() -> None:
+def test_the_frame_of_the_fixes_may_be_rotated_and_thousands_of_metres_away() -> None:
     rng = np.random.default_rng(5)
     walk = simulated_walk(120, rng, any_rotation=True)
     fixes = walk.fixes(12, 2.0, rng)
@@ -207,8 +214,8 @@ def test_the_start_of_fixes_may_be_thousands_of_metres_away_and_turned() -> None
     np.testing.assert_allclose(far_cov, near_cov, atol=1e-3)
 
 
-def test_a_loop_closure_alone_brings_the_ends_together() -> None:
-    """A walk that is sent straight back to where it was after 10 s, with a last step of known error."""
+def test_a_loop_closure_alone_joins_both_ends() -> None:
+    """The walk is sent straight back to its position after 10 s, with a last step of known error."""
     rng = np.random.default_rng(6)
     walk = simulated_walk(200, rng, drift_rad_per_sqrt_s=0.03)
     known = {"heading_std_rad": 0.15, "start_std_m": 1e-3}
@@ -228,11 +235,11 @@ def test_a_loop_closure_alone_brings_the_ends_together() -> None:
 
 @pytest.mark.parametrize("std_m", [0.1, 0.5])
 @pytest.mark.parametrize("gap_s", [0.1, 0.5, 1.0])
-def test_a_loop_closure_of_near_times_changes_nothing_and_says_so(gap_s: float, std_m: float) -> None:
+def test_a_loop_closure_over_a_short_distance_changes_nothing_and_gives_a_note(gap_s: float, std_m: float) -> None:
     found, alone = smooth(WALKED, loop_closures=[LoopClosure(20.0, 20.0 + gap_s, std_m)]), smooth_alone()
     np.testing.assert_allclose(found.track.position_m, alone.track.position_m, atol=1e-6)
     assert len(found.rejected) == 1
-    assert any("so near that the way between them" in note for note in found.notes)
+    assert any("the distance walked between its two times is within its uncertainty" in note for note in found.notes)
 
 
 def test_copies_of_a_wrong_loop_closure_do_not_confirm_each_other() -> None:
@@ -243,7 +250,7 @@ def test_copies_of_a_wrong_loop_closure_do_not_confirm_each_other() -> None:
 
 
 def smooth_alone() -> pdr.Smoothed:
-    """Without an observation, by the same least squares."""
+    """Return the smoothed track without observations, by the same least squares."""
     return smooth(WALKED, loop_closures=[LoopClosure(20.0, 20.1)])
 
 
@@ -256,7 +263,7 @@ def test_observations_may_come_from_iterators_and_keep_their_numbers() -> None:
     np.testing.assert_allclose(found.track.position_m, smooth(WALKED, fixes).track.position_m, atol=1e-6)
 
 
-def test_known_headings_turn_the_track_into_the_map() -> None:
+def test_known_headings_rotate_the_track_into_the_map() -> None:
     rng = np.random.default_rng(8)
     walk = simulated_walk(100, rng, any_rotation=True)
     way = walk.position_m[60] - walk.position_m[10]
@@ -293,7 +300,7 @@ def test_a_recording_is_smoothed_into_the_frame_of_its_fixes() -> None:
     error = np.linalg.norm(track.position_m - at @ np.array([[c, s], [-s, c]]).T, axis=1)
     assert np.sqrt((error**2).mean()) < 1.2
     assert result.rejected.number.tolist() == [3, len(fixes)]
-    assert [n for n in result.notes if "fix 3: the walk cannot explain it" in n]
+    assert [n for n in result.notes if "fix 3: not used, because the walk contradicts it" in n]
     assert [n for n in result.notes if f"fix {len(fixes)}: outside the recording" in n]
     assert abs(result.scale - 1) < 0.1 and 0 < result.scale_std < 0.06
     assert set(result.floor) == {1.0, 2.0}
@@ -315,7 +322,7 @@ def test_without_fixes_the_track_is_that_of_dead_reckoning_with_a_growing_covari
     assert std[0][-1] > std[0][10] > 0
 
 
-def test_a_single_fix_says_where_and_not_which_way() -> None:
+def test_a_single_fix_gives_a_position_but_no_direction() -> None:
     fix = fixes_of(WALKED)[3]
     result = smooth(WALKED, [fix])
     track = result.track
@@ -326,7 +333,7 @@ def test_a_single_fix_says_where_and_not_which_way() -> None:
     assert [n for n in result.notes if "a single fix" in n]
 
 
-def test_without_a_gyroscope_the_fixes_say_the_directions_and_the_covariance_is_large() -> None:
+def test_without_a_gyroscope_the_fixes_give_the_directions_with_a_large_covariance() -> None:
     fixes = fixes_of(WALKED)
     blind, seeing = smooth(replace(WALKED, gyroscope=None), fixes), smooth(WALKED, fixes)
     spread = [np.sqrt(np.trace(r.track.position_cov_m2, axis1=1, axis2=2)).mean() for r in (blind, seeing)]
@@ -339,7 +346,7 @@ def test_without_a_gyroscope_the_fixes_say_the_directions_and_the_covariance_is_
     assert (nees < 9.2).mean() > 0.9
 
 
-def test_a_recording_without_steps_is_where_its_fixes_are() -> None:
+def test_a_recording_without_steps_has_the_position_of_its_fixes() -> None:
     still = simulate([Leg("stationary", duration_s=8.0)])
     fixes = [PositionFix(2.0, np.array([5.0, 1.0]), np.eye(2)), PositionFix(4.0, np.array([7.0, 1.0]), np.eye(2))]
     result = smooth(still, fixes)
@@ -348,7 +355,7 @@ def test_a_recording_without_steps_is_where_its_fixes_are() -> None:
     np.testing.assert_allclose(result.start_position_cov_m2, 0.5 * np.eye(2))
 
 
-def test_a_calibration_gives_the_step_lengths_and_how_sure_they_are() -> None:
+def test_a_calibration_gives_the_step_lengths_and_their_uncertainty() -> None:
     truth = WALKED.truth.position
     start_s, end_s = np.array([4.0, 12.0]), np.array([12.0, 20.0])
     east, north = (np.interp(end_s, truth.time_s, truth[n]) - np.interp(start_s, truth.time_s, truth[n]) for n in AXES)
@@ -374,7 +381,7 @@ def test_a_gap_in_the_samples_is_bridged_by_fixes() -> None:
     assert result.track.step_length_m.max() < 1.5
 
 
-def test_bad_input_is_refused_in_words() -> None:
+def test_bad_input_is_refused_with_a_message() -> None:
     fixes = fixes_of(WALKED)
     with pytest.raises(ValueError, match=r"none of 1 fixes.*same clock"):
         smooth(WALKED, [replace(fixes[0], time_s=1e6, received_time_s=1e6)])
@@ -383,7 +390,7 @@ def test_bad_input_is_refused_in_words() -> None:
     with pytest.raises(ValueError, match="first_s < second_s"):
         LoopClosure(5.0, 4.0)
     for wrong in (0.0, -1.0, np.nan, "1"):
-        with pytest.raises(ValueError, match=r"start_heading_std_rad must be a number .* leave it out"):
+        with pytest.raises(ValueError, match=r"start_heading_std_rad must be a number .* omit it"):
             smooth(WALKED, fixes, start_heading_std_rad=wrong)  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match="anchor_interval_s must be a number"):
         smooth(WALKED, fixes, anchor_interval_s=0.0)
@@ -398,7 +405,7 @@ def test_bad_input_is_refused_in_words() -> None:
         waypoint_fixes(replace(WALKED, truth=Truth()))
 
 
-def test_the_same_fix_many_times_and_a_fix_before_the_first_step_are_no_trouble() -> None:
+def test_repeated_fixes_and_a_fix_before_the_first_step_are_accepted() -> None:
     fixes = fixes_of(WALKED)
     early = PositionFix(0.0, np.zeros(2), np.eye(2))
     result = smooth(WALKED, [early, *fixes, *fixes])
@@ -407,7 +414,7 @@ def test_the_same_fix_many_times_and_a_fix_before_the_first_step_are_no_trouble(
 
 
 @pytest.mark.recordings
-def test_real_waypoints_between_the_fixes_are_met_within_a_metre(data_dir: Path) -> None:
+def test_the_smoothed_track_passes_real_waypoints_between_the_fixes_within_a_metre(data_dir: Path) -> None:
     squares = []
     for name in ("1f", "2r", "forward"):
         recording = pdr.read(data_dir / "humolire" / f"humolire_user1_{name}.zip")

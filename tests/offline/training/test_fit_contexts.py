@@ -1,4 +1,4 @@
-"""Models of one's own recordings: any names, any classifier, people held out."""
+"""Context models of any recordings: any names, any classifier, held-out people."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def forest(walks: list[pdr.Recording]) -> pdr.ContextModel:
 
 
 def strictly(text: str) -> Any:
-    """Parsed JSON without the NaN that Python would accept."""
+    """Return parsed JSON, without the NaN that Python would accept."""
 
     def refused(word: str) -> None:
         raise AssertionError(word)
@@ -68,7 +68,7 @@ def few(signals: Mapping[str, np.ndarray]) -> dict[str, float]:
     return {"force_std": signals["force_mps2"].std(), "rate": signals["rate_radps"].mean()}
 
 
-def test_names_of_any_kind_go_from_labels_through_a_model_and_its_files_to_a_track(
+def test_arbitrary_names_are_kept_from_labels_through_model_and_files_to_a_track(
     walks: list[pdr.Recording], forest: pdr.ContextModel, tmp_path: Path
 ) -> None:
     assert forest.contexts == ("jog", "level", "resting")
@@ -83,7 +83,7 @@ def test_names_of_any_kind_go_from_labels_through_a_model_and_its_files_to_a_tra
     assert np.mean(seen.context_prob.argmax(axis=1) == true) > 0.75
 
 
-def test_the_report_and_the_card_have_counts_people_log_loss_and_confusion_of_the_data_that_was_used(
+def test_report_and_card_have_counts_people_log_loss_and_confusion_matrix_of_the_data(
     walks: list[pdr.Recording], forest: pdr.ContextModel, tmp_path: Path
 ) -> None:
     n = sum(forest.card["n_windows"].values())
@@ -148,7 +148,7 @@ def test_each_person_is_held_out_once_and_the_model_is_fitted_on_all(walks: list
     assert of_a + of_b + of_c == everybody and of_a > 1.8 * of_b > 1.5 * of_c > 0
 
 
-def test_an_object_of_another_library_filters_but_is_not_saved_and_the_message_says_how_to_keep_it(
+def test_a_foreign_classifier_can_filter_but_not_be_saved_and_the_message_has_the_remedy(
     walks: list[pdr.Recording], tmp_path: Path
 ) -> None:
     model = pdr.fit_contexts(walks, LogisticRegression(), features=few, people=PEOPLE)
@@ -175,7 +175,7 @@ def test_an_rvm_that_is_passed_as_an_object_can_be_saved(walks: list[pdr.Recordi
     np.testing.assert_array_equal(again.predict(features), model.predict(features))
 
 
-def test_features_of_a_function_are_given_again_when_the_model_is_loaded(
+def test_a_feature_function_must_be_given_again_when_the_model_is_loaded(
     walks: list[pdr.Recording], tmp_path: Path
 ) -> None:
     model = pdr.fit_contexts(walks, "forest", features=few, people=PEOPLE)
@@ -183,7 +183,7 @@ def test_features_of_a_function_are_given_again_when_the_model_is_loaded(
     model.save(tmp_path)
     with pytest.raises(ValueError, match=r"force_std.*ContextModel\.load\(path, features="):
         pdr.recipes.default().with_contexts(pdr.ContextModel.load(tmp_path), MODES)
-    with pytest.raises(ValueError, match=r"features must have \['rate'\]"):
+    with pytest.raises(ValueError, match=r"features must include \['rate'\]"):
         pdr.ContextModel.load(tmp_path, features=lambda signals: {"force_std": 0.0})
     config = pdr.recipes.default().with_contexts(pdr.ContextModel.load(tmp_path, features=few), MODES)
     seen = pdr.classify(walks[0], config)
@@ -193,7 +193,7 @@ def test_features_of_a_function_are_given_again_when_the_model_is_loaded(
     assert seen.carrying_modes[int(seen.carrying_prob[-1].argmax())] == "pocket"  # the default's, of its own features
 
 
-def test_a_function_gets_every_signal_by_its_name(walks: list[pdr.Recording]) -> None:
+def test_a_feature_function_receives_every_signal_by_its_name(walks: list[pdr.Recording]) -> None:
     assert len(WINDOW_SIGNALS) == N_SIGNALS
     seen: list[dict[str, np.ndarray]] = []
 
@@ -211,9 +211,9 @@ def test_a_function_gets_every_signal_by_its_name(walks: list[pdr.Recording]) ->
     np.testing.assert_allclose(signals["vertical_mps2"], up - 9.80665, atol=0.05)
 
 
-def test_sets_that_are_used_together_have_different_names() -> None:
+def test_feature_sets_used_together_must_have_different_names() -> None:
     one = FunctionFeatures.of(few)
-    with pytest.raises(ValueError, match="are in two of the sets"):
+    with pytest.raises(ValueError, match="must have different names"):
         JoinedFeatures((one, one))
 
 
@@ -241,12 +241,12 @@ def test_transitions_are_counted_at_the_steps_of_the_recordings_and_used_by_the_
     np.testing.assert_allclose(config.model.transition_prob, expected[np.ix_(order, order)])
 
 
-def test_of_recordings_with_few_changes_no_transitions_are_estimated(walks: list[pdr.Recording]) -> None:
+def test_recordings_with_few_changes_give_no_transitions(walks: list[pdr.Recording]) -> None:
     model = pdr.fit_contexts(walks[:2], "forest", features=few, people=PEOPLE[:2])
     assert model.transition_prob is None and model.card["transition_prob"].startswith("default: ")
 
 
-def test_exponents_of_the_labels_are_those_of_the_filter(forest: pdr.ContextModel) -> None:
+def test_exponents_estimated_from_the_labels_are_used_by_the_filter(forest: pdr.ContextModel) -> None:
     assert forest.evidence_exponent is None  # three people
     known = replace(forest, evidence_exponent=0.7, prior_exponent=0.4)
     usual = pdr.recipes.default().model
@@ -255,7 +255,7 @@ def test_exponents_of_the_labels_are_those_of_the_filter(forest: pdr.ContextMode
         assert (found.evidence_exponent, found.prior_exponent) == expected
 
 
-def test_a_model_of_windows_without_gyroscope_classifies_them_and_one_of_windows_with_leaves_them_unknown(
+def test_windows_without_gyroscope_are_classified_only_by_a_model_trained_without_it(
     walks: list[pdr.Recording], forest: pdr.ContextModel
 ) -> None:
     blind = [replace(each, gyroscope=None) for each in walks]
@@ -268,17 +268,18 @@ def test_a_model_of_windows_without_gyroscope_classifies_them_and_one_of_windows
     assert shares[0].mean() < 0.2 and (shares[1] == 1.0).all()
 
 
-def test_carrying_modes_are_learnt_by_the_same_function(tmp_path: Path) -> None:
+def test_fit_contexts_also_fits_carrying_modes(tmp_path: Path) -> None:
     own = [walk(3 * k + i, mode) for k, mode in enumerate(("pocket", "texting")) for i in range(2)]
     model = pdr.fit_contexts(own, "forest", head="carrying_mode", people=["a", "b", "a", "b"])
     assert (model.head, model.classes) == ("carrying_mode", ("pocket", "texting"))
-    assert sum(model.card["n_windows"].values()) <= 4 * 5 * 7  # of five legs: not those in which nobody moves
+    # five legs each, because windows without motion are not used
+    assert sum(model.card["n_windows"].values()) <= 4 * 5 * 7
     model.save(tmp_path)
     config = pdr.recipes.default().with_carrying_model(pdr.ContextModel.load(tmp_path))
     seen = pdr.classify(walk(9, "texting"), config)
     assert seen.carrying_modes[int(seen.carrying_prob[-1].argmax())] == "texting"
     assert config.sensing.contexts != pdr.recipes.default().sensing.contexts
-    with pytest.raises(ValueError, match=r"carrying modes must be of .* got \['backpack'\].*rename"):
+    with pytest.raises(ValueError, match=r"carrying modes must be among .* got \['backpack'\].*rename"):
         pdr.fit_contexts(
             [with_labels(own[0], NAMES, "backpack"), *own[1:]], "forest", head="carrying_mode", people=list("abab")
         )
@@ -319,19 +320,19 @@ class Unsure(Silent):
     [
         ({"classifier": "svm"}, r"classifier must be one of .* got 'svm': such as sklearn"),
         ({"classifier": LogisticRegression}, "classifier must be one of"),
-        ({"classifier": Silent()}, "classifier must have classes_ when it is fitted"),
+        ({"classifier": Silent()}, "classifier must have classes_ after fit, but Silent has none"),
         ({"classifier": Unsure()}, "predict_proba of Unsure must return a probability for each of 3 classes_"),
         ({"head": "mood"}, r"head must be .* got 'mood'"),
-        ({"people": ["anna"]}, "people must be 3 names, one for each recording, got 1"),
-        ({"people": ["anna"] * 3}, r"two people or more.* got 'anna' alone.*people="),
+        ({"people": ["anna"]}, "people must have 3 names, one for each recording, got 1"),
+        ({"people": ["anna"] * 3}, r"at least two people.* got 'anna' alone.*people="),
         ({"people": None}, r"got 'simulated/simulated' alone"),
         ({"features": 3}, "features must be a feature set or a function"),
-        ({"features": lambda signals: None}, "features must return a number for each name"),
+        ({"features": lambda signals: None}, "features must return a dict of a number for each name"),
         ({"features": lambda signals: {"a": np.nan}}, r"features must be finite, got a of NaN or infinity in 'walk0'"),
     ],
     ids=lambda value: value if isinstance(value, str) else "-".join(value),
 )
-def test_what_cannot_be_fitted_is_refused_with_the_argument_and_the_remedy(
+def test_invalid_arguments_are_refused_with_their_name_and_the_remedy(
     walks: list[pdr.Recording], arguments: dict[str, Any], message: str
 ) -> None:
     given: dict[str, Any] = {"classifier": "forest", "features": few, "people": PEOPLE, **arguments}
@@ -343,19 +344,21 @@ def test_labels_of_one_class_or_none_and_no_recordings_are_refused(walks: list[p
     def fit(recordings: list[pdr.Recording]) -> None:
         pdr.fit_contexts(recordings, "forest", features=few, people=PEOPLE[: len(recordings)])
 
-    with pytest.raises(ValueError, match=r"two contexts or more, got 'level': add"):
+    with pytest.raises(ValueError, match=r"at least two contexts, got 'level': add"):
         fit([with_labels(walk(seed), {"walking": "level"}) for seed in range(2)])
     with pytest.raises(ValueError, match=r"2 recordings with \d+ windows .* truth_labels.csv"):
         fit([without_labels(each) for each in walks[:2]])
     with pytest.raises(ValueError, match="0 recordings"):
         fit([])
-    with pytest.raises(ValueError, match=r"recordings must be of Recording, got 'walk.zip': read files with pdr.read"):
+    with pytest.raises(
+        ValueError, match=r"recordings must contain Recording objects, got 'walk.zip': read files with pdr.read"
+    ):
         fit(["walk.zip"])  # pyright: ignore[reportArgumentType]
-    with pytest.raises(ValueError, match=r"without 'anna' only windows of 'level' are left.*two or more"):
+    with pytest.raises(ValueError, match=r"'anna' cannot be held out, .* only windows of 'level': label"):
         fit([walks[0], with_labels(walk(1), {"walking": "level"})])
 
 
-def test_a_context_of_one_person_is_learnt_but_not_scored_and_the_card_says_so(walks: list[pdr.Recording]) -> None:
+def test_a_context_of_one_person_is_learnt_but_not_scored_and_the_card_states_it(walks: list[pdr.Recording]) -> None:
     more = with_labels(walk(5), {**NAMES, "running": "sprint"})
     model = pdr.fit_contexts([*walks, more], "forest", features=few, people=[*PEOPLE, "dora"])
     assert "sprint" in model.classes and "sprint" in model.card["limits"]

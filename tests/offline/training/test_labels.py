@@ -1,3 +1,5 @@
+"""Labels and weights of training windows."""
+
 from __future__ import annotations
 
 from dataclasses import replace
@@ -20,32 +22,32 @@ def walk() -> Recording:
     return replace(walk, truth=replace(walk.truth, labels=labels))
 
 
-def test_a_window_has_the_label_that_it_lies_inside(walk: Recording) -> None:
+def test_a_window_has_the_label_that_contains_it(walk: Recording) -> None:
     assert label_of(walk, 3.0, 5.0) == ("walking", "pocket")
     assert label_of(walk, 29.0, 31.0) is None
 
 
-def test_nothing_is_learnt_from_a_doubtful_label(walk: Recording) -> None:
+def test_doubtful_labels_are_not_used(walk: Recording) -> None:
     for name, from_s in DOUBTFUL.items():
         doubtful = replace(walk, name=name)
         assert label_of(doubtful, max(from_s, 3.0), max(from_s, 3.0) + 2.0) is None
     assert label_of(replace(walk, name="difronzo_user03_exp07"), 3.0, 5.0) == ("walking", "pocket")
 
 
-def test_the_windows_of_the_one_back_pocket_count_five_times_and_no_others() -> None:
+def test_only_the_windows_of_the_single_back_pocket_have_weight_five() -> None:
     names = np.array(["tyrex_nodist_backpocket", "tyrex_nodist_frontpocket", "humolire_1f"])
     text = np.array(["walking"] * 3)
     windows = LabelledWindows(np.zeros((3, 2)), text, text, text, text, names, np.ones(3, dtype=bool))
     np.testing.assert_array_equal(PLANS[0].weight(windows), [5.0, 1.0, 1.0])
 
 
-def test_the_calibration_of_a_person_does_not_see_the_person() -> None:
+def test_the_calibration_of_a_held_out_person_does_not_use_that_person() -> None:
     rng = np.random.default_rng(0)
     n = 300
     person = np.repeat(["a", "b", "c"], n // 3)
     label = rng.integers(0, 2, n)
     context = np.array(["walking", "upstairs"])[label]
-    right = np.where(person == "c", 0.6, 0.9)  # the third is surer than right
+    right = np.where(person == "c", 0.6, 0.9)  # the third person's predictions are overconfident
     chosen = np.where(rng.random(n) < right, label, 1 - label)
     prob = np.zeros((n, len(CONTEXTS)))
     prob[np.arange(n), 1 + chosen], prob[np.arange(n), 2 - chosen] = 0.97, 0.03
@@ -58,4 +60,5 @@ def test_the_calibration_of_a_person_does_not_see_the_person() -> None:
     changed = cross_calibrated(prob, other, person, Model())  # type: ignore[arg-type]
     np.testing.assert_array_equal(first[person == "c"], changed[person == "c"])
     assert np.abs(first[person == "a"] - changed[person == "a"]).max() > 0.01
-    assert first[person == "a"].max() < first[person == "c"].max()  # those who hear of the third are less sure
+    # calibrated on the third person, the other two are less certain
+    assert first[person == "a"].max() < first[person == "c"].max()

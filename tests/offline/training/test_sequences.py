@@ -1,4 +1,4 @@
-"""Transitions and exponents are those that made the sequences, and no others than the formulas say."""
+"""Transitions and exponents recover those of synthetic sequences and agree with the formulas."""
 
 from __future__ import annotations
 
@@ -40,7 +40,9 @@ def drawn_chain(n: int, seed: int, transition_prob: np.ndarray = CHAIN) -> np.nd
 def drawn_windows(
     n_people: int, n: int, repeats: int = 1, prior_in: float = 1.0, seed: int = 0
 ) -> LabelledProbabilities:
-    """Posteriors of Gaussian features of a chain, `repeats` times the evidence of one, the prior with an exponent."""
+    """Return posteriors of Gaussian features of a chain, with `repeats` times the evidence, and the prior with an
+    exponent.
+    """
     rng = np.random.default_rng(seed)
     prior = np.array([0.6, 0.3, 0.1])
     label = np.concatenate([drawn_chain(n, seed + p) for p in range(n_people)])
@@ -62,13 +64,13 @@ def test_counts_are_those_of_a_sequence_counted_by_hand() -> None:
     np.testing.assert_array_equal(counts, [[2, 1, 0], [0, 2, 1], [1, 0, 0]])
 
 
-def test_nothing_follows_the_end_of_a_sequence_or_an_unknown_context() -> None:
+def test_the_end_of_a_sequence_and_an_unknown_context_have_no_successor() -> None:
     label = np.array([0, 1, 1, 0, UNKNOWN, 1])
     counts = count_transitions(label, np.array(["a", "a", "b", "b", "b", "b"]), 2)
     np.testing.assert_array_equal(counts, [[0, 1], [1, 0]])
 
 
-def test_windows_with_steps_count_as_that_many_steps() -> None:
+def test_a_window_counts_as_its_number_of_steps() -> None:
     label, sequence = np.array([0, 0, 0, 1, 1]), np.array(["a"] * 5)
     counts = count_transitions(label, sequence, 2, steps=np.full(5, 2.0))
     np.testing.assert_array_equal(counts, [[5, 1], [0, 2]])
@@ -76,7 +78,7 @@ def test_windows_with_steps_count_as_that_many_steps() -> None:
     np.testing.assert_array_equal(standing, [[0, 1], [0, 0]])  # more changes than steps
 
 
-def test_the_chain_of_steps_is_found_from_its_steps_and_from_windows_of_two_steps() -> None:
+def test_a_transition_matrix_is_recovered_from_steps_and_from_windows_of_two_steps() -> None:
     slow = 0.95 * np.eye(3) + 0.05 * CHAIN  # changes are rare within a window, as in walks
     label = drawn_chain(200_000, 1, slow)
     sequence = np.zeros(len(label), dtype="U1")
@@ -92,13 +94,13 @@ def test_the_estimate_is_the_mean_of_the_dirichlet_posterior() -> None:
     np.testing.assert_allclose(estimate_transitions(counts, prior, 10.0), [[13 / 20, 7 / 20], [0.1, 0.9]])
 
 
-def test_without_data_the_default_transitions_stay() -> None:
+def test_without_data_the_default_transitions_are_kept() -> None:
     prior = context_transitions()
     np.testing.assert_allclose(estimate_transitions(np.zeros_like(prior), prior), prior, atol=1e-15)
 
 
 @given(st.integers(0, 2**31), st.integers(1, 400), st.floats(1e-3, 1e4))
-def test_every_estimate_is_a_transition_matrix_that_a_tracker_takes(seed: int, n: int, prior_steps: float) -> None:
+def test_every_estimate_is_a_valid_transition_matrix_for_a_tracker(seed: int, n: int, prior_steps: float) -> None:
     rng = np.random.default_rng(seed)
     label = rng.integers(UNKNOWN, len(CONTEXTS), n)
     sequence = np.sort(rng.integers(0, 4, n)).astype(str)
@@ -108,7 +110,7 @@ def test_every_estimate_is_a_transition_matrix_that_a_tracker_takes(seed: int, n
     assert (found > 0).all()  # no context is ruled out for good
 
 
-def test_a_person_who_never_climbs_stays_on_the_flat_more_than_the_default_says() -> None:
+def test_a_person_who_never_climbs_leaves_level_walking_less_often_than_by_default() -> None:
     walking = np.full(2000, CONTEXTS.index("walking"))
     found = estimate_transitions(count_transitions(walking, np.full(2000, "a"), 6), context_transitions())
     assert found[1, 1] == pytest.approx((1999 + 100 * context_transitions()[1, 1]) / 2099)
@@ -117,7 +119,7 @@ def test_a_person_who_never_climbs_stays_on_the_flat_more_than_the_default_says(
 # --- Tempering
 
 
-def test_filtered_windows_are_those_of_the_filters_own_functions() -> None:
+def test_filtered_windows_equal_the_results_of_the_filters_functions() -> None:
     windows = drawn_windows(2, 50)
     expected, p = [], np.full(3, 1 / 3)
     for k in range(100):
@@ -128,7 +130,7 @@ def test_filtered_windows_are_those_of_the_filters_own_functions() -> None:
     np.testing.assert_allclose(filter_windows(windows, CHAIN, 0.5, 0.25, 0.01), expected, atol=1e-12)
 
 
-def test_with_true_exponents_the_filter_is_the_forward_algorithm() -> None:
+def test_with_the_true_exponents_the_filter_equals_the_forward_algorithm() -> None:
     windows = drawn_windows(1, 30)
     likelihood = windows.prob / windows.training_prior
     alpha, expected = np.full(3, 1 / 3), []
@@ -139,7 +141,7 @@ def test_with_true_exponents_the_filter_is_the_forward_algorithm() -> None:
 
 
 @pytest.mark.parametrize(("repeats", "prior_in"), [(1, 1.0), (2, 0.6), (4, 0.0)])
-def test_the_exponents_that_made_the_windows_are_found(repeats: int, prior_in: float) -> None:
+def test_the_true_exponents_of_synthetic_windows_are_recovered(repeats: int, prior_in: float) -> None:
     # Evidence counted `repeats` times needs the exponent 1 / repeats; prior^prior_in in it, that exponent of the prior.
     windows = drawn_windows(6, 800, repeats, prior_in)
     found = fit_tempering(windows, CHAIN, floor=1e-12)
@@ -147,14 +149,14 @@ def test_the_exponents_that_made_the_windows_are_found(repeats: int, prior_in: f
     assert found.prior_exponent == pytest.approx(prior_in, abs=0.31 * repeats)
 
 
-def test_tempering_lowers_the_log_loss_of_people_who_were_not_in_the_choice() -> None:
+def test_tempering_lowers_the_log_loss_of_held_out_people() -> None:
     windows = drawn_windows(6, 600, repeats=3)
     found = fit_tempering(windows, CHAIN, floor=1e-6)
     as_it_is = log_loss_by_person(windows, CHAIN, np.ones(1), np.ones(1), 1e-6)[1].mean()
     assert found.log_loss <= found.held_out_log_loss < as_it_is - 0.05
 
 
-def test_a_held_out_loss_is_that_of_the_choice_of_all_others() -> None:
+def test_the_held_out_loss_uses_the_exponents_chosen_on_all_other_people() -> None:
     windows = drawn_windows(3, 80, repeats=2)
     found = fit_tempering(windows, CHAIN)
     losses: list[float] = []
@@ -170,7 +172,7 @@ def part_of(windows: LabelledProbabilities, use: np.ndarray) -> LabelledProbabil
     return LabelledProbabilities(*(getattr(windows, n)[use] for n in windows.__dataclass_fields__))
 
 
-def test_every_person_counts_alike_however_long_they_were_recorded() -> None:
+def test_every_person_has_the_same_weight_whatever_the_length_of_the_recording() -> None:
     windows = drawn_windows(2, 200)
     short = part_of(windows, np.r_[0:200, 200:240])
     people, loss = log_loss_by_person(short, CHAIN, np.array([0.5]), np.array([0.5]), 0.01)
@@ -191,7 +193,7 @@ def test_windows_of_unknown_context_are_filtered_but_not_scored() -> None:
 
 @settings(max_examples=30)
 @given(st.integers(0, 2**31))
-def test_probabilities_stay_probabilities_whatever_the_classifier_rules_out(seed: int) -> None:
+def test_filtered_probabilities_are_valid_for_classifier_probabilities_of_zero(seed: int) -> None:
     rng = np.random.default_rng(seed)
     prob = np.eye(3)[rng.integers(0, 3, 40)]
     prior = np.tile([0.7, 0.3, 0.0], (40, 1))
@@ -205,19 +207,19 @@ def test_probabilities_stay_probabilities_whatever_the_classifier_rules_out(seed
 # --- Bad input
 
 
-def test_what_cannot_be_a_sequence_or_a_label_is_refused() -> None:
+def test_invalid_sequences_and_labels_are_refused() -> None:
     names = np.array(["a", "b", "a"])
-    with pytest.raises(ValueError, match="follow each other"):
+    with pytest.raises(ValueError, match="must be contiguous"):
         sequence_starts(names)
     with pytest.raises(ValueError, match="labels must be from -1 to 1"):
         count_transitions(np.array([0, 2]), names[:2], 2)
-    with pytest.raises(ValueError, match="differ in length"):
+    with pytest.raises(ValueError, match="must have the same length"):
         count_transitions(np.array([0, 1]), names[:1], 2)
     with pytest.raises(ValueError, match="steps must be 0 or more"):
         count_transitions(np.array([0, 1]), names[:2], 2, steps=np.array([1.0, np.nan]))
 
 
-def test_what_cannot_be_a_prior_of_transitions_is_refused() -> None:
+def test_an_invalid_prior_of_transitions_is_refused() -> None:
     with pytest.raises(ValueError, match="transpose"):
         estimate_transitions(np.zeros((6, 6)), context_transitions().T)
     with pytest.raises(ValueError, match="prior_steps"):
@@ -228,7 +230,7 @@ def test_what_cannot_be_a_prior_of_transitions_is_refused() -> None:
         estimate_transitions(np.full((6, 6), np.nan), context_transitions())
 
 
-def test_what_cannot_be_labelled_probabilities_is_refused() -> None:
+def test_invalid_labelled_probabilities_are_refused() -> None:
     windows = drawn_windows(1, 5)
     with pytest.raises(ValueError, match="label must have 5 rows"):
         replace(windows, label=windows.label[:4])
@@ -244,7 +246,7 @@ def test_what_cannot_be_labelled_probabilities_is_refused() -> None:
         filter_windows(windows, CHAIN, 0.5, 0.25, 0.0)
 
 
-def test_of_one_person_nothing_is_held_out() -> None:
+def test_one_person_has_no_held_out_loss() -> None:
     found = fit_tempering(drawn_windows(1, 40), CHAIN)
     assert np.isnan(found.held_out_log_loss)
     assert np.isfinite(found.log_loss)

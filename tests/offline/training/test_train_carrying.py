@@ -1,3 +1,5 @@
+"""Training of the carrying mode on simulated people."""
+
 from __future__ import annotations
 
 from dataclasses import replace
@@ -22,7 +24,7 @@ from pdr_filter.values import CARRYING_MODES
 
 
 def recordings(folder: Path) -> list[Path]:
-    """Simulated people who pass for those of the data sets: one pocket each, one in the hand, one of no data set."""
+    """Simulated people labelled as people of data sets: one pocket each, one in the hand, and one of no data set."""
     people = [("motionsense", "a", "pocket"), ("motionsense", "b", "pocket"), ("tyrex", "t", "swinging")]
     people += [("humolire", "h", "texting"), ("elsewhere", "e", "calling")]
     paths: list[Path] = []
@@ -41,7 +43,7 @@ def paths(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return recordings(tmp_path_factory.mktemp("recordings"))
 
 
-def test_a_small_training_writes_both_models_with_cards_of_people_left_out(paths: list[Path], tmp_path: Path) -> None:
+def test_a_small_training_writes_both_models_with_held_out_scores(paths: list[Path], tmp_path: Path) -> None:
     told: list[float] = []
     cards = train_carrying(paths, tmp_path, lambda what, done: told.append(done), n_simulated=2)
     assert [card["name"] for card in cards] == ["carrying", "carrying_accelerometer"]
@@ -64,14 +66,14 @@ def test_a_small_training_writes_both_models_with_cards_of_people_left_out(paths
     )
 
 
-def test_windows_are_the_same_each_time_and_only_of_people_who_move(paths: list[Path]) -> None:
+def test_windows_are_reproducible_and_only_of_moving_people(paths: list[Path]) -> None:
     first, second = (carrying_windows(PLANS[0], paths, 1) for _ in range(2))
     np.testing.assert_array_equal(first.features, second.features)
     assert "stationary" not in first.context and first.has_gyroscope.all()
     assert np.isfinite(first.features).all()
 
 
-def test_what_is_made_of_a_person_belongs_to_the_person(paths: list[Path]) -> None:
+def test_synthetic_windows_made_from_a_person_have_that_person(paths: list[Path]) -> None:
     windows = carrying_windows(PLANS[0], paths, 1)
     turned, weak = windows.dataset == "turned_humolire", windows.dataset == "weak_motionsense"
     assert set(windows.person[turned]) == {"humolire/h"} and set(windows.carrying_mode[turned]) == {"calling"}
@@ -79,7 +81,7 @@ def test_what_is_made_of_a_person_belongs_to_the_person(paths: list[Path]) -> No
     assert set(windows.carrying_mode[weak]) == {"pocket"}
 
 
-def test_a_weak_walker_is_weaker_and_a_turned_phone_is_on_its_edge_and_moves_the_same(paths: list[Path]) -> None:
+def test_a_weak_window_has_less_motion_and_a_turned_one_the_same_motion_on_its_edge(paths: list[Path]) -> None:
     windows = carrying_windows(PLANS[0], paths, 1)
 
     def median(source: str, mode: str, name: str) -> float:
@@ -93,7 +95,7 @@ def test_a_weak_walker_is_weaker_and_a_turned_phone_is_on_its_edge_and_moves_the
         assert median("turned_humolire", "calling", name) == pytest.approx(median("humolire", "texting", name), abs=0.1)
 
 
-def test_weights_give_every_class_the_same_and_every_source_its_share_whatever_its_size() -> None:
+def test_weights_balance_classes_and_sources_whatever_their_number_of_windows() -> None:
     label = np.array(["pocket"] * 7 + ["calling"] * 5)
     source = np.array(["motionsense"] * 2 + ["tyrex"] * 4 + ["simulated"] + ["tyrex"] + ["turned_humolire"] * 4)
     weight = balanced_weight(label, source, {"simulated": 0.3, "turned": 0.5})
@@ -106,13 +108,13 @@ def test_weights_give_every_class_the_same_and_every_source_its_share_whatever_i
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_a_simulated_person_is_the_same_each_time_and_another_with_another_number(mode: str) -> None:
+def test_a_simulated_person_is_reproducible_and_depends_on_the_number(mode: str) -> None:
     first, again, other = (simulated_person(mode, number) for number in (4, 4, 5))
     np.testing.assert_array_equal(first.accelerometer.values, again.accelerometer.values)
     assert len(first.accelerometer.values) != len(other.accelerometer.values)
     assert first.truth.labels is not None and set(first.truth.labels.carrying_mode) == {mode}
 
 
-def test_recordings_without_windows_of_use_are_an_error_that_says_what_is_needed(tmp_path: Path) -> None:
+def test_recordings_without_usable_windows_are_refused_with_the_requirements(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="motionsense"):
         train_carrying([], tmp_path, n_simulated=1)

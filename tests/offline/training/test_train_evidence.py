@@ -1,4 +1,4 @@
-"""What `pdr-filter train` says of transitions and tempering is what labelled sequences of other people show."""
+"""Transitions and exponents estimated by `pdr-filter train` from labelled sequences of held-out people."""
 
 from __future__ import annotations
 
@@ -56,14 +56,14 @@ DEFAULT = default().model
 
 
 def as_of(recording: Recording, dataset: str, person: str) -> Recording:
-    """The same as a recording of somebody in a data set."""
+    """Return the recording, relabelled as that of a person in a data set."""
     name = f"{dataset}_{person}"
     meta: dict[str, Any] = {**recording.meta, "dataset": dataset, "subject": {"id": person}, "name": name}
     return replace(recording, name=name, meta=meta)
 
 
 def mixed_walk(seed: int) -> Recording:
-    """Half a minute with five changes of context."""
+    """Return a walk of half a minute with five changes of context."""
     contexts = ("walking", "running", "walking", "upstairs", "walking", "running")
     legs = [Leg("stationary", duration_s=3.0), *(Leg(c, duration_s=5.0) for c in contexts)]
     return simulate(legs, carrying_mode="pocket", seed=seed)
@@ -81,14 +81,14 @@ def written(recordings: list[Recording], folder: Path) -> list[Path]:
 
 @pytest.fixture(scope="module")
 def mine(walks: list[Recording], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of four people of no data set."""
+    """Folder with recordings of four people of no data set."""
     folder = tmp_path_factory.mktemp("mine")
     written([as_of(walk, "mine", f"p{i}") for i, walk in enumerate(walks)], folder)
     return folder
 
 
 def drawn(n_people: int, n: int, stay: float = 0.95, repeats: int = 3, seed: int = 0) -> LabelledSequences:
-    """Sequences of two contexts whose windows, of two steps, count their evidence `repeats` times over."""
+    """Return sequences of two contexts, whose windows of two steps repeat their evidence `repeats` times."""
     rng = np.random.default_rng(seed)
     two = np.array([WALKING, UPSTAIRS])
     step_label = np.concatenate([two[np.cumsum(rng.random(2 * n) > stay) % 2] for _ in range(n_people)])
@@ -106,7 +106,7 @@ def drawn(n_people: int, n: int, stay: float = 0.95, repeats: int = 3, seed: int
 # --- Sequences from recordings
 
 
-def test_a_time_has_the_context_of_the_label_it_lies_in_and_none_elsewhere(walks: list[Recording]) -> None:
+def test_a_time_has_the_context_of_its_label_and_none_outside_every_label(walks: list[Recording]) -> None:
     rows = {"start_s": [1.0, 2.0, 5.0], "end_s": [2.0, 4.0, 6.0], "context": ["walking", "running", "cycling"]}
     labels = table({name: np.array(values) for name, values in rows.items()})
     recording = replace(walks[0], truth=replace(walks[0].truth, labels=labels))
@@ -141,7 +141,7 @@ def test_steps_are_counted_as_the_default_recipe_detects_them(mine: Path) -> Non
     assert sequences.counts(without=["mine/p0", "mine/p1", "mine/p2", "mine/p3"]).sum() == 0
 
 
-def test_windows_are_those_that_the_filter_sees_with_the_context_at_their_middle(mine: Path) -> None:
+def test_windows_are_those_of_the_filter_with_the_context_at_their_middle(mine: Path) -> None:
     path = sorted(mine.glob("*.zip"))[0]
     sequences = labelled_sequences({path: "mine/p0"}, shipped_model_without)
     walk = pdr.read(path)
@@ -153,7 +153,7 @@ def test_windows_are_those_that_the_filter_sees_with_the_context_at_their_middle
     assert len(set(sequences.windows.label)) == 4
 
 
-def test_no_step_follows_one_from_before_a_gap(walks: list[Recording], tmp_path: Path) -> None:
+def test_no_transition_is_counted_across_a_gap(walks: list[Recording], tmp_path: Path) -> None:
     gap = (9.0, 15.0)  # walking before it, walking after it
 
     def cut(samples: Samples) -> Samples:
@@ -174,7 +174,7 @@ def test_no_step_follows_one_from_before_a_gap(walks: list[Recording], tmp_path:
 # --- People who must not have been in training
 
 
-def test_a_model_without_people_is_that_of_all_others_and_a_strangers_model_is_the_model_itself(
+def test_a_model_without_people_is_trained_on_all_others_and_unchanged_for_unseen_people(
     walks: list[Recording], tmp_path: Path
 ) -> None:
     paths = written([as_of(walk, "motionsense", f"s{i}") for i, walk in enumerate(walks)], tmp_path)
@@ -189,7 +189,7 @@ def test_a_model_without_people_is_that_of_all_others_and_a_strangers_model_is_t
     for name in ("training_prior", "feature_mean", "feature_scale"):
         np.testing.assert_array_equal(getattr(without, name), getattr(others, name))
     features = windows.features[0]
-    # the calibration is that of all people left out, with the limits of what is familiar
+    # calibration and limits of familiarity are kept from all held-out people
     assert (without.temperature, without.slip) == (model.temperature, model.slip)
     assert without.stairs is not None and model.stairs is not None and without.stairs.limit == model.stairs.limit
     calibrated = replace(others, temperature=model.temperature, slip=model.slip, stairs=without.stairs)
@@ -214,7 +214,7 @@ def test_every_persons_windows_come_from_a_model_without_them(mine: Path) -> Non
     assert sorted(person for fold in asked for person in fold) == sorted(changing.values()) and len(asked) == 3
 
 
-def test_the_shipped_model_says_nothing_of_people_who_may_have_been_in_its_training() -> None:
+def test_the_shipped_model_is_refused_for_people_of_its_training_data() -> None:
     assert shipped_model_without(["mine/p0"]).name == "context"
     with pytest.raises(ValueError, match=r"motionsense/s03.*train the models again without them"):
         shipped_model_without(["mine/p0", "motionsense/s03"])
@@ -223,7 +223,7 @@ def test_the_shipped_model_says_nothing_of_people_who_may_have_been_in_its_train
 # --- The estimate
 
 
-def test_transitions_and_exponents_that_made_the_sequences_are_found() -> None:
+def test_true_transitions_and_exponents_of_synthetic_sequences_are_recovered() -> None:
     sequences = drawn(6, 500, stay=0.9, repeats=3)
     found = estimate(sequences, DEFAULT)
     assert (found.card["transition_prob"], found.card["exponents"]) == ("estimated", "estimated")
@@ -236,7 +236,7 @@ def test_transitions_and_exponents_that_made_the_sequences_are_found() -> None:
     assert found.card["n_people"] == 6 and found.card["n_changes"] == np.sum(found.counts[~np.eye(6, dtype=bool)])
 
 
-def test_held_out_losses_are_of_people_who_had_no_part_in_matrix_or_exponents() -> None:
+def test_held_out_losses_use_matrix_and_exponents_of_other_people() -> None:
     sequences = drawn(4, 120)
     found = held_out_log_loss(sequences, DEFAULT)
     expected: dict[str, list[float]] = {"held_out_default_exponents": [], "held_out": []}
@@ -261,7 +261,7 @@ def part_of(windows: LabelledProbabilities, use: np.ndarray) -> LabelledProbabil
     return LabelledProbabilities(**rows)
 
 
-def test_the_person_of_a_part_is_left_out_with_all_of_it_where_there_are_many_people() -> None:
+def test_many_people_are_held_out_in_parts() -> None:
     losses = held_out_log_loss(drawn(12, 40), DEFAULT)
     assert all(np.isfinite(value) and value > 0 for value in losses.values())
     assert losses["held_out"] < losses["default"]
@@ -273,7 +273,7 @@ def is_default(found: Transitions, what: str = "both") -> bool:
     return same_exponents and (same_matrix or what == "exponents")
 
 
-def test_without_sequences_everything_stays_the_default_and_the_file_says_why(tmp_path: Path) -> None:
+def test_without_sequences_the_default_is_kept_and_the_file_states_the_reason(tmp_path: Path) -> None:
     card = train_evidence({}, tmp_path, shipped_model_without)
     found = load_transitions(tmp_path / "transitions.json")
     assert is_default(found) and found.card == card
@@ -281,7 +281,7 @@ def test_without_sequences_everything_stays_the_default_and_the_file_says_why(tm
     assert card["exponents"] == card["transition_prob"] and card["n_recordings"] == 0
 
 
-def test_with_too_few_changes_everything_stays_the_default() -> None:
+def test_with_too_few_changes_the_default_is_kept() -> None:
     sequences = drawn(5, 400, stay=0.9)
     end = np.flatnonzero(np.diff(sequences.step_label))[MIN_CHANGES - 1] + 1  # the step before one change too many
     few = replace(
@@ -293,7 +293,7 @@ def test_with_too_few_changes_everything_stays_the_default() -> None:
     found = estimate(few, DEFAULT)
     assert is_default(found)
     assert found.card["transition_prob"].startswith(f"default: {MIN_CHANGES - 1} changes")
-    assert found.counts.sum() == end - 1  # what was seen is in the file all the same
+    assert found.counts.sum() == end - 1  # the counts are in the file although the default is kept
     one_more = replace(
         sequences,
         step_label=sequences.step_label[: end + 1],
@@ -303,14 +303,14 @@ def test_with_too_few_changes_everything_stays_the_default() -> None:
     assert estimate(one_more, DEFAULT).card["transition_prob"] == "estimated"
 
 
-def test_of_few_people_the_matrix_is_estimated_and_the_exponents_are_not() -> None:
+def test_with_few_people_the_matrix_is_estimated_but_not_the_exponents() -> None:
     found = estimate(drawn(MIN_PEOPLE - 1, 300), DEFAULT)
     assert found.card["transition_prob"] == "estimated" and not is_default(found)
     assert is_default(found, "exponents") and f"{MIN_PEOPLE - 1} people" in found.card["exponents"]
     assert found.card["log_loss"] == {}
 
 
-def test_exponents_that_do_not_help_others_are_not_taken() -> None:
+def test_exponents_that_do_not_lower_the_held_out_loss_are_not_used() -> None:
     sequences = drawn(4, 200, repeats=1)
     # Two people whose windows are too unsure and two whose are too sure: what three ask for is wrong for the fourth.
     prob = sequences.windows.prob ** np.repeat([0.3, 4.0, 0.3, 4.0], 200)[:, None]
@@ -336,7 +336,7 @@ def some(**changes: Any) -> Transitions:
     return Transitions(**values | changes)
 
 
-def test_what_is_read_is_what_was_written_to_the_last_bit(tmp_path: Path) -> None:
+def test_saved_transitions_are_loaded_bit_identically(tmp_path: Path) -> None:
     path = some().save(tmp_path / "new")
     again = load_transitions(path)
     assert path == tmp_path / "new" / "transitions.json"
@@ -358,7 +358,7 @@ def rows(value: float) -> list[list[float]]:
         ("transition_prob", rows(-0.1), "row 1 is"),
         ("transition_prob", rows(float("nan")), "row 1 is .*nan"),
         ("transition_prob", rows(float("inf")), "row 1 is .*inf"),
-        ("transition_prob", context_transitions().T.tolist(), "transpose it"),
+        ("transition_prob", context_transitions().T.tolist(), "transpose the matrix"),
         ("transition_prob", np.eye(5).tolist(), r"must be \(6, 6\).*got \(5, 5\)"),
         ("transition_prob", [[1.0], [0.5, 0.5]], "inhomogeneous"),
         ("transition_prob", "even", "could not convert"),
@@ -366,14 +366,16 @@ def rows(value: float) -> list[list[float]]:
         ("prior_exponent", -0.5, "prior_exponent must be 0 or more and finite, got -0.5"),
         ("prior_exponent", None, "not 'NoneType'"),
         ("counts", np.full((6, 6), -1.0).tolist(), "counts must be"),
-        ("contexts", ["walking", "standing"], r"contexts are \['walking', 'standing'\], those of this version"),
-        ("contexts", list(CONTEXTS)[::-1], "those of this version"),
+        ("contexts", ["walking", "standing"], r"must be \(2, 2\), one row for each"),
+        ("contexts", ["walking"] * 6, "contexts must have different names"),
+        ("contexts", [1, 2, 3, 4, 5, 6], "name of a context must be"),
+        ("contexts", None, "not iterable"),
         ("format_version", 2, "format_version is 2, this version reads 1"),
         ("kind", "calibration", "its kind is 'calibration', not 'transitions'"),
         ("card", 3, "not iterable"),
     ],
 )
-def test_a_file_that_does_not_fit_is_refused_with_its_name_the_value_and_the_remedy(
+def test_an_inconsistent_file_is_refused_with_its_name_the_value_and_the_remedy(
     name: str, value: Any, message: str, tmp_path: Path
 ) -> None:
     path = some().save(tmp_path)
@@ -382,7 +384,7 @@ def test_a_file_that_does_not_fit_is_refused_with_its_name_the_value_and_the_rem
         load_transitions(path)
 
 
-def test_a_file_that_is_missing_or_no_json_or_lacks_something_is_refused_with_its_name(tmp_path: Path) -> None:
+def test_a_missing_invalid_or_incomplete_file_is_refused_with_its_name(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"other\.json: no such file"):
         load_transitions(tmp_path / "other.json")
     path = some().save(tmp_path)
@@ -393,7 +395,7 @@ def test_a_file_that_is_missing_or_no_json_or_lacks_something_is_refused_with_it
             load_transitions(path)
 
 
-def test_a_configuration_takes_matrix_and_exponents_and_keeps_all_else(tmp_path: Path) -> None:
+def test_with_transitions_changes_only_matrix_and_exponents_of_a_configuration(tmp_path: Path) -> None:
     config = default()
     for given in (some(), some().save(tmp_path), str(tmp_path / "transitions.json")):
         changed = with_transitions(config, given)
@@ -416,14 +418,27 @@ def test_transitions_follow_the_order_of_the_modes() -> None:
             assert changed.transition_prob[i, j] == expected
 
 
-def test_modes_that_are_not_the_contexts_each_once_are_refused() -> None:
+def test_transitions_between_other_contexts_are_saved_and_given_to_their_modes(tmp_path: Path) -> None:
+    names = {"stationary": "resting", "walking": "level"}
+    model = pdr.ContextModel.load("context").renamed(names)
+    modes = [replace(m, name=names.get(m.name, m.name), context="") for m in default().model.modes]
+    config = default().with_contexts(model, modes[::-1])
+    path = some(contexts=model.contexts).save(tmp_path)
+    assert load_transitions(path).contexts == model.contexts
+    changed = with_transitions(config, path)
+    np.testing.assert_array_equal(changed.model.transition_prob, some().transition_prob[::-1, ::-1])
+    with pytest.raises(ValueError, match=r"'stationary', .*has modes of \['running', .*give transition_prob to"):
+        with_transitions(config, some())
+
+
+def test_modes_that_do_not_match_the_contexts_one_to_one_are_refused() -> None:
     config = default()
     two = config.with_model(modes=context_modes(DEFAULT.modes[1].step_length)[:2], transition_prob=np.eye(2))
     with pytest.raises(ValueError, match=r"'default' has modes of \['stationary', 'walking'\]"):
         with_transitions(two, some())
 
 
-def test_with_the_default_transitions_the_track_is_the_same_and_with_others_its_contexts_are_not(
+def test_default_transitions_keep_the_track_and_others_change_its_contexts(
     walks: list[Recording], tmp_path: Path
 ) -> None:
     train_evidence({}, tmp_path, shipped_model_without)
@@ -442,7 +457,7 @@ def test_with_the_default_transitions_the_track_is_the_same_and_with_others_its_
 
 
 def small_training(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One small model of MotionSense alone, and none of the carrying mode and the pose."""
+    """Train one small model of MotionSense alone, and no model of the carrying mode and the pose."""
     plan = replace(PLANS[0], machine_fit=fit_softmax, datasets=("motionsense",))
     monkeypatch.setattr(training, "PLANS", (plan,))
 
@@ -456,7 +471,7 @@ def small_training(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(train_guo, "train_guo", pose)
 
 
-def test_train_estimates_from_the_data_sets_with_models_that_left_the_people_out(
+def test_train_estimates_transitions_with_models_trained_without_the_people(
     walks: list[Recording], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     small_training(monkeypatch)
@@ -485,11 +500,11 @@ def test_train_estimates_from_the_data_sets_with_models_that_left_the_people_out
 def test_without_data_sets_or_sequences_there_is_nothing_to_train_on(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="nothing to train on"):
         train(None, tmp_path)
-    with pytest.raises(ValueError, match="no recordings in the folder"):
+    with pytest.raises(ValueError, match="the folder of sequences has no recordings"):
         train(None, tmp_path, sequences=[])
 
 
-def test_the_command_estimates_from_ones_own_recordings_and_track_uses_the_file(mine: Path, tmp_path: Path) -> None:
+def test_the_command_estimates_from_own_recordings_and_track_uses_the_file(mine: Path, tmp_path: Path) -> None:
     run = partial(CliRunner().invoke, app)
     result = run(["train", "--sequences", str(mine), "--out", str(tmp_path)])
     assert result.exit_code == 0, result.stderr
@@ -508,7 +523,7 @@ def test_the_command_estimates_from_ones_own_recordings_and_track_uses_the_file(
     assert expected.distance_m != pdr.track(recording).distance_m
 
 
-def test_a_bad_transitions_file_is_one_line_and_code_2(mine: Path, tmp_path: Path) -> None:
+def test_a_bad_transitions_file_gives_one_line_and_exit_code_2(mine: Path, tmp_path: Path) -> None:
     path = some().save(tmp_path)
     path.write_text(path.read_text().replace('"evidence_exponent": 0.7', '"evidence_exponent": NaN'))
     run = partial(CliRunner().invoke, app)
@@ -521,12 +536,12 @@ def test_a_bad_transitions_file_is_one_line_and_code_2(mine: Path, tmp_path: Pat
 
 
 @pytest.mark.recordings
-def test_no_public_data_set_has_a_labelled_change_of_context_so_that_the_default_stays(
+def test_no_public_data_set_has_a_labelled_change_of_context_so_the_default_is_kept(
     data_dir: Path, tmp_path: Path
 ) -> None:
     paths = [p for d in PLANS[0].datasets for p in sorted((data_dir / d).glob("*.zip"))[::8]]
     changing = changing_recordings(paths)
-    # several activities in one recording, but between their labels is what nobody labelled
+    # several activities in one recording, but the times between their labels are unlabelled
     assert len(paths) > 20 and {person.split("/")[0] for person in changing.values()} == {"difronzo"}
     sequences = labelled_sequences(changing, lambda people: load_model("context"))
     assert sequences is not None

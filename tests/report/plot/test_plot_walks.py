@@ -19,7 +19,7 @@ from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.report import plot
 from pdr_filter.report.palette import context_colours
 from pdr_filter.tracking.track import Track
-from pdr_filter.values import CONTEXTS, Step, step_table
+from pdr_filter.values import CONTEXTS, FixOutcome, FixResult, RangeFix, Step, step_table
 
 PNG = b"\x89PNG"
 
@@ -163,6 +163,30 @@ def test_time_without_windows_stays_empty() -> None:
         return any(path.contains_point((time_s, y)) for path in drawn for y in (0.25, 0.5, 0.75))
 
     assert [is_covered(time_s) for time_s in (0.5, 4.5, 6.5, 8.5, 10.5)] == [True, True, False, True, True]
+
+
+def ranges_of(*ranges: tuple[tuple[float, float], FixOutcome]) -> tuple[FixResult, ...]:
+    fixes = [
+        (RangeFix(float(t), np.array(anchor_m), 3.0, 0.3), outcome) for t, (anchor_m, outcome) in enumerate(ranges)
+    ]
+    return tuple(FixResult.of(fix, fix.time_s, outcome) for fix, outcome in fixes)
+
+
+def test_anchors_whose_ranges_were_used_are_drawn_once_and_named() -> None:
+    fixes = ranges_of(((9.0, -4.0), "used"), ((9.0, -4.0), "rejected"), ((2.0, 8.0), "used"), ((50.0, 0.0), "waiting"))
+    axes = plot.way(replace(make_track(10, 3), fixes=fixes))
+    (anchors,) = [line for line in axes.lines if line.get_marker() == "^"]
+    np.testing.assert_array_equal(anchors.get_xydata(), [[2.0, 8.0], [9.0, -4.0]])
+    (low, high), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    assert low < 0 and high > 9.0 and bottom < -4.0 and top > 8.0
+    assert "anchor of ranges" in [text.get_text() for text in axes.get_legend().get_texts()]
+    plain = plot.way(make_track(10, 3))
+    assert "anchor of ranges" not in [text.get_text() for text in plain.get_legend().get_texts()]
+
+
+def test_anchors_turn_with_the_track() -> None:
+    track = replace(make_track(10, 3), fixes=ranges_of(((0.0, 4.0), "used")))
+    np.testing.assert_allclose(track.turned(np.pi / 2).anchors_m, [[4.0, 0.0]], atol=1e-12)
 
 
 def test_the_true_way_is_drawn_where_it_is_given() -> None:

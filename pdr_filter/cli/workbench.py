@@ -1,0 +1,95 @@
+"""Command `pdr-filter app`: the local workbench in a browser."""
+
+from __future__ import annotations
+
+import asyncio
+import webbrowser
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pdr_filter.cli import console
+from pdr_filter.cli.live import Address, bound, served, until_exit
+
+if TYPE_CHECKING:
+    import socket
+
+    from pdr_filter.live.hub import Live
+    from pdr_filter.workbench.hub import Workbench
+
+
+def app(
+    address: Address,
+    folder: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="Folder of walks; made if it is not there.")
+    ] = Path(),
+    tiles: Annotated[str, typer.Option(metavar="URL", help="Map tiles: an address with {z}, {x} and {y} in it.")] = "",
+    texts: Annotated[Path | None, typer.Option(help="JSON file with translated texts of the pages.")] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes; one for each core if not given.")] = None,
+    browser: Annotated[bool, typer.Option(help="Open the page in a browser.")] = True,
+) -> None:
+    """Open the walks of a folder in a browser: mark known points, place and export them, and draw floor plans.
+
+    Nothing leaves the machine. docs/workbench.md shows how.
+    """
+    with console.one_line_errors(), ExitStack() as opened:
+        try:
+            import PIL  # noqa: F401  # comes with matplotlib
+            import shapely  # noqa: F401
+            import uvicorn
+
+            from pdr_filter.live.access import is_loopback, made_token
+            from pdr_filter.live.certificate import certificate
+            from pdr_filter.live.hub import Live
+            from pdr_filter.live.settings import Settings
+            from pdr_filter.workbench.hub import Workbench
+            from pdr_filter.workbench.server import app as application
+            from pdr_filter.workbench.server import read_texts
+            from pdr_filter.workbench.walks import HIDDEN, PHONES
+        except ImportError as error:
+            raise ValueError(f'app needs a web server ({error}): pip install "pdr_filter[app]"') from None
+        known = read_texts(texts)
+        folder = folder.resolve()
+        folder.mkdir(parents=True, exist_ok=True)
+        is_open = not is_loopback(address.host)
+        token = (address.token or made_token(folder / HIDDEN)) if is_open or address.token else ""
+        workbench = Workbench(folder, jobs)
+        live = Live(Settings(), folder / PHONES) if is_open else None
+        certified: dict[str, Any] = {}
+        if address.https:
+            certified["ssl_certfile"] = certificate(folder / PHONES / "certificate", address.name)
+        listening = opened.enter_context(bound(address.host, address.port))
+        root, query = address.address(listening.getsockname()[1]), f"?token={token}" if token else ""
+        phone = f"{root}/live/{'phone' if address.https else 'data'}{query}" if is_open else ""
+        made = application(workbench, live, token, tiles, f"{root}/{query}", phone, known)
+        config = uvicorn.Config(
+            made, **certified, log_level="warning", access_log=False, timeout_graceful_shutdown=2, lifespan="off"
+        )
+
+        def say(_: int) -> None:
+            out = console.stderr()
+            out.print(f"workbench    {root}/{query}")
+            if phone:
+                out.print(f"phones send  {phone}")
+            out.print("Ctrl+C ends it.")
+            if browser:
+                webbrowser.open(f"{root}/{query}")
+
+        asyncio.run(_run(workbench, live, uvicorn.Server(config), listening, say))
+
+
+async def _run(
+    workbench: Workbench, live: Live | None, server: Any, listening: socket.socket, say: Callable[[int], None]
+) -> None:
+    """Serve while the workers run."""
+    shared = [workbench] if live is None else [workbench, live]
+    try:
+        for each in shared:
+            await each.start()
+        await served(server, listening, [until_exit(server, each.end_readers) for each in shared], say)
+    finally:
+        for each in shared:
+            await each.stop()

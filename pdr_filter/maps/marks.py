@@ -1,0 +1,190 @@
+"""Marks of a walk: plain files beside its recording that say where the pedestrian was and who walked.
+
+- `fixes.csv`: known positions, `time_s,east_m,north_m,std_m`, with `heading_deg,heading_std_deg` where known.
+- `loop_closures.csv`: two times at one place, `first_s,second_s,std_m`.
+- `person.json`: step lengths of the person, as `Person.save` or `pdr_filter.Calibration.save` writes them.
+- `walk.json`: an object with any of `person` (name), `height_m`, `is_loop`, `origin` (latitude and longitude in
+  degrees), `plan` (path of a floor plan, relative to the folder of the marks) and `keep_on_plan`.
+
+`pdr-filter smooth` and `pdr-filter app` read the same files with `read_marks`, so their results are the same.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pdr_filter.io.files.archive import outside
+from pdr_filter.io.files.safe_files import read_json, read_small, whole_file
+from pdr_filter.io.fix_files import fixes_of_file, loop_closures_of_file
+from pdr_filter.io.folders import only_recording_in
+from pdr_filter.maps.floor_plan import FloorPlan
+from pdr_filter.values import Origin, limits
+from pdr_filter.values.recording import Recording, check_height
+from pdr_filter.values.sanitise import file_name
+
+if TYPE_CHECKING:
+    from pdr_filter.offline.smoothing.observations import LoopClosure
+    from pdr_filter.values import HeadingFix, PositionFix
+
+FIXES, LOOP_CLOSURES, PERSON, WALK = NAMES = ("fixes.csv", "loop_closures.csv", "person.json", "walk.json")
+# Complete set of new files while a save replaces the old ones; present only after a kill in the middle of a save.
+_UNFINISHED = ".marks.json"
+_COLUMNS = {
+    FIXES: ("time_s", "east_m", "north_m", "std_m", "heading_deg", "heading_std_deg"),
+    LOOP_CLOSURES: ("first_s", "second_s", "std_m"),
+}
+_KINDS: dict[str, type | tuple[type, ...]] = {
+    "person": str,
+    "height_m": (int, float),
+    "is_loop": bool,
+    "origin": list,
+    "plan": str,
+    "keep_on_plan": bool,
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Marks:
+    """Marks of one walk; `walk` is the content of `walk.json`."""
+
+    folder: Path
+    fixes: tuple[PositionFix | HeadingFix, ...] = ()
+    loop_closures: tuple[LoopClosure, ...] = ()
+    person: Path | None = None
+    walk: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    names: tuple[str, ...] = ()  # of the files that exist
+
+    @property
+    def plan(self) -> Path | None:
+        """Path of the floor plan."""
+        return (self.folder / self.walk["plan"]).resolve() if self.walk.get("plan") else None
+
+    def recording(self, recording: Recording) -> Recording:
+        """Return the recording of a person of the marked height."""
+        height_m = self.walk.get("height_m")
+        return recording if height_m is None else recording.of_height(height_m)
+
+    def arguments(self) -> dict[str, Any]:
+        """Arguments of `pdr_filter.smooth`. A floor plan in degrees also gives the origin if `walk.json` has none."""
+        found: dict[str, Any] = {"fixes": list(self.fixes), "loop_closures": list(self.loop_closures)}
+        if self.person is not None:
+            found["person"] = self.person
+        if self.walk.get("is_loop"):
+            found["loop"] = True
+        origin = None if self.walk.get("origin") is None else Origin.of(tuple(self.walk["origin"]))
+        if self.plan is not None and (self.fixes or self.walk.get("keep_on_plan")):
+            plan = FloorPlan.read(self.plan, origin)
+            origin = origin or plan.origin
+            if self.walk.get("keep_on_plan"):
+                found["plan"] = plan
+        if origin is not None:
+            found["origin"] = origin
+        return found
+
+
+def marks_folder(recording: Path) -> Path:
+    """Return the folder of the marks of a recording.
+
+    A recording that is a folder has its marks inside. A file in a folder of its own name, such as walk/walk.zip, has
+    them in this folder. Any other file has a folder beside it: walk.zip.marks.
+    """
+    path, inside = outside(only_recording_in(recording))
+    if inside:
+        return (path if path.is_dir() else path.parent) / f"{file_name(f'{path.name}.{inside}')}.marks"
+    if path.is_dir():
+        return path
+    return path.parent if path.parent.name == path.stem else path.with_name(f"{path.name}.marks")
+
+
+def read_marks(recording: str | Path) -> Marks:
+    """Return the marks of the recording at a path; ValueError names the file and the remedy."""
+    return marks_in(marks_folder(Path(recording)))
+
+
+def marks_in(folder: Path) -> Marks:
+    """Return the marks in a folder; ValueError names the file and the remedy."""
+    if (folder / _UNFINISHED).exists():
+        _finish(folder)
+    found = [name for name in NAMES if (folder / name).exists()]
+    walk = read_json(folder / WALK, limits.MAX_SMALL_BYTES) if WALK in found else {}
+    _check_walk(walk, folder / WALK)
+    return Marks(
+        folder,
+        tuple(fixes_of_file(folder / FIXES)) if FIXES in found else (),
+        tuple(loop_closures_of_file(folder / LOOP_CLOSURES)) if LOOP_CLOSURES in found else (),
+        folder / PERSON if PERSON in found else None,
+        walk,
+        tuple(found),
+    )
+
+
+def mark_files(folder: Path) -> dict[str, bytes]:
+    """Return the contents of the files of marks in a folder, by name."""
+    if (folder / _UNFINISHED).exists():
+        _finish(folder)
+    return {n: read_small(folder / n, limits.MAX_WHOLE_BYTES) for n in NAMES if (folder / n).exists()}
+
+
+def version_of(files: Mapping[str, bytes]) -> str:
+    """Checksum of the files of marks, by which a change by someone else is noticed."""
+    return hashlib.sha256(b"\0".join(p for n in sorted(files) for p in (n.encode(), files[n]))).hexdigest()[:16]
+
+
+def write_mark_files(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Replace all files of marks in a folder. A kill at any moment leaves all the old ones or all the new ones."""
+    old = mark_files(folder)
+    if dict(files) == old:
+        return
+    with whole_file(folder / _UNFINISHED) as file:
+        file.write(json.dumps({name: content.decode() for name, content in files.items()}).encode())
+    _finish(folder)
+
+
+def _finish(folder: Path) -> None:
+    """Complete a save whose new files are all on the disk under another name."""
+    new = read_json(folder / _UNFINISHED, 4 * limits.MAX_WHOLE_BYTES)
+    for name in NAMES:
+        if name not in new:
+            (folder / name).unlink(missing_ok=True)
+        elif not (folder / name).exists() or (folder / name).read_bytes() != new[name].encode():
+            with whole_file(folder / name) as file:
+                file.write(new[name].encode())
+    (folder / _UNFINISHED).unlink()
+
+
+def table_rows(name: str, content: bytes) -> list[list[float | None]]:
+    """Return the rows of a CSV file of marks in the order of its columns; None where a cell is empty."""
+    rows = csv.DictReader(io.StringIO(content.decode()))
+    return [[float(row[c]) if row.get(c) else None for c in _COLUMNS[name]] for row in rows]
+
+
+def table_bytes(name: str, rows: list[list[float | None]]) -> bytes:
+    """Return a CSV file of marks with all digits; the columns of headings only where one is known."""
+    columns = _COLUMNS[name]
+    if name == FIXES and all(row[4] is None for row in rows):
+        columns = columns[:4]
+    lines = [",".join("" if v is None else repr(float(v)) for v in row[: len(columns)]) for row in rows]
+    return ("\n".join([",".join(columns), *lines]) + "\n").encode()
+
+
+def _check_walk(walk: Any, path: Path) -> None:
+    """Raise ValueError unless the content of `walk.json` is known and plausible."""
+    if not isinstance(walk, dict) or walk.keys() - _KINDS.keys():
+        raise ValueError(f"{path}: must be an object with {', '.join(_KINDS)}, got {str(walk)[:80]}; correct it")
+    for name, value in walk.items():
+        if not isinstance(value, _KINDS[name]) or (isinstance(value, bool) and _KINDS[name] is not bool):
+            raise ValueError(f"{path}: {name} is {str(value)[:80]!r}, which has another type; correct it")
+    try:
+        if "height_m" in walk:
+            check_height(walk["height_m"])
+        if "origin" in walk:
+            Origin.of(tuple(walk["origin"]))
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None

@@ -1,0 +1,177 @@
+"""Hub of the workbench: background work on all cores, quick answers for the open walk, and events for pages."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import shutil
+import time
+from collections.abc import AsyncIterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from pdr_filter.batch.worker_process import LostError, WorkerProcess
+from pdr_filter.io.files.safe_files import write_text
+from pdr_filter.live.hub import Reader
+from pdr_filter.workbench.walks import HIDDEN, Walk, Walks
+from pdr_filter.workbench.worker import Request, make_worker, progress_of
+
+# Between two searches for new recordings.
+_SCAN_S = 5.0
+_PROGRESS_S = 0.5
+# A recording that has just changed may still be growing.
+_GROWING_S = 5.0
+_MAX_READERS = 50
+
+
+class FailedError(ValueError):
+    """A request that a worker could not answer; `errno` as of an OSError, or 0."""
+
+    def __init__(self, reason: str, errno: int = 0) -> None:
+        super().__init__(reason)
+        self.errno = errno
+
+
+class _Process:
+    """Worker process with a thread of its own. Its requests are answered one after the other."""
+
+    def __init__(self, cache: Path) -> None:
+        self._process = WorkerProcess(make_worker, str(cache), n_threads=1)
+        self._thread = ThreadPoolExecutor(1)
+
+    async def ask(self, request: Request) -> Any:
+        """Return the answer; FailedError with the reason if there is none."""
+        try:
+            answer = await asyncio.get_running_loop().run_in_executor(self._thread, self._process.ask, request)
+        except LostError as error:
+            raise FailedError(f"{error}: the file is too large, or it crashes the reader") from None
+        if isinstance(answer, dict) and "error" in answer:
+            raise FailedError(answer["error"], answer.get("errno") or 0)
+        return answer
+
+    def close(self) -> None:
+        self._process.close()
+        self._thread.shutdown(wait=False)
+
+
+class Workbench:
+    """State of a running workbench."""
+
+    def __init__(self, folder: Path, n_processes: int | None = None) -> None:
+        self.folder, self.walks = folder, Walks(folder)
+        self.cache = folder / HIDDEN / "cache"
+        self.incoming = folder / HIDDEN / "incoming"
+        self._quick = _Process(self.cache)
+        self._others = [_Process(self.cache) for _ in range(n_processes or os.cpu_count() or 1)]
+        self._waiting: asyncio.Queue[Walk] = asyncio.Queue()
+        self._readers: set[Reader] = set()
+        self._tasks: list[asyncio.Task[None]] = []
+        self._is_ending = False
+        self._scanning, self._scanned_s = asyncio.Lock(), -_SCAN_S
+
+    async def start(self) -> None:
+        """Begin the work in the background; OSError if the folder cannot be written."""
+        shutil.rmtree(self.incoming, ignore_errors=True)  # of a server that was killed
+        for folder in (self.cache, self.incoming):
+            folder.mkdir(parents=True, exist_ok=True)
+        write_text(self.cache.parent / ".gitignore", "*\n")
+        self._tasks = [asyncio.create_task(self._work(process)) for process in self._others]
+        self._tasks.append(asyncio.create_task(self._watch()))
+
+    async def stop(self) -> None:
+        """End the worker processes."""
+        self.end_readers()
+        for task in self._tasks:
+            task.cancel()
+        for process in (self._quick, *self._others):
+            process.close()
+
+    async def scan(self, is_forced: bool = False) -> None:
+        """Look for new recordings, unless that was done just before."""
+        async with self._scanning:
+            if time.monotonic() - self._scanned_s < _SCAN_S and not is_forced:
+                return
+            known = set(self.walks.by_id)
+            for walk in await asyncio.to_thread(self.walks.scan):
+                self._waiting.put_nowait(walk)
+                self.tell(walk.event())
+            for id in known - set(self.walks.by_id):
+                self.tell({"event": "gone", "id": id})
+            self._scanned_s = time.monotonic()
+
+    async def quick(self, method: str, *arguments: Any) -> Any:
+        """Return the answer of the process that serves open pages."""
+        return await self._quick.ask(Request(method, arguments))
+
+    async def show(self, walk: Walk) -> dict[str, Any]:
+        """Return the summary of an open walk with its present marks; the next ones are answered quickly."""
+        walk.summary = await self.quick("walk", str(walk.path), True)
+        walk.state, walk.reason = "done", ""
+        self.tell(walk.event())
+        return walk.summary
+
+    async def _work(self, process: _Process) -> None:
+        while True:
+            walk = await self._waiting.get()
+            if time.time() - walk.stamp[1] / 1e9 < _GROWING_S and walk.path.is_dir():
+                await asyncio.sleep(1.0)
+                self._waiting.put_nowait(walk)
+                continue
+            walk.state = "working"
+            self.tell(walk.event())
+            try:
+                walk.summary = await process.ask(Request("walk", (str(walk.path),)))
+                walk.state, walk.reason = "done", ""
+            except FailedError as error:
+                walk.state, walk.reason = "failed", str(error).replace(f"{self.folder}/", "")
+            self.tell(walk.event())
+
+    async def _watch(self) -> None:
+        """Tell pages the progress of each file, and look for new recordings while a page is open."""
+        while True:
+            await asyncio.sleep(_PROGRESS_S)
+            if not self._readers:
+                continue
+            for walk in list(self.walks.by_id.values()):
+                if walk.state == "working":
+                    self.tell({"event": "progress", "id": walk.id, "done": progress_of(self.cache, str(walk.path))})
+            if time.monotonic() - self._scanned_s > 2 * _SCAN_S:
+                with suppress(OSError):
+                    await self.scan()
+
+    # --- events ---
+
+    def tell(self, event: dict[str, Any]) -> None:
+        """Send an event to all pages."""
+        text = json.dumps(event)
+        for reader in self._readers:
+            reader.put(text)
+
+    def end_readers(self) -> None:
+        """End the events of all pages."""
+        self._is_ending = True
+        for reader in self._readers:
+            reader.put("")
+
+    @property
+    def is_full(self) -> bool:
+        """Whether there are as many readers as allowed."""
+        return len(self._readers) >= _MAX_READERS
+
+    async def events(self) -> AsyncIterator[str]:
+        """Yield the state of all walks, then each event; "" now and then while there is none."""
+        reader = Reader()
+        self._readers.add(reader)
+        try:
+            while not self._is_ending:
+                if reader.is_stale:
+                    reader.clear()
+                    yield json.dumps({"event": "all", "walks": [w.event() for w in self.walks.by_id.values()]})
+                text = await reader.get()
+                if not self._is_ending:
+                    yield text
+        finally:
+            self._readers.discard(reader)

@@ -1,0 +1,251 @@
+"""Marks beside recordings: what is written, read back and used by the command line, through kills and by two pages."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from benches import Client, short_walk, with_bench
+
+import pdr_filter as pdr
+from pdr_filter.maps.marks import FIXES, WALK, mark_files, marks_folder, read_marks, table_bytes, write_mark_files
+from pdr_filter.offline.smoothing.smooth import DeadReckoning
+from pdr_filter.workbench.worker import Worker, checksum_of
+
+FIRST, SECOND = [2.0, 0.0, 0.0, 0.5, None, None], [35.0, 3.0, 20.0, 0.5, None, None]
+
+
+def test_smoothing_with_a_memory_has_the_bits_of_smoothing_without() -> None:
+    recording, memory = short_walk(), DeadReckoning()
+    fixes = [pdr.PositionFix(2.0, (0.0, 0.0), np.eye(2)), pdr.PositionFix(35.0, (3.0, 20.0), np.eye(2))]
+    alone = pdr.smooth(recording, fixes, loop=True)
+    pdr.smooth(recording, memory=memory)
+    kept = memory._found
+    again = pdr.smooth(recording, fixes, loop=True, memory=memory)
+    assert memory._found is kept
+    np.testing.assert_array_equal(again.track.position_m, alone.track.position_m)
+    np.testing.assert_array_equal(again.track.position_cov_m2, alone.track.position_cov_m2)
+    assert again.notes == alone.notes
+    taller = pdr.smooth(recording.of_height(2.0), fixes, memory=memory)
+    assert memory._found is not kept
+    assert taller.track.distance_m != alone.track.distance_m
+
+
+def test_marks_are_in_a_recording_that_is_a_folder_and_beside_one_that_is_a_file(tmp_path: Path) -> None:
+    folder, file = short_walk().save(tmp_path / "a"), short_walk().save(tmp_path / "b.zip")
+    own = short_walk().save(tmp_path / "c" / "c.zip")
+    assert marks_folder(folder) == folder
+    assert marks_folder(file) == tmp_path / "b.zip.marks"
+    assert marks_folder(own) == marks_folder(tmp_path / "c") == tmp_path / "c"
+    before = pdr.read(folder)
+    write_mark_files(folder, {FIXES: table_bytes(FIXES, [FIRST]), WALK: b'{"is_loop": true}'})
+    after = pdr.read(folder)
+    assert (after.notes, after.meta, set(after.streams)) == (before.notes, before.meta, set(before.streams))
+
+
+def test_a_heading_beside_a_fix_turns_the_walk(tmp_path: Path) -> None:
+    path = short_walk().save(tmp_path / "walk.zip")
+    start = pdr.smooth(pdr.read(path)).track
+    east = [5.0, 100.0, 50.0, 0.5, 90.0, 3.0]
+    write_mark_files(marks_folder(path), {FIXES: table_bytes(FIXES, [east])})
+    marks = read_marks(path)
+    turned = pdr.smooth(pdr.read(path), **marks.arguments()).track
+    row = int(np.searchsorted(start.time_s, 5.0))
+    assert np.degrees(turned.walking_heading_rad[row]) == pytest.approx(90.0, abs=3.0)
+    assert np.hypot(*(turned.position_m[row] - [100.0, 50.0])) < 2.0
+    assert turned.distance_m == pytest.approx(start.distance_m, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ('{"height_m": 18}', "height"),
+        ('{"origin": [100, 200]}', "latitude"),
+        ('{"is_loop": 1}', "is_loop"),
+        ('{"hight_m": 1.8}', "height_m"),
+        ("[]", "object"),
+    ],
+)
+def test_marks_that_cannot_be_used_are_refused_with_file_and_reason(tmp_path: Path, content: str, words: str) -> None:
+    path = short_walk().save(tmp_path / "walk")
+    (path / WALK).write_text(content)
+    with pytest.raises(ValueError, match=rf"walk\.json.*{words}"):
+        read_marks(path)
+
+
+def test_the_command_line_smooths_with_the_marks_to_the_same_bits_as_the_workbench(tmp_path: Path) -> None:
+    path = short_walk().save(tmp_path / "walk.zip")
+    worker = Worker(tmp_path / "cache")
+    worker.walk(str(path), True)  # the memory has the walk without marks
+    walk = {"height_m": 1.6, "is_loop": True, "origin": [48.1, 11.5], "person": "Ann"}
+    files = {FIXES: table_bytes(FIXES, [FIRST, SECOND]), WALK: json.dumps(walk).encode()}
+    write_mark_files(marks_folder(path), files)
+    name, content = worker.export(str(path), "csv")
+    command = [sys.executable, "-m", "pdr_filter", "smooth", str(path), "--out", str(tmp_path)]
+    said = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "fixes.csv" in said.stderr
+    assert content == (tmp_path / name).read_bytes()
+    assert b"latitude_deg" in content
+
+
+def test_results_are_kept_by_the_content_of_recording_and_marks(tmp_path: Path) -> None:
+    path = short_walk().save(tmp_path / "walk")
+    worker = Worker(tmp_path / "cache")
+    first = worker.walk(str(path))
+    report = tmp_path / "cache" / f"{first['key']}.html"
+    written_ns = report.stat().st_mtime_ns
+    os.utime(path / "accelerometer.csv")
+    moved = path.rename(tmp_path / "other")
+    assert Worker(tmp_path / "cache").walk(str(moved)) == first
+    assert report.stat().st_mtime_ns == written_ns
+    checksum = checksum_of(moved)
+    write_mark_files(moved, {WALK: b'{"is_loop": true}'})
+    assert checksum_of(moved) == checksum
+    assert worker._key(moved, checksum) != first["key"]
+    with (moved / "gyroscope.csv").open("a") as file:
+        file.write("\n")
+    assert checksum_of(moved) != checksum
+
+
+def test_edits_are_taken_back_and_made_again(tmp_path: Path) -> None:
+    short_walk().save(tmp_path / "walk")
+
+    async def scenario(client: Client) -> None:
+        walk = await client.walk("walk")
+        empty = await client.get(walk)
+        assert (empty["can_undo"], empty["can_redo"]) == (False, False)
+        one = await client.edit(walk, fixes=[FIRST])
+        two = await client.edit(walk, fixes=[SECOND, FIRST])
+        assert two["marks"]["fixes"] == [FIRST, SECOND]  # by time
+        state = two
+        for wanted in (one, empty):
+            state = await client.post(f"{walk}/undo", {"version": state["version"]})
+            assert state["marks"] == wanted["marks"]
+        assert not (tmp_path / "walk" / FIXES).exists()
+        assert (state["can_undo"], state["can_redo"]) == (False, True)
+        await client.post(f"{walk}/undo", {"version": state["version"]}, 409)
+        for wanted in (one, two):
+            state = await client.post(f"{walk}/redo", {"version": state["version"]})
+            assert state["marks"] == wanted["marks"]
+        # an edit between forbids the way forward
+        state = await client.post(f"{walk}/undo", {"version": state["version"]})
+        state = await client.edit(walk, walk={"is_loop": True})
+        assert not state["can_redo"]
+
+    with_bench(tmp_path, scenario)
+
+
+def test_of_two_browsers_the_later_one_is_told_and_nothing_is_lost(tmp_path: Path) -> None:
+    short_walk().save(tmp_path / "walk")
+
+    async def scenario(client: Client) -> None:
+        walk = await client.walk("walk")
+        version = (await client.get(walk))["version"]
+        await client.edit(walk, fixes=[FIRST])
+        answer = await client.edit(walk, 409, version=version, fixes=[SECOND])
+        assert "another browser" in answer["error"]
+        assert (await client.get(walk))["marks"]["fixes"] == [FIRST]
+        # also an edit of another program
+        version = (await client.get(walk))["version"]
+        with (tmp_path / "walk" / FIXES).open("a") as file:
+            file.write("20.0,1.0,1.0,0.5\n")
+        await client.edit(walk, 409, version=version, fixes=[SECOND])
+        await client.post(f"{walk}/undo", {"version": version}, 409)
+        assert len((await client.get(walk))["marks"]["fixes"]) == 2
+
+    with_bench(tmp_path, scenario)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"fixes": [[1.0, 0.0, 0.0, 0.0, None, None]]},
+        {"fixes": [[None, 0.0, 0.0, 0.5, None, None]]},
+        {"fixes": [[1.0, 0.0, 0.0, 0.5, 90.0, -1.0]]},
+        {"loop_closures": [[20.0, 10.0, 0.5]]},
+        {"walk": {"height_m": 18}},
+        {"walk": {"plan": "../../etc/passwd"}},
+        {"walk": {"unknown": 1}},
+        {"fixes": "x"},
+    ],
+)
+def test_an_edit_that_cannot_be_used_changes_nothing(tmp_path: Path, changes: dict[str, object]) -> None:
+    short_walk().save(tmp_path / "walk")
+
+    async def scenario(client: Client) -> None:
+        walk = await client.walk("walk")
+        await client.edit(walk, fixes=[FIRST])
+        before = mark_files(tmp_path / "walk")
+        answer = await client.edit(walk, 400, **changes)
+        assert answer["error"]
+        assert mark_files(tmp_path / "walk") == before
+
+    with_bench(tmp_path, scenario)
+
+
+def test_the_step_length_of_a_person_is_used_by_other_walks_only(tmp_path: Path) -> None:
+    short_walk().save(tmp_path / "a")
+    short_walk().save(tmp_path / "b")
+
+    async def scenario(client: Client) -> None:
+        first, second = await client.walk("a"), await client.walk("b")
+        await client.post(f"{first}/teach", {}, 400)  # no name yet
+        await client.edit(first, walk={"person": "Ann"}, fixes=[FIRST, SECOND])
+        found = await client.post(f"{first}/teach", {})
+        assert 0.3 < found["step_length_m"] < 1.2
+        assert not (tmp_path / "a" / "person.json").exists()
+        await client.edit(second, walk={"person": "Ann"})
+        assert (tmp_path / "b" / "person.json").read_bytes() == (tmp_path / "people" / "Ann.json").read_bytes()
+        assert read_marks(tmp_path / "b").arguments()["person"].name == "person.json"
+        await client.edit(second, walk={})
+        assert not (tmp_path / "b" / "person.json").exists()
+
+    with_bench(tmp_path, scenario)
+
+
+SAVING = """
+import sys
+from pathlib import Path
+from pdr_filter.maps.marks import write_mark_files
+print("ready", flush=True)
+while True:
+    for n in (1, 2):
+        fixes = b"time_s,east_m,north_m\\n" + b"%d,0,0\\n" % n * 2000
+        write_mark_files(Path(sys.argv[1]), {"fixes.csv": fixes, "walk.json": b'{"height_m": 1.%d}' % n})
+"""
+
+
+def test_a_kill_during_a_save_leaves_the_old_marks_or_the_new_ones(tmp_path: Path) -> None:
+    """Both files are always of one save."""
+    seen: set[int] = set()
+    for k in range(12):
+        process = subprocess.Popen([sys.executable, "-c", SAVING, str(tmp_path)], stdout=subprocess.PIPE)
+        assert process.stdout is not None
+        process.stdout.readline()
+        time.sleep(0.02 + 0.007 * k)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        process.stdout.close()
+        files = mark_files(tmp_path)
+        if not files:
+            continue
+        n = int(files[WALK][-2:-1])
+        assert files[FIXES] == b"time_s,east_m,north_m\n" + b"%d,0,0\n" % n * 2000
+        assert set(p.name for p in tmp_path.iterdir() if not p.name.endswith(".part")) == {FIXES, WALK}
+        seen.add(n)
+    assert seen
+
+
+def test_a_save_that_was_cut_off_between_two_files_is_completed(tmp_path: Path) -> None:
+    write_mark_files(tmp_path, {FIXES: table_bytes(FIXES, [FIRST]), WALK: b'{"is_loop": true}'})
+    new = {FIXES: table_bytes(FIXES, [SECOND]).decode()}
+    (tmp_path / ".marks.json").write_text(json.dumps(new))  # all is written, nothing replaced
+    assert mark_files(tmp_path) == {FIXES: new[FIXES].encode()}
+    assert [path.name for path in tmp_path.iterdir()] == [FIXES]
