@@ -7,6 +7,7 @@ from the code. A part of a message that depends on the data is shown as an ellip
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
@@ -129,8 +130,8 @@ def _in_notes(node: ast.Call, texts: Texts) -> bool:
 
 
 def _trimmed(text: str) -> str:
-    """Text without the name of a file or stream before it."""
-    return text.removeprefix(f"{ANY}: ").strip()
+    """Text without the name of a file or stream before it, and with one ellipsis for adjacent values."""
+    return re.sub(f"{ANY}+", ANY, text).removeprefix(f"{ANY}: ").strip()
 
 
 def note_lists() -> dict[str, str]:
