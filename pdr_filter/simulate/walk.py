@@ -305,6 +305,6 @@ def _meta(name: str, gait: Gait, carrying_mode: str, rate_hz: float, seed: int) 
             "placement": carrying_mode,
             "nominal_rate_hz": rate_hz,
             "truth": "exact",
-            "notes": f"Simulated, nobody walked this; seed {seed}.",
+            "notes": f"Simulated walk without a real person, seed {seed}.",
         }
     )

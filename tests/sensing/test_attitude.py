@@ -117,7 +117,7 @@ def test_a_full_turn_clockwise_is_not_wrapped() -> None:
     assert attitude.device_heading_rad[-1] == pytest.approx(2 * np.pi, abs=1e-3)
 
 
-def test_nodding_is_no_turn() -> None:
+def test_nodding_does_not_change_the_heading() -> None:
     t = (np.arange(1000) + 0.5) / 100
     nod_rad, nod_rate = 0.5 * np.sin(2 * t), np.cos(2 * t)
     up = np.column_stack([np.zeros(1000), np.sin(nod_rad), np.cos(nod_rad)])
@@ -139,9 +139,9 @@ def test_nodding_is_no_turn() -> None:
 
 @pytest.mark.parametrize("rate_hz", [50.0, 100.0, 200.0])
 @pytest.mark.parametrize("tilt", ["reading", "upside down in the pocket"])
-def test_a_wobble_is_no_turn_however_often_it_goes_round(tilt: str, rate_hz: float) -> None:
+def test_a_wobble_does_not_change_the_heading_after_any_number_of_revolutions(tilt: str, rate_hz: float) -> None:
     t = np.arange(int(20 * rate_hz) + 1) / rate_hz
-    around = 2 * np.pi * t  # up goes round a cone of 12 degrees once a second
+    around = 2 * np.pi * t  # up moves around a cone of 12 degrees once a second
     axis = np.column_stack([np.cos(around), np.sin(around), np.zeros(len(t))])
     attitudes = Rotation.from_rotvec(np.deg2rad(12) * axis) * TILTS[tilt]
     block = moving(attitudes, rate_hz)
@@ -198,7 +198,7 @@ def test_without_angular_rate_up_is_still_known_and_the_heading_stands_still(up_
 
 def test_when_the_angular_rate_goes_missing_the_heading_stays_where_it_was() -> None:
     estimator, up = AttitudeEstimator(), np.array([0.0, 0.0, 1.0])
-    # a bias of 1 deg/s, learnt at rest, must not turn the heading while the rate is missing
+    # a bias of 1 deg/s, estimated at rest, must not turn the heading while the rate is missing
     state, rest = estimator.update(estimator.init(), samples(up, np.full(2000, np.deg2rad(1.0))))
     late_drift = rest.device_heading_rad[-1] - rest.device_heading_rad[-500]
     assert abs(late_drift) < 0.1 * np.deg2rad(5.0)
@@ -206,7 +206,7 @@ def test_when_the_angular_rate_goes_missing_the_heading_stays_where_it_was() -> 
     np.testing.assert_array_equal(missing.device_heading_rad, rest.device_heading_rad[-1])
 
 
-def test_after_a_gap_up_is_found_afresh_and_the_heading_goes_on() -> None:
+def test_after_a_gap_up_is_estimated_again_and_the_heading_continues() -> None:
     estimator = AttitudeEstimator()
     flat, upright = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0])
     state, before = estimator.update(estimator.init(), samples(flat, np.full(1000, -0.3)))
@@ -224,7 +224,7 @@ def test_a_biased_phone_in_corridors_drifts_less_the_longer_it_is_carried(bias: 
     assert abs(error[-1]) < 0.05 + 0.25 * 120 * bias
 
 
-def test_the_bias_of_all_axes_is_taken_off_before_the_inclination() -> None:
+def test_the_bias_of_all_axes_is_subtracted_before_the_inclination_is_estimated() -> None:
     # uncorrected, 0.1 rad/s about a level axis and 3 s to correct it tilt the vertical by up to 0.3 rad
     block, _, up = a_walk(80, 2, np.array([0.1, 0.0, 0.0]))
     _, [attitude] = attitude_of(block)
@@ -232,8 +232,8 @@ def test_the_bias_of_all_axes_is_taken_off_before_the_inclination() -> None:
     assert tilt[800:].max() < 0.1
 
 
-def test_the_error_of_the_heading_rate_shrinks_with_what_is_learnt_and_is_about_the_vertical() -> None:
-    # the field tells the bias about up, so what is left is about the other axes
+def test_the_standard_deviation_of_the_heading_rate_shrinks_and_is_about_the_vertical() -> None:
+    # the field determines the bias about up, so the remaining error is about the other axes
     block, _, _ = a_walk(60, 3, np.zeros(3))
     no_rest = GyroBias(still_gyr_radps=1e-9)
     estimator = AttitudeEstimator(bias=no_rest)
@@ -249,7 +249,7 @@ def test_the_error_of_the_heading_rate_shrinks_with_what_is_learnt_and_is_about_
     assert np.sqrt(up @ cov @ up) == pytest.approx(attitude.yaw_bias_std_radps[-1], rel=1e-9)
 
 
-def test_a_filter_saved_in_the_middle_goes_on_with_the_same_bits() -> None:
+def test_a_saved_filter_continues_with_the_same_bits() -> None:
     block, _, _ = a_walk(70, 4, np.array([0.01, 0.02, -0.01]))
     first, second = cut_uniform(block, [3333])
     estimator = AttitudeEstimator()

@@ -18,7 +18,7 @@ NO_FIELD = np.zeros(3)
 
 @dataclass
 class Phone:
-    """A phone whose heading is corrected by what is learnt, one window after the other."""
+    """Phone whose heading is corrected by the estimated bias, window by window."""
 
     bias_radps: np.ndarray
     estimator: GyroBias
@@ -130,14 +130,14 @@ def test_the_mixture_is_the_posterior_that_integration_finds() -> None:
 
 
 @pytest.mark.parametrize("size", [0.003, 0.02, 0.1])
-def test_a_phone_at_rest_tells_its_bias_within_seconds(size: float) -> None:
+def test_the_bias_of_a_phone_at_rest_is_found_within_seconds(size: float) -> None:
     rng = np.random.default_rng(3)
     phone = Phone.of(size * np.array([0.6, -0.64, 0.48]))
     phone.rest(10, std=0.002, noise=rng.normal(scale=0.0005, size=(10, 3)))
     np.testing.assert_allclose(phone.state.bias_radps, phone.bias_radps, atol=0.001)
 
 
-def test_the_scatter_of_a_standing_hand_is_no_bias() -> None:
+def test_the_motion_of_a_standing_hand_is_not_taken_for_a_bias() -> None:
     rng = np.random.default_rng(4)
     for _ in range(20):
         phone = Phone.of(np.zeros(3))
@@ -146,14 +146,14 @@ def test_the_scatter_of_a_standing_hand_is_no_bias() -> None:
         assert np.sqrt(phone.state.bias_cov_radps2[0, 0]) < 0.02
 
 
-def test_a_still_phone_that_turns_evenly_for_seconds_is_hardly_believed() -> None:
+def test_a_uniform_rotation_for_seconds_hardly_changes_the_bias() -> None:
     phone = Phone.of(np.zeros(3))
     phone.rest(3, std=0.03, noise=np.tile(0.3 * READING, (3, 1)))
     assert abs(phone.about_up_radps) < 0.002
 
 
 @pytest.mark.parametrize("turn_radps", [0.05, -0.1])
-def test_a_turntable_is_no_bias_and_teaches_the_bias_about_the_other_axes(turn_radps: float) -> None:
+def test_on_a_turntable_only_the_bias_about_the_other_axes_is_estimated(turn_radps: float) -> None:
     rng = np.random.default_rng(6)
     bias = np.array([0.004, 0.0, 0.0])
     phone = Phone.of(bias)
@@ -164,14 +164,14 @@ def test_a_turntable_is_no_bias_and_teaches_the_bias_about_the_other_axes(turn_r
 
 
 @pytest.mark.parametrize("turn_radps", [0.003, 0.02])
-def test_what_turns_as_slowly_as_phones_drift_is_a_bias(turn_radps: float) -> None:
+def test_a_rotation_as_slow_as_the_drift_of_phones_is_taken_for_a_bias(turn_radps: float) -> None:
     phone = Phone.of(turn_radps * READING)
     phone.rest(20, std=0.003)
     np.testing.assert_allclose(phone.state.bias_radps, turn_radps * READING, atol=0.001)
 
 
 @pytest.mark.parametrize("bias", [-0.1, -0.03, 0.03, 0.1])
-def test_straight_legs_between_corners_find_a_bad_phone(bias: float) -> None:
+def test_straight_legs_between_corners_reveal_a_large_bias(bias: float) -> None:
     rng = np.random.default_rng(5)
     turns = corridors([1.0, -1.9, 0.8, 2.2, -1.3, 1.0])
     phone = Phone.of(bias * READING)
@@ -185,11 +185,11 @@ def test_a_long_curve_does_not_become_the_bias_of_a_good_phone(curve: float) -> 
     turns = np.concatenate([np.zeros(40), np.full(120, curve)])
     phone = Phone.of(np.zeros(3))
     phone.walk(turns, rng.normal(scale=0.03, size=len(turns)))
-    # a tenth of the curve, and about what good phones are off by anyway
+    # a tenth of the curve, and about the bias of good phones
     assert abs(phone.about_up_radps) < 0.005
 
 
-def test_a_bias_that_is_found_late_brings_the_error_that_it_left_in_the_heading() -> None:
+def test_a_bias_found_late_also_determines_the_heading_error_that_it_caused() -> None:
     for bias in (-0.02, 0.01):
         phone = Phone.of(bias * READING, replace(PLAIN, straight_outlier_prob=1e-12))
         phone.walk(corridors([1.0, -1.9, 0.8, 2.2, -1.3, 1.0]))
@@ -200,7 +200,7 @@ def test_a_bias_that_is_found_late_brings_the_error_that_it_left_in_the_heading(
         assert error == pytest.approx(truth_rad, rel=0.4)
 
 
-def test_corridors_at_any_angles_leave_a_good_phone_alone() -> None:
+def test_corridors_at_any_angles_do_not_bias_a_good_phone() -> None:
     worst = []
     for seed in range(12):
         rng = np.random.default_rng(seed)
@@ -214,14 +214,14 @@ def test_corridors_at_any_angles_leave_a_good_phone_alone() -> None:
 
 @pytest.mark.parametrize("bias", [-0.02, 0.02, 0.1])
 @pytest.mark.parametrize("turn_radps", [0.0, 0.5])
-def test_a_field_that_turns_tells_the_bias(bias: float, turn_radps: float) -> None:
+def test_a_rotating_magnetic_field_reveals_the_bias(bias: float, turn_radps: float) -> None:
     rng = np.random.default_rng(8)
     phone = Phone.of(bias * READING)
     phone.in_field(90, turn_radps, rng.normal(scale=1.5, size=(90, 3)))
     assert phone.about_up_radps == pytest.approx(bias, abs=0.004)
 
 
-def test_iron_all_along_the_way_leaves_a_good_phone_alone() -> None:
+def test_iron_along_the_whole_way_does_not_bias_a_good_phone() -> None:
     rng = np.random.default_rng(9)
     phone = Phone.of(np.zeros(3))
     # lasting for some seconds each
@@ -233,7 +233,7 @@ def test_iron_all_along_the_way_leaves_a_good_phone_alone() -> None:
     assert worst < 0.003
 
 
-def test_iron_that_is_passed_on_every_lap_does_not_hide_the_drift() -> None:
+def test_iron_passed_in_every_lap_does_not_hide_the_drift() -> None:
     # sixteen seconds a lap: near the iron the field turns by more than 30 degrees from a second to the next
     phone = Phone.of(-0.013 * READING)
     angle = 2 * np.pi * np.arange(240) / 16
@@ -242,7 +242,7 @@ def test_iron_that_is_passed_on_every_lap_does_not_hide_the_drift() -> None:
     assert phone.about_up_radps == pytest.approx(-0.013, abs=0.004)
 
 
-def test_a_field_that_points_elsewhere_from_now_on_is_no_drift() -> None:
+def test_a_jump_of_the_field_direction_is_not_taken_for_drift() -> None:
     rng = np.random.default_rng(10)
     phone = Phone.of(np.zeros(3))
     phone.in_field(40, 0.5, rng.normal(scale=1.0, size=(40, 3)))
@@ -252,7 +252,7 @@ def test_a_field_that_points_elsewhere_from_now_on_is_no_drift() -> None:
         assert abs(phone.about_up_radps) < 0.002
 
 
-def test_a_field_that_turns_away_and_stays_there_is_doubted_and_then_followed_anew() -> None:
+def test_a_field_that_turns_and_stays_is_an_outlier_first_and_is_then_tracked_again() -> None:
     rng = np.random.default_rng(10)
     phone = Phone.of(np.zeros(3))
     phone.in_field(40, 0.5, rng.normal(scale=1.0, size=(40, 3)))
@@ -277,12 +277,12 @@ def test_errors_are_as_large_as_the_covariance_says() -> None:
         phone.rest(3, std=0.05, noise=rng.normal(scale=0.04, size=(3, 3)))
         error = phone.state.bias_radps - phone.bias_radps
         nees.append(error @ np.linalg.solve(phone.state.bias_cov_radps2, error))
-    # a mixture has heavier tails than a normal distribution of its covariance, so the mean is what is tested
+    # a mixture has heavier tails than a normal distribution with its covariance, so only the mean is tested
     low, high = chi2.ppf([0.001, 0.999], 3 * len(nees)) / len(nees)
     assert 0.6 * low < np.mean(nees) < 1.4 * high
 
 
-def test_what_was_learnt_in_one_attitude_counts_in_another_as_far_as_it_goes() -> None:
+def test_a_bias_learned_in_one_attitude_determines_its_component_in_another() -> None:
     phone = Phone.of(np.array([0.0, 0.03, 0.0]), up=np.array([0.0, 1.0, 0.0]))
     turns = corridors([1.0, -1.9, 0.8, 2.2, -1.3, 1.0])
     phone.walk(turns, np.random.default_rng(12).normal(scale=0.03, size=len(turns)))
@@ -308,20 +308,20 @@ def test_a_phone_turned_in_the_hand_learns_the_same_bias_about_other_axes(seed: 
     np.testing.assert_allclose(other.state.bias_radps, turn.apply(one.state.bias_radps), atol=1e-9)
 
 
-def test_a_bias_known_from_before_is_where_the_estimate_begins() -> None:
+def test_the_estimate_starts_from_the_bias_of_an_earlier_recording() -> None:
     known = np.array([0.05, -0.1, 0.02])
     estimator = GyroBias(device=Device(known, 1e-8 * np.eye(3)), device_prob=0.999)
     phone = Phone.of(known, estimator)
     np.testing.assert_allclose(phone.state.bias_radps, 0.999 * known, rtol=1e-12)
     phone.rest(5)
     np.testing.assert_allclose(phone.state.bias_radps, known, atol=1e-6)
-    # another phone after all
+    # another phone than expected
     phone = Phone.of(np.zeros(3), estimator)
     phone.rest(30)
     np.testing.assert_allclose(phone.state.bias_radps, 0.0, atol=0.002)
 
 
-def test_an_unknown_angular_rate_teaches_nothing() -> None:
+def test_an_unknown_angular_rate_changes_no_estimate() -> None:
     phone = Phone.of(0.02 * READING)
     phone.rest(5)
     before = phone.state
@@ -331,7 +331,7 @@ def test_an_unknown_angular_rate_teaches_nothing() -> None:
     np.testing.assert_array_equal(phone.state.bias_cov_radps2, before.bias_cov_radps2)
 
 
-def test_a_saved_state_goes_on_with_the_same_bits() -> None:
+def test_a_saved_state_continues_with_the_same_bits() -> None:
     rng = np.random.default_rng(13)
     phone = Phone.of(0.02 * READING)
     phone.rest(3)
@@ -347,7 +347,7 @@ def test_a_saved_state_goes_on_with_the_same_bits() -> None:
     np.testing.assert_array_equal(copy.state.cov, phone.state.cov)
 
 
-def test_covariances_stay_symmetric_and_positive_definite_through_everything() -> None:
+def test_covariances_stay_symmetric_and_positive_definite() -> None:
     rng = np.random.default_rng(14)
     phone = Phone.of(rng.normal(scale=0.02, size=3))
     for _ in range(40):
@@ -367,7 +367,7 @@ def test_covariances_stay_symmetric_and_positive_definite_through_everything() -
         assert phone.state.log_weight.max() == 0.0
 
 
-def test_a_gap_keeps_the_bias_and_begins_walks_and_field_anew() -> None:
+def test_a_gap_keeps_the_bias_and_restarts_walks_and_field() -> None:
     phone = Phone.of(0.02 * READING)
     phone.walk(np.zeros(3))
     phone.in_field(10)
@@ -388,13 +388,13 @@ def test_a_gap_keeps_the_bias_and_begins_walks_and_field_anew() -> None:
         {"straight_s": (10.0, 4.0)},
     ],
 )
-def test_settings_that_make_no_sense_are_refused(wrong: dict[str, object]) -> None:
+def test_invalid_parameters_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(ValueError, match="must be"):
         GyroBias(**wrong)
 
 
-def test_legs_are_measured_once_however_long_the_walk_goes_on() -> None:
-    # the same slope seen again within a minute is the same curve
+def test_a_straight_walk_is_measured_once_a_minute_however_long_it_is() -> None:
+    # a slope that repeats within a minute belongs to the same curve
     stds = []
     for n in (35, 75, 130):
         phone = Phone.of(np.zeros(3), replace(PLAIN, straight_outlier_prob=1e-12))

@@ -1,4 +1,4 @@
-"""Clocks that stand still, jump or are set back: the track's time goes on, for samples, fixes and pressure alike."""
+"""Clocks that stand still, jump or are set back: the track clock continues, for samples, fixes and pressure."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def followed(time_s: np.ndarray, *more: np.ndarray) -> tuple[ClockState, np.ndar
 
 @pytest.mark.parametrize("back_s", [1.5, 30.0, 3600.0, YEAR_S])
 @pytest.mark.parametrize("rate_hz", [50.0, 400.0])
-def test_a_clock_whose_times_repeat_is_followed_back(back_s: float, rate_hz: float) -> None:
+def test_a_clock_with_repeated_times_is_followed_when_it_is_set_back(back_s: float, rate_hz: float) -> None:
     time_s = np.floor(np.arange(0.0, 20.0, 1 / rate_hz) * 50.0) / 50.0
     half = len(time_s) // 2
     time_s[half:] -= back_s
@@ -46,7 +46,7 @@ def test_a_clock_whose_times_repeat_is_followed_back(back_s: float, rate_hz: flo
     assert clock.offset_s == pytest.approx(back_s + 0.6, abs=0.5 + 2 * CLOCK_RESET_SAMPLES / rate_hz)
 
 
-def test_stragglers_neither_set_a_clock_back_nor_keep_it_from_being_set_back() -> None:
+def test_late_samples_neither_cause_nor_prevent_a_backward_clock_jump() -> None:
     time_s = np.arange(2000) / 100
     swapped = time_s.reshape(-1, 2)[:, ::-1].ravel()
     _, accepted_s, n_jumps = followed(swapped)
@@ -58,7 +58,7 @@ def test_stragglers_neither_set_a_clock_back_nor_keep_it_from_being_set_back() -
 
 
 @pytest.mark.parametrize("n_wrong", [1, 2, 20, CLOCK_RESET_SAMPLES - 1])
-def test_some_samples_years_ahead_are_no_gap(n_wrong: int) -> None:
+def test_a_few_samples_years_ahead_are_not_a_gap(n_wrong: int) -> None:
     time_s = np.arange(1000) / 100
     time_s[400 : 400 + n_wrong] += YEAR_S
     clock, accepted_s, n_jumps = followed(time_s)
@@ -67,14 +67,14 @@ def test_some_samples_years_ahead_are_no_gap(n_wrong: int) -> None:
     assert (n_jumps, clock.offset_s) == (1, 0.0)
 
 
-def test_a_night_without_samples_is_a_gap_and_loses_none() -> None:
+def test_a_night_without_samples_is_a_gap_and_no_sample_is_lost() -> None:
     time_s = np.concatenate([np.arange(500), np.arange(500) + 3_000_000]) / 100
     _, accepted_s, n_jumps = followed(time_s)
     assert n_jumps == 0
     np.testing.assert_array_equal(accepted_s, time_s)
 
 
-def test_a_clock_that_stands_still_is_deaf_and_says_so() -> None:
+def test_a_clock_that_stands_still_gives_a_note() -> None:
     time_s = np.concatenate([np.arange(500) / 100, np.full(400, 4.99)])
     clock, accepted_s, n_jumps = followed(time_s)
     assert (len(accepted_s), n_jumps) == (500, 0)
@@ -89,12 +89,12 @@ def test_a_clock_that_stands_still_in_the_past_is_not_followed() -> None:
 
 
 @pytest.mark.parametrize("unit", [1e3, 1e6, 1e9])
-def test_times_in_another_unit_are_named(unit: float) -> None:
+def test_times_in_another_unit_give_a_note(unit: float) -> None:
     report = condition(Conditioner(), [imu(np.arange(1000) / 100 * unit)])[0].report
     assert any("must be in seconds (not ms, us or ns)" in note for note in report.notes())
 
 
-def test_unix_times_of_32_bits_are_named() -> None:
+def test_unix_times_of_32_bits_give_a_note() -> None:
     time_s = np.float32(1.7e9 + np.arange(40_000) / 100).astype(float)
     report = condition(Conditioner(), [imu(time_s)])[0].report
     assert any("seconds since 1970 need 64 bits" in note for note in report.notes())
@@ -102,7 +102,7 @@ def test_unix_times_of_32_bits_are_named() -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 1000), cuts=st.lists(st.integers(0, 900), max_size=30))
-def test_a_clock_is_followed_alike_in_any_blocks(seed: int, cuts: list[int]) -> None:
+def test_the_handling_of_clocks_does_not_depend_on_blocks(seed: int, cuts: list[int]) -> None:
     rng = np.random.default_rng(seed)
     time_s = np.concatenate([np.arange(300), np.arange(300) - rng.integers(0, 10_000), np.arange(300, 600)]) / 100
     time_s = np.floor(time_s * 50) / 50 if seed % 2 else time_s
@@ -121,7 +121,7 @@ def test_a_clock_is_followed_alike_in_any_blocks(seed: int, cuts: list[int]) -> 
 def walk() -> Recording:
     """A walk with a gyroscope of another rate and a barometer."""
     legs = [Leg("walking", distance_m=40.0), Leg("walking", distance_m=30.0, turn_rad=np.pi / 2)]
-    # so that no step is at the very end: a clock that is set back takes a hundredth of a second
+    # no step may be at the very end, because a backward clock jump shifts times by a hundredth of a second
     made = simulate([*legs, Leg("stationary", duration_s=1.0)], seed=5)
     gyroscope = made.gyroscope
     assert gyroscope is not None
@@ -150,7 +150,7 @@ def test_a_recording_whose_clock_was_set_back_gives_the_same_track_and_a_note(wa
     assert not any("set back" in note for note in plain.notes)
 
 
-def test_wifi_goes_on_with_the_clock_of_the_samples(walk: Recording) -> None:
+def test_wifi_times_follow_the_clock_of_the_samples(walk: Recording) -> None:
     time_s = np.arange(1.0, 30.0, 2.0)
     n = len(time_s)
     heard = replace(walk, wifi=Wifi(time_s, np.arange(n), np.full(n, -60.0), np.full(n, 2412.0)))
@@ -160,7 +160,7 @@ def test_wifi_goes_on_with_the_clock_of_the_samples(walk: Recording) -> None:
     np.testing.assert_allclose(followed.wifi.time_s, time_s, atol=0.02)
 
 
-def test_streams_that_were_sorted_or_begin_later_go_with_the_clock_of_their_times(walk: Recording) -> None:
+def test_streams_that_were_sorted_or_begin_later_are_shifted_by_their_times(walk: Recording) -> None:
     broken = set_back(walk, 20.0, 3600.0)
     assert broken.gyroscope is not None and broken.barometer is not None
     order = np.argsort(broken.gyroscope.time_s)
@@ -176,7 +176,7 @@ def test_streams_that_were_sorted_or_begin_later_go_with_the_clock_of_their_time
     np.testing.assert_allclose(pdr.track(broken).position_m, pdr.track(walk).position_m, atol=0.03)
 
 
-def test_a_recording_on_one_clock_is_left_as_it_is(walk: Recording) -> None:
+def test_a_recording_without_clock_jumps_is_not_changed(walk: Recording) -> None:
     fix = PositionFix(3.0, np.zeros(2), np.eye(2))
     same, fixes = one_clock(walk, [fix])
     assert same is walk
@@ -186,7 +186,7 @@ def test_a_recording_on_one_clock_is_left_as_it_is(walk: Recording) -> None:
 
 
 @pytest.mark.parametrize("by_s", [5.0, 3600.0])
-def test_fixes_go_with_the_clock_of_a_recording(walk: Recording, by_s: float) -> None:
+def test_fixes_follow_the_clock_of_a_recording(walk: Recording, by_s: float) -> None:
     plain = pdr.track(walk)
     some = range(4, plain.n_steps, 6)
     fixes = [PositionFix(float(plain.time_s[i]), plain.position_m[i], 0.25 * np.eye(2)) for i in some]
@@ -196,7 +196,7 @@ def test_fixes_go_with_the_clock_of_a_recording(walk: Recording, by_s: float) ->
     np.testing.assert_allclose(broken.position_m, known.position_m, atol=0.02)
 
 
-def test_online_a_fix_pressure_and_a_standstill_are_on_the_clock_of_the_samples(walk: Recording) -> None:
+def test_online_fixes_pressure_and_standstills_follow_the_clock_of_the_samples(walk: Recording) -> None:
     block = pdr.merge_streams(walk)
     time_s = back(block.time_s, 20.0, 3600.0)
     online = pdr.OnlineFilter()

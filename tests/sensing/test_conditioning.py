@@ -75,7 +75,7 @@ def test_output_comes_in_whole_hops_at_the_asked_rate() -> None:
     assert state.report.n_emitted == 217
 
 
-def test_what_is_left_of_a_hop_comes_in_the_end_unless_nothing_came_before() -> None:
+def test_the_remainder_of_a_hop_comes_at_the_end_unless_no_hop_came_before() -> None:
     conditioner, time_s = Conditioner(), np.arange(455) / 100
     state, blocks = condition(conditioner, [imu(time_s, linear(time_s))])
     state, last = conditioner.finish(state)
@@ -87,7 +87,7 @@ def test_what_is_left_of_a_hop_comes_in_the_end_unless_nothing_came_before() -> 
     assert (blocks, conditioner.finish(state)[1]) == ([], [])
 
 
-# --- what is wrong with samples -------------------------------------------------------------------------------------
+# --- faulty samples -------------------------------------------------------------------------------------------------
 
 
 def test_duplicate_and_backward_times_are_dropped_and_counted() -> None:
@@ -134,7 +134,7 @@ def test_a_longer_stretch_of_rows_that_are_not_finite_is_a_gap() -> None:
     assert state.report.n_not_finite == 40
 
 
-def test_samples_with_a_time_that_is_not_finite_are_left_out() -> None:
+def test_samples_with_a_time_that_is_not_finite_are_dropped() -> None:
     time_s = np.arange(100) / 100
     time_s[[20, 50]] = np.nan, np.inf
     state, _ = condition(Conditioner(), [imu(time_s)])
@@ -142,13 +142,13 @@ def test_samples_with_a_time_that_is_not_finite_are_left_out() -> None:
     assert state.report.last_time_s == 0.99
 
 
-def test_no_sample_is_invented_in_a_gap_and_the_gap_is_the_time_without_output() -> None:
+def test_no_sample_is_interpolated_in_a_gap_and_the_gap_is_the_time_without_output() -> None:
     time_s = np.concatenate([np.arange(0, 204), np.arange(700, 900)]) / 100
     state, blocks = condition(Conditioner(), [imu(time_s, linear(time_s))])
     out = joined(blocks)
     first, second = blocks
     assert not ((out["time_s"] > 2.03) & (out["time_s"] < 7.0)).any()
-    assert first.time_s[-1] == pytest.approx(2.015)  # of the last hop as much as has a sample after it
+    assert first.time_s[-1] == pytest.approx(2.015)  # of the last hop only the samples that are followed by another one
     assert second.time_s[0] == pytest.approx(7.005)
     assert second.gap_before_s == pytest.approx(4.98)
     lost_s = second.gap_before_s
@@ -156,7 +156,7 @@ def test_no_sample_is_invented_in_a_gap_and_the_gap_is_the_time_without_output()
     np.testing.assert_allclose(out["specific_force_mps2"], linear(out["time_s"]), atol=1e-9)
 
 
-def test_a_piece_between_two_gaps_that_is_too_short_for_a_hop_counts_as_lost() -> None:
+def test_a_segment_too_short_for_a_hop_counts_as_part_of_the_gap() -> None:
     time_s = np.concatenate([np.arange(0, 202), [300, 301], np.arange(400, 500)]) / 100
     state, blocks = condition(Conditioner(), [imu(time_s)])
     assert [b.gap_before_s for b in blocks] == [np.inf, pytest.approx(2.0)]
@@ -204,7 +204,7 @@ def test_no_samples_give_no_output() -> None:
 
 
 @pytest.mark.parametrize("wrong", [{"rate_hz": 0.0}, {"max_gap_s": -1.0}, {"hop_samples": 0}])
-def test_settings_that_make_no_sense_are_refused(wrong: dict[str, float]) -> None:
+def test_invalid_parameters_of_a_conditioner_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match="must be positive"):
         Conditioner(**wrong)
 
@@ -323,7 +323,7 @@ def test_a_hole_in_a_stream_is_interpolated_only_if_it_is_short() -> None:
         np.testing.assert_allclose(rate[known], linear(time_s[known]), atol=1e-12)
 
 
-def test_a_stream_in_disorder_is_put_in_order() -> None:
+def test_a_stream_out_of_order_is_sorted() -> None:
     time_s = np.arange(200) / 100
     order = np.random.default_rng(7).permutation(200)
     disordered = Samples(np.append(time_s[order], 0.5), np.vstack([linear(time_s)[order], np.full(3, 77.0)]))
@@ -339,7 +339,7 @@ def test_a_stream_of_one_sample_is_missing() -> None:
 # --- clocks and spikes ----------------------------------------------------------------------------------------------
 
 
-def test_one_time_far_in_the_future_costs_one_sample() -> None:
+def test_a_single_time_far_in_the_future_loses_one_sample() -> None:
     time_s = np.arange(500) / 100
     time_s[200] = 1e9
     state, blocks = condition(Conditioner(), [imu(time_s)])
@@ -372,7 +372,7 @@ def test_jumping_clocks_do_not_make_the_output_depend_on_how_samples_arrive(cuts
     assert state.report == whole_state.report
 
 
-def test_impossible_values_are_left_out_and_counted() -> None:
+def test_implausible_values_are_dropped_and_counted() -> None:
     time_s = np.arange(300) / 100
     force, rate = linear(time_s), np.zeros((300, 3))
     clean = joined(condition(Conditioner(), [imu(time_s, force, rate)])[1])
@@ -384,8 +384,8 @@ def test_impossible_values_are_left_out_and_counted() -> None:
 
 
 @pytest.mark.parametrize("bad", [np.inf, 1e9])
-def test_a_gyroscope_that_shows_nothing_possible_counts_as_none(bad: float) -> None:
-    """And does not take the accelerometer with it."""
+def test_a_gyroscope_with_only_implausible_values_counts_as_missing(bad: float) -> None:
+    """The samples of the accelerometer are kept."""
     time_s = np.arange(300) / 100
     force = linear(time_s)
     _, without = condition(Conditioner(), [imu(time_s, force)])
@@ -399,7 +399,7 @@ def assert_same_shape_and_near(found: dict[str, np.ndarray], expected: dict[str,
         np.testing.assert_allclose(found[name], values, atol=1e-9)
 
 
-def test_specific_force_in_g_is_said_to_be_wrong() -> None:
+def test_specific_force_in_g_gives_a_note() -> None:
     force = np.tile([0.0, 0.0, 1.0], (1000, 1))
     state, _ = condition(Conditioner(), [imu(np.arange(1000) / 100, force)])
     assert any("this looks like g units" in note for note in state.notes())
@@ -408,5 +408,7 @@ def test_specific_force_in_g_is_said_to_be_wrong() -> None:
 @pytest.mark.parametrize("offset_s", [1e6, 200.0, -3600.0])
 def test_a_gyroscope_on_another_clock_is_refused_by_name(offset_s: float) -> None:
     time_s = np.arange(0.0, 5.0, 0.01)
-    with pytest.raises(ValueError, match=r"gyroscope: its times, .* are outside those of the accelerometer.*remove the stream"):
+    with pytest.raises(
+        ValueError, match=r"gyroscope: its times, .* are outside those of the accelerometer.*remove the stream"
+    ):
         merge_streams(recording(Samples(time_s + offset_s, linear(time_s))))

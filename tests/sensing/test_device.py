@@ -1,4 +1,4 @@
-"""What is known of a phone, from recording to recording."""
+"""Gyroscope bias of a phone, carried from recording to recording."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ BIAS = np.array([0.004, -0.006, 0.02])
 
 @pytest.fixture(scope="module")
 def walk() -> Recording:
-    """A walk with a phone whose gyroscope is off."""
+    """Walk with a phone whose gyroscope has a bias."""
     return biased(from_hand_to_pocket())
 
 
@@ -29,7 +29,7 @@ def biased(recording: Recording) -> Recording:
     return replace(recording, gyroscope=replace(recording.gyroscope, values=recording.gyroscope.values + BIAS))
 
 
-def test_a_recording_teaches_the_bias_and_the_next_one_begins_with_it(walk: Recording) -> None:
+def test_the_bias_of_a_recording_is_the_prior_of_the_next_one(walk: Recording) -> None:
     learnt = pdr.track(walk).device
     assert learnt is not None
     std = np.sqrt(np.diag(learnt.bias_cov_radps2))
@@ -37,12 +37,12 @@ def test_a_recording_teaches_the_bias_and_the_next_one_begins_with_it(walk: Reco
     assert std.min() < 0.01
     config = pdr.recipes.default().with_device(learnt)
     first = config.sensing.attitude.bias.init()
-    # nine of ten that it is this phone
+    # a prior probability of 0.9 that it is this phone
     assert_allclose(first.bias_radps, 0.9 * learnt.bias_radps, rtol=1e-12)
 
 
-def test_a_known_phone_needs_no_time_to_learn(walk: Recording) -> None:
-    """With a well known device the first legs are as straight as without a bias."""
+def test_with_a_known_phone_the_heading_is_accurate_from_the_start(walk: Recording) -> None:
+    """With an accurate device the first legs are as straight as without a bias."""
     known = pdr.Device(BIAS, 1e-8 * np.eye(3))
     clean = pdr.track(from_hand_to_pocket(), device=pdr.Device(np.zeros(3), 1e-8 * np.eye(3)))
     with_device = pdr.track(walk, device=known)
@@ -56,7 +56,7 @@ def test_a_known_phone_needs_no_time_to_learn(walk: Recording) -> None:
     assert off(with_device) < 0.5 * off(without)
 
 
-def test_days_and_temperature_widen_what_is_known() -> None:
+def test_days_and_temperature_increase_the_covariance() -> None:
     device = pdr.Device(BIAS, 1e-6 * np.eye(3))
     assert_array_equal(device.after().bias_cov_radps2, device.bias_cov_radps2)
     day, week, warm = device.after(days=1), device.after(days=7), device.after(warmer_k=-15.0)
@@ -73,14 +73,14 @@ def test_a_saved_device_is_the_same_when_it_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", ["", "[]", "{}", '{"pdr_filter_device": 2}', '{"pdr_filter_device": 1}', "null"])
-def test_a_file_that_is_no_device_is_refused_by_its_name(tmp_path: Path, content: str) -> None:
+def test_a_file_that_is_not_a_device_is_refused_with_its_name(tmp_path: Path, content: str) -> None:
     path = tmp_path / "other.json"
     path.write_text(content)
     with pytest.raises(ValueError, match=r"other\.json: no device file"):
         pdr.Device.load(path)
 
 
-def test_values_that_make_no_sense_are_refused() -> None:
+def test_invalid_values_of_a_device_are_refused() -> None:
     with pytest.raises(ValueError, match="bias_radps"):
         pdr.Device(np.array([0.0, np.nan, 0.0]))
     with pytest.raises(ValueError, match="positive definite"):
@@ -89,7 +89,7 @@ def test_values_that_make_no_sense_are_refused() -> None:
         pdr.Device().after(days=-1)
 
 
-def test_an_app_learns_the_same_of_its_phone(walk: Recording) -> None:
+def test_an_online_filter_estimates_the_same_device(walk: Recording) -> None:
     samples = pdr.merge_streams(walk)
     online = pdr.OnlineFilter(pdr.recipes.default(walk.subject))
     for start in range(0, len(samples.time_s), 777):
@@ -107,9 +107,7 @@ def test_an_app_learns_the_same_of_its_phone(walk: Recording) -> None:
     assert_array_equal(online.device.bias_cov_radps2, learnt.bias_cov_radps2)
 
 
-def test_the_command_line_reads_a_device_file_if_there_is_one_and_writes_it_anew(
-    walk: Recording, tmp_path: Path
-) -> None:
+def test_the_command_line_reads_a_device_file_if_it_exists_and_updates_it(walk: Recording, tmp_path: Path) -> None:
     file, phone = walk.save(tmp_path / "walk.zip"), tmp_path / "phone.json"
     runner = CliRunner()
     assert runner.invoke(app, ["track", str(file), "--device", str(phone)]).exit_code == 0

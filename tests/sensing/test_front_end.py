@@ -22,7 +22,7 @@ WALKING, POCKET, TEXTING = CONTEXTS.index("walking"), CARRYING_MODES.index("pock
 
 @dataclass(frozen=True)
 class Announcements:
-    """A context stage that says what it was told to say at some samples of the segment."""
+    """Context stage that returns given probabilities at given samples of the segment."""
 
     at: tuple[tuple[int, str, str], ...]
     rate_hz: float = 100.0
@@ -52,7 +52,7 @@ class Announcements:
 
 
 class Listener(WaveletStepDetector):
-    """A step detector that keeps what it hears of modes."""
+    """Step detector that stores the carrying modes that it receives."""
 
     heard: list[ContextBlock]
 
@@ -69,7 +69,7 @@ def modes_heard(blocks: list) -> tuple[np.ndarray, np.ndarray]:
     return tuple(np.concatenate([getattr(m, name) for m in listener.heard]) for name in ("context", "carrying_mode"))
 
 
-def test_a_step_detector_hears_of_a_mode_from_its_window_on_however_samples_arrive() -> None:
+def test_a_step_detector_receives_a_mode_from_its_window_on_however_samples_arrive() -> None:
     samples = pdr.merge_streams(simulate([Leg("walking", distance_m=10.0)]))
     for blocks in ([samples], cut_randomly(samples, 1), cut_randomly(samples, 2, mean_length=3)):
         context, carrying_mode = modes_heard(blocks)
@@ -78,7 +78,7 @@ def test_a_step_detector_hears_of_a_mode_from_its_window_on_however_samples_arri
         assert (context[460:] == CONTEXTS.index("stationary")).all()
         assert (carrying_mode[:123] == -1).all()
         assert (carrying_mode[123:457] == POCKET).all()
-        assert (carrying_mode[457:460] == -1).all()  # all modes alike: none has half
+        assert (carrying_mode[457:460] == -1).all()  # all modes equally probable: none has half of the probability
         assert (carrying_mode[460:] == TEXTING).all()
 
 
@@ -97,7 +97,7 @@ def test_every_recipe_gives_the_same_track_however_samples_arrive(name: str) -> 
 
 
 @pytest.mark.parametrize("name", sorted(recipes.RECIPES))
-def test_every_recipe_walks_about_as_far_as_the_person_and_survives_a_gap(name: str) -> None:
+def test_the_distance_of_every_recipe_is_about_right_and_it_survives_a_gap(name: str) -> None:
     walk = simulate([Leg("walking", distance_m=40.0)], seed=2)
     assert walk.gyroscope is not None
 
@@ -153,9 +153,7 @@ def test_stages_of_different_rates_are_refused() -> None:
         ("zhou2019", 2.0, 1.0),
     ],
 )
-def test_a_window_knows_where_its_samples_begin_and_how_long_after_the_last_window_it_ends(
-    name: str, window_s: float, hop_s: float
-) -> None:
+def test_a_window_states_its_start_and_its_hop(name: str, window_s: float, hop_s: float) -> None:
     walk = pdr.merge_streams(simulate([Leg("walking", distance_m=20.0)]))
     windows = [e for _, e in sensed(recipes.RECIPES[name](None).sensing, [walk]) if isinstance(e, WindowContext)]
     assert len(windows) > 5
@@ -164,7 +162,7 @@ def test_a_window_knows_where_its_samples_begin_and_how_long_after_the_last_wind
     assert {w.hop_s for w in windows} == {hop_s}
 
 
-def test_a_recipe_for_the_foot_does_not_say_that_it_fits_no_foot() -> None:
+def test_a_recipe_for_the_foot_gives_no_note_about_sensors_on_the_foot() -> None:
     walk = simulate([Leg("walking", distance_m=10.0)])
     worn = replace(walk, meta={**walk.meta, "placement": "on the left foot"})
     for name, complains in (("zhou2019", False), ("default", True)):

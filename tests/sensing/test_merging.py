@@ -1,4 +1,4 @@
-"""Sensors that arrive apart give the bits of the finished recording, and none of them stops the others."""
+"""Sensors that arrive separately give the bits of the finished recording, and none of them blocks the others."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import FloatArray, ImuBlock, Samples
 from pdr_filter.values.recording import Recording
 
-# One piece of a stream: when it arrives, whose, and the rows.
+# One piece of a stream: time of arrival, sensor, and rows.
 Piece = tuple[float, Sensor, FloatArray, FloatArray]
 
 
@@ -66,7 +66,7 @@ def pieces_of(recording: Recording, seed: int, longest_s: float = 1.0, latest_s:
 
 
 def merged(pieces: Iterable[Piece], merger: StreamMerger | None = None) -> tuple[ImuBlock, FloatArray, int]:
-    """All that leaves, the pressures, and the number of samples of the accelerometer that left before the end."""
+    """All released samples, the pressures, and the number of accelerometer samples released before the end."""
     merger = merger or StreamMerger()
     state, outputs = merger.init(), list[Merged]()
     for _, sensor, time_s, values in pieces:
@@ -103,7 +103,7 @@ def test_any_interleaving_and_chunking_gives_the_bits_of_merge_streams(
 
 @settings(max_examples=6, deadline=None, phases=PHASES)
 @given(seed=st.integers(0, 10**6))
-def test_pieces_that_come_twice_change_no_bit_that_is_used(seed: int) -> None:
+def test_repeated_messages_change_no_sample_that_is_used(seed: int) -> None:
     rng, pieces = np.random.default_rng(seed), pieces_of(RECORDING, seed)
     twice = [(a + rng.uniform(0, 6.0), *rest) for a, *rest in pieces if rng.uniform() < 0.3]
     block, pressure, _ = merged(sorted([*pieces, *twice], key=lambda piece: piece[0]))
@@ -116,7 +116,7 @@ def test_pieces_that_come_twice_change_no_bit_that_is_used(seed: int) -> None:
 
 @settings(max_examples=2, deadline=None, phases=PHASES)
 @given(seed=st.integers(0, 10**6), reorder_s=st.sampled_from([0.05, 0.5]))
-def test_samples_out_of_order_by_less_than_said_are_put_in_order(seed: int, reorder_s: float) -> None:
+def test_samples_out_of_order_by_less_than_reorder_s_are_sorted(seed: int, reorder_s: float) -> None:
     rng = np.random.default_rng(seed)
     pieces: list[Piece] = []
     for sensor, stream in RECORDING.streams.items():
@@ -202,19 +202,19 @@ def test_a_single_row_is_taken_as_a_block_of_one() -> None:
     )  # type: ignore[index]
 
 
-def test_single_samples_leave_some_at_once_and_hardly_later_than_they_could() -> None:
+def test_single_samples_are_released_in_groups_with_little_delay() -> None:
     merger, state = StreamMerger(), StreamMerger().init()
     n_releases = 0
     for time_s in 0.01 * np.arange(1000):
         for sensor in ("gyroscope", "magnetometer", "accelerometer"):
             state, output = merger.update(state, sensor, np.array([time_s]), np.zeros((1, 3)))  # type: ignore[arg-type]
             n_releases += len(output.block.time_s) > 0
-        if time_s > 6.0:  # the barometer is not waited for any more
+        if time_s > 6.0:  # the merger no longer waits for the barometer
             assert time_s - state.released_s <= merger.reorder_s + merger.bunch_s + 0.011
     assert 100 < n_releases < 250
 
 
-def test_a_block_leaves_when_the_last_sensor_has_passed_it() -> None:
+def test_a_block_is_released_when_the_last_sensor_has_passed_it() -> None:
     merger, state = StreamMerger(), StreamMerger().init()
     for second in range(10):
         time_s = second + 0.01 * np.arange(100)
@@ -223,7 +223,7 @@ def test_a_block_leaves_when_the_last_sensor_has_passed_it() -> None:
     assert state.released_s == pytest.approx(time_s[-1] - merger.reorder_s, abs=0.011)
 
 
-def test_a_sensor_that_falls_silent_gets_a_note_and_stops_nobody_for_longer_than_the_wait() -> None:
+def test_a_silent_sensor_gives_a_note_and_delays_the_others_by_at_most_wait_s() -> None:
     merger = StreamMerger()
     online, time_s = pdr.OnlineFilter(), 0.01 * np.arange(2000)
     for second in range(20):
@@ -250,10 +250,10 @@ def test_without_a_gyroscope_the_first_samples_alone_wait() -> None:
         state, output = merger.update(state, "accelerometer", second + 0.01 * np.arange(100), force)
         left.append(len(output.block.time_s))
     assert left[:5] == [0] * 5
-    assert sum(left) == 1000 - 10  # those that may still be overtaken
+    assert sum(left) == 1000 - 10  # samples that a late message may still precede
 
 
-def test_samples_that_come_too_late_are_counted_and_left_out() -> None:
+def test_late_samples_are_counted_and_dropped() -> None:
     online, time_s = pdr.OnlineFilter(), 0.01 * np.arange(1000)
     online.push_gyroscope(time_s, np.zeros((1000, 3)))
     online.push_accelerometer(time_s, np.tile([0.0, 0.0, 9.8], (1000, 1)))
@@ -263,7 +263,7 @@ def test_samples_that_come_too_late_are_counted_and_left_out() -> None:
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
-def test_what_waits_is_bounded(sensor: Sensor) -> None:
+def test_the_buffer_is_bounded(sensor: Sensor) -> None:
     merger = StreamMerger()
     state = merger.init()
     for block in np.array_split(0.001 * np.arange(3 * _MAX_ROWS), 50):
@@ -271,14 +271,14 @@ def test_what_waits_is_bounded(sensor: Sensor) -> None:
     assert len(state.stream(sensor).rows) <= _MAX_ROWS
 
 
-def test_what_waits_while_the_clock_stands_still_is_bounded() -> None:
+def test_the_buffer_is_bounded_while_the_clock_stands_still() -> None:
     merger, state = StreamMerger(), StreamMerger().init()
     for _ in range(30):
         state, _ = merger.update(state, "accelerometer", np.full(1000, 7.0), np.zeros((1000, 3)))
     assert len(state.stream("accelerometer").rows) <= _MAX_ROWS
 
 
-def test_a_single_time_far_ahead_stops_nothing() -> None:
+def test_a_single_time_far_ahead_does_not_stop_the_merging() -> None:
     for sensor in ("accelerometer", "gyroscope"):
         pieces = pieces_of(RECORDING, 0, longest_s=0.2)
         at = len(pieces) // 2
@@ -334,7 +334,7 @@ def test_sensors_that_come_in_one_message_give_the_bits_of_those_that_come_apart
         np.testing.assert_array_equal(track, tracks[0])
 
 
-def test_a_stream_that_the_filter_does_not_know_is_refused() -> None:
+def test_an_unknown_stream_is_refused() -> None:
     samples = Samples(np.zeros(1), np.zeros((1, 3)))
     with pytest.raises(ValueError, match=r"keys of streams must be accelerometer, .*got 'light'"):
         pdr.OnlineFilter().push_streams({"light": samples})  # type: ignore[dict-item]

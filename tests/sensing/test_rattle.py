@@ -18,7 +18,7 @@ RATTLE = Rattle()
 
 
 def shaking(duration_s: int, jitter_mps2: float = 0.5, seed: int = 0) -> UniformBlock:
-    """|f| that trembles from sample to sample."""
+    """Samples of |f| that alternate from sample to sample."""
     noise = np.random.default_rng(seed).normal(0.0, jitter_mps2, 100 * duration_s)
     return uniform_block(9.8 + noise)
 
@@ -31,12 +31,12 @@ def known_steps(times_s: Sequence[float], late_s: float = 1.0) -> list[tuple[int
     return [(round(100 * (t + late_s)), a_step(t)) for t in times_s]
 
 
-def test_what_shakes_without_a_pause_and_without_steps_is_moving() -> None:
+def test_uninterrupted_vibration_without_steps_counts_as_moving() -> None:
     state = after(shaking(65))
     assert (state.moving_s, state.seen_s) == (60, 60)
 
 
-def test_what_lies_still_or_shakes_for_a_moment_is_not() -> None:
+def test_rest_and_short_vibration_do_not_count_as_moving() -> None:
     assert after(shaking(65, jitter_mps2=0.05)).moving_s == 0
     assert after(shaking(24)).moving_s == 0
     force = np.concatenate([shaking(19).specific_force_mps2, np.tile([0.0, 0.0, 9.8], (200, 1))])
@@ -44,14 +44,14 @@ def test_what_lies_still_or_shakes_for_a_moment_is_not() -> None:
 
 
 @pytest.mark.parametrize("late_s", [0.9, 4.0])
-def test_somebody_who_walks_is_not_moving_without_steps(late_s: float) -> None:
+def test_walking_does_not_count_as_moving_without_steps(late_s: float) -> None:
     times_s = np.arange(1.0, 58.0, 0.6).tolist()
     assert after(shaking(65), known_steps(times_s, late_s)).moving_s == 0
-    # twenty seconds and more after the last step it is
+    # from twenty seconds after the last step on it counts
     assert after(shaking(65), known_steps(times_s[:20], late_s)).moving_s == pytest.approx(46, abs=2)
 
 
-def test_a_gap_ends_the_run_and_keeps_the_sum() -> None:
+def test_a_gap_ends_the_run_and_keeps_the_totals() -> None:
     state = RATTLE.after_gap(after(shaking(65)))
     assert RATTLE.update(state, shaking(20), []).moving_s == 60
     assert RATTLE.update(state, shaking(30), []).moving_s == 85
@@ -72,7 +72,7 @@ def test_the_state_is_the_same_however_the_samples_are_cut(seed: int, edges: lis
 
 
 @pytest.mark.recordings
-def test_a_trolley_is_said_to_move_and_somebody_who_sits_is_not(data_dir: Path) -> None:
+def test_a_trolley_counts_as_moving_and_a_sitting_person_does_not(data_dir: Path) -> None:
     trolley = pdr.track(pdr.read(data_dir / "oxiod" / "oxiod_user1_room_trolley2_1.zip"))
     assert any("the phone moved without steps" in note for note in trolley.notes)
     sitting = pdr.track(pdr.read(data_dir / "motionsense" / "motionsense_s01_sit_5.zip"))
@@ -80,6 +80,6 @@ def test_a_trolley_is_said_to_move_and_somebody_who_sits_is_not(data_dir: Path) 
 
 
 @pytest.mark.parametrize("rate_hz", [0.0, 60.0])
-def test_a_rate_that_is_no_multiple_of_50_hz_is_refused(rate_hz: float) -> None:
+def test_a_rate_that_is_not_a_multiple_of_50_hz_is_refused(rate_hz: float) -> None:
     with pytest.raises(ValueError, match="rate_hz"):
         Rattle(rate_hz)

@@ -71,7 +71,7 @@ def test_what_a_stage_finds_does_not_depend_on_how_samples_arrive(name: str, edg
 
 
 @pytest.mark.parametrize("name", DETECTORS)
-def test_finishing_changes_nothing_for_a_filter_that_goes_on_and_finds_nothing_before_the_first_sample(
+def test_finish_does_not_affect_a_running_detector_and_returns_nothing_before_the_first_sample(
     name: str,
 ) -> None:
     stage = DETECTORS[name]
@@ -85,7 +85,7 @@ def test_finishing_changes_nothing_for_a_filter_that_goes_on_and_finds_nothing_b
 
 
 @pytest.mark.parametrize("name", CONTEXT_STAGES)
-def test_after_a_gap_no_window_is_of_before_however_samples_arrive(name: str) -> None:
+def test_after_a_gap_no_window_contains_earlier_samples(name: str) -> None:
     stage, samples = CONTEXT_STAGES[name], walk(11)
     first, second = samples.cut([777])
     state = stage.after_gap(run(stage, [first])[0])
@@ -95,7 +95,7 @@ def test_after_a_gap_no_window_is_of_before_however_samples_arrive(name: str) ->
     assert whole and all(i >= 0 and window.time_s >= late.block.time_s[0] for i, window in whole)
 
 
-def test_there_are_stages() -> None:
+def test_the_list_of_stages_is_not_empty() -> None:
     assert len(DETECTORS) == len(recipes.RECIPES) and len(CONTEXT_STAGES) > 3
     assert isinstance(DETECTORS["steps of zhou2019"], ReferenceLineStepDetector)
     assert all(isinstance(step, Step) for _, step in run(DETECTORS["steps of default"], [walk(0)])[1])

@@ -1,4 +1,4 @@
-"""Samples in another unit, without gravity or of the other sign are noticed within the first seconds, and said once."""
+"""Samples in a wrong unit, without gravity or with the wrong sign are detected within seconds and reported once."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ GRAVITY = FORCE * (9.81 / np.linalg.norm(FORCE, axis=1))[:, None]
 
 
 def give(force: FloatArray, rate: FloatArray, n: int = 50, time_s: FloatArray = TIME_S) -> tuple[pdr.OnlineFilter, str]:
-    """A filter that was given samples in blocks, and the errors that it raised, one in a line."""
+    """Filter that received samples in blocks, and the messages of the errors that it raised, one per line."""
     online, errors = pdr.OnlineFilter(), list[str]()
     for begin, end in pairwise([*range(0, len(time_s), n), len(time_s)]):
         try:
@@ -39,7 +39,7 @@ def give(force: FloatArray, rate: FloatArray, n: int = 50, time_s: FloatArray = 
     ],
     ids=["g", "without gravity", "twice"],
 )
-def test_a_specific_force_that_cannot_be_right_is_refused_once_and_noted(
+def test_an_implausible_specific_force_is_refused_once_and_noted(
     wrong: Callable[[FloatArray], FloatArray], words: str, n: int
 ) -> None:
     online, errors = give(wrong(FORCE), RATE, n)
@@ -49,20 +49,20 @@ def test_a_specific_force_that_cannot_be_right_is_refused_once_and_noted(
         assert sum(words in note for note in online.notes) == 1
 
 
-def test_it_is_noticed_within_the_first_two_seconds() -> None:
+def test_an_implausible_specific_force_is_noticed_within_two_seconds() -> None:
     online = pdr.OnlineFilter()
     with pytest.raises(ValueError, match="g units"):
         for i in range(210):
             online.push(TIME_S[i : i + 1], FORCE[i : i + 1] / 9.80665, RATE[i : i + 1])
 
 
-def test_a_walk_in_degrees_per_second_gets_one_note_of_it() -> None:
+def test_a_walk_in_degrees_per_second_gives_one_note() -> None:
     online, errors = give(FORCE, np.degrees(RATE))
     assert errors == ""
     assert sum("this looks like deg/s" in note for note in online.notes) == 1
 
 
-def test_a_phone_of_the_other_sign_in_the_hand_gets_a_note_and_a_right_one_none() -> None:
+def test_a_phone_with_the_wrong_sign_in_the_hand_gives_a_note_and_a_right_one_none() -> None:
     other, errors = give(-FORCE, RATE)
     right, _ = give(FORCE, RATE)
     assert errors == ""
@@ -70,7 +70,7 @@ def test_a_phone_of_the_other_sign_in_the_hand_gets_a_note_and_a_right_one_none(
     assert not any("face down" in note or "deg/s" in note or "specific force" in note for note in right.notes)
 
 
-def test_a_sensor_that_wakes_up_with_zeros_is_noted_no_longer_when_it_is_right() -> None:
+def test_the_note_about_a_sensor_that_starts_with_zeros_disappears() -> None:
     force = FORCE.copy()
     force[:250] = 0.0
     online, errors = give(force, RATE)
@@ -87,7 +87,7 @@ def test_a_sensor_that_wakes_up_with_zeros_is_noted_no_longer_when_it_is_right()
         (1e9, 0.0, "the times look like nanoseconds, convert them to seconds"),
     ],
 )
-def test_times_that_are_no_seconds_are_refused(factor: float, begin: float, words: str) -> None:
+def test_times_that_are_not_in_seconds_are_refused(factor: float, begin: float, words: str) -> None:
     time = (begin + factor * TIME_S[:100]).astype(np.int64)
     with pytest.raises(ValueError, match=words):
         pdr.OnlineFilter().push(time, FORCE[:100])
@@ -98,7 +98,7 @@ def test_times_that_are_no_seconds_are_refused(factor: float, begin: float, word
     assert pdr.OnlineFilter().push(1.7e9 + TIME_S[:100], FORCE[:100]) == []
 
 
-def test_what_units_are_does_not_depend_on_how_samples_are_cut() -> None:
+def test_the_check_of_units_does_not_depend_on_blocks() -> None:
     first, second = (give(-FORCE, np.degrees(RATE), n)[0] for n in (1, 77))
     a, b = (one.state.sensing.conditioner.units for one in (first, second))
     assert (a.n, a.n_wrong_force, a.n_wrong_rate, a.n_down) == (b.n, b.n_wrong_force, b.n_wrong_rate, b.n_down)

@@ -1,4 +1,4 @@
-"""Sensors that stand still while the phone moves count as missing; a phone at rest, and slow sensors, do not."""
+"""Sensors that are stuck while the phone moves count as missing, but not a phone at rest or a slow sensor."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ RNG = np.random.default_rng(2)
 
 
 def moving(n: int) -> np.ndarray:
-    """Specific force and angular rate (n, 6) of somebody who walks."""
+    """Specific force and angular rate (n, 6) of a pedestrian."""
     t = np.arange(n)[:, None] / RATE_HZ
     wave = np.sin(2 * np.pi * 1.9 * t + np.arange(6))
     return np.array([0.0, 0.0, 9.8, 0.0, 0.0, 0.0]) + wave * [2.0, 2.0, 3.0, 0.5, 0.5, 0.5]
@@ -33,7 +33,7 @@ def watched(motion: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("axis", [3, 4, 5])
-def test_an_axis_of_the_gyroscope_that_stands_still_is_missing_until_it_moves_again(axis: int) -> None:
+def test_a_stuck_axis_of_the_gyroscope_makes_it_missing_until_it_changes_again(axis: int) -> None:
     motion = moving(2000)
     motion[500:1200, axis] = 0.3
     missing = np.isnan(watched(motion)[:, 3:])
@@ -44,7 +44,7 @@ def test_an_axis_of_the_gyroscope_that_stands_still_is_missing_until_it_moves_ag
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_an_axis_of_the_accelerometer_that_stands_still_is_missing(axis: int) -> None:
+def test_a_stuck_axis_of_the_accelerometer_makes_it_missing(axis: int) -> None:
     motion = moving(2000)
     motion[500:1200, axis] = 9.8
     missing = np.isnan(watched(motion)[:, :3])
@@ -52,7 +52,7 @@ def test_an_axis_of_the_accelerometer_that_stands_still_is_missing(axis: int) ->
     assert not missing[:600].any() and not missing[1300:].any()
 
 
-def test_a_phone_at_rest_whose_gyroscope_gives_one_number_is_at_rest() -> None:
+def test_a_constant_gyroscope_of_a_phone_at_rest_is_not_stuck() -> None:
     motion = np.tile([0.0, 0.0, 9.8, 0.0, 0.0, 0.0], (3000, 1)) + RNG.normal(scale=0.02, size=(3000, 6)) * [
         *(1, 1, 1),
         *(0, 0, 0),
@@ -60,7 +60,7 @@ def test_a_phone_at_rest_whose_gyroscope_gives_one_number_is_at_rest() -> None:
     assert not np.isnan(watched(motion)).any()
 
 
-def test_a_gyroscope_that_is_read_five_times_a_second_is_alive() -> None:
+def test_a_gyroscope_that_is_read_five_times_a_second_is_not_stuck() -> None:
     motion = moving(3000)
     motion[:, 3:] = motion[(np.arange(3000) // 20) * 20, 3:]
     assert not np.isnan(watched(motion)).any()
@@ -68,7 +68,7 @@ def test_a_gyroscope_that_is_read_five_times_a_second_is_alive() -> None:
 
 @settings(max_examples=30, deadline=None)
 @given(cuts=st.lists(st.integers(0, 1500), max_size=40))
-def test_a_dead_sensor_is_found_alike_in_any_blocks(cuts: list[int]) -> None:
+def test_the_detection_of_stuck_sensors_does_not_depend_on_blocks(cuts: list[int]) -> None:
     motion = moving(1500)
     motion[300:900, 4] = 0.0
     motion[800:1300, 2] = 1.0
@@ -89,7 +89,7 @@ def walk() -> Recording:
 
 
 @pytest.mark.parametrize("first_axis", [0, 2])
-def test_the_heading_of_a_dead_gyroscope_is_unknown_and_said_to_be(walk: Recording, first_axis: int) -> None:
+def test_the_heading_of_a_stuck_gyroscope_is_unknown_and_a_note_says_so(walk: Recording, first_axis: int) -> None:
     assert walk.gyroscope is not None
     values = walk.gyroscope.values.copy()
     values[:, first_axis:] = 0.0
@@ -102,7 +102,7 @@ def test_the_heading_of_a_dead_gyroscope_is_unknown_and_said_to_be(walk: Recordi
 
 
 @pytest.mark.parametrize("wild_ut", [2 * MAX_FIELD_UT, -1e160, 1.7e308])
-def test_a_magnetic_field_that_no_phone_measures_is_none(wild_ut: float) -> None:
+def test_an_implausible_magnetic_field_counts_as_missing(wild_ut: float) -> None:
     time_s, field = np.arange(600) / RATE_HZ, np.tile([20.0, 0.0, -40.0], (600, 1))
     field[300:400, 1] = wild_ut
     block = imu(time_s, moving(600)[:, :3], moving(600)[:, 3:], field)
@@ -115,7 +115,7 @@ def test_a_magnetic_field_that_no_phone_measures_is_none(wild_ut: float) -> None
     assert any("magnetic fields beyond" in note for note in online.notes)
 
 
-def test_blows_beyond_what_phones_measure_cost_no_step(walk: Recording) -> None:
+def test_impacts_beyond_the_range_of_phones_lose_no_step(walk: Recording) -> None:
     values = walk.accelerometer.values.copy()
     for start in np.random.default_rng(1).integers(0, len(values), 60):
         values[start : start + 3] *= 39.0

@@ -247,7 +247,7 @@ class Frame:
     def reopened(self, pairs: tuple[PairedPoint, ...], rotation_var_rad2: float, n_steps: int) -> Frame:
         """Return the frame with an unknown rotation from the step at which the heading was lost.
 
-        The first of the pairs is the position at the loss. `turn_var_rad2` is the prior variance of the rotation.
+        The first of the pairs is the position at the loss. `rotation_var_rad2` is the prior variance of the rotation.
         """
         var = rotation_var_rad2 if rotation_var_rad2 < MAX_HEADING_VARIANCE else math.inf
         return replace(self, is_joined=False, since=n_steps, pairs=pairs, north_var_rad2=var)._reestimated()

@@ -382,7 +382,10 @@ def least_squares_error(pairs: Sequence[PairedPoint], north_var_rad2: float = ma
 
 
 def disagreement(pairs: Sequence[PairedPoint], agreeing: Sequence[PairedPoint], north_var_rad2: float) -> float:
-    """Return the normalised squared errors of the consistent pairs, plus the limit of the gate for each other pair."""
+    """Return the misfit of a choice of consistent pairs.
+
+    It is the sum of their normalised squared errors, plus the limit of the gate for each removed pair.
+    """
     n_left_out = len(pairs) - len(agreeing)
     return least_squares_error(agreeing, north_var_rad2) + (n_left_out * agreement_limit(2) if n_left_out else 0.0)
 

@@ -577,9 +577,9 @@ def with_cadence(window: WindowContext, frequency_hz: float, contexts: ContextSe
 def with_stairs_in_thirds(prob: FloatArray, share: float, contexts: ContextSet = DEFAULT_CONTEXTS) -> FloatArray:
     """Return probabilities (C,) as a prior for another sensor that distinguishes stairs from walking.
 
-    A share of the probability of level walking and stairs is divided into equal thirds. The unequal division of
-    `classifiers.context_model.blend_stairs_with_prior` is a prior of daily life. Used as evidence in each window, it would
-    outvote the measurements of the other sensor.
+    The given share of the probability of level walking and stairs is divided into equal thirds: level, up and down. The
+    unequal division of `classifiers.context_model.blend_stairs_with_prior` is a prior of daily life. Used as evidence in
+    each window, it would outvote the measurements of the other sensor.
     """
     in_thirds = contexts.in_thirds
     return (1.0 - share) * prob + share * (prob @ in_thirds) if share and in_thirds is not None else prob

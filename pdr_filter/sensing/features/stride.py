@@ -96,9 +96,9 @@ _EVEN, _ODD = [0, *range(1, 2 * N_HARMONICS, 2)], [*range(2, 2 * N_HARMONICS + 1
 
 @cache
 def _side_by_side(n: int, rate_hz: float) -> tuple[FloatArray, FloatArray]:
-    """Return the even and odd columns of the first matrix of `_harmonics` for the later half of the samples.
+    """Return the even and odd columns of the first matrix of `_harmonics`, restricted to the later half of the samples.
 
-    The columns of all stride frequencies are next to each other.
+    They apply to a line plus or minus its mirror image. The columns of all stride frequencies are next to each other.
     """
     later = _harmonics(n, rate_hz)[0][:, n // 2 :].copy()
     if n % 2:
@@ -163,8 +163,9 @@ def features_of(windows: FloatArray, swing: SwingLines, rate_hz: float) -> Float
 def _factors() -> tuple[IntArray, IntArray]:
     """Return the indices of the factors of each phase: complex units (P, 4) and shares (P, 3).
 
-    The units of all harmonics come line by line, followed by their conjugates and by 1. A power is a repeated unit. The
-    shares have the same order and also end with 1.
+    The units of all harmonics come line by line, followed by their conjugates and by 1. A harmonic with power p is
+    repeated p times, and unused positions refer to the 1. The shares have the same order of harmonics and also end with
+    1.
     """
     n = len(LINES) * N_HARMONICS
     units, shares = np.full((len(PHASES), 4), 2 * n), np.full((len(PHASES), 3), n)

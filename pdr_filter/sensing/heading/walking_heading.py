@@ -488,8 +488,11 @@ class WalkingHeading:
     ) -> tuple[WalkingHeadingState, dict[str, Any]]:
         """Return the new state and the changed fields of a step.
 
-        `bias_error` holds three quantities that follow from the gyroscope bias: the error of the device heading at the
-        contact, its variance, and the heading variance lost so far.
+        The stride that the step ends updates the place of the phone and the heading offset. The new information is
+        reported in the fields of the step. `stride` is None if the step ends no usable stride. The step then receives
+        only the change of the bias and the present offset. `bias_error` holds three quantities that follow from the
+        gyroscope bias: the error of the device heading at the contact, its variance, and the heading variance lost so
+        far.
         """
         loss = self._bias_field(state, step, bias_error[2] - state.lost_var_rad2)
         reported = state.reported.at_step(step, self.drift, loss.get("yaw_bias_std_radps", step.yaw_bias_std_radps))
@@ -662,7 +665,9 @@ class WalkingHeading:
     ) -> tuple[Offset, tuple[Former, ...], Placement, float]:
         """Return the offset, the previous places, the place of a stride, and the change of the offset.
 
-        The change is a standard deviation in rad, and zero unless the phone was moved.
+        The phone was moved if the mean up direction of the stride is too far from that of the place. A new place then
+        begins. Its offset follows from the last walking direction, and from a previous place with the same tilt if
+        there is one. The change of the offset is a standard deviation in rad, and zero unless the phone was moved.
         """
         place_before, formers = state.place, state.formers
         if place_before is None:

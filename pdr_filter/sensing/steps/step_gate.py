@@ -383,10 +383,10 @@ class StepGate:
         return replace_unchecked(state, held=(), is_bout=True), [judged.step for judged in state.held[first:]]
 
     def _run(self, state: StepGateState) -> tuple[int, int]:
-        """Return the index of the first held step of the run, and the number of walking steps from there on.
+        """Return the index of the first held step of the current run, and the number of walking steps from there on.
 
-        The run includes the earlier steps that belong to its edge. Probabilities are updated by the evidence after each
-        step (backward recursion).
+        Held steps before the run belong to its edge if their probability of walking is high enough. The probabilities
+        are updated by the evidence after each step (backward recursion).
         """
         first, n_walking, ratio = len(state.held) - 1, 1, 1.0
         for i in range(len(state.held) - 2, -1, -1):

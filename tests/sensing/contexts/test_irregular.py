@@ -41,7 +41,7 @@ CHECKS = {
 
 
 def moving(gate: IrregularGate, of_logit: np.ndarray) -> np.ndarray:
-    """The features that `prob` takes, not still."""
+    """Features in the order of `names`, of a window that is not still."""
     return np.concatenate([of_logit, gate.still_below + 1.0])
 
 
@@ -54,7 +54,7 @@ def probs(block: ImuBlock) -> np.ndarray:
 
 
 def handled(seed: int, with_gyroscope: bool = True) -> ImuBlock:
-    """A phone that a hand turns to and fro by up to a right angle within a second or two, and hardly lifts."""
+    """Samples of a phone that a hand turns to and fro by up to 90 degrees in one or two seconds and hardly lifts."""
     rng = np.random.default_rng(seed)
     t = np.arange(1600) / 100
     angles = np.array(
@@ -85,13 +85,13 @@ def test_the_probability_equals_its_literal_formula(gate: IrregularGate, x: np.n
 
 
 @each_gate
-def test_at_the_mean_of_both_classes_the_intercept_is_left(gate: IrregularGate) -> None:
+def test_at_the_mean_of_the_features_the_log_odds_are_the_intercept(gate: IrregularGate) -> None:
     assert gate.prob(moving(gate, gate.mean)) == pytest.approx(1 / (1 + math.exp(-gate.intercept)))
     assert gate.prob(moving(gate, gate.mean)) < TRAINING_PRIOR
 
 
 @each_gate
-def test_a_broken_feature_counts_as_four_standard_deviations(gate: IrregularGate) -> None:
+def test_a_feature_is_clipped_at_four_standard_deviations(gate: IrregularGate) -> None:
     for i in range(8):
         broken, cut = gate.mean.copy(), gate.mean.copy()
         broken[i], cut[i] = 1e300, gate.mean[i] + 4 * gate.scale[i]
@@ -99,7 +99,7 @@ def test_a_broken_feature_counts_as_four_standard_deviations(gate: IrregularGate
 
 
 @each_gate
-def test_still_is_neither_gait_nor_irregular_and_takes_all_its_features(gate: IrregularGate) -> None:
+def test_a_window_is_still_only_if_all_features_of_stillness_are_low(gate: IrregularGate) -> None:
     limit = gate.still_below
     assert gate.prob(np.concatenate([gate.mean, limit - 0.01])) == 0.0
     for moves in ([0.01, -0.01], [-0.01, 0.01], [0.0, 0.0]):
@@ -149,7 +149,7 @@ def test_nan_and_a_wrong_number_of_features_are_refused(gate: IrregularGate) -> 
         gate.prob(gate.mean)
 
 
-def test_its_numbers_cannot_be_written() -> None:
+def test_the_parameters_of_a_gate_are_read_only() -> None:
     with pytest.raises(ValueError, match="read-only"):
         GATE.weight[0] = 0.0
 
@@ -176,7 +176,7 @@ def test_a_phone_that_is_turned_about_is_irregular(seed: int, with_gyroscope: bo
 
 @pytest.mark.parametrize("with_gyroscope", [True, False])
 @pytest.mark.parametrize("carrying_mode", ["texting", "pocket"])
-def test_a_simulated_walk_is_not(carrying_mode: str, with_gyroscope: bool) -> None:
+def test_a_simulated_walk_is_not_irregular(carrying_mode: str, with_gyroscope: bool) -> None:
     recording = simulate([Leg("walking", duration_s=30.0)], carrying_mode=carrying_mode, seed=1)
     if not with_gyroscope:
         recording = replace(recording, gyroscope=None)
@@ -186,7 +186,7 @@ def test_a_simulated_walk_is_not(carrying_mode: str, with_gyroscope: bool) -> No
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_how_the_phone_lies_in_the_hand_does_not_matter(seed: int) -> None:
+def test_the_attitude_of_the_phone_in_the_hand_does_not_matter(seed: int) -> None:
     block, turn = handled(seed), Rotation.random(random_state=seed)
     turned = imu(block.time_s, turn.apply(block.specific_force_mps2), turn.apply(block.angular_rate_radps))
     np.testing.assert_allclose(probs(turned), probs(block), atol=0.02)
@@ -194,10 +194,10 @@ def test_how_the_phone_lies_in_the_hand_does_not_matter(seed: int) -> None:
 
 @pytest.mark.recordings
 @pytest.mark.parametrize(("with_gyroscope", "least_auc", "least_recall"), [(True, 0.985, 0.90), (False, 0.98, 0.88)])
-def test_people_whom_the_fit_has_not_seen(
+def test_irregular_motion_of_persons_outside_the_fit_is_recognised(
     data_dir: Path, with_gyroscope: bool, least_auc: float, least_recall: float
 ) -> None:
-    """The figures of the module's docstring, with a margin."""
+    """Check the figures in the docstring of the module, with a margin."""
     irregular: list[float] = []
     gait: list[float] = []
     for person in range(7, 14):

@@ -20,7 +20,7 @@ USED = NAMES[:3]
 
 
 def linear(head: str, labels: tuple[str, ...], weights: np.ndarray, **more: Any) -> ContextModel:
-    """A model that knows the first as many labels as it has weights, in equal shares."""
+    """Model of the first labels, one for each row of weights, with equal priors."""
     prior = np.zeros(len(labels))
     prior[: len(weights)] = 1 / len(weights)
     machine = SoftmaxRegression(weights, np.zeros(len(weights)))
@@ -72,10 +72,10 @@ def test_the_carrying_mode_is_the_forward_filter_of_a_markov_chain() -> None:
     np.testing.assert_allclose(after(MODELS, windows)[:3], expected, atol=1e-12)
 
 
-def test_a_phone_that_lies_still_does_not_change_its_carrying_mode_but_it_is_forgotten_slowly() -> None:
+def test_a_phone_at_rest_keeps_its_carrying_mode_whose_probability_decays_slowly() -> None:
     walked = after(MODELS, [window(3.0, 3.0)] * 10)
     assert walked[1] > 0.95
-    still = window(-20.0, 0.0, 20.0)  # says swinging, but nobody moves
+    still = window(-20.0, 0.0, 20.0)  # evidence for swinging, but the phone is at rest
     prob = walked
     for _ in range(10):
         prob, _ = MODELS.update(prob, still)
@@ -92,7 +92,7 @@ def test_a_change_of_carrying_mode_is_followed_within_seconds() -> None:
     assert n <= 5
 
 
-def test_what_is_unlike_the_training_windows_gets_the_prior_of_the_model() -> None:
+def test_a_window_unlike_the_training_windows_gets_the_prior_of_the_model() -> None:
     guarded = replace(CONTEXT, familiarity=Familiarity(np.eye(3), np.ones(3), limit=2.0))
     models = ContextModels(guarded, guarded, CARRYING, CARRYING)
     known, strange = window(1.0, 1.0, 1.0), window(8.0, 8.0, 8.0)
@@ -105,7 +105,7 @@ def test_what_is_unlike_the_training_windows_gets_the_prior_of_the_model() -> No
 
 
 @pytest.mark.parametrize(("frequency_hz", "most_likely"), [(1.3, "walking"), (1.9, "walking"), (2.7, "running")])
-def test_the_step_frequency_divides_what_the_classifier_does_not_know_and_nothing_else(
+def test_the_step_frequency_changes_only_the_unknown_share_of_the_probabilities(
     frequency_hz: float, most_likely: str
 ) -> None:
     prior = np.array([0.2, 0.4, 0.1, 0.1, 0.0, 0.2])
@@ -152,15 +152,15 @@ POCKET, HAND = 2.0, -2.0
 
 
 def in_place(model: ContextModel, place: float, first: float = 3.0) -> WindowContext:
-    """What is said of the last of some windows that look like stairs."""
+    """Classification of the last of some windows that resemble stairs."""
     models, each = ContextModels(model, model, PLACES, PLACES), window(first, place)
     return models.update(after(models, [each] * 10), each)[1]
 
 
-def test_stairs_are_known_where_the_phone_is_in_a_pocket_and_not_where_it_is_elsewhere() -> None:
+def test_stairs_are_recognised_with_the_phone_in_a_pocket_and_unknown_elsewhere() -> None:
     assert in_place(GUARDED, POCKET).stairs_unknown_share < 0.1
     assert in_place(GUARDED, HAND).stairs_unknown_share > 0.9
-    assert in_place(CLIMBING, HAND).stairs_unknown_share == 0.0  # a model that does not guard them
+    assert in_place(CLIMBING, HAND).stairs_unknown_share == 0.0  # a model without limits for stairs
 
 
 def test_a_window_unlike_all_stairs_in_training_is_walking_even_in_a_pocket() -> None:
@@ -173,14 +173,14 @@ def test_a_window_unlike_all_stairs_in_training_is_walking_even_in_a_pocket() ->
 @pytest.mark.parametrize(
     ("rate_mps", "context"), [(0.3, "upstairs"), (-0.3, "downstairs"), (0.0, "walking"), (0.06, "walking")]
 )
-def test_a_barometer_decides_where_motion_cannot_tell_stairs(rate_mps: float, context: str) -> None:
+def test_a_barometer_decides_where_motion_does_not_show_stairs(rate_mps: float, context: str) -> None:
     told = with_climbs([in_place(GUARDED, HAND)], [Climb(2.0, rate_mps, 0.013, 40, 0.0, 0.03)])[0]
     assert CONTEXTS[told.prob.argmax()] == context
     assert told.prob.max() > 0.6
     assert told.prob.sum() == pytest.approx(1.0)
 
 
-def test_a_barometer_that_is_sure_of_level_ground_outvotes_motion_that_is_not_sure_of_stairs() -> None:
+def test_a_barometer_that_shows_level_ground_outvotes_uncertain_stairs() -> None:
     context = in_place(GUARDED, POCKET, first=0.3)
     assert CONTEXTS[context.prob.argmax()] == "upstairs"
     assert CONTEXTS[with_climbs([context], [Climb(2.0, 0.0, 0.013, 40, 0.0, 0.03)])[0].prob.argmax()] == "walking"

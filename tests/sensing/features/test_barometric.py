@@ -83,7 +83,7 @@ def test_a_steady_climb_is_recovered_at_any_rate_and_altitude(
     np.testing.assert_allclose([c.climb_rate_mps for c in climbs], rate_mps, rtol=1e-3, atol=1e-9)
 
 
-def test_it_is_the_least_squares_line_of_numpy() -> None:
+def test_the_climb_rate_is_the_least_squares_slope_of_numpy() -> None:
     rng = np.random.default_rng(0)
     time_s, hpa = climbing(0.3, 5.0, seed=1)
     hpa = hpa + rng.normal(0, 0.05, len(hpa))
@@ -96,7 +96,7 @@ def test_it_is_the_least_squares_line_of_numpy() -> None:
 
 
 @pytest.mark.parametrize("rate_hz", [1.0, 5.0, 25.0])
-def test_the_standard_deviation_is_that_of_many_tries(rate_hz: float) -> None:
+def test_the_standard_deviation_is_that_of_many_simulated_windows(rate_hz: float) -> None:
     rng = np.random.default_rng(0)
     time_s, hpa = climbing(0.3, rate_hz, duration_s=4.0 + 0.5 / rate_hz)
     noisy = [run(STAGE, time_s, hpa + rng.normal(0, 0.1, len(hpa))) for _ in range(2000)]
@@ -107,7 +107,7 @@ def test_the_standard_deviation_is_that_of_many_tries(rate_hz: float) -> None:
     assert (error**2).mean() / variance.mean() == pytest.approx(1.0, abs=0.12)
 
 
-def test_noise_below_that_of_the_sensor_does_not_make_it_surer() -> None:
+def test_noise_below_that_of_the_sensor_does_not_reduce_the_standard_deviation() -> None:
     time_s = np.arange(0.0, 10.0)
     (first, *_) = run(STAGE, time_s, np.full(10, 1000.0))  # a coarse sensor repeats itself
     assert first.climb_rate_mps == 0.0
@@ -127,7 +127,7 @@ def test_windows_come_every_hop_from_the_first_full_one_on() -> None:
     assert {c.n_samples for c in found} == {61}
 
 
-def test_slow_samples_end_a_window_each_and_no_hop_is_made_up_for() -> None:
+def test_slow_samples_end_one_window_each_and_missed_hops_are_skipped() -> None:
     time_s = np.arange(0, 30, 1.7)
     found = run(STAGE, time_s, np.full(len(time_s), 1000.0))
     np.testing.assert_allclose([c.time_s for c in found], time_s[2:])
@@ -146,13 +146,13 @@ def test_no_window_spans_a_gap() -> None:
     assert max(c.climb_rate_mps for c in run(STAGE, time_s[shorter], hpa[shorter])) > 0.5
 
 
-def test_what_cannot_be_used_changes_nothing() -> None:
+def test_unusable_samples_change_nothing() -> None:
     time_s, hpa = climbing(0.2, 10.0, seed=5)
     expected = run(STAGE, time_s, hpa)
     rng = np.random.default_rng(0)
     for bad_time, bad_hpa in [
-        (lambda t: t, lambda p: p + 1.0),  # the same time again
-        (lambda t: t - 3.0, lambda p: p),  # a straggler
+        (lambda t: t, lambda p: p + 1.0),  # a repeated time
+        (lambda t: t - 3.0, lambda p: p),  # a late sample
         (lambda t: t + 0.01, lambda _: np.nan),
         (lambda t: t + 0.01, lambda _: 0.0),  # a failed reading
         (lambda t: t + 0.01, lambda _: -np.inf),
@@ -174,7 +174,7 @@ def test_a_clock_that_is_set_back_is_followed() -> None:
     np.testing.assert_allclose([c.climb_rate_mps for c in after], -0.3, rtol=1e-5)
 
 
-def test_a_single_time_far_ahead_is_got_over() -> None:
+def test_a_single_time_far_ahead_does_not_stop_the_windows() -> None:
     time_s, hpa = climbing(0.2, 10.0)
     time_s[100] = 1e6
     found = run(STAGE, time_s, hpa)
@@ -196,7 +196,7 @@ def test_windows_do_not_depend_on_how_samples_arrive(seed: int, rate_hz: float, 
     assert run(STAGE, time_s, hpa, list(range(400))) == whole
 
 
-def test_an_empty_block_changes_nothing_and_arrays_are_left_as_they_are() -> None:
+def test_an_empty_block_changes_nothing_and_input_arrays_are_not_modified() -> None:
     time_s, hpa = climbing(0.2)
     state, _ = STAGE.update(STAGE.init(), time_s, hpa)
     again, found = STAGE.update(state, np.empty(0), np.empty(0))
@@ -204,7 +204,7 @@ def test_an_empty_block_changes_nothing_and_arrays_are_left_as_they_are() -> Non
     assert isinstance(again, ClimbState)
     np.testing.assert_array_equal(again.samples, state.samples)
     assert (again.due_s, again.n_behind) == (state.due_s, state.n_behind)
-    assert state.samples.shape[1] <= 42  # a window of it, whatever came
+    assert state.samples.shape[1] <= 42  # one window, however many samples came
     expected_s, expected_hpa = climbing(0.2)
     np.testing.assert_array_equal(time_s, expected_s)
     np.testing.assert_array_equal(hpa, expected_hpa)
@@ -217,7 +217,7 @@ def test_another_unit_is_refused_with_a_remedy(factor: float, remedy: str) -> No
         STAGE.update(STAGE.init(), time_s, factor * hpa)
 
 
-def test_the_column_of_a_recording_is_asked_for() -> None:
+def test_pressures_of_a_wrong_shape_are_refused_with_a_remedy() -> None:
     time_s, hpa = climbing(0.2)
     with pytest.raises(ValueError, match=r"values\[:, 0\]"):
         STAGE.update(STAGE.init(), time_s, hpa[:, None])
@@ -234,7 +234,7 @@ def test_the_column_of_a_recording_is_asked_for() -> None:
         {"temperature_c": 288.15},
     ],
 )
-def test_a_stage_that_cannot_work_is_refused(wrong: dict[str, float]) -> None:
+def test_invalid_parameters_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match="must be"):
         ClimbRate(**wrong)
 
@@ -267,7 +267,7 @@ def test_the_evidence_is_symmetric_and_bounded(rate_mps: float, std_mps: float) 
 
 
 @pytest.mark.parametrize("rate_mps", [0.0, 0.27, -0.27, 1.0])
-def test_an_uncertain_rate_says_nothing(rate_mps: float) -> None:
+def test_an_uncertain_rate_gives_no_evidence(rate_mps: float) -> None:
     assert np.ptp(climb_log_evidence(rate_mps, 10.0)) < 0.01
     np.testing.assert_array_equal(np.ptp(climb_log_evidence(rate_mps, np.inf)), 0.0)
     spreads = [np.ptp(climb_log_evidence(0.27, s)) for s in (0.0, 0.05, 0.1, 0.3, 1.0, 10.0)]
@@ -305,6 +305,6 @@ def test_a_flight_of_stairs_is_seen_through_the_noise_of_a_phone(
 
 
 @pytest.mark.parametrize(("rate_mps", "std_mps"), [(np.nan, 0.1), (np.inf, 0.1), (0.1, -1.0), (0.1, np.nan)])
-def test_what_is_no_rate_is_refused(rate_mps: float, std_mps: float) -> None:
+def test_a_rate_that_is_not_finite_is_refused(rate_mps: float, std_mps: float) -> None:
     with pytest.raises(ValueError, match="must be finite"):
         climb_log_evidence(rate_mps, std_mps)

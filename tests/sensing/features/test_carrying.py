@@ -78,7 +78,7 @@ def test_a_swing_of_known_angle_has_the_angle_whatever_its_frequency(frequency_h
     omega = 2 * np.pi * frequency_hz
     rate = np.stack([angle_rad * omega * np.cos(omega * T), 0 * T, 0 * T])
     found = named(window(rate=rate))
-    # Hann's taper smears a line over three bins, whose division by their own frequencies makes some per cent
+    # the Hann taper spreads a line over three bins with different divisors, an error of some per cent
     assert np.exp(found["log_tilt_angle"]) == pytest.approx(angle_rad / np.sqrt(2), rel=0.2)
     assert np.exp(found["log_tilt_rate"]) == pytest.approx(angle_rad * omega / np.sqrt(2), rel=0.02)
     assert found["tilts_about_one_axis"] == pytest.approx(1.0, abs=0.01)
@@ -99,14 +99,14 @@ def test_a_phone_on_a_lever_shows_its_length(lever_m: float) -> None:
     rate = np.stack([0.4 * omega * np.cos(omega * T), 0 * T, 0 * T])
     acceleration = -lever_m * 0.4 * omega**2 * np.sin(omega * T)
     found = named(window(rate=rate, horizontal=np.stack([0.6 * acceleration, 0.8 * acceleration])))
-    # the taper's side bins count with their own frequencies: 8 % too little at this pace
+    # the side bins of the taper have other frequencies, which makes the result 8 % too small at this pace
     assert np.exp(found["log_lever_m"]) - 0.05 == pytest.approx(lever_m, rel=0.1)
     assert found["lever_coherence"] == pytest.approx(1.0, abs=0.1)
     unrelated = named(window(rate=rate, horizontal=np.stack([np.sin(2 * np.pi * 2.5 * T), 0 * T])))
     assert unrelated["lever_coherence"] < 0.1
 
 
-def test_motion_to_and_fro_on_one_line_is_on_one_line_and_a_circle_is_not() -> None:
+def test_the_feature_of_motion_on_one_line_is_high_for_a_line_and_low_for_a_circle() -> None:
     line = np.stack([0.6 * np.sin(4 * np.pi * T), 0.8 * np.sin(4 * np.pi * T)])
     circle = np.stack([np.cos(4 * np.pi * T), np.sin(4 * np.pi * T)])
     assert named(window(horizontal=line))["horizontal_on_one_line"] == pytest.approx(1.0, abs=1e-2)
@@ -127,7 +127,9 @@ def test_walking_in_another_direction_changes_nothing(heading_rad: float, seed: 
 
 # of right-handed turns, the only ones that keep the screen's side: head to foot; mirrors: the left pocket for the right
 @pytest.mark.parametrize("signs", [(-1.0, -1.0, 1.0), (-1.0, 1.0, 1.0), (1.0, -1.0, 1.0)])
-def test_the_phone_head_to_foot_or_on_the_other_side_of_the_body_changes_nothing(signs: tuple[float, ...]) -> None:
+def test_turning_the_phone_upside_down_or_to_the_other_side_of_the_body_changes_nothing(
+    signs: tuple[float, ...],
+) -> None:
     signals = walk()
     other = signals.copy()
     handedness = np.prod(signs)  # a mirror turns the angular rate, an axial vector, the other way
@@ -148,7 +150,7 @@ def test_a_window_has_the_same_bits_alone_and_in_any_batch() -> None:
     np.testing.assert_array_equal(carrying_features(windows[::-1], RATE_HZ), together[::-1])
 
 
-def test_features_without_gyroscope_do_not_see_it_and_the_others_are_finite_without_it() -> None:
+def test_features_without_gyroscope_do_not_depend_on_it_and_all_are_finite_without_it() -> None:
     signals = walk()
     without = signals.copy()
     without[3:6] = 0.0
@@ -165,7 +167,7 @@ def test_still_phones_and_windows_of_zeros_have_finite_features() -> None:
 
 
 @pytest.mark.parametrize(("n", "rate_hz"), [(200, 100.0), (201, 100.0), (100, 50.0), (128, 64.0)])
-def test_windows_of_other_lengths_have_the_same_features_about(n: int, rate_hz: float) -> None:
+def test_windows_of_other_lengths_have_about_the_same_features(n: int, rate_hz: float) -> None:
     t = np.arange(n) / rate_hz
     signals = np.zeros((12, n))
     signals[0] = 2.5 * np.sin(2 * np.pi * 2.0 * t)

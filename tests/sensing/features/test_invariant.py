@@ -48,7 +48,7 @@ def test_a_person_who_steps_at_another_rate_has_other_features() -> None:
     assert np.exp(found["log_std_vertical"]) == pytest.approx(2.5 / np.sqrt(2), rel=0.05)
 
 
-def test_features_of_the_accelerometer_alone_do_not_see_the_gyroscope() -> None:
+def test_features_of_the_accelerometer_do_not_depend_on_the_gyroscope() -> None:
     rng = np.random.default_rng(0)
     windows = rng.normal(size=(3, 12, 200))
     without = windows.copy()

@@ -45,7 +45,7 @@ def test_shares_of_harmonics_are_those_of_the_signal() -> None:
     assert found[ORDER["periodic_share_swing_rate"]] == pytest.approx(1.0, abs=0.03)
 
 
-def test_neither_how_the_phone_lies_nor_when_the_window_starts_matters() -> None:
+def test_neither_the_attitude_nor_the_start_of_the_window_matters() -> None:
     plain = features(window())
     for seed in range(3):
         np.testing.assert_allclose(features(turned(window(), Rotation.random(random_state=seed))), plain, atol=1e-9)

@@ -73,14 +73,14 @@ def test_windows_are_one_hop_apart_whatever_their_length(window_s: float, hop_s:
     np.testing.assert_allclose(ends, window_s + hop_s * np.arange(len(ends)), atol=1e-9)
 
 
-def test_a_window_knows_whether_it_has_angular_rate_throughout() -> None:
+def test_a_window_states_whether_it_has_angular_rate_throughout() -> None:
     block = noise_block(600)
     block.angular_rate_known[210:230] = False
     found = [w for _, w in windows_of(FeatureWindows(features=TABLE_II), [block])]
     assert [w.has_gyroscope for w in found] == [True, False, False, True, True]
 
 
-def test_after_a_gap_windows_start_afresh_and_none_spans_it() -> None:
+def test_after_a_gap_windows_start_again_and_none_spans_it() -> None:
     rng = np.random.default_rng(1)
     time_s = np.concatenate([np.arange(450) / 100, 10.3 + np.arange(450) / 100])
     block = imu(time_s, rng.normal([0, 0, 9.8], 1.0, (900, 3)))

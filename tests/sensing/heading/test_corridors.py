@@ -1,4 +1,4 @@
-"""Axes of a building as a measurement of the heading's drift, on walks by formula."""
+"""Axes of a building as a measurement of heading drift, on synthetic walks."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ STEP_S = 0.55
 def legs(
     turns_rad: tuple[float, ...] | FloatArray, rng: np.random.Generator, *, n: int = 18, rate_radps: float = 0.0
 ) -> tuple[FloatArray, FloatArray]:
-    """Times and headings of steps: straight legs that are 3 degrees off, steps that are 2, corners of two steps."""
+    """Times and headings of steps: errors of 3 degrees per leg and 2 degrees per step, corners of two steps."""
     headings: list[float] = []
     heading = 0.4
     for turn in (0.0, *turns_rad):
@@ -68,12 +68,13 @@ def test_errors_of_the_drift_are_as_large_as_its_variance_says() -> None:
     assert 0.3 < np.median(squares) / 0.455 < 1.7  # the median of chi-square with one degree of freedom
 
 
-def test_free_walks_circles_and_diagonals_are_left_alone() -> None:
+def test_free_walks_circles_and_diagonals_are_not_corrected() -> None:
     rng = np.random.default_rng(4)
     free = [legs(rng.uniform(0.4, 2.8, 12) * rng.choice([-1, 1], 12), rng) for _ in range(60)]
     states = [run(AXES, *walk) for walk in free]
-    assert sum(max(s.log_odds for s in walk) > AXES.sure_log_odds for walk in states) <= 1  # of 60: 150 to 1
-    # a right angle or two by chance count by halves, and are taken back by the next corners
+    # Of 60 walks at most one reaches odds of 150 to 1.
+    assert sum(max(s.log_odds for s in walk) > AXES.sure_log_odds for walk in states) <= 1
+    # One or two right angles by chance raise the probability to about a half, and the next corners reduce it again.
     assert np.mean([AXES.probability(s) for walk in states for s in walk]) < 0.1
     assert np.median([AXES.probability(walk[-1]) for walk in states]) < 0.001
     time_s = STEP_S * np.arange(400)
@@ -85,13 +86,13 @@ def test_free_walks_circles_and_diagonals_are_left_alone() -> None:
     assert not AXES.is_sure(run(AXES, *diagonal)[-1])
 
 
-def test_who_goes_straight_on_says_nothing_of_axes() -> None:
+def test_walking_straight_on_gives_no_evidence_of_axes() -> None:
     time_s, headings = legs((), np.random.default_rng(5), n=500)
     states = run(AXES, time_s, headings)
     assert states[-1].log_odds == AXES.init().log_odds
 
 
-def test_a_diagonal_among_corridors_is_an_outlier_and_no_drift() -> None:
+def test_a_diagonal_among_corridors_is_an_outlier_and_not_drift() -> None:
     rng = np.random.default_rng(6)
     with_diagonal = (*OFFICE, QUARTER / 2, QUARTER / 2, QUARTER, -QUARTER)
     time_s, headings = legs(with_diagonal, rng, rate_radps=0.002)
@@ -113,12 +114,12 @@ def test_a_restart_forgets_axes_and_odds_and_keeps_the_rates() -> None:
     again = AXES.restart(last)
     assert again.log_odds == AXES.init().log_odds
     assert_array_equal(again.log_weight, last.log_weight)
-    # so a walk that goes on elsewhere knows its drift at once
+    # a walk that continues elsewhere therefore knows its drift at once
     weight = np.exp(again.log_weight)
     assert_allclose(weight @ again.mean[:, 1], 0.006, atol=0.002)
 
 
-def test_axes_count_with_their_probability() -> None:
+def test_the_drift_from_axes_is_weighted_with_the_probability_of_axes() -> None:
     time_s, headings = legs(OFFICE[:4], np.random.default_rng(9), rate_radps=0.004)
     states = run(AXES, time_s, headings)
     free_var = np.radians(20.0) ** 2
@@ -127,12 +128,12 @@ def test_axes_count_with_their_probability() -> None:
     mean_rad, variance = AXES.mixed(state, 0.0, free_var)
     assert_allclose(mean_rad, AXES.probability(state) * shown_rad)
     assert shown_var < variance < free_var
-    # improbable axes far from what is known otherwise teach nothing: the variance grows
+    # improbable axes far from the other estimate add no information: the variance grows
     _, doubtful = AXES.mixed(states[20], AXES.drift(states[20])[0] + 1.0, free_var)
     assert doubtful > free_var
 
 
-def test_a_wrong_scale_of_the_gyroscope_is_no_bias() -> None:
+def test_a_scale_error_of_the_gyroscope_is_not_taken_for_a_bias() -> None:
     """Laps to the left and to the right, with two per cent too much turning and no bias."""
     for side in (-1, 1):
         time_s, headings = legs(np.full(24, side * QUARTER), np.random.default_rng(10))
@@ -144,7 +145,7 @@ def test_a_wrong_scale_of_the_gyroscope_is_no_bias() -> None:
 
 
 @pytest.mark.recordings
-def test_a_real_walk_through_corridors_keeps_its_right_angles_in_hindsight(data_dir: Path) -> None:
+def test_a_smoothed_real_walk_through_corridors_keeps_its_right_angles(data_dir: Path) -> None:
     # uncorrected, the gyroscope of this recording is off by 28 degrees at the end
     recording = pdr.read(data_dir / "humolire" / "humolire_user1_straight.zip")
     track = pdr.smooth(recording).track

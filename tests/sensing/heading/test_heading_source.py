@@ -1,4 +1,4 @@
-"""What leads the heading is said: source and trust of each step, notes and report."""
+"""The source of the heading is reported: source and trust of each step, notes and report."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ def tracked(data_dir: Path, name: str, config: pdr.Config | None = None) -> pdr.
 
 @pytest.mark.recordings
 @pytest.mark.parametrize("name", ["handbag7", "handbag8", "handbag10"])
-def test_in_a_handbag_the_turn_of_the_phone_leads_and_the_track_says_so(data_dir: Path, name: str) -> None:
+def test_in_a_handbag_the_heading_follows_the_phone_and_a_note_says_so(data_dir: Path, name: str) -> None:
     track = tracked(data_dir, name)
     assert np.median(track.direction_trust) < 0.25
     assert sum(source == "device" for source in track.heading_source) > 0.7 * track.n_steps
     assert any("strides do not agree" in note for note in track.notes)
     assert any("strides do not agree" in doubt for doubt in doubts(track))
-    # a constant offset: but for the axes of a building the track is the turn of the device, and no more
+    # the offset is constant: without the axes of a building the track follows the turn of the device
     config = pdr.recipes.default()
     heading = config.sensing.heading
     assert isinstance(heading, WalkingHeading)
@@ -45,7 +45,7 @@ def test_in_a_handbag_the_turn_of_the_phone_leads_and_the_track_says_so(data_dir
 
 @pytest.mark.recordings
 @pytest.mark.parametrize("name", ["handheld1", "pocket4", "pocket6"])
-def test_in_hand_and_pocket_strides_agree_and_nothing_is_noted(data_dir: Path, name: str) -> None:
+def test_in_hand_and_pocket_strides_agree_and_there_is_no_note(data_dir: Path, name: str) -> None:
     track = tracked(data_dir, name)
     assert np.median(track.direction_trust) > 0.7
     assert sum(source == "device" for source in track.heading_source) < 0.1 * track.n_steps
@@ -54,7 +54,7 @@ def test_in_hand_and_pocket_strides_agree_and_nothing_is_noted(data_dir: Path, n
 
 @pytest.mark.recordings
 @pytest.mark.parametrize("name", ["handbag7", "handbag8", "handbag9", "handbag10"])
-def test_a_handbag_costs_no_more_than_the_gyroscope_does(data_dir: Path, name: str) -> None:
+def test_with_a_handbag_the_track_is_off_by_less_than_four_metres(data_dir: Path, name: str) -> None:
     recording = pdr.read(data_dir / "oxiod" / f"oxiod_anon_floor1_{name}.zip")
     track, truth = pdr.track(recording), recording.truth.position
     inside = (track.time_s >= truth.time_s[0]) & (track.time_s <= truth.time_s[-1])
@@ -65,7 +65,7 @@ def test_a_handbag_costs_no_more_than_the_gyroscope_does(data_dir: Path, name: s
 
 
 @pytest.mark.recordings
-def test_who_jogs_in_a_small_room_is_told_that_no_model_holds(data_dir: Path) -> None:
+def test_jogging_in_a_small_room_gives_a_note_that_no_model_holds(data_dir: Path) -> None:
     track = pdr.track(pdr.read(data_dir / "oxiod" / "oxiod_user1_room_running1_7.zip"))
     assert track.is_quick_and_soft.mean() > 0.7
     assert any("as quick as running and as soft as walking" in note for note in track.notes)

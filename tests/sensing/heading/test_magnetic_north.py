@@ -1,4 +1,4 @@
-"""North from the magnetic field: closed forms, iron in the phone and in the building, doubt that holds."""
+"""North from the magnetic field: closed forms, iron in the phone and in the building, consistent uncertainty."""
 
 from __future__ import annotations
 
@@ -70,13 +70,13 @@ def test_north_is_where_the_field_points_less_the_declination(north_rad: float) 
     assert there.north_std_rad == pytest.approx(math.hypot(last.north_std_rad, 0.2))
 
 
-def test_who_turns_shows_thirty_microtesla_of_iron_in_the_phone() -> None:
+def test_turning_reveals_thirty_microtesla_of_hard_iron_in_the_phone() -> None:
     last = found(*way(TURNS, 0.7, iron_ut=np.array([25.0, -15.0, 8.0])))[-1]
     assert abs(error_rad(last, 0.7)) < math.radians(10.0)
     assert abs(error_rad(last, 0.7)) < 3.0 * last.north_std_rad
 
 
-def test_before_somebody_turns_iron_is_doubt() -> None:
+def test_before_the_first_turn_hard_iron_is_part_of_the_standard_deviation() -> None:
     last = found(*way(np.zeros(120), iron_ut=np.array([10.0, 0.0, 0.0])))[-1]
     # ten microtesla across twenty
     assert error_rad(last, 0.0) == pytest.approx(math.atan(0.5), abs=1e-6)
@@ -88,7 +88,7 @@ def test_the_sums_are_those_of_a_least_squares_fit_to_all_readings() -> None:
     rng = np.random.default_rng(0)
     place_ut = np.repeat(rng.normal(scale=5.0, size=(40, 3)), 3, axis=0)
     block, attitude, steps = way(TURNS, 1.1, np.array([3.0, -4.0, 2.0]), place_ut)
-    # with a variance that is given: as if known from a million readings
+    # with a given variance, as if estimated from a million readings
     stage = MagneticNorth(disturbance_ut=6.0, disturbance_readings=1e6)
     last = found(block, attitude, steps, stage)[-1]
     size = round(STEP_S * RATE_HZ)
@@ -111,7 +111,7 @@ def test_the_sums_are_those_of_a_least_squares_fit_to_all_readings() -> None:
 
 
 @pytest.mark.parametrize("scatter_ut", [3.0, 6.0, 15.0])
-def test_in_buildings_north_is_as_good_as_it_says(scatter_ut: float) -> None:
+def test_in_buildings_the_error_of_north_agrees_with_its_standard_deviation(scatter_ut: float) -> None:
     z = []
     for seed in range(60):
         rng = np.random.default_rng(seed)
@@ -121,12 +121,13 @@ def test_in_buildings_north_is_as_good_as_it_says(scatter_ut: float) -> None:
         iron_ut = rng.normal(scale=5.0, size=3)
         last = found(*way(TURNS, 0.7, iron_ut, place_ut))[-1]
         z.append(error_rad(last, 0.7) / last.north_std_rad)
-    # of 60 independent normal ones 0.65 to 1.4 with a probability of 99 %; small ones are too careful
+    # For 60 independent normal errors it is 0.65 to 1.4 with a probability of 99 %. A small value means that the
+    # standard deviation is too large.
     assert np.mean(np.square(z)) < 1.4
     assert np.mean(np.square(z)) > 0.15
 
 
-def test_a_lift_on_the_way_is_doubt() -> None:
+def test_a_lift_on_the_way_increases_the_standard_deviation() -> None:
     place_ut = np.zeros((len(TURNS), 3))
     place_ut[50:58, 0] = 120.0
     quiet, last = found(*way(TURNS, 0.7))[-1], found(*way(TURNS, 0.7, place_ut=place_ut))[-1]
@@ -153,7 +154,7 @@ def test_the_result_does_not_depend_on_the_blocks(edges: list[int]) -> None:
     assert [(s.north_rad, s.north_std_rad) for s in streamed] == [(s.north_rad, s.north_std_rad) for s in whole]
 
 
-def test_without_a_field_nothing_is_said() -> None:
+def test_without_a_magnetic_field_north_is_unknown() -> None:
     block, attitude, steps = way(TURNS)
     unknown = UniformBlock(
         block.time_s,
@@ -167,13 +168,13 @@ def test_without_a_field_nothing_is_said() -> None:
     assert all(math.isinf(s.north_std_rad) for s in found(unknown, attitude, steps))
 
 
-def test_a_magnetometer_that_reads_zero_knows_nothing() -> None:
+def test_a_magnetometer_that_reads_zero_leaves_north_unknown() -> None:
     block, attitude, steps = way(TURNS)
     block.magnetic_field_ut[:] = 0.0
     assert all(s.north_std_rad > math.pi for s in found(block, attitude, steps))
 
 
-def test_north_is_sought_anew_when_the_turn_of_the_phone_was_not_measured() -> None:
+def test_north_is_estimated_again_when_the_turn_of_the_phone_was_not_measured() -> None:
     block, attitude, steps = way(TURNS)
     number, step = steps[60]
     steps[60] = number, a_step(step.time_s, duration_s=STEP_S, heading_unknown_s=0.4)
@@ -181,7 +182,7 @@ def test_north_is_sought_anew_when_the_turn_of_the_phone_was_not_measured() -> N
     assert after[60].north_std_rad == after[0].north_std_rad > 3.0 * after[59].north_std_rad
 
 
-def test_who_stands_for_long_is_one_witness() -> None:
+def test_standing_for_long_does_not_reduce_the_standard_deviation() -> None:
     block, attitude, steps = way(np.zeros(120))
     walked, stood = found(block, attitude, steps), found(block, attitude, steps[:5])
     assert stood[-1].north_std_rad == walked[4].north_std_rad > walked[-1].north_std_rad

@@ -1,4 +1,4 @@
-"""A filter that uses all reported walking headings knows what the heading stage knows."""
+"""A filter that uses all reported walking headings has the estimate of the heading stage."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ BIAS_STD_RADPS = 0.002
 
 
 @pytest.mark.parametrize("pause_s", [0.5, 20.0, 60.0])
-def test_after_a_pause_and_a_late_heading_change_the_filter_has_the_heading_and_variance_of_the_stage(
+def test_after_a_pause_and_a_late_heading_change_the_filter_has_heading_and_variance_of_the_stage(
     pause_s: float,
 ) -> None:
-    """The drift of the pause comes before the measurement in both: as much of a change of 0.4 rad is taken over."""
+    """In both filters the drift of the pause precedes the measurement, so both apply the same part of the change."""
     model = recipes.default().model
     drift, one_mode = model.noise.heading_drift, Directions(*np.zeros((4, 1)))
     state, reported = initial_state(model, np.ones(1)), Reported()

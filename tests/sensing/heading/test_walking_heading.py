@@ -1,4 +1,4 @@
-"""The walking heading learnt from the acceleration, in any carrying mode."""
+"""Walking heading estimated from the acceleration, in any carrying mode."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def body(
     sway_mps2: float = 2.0,
     turned_rad: float = 0.0,
 ) -> tuple[UniformBlock, AttitudeBlock, list[tuple[int, Step]]]:
-    """A person who walks on a heading, who turns at 8 s, with the phone fixed to the body in any attitude.
+    """Samples of a pedestrian who walks on a heading and turns at 8 s, with the phone fixed to the body.
 
     The device's heading begins at zero whatever the phone's attitude; so does the frame of the attitude.
     """
@@ -114,7 +114,7 @@ def annotated(parts: Any, carrying_mode: str | None = None, context: str | None 
 
 
 def believed(steps: list[Step], noise: MotionNoise = NOISE) -> tuple[FloatArray, FloatArray]:
-    """Heading offset and its variance after each step, in a Kalman filter that takes measurements as independent."""
+    """Heading offset and its variance after each step, in a Kalman filter that treats measurements as independent."""
     offset_rad, variance, first, last_s = 0.0, np.inf, True, None
     result: list[tuple[float, float]] = []
     for step in steps:
@@ -168,14 +168,14 @@ def test_a_slope_has_no_amplitude_at_step_frequency() -> None:
     assert_allclose(twice, 0.0, atol=1e-9)
 
 
-def test_two_strides_in_the_window_are_seen_as_what_they_are() -> None:
+def test_two_strides_in_one_window_are_recognised() -> None:
     t = (np.arange(210) - 104.5) / 210
     stride, step = 0.4 * np.cos(4 * np.pi * t), 1.5 * np.cos(8 * np.pi * t)
     once, twice = harmonics_of_one(np.stack([stride, stride, stride + step]))
     assert_allclose([abs(once[0]), abs(twice[2])], [0.4, 1.5], atol=1e-6)
 
 
-def test_only_what_is_in_phase_counts() -> None:
+def test_only_the_horizontal_force_in_phase_counts() -> None:
     vertical = 3.0 * np.exp(0.3j)
     ahead = np.exp(1j * (0.3 + 1.2))
     assert_allclose(
@@ -207,7 +207,7 @@ def test_about_another_axis_a_stride_points_where_it_did(angle_rad: float) -> No
     up, axis = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)
     stride = Stride(up, axis, 0.3, 0.1, 0.0, False, (1.0 + 0.0j, 2.0j, 1.0 + 1.0j), (1.0, 1.0, 1.0))
     turned = stride.about((np.sin(angle_rad), np.cos(angle_rad), 0.0))
-    # the axis is so much further clockwise, all angles from it so much less
+    # the axis is rotated clockwise by the angle, so all angles from it decrease by the angle
     assert turned.axis_heading_rad == pytest.approx(0.3 + angle_rad)
     assert turned.pointing_rad == pytest.approx(-angle_rad)
     before, after = (np.angle(s.vectors) for s in (stride, turned))
@@ -251,8 +251,8 @@ def test_a_turn_of_the_body_is_a_turn_of_the_device_and_the_offset_stays() -> No
     assert sum(s.offset_change_std_rad > 0.5 for s in result) == 0
 
 
-def test_a_phone_that_comes_back_after_a_look_is_as_it_was() -> None:
-    # While the phone is looked at the body turns by 115 degrees, and from then on no push shows where it walks.
+def test_a_phone_that_returns_after_a_look_has_its_previous_direction() -> None:
+    # While the phone is looked at the body turns by 115 degrees, and afterwards no push shows the walking direction.
     pushes = np.where(np.arange(1400) < 730, 1.2, 0.0)
     block, attitude, steps = body(Rotation.from_euler("x", 1.5), 0.6, seconds=14.0, turned_rad=2.0, forward_mps2=pushes)
     looked_at = Rotation.from_euler("x", -60, degrees=True)
@@ -277,14 +277,14 @@ def test_a_runners_push_has_another_phase() -> None:
     assert np.abs(error_deg([s for _, s in result], 0.6)[-1]) > 120.0
 
 
-def test_another_persons_phase_is_learnt() -> None:
+def test_the_phase_of_another_person_is_estimated() -> None:
     parts = body(Rotation.from_euler("x", 1.5), 0.6, phase_rad=np.radians(140.0), seconds=25.0)
     result = annotated(parts, "pocket")
     assert np.abs(error_deg(result, 0.6)[-10:]).max() < 5.0
     assert shown_std_deg(result)[-1] < 12.0
 
 
-def test_a_reader_walks_where_the_phone_points_and_a_pocket_has_no_such_axis() -> None:
+def test_a_phone_being_read_points_in_the_walking_direction_and_one_in_a_pocket_does_not() -> None:
     phone = Rotation.from_euler("x", np.radians(35.0))  # y forward and up: points north
     still = body(phone, 0.0, forward_mps2=0.0)
     assert_allclose(error_deg(annotated(still, "texting"), 0.0)[2:], 0.0, atol=3.0)
@@ -326,14 +326,14 @@ def test_acceleration_corrects_the_axis_of_a_reader_in_part() -> None:
     assert 3.0 < learnt_deg < 20.0
 
 
-def test_steps_that_a_gate_held_back_for_seconds_show_the_same() -> None:
+def test_steps_delayed_by_a_gate_for_seconds_have_the_same_headings() -> None:
     block, attitude, steps = body(Rotation.from_euler("xyz", [1.0, 0.4, 2.0]), 1.0, turned_rad=2.0, seconds=24.0)
     prompt, late = steps[:20], [(known + 600, step) for known, step in steps[:20]]
     for one, other in zip(annotated((block, attitude, prompt)), annotated((block, attitude, late)), strict=True):
         assert one == other
 
 
-def test_nothing_is_learnt_from_steps_that_are_said_to_lead_sideways() -> None:
+def test_steps_classified_as_sideways_do_not_change_the_offset() -> None:
     steps = annotated(body(Rotation.from_euler("x", 1.5), 0.6), "pocket", "sideways")
     assert not np.isfinite([s.walking_heading_std_rad for s in steps]).any()
 
@@ -357,7 +357,7 @@ def stage_state(parts: Any, carrying_mode: str | None = None) -> tuple[WalkingHe
     return state, [s for _, s in result]
 
 
-def test_a_stage_that_reckons_with_another_drift_than_the_filter_is_refused() -> None:
+def test_a_stage_with_another_heading_drift_than_the_filter_is_refused() -> None:
     config = default()
     assert config.sensing.heading.drift is config.model.noise.heading_drift
     other = MotionNoise(HeadingDrift(random_walk_rad_per_sqrt_s=0.02))
@@ -365,7 +365,7 @@ def test_a_stage_that_reckons_with_another_drift_than_the_filter_is_refused() ->
         config.with_model(noise=other)
 
 
-def test_a_kalman_filter_that_believes_every_measurement_has_the_learnt_offset_and_variance() -> None:
+def test_a_kalman_filter_that_uses_every_measurement_has_offset_and_variance_of_the_stage() -> None:
     parts = body(Rotation.from_euler("xyz", [1.0, 0.4, 2.0]), 1.0, turned_rad=2.0, seconds=20.0)
     for vectors in (parts[0].specific_force_mps2, parts[1].up_sensor):
         vectors[900:] = Rotation.from_euler("x", -60, degrees=True).apply(vectors[900:])
@@ -378,7 +378,7 @@ def test_a_kalman_filter_that_believes_every_measurement_has_the_learnt_offset_a
 
 @pytest.mark.parametrize("label", ["texting", "pocket"])
 def test_a_carrying_mode_that_is_reported_later_becomes_that_of_the_place(label: str) -> None:
-    """The phone is not moved: what the classifier reports after some seconds is of this place."""
+    """The phone is not moved: the mode that the classifier reports after some seconds belongs to this place."""
     block, attitude, steps = body(Rotation.from_euler("x", 1.5), 0.6, seconds=40.0)
     n = len(block.time_s)
     carrying_mode = np.where(np.arange(n) < n // 2, -1, CARRYING_MODES.index(label))
@@ -395,8 +395,8 @@ def test_no_number_of_strides_is_better_than_the_systematic_error() -> None:
     assert steps[-1].direction_trust > 0.75
 
 
-def test_what_strides_show_in_the_first_place_does_not_bend_the_track() -> None:
-    """Where the phone points against the body is a matter of the frame, whatever strides say of it."""
+def test_the_direction_shown_by_strides_in_the_first_place_does_not_deform_the_track() -> None:
+    """The direction of the phone relative to the body only defines the frame, whatever strides measure."""
     pushes = np.where(np.arange(6000) < 3000, 1.2, 0.0)
     for forward_mps2 in (1.2, 0.0, pushes):
         steps = annotated(body(Rotation.from_euler("x", 1.5), 0.6, seconds=60.0, forward_mps2=forward_mps2), "pocket")
@@ -405,14 +405,14 @@ def test_what_strides_show_in_the_first_place_does_not_bend_the_track() -> None:
         assert np.degrees(np.sqrt(variance[-1])) < 5.0
 
 
-def test_nothing_is_said_to_be_known_of_the_hand_that_rested_for_a_while() -> None:
+def test_the_variance_of_the_offset_grows_while_the_pedestrian_rests() -> None:
     block, attitude, steps = body(Rotation.from_euler("x", 1.5), 0.6, seconds=240.0)
     walked = [(k, s) for k, s in steps if not 20.0 < s.time_s < 225.0]
     _, variance = believed(annotated((block, attitude, walked), "pocket"))
     assert variance[-1] > 0.8 * NOISE.heading_drift.random_walk_rad_per_sqrt_s**2 * 205.0
 
 
-def test_what_a_late_bias_left_is_taken_off_and_stays_as_unsure_as_it_is() -> None:
+def test_the_heading_error_of_a_late_bias_is_corrected_and_its_variance_kept() -> None:
     block, attitude, steps = body(Rotation.from_euler("x", 1.5), 0.6, seconds=60.0)
     n = len(block.time_s)
     late = replace(
@@ -434,7 +434,7 @@ def test_what_a_late_bias_left_is_taken_off_and_stays_as_unsure_as_it_is() -> No
 # --- missing data ----------------------------------------------------------------------------------------------------
 
 
-def test_nothing_is_known_without_gyroscope() -> None:
+def test_without_gyroscope_there_are_no_headings() -> None:
     block, attitude, steps = body(Rotation.from_euler("x", 0.5), 0.6)
     block = replace(block, angular_rate_known=np.zeros(len(block.time_s), bool))
     for step in annotated((block, attitude, steps), "texting"):
@@ -443,7 +443,7 @@ def test_nothing_is_known_without_gyroscope() -> None:
 
 
 @pytest.mark.parametrize("moved_deg", [0.0, 80.0])
-def test_after_a_gap_a_phone_found_as_before_keeps_its_offset_and_the_heading_lost_is_not_regained(
+def test_after_a_gap_a_phone_with_the_same_tilt_keeps_its_offset_and_the_lost_heading_variance_stays(
     moved_deg: float,
 ) -> None:
     phone = Rotation.from_euler("x", 1.5)
@@ -497,7 +497,7 @@ CHANGES = [*SQUARE[:3], leg(carrying_mode="pocket"), leg(turn_rad=RIGHT), leg(ca
 
 
 def simulated_error_deg(legs: list[Leg], carrying_mode: str, mode_at: Any = None) -> tuple[FloatArray, FloatArray]:
-    """Times of steps and errors of the believed walking heading, against the exact heading of the body.
+    """Times of steps and errors of the estimated walking heading, relative to the exact heading of the body.
 
     The frame of the attitude is fitted to the world on the specific force alone, so no constant error is hidden.
     """
@@ -553,7 +553,7 @@ def test_the_result_does_not_depend_on_blocks_nor_on_saving(seed: int) -> None:
 
 
 def room_error_deg(path: Path) -> FloatArray:
-    """Errors of the believed direction against motion capture, where the phone moves at 0.4 m/s and more.
+    """Errors of the estimated direction against motion capture, where the phone moves at 0.4 m/s and more.
 
     Of a phone in a trouser pocket the lever arm to the body is short, so that its own smoothed path will do. The frame
     of the attitude is turned to the room, with the drift of the gyroscope, by the acceleration of the phone alone.
@@ -601,7 +601,7 @@ def test_in_one_pocket_the_offset_stays_where_it_is(data_dir: Path, name: str) -
 
 
 @pytest.mark.recordings
-def test_a_reader_in_a_corridor_is_told_of_no_other_direction(data_dir: Path) -> None:
+def test_strides_in_a_corridor_do_not_overrule_the_axis_of_a_phone_being_read(data_dir: Path) -> None:
     steps, _, _ = sensed(pdr.read(data_dir / "humolire" / "humolire_user1_1f.zip"), lambda _: "texting")
     offset_deg = np.degrees([s.shown_offset_rad for s in steps])
     assert np.abs(offset_deg[5:]).max() < 10.0

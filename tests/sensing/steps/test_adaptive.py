@@ -87,7 +87,7 @@ def sine_hz(line: FloatArray) -> FloatArray:
     return DETECTOR._sine_hz(*DETECTOR._rms(line, DETECTOR._derivatives))
 
 
-def test_a_sine_tells_its_own_frequency_and_heel_strikes_do_not() -> None:
+def test_the_frequency_of_a_sine_is_measured_and_heel_strikes_are_not_a_sine() -> None:
     time_s = (np.arange(1000) + 0.5) / 100
     for frequency_hz, amplitude_mps2 in ((2.3, 1.5), (2.6, 2.0), (2.8, 2.0)):
         sine = amplitude_mps2 * np.cos(2 * np.pi * frequency_hz * time_s)
@@ -153,7 +153,7 @@ def test_heel_strike_and_push_off_are_one_step(frequency_hz: float) -> None:
 
 
 @pytest.mark.parametrize(("frequency_hz", "amplitude_mps2"), [(1.7, 4.0), (2.8, 20.0)])
-def test_the_unequal_feet_of_walkers_and_runners_are_told_apart(frequency_hz: float, amplitude_mps2: float) -> None:
+def test_steps_of_unequal_feet_are_all_found_in_walking_and_running(frequency_hz: float, amplitude_mps2: float) -> None:
     contacts_s = 3.0 + np.arange(20) / frequency_hz
     time_s = (np.arange(1700) + 0.5) / 100
     magnitude = bumps(time_s, contacts_s[::2], amplitude_mps2, frequency_hz)
@@ -166,7 +166,7 @@ def test_a_weak_step_is_kept_where_the_rhythm_expects_it_and_nowhere_else() -> N
     contacts_s = 3.0 + np.arange(20) * 0.55
     time_s = (np.arange(1900) + 0.5) / 100
     strong = np.delete(contacts_s, 10)
-    level_mps2 = 2.0  # of the strong steps; a tenth of it is below the relative threshold of 0.15
+    level_mps2 = 2.0  # height of the strong steps; a tenth of it is below the relative threshold of 0.15
     magnitude = bumps(time_s, strong, level_mps2, 1.8)
     for at_s, n in [(contacts_s[10], 1), (contacts_s[-1] + 0.55, 1)]:
         with_weak = magnitude + bumps(time_s, np.array([at_s]), 0.25, 1.8) - STANDARD_GRAVITY_MPS2

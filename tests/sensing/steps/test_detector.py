@@ -31,7 +31,7 @@ def test_the_first_step_of_a_bout_and_one_after_a_pause_begin_with_a_rest() -> N
     assert [s.from_rest for s in logged(contacts, walks)] == [True, False, False, False, True, False, True, False]
 
 
-def test_a_long_step_with_two_bounces_is_two_and_says_nothing_of_what_is_usual() -> None:
+def test_a_long_step_with_two_bounces_is_two_steps_and_does_not_change_the_usual_duration() -> None:
     contacts = [100, 150, 200, 250, 350, 400]
     steps = logged(contacts, np.full(600, 2.0))
     assert [s.from_rest for s in steps] == [True, False, False, False, False, False]
@@ -40,7 +40,7 @@ def test_a_long_step_with_two_bounces_is_two_and_says_nothing_of_what_is_usual()
     assert steps[5].stride_amplitude_mps2 == steps[5].vertical_amplitude_mps2
 
 
-def test_a_runner_s_long_step_is_a_rest_whatever_it_bounces() -> None:
+def test_a_long_step_while_running_is_a_rest_whatever_its_amplitude() -> None:
     t = np.arange(400) / 100
     magnitude = STANDARD_GRAVITY_MPS2 + 2.0 * np.sin(2 * np.pi * 2.5 * t)
     state = LOG.extend(LOG.init(), uniform_block(magnitude), flat_attitude(magnitude))
@@ -56,7 +56,7 @@ def test_a_slow_walker_does_not_rest_between_steps() -> None:
     assert [s.from_rest for s in steps] == [True, False, False, False, False]
 
 
-def test_the_usual_duration_is_that_of_the_steps_before_without_pauses_and_tells_how_uneven_a_step_is() -> None:
+def test_usual_duration_and_unevenness_come_from_earlier_steps_without_pauses() -> None:
     walks = np.full(900, 2.0)
     walks[315:445] = 0.0
     steps = logged([100, 150, 200, 260, 310, 450, 500], walks)
@@ -109,7 +109,7 @@ def test_the_turn_rate_is_that_of_the_stride_without_the_sway_of_its_two_steps()
     assert [s.turn_rate_radps for s in steps[2:]] == pytest.approx([0.4] * 12, rel=0.06)
 
 
-def test_a_turn_before_a_pause_is_not_of_the_step_after_it() -> None:
+def test_a_turn_before_a_pause_does_not_count_for_the_step_after_it() -> None:
     t = np.arange(900) / 100
     magnitude = STANDARD_GRAVITY_MPS2 + 2.0 * np.sin(2 * np.pi * 2.0 * t)
     attitude = replace(flat_attitude(magnitude), device_heading_rad=np.minimum(t, 2.0))

@@ -33,7 +33,7 @@ def times_s(steps: list[Step]) -> FloatArray:
 
 @pytest.mark.parametrize("period_s", [0.35, 0.55, 1.2])
 @pytest.mark.parametrize("share", [-0.13, -0.05, 0.1, 0.13])
-def test_left_and_right_that_are_uneven_become_even(period_s: float, share: float) -> None:
+def test_unequal_intervals_of_left_and_right_become_equal(period_s: float, share: float) -> None:
     k = np.arange(40)
     true_s = 5.0 + period_s * k
     error_s = min(abs(share) * period_s, 0.09) * np.sign(share)
@@ -41,13 +41,13 @@ def test_left_and_right_that_are_uneven_become_even(period_s: float, share: floa
     np.testing.assert_allclose(found[10:], true_s[10:], atol=0.2 * abs(error_s))
 
 
-def test_even_steps_stay_where_they_are_whatever_their_pace() -> None:
+def test_equal_intervals_do_not_change_at_any_pace() -> None:
     for period_s in (0.3, 0.55, 1.3):
         contacts_s = 3.0 + period_s * np.arange(30)
         np.testing.assert_allclose(times_s(evened(contacts_s)), contacts_s, atol=1e-9)
 
 
-def test_after_a_rest_the_sides_are_learnt_anew() -> None:
+def test_after_a_rest_the_error_of_left_and_right_is_estimated_again() -> None:
     k = np.delete(np.arange(41), 20)
     true_s = 5.0 + 0.55 * k
     found = times_s(evened(true_s + 0.06 * (-1.0) ** k))
@@ -63,7 +63,7 @@ def test_a_missed_contact_is_put_in_the_middle_of_a_step_twice_as_long() -> None
     np.testing.assert_allclose(found, 5.0 + 0.55 * np.arange(41))
 
 
-def test_the_two_halves_turn_and_say_together_what_the_long_step_did() -> None:
+def test_the_two_halves_of_a_step_have_together_its_turn_and_its_measurements() -> None:
     contacts_s = 5.0 + 0.5 * np.array([0, 1, 2, 3, 5])
     steps = steps_at(contacts_s)
     long = replace(
@@ -84,7 +84,7 @@ def test_the_two_halves_turn_and_say_together_what_the_long_step_did() -> None:
     assert first.heading_change_rad + second.heading_change_rad == pytest.approx(0.4)
     assert not first.is_two and not second.is_two
     assert first.vertical_amplitude_mps2 == second.stride_amplitude_mps2 == 2.5
-    # said once, and of the angle between walking and device
+    # reported once, for the angle between walking and device
     assert (first.walking_heading_std_rad, first.offset_change_std_rad, first.heading_unknown_s) == (np.inf, 0.0, 0.0)
     assert (second.walking_heading_std_rad, second.offset_change_std_rad, second.heading_unknown_s) == (0.2, 0.6, 0.1)
     assert second.walking_heading_rad - second.device_heading_rad == pytest.approx(0.3)

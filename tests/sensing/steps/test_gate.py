@@ -28,7 +28,7 @@ GATE = StepGate()
 
 
 class Told:
-    """Log odds that a test writes down, in the order of the steps."""
+    """Evidence with log odds given by a test, in the order of the steps."""
 
     def __init__(self, log_odds: Sequence[float]) -> None:
         self.left = list(log_odds)
@@ -63,7 +63,7 @@ def advance(gate: StepGate, blocks: list[UniformBlock], steps: list[tuple[int, S
 
 
 def passed(gate: StepGate, times_s: Sequence[float], rest_s: float = 3.0) -> list[Step]:
-    """What passes of steps at some times, the end included."""
+    """Steps that pass the gate, including those released at the end."""
     block = uniform_block(np.full(int(100 * (max(times_s, default=0.0) + rest_s)), STANDARD_GRAVITY_MPS2))
     state, released = advance(gate, [block], known_steps(times_s))
     return [s for _, s in [*released, *gate.close(state, [])[1]]]
@@ -93,12 +93,12 @@ def of_one(force: FloatArray, intervals_s: Sequence[float]) -> FloatArray:
 
 
 def repetition(signals: FloatArray, n_lags: int = 57) -> FloatArray:
-    """Of vectors (B, N, 3) the repetition (B,); that of their first axis alone is another one."""
+    """Repetition (B,) of vectors (B, N, 3); the repetition of their first axis alone differs."""
     of_all = np.concatenate([signals, signals[:, :, :1]], axis=2).swapaxes(1, 2)
     return repetitions(of_all - of_all.mean(axis=2, keepdims=True), n_lags)[:, 0]
 
 
-def test_what_repeats_exactly_has_repetition_one_and_noise_little() -> None:
+def test_an_exact_repetition_has_correlation_one_and_noise_a_small_one() -> None:
     t = np.arange(88) / 25
     waves = np.cos(2 * np.pi * np.array([0.7, 1.1, 1.8, 2.7, 4.5])[:, None] * t)
     assert (repetition(waves[:, :, None] * [0.6, 0.0, 0.8]) > 0.97).all()
@@ -152,7 +152,7 @@ def test_the_rhythm_is_the_scatter_of_three_intervals_and_unknown_before() -> No
     assert of_one(force, (0.5, 0.5))[1] == 0.5
 
 
-def test_a_pause_is_no_interval_of_the_rhythm() -> None:
+def test_a_pause_does_not_count_as_an_interval_of_the_rhythm() -> None:
     seen: list[float] = []
 
     class Told:
@@ -173,7 +173,7 @@ def walking_force(cadence_hz: float, bounce_mps2: float, duration_s: float) -> F
 
 
 @pytest.mark.parametrize("c", [1.3, 1.7, 2.2])
-def test_what_repeats_and_how_regularly_does_not_depend_on_the_pace(c: float) -> None:
+def test_repetition_and_rhythm_do_not_depend_on_the_pace(c: float) -> None:
     usual = of_one(walking_force(1 / 0.6, 3.0, 3.52), [0.6] * 3)
     slow = of_one(walking_force(1 / 0.6 / c, 3.0 / c**2, 3.52 * c), [0.6 * c] * 3)
     np.testing.assert_allclose(np.delete(slow, 2), np.delete(usual, 2), atol=0.06)
@@ -182,7 +182,7 @@ def test_what_repeats_and_how_regularly_does_not_depend_on_the_pace(c: float) ->
     assert slow[2] - usual[2] == pytest.approx(np.log(c), abs=0.15)
 
 
-def test_nothing_is_compressed_for_a_fast_walker_nor_stretched_without_end() -> None:
+def test_time_scales_are_not_compressed_for_fast_walkers_and_their_stretch_is_bounded() -> None:
     assert slowness([]) == slowness([0.3] * 3) == slowness([0.6] * 3) == 1.0
     assert slowness([0.9, 0.9, 0.3]) == pytest.approx(1.5)
     assert slowness([2.4] * 3) == 2.2
@@ -199,7 +199,7 @@ def test_a_walk_has_high_odds_and_a_phone_that_is_turned_low_ones() -> None:
     assert EVIDENCE.log_odds(of_one(turned, (0.9, 0.4, 0.7))[None]) < -3
 
 
-def test_the_log_odds_are_a_sum_with_cut_features() -> None:
+def test_the_log_odds_are_a_weighted_sum_of_clipped_features() -> None:
     evidence = WalkEvidence(np.zeros(4), np.ones(4), np.array([1.0, 2.0, 3.0, 4.0]), 0.5)
     assert evidence.log_odds(np.array([[1.0, 0.0, -1.0, 0.0]])) == pytest.approx(-1.5)
     assert evidence.log_odds(np.array([[99.0, -99.0, 0.0, 0.0]])) == pytest.approx(0.5 + 3.0 - 6.0)
@@ -224,14 +224,14 @@ def test_a_bout_may_be_as_short_as_asked_for() -> None:
     assert times_of(passed(told_gate([9.0], min_steps=1), [3.0])) == [3.0]
 
 
-def test_after_a_pause_a_bout_begins_anew() -> None:
+def test_after_a_pause_a_new_bout_begins() -> None:
     first = [2.0 + 0.5 * i for i in range(6)]
     few = [first[-1] + 2.6 + 0.5 * i for i in range(3)]
     assert times_of(passed(told_gate([9.0] * 9), first + few)) == first
 
 
 @given(log_odds=st.lists(st.floats(-9.0, -1.0), min_size=1, max_size=40))
-def test_steps_that_nobody_walked_never_pass(log_odds: list[float]) -> None:
+def test_steps_caused_by_handling_never_pass(log_odds: list[float]) -> None:
     assert passed(told_gate(log_odds), [2.0 + 0.5 * i for i in range(len(log_odds))]) == []
 
 
@@ -240,7 +240,7 @@ def test_isolated_steps_never_pass(gaps_s: list[float]) -> None:
     assert passed(told_gate([9.0] * len(gaps_s)), list(2.0 + np.cumsum(gaps_s))) == []
 
 
-def test_refused_steps_inside_a_bout_belong_to_it() -> None:
+def test_rejected_steps_inside_a_bout_belong_to_it() -> None:
     times_s = [2.0 + 0.5 * i for i in range(30)]
     log_odds = [9.0] * 30
     log_odds[14:17] = [-3.0, -9.0, -3.0]
@@ -255,7 +255,7 @@ def test_handling_before_and_after_a_walk_loses_its_steps_and_the_walk_keeps_its
     assert times_of(passed(told_gate(log_odds), times_s)) == times_s[18:41]
 
 
-def test_weak_evidence_before_a_bout_is_believed_once_the_bout_is_there() -> None:
+def test_steps_with_weak_evidence_before_a_bout_belong_to_it_once_it_exists() -> None:
     times_s = [2.0 + 0.5 * i for i in range(14)]
     log_odds = [-9.0] * 4 + [-0.5, -0.3] + [4.0] * 8
     assert times_of(passed(told_gate(log_odds, n_fill=0), times_s)) == times_s[4:]
@@ -286,7 +286,7 @@ def all_paths(gate: StepGate, log_ratios: Sequence[float], times_s: Sequence[flo
     log_odds=st.lists(st.floats(-3.0, 3.0), min_size=3, max_size=6),
     intervals_s=st.lists(st.floats(0.3, 1.2), min_size=6, max_size=6),
 )
-def test_the_belief_is_that_of_a_two_state_chain_over_all_paths(
+def test_the_probabilities_are_those_of_a_two_state_markov_chain_over_all_paths(
     log_odds: list[float], intervals_s: list[float]
 ) -> None:
     times_s = list(2.0 + np.cumsum(intervals_s[: len(log_odds)]))
@@ -334,7 +334,7 @@ def test_a_step_that_the_detector_finds_late_passes_when_it_is_known() -> None:
     assert [number for number, _ in released[4:]] == [number for number, _ in steps[4:]]
 
 
-def test_the_end_decides_on_what_waits() -> None:
+def test_the_end_decides_the_waiting_steps() -> None:
     times_s = [2.0 + 0.5 * i for i in range(10)]
     gate = told_gate([9.0] * 10)
     early, late = known_steps(times_s)[:9], [(694, a_step(times_s[9]))]
@@ -360,7 +360,7 @@ def test_a_bout_goes_on_after_a_short_gap_and_not_after_a_long_one() -> None:
         assert all(0 <= number < 500 for number, _ in after)
 
 
-def test_a_gap_drops_what_is_no_bout_yet() -> None:
+def test_a_gap_drops_steps_that_do_not_form_a_bout() -> None:
     gate = told_gate([9.0] * 6)
     state, released = advance(gate, [uniform_block(np.full(400, 9.8))], known_steps([1.0, 1.5, 2.0]))
     state, rest = gate.close(state, [])
@@ -457,7 +457,7 @@ def test_steps_of_any_frequency_pass(frequency_hz: float, amplitude_mps2: float)
 
 
 def handled(kind: str, duration_s: float = 60.0) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Times, force and rate of a phone that moves without anybody walking."""
+    """Times, force and rate of a phone that moves although the person does not walk."""
     rng = np.random.default_rng(0)
     n = int(duration_s * 100)
     time_s = (np.arange(n) + 0.5) / 100
@@ -519,6 +519,6 @@ def test_people_who_sit_and_stand_make_no_steps(data_dir: Path) -> None:
 @pytest.mark.parametrize(
     "wrong", [{"rate_hz": 0.0}, {"rate_hz": 60.0}, {"mean_walk_s": 0.0}, {"mean_pause_s": -1.0}, {"min_steps": 0}]
 )
-def test_a_gate_that_makes_no_sense_is_refused(wrong: dict[str, float]) -> None:
+def test_invalid_parameters_of_a_gate_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match="must be"):
         StepGate(**wrong)  # type: ignore[arg-type]
