@@ -1,11 +1,11 @@
 # make demo [FILE=walk.zip] [OUT=folder]   track a walk and draw it; a minute the first time, with installation
-# make test                                run the tests that protect a change: five minutes on two cores
+# make test                                run the quick tests: five minutes on two cores
 # make test-all                            run every test
 # make check                               lint, format and types
 # make docs                                build the documentation
-# make clean                               remove what these made
+# make clean                               remove all files that these commands made
 #
-# Needs only make and Python 3.11 or newer with pip; everything else goes into .venv.
+# Needs make and Python 3.11 or newer with pip. Everything is installed into .venv.
 
 PYTHON ?= python3
 VENV ?= .venv

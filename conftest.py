@@ -1,4 +1,4 @@
-"""Examples of docstrings write their files into a folder of their own."""
+"""Doctests run in a temporary folder, because some examples write files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Sphinx configuration; the tables of models are made from their cards when the documentation is built."""
+"""Sphinx configuration.
+
+Tables of models, lists of messages and the table of moved modules are made from model cards and source code when the
+documentation is built.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,7 @@ import ast
 import inspect
 import json
 import re
+import sys
 import textwrap
 from dataclasses import is_dataclass
 from importlib.metadata import files
@@ -13,6 +18,9 @@ from pathlib import Path
 from typing import Any
 
 import pdr_filter
+
+sys.path.insert(0, str(Path(__file__).parent))
+import catalogue
 
 project = "pdr_filter"
 author = "The pdr_filter developers"
@@ -22,17 +30,17 @@ version = release = pdr_filter.__version__
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.mathjax", "numpydoc"]
 myst_enable_extensions = ["amsmath", "dollarmath", "substitution"]
 myst_heading_anchors = 3
-exclude_patterns = ["_build", "tables"]  # tables are included by the pages
-templates_path = ["_templates"]  # of the page that docs/api.md has for each object
-# Notebooks run once, and again when they have changed or docs/_build is gone; one that fails breaks the build.
+exclude_patterns = ["_build", "tables"]  # pages include the tables
+templates_path = ["_templates"]  # for the page of each object in docs/api.md
+# A notebook runs again if it has changed or docs/_build was removed. A failing notebook breaks the build.
 nb_execution_mode = "cache"
 nb_execution_cache_path = str(Path(__file__).parent / "_build" / "notebooks")
 nb_execution_timeout = 300
 nb_execution_raise_on_error = True
 nb_execution_show_tb = True
 nb_merge_streams = True
-nb_render_markdown_format = "myst"  # tables of `evaluate.markdown`, which CommonMark does not know
-# Formulas without network: one file with the program and its fonts, beside the pages.
+nb_render_markdown_format = "myst"  # CommonMark has no tables, which `evaluate.markdown` writes
+# Formulas work without a network: MathJax and its fonts are one local file.
 (mathjax,) = (f for f in files("sphinx-mathjax-offline") or () if f.name == "tex-svg.js")
 html_static_path = [str(mathjax.locate()), "_static"]
 html_css_files = ["page.css"]
@@ -48,7 +56,7 @@ numpydoc_show_class_members = False
 
 
 def model_card(description: dict[str, Any]) -> str:
-    """One model as a heading and a table."""
+    """Return a heading and a table of one model."""
     card = description.get("card", {})
     scores = card.get("leave_one_subject_out", {})
     sites = card.get("site_left_out", {}).items()
@@ -58,30 +66,30 @@ def model_card(description: dict[str, Any]) -> str:
         "limits": card.get("limits"),
         "trained on": f"{', '.join(card.get('data', []))}: {card.get('n_people')} people, "
         f"{sum(card.get('n_windows', {}).values()):,} windows, {card.get('n_features')} features",
-        "people left out": scores.get("people"),
+        "held-out people": scores.get("people"),
         "accuracy, worst person": f"{scores.get('accuracy')}, {scores.get('worst_person_accuracy')}",
         "macro recall": scores.get("macro_recall"),
         "recall": shares(scores.get("recall", {})),
         "log loss, Brier score, calibration error": ", ".join(
             str(scores.get(key)) for key in ("log_loss", "brier", "expected_calibration_error")
         ),
-        "site left out, recall": "; ".join(
+        "held-out sites, recall": "; ".join(
             f"{site}: {shares(of_site.get('recall') or {'walking': of_site.get('walking_recall')})}"
             for site, of_site in sites
         ),
-        "made": f"{card.get('date')}, scikit-learn {card.get('versions', {}).get('scikit-learn')}",
+        "trained": f"{card.get('date')}, scikit-learn {card.get('versions', {}).get('scikit-learn')}",
     }
     lines = [f"| {key} | {value} |" for key, value in rows.items() if value not in (None, "")]
     return "\n".join([f"## {description['name']}", "", card.get("description", ""), "", "| | |", "|---|---|", *lines])
 
 
 def shares(values: dict[str, float]) -> str:
-    """Names with numbers of two digits."""
+    """Return names with numbers of two digits."""
     return ", ".join(f"{name} {value:.2f}" for name, value in values.items())
 
 
 def model_table(descriptions: list[dict[str, Any]]) -> str:
-    """The context models side by side, on people left out."""
+    """Return a table of all context models with scores on held-out people."""
     columns = {"accuracy": "accuracy", "worst person": "worst_person_accuracy", "macro recall": "macro_recall"}
     columns |= {"log loss": "log_loss", "Brier": "brier", "ECE": "expected_calibration_error"}
     rows = []
@@ -101,42 +109,44 @@ descriptions = [json.loads(path.read_text("utf-8")) for path in cards]
 myst_substitutions = {
     "model_cards": "\n\n".join(map(model_card, descriptions)),
     "model_table": model_table(descriptions),
+    "refusals": catalogue.refusal_lists(),
+    "moved_modules": catalogue.moved_modules(),
+    **{f"notes_{subject.replace(' ', '_')}": notes for subject, notes in catalogue.note_lists().items()},
 }
 
 
 def escape_bars(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
-    """Keep |f| a magnitude: in reStructuredText it would be a substitution."""
+    """Escape bars, because reStructuredText takes |f| for a substitution."""
     lines[:] = [line if line.lstrip().startswith((">>>", "...")) else line.replace("|", r"\|") for line in lines]
 
 
 def has_fields_below(obj: Any) -> bool:
-    """Whether it is a data class without a list of parameters."""
-    return is_dataclass(obj) and "Parameters" not in (obj.__doc__ or "")
+    """Return True for a dataclass whose docstring has neither Parameters nor Attributes."""
+    return is_dataclass(obj) and not re.search("^ *(Parameters|Attributes)$", obj.__doc__ or "", re.MULTILINE)
 
 
 def name_aliases(app: Any, what: str, name: str, obj: Any, options: Any, *texts: str | None) -> tuple[str | None, ...]:
-    """Show FloatArray as FloatArray: Sphinx wraps the names of type aliases that it may not evaluate.
+    """Show type aliases such as FloatArray by their names, and no signature of a dataclass.
 
-    Fields of a data class stand below its docstring, and not in its signature, too.
+    The fields of a dataclass are in its docstring or below it.
     """
-    if what == "class" and has_fields_below(obj):
+    if what == "class" and is_dataclass(obj):
         return "(...)", None
     return tuple(text and re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", text) for text in texts)
 
 
 def append_fields(_app: Any, what: str, _name: str, obj: Any, _options: Any, lines: list[str]) -> None:
-    """Below the docstring of a data class without a list of parameters: its fields as they stand, comments included."""
+    """Append the source of the fields, with comments, to the docstring of a dataclass that does not describe them."""
     if what != "class" or not has_fields_below(obj):
         return
     body = [row for part in reversed(obj.__mro__) if "__dataclass_fields__" in vars(part) for row in declared(part)]
     if body:
-        # before the examples, as parameters are
         at = next((k for k, line in enumerate(lines) if line.startswith(".. rubric:: Examples")), len(lines))
         lines[at:at] = ["", ".. code-block:: python", "", *(f"    {row}" for row in body), ""]
 
 
 def declared(of: type) -> list[str]:
-    """The lines of a data class that declare its own fields."""
+    """Return the source lines of a dataclass that declare its own fields."""
     source = textwrap.dedent(inspect.getsource(of))
     declarations = [n for n in ast.parse(source).body[0].body if isinstance(n, ast.AnnAssign)]  # type: ignore[attr-defined]
     if not declarations:
@@ -149,7 +159,7 @@ def declared(of: type) -> list[str]:
 
 
 def setup(app: Any) -> None:
-    """Connect the hooks."""
+    """Connect the functions above to events of Sphinx."""
     app.connect("autodoc-process-signature", name_aliases)
     app.connect("autodoc-process-docstring", escape_bars, priority=900)  # after numpydoc
-    app.connect("autodoc-process-docstring", append_fields, priority=950)  # after that
+    app.connect("autodoc-process-docstring", append_fields, priority=950)  # after escape_bars

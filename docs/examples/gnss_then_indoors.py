@@ -1,4 +1,4 @@
-"""GNSS until the person enters a building; the filter goes on from there, in the world."""
+"""GNSS until the person enters a building; dead reckoning continues inside, in the world frame."""
 
 from dataclasses import replace
 
@@ -8,9 +8,9 @@ import numpy as np
 import pdr_filter as pdr
 from pdr_filter.simulate import Leg, simulate
 
-here = pdr.Origin(48.137, 11.575)  # where the walk begins
+here = pdr.Origin(48.137, 11.575)  # start of the walk
 legs = [Leg("walking", distance_m=110.0), Leg("walking", distance_m=60.0, turn_rad=1.2)]
-walk = simulate(legs, seed=4, start_heading_rad=0.7)  # its north is magnetic north
+walk = simulate(legs, seed=4, start_heading_rad=0.7)  # headings are relative to magnetic north
 truth, rng, east_of_north_rad = walk.truth.position, np.random.default_rng(0), here.declination_rad()
 c, s = np.cos(east_of_north_rad), np.sin(east_of_north_rad)
 true_m = np.column_stack([truth.east_m, truth.north_m]) @ np.array([[c, s], [-s, c]]).T
@@ -18,7 +18,7 @@ true_m = np.column_stack([truth.east_m, truth.north_m]) @ np.array([[c, s], [-s,
 time_s = np.arange(1.0, 75.0)  # the door is reached after 75 s
 place_m = np.column_stack([np.interp(time_s, truth.time_s, true_m[:, k]) for k in (0, 1)])
 latitude_deg, longitude_deg = here.latitude_longitude_deg(place_m + rng.normal(0.0, 3.0, place_m.shape))
-accuracy_m = np.full(len(time_s), 5.0)  # what the phone says: 68 % are within
+accuracy_m = np.full(len(time_s), 5.0)  # accuracy as reported by the phone: radius of 68 %
 location = pdr.Samples(time_s, np.column_stack([latitude_deg, longitude_deg, np.zeros(len(time_s)), accuracy_m]))
 
 track = pdr.track(replace(walk, location=location))  # as `pdr.read` gives it

@@ -1,4 +1,4 @@
-"""An app: push samples as they come, draw the track with the ellipse of where the person may be (95 %)."""
+"""App that pushes samples as they arrive and draws the track with its 95 % ellipse."""
 
 import sys
 
@@ -7,7 +7,7 @@ import numpy as np
 
 import pdr_filter as pdr
 
-recording = pdr.read(sys.argv[1]) if len(sys.argv) > 1 else pdr.simulate.demo_walk()  # stands for the sensors
+recording = pdr.read(sys.argv[1]) if len(sys.argv) > 1 else pdr.simulate.demo_walk()  # takes the place of the sensors
 samples = pdr.merge_streams(recording)
 online = pdr.OnlineFilter(pdr.recipes.default(recording.subject))
 places = [np.zeros(2)]

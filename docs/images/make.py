@@ -1,14 +1,18 @@
-"""The pictures of the documentation that are not figures of a benchmark: the data flow and two tracks.
+"""The pictures of the documentation that are not figures of a benchmark: the data flow, tracks, and the gallery.
 
 usage: .venv/bin/python -m docs.images.make [NAME...]
-NAME is data_flow, demo_track, online_or_smoothed or real_track; all without NAME.
+NAME is data_flow, demo_track, online_or_smoothed, real_track or gallery; all without NAME.
 
-SVG, and the same bytes for the same tracks. The README's picture, real_track, is PNG, which every page that shows a
-README can display; it needs the real recordings (`tests/data_folder.py`) and is left as it is without them.
+The gallery is the code of docs/gallery.md, run in this folder.
+
+SVG files have the same bytes for the same tracks. The picture of the README, real_track, is a PNG file, because not all
+sites display SVG. It needs the real recordings (`tests/data_folder.py`) and is not changed without them.
 """
 
 from __future__ import annotations
 
+import os
+import re
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -27,12 +31,12 @@ from tests.data_folder import DATA
 HERE = Path(__file__).resolve().parent
 REAL_WALK = DATA / "humolire" / "humolire_user1_1f.zip"
 
-# What runs while somebody walks, and what runs afterwards; distinguished by the border, too.
+# Online and offline parts have different borders as well, for readers who do not see the colours.
 ONLINE: dict[str, object] = {"facecolor": "#DCEBF5", "edgecolor": BLUE, "linestyle": "-"}
 OFFLINE: dict[str, object] = {"facecolor": "#FBEBDD", "edgecolor": ORANGE, "linestyle": (0, (4, 2))}
 OUTSIDE: dict[str, object] = {"facecolor": "#FFFFFF", "edgecolor": FAINT, "linestyle": "-"}
 
-# name: centre, half width and half height (in the units of the figure below), title, its package, style
+# name: centre, half width and half height in the units of the figure, title, package, style
 BOXES: dict[str, tuple[float, float, float, float, str, str, dict[str, object]]] = {
     "file": (3.4, 10.0, 1.35, 0.42, "file or folder", "io", OUTSIDE),
     "app": (7.0, 10.0, 1.35, 0.42, "app", "tracking.online", OUTSIDE),
@@ -49,7 +53,7 @@ BOXES: dict[str, tuple[float, float, float, float, str, str, dict[str, object]]]
     "smooth": (8.9, 1.6, 1.3, 0.42, "smooth", "offline.smoothing", OFFLINE),
     "results": (5.2, 0.25, 1.4, 0.42, "results", "evaluate, report, io", OFFLINE),
 }
-# from, its side, to, its side, what flows, where the words stand relative to the middle of the arrow
+# from, its side, to, its side, data, offset of the label from the middle of the arrow
 ARROWS: list[tuple[str, str, str, str, str, tuple[float, float]]] = [
     ("file", "s", "uniform", "nw", "Recording", (-0.95, 0.2)),
     ("app", "s", "uniform", "ne", "blocks of any length", (1.5, 0.2)),
@@ -74,7 +78,7 @@ ARROWS: list[tuple[str, str, str, str, str, tuple[float, float]]] = [
 
 
 def data_flow() -> Figure:
-    """From samples to a track: stages as boxes, what flows between them on the arrows."""
+    """Return the data flow from samples to a track: stages as boxes, data on the arrows."""
     figure = Figure(figsize=(7.2, 7.45))
     FigureCanvasAgg(figure)
     axes = figure.add_axes((0, 0, 1, 1))
@@ -107,7 +111,7 @@ def data_flow() -> Figure:
 
 
 def _edge(name: str, side: str) -> np.ndarray:
-    """A point on the border of a box: the middle of a side, or near a corner."""
+    """Return a point on the border of a box: the middle of a side, or near a corner."""
     x, y, half_width, half_height, *_ = BOXES[name]
     east = ("e" in side) - ("w" in side)
     north = ("n" in side) - ("s" in side)
@@ -117,19 +121,19 @@ def _edge(name: str, side: str) -> np.ndarray:
 
 
 def demo_track() -> Figure:
-    """The walk of `pdr-filter demo` with its truth."""
+    """Return a figure of the walk of `pdr-filter demo` with its truth."""
     walk = pdr.simulate.demo_walk()
     truth = walk.truth.position
     return pdr.plot.track(pdr.track(walk), None, np.column_stack([truth.east_m, truth.north_m]))
 
 
 def real_track() -> Figure | None:
-    """A real walk, where it is at hand."""
+    """Return a figure of a real walk, or None without its recording."""
     return pdr.plot.track(pdr.track(pdr.read(REAL_WALK))) if REAL_WALK.exists() else None
 
 
 def online_or_smoothed() -> Figure:
-    """A simulated walk four times round a block: its locations, the online and the smoothed track, and the truth."""
+    """Return a figure of a simulated walk four times round a block: locations, online and smoothed track, truth."""
     sides_m, corner = (45.0, 30.0) * 8, np.pi / 2
     legs = [pdr.simulate.Leg("walking", distance_m=d, turn_rad=corner * (k > 0)) for k, d in enumerate(sides_m)]
     walk = pdr.simulate.simulate(legs, seed=5, name="block")
@@ -165,6 +169,16 @@ PICTURES: dict[str, Callable[[], Figure | None]] = {
 }
 
 
+def gallery() -> None:
+    """Run each example of docs/gallery.md, which stores its picture in the working directory."""
+    os.chdir(HERE)
+    page = (HERE.parent / "gallery.md").read_text("utf-8")
+    for code in re.findall(r"^```python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL):
+        exec(compile(code, "docs/gallery.md", "exec"), {})
+    for plan in HERE.glob("*.geojson"):
+        plan.unlink()
+
+
 def main() -> None:
     mpl.rcParams["svg.hashsalt"] = "pdr_filter"
     wanted = sys.argv[1:]
@@ -173,10 +187,12 @@ def main() -> None:
             continue
         figure = draw()
         if figure is None:
-            print(f"{name} is left as it is: there is no {REAL_WALK}")
+            print(f"{name} is not changed: there is no {REAL_WALK}")
         else:
             figure.savefig(HERE / name, dpi=120, metadata={"Date": None} if name.endswith("svg") else None)
             print(f"{HERE / name} written")
+    if not wanted or "gallery" in wanted:
+        gallery()
 
 
 if __name__ == "__main__":

@@ -157,7 +157,7 @@ def north(tables: Tables, arguments: argparse.Namespace) -> None:
             "walks",
             "error, degrees: mean, spread",
             "largest",
-            "said: field",
+            "std given: field",
             "with the direction",
             "within 1 sigma",
             "2",

@@ -1,4 +1,4 @@
-"""Real files of phone apps, as their owners left them: read or refused rightly, steps, units and axes.
+"""Real files of phone apps, as their owners left them: read or refused correctly, steps, units and axes.
 
 usage: python -m tests.benchmarks.app_files [--files FOLDER]
 
@@ -111,7 +111,7 @@ def app_files(tables: Tables, arguments: argparse.Namespace) -> None:
     rows = [row.cells(known) for row, known in zip(found, FILES, strict=True)]
     columns = ["file", "app", "what happens", "right", "steps", "walker's count", "gravity", "turning"]
     n_right = sum(row.is_right for row in found)
-    about = f"{n_right} of {len(rows)} files are read or refused rightly."
+    about = f"{n_right} of {len(rows)} files are read or refused correctly."
     tables.write("app_files", columns, rows, about)
 
 
@@ -133,7 +133,7 @@ def odd_tables(tables: Tables, arguments: argparse.Namespace) -> None:
     for oddity in ODDITIES:
         with tempfile.TemporaryDirectory() as folder:
             rows.append([oddity.kind, oddity.done, shown(oddity.sentence(oddity.write(Path(folder))))])
-    tables.write("oddities", ["kind of oddity", "what is done", "what is said"], rows)
+    tables.write("oddities", ["kind of oddity", "treatment", "note or refusal"], rows)
 
 
 if __name__ == "__main__":

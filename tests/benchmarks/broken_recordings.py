@@ -213,7 +213,7 @@ def faults(tables: Tables, arguments: argparse.Namespace) -> None:
         ["on a turntable, 0.05 rad/s", "bias 0.0500, 0.0005 rad/s", *turntable()],
         ["10,000 fixes at once", "155 s", *many_fixes()],
     ]
-    columns = ["fault", "before", "steps", "off, m (standard deviation)", "said, or found"]
+    columns = ["fault", "before", "steps", "off, m (standard deviation)", "notes, or refusal"]
     tables.write("broken_recordings", columns, rows, "One walk of humolire with a fault each.")
 
 

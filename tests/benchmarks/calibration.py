@@ -253,7 +253,8 @@ def left_out(tables: Tables, arguments: argparse.Namespace) -> None:
         true_m = np.bincount(walk, [s.distance_m for s in segments])
         before, after = (100 * (np.bincount(walk, m) / true_m - 1) for m in (before_m, after_m))
         rows.append([site, len(names), bias_spread_rms(before), bias_spread_rms(after), f"{np.abs(after).max():.1f}"])
-    about = "Totals of walks left out, default form: bias, spread, RMS in %. In ms_indoor the others are other people."
+    about = "Totals of held-out walks, default form: bias, spread, RMS in %. In ms_indoor the other walks are those of "
+    about += "other people."
     columns = ["site", "walks", "no calibration", "from the other walks", "largest error"]
     tables.write("calibration_left_out", columns, rows, about)
 

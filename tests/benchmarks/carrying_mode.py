@@ -83,11 +83,11 @@ def modes(tables: Tables, arguments: argparse.Namespace) -> None:
         model = load_model(arguments.models / f"{plan.name}.npz")
         recalls += left_out(model.card)
         places += placements(arguments.data, model, plan.has_gyroscope)
-    columns = ["model", "left out", *MODES, "worst person", "log loss", "calibration error"]
+    columns = ["model", "held out", *MODES, "worst person", "log loss", "calibration error"]
     about = "Recall of each window, recall as followed through the recording (windows)."
     tables.write("carrying_mode", columns, recalls, about)
     columns = ["model", "placement", "windows", *(f"{m} %" for m in MODES), "unknown"]
-    tables.write("carrying_mode_placements", columns, places, "What windows of ubicomp13 are classified as.")
+    tables.write("carrying_mode_placements", columns, places, "Classes of the windows of ubicomp13.")
 
 
 if __name__ == "__main__":

@@ -142,7 +142,7 @@ def contexts(tables: Tables, arguments: argparse.Namespace) -> None:
         print(name, {c: round(r, 3) for c, r in result["recall"].items()}, flush=True)
     columns = list(next(iter(rows.values())))
     table = [[name, *(f"{row[c]:.3f}" for c in columns)] for name, row in rows.items()]
-    about = "12 people of MotionSense, each left out; walking of ubicomp13 in trouser pockets."
+    about = "12 people of MotionSense, each held out; walking of ubicomp13 in trouser pockets."
     replace(tables, folder=None if only else tables.folder).write("contexts", ["", *columns], table, about)
     if arguments.figure:
         draw({name: probs[name] for name in IN_FIGURE if name in probs}, arguments.figure)

@@ -134,11 +134,11 @@ def whole(tables: Tables, arguments: argparse.Namespace) -> None:
         ]
         figures = (median_and(e, 90) for e in (alone, kept, later))
         rows.append([group, len(alone), *figures, *worse, *map(_coverage, nees)])
-    columns = ["walks", "n", "dead reckoning", "with the plan", "in hindsight", "worse", "worse in hindsight"]
-    columns += ["covered alone", "with the plan", "in hindsight"]
+    columns = ["walks", "n", "dead reckoning", "with the plan", "smoothed", "worse", "worse smoothed"]
+    columns += ["covered alone", "with the plan", "smoothed"]
     about = "RMSE in m: median, 90 % of walks. Worse: share of walks with more than 1.1 times the error of dead "
-    about += "reckoning (expected at the end of walks that were lucky without, by the two covariances), and the "
-    about += "largest ratio. Covered: % of waypoints in the 50 and 95 % ellipses."
+    about += "reckoning (expected at the end of walks that were good without by chance, from the two covariances), and "
+    about += "the largest ratio. Covered: % of waypoints in the 50 and 95 % ellipses."
     tables.write("floor_plans", columns, rows, about)
 
 
@@ -180,7 +180,7 @@ def wrong(tables: Tables, arguments: argparse.Namespace) -> None:
                     n_said += any(note.startswith("about ") for note in track.notes)
                 row += [median_and(errors, 90), f"{n_said} of {len(errors)}"]
             rows.append(row)
-    columns = ["the plan is", "ms_indoor, F2", "contradiction said", "humolire", "contradiction said"]
+    columns = ["the plan is", "ms_indoor, F2", "contradiction noted", "humolire", "contradiction noted"]
     about = "RMSE in m: median, 90 % of walks. Missing: a wall of 12 m across the way in its middle."
     tables.write("floor_plans_wrong", columns, rows, about)
 
@@ -229,10 +229,10 @@ def start(tables: Tables, arguments: argparse.Namespace) -> None:
                 median, near, false = np.median(of_time[:, 0]), *of_time[:, 1:].mean(axis=0)
                 row += [len(of_time), f"{median:.1f}", f"{100 * near:.0f} %", f"{100 * false:.0f} %"]
             rows.append(row)
-    columns = ["walks", "known of the start", "n", "error after 60 s", "within 3 m", "wrong and sure"]
-    columns += ["n", "error after 120 s", "within 3 m", "wrong and sure"]
-    about = "Errors are medians in m, at the first waypoint after that time. Wrong and sure: one place has 95 % of the "
-    about += "particles, or there is no plan, and the truth is outside of the 95 % ellipse."
+    columns = ["walks", "given start", "n", "error after 60 s", "within 3 m", "wrong with confidence"]
+    columns += ["n", "error after 120 s", "within 3 m", "wrong with confidence"]
+    about = "Errors are medians in m, at the first waypoint after that time. Wrong with confidence: one place has 95 % "
+    about += "of the particles, or there is no plan, and the truth is outside of the 95 % ellipse."
     tables.write("floor_plans_start", columns, rows, about)
 
 
@@ -270,7 +270,7 @@ def radio(tables: Tables, arguments: argparse.Namespace) -> None:
                 worse = f"{100 * np.mean(e > 1.1 * alone):.0f} %, {np.max(e / alone):.1f}"
                 row.append(f"{median_and(e, 90)} ({worse})")
             rows.append(row)
-    names = ["dead reckoning", "+ plan", "+ radio map", "+ both", "+ both, in hindsight"]
+    names = ["dead reckoning", "+ plan", "+ radio map", "+ both", "+ both, smoothed"]
     about = "RMSE in m at the waypoints after the first; given are the first one and the direction of the first leg."
     more = " Median, 90 % of walks (share worse than 1.1 times dead reckoning, largest ratio)."
     tables.write("floor_plans_radio", ["walks", "n", *names], rows, about + more)

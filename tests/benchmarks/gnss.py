@@ -105,7 +105,7 @@ def simulated(correlation_s: float, share: float, walks: list[tuple[Recording, n
 
 
 def lengths(n_people: int) -> list[str]:
-    """A row: people, spread of their steps about the filter's, error of what is learnt of them, share within 2 %."""
+    """A row: people, spread of their steps about the filter's, error of the learnt length of them, share within 2 %."""
     own, error, std = [], [], []
     for number in range(1000, 1000 + n_people):
         walk, true_m = walked(number, 11.0)
@@ -206,7 +206,7 @@ def locations(tables: Tables, arguments: argparse.Namespace) -> None:
     )
     tables.write(
         "gnss_lengths",
-        ["people", "their steps differ by", "error of what is learnt", "what it claims", "within 2 %"],
+        ["people", "their steps differ by", "error of the learnt length", "standard deviation", "within 2 %"],
         [lengths(max(arguments.walks // 8, 1))],
         "RMS; ten minutes.",
     )

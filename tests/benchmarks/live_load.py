@@ -219,7 +219,7 @@ def load(tables: Tables, arguments: argparse.Namespace) -> None:
         "ms of one core a second and phone",
         "of the filter alone, then",
         "answer p50 / p99, ms",
-        "told p50 / p99, ms",
+        "event p50 / p99, ms",
         "memory a phone, MB",
     ]
     tables.write("live_load", columns, rows, f"{machine(arguments)} others (load {os.getloadavg()[0]:.0f}).")

@@ -164,7 +164,7 @@ def storeys(tables: Tables, arguments: argparse.Namespace) -> None:
             [storey.upper(), len(pairs), f"{100 * len(said) / len(pairs):.0f} %", f"{100 * right / len(said):.1f} %"]
         )
     about = "One map of all storeys, of nine tenths of the known."
-    tables.write("radio_storeys", ["storey", "fixes", "storey said", "of these right"], rows, about)
+    tables.write("radio_storeys", ["storey", "fixes", "storey given", "of these right"], rows, about)
 
 
 # --- walks -----------------------------------------------------------------------------------------------------------

@@ -143,7 +143,7 @@ def contexts(tables: Tables, arguments: argparse.Namespace) -> None:
             else:
                 cells += ["-", "-"]
             rows.append([place, context, *cells])
-    columns = ["place", "context", "recall: simulated", "real, left out", "real people", "tree: AUC"]
+    columns = ["place", "context", "recall: simulated", "real, held out", "real people", "tree: AUC"]
     about = f"{arguments.people} simulated people in each place. Recall of windows, mean over people; "
     about += "medians: real, simulated."
     tables.write("simulated_people", [*columns, "its best feature"], rows, about)

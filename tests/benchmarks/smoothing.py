@@ -1,4 +1,4 @@
-"""Smoothing of whole recordings: coverage of its ellipses, wild fixes, real walks.
+"""Smoothing of whole recordings: coverage of its ellipses, outliers, real walks.
 
 usage: python -m tests.benchmarks.smoothing [coverage] [real] [--data ../shared/data]
 
@@ -61,7 +61,7 @@ def coverage(tables: Tables, arguments: argparse.Namespace) -> None:
         rows.append(
             [f"{wild_share:.0%}", jumps, share, median_and(rmse, 100), f"{kept} of {n_wild}", f"{lost} of {n_good}"]
         )
-    columns = ["wild fixes", "changes of the offset", "in 95 % ellipse", "RMSE m: median, largest", "wild fixes kept"]
+    columns = ["outliers", "changes of the offset", "in 95 % ellipse", "RMSE m: median, largest", "outliers kept"]
     tables.write("smoothing_coverage", [*columns, "good fixes lost"], rows, "300 simulated walks a row.")
 
 

@@ -319,7 +319,7 @@ def days(tables: Tables, arguments: argparse.Namespace) -> None:
         "save kB",
         "NaN, not PSD",
         "resumed, differently",
-        "beyond 99 %, unsaid",
+        "beyond 99 %, without a note",
         "with wrong fixes",
     ]
     tables.write("soak", columns, rows, "One filter, see the script.")

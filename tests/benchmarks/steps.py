@@ -349,7 +349,7 @@ def gate(tables: Tables, arguments: argparse.Namespace) -> None:
     print(f"all people: {fit(all_found)}\nthe package: {EVIDENCE}")
     columns = {
         "without gate": figures(all_found, [None] * len(all_found)),
-        "gate, people left out": figures(all_found, [StepGate(evidence=left_out[f.person % 2]) for f in all_found]),
+        "gate, people held out": figures(all_found, [StepGate(evidence=left_out[f.person % 2]) for f in all_found]),
         "gate as shipped": figures(all_found, [StepGate()] * len(all_found)),
         "as shipped, five steps a bout": figures(all_found, [replace(StepGate(), min_steps=5)] * len(all_found)),
     }
@@ -433,7 +433,7 @@ def slow(tables: Tables, arguments: argparse.Namespace) -> None:
             if by_pace := shares(found, gates[found.person % 2]):
                 walks[name].append(by_pace)
     columns = [f"{pace} steps/s, c^{exponent}" for exponent in EXPONENTS for pace in STEPS_PER_S]
-    about = "Steps found in %, walks slowed down c times, the motion's force c^2 or c^3 times weaker; people left out."
+    about = "Steps found in %, walks slowed down c times, the motion's force c^2 or c^3 times weaker; held-out people."
     rows = [row(name, walks[name]) for name in SETS]
     tables.write("steps_slow", ["", "walks", *columns], rows, about)
 

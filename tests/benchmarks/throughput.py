@@ -260,7 +260,9 @@ def day(tables: Tables, arguments: argparse.Namespace) -> None:
                 [hour + 1, n_steps, f"{used_s:.0f} s", f"{each_s:.2f} s", f"{peak_mb:.0f} MB", f"{saved_kb:.0f} kB"]
             )
     columns = ["hours", "steps", "processor time", "for each hour", "largest memory of the process", "saved filter"]
-    tables.write("throughput_day", columns, rows, f"Pushed in blocks of a minute, whose updates were let go; {load()}.")
+    tables.write(
+        "throughput_day", columns, rows, f"Pushed in blocks of a minute, without storing the updates; {load()}."
+    )
 
 
 if __name__ == "__main__":

@@ -95,7 +95,7 @@ def accuracy(tables: Tables, arguments: argparse.Namespace) -> None:
     for name, chosen, gnss in groups:
         walks = [found for path in chosen if (found := errors_m(path, gnss)) is not None]
         rows.append([f"{name} ({len(walks)})", *(median_and([w[e] for w in walks], 90) for e in walks[0])])
-    columns = ["walks", "online m: median, 90 %", "`path()` in the end m", "smoothed m"]
+    columns = ["walks", "online m: median, 90 %", "`path()` at the end m", "smoothed m"]
     tables.write("walked_path", columns, rows, "Median errors of the points of each walk.")
 
 

@@ -437,7 +437,7 @@ def sites(tables: Tables, arguments: argparse.Namespace) -> None:
                 cells = [f"{100 * v:.1f}" for v in figures.mean(axis=1)]
                 rows.append([f"{site} {kind}".strip(), figures.shape[1], ", ".join(cells[:2]), ", ".join(cells[2:])])
     columns = ["set, placement", "steps", "no guard: called stairs %, mean probability %", "with the guard"]
-    tables.write("context_false_stairs", columns, rows, "The set left out as a whole where it is in training.")
+    tables.write("context_false_stairs", columns, rows, "A set that is in the training is held out as a whole.")
 
 
 def kind_of(name: str, part: int) -> str:
@@ -660,7 +660,7 @@ def walks(tables: Tables, arguments: argparse.Namespace) -> None:
         of_doubt.append(
             [f"{name} ({len(y)} steps)", *(f"{100 * v:.1f}" for v in (doubt.mean(), wrong.mean(), doubt[wrong].mean()))]
         )
-    about = "Against the same steps in the true contexts, of people or sites left out."
+    about = "Against the same steps in the true contexts, of held-out people or sites."
     tables.write("weightings_distance", ["walks", "weighting", *ERRORS], rows, about)
     tables.write("weightings_probabilities", ["walks", "answer", "right", "log loss"], of_prob)
     columns = ["walks", "weighted by WC, % of the steps", "window wrong, %", "of these weighted by WC, %"]

@@ -318,7 +318,7 @@ def poses(tables: Tables, arguments: argparse.Namespace) -> None:
 
     ours, theirs = scores(confusion), scores(_CONFUSION)
     rows = [{"score": s, "paper": v, "paper from its table": theirs[s], "ours": ours[s]} for s, v in _SCORES.items()]
-    title, data = "Table 3, scores: poses of people left out", f"as Table 3: {int(confusion.sum())} windows"
+    title, data = "Table 3, scores: poses of held-out people", f"as Table 3: {int(confusion.sum())} windows"
     paper_table(tables, "guo2018_table_3_scores", title, rows, data, digits=2)
 
 

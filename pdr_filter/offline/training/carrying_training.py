@@ -104,10 +104,10 @@ class CarryingPlan(TrainingPlan):
         card = {
             **self.card(windows, people, sites),
             **synthetic_card(windows.dataset[~rows], self.source_weight),
-            "scored": "People and sites that the scored machine has not seen, nor anything made of them. One number, "
-            "the temperature, is fitted on the same people left out. Other simulated people, drawn the same way, move "
-            "the recalls of calling, swinging and pocket on tyrex by up to 6 points: they are one or two recordings "
-            "each.",
+            "scored": "People and sites that the scored model has not seen, nor anything derived from them. One "
+            "number, the temperature, is fitted on the same held-out people. Other draws of simulated people change "
+            "the recalls of calling, swinging and pocket on tyrex by up to 6 points, because these are one or two "
+            "recordings each.",
         }
         known = with_familiarity(model, windows, float(np.quantile(distance[even], 0.99)))
         return replace(known, temperature=temperature, card=card)
@@ -115,11 +115,11 @@ class CarryingPlan(TrainingPlan):
 
 # C is a seventh of that of the contexts: some classes have few people, whose habits the model must not learn.
 _FIT = partial(fit_softmax, C=0.003)
-_USE = "Windows of a moving person. Of one who stands or sits it says nothing: a phone that lies still is not carried."
+_USE = "Windows of a moving person. It is not meant for people who stand or sit."
 _LIMITS = (
-    "Four modes: a bag is not among the data, its probability is zero, and a phone in a bag is taken for another mode, "
-    "without being called unknown. "
-    "Calling and swinging are known from one real person and simulation{more}."
+    "Four modes: the data contain no bag, so that its probability is zero, and a phone in a bag is classified as "
+    "another mode without a warning. "
+    "Calling and swinging come from one real person and simulation{more}."
 )
 PLANS: tuple[CarryingPlan, ...] = (
     CarryingPlan(
@@ -127,10 +127,10 @@ PLANS: tuple[CarryingPlan, ...] = (
         feature_names=carrying.NAMES,
         datasets=("motionsense", "tyrex", "humolire", "ms_indoor"),
         machine_fit=_FIT,
-        description="Logistic regression on attitude, force and turning of the phone; real recordings, recordings "
-        "turned to the ear or made weaker, and simulated people.",
+        description="Logistic regression on attitude, force and turning of the phone; trained on real recordings, on "
+        "recordings rotated to the ear or made weaker, and on simulated people.",
         use=_USE,
-        limits=_LIMITS.format(more=", calling also from other people's hands turned to the ear"),
+        limits=_LIMITS.format(more=", calling also from rotated recordings of other people's hands"),
         source_weight={SIMULATED: 0.3, TURNED: 0.33, WEAK: 2.0},
     ),
     CarryingPlan(
@@ -138,10 +138,10 @@ PLANS: tuple[CarryingPlan, ...] = (
         feature_names=(*_SHAKING_NAMES, *carrying.ATTITUDE),
         datasets=("motionsense", "tyrex", "humolire", "ms_indoor", "oxford"),
         machine_fit=_FIT,
-        description="Logistic regression on what the accelerometer alone knows of force and attitude; real "
-        "recordings, their angular rate left out, and simulated people.",
+        description="Logistic regression on the accelerometer's features of force and attitude; trained on real "
+        "recordings without their angular rate and on simulated people.",
         use=_USE + " For phones without gyroscope; with one, `carrying` is better.",
-        limits=_LIMITS.format(more=", swinging from a second one"),
+        limits=_LIMITS.format(more=", swinging also from a second person"),
         has_gyroscope=False,
         source_weight={SIMULATED: 0.3},
     ),

@@ -167,11 +167,11 @@ def _walking_scores(prob: FloatArray) -> dict[str, Any]:
 
 
 _ALL_SITES = ("motionsense", "difronzo", "tyrex", "humolire", "ms_indoor", "oxford")
-_NO_SIDEWAYS = "No sideways walking in the data: its probability is zero."
+_NO_SIDEWAYS = "The data contain no sideways walking, so that its probability is zero."
 _FROM_POCKETS = (
     "Stairs, standing and sitting are known from the trouser pockets of sixteen people in two places, running from "
-    "pockets and one person's hand. Where a window is unlike all stairs in training, they are not told from level "
-    "walking and count as on a usual day (0.03 each)."
+    "pockets and one person's hand. In windows unlike all stairs of the training, stairs are not distinguished from "
+    "level walking and have the share of an average day (0.03 each)."
 )
 PLANS: tuple[ContextPlan, ...] = (
     ContextPlan(
@@ -187,8 +187,8 @@ PLANS: tuple[ContextPlan, ...] = (
         # training.)
         recording_weight={"backpocket": 5.0},
         description="Mean of logistic regression and boosted trees on all attitude-free features; the default recipe.",
-        use="A phone in a trouser pocket or in the hand; bags and shirt pockets were not in training but come out "
-        "well.",
+        use="A phone in a trouser pocket or in the hand; bags and shirt pockets were not in the training but are "
+        "classified well.",
         limits=f"{_NO_SIDEWAYS} {_FROM_POCKETS}",
     ),
     ContextPlan(
@@ -223,7 +223,7 @@ PLANS: tuple[ContextPlan, ...] = (
         datasets=("motionsense", "tyrex", "humolire", "ms_indoor", "oxford"),
         machine_fit=fit_forest,
         description="Random forest on the 16 accelerometer features of Martinelli et al. 2018.",
-        use="The martinelli2018 recipe where the gyroscope is missing.",
+        use="The martinelli2018 recipe without a gyroscope.",
         limits=f"{_NO_SIDEWAYS} Stairs are known from trouser pockets only.",
         has_gyroscope=False,
     ),

@@ -133,12 +133,12 @@ PLAN = PosePlan(
     feature_names=WITHOUT_LIGHT_AND_PROXIMITY,
     datasets=DATASETS,
     machine_fit=fit_pose_forest,
-    description="Random forest on the 12 statistics of pitch and roll of Guo et al. 2018, Table 1; real recordings, "
-    "the same mirrored, turned over in the pocket and turned to the ear, and simulated people.",
-    use="Windows of 0.6 s of somebody who walks; the guo2018 recipe.",
+    description="Random forest on the 12 statistics of pitch and roll of Guo et al. 2018, Table 1; trained on real "
+    "recordings, on the same mirrored, turned over in the pocket and rotated to the ear, and on simulated people.",
+    use="Windows of 0.6 s of a walking person; the guo2018 recipe.",
     limits="Without the six features of light and proximity. Four modes: a bag has probability zero. Pitch and roll "
-    "show how somebody holds the phone rather than where it is: a pocket is often taken for the ear or a swinging "
-    "hand. Calling is known from one real person, swinging from two. The default model `carrying` is better.",
+    "show the orientation of the phone rather than its place, so that a pocket is often classified as calling or "
+    "swinging. Calling comes from one real person, swinging from two. The default model `carrying` is better.",
 )
 
 
