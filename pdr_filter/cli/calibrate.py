@@ -157,7 +157,9 @@ def smooth(
         marked = read_marks(file) if marks else Marks(file)
         recording = marked.recording(pdr.read(file, file_format))
         known: dict[str, Any] = marked.arguments()
-        closed = known.pop("loop_closures") if loop_closures is None else loop_closures_of_file(loop_closures)
+        closed = known.pop("loop_closures")
+        if loop_closures is not None:
+            closed = loop_closures_of_file(loop_closures)
         closed += wifi_loop_closures(recording) if wifi_loops else []
         position_fixes: list[Any] = known.pop("fixes")
         if fixes is not None:

@@ -122,7 +122,7 @@ class MagneticNorth:
     >>> recording = pdr.simulate.simulate([pdr.simulate.Leg("walking", duration_s=10.0, turn_rad=1.57, curve=True)])
     >>> config = pdr.recipes.default()
     >>> config = replace(config, sensing=replace(config.sensing, north=MagneticNorth()))
-    >>> steps = pdr.detect_steps(recording, config)
+    >>> steps = pdr.track(recording, config).steps
     >>> bool(np.isfinite(steps[-1].north_std_rad))
     True
     """

@@ -279,7 +279,7 @@ class WalkingHeading:
     >>> from pdr_filter.sensing.heading.walking_heading import WalkingHeading
     >>> recording = pdr.simulate.simulate([pdr.simulate.Leg("walking", duration_s=10.0)], carrying_mode="pocket")
     >>> config = pdr.recipes.default().with_heading(WalkingHeading())
-    >>> steps = pdr.detect_steps(recording, config)
+    >>> steps = pdr.track(recording, config).steps
     >>> bool(steps[-1].direction_trust > 0.5)
     True
     """

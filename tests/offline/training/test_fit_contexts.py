@@ -328,7 +328,7 @@ class Unsure(Silent):
         ({"people": None}, r"got 'simulated/simulated' alone"),
         ({"features": 3}, "features must be a feature set or a function"),
         ({"features": lambda signals: None}, "features must return a dict of a number for each name"),
-        ({"features": lambda signals: {"a": np.nan}}, r"features must be finite, got a of NaN or infinity in 'walk0'"),
+        ({"features": lambda signals: {"a": np.nan}}, r"features must be finite, but a is NaN or infinite in 'walk0'"),
     ],
     ids=lambda value: value if isinstance(value, str) else "-".join(value),
 )
