@@ -256,6 +256,8 @@ class WorkbenchSite:
                 source.replace(target / f"{target.name}{''.join(source.suffixes[-1:])}")
             else:
                 source.replace(target)
+        except FailedError as error:
+            raise FailedError(str(error).replace(f"{folder}/", ""), error.errno) from None
         finally:
             self._drops.pop(folder, None)
             shutil.rmtree(folder, ignore_errors=True)
@@ -364,8 +366,8 @@ def _answering(handler: Handler) -> Handler:
                 words = "the disk is full: nothing was changed. Free some space, and try again"
                 return JSONResponse({"error": words}, 507)
             return JSONResponse({"error": f"{error.strerror or error}: {Path(error.filename or '').name}"}, 500)
-        except (KeyError, TypeError, ValueError) as error:
-            words = str(error) if isinstance(error, ValueError) else f"the request lacks or has a wrong {error}"
+        except (AttributeError, LookupError, TypeError, ValueError) as error:
+            words = str(error) if isinstance(error, ValueError) else f"the request has another form: {error}"
             return JSONResponse({"error": words}, _STATUS.get(type(error), 400))
 
     return answer

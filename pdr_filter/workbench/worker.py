@@ -152,7 +152,7 @@ class Worker:
         track, _ = self._smoothed(opened, None)
         if track.person is None:
             raise ValueError(
-                "the marked points do not determine the step length: mark at least two points that are 20 m apart"
+                "the marked points do not determine the step length: mark points that are farther apart along the walk"
             )
         track.person.save(person)
         session = track.person.sessions[-1]
