@@ -21,7 +21,7 @@ from starlette.routing import BaseRoute, Mount, Route
 
 from pdr_filter.io.files.safe_files import read_json
 from pdr_filter.live.hub import Live
-from pdr_filter.live.server import AccessMiddleware, Site, attachment, body_of, page_headers
+from pdr_filter.live.server import AccessMiddleware, Site, attachment, body_of, image_sources, page_headers
 from pdr_filter.recipes import RECIPES
 from pdr_filter.values import limits
 from pdr_filter.values.sanitise import file_name
@@ -215,7 +215,11 @@ class WorkbenchSite:
 
     def _cached(self, key: str) -> Response:
         headers = {"Cache-Control": "no-store", "Content-Security-Policy": "frame-ancestors 'self'"}
-        return FileResponse(self.workbench.cache / f"{key}.html", media_type="text/html", headers=headers)
+        page = (self.workbench.cache / f"{key}.html").read_text(encoding="utf-8")
+        if self.tiles:  # a report alone loads nothing
+            images = f"default-src 'none'; img-src {image_sources(self.tiles)};"
+            page = page.replace("default-src 'none';", images, 1)
+        return HTMLResponse(page, headers=headers)
 
     # --- dropped files ---
 

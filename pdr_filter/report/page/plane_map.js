@@ -94,6 +94,14 @@ class PlaneMap {
     this.leaflet.setView(this.at(east, north), Math.log2(scale / this.scale), { reset: true });
   }
 
+  // Whose tiles they are stands on the map.
+  tilesOf(address) {
+    const host = new URL(address, location.href.replace(/[?#].*/, "")).hostname.replace("{s}.", "");
+    const attribution = host.endsWith("openstreetmap.org") ? "© OpenStreetMap contributors" : host;
+    L.control.attribution({ prefix: false }).addTo(this.leaflet);
+    return L.tileLayer(address, { maxNativeZoom: 19, maxZoom: 25, attribution });
+  }
+
   // Half axes in metres; the angle of the major one, counter-clockwise from east.
   ellipse([east, north], major, minor, angle) {
     const cosine = Math.cos(angle), sine = Math.sin(angle);

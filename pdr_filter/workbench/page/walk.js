@@ -36,7 +36,6 @@ function load(address) {
       frame = coming;
       frame.className = "";
       now.map.box.ownerDocument.defaultView.scrollTo(0, scrolled);
-      drawFixes();
       done();
     };
     byId("reports").querySelector(".coming")?.remove();
@@ -48,10 +47,23 @@ const reload = () => attempt(async () => {
   say(text("working"));
   await load(`${base}/report?v=${state.version}-${Date.now()}`);
   state = await ask(base);
+  drawTiles();
+  drawFixes();
   say(text("shown"));
   byId("show-walk").hidden = true;
   fill();
 });
+
+// Map tiles below a path that lies on Earth, if the user named a source.
+function drawTiles() {
+  const { map } = report(), { origin } = state.walk;
+  if (!about.tiles || !origin) return;
+  map.lieIn(frame.contentWindow.world(origin));
+  map.box.classList.add("has-tiles");
+  map.tilesOf(about.tiles).addTo(map.leaflet);
+  map.draw();
+  map.whole();
+}
 
 function drawFixes() {
   const { L } = frame.contentWindow, { map } = report(), group = L.layerGroup().addTo(map.leaflet);
