@@ -107,7 +107,7 @@ def press_button(browser: Browser, selector: str) -> None:
 
 
 def draw_house(folder: Path) -> Path:
-    """Picture of a building, 20 pixels to a metre: two rooms and a door."""
+    """Picture of a building, 10 pixels to a metre: two halls and a door."""
     picture = Image.new("RGB", (900, 500), "white")
     pen = ImageDraw.Draw(picture)
     pen.rectangle((100, 100, 800, 400), outline="black", width=6)
@@ -143,10 +143,10 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
         browser.until("typeof plan !== 'undefined' && plan !== null")
         choose_file(browser, "#picture", draw_house(tmp_path))
         browser.until("!!document.querySelector('#map img') && document.querySelector('#map img').complete", 60)
-        browser.value("document.getElementById('length').value = 35")
+        browser.value("document.getElementById('length').value = 70")
         browser.click("#scale")
         click_plan(browser, (100, 250), (800, 250))
-        browser.until("!document.getElementById('undo').disabled && Math.abs(storey().metres_per_pixel - 0.05) < 0.001")
+        browser.until("!document.getElementById('undo').disabled && Math.abs(storey().metres_per_pixel - 0.1) < 0.002")
         shapes: list[tuple[str, list[tuple[int, int]]]] = [
             ("floor", [(100, 100), (800, 100), (800, 400), (100, 400), (100, 100)]),
             ("wall", [(100, 250), (700, 250), (700, 250)]),
@@ -157,7 +157,7 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
             click_plan(browser, *corners)
             browser.until(f"ours.size > {n} && plan.features.length === {n}")
         browser.until("plan.problems.length === 1")
-        assert "the wall is open at 35" in browser.words("#problems")
+        assert "the wall is open at 70" in browser.words("#problems")
         assert "--plan plans/House.geojson" in browser.words("#usable")
         browser.shot(pictures / "workbench_plan.png")
         browser.click("#undo")
@@ -165,7 +165,7 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
         browser.click("#redo")
         browser.until("plan.features.length === 3 && document.getElementById('redo').disabled")
         read = pdr.FloorPlan.read(folder / "plans" / "House.geojson")
-        assert read.storeys[0].summary()["width_m"] == pytest.approx(35.0, abs=0.3)
+        assert read.storeys[0].summary()["width_m"] == pytest.approx(70.0, abs=0.6)
         # place
         assert [words for words in browser.complaints if HARMLESS not in words and "422" not in words] == []
         id = browser.value("fetch('/walks').then(a => a.json()).then(found => found.walks[0].id)")
@@ -177,22 +177,23 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
         browser.until(f"state.marks.walk.plan === 'House' && {READY}", 60)
         browser.click("#two")
         n_steps = browser.value("report().map.track.time.length")
-        for row, east_m, north_m in ((10, 8.0, 8.0), (n_steps // 3, 37.0, 10.0)):
-            browser.value("(report().map.fit([-40, 60], [-40, 40], 4), 0)")
+        for row in (10, n_steps // 3):
+            browser.value("(report().map.fit([-20, 90], [-20, 60], 4), 0)")
             east, north = browser.value(f"[report().map.track.east[{row}], report().map.track.north[{row}]]")
             click_way(browser, east, north)
             assert "Click where you were" in browser.words("#said")
-            click_way(browser, east_m, north_m)
+            click_way(browser, east + 15.0, north + 15.0)
         browser.until(f"state.marks.fixes.length === 2 && {READY}", 60)
         fixes = browser.value("state.marks.fixes")
-        assert fixes[0][1:3] == pytest.approx([8.0, 8.0], abs=0.5)
+        assert fixes[1][1:3] == pytest.approx([east + 15.0, north + 15.0], abs=0.5)
+        assert browser.value(f"{REPORT}.contentDocument.querySelectorAll('.cross').length") == 2
         browser.shot(pictures / "workbench_walk.png")
         # mark, smooth, undo
         browser.value(
-            "(report().show(report().map.track.time.length - 5), report().map.fit([-40, 60], [-40, 40], 4), 0)"
+            "(report().show(report().map.track.time.length - 5), report().map.fit([-20, 90], [-20, 60], 4), 0)"
         )
         browser.click("#here")
-        click_way(browser, 10.0, 9.0)
+        click_way(browser, 16.0, 16.0)
         browser.until(f"state.marks.fixes.length === 3 && {READY}", 60)
         assert read_marks(folder / "my walk").fixes[-1].time_s == browser.value("state.marks.fixes[2][0]")
         browser.click("#undo")

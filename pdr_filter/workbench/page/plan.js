@@ -180,7 +180,7 @@ function asking(n, words, done) {
   say(words);
   return { points: [], add(place) {
     this.points.push(place);
-    picked.addLayer(map.mark(map.at(...place), "picked", "", [14, 14]));
+    picked.addLayer(map.mark(map.at(...place), "picked", "", 14));
     if (this.points.length < n) return;
     const { points } = this;
     stop();

@@ -67,9 +67,8 @@ function drawTiles() {
 
 function drawFixes() {
   const { L } = frame.contentWindow, { map } = report(), group = L.layerGroup().addTo(map.leaflet);
-  for (const [time, east, north, , heading] of state.marks.fixes) {
-    const cross = map.mark(map.at(east, north), "cross", "", [18, 18]);
-    group.addLayer(cross.bindTooltip?.(clock(time)) ?? cross);
+  for (const [, east, north, , heading] of state.marks.fixes) {
+    group.addLayer(map.mark(map.at(east, north), "cross", "", 18));
     if (heading !== null) {
       const angle = heading * Math.PI / 180, reach = 40 / map.scale;
       const tip = map.at(east + reach * Math.sin(angle), north + reach * Math.cos(angle));
