@@ -57,7 +57,10 @@ def app(
         is_open = not is_loopback(address.host)
         token = (address.token or made_token(folder / HIDDEN)) if is_open or address.token else ""
         workbench = Workbench(folder, jobs)
-        live = Live(Settings(), folder / PHONES) if is_open else None
+        live = None
+        if is_open:
+            (folder / PHONES).mkdir(exist_ok=True)
+            live = Live(Settings(), folder / PHONES)
         certified: dict[str, Any] = {}
         if address.https:
             certified["ssl_certfile"] = certificate(folder / PHONES / "certificate", address.name)

@@ -228,7 +228,7 @@ byId("numbers").addEventListener("submit", event => {
   if (time !== null) edit(marks => withFix(marks, [time, ...place, FIX_STD_M, null, null]));
 });
 for (const name of ["is_loop", "keep_on_plan"]) {
-  byId(name).addEventListener("change", event => edit(marks => { marks.walk[name] = event.target.checked; }));
+  byId(name).addEventListener("change", ({ target: { checked } }) => edit(marks => { marks.walk[name] = checked; }));
 }
 for (const name of ["person", "height_m", "plan"]) {
   byId(name).addEventListener("change", ({ target: { value } }) => edit(marks => {
