@@ -110,8 +110,8 @@ def draw_house(folder: Path) -> Path:
     """Picture of a building, 10 pixels to a metre: two halls and a door."""
     picture = Image.new("RGB", (900, 500), "white")
     pen = ImageDraw.Draw(picture)
-    pen.rectangle((100, 100, 800, 400), outline="black", width=6)
-    pen.line((100, 250, 700, 250), fill="black", width=6)
+    pen.rectangle((100, 60, 800, 440), outline="black", width=6)
+    pen.line((300, 350, 800, 350), fill="black", width=6)
     pen.line((100, 300, 100, 340), fill="white", width=8)
     path = folder / "house.png"
     picture.save(path)
@@ -148,8 +148,8 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
         click_plan(browser, (100, 250), (800, 250))
         browser.until("!document.getElementById('undo').disabled && Math.abs(storey().metres_per_pixel - 0.1) < 0.002")
         shapes: list[tuple[str, list[tuple[int, int]]]] = [
-            ("floor", [(100, 100), (800, 100), (800, 400), (100, 400), (100, 100)]),
-            ("wall", [(100, 250), (700, 250), (700, 250)]),
+            ("floor", [(100, 60), (800, 60), (800, 440), (100, 440), (100, 60)]),
+            ("wall", [(800, 350), (300, 350), (300, 350)]),
             ("door", [(100, 300), (100, 340), (100, 340)]),
         ]
         for n, (kind, corners) in enumerate(shapes, 1):
@@ -157,7 +157,7 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
             click_plan(browser, *corners)
             browser.until(f"ours.size > {n} && plan.features.length === {n}")
         browser.until("plan.problems.length === 1")
-        assert "the wall is open at 70" in browser.words("#problems")
+        assert "the wall is open at 30" in browser.words("#problems")
         assert "--plan plans/House.geojson" in browser.words("#usable")
         browser.shot(pictures / "workbench_plan.png")
         browser.click("#undo")
@@ -182,10 +182,10 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
             east, north = browser.value(f"[report().map.track.east[{row}], report().map.track.north[{row}]]")
             click_way(browser, east, north)
             assert "Click where you were" in browser.words("#said")
-            click_way(browser, east + 15.0, north + 15.0)
+            click_way(browser, east + 15.0, north + 10.0)
         browser.until(f"state.marks.fixes.length === 2 && {READY}", 60)
         fixes = browser.value("state.marks.fixes")
-        assert fixes[1][1:3] == pytest.approx([east + 15.0, north + 15.0], abs=0.5)
+        assert fixes[1][1:3] == pytest.approx([east + 15.0, north + 10.0], abs=0.5)
         assert browser.value(f"{REPORT}.contentDocument.querySelectorAll('.cross').length") == 2
         browser.shot(pictures / "workbench_walk.png")
         # mark, smooth, undo
@@ -193,7 +193,7 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
             "(report().show(report().map.track.time.length - 5), report().map.fit([-20, 90], [-20, 60], 4), 0)"
         )
         browser.click("#here")
-        click_way(browser, 16.0, 16.0)
+        click_way(browser, 16.0, 12.0)
         browser.until(f"state.marks.fixes.length === 3 && {READY}", 60)
         assert read_marks(folder / "my walk").fixes[-1].time_s == browser.value("state.marks.fixes[2][0]")
         browser.click("#undo")
