@@ -121,9 +121,9 @@ def smooth(
     anchors: AnchorsFile = None,
     person: PersonFile = None,
     loop: Loop = False,
-    marks: Annotated[
-        bool, typer.Option(help="Use the files of marks beside the recording, where no option replaces them.")
-    ] = True,
+    no_marks: Annotated[
+        bool, typer.Option("--no-marks", help="Do not use the files of marks beside the recording.")
+    ] = False,
     out: Folder = None,
     file_format: Format = None,
 ) -> None:
@@ -140,7 +140,7 @@ def smooth(
 
     before: dict[Path, int] = {}
     with console.one_line_errors(), console.progress("smoothing"):
-        marked = read_marks(file) if marks else Marks(file)
+        marked = Marks(file) if no_marks else read_marks(file)
         recording = marked.recording(pdr.read(file, file_format))
         known: dict[str, Any] = marked.arguments()
         closed = known.pop("loop_closures") if loop_closures is None else loop_closures_of_file(loop_closures)

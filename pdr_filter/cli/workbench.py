@@ -29,7 +29,7 @@ def app(
     tiles: Annotated[str, typer.Option(metavar="URL", help="Map tiles: an address with {z}, {x} and {y} in it.")] = "",
     texts: Annotated[Path | None, typer.Option(help="JSON file with translated texts of the pages.")] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes; one for each core if not given.")] = None,
-    browser: Annotated[bool, typer.Option(help="Open the page in a browser.")] = True,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open a browser.")] = False,
 ) -> None:
     """Open the walks of a folder in a browser: mark known points, place and export them, and draw floor plans.
 
@@ -78,7 +78,7 @@ def app(
             if phone:
                 out.print(f"phones send  {phone}")
             out.print("Ctrl+C ends it.")
-            if browser:
+            if not no_browser:
                 webbrowser.open(f"{root}/{query}")
 
         asyncio.run(_run(workbench, live, uvicorn.Server(config), listening, say))
