@@ -159,12 +159,12 @@ def smooth(
         )
         if recording.truth.waypoints is not None and not is_given:
             known_places = waypoint_fixes(recording, fix_std_m)
-        result = pdr.smooth(
-            recording,
-            known_places,
-            loop_closures=closed,
-            **{**known, **where, **({} if person is None else {"person": person}), **({"loop": True} if loop else {})},
-        )
+        options: dict[str, Any] = {**known, **where}
+        if person is not None:
+            options["person"] = person
+        if loop:
+            options["loop"] = True
+        result = pdr.smooth(recording, known_places, loop_closures=closed, **options)
         track = result.track
         if out is not None:
             name = file_name(track.name)

@@ -37,8 +37,7 @@ def app(
     """
     with console.one_line_errors(), ExitStack() as opened:
         try:
-            import PIL  # noqa: F401  # comes with matplotlib
-            import shapely  # noqa: F401
+            import shapely  # noqa: F401  # pyright: ignore[reportUnusedImport]
             import uvicorn
 
             from pdr_filter.live.access import is_loopback, made_token

@@ -352,7 +352,7 @@ def read_texts(path: Path | None = None) -> dict[str, str]:
 
 
 # Status of errors whose words are for the user; all others are ValueErrors of the content: 400.
-_STATUS = {UnknownError: 404, ConflictError: 409, TooLargeError: 413}
+_STATUS: dict[type[Exception], int] = {UnknownError: 404, ConflictError: 409, TooLargeError: 413}
 
 
 def _answering(handler: Handler) -> Handler:

@@ -179,12 +179,12 @@ def smooth(
     check_options(loop_closures, start_heading_std_rad, anchor_interval_s)
     placement = TrackPlacement(gnss, origin, heading_rad, north, plan, start)
     run = asked_run(recording, config, fixes, placement, weighting, calibration, device, person)
-    given, recording, config = recording, run.recording, run.config
+    given, recording, asked = recording, run.recording, run.config
     if isinstance(loop_closures, str):
         loop_closures = tuple(wifi_loop_closures(recording))
     first_pass, second_pass = _halves(progress)
-    if config.on_plan is not None:
-        config, _ = _with_first_pass(recording, config, first_pass)
+    if asked.on_plan is not None:
+        config, _ = _with_first_pass(recording, asked, first_pass)
         if plan is not None and any(not isinstance(fix, GridFix) for fix in run.fixes):
             config = config.in_world_frame()
         # Only when called: a plan is an application.
@@ -197,7 +197,7 @@ def smooth(
 
     def reckoned() -> tuple[Config, Track]:
         """Dead reckoning: fixes and locations come in afterwards."""
-        own, known_device = _with_first_pass(recording, config, first_pass)
+        own, known_device = _with_first_pass(recording, asked, first_pass)
         own = own.in_hindsight().with_model(frame=START_FRAME)
         found = collected(recording, own, outputs(recording, own, stood, second_pass, with_hills=run.with_location))
         return own, with_arrivals(replace(found, device=known_device or found.device))
@@ -205,7 +205,7 @@ def smooth(
     if memory is None:
         config, track = reckoned()
     else:
-        key = to_bytes((config.with_model(frame=START_FRAME), stood, placement.north or "", run.with_location))
+        key = to_bytes((asked.with_model(frame=START_FRAME), stood, placement.north or "", run.with_location))
         config, track = memory.of(given, key, reckoned)
     modes = config.model.modes
     if track.weighting == "imm":
