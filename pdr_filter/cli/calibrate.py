@@ -133,9 +133,9 @@ def smooth(
     anchors: AnchorsFile = None,
     person: PersonFile = None,
     loop: Loop = False,
-    marks: Annotated[
-        bool, typer.Option(help="Use the files of marks beside the recording, where no option replaces them.")
-    ] = True,
+    no_marks: Annotated[
+        bool, typer.Option("--no-marks", help="Do not use the files of marks beside the recording.")
+    ] = False,
     out: Folder = None,
     file_format: Format = None,
 ) -> None:
@@ -154,7 +154,7 @@ def smooth(
 
     before: dict[Path, int] = {}
     with console.one_line_errors(), console.progress("smoothing"):
-        marked = read_marks(file) if marks else Marks(file)
+        marked = Marks(file) if no_marks else read_marks(file)
         recording = marked.recording(pdr.read(file, file_format))
         known: dict[str, Any] = marked.arguments()
         closed = known.pop("loop_closures")
@@ -175,12 +175,12 @@ def smooth(
         )
         if recording.truth.waypoints is not None and not is_given:
             position_fixes = waypoint_fixes(recording, fix_std_m)
-        result = pdr.smooth(
-            recording,
-            position_fixes,
-            loop_closures=closed,
-            **{**known, **where, **({} if person is None else {"person": person}), **({"loop": True} if loop else {})},
-        )
+        options: dict[str, Any] = {**known, **where}
+        if person is not None:
+            options["person"] = person
+        if loop:
+            options["loop"] = True
+        result = pdr.smooth(recording, position_fixes, loop_closures=closed, **options)
         track = result.track
         if out is not None:
             name = file_name(track.name)

@@ -29,7 +29,7 @@ def app(
     tiles: Annotated[str, typer.Option(metavar="URL", help="Map tiles: an address with {z}, {x} and {y} in it.")] = "",
     texts: Annotated[Path | None, typer.Option(help="JSON file with translated texts of the pages.")] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes; one for each core if not given.")] = None,
-    browser: Annotated[bool, typer.Option(help="Open the page in a browser.")] = True,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open a browser.")] = False,
 ) -> None:
     """Open the walks of a folder in a browser: mark known points, place and export them, and draw floor plans.
 
@@ -37,8 +37,7 @@ def app(
     """
     with console.one_line_errors(), ExitStack() as opened:
         try:
-            import PIL  # noqa: F401  # comes with matplotlib
-            import shapely  # noqa: F401
+            import shapely  # noqa: F401  # pyright: ignore[reportUnusedImport]
             import uvicorn
 
             from pdr_filter.live.access import is_loopback, made_token
@@ -57,7 +56,10 @@ def app(
         is_open = not is_loopback(address.host)
         token = (address.token or made_token(folder / HIDDEN)) if is_open or address.token else ""
         workbench = Workbench(folder, jobs)
-        live = Live(Settings(), folder / PHONES) if is_open else None
+        live = None
+        if is_open:
+            (folder / PHONES).mkdir(exist_ok=True)
+            live = Live(Settings(), folder / PHONES)
         certified: dict[str, Any] = {}
         if address.https:
             certified["ssl_certfile"] = certificate(folder / PHONES / "certificate", address.name)
@@ -75,7 +77,7 @@ def app(
             if phone:
                 out.print(f"phones send  {phone}")
             out.print("Ctrl+C ends it.")
-            if browser:
+            if not no_browser:
                 webbrowser.open(f"{root}/{query}")
 
         asyncio.run(_run(workbench, live, uvicorn.Server(config), listening, say))

@@ -234,11 +234,17 @@ def attachment(name: str) -> dict[str, str]:
     return {"Content-Disposition": f'attachment; filename="{name}"'}
 
 
+def image_sources(tiles: str) -> str:
+    """Sources of images that a page may load: this server, and that of the map tiles."""
+    where = urlsplit(tiles)
+    return f"'self' data: {where.scheme}://{where.netloc}" if tiles else "'self' data:"
+
+
 def page_headers(tiles: str) -> dict[str, str]:
     """Headers that let the page load nothing from other servers, except the tiles that the user named."""
-    where = urlsplit(tiles)
-    images = f"'self' data: {where.scheme}://{where.netloc}" if tiles else "'self' data:"
-    policy = f"default-src 'self'; img-src {images}; style-src 'self' 'unsafe-inline'; frame-ancestors 'none'"
+    policy = (
+        f"default-src 'self'; img-src {image_sources(tiles)}; style-src 'self' 'unsafe-inline'; frame-ancestors 'none'"
+    )
     return {"Content-Security-Policy": policy, "Cache-Control": "no-cache", "Referrer-Policy": "no-referrer"}
 
 

@@ -75,7 +75,7 @@ def _opened(content: bytes) -> Any:
 
 def _pdf_page(content: bytes, page: int) -> Any:
     try:
-        import pypdfium2
+        import pypdfium2  # pyright: ignore[reportMissingImports]  (optional)
     except ImportError:
         raise ValueError(
             'pages of PDF files need pypdfium2: pip install "pdr_filter[app]"; or save the page as PNG'

@@ -21,7 +21,7 @@ from starlette.routing import BaseRoute, Mount, Route
 
 from pdr_filter.io.files.safe_files import read_json
 from pdr_filter.live.hub import Live
-from pdr_filter.live.server import AccessMiddleware, Site, attachment, body_of, page_headers
+from pdr_filter.live.server import AccessMiddleware, Site, attachment, body_of, image_sources, page_headers
 from pdr_filter.recipes import RECIPES
 from pdr_filter.values import limits
 from pdr_filter.values.sanitise import file_name
@@ -215,7 +215,11 @@ class WorkbenchSite:
 
     def _cached(self, key: str) -> Response:
         headers = {"Cache-Control": "no-store", "Content-Security-Policy": "frame-ancestors 'self'"}
-        return FileResponse(self.workbench.cache / f"{key}.html", media_type="text/html", headers=headers)
+        page = (self.workbench.cache / f"{key}.html").read_text(encoding="utf-8")
+        if self.tiles:  # a report alone loads nothing
+            images = f"default-src 'none'; img-src {image_sources(self.tiles)};"
+            page = page.replace("default-src 'none';", images, 1)
+        return HTMLResponse(page, headers=headers)
 
     # --- dropped files ---
 
@@ -256,6 +260,8 @@ class WorkbenchSite:
                 source.replace(target / f"{target.name}{''.join(source.suffixes[-1:])}")
             else:
                 source.replace(target)
+        except FailedError as error:
+            raise FailedError(str(error).replace(f"{folder}/", ""), error.errno) from None
         finally:
             self._drops.pop(folder, None)
             shutil.rmtree(folder, ignore_errors=True)
@@ -346,7 +352,7 @@ def read_texts(path: Path | None = None) -> dict[str, str]:
 
 
 # Status of errors whose words are for the user; all others are ValueErrors of the content: 400.
-_STATUS = {UnknownError: 404, ConflictError: 409, TooLargeError: 413}
+_STATUS: dict[type[Exception], int] = {UnknownError: 404, ConflictError: 409, TooLargeError: 413}
 
 
 def _answering(handler: Handler) -> Handler:
@@ -364,8 +370,8 @@ def _answering(handler: Handler) -> Handler:
                 words = "the disk is full: nothing was changed. Free some space, and try again"
                 return JSONResponse({"error": words}, 507)
             return JSONResponse({"error": f"{error.strerror or error}: {Path(error.filename or '').name}"}, 500)
-        except (KeyError, TypeError, ValueError) as error:
-            words = str(error) if isinstance(error, ValueError) else f"the request lacks or has a wrong {error}"
+        except (AttributeError, LookupError, TypeError, ValueError) as error:
+            words = str(error) if isinstance(error, ValueError) else f"the request has another form: {error}"
             return JSONResponse({"error": words}, _STATUS.get(type(error), 400))
 
     return answer

@@ -28,7 +28,7 @@ from pdr_filter.io.formats import read
 from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.maps.marks import NAMES, mark_files, marks_folder, marks_in, version_of
 from pdr_filter.offline.smoothing.observations import waypoint_fixes
-from pdr_filter.offline.smoothing.smooth import DeadReckoning, smooth
+from pdr_filter.offline.smoothing.smooth import SmoothingMemory, smooth
 from pdr_filter.recipes import for_recording
 from pdr_filter.report.html import html_report
 from pdr_filter.tracking.track import Track
@@ -80,7 +80,7 @@ class _Opened:
     path: str
     checksum: str
     recording: Recording
-    memory: DeadReckoning = field(default_factory=DeadReckoning)
+    memory: SmoothingMemory = field(default_factory=SmoothingMemory)
 
 
 class Worker:
@@ -152,7 +152,7 @@ class Worker:
         track, _ = self._smoothed(opened, None)
         if track.person is None:
             raise ValueError(
-                "the marked points do not determine the step length: mark at least two points that are 20 m apart"
+                "the marked points do not determine the step length: mark points that are farther apart along the walk"
             )
         track.person.save(person)
         session = track.person.sessions[-1]

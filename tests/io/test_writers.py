@@ -156,6 +156,30 @@ def test_parquet_read_back_in_pandas_and_written_as_csv_is_the_csv_file(tmp_path
 
 
 @needs_parquet
+def test_a_frame_of_pandas_has_the_columns_of_the_csv_file_and_windows_have_one_row_each(tmp_path: Path) -> None:
+    track = small_track()
+    import pandas as pd
+
+    frame = track.to_pandas(origin=(48.1, 11.5))
+    written = pd.read_csv(track.to_csv(tmp_path / "t.csv", origin=(48.1, 11.5)))
+    assert list(frame.columns) == list(written.columns)
+    np.testing.assert_allclose(frame.to_numpy(), written.to_numpy(), rtol=1e-6, atol=1e-6)
+    assert frame.attrs["name"] == track.name
+    windows = track.windows.to_pandas()
+    assert len(windows) == len(track.windows)
+    names = [f"context_prob_{name}" for name in track.windows.contexts]
+    np.testing.assert_array_equal(windows[names].to_numpy(), track.windows.context_prob)
+
+
+def test_without_pandas_a_frame_is_refused_with_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(ImportError, match=r'Track\.to_pandas needs pandas: pip install "pdr_filter\[parquet\]"'):
+        small_track().to_pandas()
+    with pytest.raises(ImportError, match=r"Windows\.to_pandas needs pandas"):
+        small_track().windows.to_pandas()
+
+
+@needs_parquet
 def test_parquet_has_in_its_metadata_what_is_in_no_column(tmp_path: Path) -> None:
     import pandas as pd
 

@@ -52,11 +52,11 @@ class Client:
         await self.bench.scan(is_forced=True)
         return next(f"/walks/{w.id}" for w in self.bench.walks.by_id.values() if w.name == name)
 
-    async def edit(self, walk: str, status: int = 200, version: str = "", **changes: Any) -> Any:
+    async def edit(self, address: str, status: int = 200, version: str = "", **changes: Any) -> Any:
         """Change some of the marks of a walk."""
-        state = await self.get(walk)
+        state = await self.get(address)
         marks = state["marks"] | changes
-        return await self.post(f"{walk}/marks", {"version": version or state["version"], "marks": marks}, status)
+        return await self.post(f"{address}/marks", {"version": version or state["version"], "marks": marks}, status)
 
     async def drop(self, name: str, content: bytes, status: int = 200) -> Any:
         """Drop one file; the answer to its end."""

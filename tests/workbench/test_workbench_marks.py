@@ -16,14 +16,14 @@ from benches import Client, short_walk, with_bench
 
 import pdr_filter as pdr
 from pdr_filter.maps.marks import FIXES, WALK, mark_files, marks_folder, read_marks, table_bytes, write_mark_files
-from pdr_filter.offline.smoothing.smooth import DeadReckoning
+from pdr_filter.offline.smoothing.smooth import SmoothingMemory
 from pdr_filter.workbench.worker import Worker, checksum_of
 
 FIRST, SECOND = [2.0, 0.0, 0.0, 0.5, None, None], [35.0, 3.0, 20.0, 0.5, None, None]
 
 
 def test_smoothing_with_a_memory_has_the_bits_of_smoothing_without() -> None:
-    recording, memory = short_walk(), DeadReckoning()
+    recording, memory = short_walk(), SmoothingMemory()
     fixes = [pdr.PositionFix(2.0, (0.0, 0.0), np.eye(2)), pdr.PositionFix(35.0, (3.0, 20.0), np.eye(2))]
     alone = pdr.smooth(recording, fixes, loop=True)
     pdr.smooth(recording, memory=memory)
@@ -193,11 +193,15 @@ def test_an_edit_that_cannot_be_used_changes_nothing(tmp_path: Path, changes: di
 def test_the_step_length_of_a_person_is_used_by_other_walks_only(tmp_path: Path) -> None:
     short_walk().save(tmp_path / "a")
     short_walk().save(tmp_path / "b")
+    track = pdr.smooth(short_walk()).track
+    longer = [
+        [float(t), *(1.05 * p).tolist(), 0.1, None, None] for t, p in zip(track.time_s, track.position_m, strict=True)
+    ]
 
     async def scenario(client: Client) -> None:
         first, second = await client.walk("a"), await client.walk("b")
         await client.post(f"{first}/teach", {}, 400)  # no name yet
-        await client.edit(first, walk={"person": "Ann"}, fixes=[FIRST, SECOND])
+        await client.edit(first, walk={"person": "Ann"}, fixes=longer[::10])
         found = await client.post(f"{first}/teach", {})
         assert 0.3 < found["step_length_m"] < 1.2
         assert not (tmp_path / "a" / "person.json").exists()
@@ -225,11 +229,11 @@ while True:
 def test_a_kill_during_a_save_leaves_the_old_marks_or_the_new_ones(tmp_path: Path) -> None:
     """Both files are always of one save."""
     seen: set[int] = set()
-    for k in range(12):
+    for k in range(6):
         process = subprocess.Popen([sys.executable, "-c", SAVING, str(tmp_path)], stdout=subprocess.PIPE)
         assert process.stdout is not None
         process.stdout.readline()
-        time.sleep(0.02 + 0.007 * k)
+        time.sleep(0.02 + 0.011 * k)
         process.send_signal(signal.SIGKILL)
         process.wait()
         process.stdout.close()

@@ -137,14 +137,6 @@ class LiveMap extends PlaneMap {
     this.ground[origin ? "addTo" : "removeFrom"](this.leaflet);
   }
 
-  // Show the attribution of the tiles.
-  tilesOf(address) {
-    const host = new URL(address, location.href.replace(/[?#].*/, "")).hostname.replace("{s}.", "");
-    const attribution = host.endsWith("openstreetmap.org") ? "© OpenStreetMap contributors" : host;
-    L.control.attribution({ prefix: false }).addTo(this.leaflet);
-    return L.tileLayer(address, { maxNativeZoom: 19, maxZoom: 25, attribution });
-  }
-
   drawPath(path) {
     const { drawn } = this, last = path.at(-1);
     if (path === drawn.path && path.length === drawn.n && last === drawn.last) return;

@@ -86,7 +86,7 @@ _KNOWN_STD_RAD = 1e-3
 
 
 @dataclass(slots=True, eq=False)
-class DeadReckoning:
+class SmoothingMemory:
     """Memory for repeated calls of `smooth` with one recording and changing fixes.
 
     It holds the dead-reckoned track of the last call. A call with the same recording and configuration takes the track
@@ -126,7 +126,7 @@ def smooth(
     floor_changes: Iterable[FloorChange] = (),
     start_heading_std_rad: float | None = None,
     anchor_interval_s: float = 2.0,
-    memory: DeadReckoning | None = None,
+    memory: SmoothingMemory | None = None,
 ) -> Smoothed:
     """Return the smoothed track of a recording, with a covariance at every step.
 
@@ -187,7 +187,7 @@ def smooth(
         the value of the configuration.
     anchor_interval_s : float, default 2.0
         Largest time between two anchors. Observations and changes of the heading offset have anchors too.
-    memory : DeadReckoning, optional
+    memory : SmoothingMemory, optional
         Memory of earlier calls with the same recording. A call with other fixes then reuses the dead-reckoned track and
         takes a fraction of the time.
 
@@ -233,12 +233,12 @@ def smooth(
     check_options(loop_closures, start_heading_std_rad, anchor_interval_s)
     placement = TrackPlacement(gnss, origin, heading_rad, north, plan, start)
     run = prepared_run(recording, config, fixes, placement, weighting, calibration, device, person)
-    given, recording, config = recording, run.recording, run.config
+    given, recording, asked = recording, run.recording, run.config
     if isinstance(loop_closures, str):
         loop_closures = tuple(wifi_loop_closures(recording))
     first_pass, second_pass = _pass_callbacks(progress)
-    if config.on_plan is not None:
-        config, _ = _with_first_pass(recording, config, first_pass)
+    if asked.on_plan is not None:
+        config, _ = _with_first_pass(recording, asked, first_pass)
         if plan is not None and any(not isinstance(fix, GridFix) for fix in run.fixes):
             config = config.in_world_frame()
         # imported late, because the package for maps depends on this one
@@ -251,7 +251,7 @@ def smooth(
 
     def reckoned() -> tuple[Config, Track]:
         """Dead reckoning: fixes and locations come in afterwards."""
-        own, known_device = _with_first_pass(recording, config, first_pass)
+        own, known_device = _with_first_pass(recording, asked, first_pass)
         own = own.in_hindsight().with_model(frame=START_FRAME)
         found = collected(recording, own, outputs(recording, own, stood, second_pass, with_hills=run.with_location))
         return own, with_arrivals(replace(found, device=known_device or found.device))
@@ -259,7 +259,7 @@ def smooth(
     if memory is None:
         config, track = reckoned()
     else:
-        key = to_bytes((config.with_model(frame=START_FRAME), stood, placement.north or "", run.with_location))
+        key = to_bytes((asked.with_model(frame=START_FRAME), stood, placement.north or "", run.with_location))
         config, track = memory.of(given, key, reckoned)
     modes = config.model.modes
     if track.weighting == "imm":

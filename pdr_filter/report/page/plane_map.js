@@ -93,6 +93,14 @@ class PlaneMap {
     this.leaflet.setView(this.at(east, north), Math.log2(scale / this.scale), { reset: true });
   }
 
+  // Return the layer of map tiles, and show their attribution.
+  tilesOf(address) {
+    const host = new URL(address, location.href.replace(/[?#].*/, "")).hostname.replace("{s}.", "");
+    const attribution = host.endsWith("openstreetmap.org") ? "© OpenStreetMap contributors" : host;
+    L.control.attribution({ prefix: false }).addTo(this.leaflet);
+    return L.tileLayer(address, { maxNativeZoom: 19, maxZoom: 25, attribution });
+  }
+
   // Return the corners of an ellipse. Half axes are in metres; the angle of the major axis is counter-clockwise from east.
   ellipse([east, north], major, minor, angle) {
     const cosine = Math.cos(angle), sine = Math.sin(angle);

@@ -172,7 +172,10 @@ map.leaflet.on("pm:create", ({ layer }) => {
   stop();
   change(edited => edited.features.push({ type: "Feature", properties, geometry }));
 });
-const take = layer => change(edited => { edited.features[layer.number].geometry = geometryOf(layer); });
+function take(layer) {
+  const geometry = geometryOf(layer);
+  change(edited => { if (edited.features[layer.number]) edited.features[layer.number].geometry = geometry; });
+}
 map.leaflet.on("pm:remove", ({ layer }) => change(edited => edited.features.splice(layer.number, 1)));
 
 // Points that a mode asks for, one after the other.
@@ -180,7 +183,7 @@ function asking(n, words, done) {
   say(words);
   return { points: [], add(place) {
     this.points.push(place);
-    picked.addLayer(map.mark(map.at(...place), "picked", "", [14, 14]));
+    picked.addLayer(map.mark(map.at(...place), "picked", "", 14));
     if (this.points.length < n) return;
     const { points } = this;
     stop();
@@ -222,7 +225,7 @@ byId("storey").addEventListener("change", event => {
   show();
   whole();
 });
-byId("storey-name").addEventListener("change", event => change(() => { storey().name = event.target.value.trim(); }));
+byId("storey-name").addEventListener("change", ({ target: { value } }) => change(() => { storey().name = value.trim(); }));
 byId("add-storey").addEventListener("submit", event => {
   event.preventDefault();
   const added = String(Number(byId("storey-number").value));
@@ -231,7 +234,9 @@ byId("add-storey").addEventListener("submit", event => {
     floor = added;
   });
 });
-byId("feature-name").addEventListener("change", event => change(edited => { edited.features[selected].properties.name = event.target.value.trim(); }));
+byId("feature-name").addEventListener("change", ({ target: { value } }) => change(edited => {
+  if (edited.features[selected]) edited.features[selected].properties.name = value.trim();
+}));
 byId("picture").addEventListener("change", event => attempt(async () => {
   say(text("working"));
   const size = await ask(`${base}/${floor}.png?page=${byId("pdf-page").value}`, event.target.files[0]);

@@ -36,7 +36,6 @@ function load(address) {
       frame = coming;
       frame.className = "";
       now.map.box.ownerDocument.defaultView.scrollTo(0, scrolled);
-      drawFixes();
       done();
     };
     byId("reports").querySelector(".coming")?.remove();
@@ -48,16 +47,28 @@ const reload = () => attempt(async () => {
   say(text("working"));
   await load(`${base}/report?v=${state.version}-${Date.now()}`);
   state = await ask(base);
+  drawTiles();
+  drawFixes();
   say(text("shown"));
   byId("show-walk").hidden = true;
   fill();
 });
 
+// Map tiles below a path that lies on Earth, if the user named a source.
+function drawTiles() {
+  const { map } = report(), { origin } = state.walk;
+  if (!about.tiles || !origin) return;
+  map.lieIn(frame.contentWindow.world(origin));
+  map.box.classList.add("has-tiles");
+  map.tilesOf(about.tiles).addTo(map.leaflet);
+  map.draw();
+  map.whole();
+}
+
 function drawFixes() {
   const { L } = frame.contentWindow, { map } = report(), group = L.layerGroup().addTo(map.leaflet);
-  for (const [time, east, north, , heading] of state.marks.fixes) {
-    const cross = map.mark(map.at(east, north), "cross", "", [18, 18]);
-    group.addLayer(cross.bindTooltip?.(clock(time)) ?? cross);
+  for (const [, east, north, , heading] of state.marks.fixes) {
+    group.addLayer(map.mark(map.at(east, north), "cross", "", 18));
     if (heading !== null) {
       const angle = heading * Math.PI / 180, reach = 40 / map.scale;
       const tip = map.at(east + reach * Math.sin(angle), north + reach * Math.cos(angle));
@@ -217,7 +228,7 @@ byId("numbers").addEventListener("submit", event => {
   if (time !== null) edit(marks => withFix(marks, [time, ...place, FIX_STD_M, null, null]));
 });
 for (const name of ["is_loop", "keep_on_plan"]) {
-  byId(name).addEventListener("change", event => edit(marks => { marks.walk[name] = event.target.checked; }));
+  byId(name).addEventListener("change", ({ target: { checked } }) => edit(marks => { marks.walk[name] = checked; }));
 }
 for (const name of ["person", "height_m", "plan"]) {
   byId(name).addEventListener("change", ({ target: { value } }) => edit(marks => {
