@@ -88,8 +88,8 @@ class Row(Task):
         End position in m.
     end_std_m : float or None
         Standard deviation of the end position in the worst direction, in m.
-    stationary_s, walking_s, upstairs_s, downstairs_s, sideways_s, running_s : float or None
-        Seconds in each context.
+    context_s : mapping of str to float
+        Seconds in each context by its name. Empty if the recording failed.
     notes : str
         Notes of the track, joined by "; ".
 

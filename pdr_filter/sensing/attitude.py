@@ -63,6 +63,15 @@ class AttitudeBlock:
         rad2.
     quat : FloatArray
         Unit quaternions wxyz that rotate the sensor frame to the attitude frame, shape (N, 4).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.sensing.attitude import AttitudeBlock
+    >>> up = np.tile([0.0, 0.0, 1.0], (4, 1))
+    >>> block = AttitudeBlock(np.zeros(4), np.zeros((4, 2)), up, device_heading_rad=np.zeros(4))
+    >>> block.up_sensor.shape
+    (4, 3)
     """
 
     vertical_mps2: FloatArray

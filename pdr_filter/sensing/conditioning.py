@@ -70,6 +70,15 @@ class UniformBlock:
     gap_before_s : float
         Duration of the gap before the block, s. Zero if the block continues the previous one, infinite for the first
         block.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.sensing.conditioning import UniformBlock
+    >>> rows, known = np.zeros((4, 3)), np.ones(4, dtype=bool)
+    >>> block = UniformBlock(np.arange(4) / 100, rows, rows, known, rows, ~known, gap_before_s=np.inf)
+    >>> len(block.time_s)
+    4
     """
 
     time_s: FloatArray

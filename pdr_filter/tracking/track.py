@@ -151,7 +151,18 @@ class Track(TrackRows):
         return writers.write_csv(self, path, origin)
 
     def to_pandas(self, origin: Origin | tuple[float, float] | None = None) -> Any:
-        """Return a pandas DataFrame with the columns of `to_csv` and all digits; needs the extra `parquet`."""
+        """Return a pandas DataFrame with the columns of `to_csv` and all digits; needs the extra `parquet`.
+
+        Parameters
+        ----------
+        origin : Origin or (latitude_deg, longitude_deg), optional
+            Geographic position of the origin of the track's frame. The default is `Track.origin`.
+
+        Returns
+        -------
+        pandas.DataFrame
+            One row for each step.
+        """
         from pdr_filter.io.files import track_writers as writers
 
         return writers.track_frame(self, origin)

@@ -128,7 +128,28 @@ def check_cov(cov: FloatArray, name: str) -> None:
 
 
 def check_transition_prob(transition_prob: FloatArray, n: int, name: str = "transition_prob") -> None:
-    """Raise ValueError unless `transition_prob[i, j]`, from i to j, is (n, n) with rows that sum to one."""
+    """Raise ValueError for a matrix that does not hold transition probabilities.
+
+    Parameters
+    ----------
+    transition_prob : (n, n) array
+        Probability of a transition from i to j in row i and column j. Rows must sum to one.
+    n : int
+        Number of states.
+    name : str, default "transition_prob"
+        Name of the argument in the message.
+
+    Raises
+    ------
+    ValueError
+        If the shape is wrong, a probability is negative, or a row does not sum to one.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.values.arrays import check_transition_prob
+    >>> check_transition_prob(np.array([[0.9, 0.1], [0.2, 0.8]]), 2)
+    """
     if transition_prob.shape != (n, n):
         raise ValueError(f"{name} must be ({n}, {n}), one row for each previous state, got {transition_prob.shape}")
     of_row = transition_prob.sum(axis=1)

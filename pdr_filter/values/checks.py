@@ -60,8 +60,27 @@ def check_numbers(
 ) -> None:
     """Raise ValueError unless every number in the fields of a configuration is positive, finite and plausible.
 
-    Fields declared as a number or as a tuple of numbers are checked. Fields in `zero` may be 0, fields in `signed` may
-    be negative, and fields in `infinite` may be infinity, which disables a feature.
+    Parameters
+    ----------
+    config : dataclass instance
+        Configuration. Its fields declared as a number or as a tuple of numbers are checked.
+    zero : collection of str, optional
+        Names of fields that may be 0.
+    signed : collection of str, optional
+        Names of fields that may be negative.
+    infinite : collection of str, optional
+        Names of fields that may be infinity, which disables a feature.
+
+    Raises
+    ------
+    ValueError
+        If a number has the wrong type, sign or magnitude. The message names the field and its default.
+
+    Examples
+    --------
+    >>> from pdr_filter.filter.step_length.models import FrequencyVarianceStepLength
+    >>> from pdr_filter.values.checks import check_numbers
+    >>> check_numbers(FrequencyVarianceStepLength(max_variance=8.0))
     """
     for field in fields(config):
         declared = _NUMBERS.fullmatch(str(field.type))

@@ -13,7 +13,21 @@ from pdr_filter.values.arrays import FloatArray
 
 
 class FeatureSet(Protocol):
-    """Features of windows. To be saved with a filter, it must be a frozen dataclass of this package."""
+    """Protocol of the features of windows.
+
+    To be saved with a filter, a feature set must be a frozen dataclass of this package.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.values.feature_set import WINDOW_SIGNALS
+    >>> class MeanForce:
+    ...     name, names, low_pass_hz = "mean force", ("mean_force",), None
+    ...     def describe(self, windows, rate_hz):
+    ...         return windows[:, :1].mean(axis=2)
+    >>> MeanForce().describe(np.ones((3, len(WINDOW_SIGNALS), 200)), 100.0).shape
+    (3, 1)
+    """
 
     @property
     def name(self) -> str:
@@ -31,7 +45,20 @@ class FeatureSet(Protocol):
         ...
 
     def describe(self, windows: FloatArray, rate_hz: float) -> FloatArray:
-        """Return the features (W, F) of windows (W, N_SIGNALS, N). The signals of a missing sensor are zeros."""
+        """Return the features of windows.
+
+        Parameters
+        ----------
+        windows : (W, n_signals, N) array
+            Signals of W windows in the order of `WINDOW_SIGNALS`. The signals of a missing sensor are zeros.
+        rate_hz : float
+            Sampling rate, Hz.
+
+        Returns
+        -------
+        (W, F) array
+            Features in the order of `names`.
+        """
         ...
 
 

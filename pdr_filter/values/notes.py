@@ -22,7 +22,21 @@ NoteSubject = Literal[
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """Warning with its subject. The text is one sentence without a full stop: problem, likely cause and remedy."""
+    """Warning with its subject.
+
+    Attributes
+    ----------
+    about : str
+        Subject of the warning, one of `NoteSubject`.
+    text : str
+        One sentence without a full stop: problem, likely cause and remedy.
+
+    Examples
+    --------
+    >>> from pdr_filter.values.notes import Note
+    >>> Note("steps", "no steps were detected: the phone did not move").about
+    'steps'
+    """
 
     about: NoteSubject
     text: str

@@ -13,7 +13,23 @@ from pdr_filter.values.sanitise import printable
 
 
 def check_height(height_m: float) -> None:
-    """Raise ValueError unless a number is a plausible height of a person (adult or child), in metres."""
+    """Raise ValueError unless a number is a plausible height of a person (adult or child), in metres.
+
+    Parameters
+    ----------
+    height_m : float
+        Body height, m.
+
+    Raises
+    ------
+    ValueError
+        If the height is not a number or outside `HEIGHT_RANGE_M`, for example in centimetres.
+
+    Examples
+    --------
+    >>> from pdr_filter.values.recording import check_height
+    >>> check_height(1.75)
+    """
     low, high = limits.HEIGHT_RANGE_M
     if not isinstance(height_m, Real) or not low <= height_m <= high:
         raise ValueError(f"height_m must be the height of a person in metres, {low} to {high}, got {height_m!r}")

@@ -10,11 +10,35 @@ _new, _set = object.__new__, object.__setattr__
 
 
 def replace_unchecked(value: V, /, **changes: Any) -> V:
-    """Return a copy of a frozen dataclass with some fields replaced. TypeError for an unknown field.
+    """Return a copy of a frozen dataclass with some fields replaced.
 
     It takes 0.5 us, and `dataclasses.replace` takes 10 us. It is meant for states and events, which change some fields
     about ten times per step. `__post_init__` is not called, so that dataclasses that have one need
-    `dataclasses.replace`. The class must not have slots.
+    `dataclasses.replace`.
+
+    Parameters
+    ----------
+    value : dataclass instance
+        Instance of a frozen dataclass without slots.
+    **changes : object
+        New values of fields by name.
+
+    Returns
+    -------
+    object
+        Changed copy of the same class.
+
+    Raises
+    ------
+    TypeError
+        If a field is unknown or the class has slots.
+
+    Examples
+    --------
+    >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP
+    >>> from pdr_filter.values.replace import replace_unchecked
+    >>> replace_unchecked(TYPICAL_STEP, frequency_hz=2.0).frequency_hz
+    2.0
     """
     content = {**value.__dict__, **changes}  # ten times as fast as `|` for thirty fields
     if len(content) != len(value.__dataclass_fields__):  # type: ignore[attr-defined]

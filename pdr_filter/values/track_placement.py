@@ -189,7 +189,8 @@ def documented(function: F) -> F:
     """Insert the parameters of `TrackPlacement` into the docstring of a function, at the line that names them."""
     line = f"{', '.join(field.name for field in fields(TrackPlacement))} : fields of `TrackPlacement`"
     if function.__doc__ is not None:
-        function.__doc__ = (inspect.getdoc(function) or "").replace(line, _parameters())
+        # numpydoc expects the closing quotes on their own line; `getdoc` removes that line break.
+        function.__doc__ = f"{(inspect.getdoc(function) or '').replace(line, _parameters())}\n"
     return function
 
 

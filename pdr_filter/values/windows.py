@@ -76,6 +76,11 @@ class Windows:
 
         Columns: `time_s`, `context_prob_NAME`, `carrying_prob_NAME`, `unknown_share`, `stairs_unknown_share`,
         `irregular_prob`, `climb_rate_mps` and `model`.
+
+        Returns
+        -------
+        pandas.DataFrame
+            One row for each window.
         """
         columns = {
             "time_s": self.time_s,

@@ -1166,13 +1166,53 @@ RECORDING_STD = 0.025
 
 
 def of_gender(values: dict[str, float], gender: str | None) -> float:
-    """Return the value for a gender "M" or "F", or the mean of both if the gender is not known."""
+    """Return the value for a gender, or the mean of all values if the gender is not known.
+
+    Parameters
+    ----------
+    values : dict of str to float
+        Value for each of the genders "M" and "F".
+    gender : str or None
+        Gender of the person.
+
+    Returns
+    -------
+    float
+        Value in the unit of `values`.
+
+    Examples
+    --------
+    >>> from pdr_filter.filter.step_length.models import of_gender
+    >>> of_gender({"M": 0.5, "F": 0.25}, "F"), of_gender({"M": 0.5, "F": 0.25}, None)
+    (0.25, 0.375)
+    """
     return values.get(gender or "", sum(values.values()) / len(values))
 
 
 def one_parameter_fit(model: StepLengthModel, k: float, relative_std: float) -> StepLengthFit:
-    """Return the fit of a model with one parameter k whose standard deviation between people is `k * relative_std`.
+    """Return the fit of a model with one parameter, whose standard deviation between people is `k * relative_std`.
 
     Single steps scatter by `RESIDUAL_STD_M`.
+
+    Parameters
+    ----------
+    model : StepLengthModel
+        Step-length model with one parameter.
+    k : float
+        Parameter, in the unit of the model.
+    relative_std : float
+        Standard deviation of the parameter between people, divided by `k`.
+
+    Returns
+    -------
+    StepLengthFit
+        Fit with theta = (k,) and the variance of k.
+
+    Examples
+    --------
+    >>> from pdr_filter.filter.step_length.models import WeinbergStepLength, one_parameter_fit
+    >>> fit = one_parameter_fit(WeinbergStepLength(), k=0.5, relative_std=0.1)
+    >>> fit.theta, fit.theta_cov.round(4)
+    (array([0.5]), array([[0.0025]]))
     """
     return StepLengthFit(model, np.array([k]), np.array([[(k * relative_std) ** 2]]), RESIDUAL_STD_M)

@@ -35,7 +35,19 @@ _FREQUENCY_VARIANCE_WALKING = StepLengthFit(
 
 
 def magnitude_contexts() -> LearnedContexts:
-    """Return the context stage on the features of Table II."""
+    """Return the context stage on the features of Table II of Martinelli et al. (2018).
+
+    Returns
+    -------
+    LearnedContexts
+        Context stage with the shipped models for windows with and without gyroscope.
+
+    Examples
+    --------
+    >>> from pdr_filter.recipes.martinelli2018.recipe import magnitude_contexts
+    >>> magnitude_contexts().models.with_gyroscope.name
+    'context_martinelli_rvm'
+    """
     models = ContextModels(shipped_model("context_martinelli_rvm"), shipped_model("context_martinelli_forest"))
     return LearnedContexts(FeatureWindows(features=TABLE_II), models)
 

@@ -74,6 +74,14 @@ class WindowContext:
         Time of the first sample of the window, s.
     hop_s : float
         Time between the ends of consecutive windows, s.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.sensing.contexts.context_stage import WindowContext
+    >>> window = WindowContext(2.0, prob=np.array([0.1, 0.9]), training_prior=np.array([0.5, 0.5]))
+    >>> window.new_since_s
+    1.0
     """
 
     time_s: float
@@ -218,6 +226,13 @@ class WindowStage(ABC, Generic[W, X, M]):
     ----------
     windows : SlidingWindows
         Stage that cuts windows and describes them.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.sensing.contexts.context_stage import WindowStage
+    >>> isinstance(pdr.recipes.default().sensing.contexts, WindowStage)
+    True
     """
 
     windows: SlidingWindows[W, X]
@@ -305,17 +320,51 @@ class WindowStage(ABC, Generic[W, X, M]):
         return self.first_memory()
 
     def init(self) -> WindowStageState[W, M]:
-        """Return the state before the first sample."""
+        """Return the state before the first sample.
+
+        Returns
+        -------
+        WindowStageState
+            Initial state.
+        """
         return WindowStageState(self.windows.init(), self.first_memory())
 
     def after_gap(self, state: WindowStageState[W, M]) -> WindowStageState[W, M]:
-        """Return the state at the start of a segment after a gap."""
+        """Return the state at the start of a segment after a gap.
+
+        Parameters
+        ----------
+        state : WindowStageState
+            State before the gap.
+
+        Returns
+        -------
+        WindowStageState
+            State with empty windows and the memory that remains valid.
+        """
         return WindowStageState(self.windows.after_gap(state.windows), self.memory_after_gap(state.memory))
 
     def update(
         self, state: WindowStageState[W, M], block: UniformBlock, attitude: AttitudeBlock
     ) -> tuple[WindowStageState[W, M], list[tuple[int, WindowContext]]]:
-        """Return the new state and the classified windows, each with the number of its last sample."""
+        """Return the new state and the windows that a block completes.
+
+        Parameters
+        ----------
+        state : WindowStageState
+            State after the previous block.
+        block : UniformBlock
+            Uniform samples that follow, N samples.
+        attitude : AttitudeBlock
+            Attitude at these samples.
+
+        Returns
+        -------
+        state : WindowStageState
+            New state.
+        windows : list of (int, WindowContext)
+            Classified windows, each with the number of its last sample.
+        """
         windows, found = self.windows.update(state.windows, block, attitude)
         if not found:
             return WindowStageState(windows, state.memory), []
@@ -343,6 +392,17 @@ def known_context(
         Contexts that the rule distinguishes. They are equally probable a priori.
     name : str
         Name of the rule, the `model` of the windows.
+
+    Returns
+    -------
+    WindowContext
+        Classification of the window.
+
+    Examples
+    --------
+    >>> from pdr_filter.sensing.contexts.context_stage import known_context
+    >>> known_context(2.0, {"walking": 1.0}, {}, ["stationary", "walking"], "my rule").prob
+    array([0., 1., 0., 0., 0., 0.])
     """
     prob = np.array([context.get(c, 0.0) for c in CONTEXTS])
     carrying = np.array([carrying_mode.get(c, 0.0) for c in CARRYING_MODES]) if carrying_mode else _EVEN
@@ -376,6 +436,18 @@ class ContextModels:
         Probability that the carrying mode does not change from one window to the next.
     carrying_exponent : float
         Exponent of the carrying-mode evidence of a window.
+
+    Raises
+    ------
+    ValueError
+        If a model classifies something else, or if the two context models have different contexts.
+
+    Examples
+    --------
+    >>> from pdr_filter.sensing.contexts.context_stage import ContextModels
+    >>> from pdr_filter.sensing.contexts.learned_contexts import shipped_model
+    >>> ContextModels(shipped_model("context"), None).init()
+    array([0.2, 0.2, 0.2, 0.2, 0.2])
     """
 
     with_gyroscope: ContextModel
@@ -407,7 +479,13 @@ class ContextModels:
         return (self.with_gyroscope, *(model for model in optional if model is not None))
 
     def init(self) -> FloatArray:
-        """Return the carrying-mode probabilities (5,) before the first window: equal for all modes of the model."""
+        """Return the carrying-mode probabilities before the first window.
+
+        Returns
+        -------
+        (5,) array
+            Equal probabilities of all modes that the model knows.
+        """
         model = self.carrying_with_gyroscope or self.carrying_without_gyroscope
         known = np.ones(len(CARRYING_MODES)) if model is None else (model.training_prior > 0).astype(float)
         return read_only(known / known.sum())
@@ -415,16 +493,49 @@ class ContextModels:
     def update(
         self, carrying_prob: FloatArray, window: FeatureWindow, contexts: ContextSet = DEFAULT_CONTEXTS
     ) -> tuple[FloatArray, WindowContext]:
-        """Return the new carrying-mode probabilities (5,) and the classification of a window."""
+        """Return the new carrying-mode probabilities and the classification of a window.
+
+        Parameters
+        ----------
+        carrying_prob : (5,) array
+            Carrying-mode probabilities after the previous window.
+        window : FeatureWindow
+            Features of the window.
+        contexts : ContextSet, optional
+            Meanings of the contexts. The default is the six contexts of `pdr_filter.CONTEXTS`.
+
+        Returns
+        -------
+        carrying_prob : (5,) array
+            New carrying-mode probabilities.
+        context : WindowContext
+            Classification of the window.
+        """
         carrying_prob, (context,) = self.update_all(carrying_prob, [window], contexts)
         return carrying_prob, context
 
     def update_all(
         self, carrying_prob: FloatArray, windows: Sequence[FeatureWindow], contexts: ContextSet = DEFAULT_CONTEXTS
     ) -> tuple[FloatArray, list[WindowContext]]:
-        """Return the new carrying-mode probabilities (5,) and the classifications of consecutive windows.
+        """Return the new carrying-mode probabilities and the classifications of consecutive windows.
 
         The models process all windows together. The results have the same bits as with `update` for each window.
+
+        Parameters
+        ----------
+        carrying_prob : (5,) array
+            Carrying-mode probabilities after the previous window.
+        windows : sequence of FeatureWindow
+            Features of the windows.
+        contexts : ContextSet, optional
+            Meanings of the contexts. The default is the six contexts of `pdr_filter.CONTEXTS`.
+
+        Returns
+        -------
+        carrying_prob : (5,) array
+            New carrying-mode probabilities.
+        contexts : list of WindowContext
+            Classifications in the same order.
         """
         context_assessments = _assessed(self.with_gyroscope, self.without_gyroscope, windows)
         carrying_assessments = _assessed(self.carrying_with_gyroscope, self.carrying_without_gyroscope, windows)

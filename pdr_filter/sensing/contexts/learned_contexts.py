@@ -130,7 +130,19 @@ class LearnedContexts(WindowStage[WindowState, FeatureWindow, FloatArray]):
 
 
 def attitude_free_contexts() -> LearnedContexts:
-    """Return the context stage of the default recipe, with the shipped models."""
+    """Return the context stage of the default recipe, with the shipped models.
+
+    Returns
+    -------
+    LearnedContexts
+        Context stage whose features do not depend on the attitude of the phone.
+
+    Examples
+    --------
+    >>> from pdr_filter.sensing.contexts.learned_contexts import attitude_free_contexts
+    >>> attitude_free_contexts().hop_s
+    1.0
+    """
     models = ContextModels(
         shipped_model("context"),
         shipped_model("context_accelerometer"),
@@ -207,6 +219,25 @@ def _with_features_of(models: Sequence[ContextModel | None], stage: LearnedConte
 def shipped_model(name: str) -> ContextModel:
     """Return a context model of the package by its name; it is read once.
 
-    Raises ValueError for another name.
+    Parameters
+    ----------
+    name : str
+        Name of the model, such as "context" or "carrying".
+
+    Returns
+    -------
+    ContextModel
+        Trained model.
+
+    Raises
+    ------
+    ValueError
+        If the package has no model with this name.
+
+    Examples
+    --------
+    >>> from pdr_filter.sensing.contexts.learned_contexts import shipped_model
+    >>> shipped_model("context").head
+    'context'
     """
     return load_model(name)

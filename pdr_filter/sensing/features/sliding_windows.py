@@ -25,6 +25,13 @@ class SampleWindow:
         Start and end of the window, s.
     samples : FloatArray
         Signals, shape (R, N), contiguous so that sums have the same order for every window.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.sensing.features.sliding_windows import SampleWindow
+    >>> SampleWindow(last=199, start_s=0.0, end_s=2.0, samples=np.zeros((3, 200))).samples.shape
+    (3, 200)
     """
 
     last: int
@@ -43,6 +50,13 @@ class WindowBuffer:
         Number of the first buffered sample in the segment.
     rows : FloatArray
         Times and signals, shape (1 + R, B).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.sensing.features.sliding_windows import WindowBuffer
+    >>> WindowBuffer(first=100, rows=np.zeros((4, 100))).first
+    100
     """
 
     first: int
@@ -59,6 +73,12 @@ class DescribedWindow:
         Start of the window, s.
     time_s : float
         End of the window, s.
+
+    Examples
+    --------
+    >>> from pdr_filter.sensing.features.sliding_windows import DescribedWindow
+    >>> DescribedWindow(start_s=0.0, time_s=2.0).time_s
+    2.0
     """
 
     start_s: float
@@ -81,6 +101,19 @@ class SlidingWindows(ABC, Generic[W, X]):
         Length of the windows, s.
     hop_s : float, default 1
         Time between the starts of consecutive windows, s, at most `window_s`.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is not positive or the hop is longer than the window.
+
+    Examples
+    --------
+    >>> from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindows
+    >>> from pdr_filter.sensing.features.sliding_windows import SlidingWindows
+    >>> windows = FeatureWindows(features=ATTITUDE_FREE)
+    >>> isinstance(windows, SlidingWindows), windows.hop_samples
+    (True, 100)
     """
 
     rate_hz: float = 100.0
@@ -107,22 +140,70 @@ class SlidingWindows(ABC, Generic[W, X]):
 
     @abstractmethod
     def init(self) -> W:
-        """Return the state before the first sample."""
+        """Return the state before the first sample.
+
+        Returns
+        -------
+        W
+            Initial state.
+        """
 
     def after_gap(self, state: W) -> W:
-        """Return the state at the start of a segment after a gap: the initial one, because no window spans a gap."""
+        """Return the initial state at the start of a segment after a gap, because no window spans a gap.
+
+        Parameters
+        ----------
+        state : W
+            State before the gap.
+
+        Returns
+        -------
+        W
+            Initial state.
+        """
         return self.init()
 
     @abstractmethod
     def update(self, state: W, block: UniformBlock, attitude: AttitudeBlock) -> tuple[W, list[tuple[int, X]]]:
-        """Return the new state and the completed windows, each with the number of its last sample."""
+        """Return the new state and the windows that a block completes.
+
+        Parameters
+        ----------
+        state : W
+            State after the previous block.
+        block : UniformBlock
+            Uniform samples that follow, N samples.
+        attitude : AttitudeBlock
+            Attitude at these samples.
+
+        Returns
+        -------
+        state : W
+            New state.
+        windows : list of (int, X)
+            Descriptions of the windows, each with the number of its last sample.
+        """
 
     def cut(
         self, buffer: WindowBuffer, time_s: FloatArray, *signals: FloatArray
     ) -> tuple[WindowBuffer, list[SampleWindow]]:
         """Return the new buffer and the windows completed by further samples.
 
-        `time_s` (N,) are the middles of the intervals of the samples. `signals` are arrays (r, N) with R rows in total.
+        Parameters
+        ----------
+        buffer : WindowBuffer
+            Buffer of R signals after the previous samples.
+        time_s : (N,) array
+            Middles of the intervals of the samples, s.
+        *signals : (r, N) array
+            Signals, with R rows in total.
+
+        Returns
+        -------
+        buffer : WindowBuffer
+            New buffer.
+        windows : list of SampleWindow
+            Completed windows in the order of time.
         """
         n_rows, n_old = buffer.rows.shape
         rows = np.empty((n_rows, n_old + len(time_s)))
@@ -141,5 +222,22 @@ class SlidingWindows(ABC, Generic[W, X]):
 
 
 def no_samples(n_signals: int) -> WindowBuffer:
-    """Return the empty buffer of R signals at the start of a segment."""
+    """Return the empty buffer at the start of a segment.
+
+    Parameters
+    ----------
+    n_signals : int
+        Number R of signals.
+
+    Returns
+    -------
+    WindowBuffer
+        Buffer with rows of shape (1 + R, 0).
+
+    Examples
+    --------
+    >>> from pdr_filter.sensing.features.sliding_windows import no_samples
+    >>> no_samples(3).rows.shape
+    (4, 0)
+    """
     return WindowBuffer(0, np.empty((1 + n_signals, 0)))

@@ -45,6 +45,14 @@ class ContextBlock:
         True where the context is running, shape (N,).
     is_turned : BoolArray
         True where the context is walking sideways or backward, shape (N,).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.sensing.steps.step_detector import ContextBlock
+    >>> block = ContextBlock(context=np.array([0, 1]), carrying_mode=np.array([-1, -1]))
+    >>> block.stands
+    array([ True, False])
     """
 
     context: IntArray
@@ -60,7 +68,22 @@ class ContextBlock:
 
     @classmethod
     def of(cls, context: IntArray, carrying_mode: IntArray, contexts: ContextSet) -> ContextBlock:
-        """Return the block for indices (N,) into the given contexts and into the carrying modes."""
+        """Return the block for other contexts than the default.
+
+        Parameters
+        ----------
+        context : (N,) array of int
+            Index into `contexts`, or -1 if unknown.
+        carrying_mode : (N,) array of int
+            Index into `CARRYING_MODES`, or -1 if unknown.
+        contexts : ContextSet
+            Contexts with their meanings.
+
+        Returns
+        -------
+        ContextBlock
+            Block with the meanings of the contexts.
+        """
         meanings = contexts.stands, contexts.runs, contexts.is_turned
         return cls(context, carrying_mode, *(meaning[context] for meaning in meanings))
 
@@ -81,6 +104,13 @@ class DetectorState:
         Recent samples and the last contact.
     line : FloatArray
         Delay line with the last signals of the detector, shape (R, L). Zeros before the first sample.
+
+    Examples
+    --------
+    >>> from pdr_filter.sensing.steps.adaptive_detector import AdaptiveStepDetector
+    >>> from pdr_filter.sensing.steps.step_detector import DetectorState
+    >>> isinstance(AdaptiveStepDetector().init(), DetectorState)
+    True
     """
 
     log: StepLogState
@@ -248,8 +278,21 @@ class ResponseState(DetectorState):
 
     Attributes
     ----------
+    log : StepLogState
+        Recent samples and the last contact.
+    line : FloatArray
+        Delay line with the last signals of the detector, shape (R, L). Zeros before the first sample.
     response : FloatArray
         Last two columns of the response and its further values, shape (K, 2).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.sensing.steps.step_detector import ResponseState
+    >>> from pdr_filter.sensing.steps.step_log import StepLog
+    >>> log = StepLog(rate_hz=100.0, latency_s=0.5).init()
+    >>> ResponseState(log, line=np.zeros((1, 50)), response=np.zeros((1, 2))).response.shape
+    (1, 2)
     """
 
     response: FloatArray
@@ -262,7 +305,22 @@ R = TypeVar("R", bound=ResponseState)
 class ResponseStepDetector(BaseStepDetector[R]):
     """Base class of detectors whose steps are local maxima of a response signal.
 
-    The response is delayed by `_delay_samples`. Further values may accompany each of its samples.
+    The response is delayed by `_delay_samples`. Further values may accompany each sample of the response.
+
+    Parameters
+    ----------
+    rate_hz : float, default 100
+        Sampling rate of the blocks, Hz.
+    max_interval_s : float, default 2
+        A new bout begins after a longer time without a contact, s.
+    first_step_s : float, default 0.6
+        Duration assigned to the first step of a bout, s.
+
+    Examples
+    --------
+    >>> from pdr_filter.sensing.steps.step_detector import BaseStepDetector, ResponseStepDetector
+    >>> issubclass(ResponseStepDetector, BaseStepDetector)
+    True
     """
 
     @property
@@ -329,15 +387,50 @@ class ResponseStepDetector(BaseStepDetector[R]):
 
 
 def local_maxima(values: FloatArray) -> BoolArray:
-    """Return True for each local maximum of values (..., N), shape (..., N - 2), without the end values."""
+    """Return True for each local maximum along the last axis, without the end values.
+
+    Parameters
+    ----------
+    values : (..., N) array
+        Signal.
+
+    Returns
+    -------
+    (..., N - 2) array of bool
+        True at local maxima. The first of equal values counts as the maximum.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.sensing.steps.step_detector import local_maxima
+    >>> local_maxima(np.array([0.0, 2.0, 1.0, 3.0, 0.0]))
+    array([ True, False,  True])
+    """
     middle = values[..., 1:-1]
     return (middle > values[..., :-2]) & (middle >= values[..., 2:])
 
 
 def vertex(peak: FloatArray) -> float:
-    """Return the position of the extremum of the parabola through three values (3,), in samples from the middle one.
+    """Return the position of the extremum of the parabola through three values.
 
     It gives contact times a finer resolution than the sampling interval.
+
+    Parameters
+    ----------
+    peak : (3,) array
+        Values at consecutive samples.
+
+    Returns
+    -------
+    float
+        Position in samples from the middle value; 0 if the values lie on a line.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.sensing.steps.step_detector import vertex
+    >>> vertex(np.array([0.0, 2.0, 1.0]))
+    0.16666666666666666
     """
     before, middle, after = peak.tolist()
     curvature = before - 2 * middle + after

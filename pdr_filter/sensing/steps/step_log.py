@@ -116,6 +116,13 @@ class StepLog:
         A new bout begins after a longer time without a contact, s.
     first_step_s : float, default 0.6
         Duration assigned to the first step of a bout, s.
+
+    Examples
+    --------
+    >>> from pdr_filter.sensing.steps.step_log import StepLog
+    >>> log = StepLog(rate_hz=100.0, latency_s=0.5)
+    >>> log.starts_bout(log.init(), contact_s=3.0)
+    True
     """
 
     rate_hz: float
@@ -129,13 +136,33 @@ class StepLog:
         return round(self.latency_s * self.rate_hz) + 1 + int(np.ceil(self.max_interval_s * self.rate_hz))
 
     def init(self) -> StepLogState:
-        """Return the state before the first sample of a segment."""
+        """Return the state before the first sample of a segment.
+
+        Returns
+        -------
+        StepLogState
+            Initial state without samples.
+        """
         return StepLogState(0, np.empty((6, 0)), -1, -np.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
     def extend(self, state: StepLogState, block: UniformBlock, attitude: AttitudeBlock) -> StepLogState:
         """Return the state with the samples of a block appended.
 
         Call it before detecting contacts in the block, and `trim` afterwards.
+
+        Parameters
+        ----------
+        state : StepLogState
+            State after the previous block.
+        block : UniformBlock
+            Uniform samples that follow, N samples.
+        attitude : AttitudeBlock
+            Attitude at these samples.
+
+        Returns
+        -------
+        StepLogState
+            New state.
         """
         magnitude = specific_force_magnitude(block.specific_force_mps2)
         unknown_before = state.signals[4, -1] if state.signals.shape[1] else 0.0
@@ -151,31 +178,110 @@ class StepLog:
         return replace_unchecked(state, n_samples=state.n_samples + len(magnitude), signals=signals)
 
     def trim(self, state: StepLogState) -> StepLogState:
-        """Return the state without the signals that no later contact can need."""
+        """Return the state without the signals that no later contact can need.
+
+        Parameters
+        ----------
+        state : StepLogState
+            State with the buffered samples.
+
+        Returns
+        -------
+        StepLogState
+            New state.
+        """
         return replace_unchecked(state, signals=state.signals[:, -self._n_kept :])
 
     def first_sample(self, state: StepLogState) -> int:
-        """Return the number of the oldest buffered sample. Contacts must be later."""
+        """Return the number of the oldest buffered sample. Contacts must be later.
+
+        Parameters
+        ----------
+        state : StepLogState
+            State with the buffered samples.
+
+        Returns
+        -------
+        int
+            Sample number in the segment.
+        """
         return state.n_samples - state.signals.shape[1]
 
     def can_end(self, state: StepLogState, contact: int) -> bool:
-        """Return True if a step can end at a sample: it is buffered and later than the last contact."""
+        """Return True if a step can end at a sample: it is buffered and later than the last contact.
+
+        Parameters
+        ----------
+        state : StepLogState
+            State with the buffered samples.
+        contact : int
+            Sample number of the contact.
+
+        Returns
+        -------
+        bool
+            True if the contact can end a step.
+        """
         return max(self.first_sample(state), state.last_contact, 0) < contact < state.n_samples
 
     def time_s(self, state: StepLogState, sample: float) -> float:
-        """Return the time of a sample in s; fractional sample numbers are interpolated."""
+        """Return the time of a sample; fractional sample numbers are interpolated.
+
+        Parameters
+        ----------
+        state : StepLogState
+            State with the buffered samples.
+        sample : float
+            Sample number in the segment.
+
+        Returns
+        -------
+        float
+            Time, s.
+        """
         whole = floor(sample)
         index = min(max(whole - self.first_sample(state), 0), state.signals.shape[1] - 1)
         return float(state.signals[0, index] + (sample - whole) / self.rate_hz)
 
     def starts_bout(self, state: StepLogState, contact_s: float) -> bool:
-        """Return True if a contact at this time is the first of a bout."""
+        """Return True if a contact is the first of a bout.
+
+        Parameters
+        ----------
+        state : StepLogState
+            State with the buffered samples.
+        contact_s : float
+            Time of the contact, s.
+
+        Returns
+        -------
+        bool
+            True if the last contact is more than `max_interval_s` earlier.
+        """
         return contact_s - state.last_contact_s > self.max_interval_s
 
     def add(self, state: StepLogState, contact: int, known: int, fraction: float = 0.0) -> tuple[StepLogState, Step]:
         """Return the new state and the step that a contact ends.
 
         It combines `end_step` and `describe` for a single step.
+
+        Parameters
+        ----------
+        state : StepLogState
+            State with the buffered samples.
+        contact : int
+            Sample number of the contact.
+        known : int
+            Number of the sample that revealed the contact. It may lie beyond the last sample at the end of a segment.
+        fraction : float, default 0
+            Offset of the contact from the sample, in sampling intervals.
+
+        Returns
+        -------
+        state : StepLogState
+            New state.
+        step : Step
+            Step that the contact ends.
         """
         state, span = self.end_step(state, contact, known, fraction)
         state, (step,) = self.describe(state, [span])
@@ -186,9 +292,25 @@ class StepLog:
     ) -> tuple[StepLogState, StepSpan]:
         """Return the new state and the span of the step that a contact ends.
 
-        The contact is at sample `contact`, for which `can_end` must be true, plus a fraction of a sampling interval.
-        Sample number `known` revealed it. At the end of a segment this number may lie beyond the last sample. Call
-        `describe` for the span before the next samples are appended.
+        Call `describe` for the span before the next samples are appended.
+
+        Parameters
+        ----------
+        state : StepLogState
+            State with the buffered samples.
+        contact : int
+            Sample number of the contact, for which `can_end` must be true.
+        known : int
+            Number of the sample that revealed the contact. It may lie beyond the last sample at the end of a segment.
+        fraction : float, default 0
+            Offset of the contact from the sample, in sampling intervals.
+
+        Returns
+        -------
+        state : StepLogState
+            New state.
+        span : StepSpan
+            Time span and samples of the step.
         """
         first = self.first_sample(state)
         contact_s = float(state.signals[_TIME, contact - first] + fraction / self.rate_hz)
@@ -212,6 +334,20 @@ class StepLog:
         Besides the statistics of its own samples, each step receives quantities that depend on earlier steps: the turn
         rate over two steps, the mean amplitude of a stride, and the usual amplitude and duration of the person. The
         usual amplitude includes the step itself.
+
+        Parameters
+        ----------
+        state : StepLogState
+            State with the buffered samples.
+        spans : sequence of StepSpan
+            Spans from `end_step`, in the order of time.
+
+        Returns
+        -------
+        state : StepLogState
+            New state.
+        steps : list of Step
+            One step for each span.
         """
         steps: list[Step] = []
         turn_rad, before_s, before_mps2 = state.last_turn_rad, state.last_duration_s, state.last_amplitude_mps2
@@ -326,6 +462,24 @@ def _periods(n: int, periods: int) -> FloatArray:
 
 
 def specific_force_magnitude(specific_force_mps2: FloatArray) -> FloatArray:
-    """Return the norm of the specific force, shape (N,), of samples (N, 3), m/s2 (Martinelli et al. 2018, eq. 1)."""
+    """Return the magnitude of the specific force (Martinelli et al. 2018, eq. 1).
+
+    Parameters
+    ----------
+    specific_force_mps2 : (N, 3) array
+        Specific force in any frame, m/s2.
+
+    Returns
+    -------
+    (N,) array
+        Magnitude, m/s2.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.sensing.steps.step_log import specific_force_magnitude
+    >>> specific_force_magnitude(np.array([[3.0, 4.0, 0.0]]))
+    array([5.])
+    """
     x, y, z = specific_force_mps2.T
     return np.sqrt(x * x + y * y + z * z)
