@@ -285,4 +285,4 @@ def _print_addresses(address: Address, port: int, token: str) -> None:
         out.print(f"browsers     {root}/phone{query}")
     if token:
         segno.make(f"{root}/{'phone' * address.https}{query}", micro=False).terminal(sys.stderr, compact=True)
-    out.print("Press Ctrl+C to stop the server.")
+    out.print("Ctrl+C stops the server.")

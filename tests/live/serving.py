@@ -44,7 +44,7 @@ class Server:
         self.said: list[str] = []
         for line in self._process.stderr:
             self.said.append(line)
-            if line.startswith("Ctrl+C"):
+            if "Ctrl+C" in line:
                 break
         found = re.search(r"phones send +(https?://\S+)/data(\?token=(\S+))?", "".join(self.said))
         if found is None:

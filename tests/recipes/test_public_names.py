@@ -25,7 +25,7 @@ MODULES = sorted([RECIPES / "default.py", *RECIPES.glob("*/*.py")])
 def listed() -> frozenset[str]:
     """Full names on the interface page."""
     text = (ROOT / "docs" / "api.md").read_text("utf-8")
-    return frozenset(re.findall(r"^(?: {3}|\.\. autodata:: )(pdr_filter(?:\.\w+)+)$", text, re.MULTILINE))
+    return frozenset(re.findall(r"^(?: {3}|\.\. (?:autodata|py:data):: )(pdr_filter(?:\.\w+)+)$", text, re.MULTILINE))
 
 
 @cache

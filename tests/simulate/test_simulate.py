@@ -393,7 +393,7 @@ def test_signals_are_within_thirty_per_cent_of_real_ones(context: str, mode: str
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"context": "flying", "duration_s": 1.0}, "context of a leg must be one of"),
+        ({"context": "flying", "duration_s": 1.0}, "context must be one of"),
         ({"context": "walking"}, "either duration_s or distance_m"),
         ({"context": "walking", "duration_s": 1.0, "distance_m": 1.0}, "either duration_s or distance_m"),
         ({"context": "stationary", "distance_m": 1.0}, "give its duration_s"),

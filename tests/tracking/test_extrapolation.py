@@ -139,6 +139,7 @@ def test_now_and_updates_convert_to_json_without_nan() -> None:
     result = FixResult("position", 1.0, 2.0, "rejected", np.inf).to_dict()
     assert result == {
         "kind": "position", "time_s": 1.0, "used_s": 2.0, "outcome": "rejected", "nis": None, "accepted": False,
+        "anchor_m": None,
     }  # fmt: skip
     assert json.loads(json.dumps([content, step, result], allow_nan=False)) == [content, step, result]
 

@@ -585,7 +585,7 @@ def test_weighted_step_lengths_need_one_mode_for_each_context_and_a_threshold() 
 
 
 def test_an_unknown_weighting_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(ValueError, match=r"weighting must be one of \('hc', 'wc', 'imm'\), got 'best'"):
+    with pytest.raises(ValueError, match=r"weighting must be one of \('hc', 'wc', 'imm'\) or a function, got 'best'"):
         recipes.default().with_weighting("best")
 
 
