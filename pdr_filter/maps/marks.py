@@ -104,7 +104,37 @@ def marks_folder(recording: Path) -> Path:
 
 
 def read_marks(recording: str | Path) -> Marks:
-    """Return the marks of the recording at a path; ValueError names the file and the remedy."""
+    r"""Read the marks of a recording from the files beside it.
+
+    The files are `fixes.csv`, `loop_closures.csv`, `person.json` and `walk.json`, as written by the workbench.
+
+    Parameters
+    ----------
+    recording : str or Path
+        Path of the recording: a file or a folder.
+
+    Returns
+    -------
+    Marks
+        Marks of the recording. They are empty if there are no files.
+
+    Raises
+    ------
+    ValueError
+        If a file cannot be used. The message names the file and the remedy.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.maps.marks import read_marks
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = pdr.simulate.demo_walk().save(pathlib.Path(folder, "walk"))
+    ...     _ = pathlib.Path(folder, "walk", "fixes.csv").write_text("time_s,east_m,north_m\n12.5,3.0,4.0\n")
+    ...     marks = read_marks(pathlib.Path(folder, "walk"))
+    >>> [fix.position_m.tolist() for fix in marks.fixes]
+    [[3.0, 4.0]]
+    """
     return marks_in(marks_folder(Path(recording)))
 
 

@@ -91,6 +91,23 @@ class SmoothingMemory:
 
     It holds the dead-reckoned track of the last call. A call with the same recording and configuration takes the track
     from here and only solves the least-squares problem again, with the same result to the last bit.
+
+    Attributes
+    ----------
+    recording : Recording or None
+        Recording of the last call.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.offline.smoothing.smooth import SmoothingMemory
+    >>> recording, memory = pdr.simulate.demo_walk(), SmoothingMemory()
+    >>> first = pdr.smooth(recording, memory=memory)
+    >>> fix = pdr.PositionFix(60.0, np.array([20.0, 5.0]), np.eye(2))
+    >>> second = pdr.smooth(recording, [fix], memory=memory)  # sensing and dead reckoning are not repeated
+    >>> len(first.observations), len(second.observations)
+    (0, 1)
     """
 
     recording: Recording | None = None
@@ -98,7 +115,22 @@ class SmoothingMemory:
     _found: tuple[Config, Track] | None = None
 
     def of(self, recording: Recording, key: bytes, make: Callable[[], tuple[Config, Track]]) -> tuple[Config, Track]:
-        """Return the configuration and track of the last call if the key is the same, else those of `make`."""
+        """Return the dead-reckoned track of the last call, or of a new one if anything has changed.
+
+        Parameters
+        ----------
+        recording : Recording
+            Recording of this call.
+        key : bytes
+            Configuration and options of this call, as bytes.
+        make : callable
+            Function that computes the configuration and the track.
+
+        Returns
+        -------
+        tuple of (Config, Track)
+            Configuration and dead-reckoned track.
+        """
         if self._found is None or self.recording is not recording or self._key != key:
             self.recording, self._key, self._found = recording, key, make()
         return self._found
