@@ -65,8 +65,16 @@ def calibrate(
     resume: Annotated[
         Path | None, typer.Option(help="Folder for intermediate results, from which an interrupted run resumes.")
     ] = None,
+    distance: Annotated[
+        float | None, typer.Option(help="Length in m of the path walked in each recording, if it is known.")
+    ] = None,
+    steps: Annotated[
+        int | None, typer.Option(help="Counted number of steps in each recording, to check the detected steps.")
+    ] = None,
 ) -> None:
     """Calibrate step lengths on recordings with segments of known length or with waypoints.
+
+    For recordings of walks whose length you know, give --distance, and --steps if you counted them.
 
     All recordings that do not name their person are assumed to be of one person. With --jobs, --scheduler or --resume,
     recordings that cannot be used are skipped and listed in the report.
@@ -86,8 +94,15 @@ def calibrate(
             "each_a_person": how.each_a_person,
             "progress": show,
         }
+        if steps is not None and distance is None:
+            raise ValueError(f"--steps {steps} needs the length of the walk: give --distance in m, too")
         if jobs is None and scheduler is None and resume is None:
-            result = pdr.calibrate([pdr.read(file) for file in console.recordings_of(files)], **options)
+            recordings = [pdr.read(file) for file in console.recordings_of(files)]
+            if distance is not None:
+                recordings = [recording.of_distance(distance, steps) for recording in recordings]
+            result = pdr.calibrate(recordings, **options)
+        elif distance is not None:
+            raise ValueError("--distance is for one process: leave out --jobs, --scheduler and --resume")
         else:
             result = pdr.batch.calibrate(files, jobs=jobs or 1, scheduler=scheduler, resume=resume, **options)
         as_tables = {} if tables is None else {tables / name: rows for name, rows in result.tables().items()}

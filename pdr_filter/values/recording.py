@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from numbers import Real
 from pathlib import Path
 from typing import Any
 
-from pdr_filter.values import Samples, Table, Wifi, limits, pickled
+from pdr_filter.values import Samples, Table, Wifi, check_array, limits, pickled, table
 from pdr_filter.values.sanitise import printable
 
 
@@ -212,6 +213,42 @@ class Recording:
         check_height(height_m)
         subject = {**(self.meta.get("subject") or {}), "height_m": height_m}
         return replace(self, meta={**self.meta, "subject": subject})
+
+    def of_distance(self, distance_m: float, n_steps: int | None = None) -> Recording:
+        """Return a copy whose walk has a known length, for `pdr_filter.calibrate`.
+
+        Parameters
+        ----------
+        distance_m : float
+            Length of the path walked in the whole recording, m.
+        n_steps : int, optional
+            Number of steps, if it was counted. The calibration compares it with the detected steps.
+
+        Returns
+        -------
+        Recording
+            Copy whose only truth is one segment from the first sample to the last.
+
+        Raises
+        ------
+        ValueError
+            If a value is not positive.
+
+        Examples
+        --------
+        >>> import pdr_filter as pdr
+        >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=45.0)]).of_distance(45.0)
+        >>> calibration = pdr.calibrate(walk)
+        >>> round(pdr.track(walk, calibration=calibration).distance_m)
+        45
+        """
+        check_array("distance_m", distance_m, "positive", remedy="give the length of the walk in metres")
+        if n_steps is not None:
+            check_array("n_steps", n_steps, "positive", remedy="give the number of steps, or leave it out")
+        start_s, end_s = (float(self.accelerometer.time_s[k]) for k in (0, -1))
+        known = {"start_s": [start_s], "end_s": [end_s], "distance_m": [float(distance_m)]}
+        steps = {"n_steps": [math.nan if n_steps is None else float(n_steps)]}
+        return replace(self, truth=Truth(segments=table(known | steps)))
 
     def save(self, path: str | Path) -> Path:
         """Write the recording in the format of this package: a zip file, or a folder if the path has no suffix.

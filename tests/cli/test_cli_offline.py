@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import demo_file, one_line, run
+from commands import demo_file, one_line, run, short_walk
 
 import pdr_filter as pdr
 from pdr_filter.io.files.own_format import write_recording
@@ -16,6 +16,7 @@ from pdr_filter.io.fix_files import fixes_of_file
 from pdr_filter.offline.smoothing.observations import LoopClosure
 from pdr_filter.recipes.step_length_calibration import load_calibration
 from pdr_filter.simulate import Leg, simulate
+from pdr_filter.values.recording import Truth
 
 
 @pytest.fixture(scope="module")
@@ -72,6 +73,34 @@ def test_a_calibration_without_segments_ends_with_one_line_that_says_so(walk: Pa
     assert result.exit_code == 2
     assert "error:" in result.stderr
     assert not (tmp_path / "me.json").exists()
+
+
+def test_a_walk_of_known_distance_calibrates_a_person(tmp_path: Path) -> None:
+    walk = write_recording(replace(short_walk(), truth=Truth()), tmp_path / "walk.zip")
+    result = run("calibrate", walk, "--distance", 25, "--steps", 200, "--out", tmp_path / "me.json")
+    assert result.exit_code == 0, result.stderr
+    assert "1 segment, 25 m" in result.stdout
+    assert "200 counted" in result.stdout
+    calibrated = pdr.track(pdr.read(walk), calibration=tmp_path / "me.json")
+    assert calibrated.distance_m == pytest.approx(25, rel=0.06)
+
+
+@pytest.mark.parametrize(
+    ("options", "remedy"),
+    [
+        (["--steps", 40], "give --distance in m"),
+        (["--distance", 0], "give the length of the walk in metres"),
+        (["--distance", 25, "--jobs", 2], "leave out --jobs"),
+    ],
+    ids=["steps alone", "no length", "several processes"],
+)
+def test_a_distance_that_cannot_be_used_is_refused_with_the_remedy(
+    tmp_path: Path, options: list[object], remedy: str
+) -> None:
+    walk = write_recording(short_walk(), tmp_path / "walk.zip")
+    result = run("calibrate", walk, *options, "--out", tmp_path / "me.json")
+    assert result.exit_code == 2
+    assert remedy in one_line(result.stderr)
 
 
 def test_a_walk_is_smoothed_against_its_waypoints(walk: Path, tmp_path: Path) -> None:

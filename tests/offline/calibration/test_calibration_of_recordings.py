@@ -154,6 +154,38 @@ def test_step_lengths_are_summed_if_a_known_walked_distance_has_a_turn(walk: tup
     np.testing.assert_allclose(found.segments.predicted_m, [12.0, 24.0], rtol=0.11)
 
 
+def test_a_recording_of_known_distance_is_one_segment_with_its_length_in_the_calibrated_track(
+    walk: tuple[Recording, Track],
+) -> None:
+    recording, own = walk
+    known_m = 0.8 * own.distance_m  # shorter steps than usual
+    known = recording.of_distance(known_m)
+    (segment,), notes = segments_of(known, own)
+    assert segment.n_steps == pytest.approx(own.n_steps, abs=1.0)
+    assert segment.is_along  # the walk has turns, so that the displacement is shorter
+    assert not any("differ" in note for note in notes)
+    found = pdr.calibrate([known] * 3, tracks=[own] * 3)
+    assert pdr.track(recording, calibration=found).distance_m == pytest.approx(known_m, rel=0.05)
+
+
+@pytest.mark.parametrize(("share", "is_named"), [(1.0, False), (1.08, False), (1.15, True), (0.85, True)])
+def test_a_note_names_segments_whose_counted_steps_differ_by_more_than_a_tenth(
+    walk: tuple[Recording, Track], share: float, is_named: bool
+) -> None:
+    recording, own = walk
+    n_steps = round(share * own.n_steps)
+    _, notes = segments_of(recording.of_distance(own.distance_m, n_steps), own)
+    assert any(f"{n_steps} counted" in note for note in notes) == is_named
+
+
+@pytest.mark.parametrize(("distance_m", "n_steps"), [(0.0, None), (float("nan"), None), (45.0, 0), (45.0, -3)])
+def test_a_distance_or_a_count_that_is_not_positive_is_refused(
+    walk: tuple[Recording, Track], distance_m: float, n_steps: int | None
+) -> None:
+    with pytest.raises(ValueError, match=r"(distance_m|n_steps) must be positive"):
+        walk[0].of_distance(distance_m, n_steps)
+
+
 def test_a_stair_in_the_truth_has_a_smaller_error_than_clicked_landmarks(walk: tuple[Recording, Track]) -> None:
     recording, track = walk
     segments, _ = segments_of(with_segments(recording, [(2.0, 2.5, 0.29), (2.0, 9.0, 9.0)]), track)
