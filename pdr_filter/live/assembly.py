@@ -121,7 +121,11 @@ def finish(state: Assembly, held: Sequence[Message], platform: str) -> tuple[Ass
 
 
 def release(state: Assembly, held: Sequence[Message]) -> tuple[Assembly, list[Message], list[Streams]]:
-    """Return state, waiting messages and ready samples, without waiting any longer for missing messages or gravity."""
+    """Return the state, the messages that still wait, and the samples that are ready, at the end of a session.
+
+    Missing messages and gravity samples are no longer waited for. If the kind of the acceleration is still unknown, no
+    samples are ready and all messages remain in the list.
+    """
     return (state, list(held), []) if state.kind is None else _released(state, list(held), is_last=True)
 
 

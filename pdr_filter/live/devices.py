@@ -64,7 +64,10 @@ class Devices:
         return content
 
     def accept(self, messages: Sequence[Message], received_s: float) -> tuple[Event, set[str]]:
-        """Number of samples of messages, and the sessions that they are of; `settle` filters and writes them."""
+        """Assign messages to their sessions, and return the number of their samples and the ids of these sessions.
+
+        A session is created for a new phone. `settle` filters and saves the samples later.
+        """
         n, keys = 0, set[str]()
         for message in messages:
             if not message.device:

@@ -39,7 +39,7 @@ class Live:
     def workers(self) -> Workers:
         """Workers of the running server; RuntimeError before it runs."""
         if self._workers is None:
-            raise RuntimeError("the server does not run")
+            raise RuntimeError("the server does not run: call start() before, or do not use it after its end")
         return self._workers
 
     async def start(self) -> None:

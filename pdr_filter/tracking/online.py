@@ -339,7 +339,7 @@ class OnlineFilter:
             # The unit check is kept, so that the warning appears in `notes`; the rest of the block is discarded.
             sensing = replace(self.state.sensing, conditioner=replace(conditioner, units=units))
             self.state = replace(self.state, sensing=sensing)
-            raise ValueError(f"{units.wrong_force}; start a new filter with such samples")
+            raise ValueError(f"{units.wrong_force}; then start a new filter, because this one has refused the samples")
         self.state = state
         return output.updates
 

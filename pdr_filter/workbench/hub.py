@@ -47,7 +47,9 @@ class _Process:
         try:
             answer = await asyncio.get_running_loop().run_in_executor(self._thread, self._process.ask, request)
         except LostError as error:
-            raise FailedError(f"{error}: the file is too large, or it crashes the reader") from None
+            raise FailedError(
+                f"{error}: the file is too large, or it crashes the reader; cut it, or export the recording again"
+            ) from None
         if isinstance(answer, dict) and "error" in answer:
             raise FailedError(answer["error"], answer.get("errno") or 0)
         return answer

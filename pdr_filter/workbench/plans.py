@@ -97,7 +97,7 @@ class Plans:
         return self.load(name)
 
     def _checked(self, path: Path, features: list[dict[str, Any]]) -> dict[str, Any]:
-        """Problems of the drawing, and the reason why `FloorPlan.read` refuses it."""
+        """Return the problems of a drawn plan, and the error message of `FloorPlan.read` (empty if the plan is valid)."""
         if not features:
             return {"problems": [], "reason": ""}
         try:
@@ -162,7 +162,11 @@ class Georeference:
 
 
 def _elsewhere(features: list[dict[str, Any]]) -> tuple[dict[str, Any], Any]:
-    """Georeference of a plan in degrees that another program has made, with north up."""
+    """Return the georeference of a drawn plan with coordinates in longitude and latitude, and its transform to metres.
+
+    Such a plan comes from a program other than the workbench, so no georeference is stored with it. The georeference
+    maps the south-west and the north-east corner of the plan, with north up.
+    """
     points = np.concatenate([_points(feature["geometry"]["coordinates"]) for feature in features])
     low, high = points.min(axis=0), points.max(axis=0)
     origin = Origin(float(low[1]), float(low[0]))

@@ -156,7 +156,11 @@ class WorkbenchSite:
         return self._cached(summary["key"])
 
     async def compare(self, request: Request) -> Response:
-        """Serve the report of a walk with several recipes and weightings."""
+        """Serve a report that compares several recipes on one walk.
+
+        Each pair `recipe/weighting` of the query names a recipe and a method that weights its step-length models:
+        "imm", "hc", "wc", or an empty string for the method of the recipe.
+        """
         walk = self._walk(request)
         pairs = [tuple(pair.split("/")) for pair in request.query_params.getlist("with")[:12]]
         weightings = ("", "imm", "hc", "wc")

@@ -189,7 +189,11 @@ class Worker:
     def _smoothed(
         self, opened: _Opened, progress: Callable[[float], None] | None, **options: Any
     ) -> tuple[Track, FloorPlan | None]:
-        """Return the smoothed track with the marks of the walk, and the floor plan to draw below it."""
+        """Return the smoothed track of a walk, and the floor plan to draw below it, or None without one.
+
+        The marks, which the user has set in the workbench (known points, headings, floor changes), are passed to the
+        smoother.
+        """
         marks = marks_in(marks_folder(Path(opened.path)))
         recording = marks.recording(opened.recording)
         if recording is not opened.recording:  # the memory knows a recording by its identity

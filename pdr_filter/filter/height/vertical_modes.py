@@ -212,7 +212,7 @@ def at_level(moments: FloatArray, climbed_m: float, var_m2: float) -> FloatArray
 
 
 def _pressure(height_m: float) -> FloatArray:
-    """Return the factor of y that gives the pressure height minus its prediction."""
+    """Return the row vector h (5,) for which h y is the pressure height minus its prediction, with y the state vector."""
     return np.array([height_m, -1.0, 0.0, -1.0, -1.0])
 
 
@@ -230,10 +230,11 @@ def _prediction(elapsed_s: float, n_steps: int) -> tuple[FloatArray, FloatArray]
 
 
 def _measured(moments: FloatArray, factor: FloatArray, variance: float) -> tuple[FloatArray, FloatArray]:
-    """Return updated moments E[y y'] and log likelihoods (7,), for an innovation factor' y with a noise variance.
+    """Return the moments E[y y'] and log likelihoods (7,) of the state vectors y of all modes after a measurement.
 
-    With c the covariance of y and the innovation, S the variance of the innovation and k = c / S, the mean becomes
-    m - k innovation and the covariance P - k c' (Kalman update).
+    The innovation is factor' y, with a noise variance. With m the mean and P the covariance of y, c the covariance of y
+    and the innovation, S the variance of the innovation and k = c / S, the mean becomes m - k innovation and the
+    covariance P - k c' (Kalman update).
     """
     mean, product = moments[:, :, _ONE], moments @ factor
     innovation = product[:, _ONE]

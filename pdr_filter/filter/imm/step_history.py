@@ -50,20 +50,20 @@ class Walked:
 
 @dataclass(frozen=True, eq=False)
 class StepHistory:
-    """Last final steps of a track.
+    """Last steps of a track whose estimates are final.
 
     Attributes
     ----------
     n_final : int
         Number of final steps.
     last_s : float
-        Contact of the last step, or NaN before the first step of a segment.
+        Time of the foot contact that ended the last step, s. NaN before the first step of a segment.
     gap_s : float
-        Time without samples since the last step.
+        Time without samples since the last step, s.
     speed : WalkingSpeed or None
         Walking speed after the last step, or None before the first step of a segment.
     trail : (R, 4) array
-        Time, east, north and device heading of the last steps.
+        Time (s), east (m), north (m) and device heading (rad) of the last R steps.
     """
 
     n_final: int = 0

@@ -107,7 +107,11 @@ def _read_arrays(file: Path, notes: list[str]) -> tuple[FloatArray, dict[str, Fl
 
 
 def _array(data: Any, name: str, columns: int, file: Path, notes: list[str]) -> FloatArray | None:
-    """Return a data set as floats, (N,) or (N, columns), or None if it does not exist."""
+    """Return a data set of an HDF5 file as floats, or None if the file does not have it.
+
+    The shape is (N,) for one column and (N, columns) otherwise. Infinite and absurd values become NaN, with a note in
+    `notes`. RecordingError for another shape, for text and for too many rows.
+    """
     found: Any = _inside_file(data, name, file)
     if found is None:
         return None

@@ -61,7 +61,11 @@ STALE_S = 60.0
 
 @dataclass
 class _Export:
-    """Tables of an export: for each sensor, nanoseconds since 1970 and values."""
+    """Content of a Sensor Logger export.
+
+    `sensors` holds a table for each sensor, with times in nanoseconds since 1970 and values. `metadata` describes the
+    recording, `annotations` are the user's remarks with their times, and `notes` are problems found while reading.
+    """
 
     sensors: dict[str, NumberTable] = field(default_factory=dict[str, NumberTable])
     metadata: dict[str, str] = field(default_factory=dict[str, str])
@@ -122,8 +126,8 @@ def read_sensor_logger(path: str | Path, platform: str | None = None) -> Recordi
             export = _Export(sensors=push_tables(members, first, COLUMNS))
             if (n := max(map(len, export.sensors.values()), default=0)) < limits.MIN_SAMPLES:
                 raise RecordingError(
-                    f"{path}: messages that Sensor Logger pushed, with only {n} samples of a sensor; put all messages "
-                    "of the recording into one file, one behind the other"
+                    f"{path}: messages that Sensor Logger pushed, with at most {n} samples of a sensor: probably only "
+                    "one message of the recording was saved; put all messages into one file, one behind the other"
                 )
         elif not members.is_container or head.lstrip()[:1] == b"[":
             export = _read_json(members, first)

@@ -160,7 +160,7 @@ def estimate_parameters(
             moved = np.abs(theta - before.people) / np.sqrt(np.diagonal(posterior.people_cov, axis1=1, axis2=2))
             converged = float(moved.max(initial=0.0)) < 1e-4 and variances.is_near(old)
     if posterior is None:
-        raise ValueError(f"_MAX_ITERATIONS must be 1 or more, got {_MAX_ITERATIONS}")
+        raise ValueError(f"the module constant _MAX_ITERATIONS must be 1 or more, got {_MAX_ITERATIONS}: restore it")
     return task.result(about, posterior, variances, iteration, converged)
 
 
@@ -425,9 +425,10 @@ class _Chunk:
 def _linearised(
     A: FloatArray, offset: FloatArray, theta: FloatArray, distance: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return rows (N, F) and targets (N,) of the linearised segments.
+    """Return the regression rows (N, F) and targets (N,) of N segments, linearised at the parameters theta (N, F).
 
-    Near these theta, distance - |A theta + offset| = target - row @ theta.
+    A segment adds up to the vector A theta + offset in m, with A (2, F) the sums of the regressors of its steps. Its
+    known length is `distance`. Near theta, the residual distance - |A theta + offset| equals target - row @ theta.
     """
     vector = np.einsum("ndp,np->nd", A, theta) + offset
     size = np.hypot(vector[:, 0], vector[:, 1])
@@ -495,13 +496,13 @@ def _sums(values: FloatArray, starts: IntArray) -> FloatArray:
 
 
 def _gram(rows: FloatArray, weight: FloatArray, starts: IntArray) -> FloatArray:
-    """Return the sums of weight row' row of each group, shape (groups, F, F)."""
+    """Return for each group of rows the sum of weight * outer(row, row), shape (groups, F, F)."""
     weighted = rows * weight[:, None]
     result = np.stack([weighted[a:b].T @ rows[a:b] for a, b in pairwise(starts.tolist())])
     return 0.5 * (result + result.transpose(0, 2, 1))
 
 
 def _bilinear(left: FloatArray, right: FloatArray, cov: FloatArray, starts: IntArray) -> FloatArray:
-    """Return left C right' of each row, with the covariance C of its group from `cov` (groups, F, F)."""
+    """Return left C right' for each pair of rows, with C the covariance of the row's group in `cov` (groups, F, F)."""
     turned = np.concatenate([left[a:b] @ own for (a, b), own in zip(pairwise(starts.tolist()), cov, strict=True)])
     return np.einsum("np,np->n", turned, right)

@@ -96,11 +96,11 @@ class ObservedOffsets:
     Attributes
     ----------
     node : array (O,)
-        Number of steps before the offset, or its anchor.
+        Number of steps before the offset. In a `Problem` it is the index of the anchor (state) instead.
     offset_rad : array (O,)
-        Observed heading offset.
+        Observed heading offset in rad.
     std_rad : array (O,)
-        Standard deviation.
+        Standard deviation of the observed heading offset in rad.
     """
 
     node: IntArray

@@ -85,7 +85,11 @@ def solve(problem: Problem) -> Solution:
 
 
 def _initial_guess(problem: Problem) -> tuple[FloatArray, float, FloatArray]:
-    """Return initial states, the rotation of the frame, and weights of the observations, from the linear problem."""
+    """Return initial states, the rotation of the frame, and observation weights for the nonlinear smoother.
+
+    They solve the relaxed problem, which replaces heading offset and log scale by a plane vector. It is linear, so it
+    needs no initial guess. The weights come from a graduated non-convexity that removes outliers.
+    """
     n_relaxed = len(problem.positions) + len(problem.directions) + len(problem.states)
     all_limits, limit, possible = problem.limit_nis, problem.limit_nis[:n_relaxed], problem.possible[:n_relaxed]
     weight, mu = possible.copy(), None
@@ -474,7 +478,7 @@ def _relaxed_positions(problem: Problem) -> tuple[FloatArray, FloatArray, FloatA
 
 
 def _vector(state: FloatArray) -> FloatArray:
-    """Return z = e^s (cos theta, sin theta) of a state (4,)."""
+    """Return the vector e^s (cos theta, sin theta) of a state (4,), with log scale s and heading offset theta."""
     theta, s = state[HEADING_OFFSET], state[LOG_SCALE]
     return np.exp(s) * np.array([np.cos(theta), np.sin(theta)])
 
@@ -504,9 +508,12 @@ def _relaxed_states(states: ObservedStates) -> tuple[FloatArray, FloatArray]:
 
 
 def _relaxed_offsets(offsets: ObservedOffsets, key: int, frame_std_rad: float) -> list[Rows]:
-    """Return the relaxed equations of the heading offsets, in which the rotation of the frame is a vector of key `key`.
+    """Return the equations of observed heading offsets in the relaxed (linear) problem, and the prior of the rotation.
 
-    z is the measured offset's unit vector, rotated by that vector.
+    The unknowns are z = e^s (cos theta, sin theta) of each anchor, with log scale s and heading offset theta, and
+    r = (cos angle, sin angle) of the rotation of the frame. The equation is z = R(offset) r, with R(offset) the
+    rotation matrix of the observed offset. `key` is the number of the unknown r in the equations. The prior of r is
+    (1, 0) with standard deviation `frame_std_rad`.
     """
     inverse = 1 / np.minimum(offsets.std_rad, np.sqrt(MAX_HEADING_VARIANCE))
     by_state = np.zeros((len(offsets), 2, N_STATES))

@@ -310,7 +310,9 @@ class TrainingPlan(ABC):
 
 
 def train_one(plan: TrainingPlan, windows: LabelledWindows, progress: Progress, n_jobs: int = -1) -> ContextModel:
-    """Return the model of one plan, fitted on all its windows and scored on held-out groups.
+    """Return the model of one training plan, fitted on all its windows and scored on held-out groups of people.
+
+    A training plan names the model, its training windows and the people who are held out together.
 
     `n_jobs` is the number of processes, -1 for all processors.
     """

@@ -236,7 +236,8 @@ class TianContexts:
         check_numbers(self)
         if self.machine.rate_hz != self.steps.rate_hz:
             raise ValueError(
-                f"machine and steps must have the same rate_hz, got {self.machine.rate_hz} and {self.steps.rate_hz}"
+                "the state machine of the carrying mode (machine) and the step detector (steps) must have the same "
+                f"rate_hz, got {self.machine.rate_hz} and {self.steps.rate_hz}: set one of the two"
             )
 
     @property
@@ -251,7 +252,7 @@ class TianContexts:
 
     @property
     def hop_s(self) -> float:
-        """Longest time in s between reports."""
+        """Longest time between two reports of context and carrying mode by this stage, s."""
         return 1.0
 
     def init(self) -> TianContextsState:

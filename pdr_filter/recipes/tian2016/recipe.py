@@ -26,7 +26,7 @@ _RELATIVE_STD = 2.30 / 28
 class StaticFirstStepLength:
     """Step length L = k h sqrt(f), or L = k_1 h for the first step from rest, which has no frequency.
 
-    theta = (k, k_1).
+    L is in m, h is the body height in m, and f the step frequency in Hz. The parameters are theta = (k, k_1).
     """
 
     height_m: float
@@ -109,7 +109,7 @@ def tian2016(subject: Subject | None = None) -> Config:
             Note(
                 "recipe",
                 "tian2016 tracks changes of the carrying mode from the start: a phone that was put into a pocket or a "
-                "bag before the recording began is assumed to be held in the hand",
+                "bag before the recording began is assumed to be held in the hand; begin with the phone in the hand",
             ),
             *height_notes(subject),
         ),

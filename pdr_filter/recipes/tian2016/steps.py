@@ -99,7 +99,11 @@ class Carried:
         return CarriedState(HOLDING, self._n_transition)
 
     def update(self, state: CarriedState, carrying_mode: IntArray) -> tuple[CarriedState, IntArray]:
-        """Return the new state, and HOLDING, SWING, POCKET or TRANS for each carrying mode (index, -1: unknown)."""
+        """Return the new state, and for each sample the state of the phone: HOLDING, SWING, POCKET or TRANS.
+
+        `carrying_mode` has one index of a carrying mode for each sample, -1 if unknown. An unknown mode is a
+        transition (TRANS) for up to `transition_s`. After that, the last known mode holds again.
+        """
         n = len(carrying_mode)
         known = carrying_mode >= 0
         last_known = np.maximum.accumulate(np.where(known, np.arange(n), -1))

@@ -58,12 +58,12 @@ class CorridorState:
 
     @property
     def mean(self) -> FloatArray:
-        """Means of the filters, shape (M, 4), a view into the bank."""
+        """Means (M, 4) of the M parallel Kalman filters, a view into the array of the bank."""
         return self.bank[:, 0]
 
     @property
     def cov(self) -> FloatArray:
-        """Covariances of the filters, shape (M, 4, 4), a view into the bank."""
+        """Covariances (M, 4, 4) of the M parallel Kalman filters, a view into the array of the bank."""
         return self.bank[:, 1:]
 
 
@@ -252,9 +252,9 @@ class Corridors:
 
 
 def _moments(state: CorridorState, means: FloatArray, variances: FloatArray, added: float) -> tuple[float, float]:
-    """Return the mean and variance over the bank of a quantity with these moments (M,) in its filters.
+    """Return the mean and variance of a quantity over the mixture of all M filters of the bank.
 
-    `added` is added to the variance.
+    The quantity has the given means and variances (M,) in the filters. `added` is added to the variance.
     """
     weight = np.exp(state.log_weight)
     mean = float(weight.dot(means))

@@ -252,7 +252,10 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
         return np.where(is_sine & (frequency_hz < self.max_sine_hz), self.sine_share * frequency_hz, 0.0)
 
     def _transform(self, line: FloatArray, frequency_hz: FloatArray) -> FloatArray:
-        """Return the transform (N,) at the wavelet frequency of each sample, interpolated within the bank."""
+        """Return the wavelet transform (N,) at the wavelet frequency of each sample.
+
+        It is interpolated between the transforms at the fixed frequencies of the filter bank.
+        """
         place = np.interp(frequency_hz, _BANK_HZ, np.arange(len(_BANK_HZ), dtype=float))
         lower = np.minimum(place.astype(int), len(_BANK_HZ) - 2)
         upper_share = place - lower
