@@ -22,7 +22,7 @@ LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")
 
 
 def is_loopback(host: str) -> bool:
-    """Whether a server that is bound to this host is for this machine only."""
+    """Return True if a server that is bound to this host can be reached from this computer only."""
     if host == "localhost":
         return True
     try:
@@ -50,7 +50,7 @@ def is_token(token: str, given: Iterable[str | None]) -> bool:
 
 
 def lan_address() -> str:
-    """Address of this machine in its local network, or 127.0.0.1 if unknown; nothing is sent."""
+    """Address of this computer in its local network, or 127.0.0.1 if unknown. Nothing is sent."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect(("192.0.2.1", 9))  # an address of documentation; for UDP it only chooses the interface

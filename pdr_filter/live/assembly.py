@@ -104,7 +104,7 @@ def take(
         kind = _kind(waiting, platform)
         if isinstance(kind, str):
             if _is_too_much(waiting):
-                raise SessionError(f"still no track after {len(waiting)} messages: {kind}")
+                raise SessionError(f"there is still no track after {len(waiting)} messages: {kind}")
             return state, waiting, []
         state = replace_unchecked(state, kind=kind)
     return _released(state, waiting)

@@ -44,7 +44,7 @@ class DaskCluster:
         """Start a share at one of the workers, in turn."""
         addresses = sorted(await self._client.nthreads())
         if not addresses:
-            raise LostError(f"no worker at {self._scheduler}")
+            raise LostError(f"no worker at {self._scheduler}: start one with dask worker")
         address = addresses[part % len(addresses)]
         future = self._client.submit(
             Part,
@@ -88,14 +88,14 @@ class Actor:
                 break
         if not asked.done():
             asked.cancel()
-            raise LostError(f"{self._address} is gone")
+            raise LostError(f"dask worker {self._address} is gone: start it again")
         return asked.result()
 
     async def _asked(self, requests: Sequence[Request]) -> list[Said]:
         try:
             return await self._actor.answer(list(requests))
         except Exception as error:  # a lost worker raises many kinds
-            raise LostError(f"{self._address} is gone: {error}") from error
+            raise LostError(f"dask worker {self._address} is gone ({error}): start it again") from error
 
     async def close(self) -> None:
         """Save everything and end the actor."""

@@ -92,7 +92,7 @@ def parse(body: bytes, device: str = "", session: str = "", platform: str = "") 
     messages: list[Message] = []
     for item in items:
         if not isinstance(item, dict):
-            raise MessageError(f"a message is a JSON object, got {printable(item)[:40]!r}")
+            raise MessageError(f"a message must be a JSON object, got {printable(item)[:40]!r}: see docs/live.md")
         message = _message(cast("dict[str, Any]", item), known)
         if message is not None:
             # line ends in JSON are white space, and the journal needs a line for each message
@@ -139,7 +139,7 @@ def _message(item: Mapping[str, Any], known: Mapping[str, str]) -> Message | Non
     if "fix" in item:
         fix: Any = item["fix"]
         if not isinstance(fix, dict):
-            raise MessageError(f"a fix is a JSON object, got {printable(fix)[:40]!r}")
+            raise MessageError(f"a fix must be a JSON object, got {printable(fix)[:40]!r}: see docs/live.md")
         return Message(device, session, None, platform, fix=cast("dict[str, Any]", fix))
     if {"type", "timestamp", "values"} <= item.keys():
         return Message(device, session, None, "android", _sensor_server_rows(item))
@@ -166,7 +166,7 @@ _SENSOR_LOGGER: Mapping[str, tuple[str, tuple[str, ...]]] = {
 def _sensor_logger_rows(payload: Any) -> dict[str, SensorRows]:
     """Samples of a payload; sensors that nothing here uses are left out."""
     if not isinstance(payload, list):
-        raise MessageError(f"payload is an array of samples, got {printable(payload)[:40]!r}")
+        raise MessageError(f"payload must be an array of samples, got {printable(payload)[:40]!r}: see docs/live.md")
     times: dict[str, list[Any]] = {}
     values: dict[str, list[list[Any]]] = {}
     try:
@@ -177,7 +177,9 @@ def _sensor_logger_rows(payload: Any) -> dict[str, SensorRows]:
                 times.setdefault(name, []).append(item["time"])
                 values.setdefault(name, []).append([held.get(key) for key in _SENSOR_LOGGER[name][1]])
     except (KeyError, TypeError, AttributeError) as error:
-        raise MessageError(f"payload holds a sample without name, time and values ({printable(error)[:60]})") from None
+        raise MessageError(
+            f"payload holds a sample without name, time and values ({printable(error)[:60]}): send all three"
+        ) from None
     return {_SENSOR_LOGGER[name][0]: _plausible(_payload_times(times[name]), _floats(values[name])) for name in times}
 
 
@@ -200,11 +202,13 @@ def _sensor_server_rows(item: Mapping[str, Any]) -> dict[str, SensorRows]:
         return {}
     values: Any = item["values"]
     if not isinstance(values, list) or len(cast("list[Any]", values)) < N_VALUES[sensor]:
-        raise MessageError(f"{item['type']}: values are {printable(values)[:40]!r}, not {N_VALUES[sensor]} numbers")
+        raise MessageError(
+            f"{item['type']}: values are {printable(values)[:40]!r}, but must be {N_VALUES[sensor]} numbers"
+        )
     try:
         time_ns = np.array([int(item["timestamp"])], dtype=np.int64)
     except (ValueError, TypeError, OverflowError) as error:
-        raise MessageError(f"timestamp is not whole nanoseconds ({printable(error)[:60]})") from None
+        raise MessageError(f"timestamp must be whole nanoseconds ({printable(error)[:60]})") from None
     return {sensor: _plausible(time_ns, _floats([cast("list[Any]", values)[: N_VALUES[sensor]]]))}
 
 
@@ -214,14 +218,16 @@ def _sensor_server_rows(item: Mapping[str, Any]) -> dict[str, SensorRows]:
 def _own_rows(samples: Any) -> dict[str, SensorRows]:
     """Samples by sensor, [[time_s, value, ...], ...] of each."""
     if not isinstance(samples, dict):
-        raise MessageError(f"samples is an object of sensors, got {printable(samples)[:40]!r}")
+        raise MessageError(f"samples must be an object of sensors, got {printable(samples)[:40]!r}: see docs/live.md")
     found: dict[str, SensorRows] = {}
     for name, rows in cast("dict[str, Any]", samples).items():
         if name not in N_VALUES:
             raise MessageError(f"unknown sensor {printable(name)[:40]!r}; known are {', '.join(N_VALUES)}")
         table = _floats(rows)
         if table.size and (table.ndim != 2 or table.shape[1] != 1 + N_VALUES[name]):
-            raise MessageError(f"{name}: a sample is [time_s and {N_VALUES[name]} numbers], got shape {table.shape}")
+            raise MessageError(
+                f"{name}: a sample must be [time_s and {N_VALUES[name]} numbers], got an array of shape {table.shape}"
+            )
         if table.size:
             found[name] = _plausible(_own_times(table[:, 0]), table[:, 1:])
     return found
@@ -255,7 +261,9 @@ def phyphox_buffers(config: bytes) -> dict[str, tuple[str, ...]]:
             if sensor and {"t", *keys} <= places.keys():
                 found[sensor] = tuple(places[key] for key in ("t", *keys))
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise MessageError(f"/config is not that of phyphox ({printable(error)[:60]})") from None
+        raise MessageError(
+            f"/config is not that of phyphox ({printable(error)[:60]}): check the address, and update phyphox"
+        ) from None
     if FORCE not in found and not {LINEAR, GRAVITY} <= found.keys():
         raise MessageError(
             f"this experiment of phyphox has no acceleration with g (found: {', '.join(found) or 'nothing'}); open one "
@@ -270,11 +278,15 @@ def phyphox_rows(answer: bytes, buffers: Mapping[str, tuple[str, ...]]) -> dict[
         content: dict[str, Any] = json.loads(answer)["buffer"]
         columns = {name: [_floats(content[buffer]["buffer"]) for buffer in buffers[name]] for name in buffers}
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise MessageError(f"/get is not that of phyphox ({printable(error)[:60]})") from None
+        raise MessageError(
+            f"/get is not that of phyphox ({printable(error)[:60]}): check the address, and update phyphox"
+        ) from None
     found: dict[str, SensorRows] = {}
     for name, lists in columns.items():
         if any(column.ndim != 1 for column in lists):
-            raise MessageError(f"/get is not that of phyphox (a buffer of {name} is no list of numbers)")
+            raise MessageError(
+                f"/get is not that of phyphox (a buffer of {name} is no list of numbers): update phyphox"
+            )
         n = min(map(len, lists))  # one may have grown while they were read
         if n:
             time_s, *values = (column[:n] for column in lists)
@@ -301,7 +313,7 @@ def _payload_times(times: Sequence[Any]) -> IntArray:
             found = np.array([int(t) for t in times], dtype=np.int64)
         return _nanoseconds(found, _unit_ns(found, is_seconds=found.dtype.kind == "f") or 1)
     except (ValueError, TypeError, OverflowError) as error:
-        raise MessageError(f"a time is not whole nanoseconds since 1970 ({printable(error)[:60]})") from None
+        raise MessageError(f"a time must be whole nanoseconds since 1970 ({printable(error)[:60]})") from None
 
 
 def _own_times(time: FloatArray) -> IntArray | FloatArray:
@@ -333,7 +345,7 @@ def _floats(values: Any) -> FloatArray:
     try:
         return np.array(values, dtype=np.float64)  # null becomes NaN
     except (ValueError, TypeError, OverflowError) as error:
-        raise MessageError(f"a value is not a number ({printable(error)[:60]})") from None
+        raise MessageError(f"a value must be a number ({printable(error)[:60]})") from None
 
 
 def _plausible(time: Any, values: FloatArray) -> SensorRows:

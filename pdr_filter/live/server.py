@@ -153,7 +153,7 @@ class Site:
 
 
 def app(live: Live, token: str = "", tiles: str = "") -> Starlette:
-    """Application of a running server. Without a token it answers this machine only."""
+    """Application of a running server. Without a token it answers requests from this computer only."""
     made = Starlette(routes=Site(live, tiles).routes())
     made.add_middleware(AccessMiddleware, token=token)
     return made

@@ -53,7 +53,7 @@ class Share(Protocol):
 
 
 class Process:
-    """Share in a process of this machine."""
+    """Share of the sessions that a process on this computer serves."""
 
     def __init__(self, settings: Settings, folder: Path, part: int, n_parts: int) -> None:
         self._process = WorkerProcess(answers_of_part, settings, folder, part, n_parts)

@@ -694,7 +694,8 @@ def _model_from_plain(context: str, plain: Mapping[str, Any], config: Config | N
     kind = getattr(step_length, str(plain["class"]), None)
     if not (isinstance(kind, type) and is_dataclass(kind) and hasattr(kind, "n_params")):
         raise ValueError(
-            f"no step-length model {plain['class']!r}: the file was written by another version of pdr_filter"
+            f"no step-length model {plain['class']!r}: the file was written by another "
+            "version of pdr_filter; calibrate again"
         )
     values = {name: np.inf if v is None else float(v) for name, v in plain.items() if name not in ("class", "n_params")}
     return cast(StepLengthModel, kind(**values))

@@ -372,7 +372,7 @@ class GyroBias:
         return Device(bias[_BIAS].copy(), bias_cov[_BIAS, _BIAS].copy())
 
     def _update_still(self, bank: _Bank, n_still: int, window: BiasWindow) -> tuple[_Bank, int]:
-        """Return the bank of filters updated with a window if it is still, and the number of consecutive still windows."""
+        """Return the bank of filters, updated if the window is still, and the number of consecutive still windows."""
         is_still = (
             window.angular_rate_std_radps < self.still_gyr_radps
             and _dot(window.angular_rate_radps, window.angular_rate_radps) < self.still_max_radps**2
@@ -395,7 +395,10 @@ class GyroBias:
     def _update_walk(
         self, bank: _Bank, walk: StraightWalk | None, window: BiasWindow, measured_rad: float
     ) -> tuple[_Bank, StraightWalk | None]:
-        """Return the bank of filters and the straight walk after a window. The end of a straight walk updates the bank."""
+        """Return the bank of filters and the straight walk after a window.
+
+        When a straight walk ends, it updates the bank.
+        """
         if window.specific_force_std_mps2 < self.walking_acc_mps2:
             return self._measure_walk(bank, walk), None
         if walk is not None:

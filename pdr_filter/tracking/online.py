@@ -563,7 +563,9 @@ class OnlineFilter:
             blob = serialise.to_bytes({"config": None, "state": state}, foreign=True)
             serialise.restored(serialise.from_bytes(blob)["state"], init(self.config))
         except (TypeError, ValueError) as error:  # found when it is saved, not when it is loaded
-            raise ValueError(f"the filter cannot be saved: the state of one of your own parts: {error}") from None
+            raise ValueError(
+                f"the filter cannot be saved because of the state of one of your own parts: {error}"
+            ) from None
         return blob
 
     @classmethod

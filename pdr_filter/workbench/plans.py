@@ -87,7 +87,7 @@ class Plans:
         if path is None:
             raise ValueError(f"there is no floor plan {name[:80]!r}")
         if _version(path) != version:
-            raise ConflictError("another browser or program has changed this plan in the meantime")
+            raise ConflictError("another browser or program has changed this plan in the meantime: reload the page")
         features = [_plain(feature) for feature in content["features"]]
         reference = content.get("georeference")
         properties = {"storeys": dict(content["storeys"]), "georeference": reference}
@@ -97,7 +97,10 @@ class Plans:
         return self.load(name)
 
     def _checked(self, path: Path, features: list[dict[str, Any]]) -> dict[str, Any]:
-        """Return the problems of a drawn plan, and the error message of `FloorPlan.read` (empty if the plan is valid)."""
+        """Return the problems of a drawn plan, and the error message of `FloorPlan.read`.
+
+        The message is empty if the plan is valid.
+        """
         if not features:
             return {"problems": [], "reason": ""}
         try:

@@ -205,7 +205,7 @@ class WorkbenchSite:
     def _walk(self, request: Request) -> Walk:
         walk = self.workbench.walks.by_id.get(request.path_params["id"])
         if walk is None:
-            raise UnknownError("there is no such walk in this folder")
+            raise UnknownError("there is no such walk in this folder: reload the list of walks")
         return walk
 
     def _state(self, walk: Walk) -> dict[str, Any]:
@@ -251,7 +251,7 @@ class WorkbenchSite:
         """Take the dropped files into the folder if they are recordings; otherwise delete them and say why."""
         folder = self._drop(request)
         if not folder.is_dir():
-            raise UnknownError("no files have come")
+            raise UnknownError("no files were uploaded: drop them on the page again")
         try:
             inside = list(folder.iterdir())
             source = inside[0] if len(inside) == 1 else folder
@@ -275,7 +275,7 @@ class WorkbenchSite:
     def _drop(self, request: Request) -> Path:
         token = request.path_params["token"]
         if not _TOKEN.fullmatch(token):
-            raise UnknownError("a drop has sixteen hexadecimal digits")
+            raise UnknownError("the name of an upload must have sixteen hexadecimal digits: reload the page")
         return self.workbench.incoming / token
 
     # --- floor plans ---
@@ -300,7 +300,7 @@ class WorkbenchSite:
         """Serve the picture of a storey."""
         path = self.plans.picture(self._plan(request), request.path_params["floor"])
         if not path.exists():
-            raise UnknownError("this storey has no picture")
+            raise UnknownError("this storey has no picture: add one to the floor plan")
         return FileResponse(path, headers={"Cache-Control": "no-store"})
 
     async def set_picture(self, request: Request) -> Response:
@@ -323,7 +323,7 @@ class WorkbenchSite:
     def _plan(self, request: Request) -> str:
         name = request.path_params["name"]
         if self.plans.path(name) is None:
-            raise UnknownError("there is no such floor plan in this folder")
+            raise UnknownError("there is no such floor plan in this folder: reload the list of plans")
         return name
 
 
@@ -387,13 +387,13 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 async def _json_of(request: Request) -> dict[str, Any]:
     body = await body_of(request, _MAX_EDIT_BYTES)
     if body is None:
-        raise TooLargeError(f"more than {_MAX_EDIT_BYTES} bytes")
+        raise TooLargeError(f"the edit has more than {_MAX_EDIT_BYTES} bytes: split it, or draw a simpler plan")
     try:
         content = json.loads(body)
     except RecursionError:
-        raise ValueError("not JSON") from None
+        raise ValueError("the body of the request must be JSON: reload the page") from None
     if not isinstance(content, dict):
-        raise ValueError("not an object of JSON")
+        raise ValueError("the body of the request must be a JSON object: reload the page")
     return content
 
 

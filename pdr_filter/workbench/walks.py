@@ -97,14 +97,16 @@ class Walk:
     def _back(self, version: str, source: list[tuple[Files, str]], target: list[tuple[Files, str]]) -> None:
         old = self._old(version)
         if not source or source[-1][1] != version:
-            raise ConflictError("there is no edit of this version to take back or to make again")
+            raise ConflictError("there is no edit of this version to undo or to redo: reload the page")
         self._write(old, source[-1][0], target)
         source.pop()
 
     def _old(self, version: str) -> Files:
         old = mark_files(self.folder)
         if version_of(old) != version:
-            raise ConflictError("another browser or program has changed the marks of this walk in the meantime")
+            raise ConflictError(
+                "another browser or program has changed the marks of this walk in the meantime: reload the page"
+            )
         return old
 
     def _write(self, old: Files, new: Files, stack: list[tuple[Files, str]]) -> None:
@@ -183,7 +185,7 @@ def _files(content: Mapping[str, Any], old: Files, own: Path, folder: Path) -> F
         if known is not None:
             walk["plan"] = Path(os.path.relpath(known, own)).as_posix()
         elif before.get("plan") != plan:
-            raise ValueError(f"there is no floor plan {str(plan)[:80]!r} in this folder")
+            raise ValueError(f"there is no floor plan {str(plan)[:80]!r} in this folder: choose another one")
     files: dict[str, bytes] = {}
     for name, rows in ((FIXES, content["fixes"]), (LOOP_CLOSURES, content["loop_closures"])):
         if rows:

@@ -70,7 +70,7 @@ class Back:
 
     @property
     def turned_rad(self) -> float:
-        """Correction of the heading of x."""
+        """Correction of the heading offset in the earlier state x between the two times, rad."""
         return float(self.moved[HEADING_OFFSET])
 
     @classmethod

@@ -266,8 +266,8 @@ def _write_xml(path: str | Path, root: ElementTree.Element) -> Path:
 def write_tum(track: TrackRows, path: str | Path) -> Path:
     """Write lines `timestamp tx ty tz qx qy qz qw` with strictly ascending times, and return the path.
 
-    East, north, zero; the quaternion turns the x axis about up into the walking heading (yaw = pi/2 - heading). The
-    first line is the start of the walk, with the heading of the first step.
+    The position is east, north and zero, in m. The quaternion rotates the x axis about up into the walking heading (yaw
+    = pi/2 - heading). The first line is the start of the walk, with the heading of the first step.
     """
     heading_rad = np.concatenate([track.walking_heading_rad[:1], track.walking_heading_rad])
     half_yaw_rad = yaw_from_heading(heading_rad if track.n_steps else np.zeros(1)) / 2

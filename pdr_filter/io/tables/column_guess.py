@@ -271,7 +271,7 @@ def _forces(streams: Sequence[_Stream], dialect: Dialect | None, result: Guess, 
 
 
 def _with_force_unit(s: _Stream) -> _Stream:
-    """With m/s2 or g by the size of its constant part, if its header does not say it."""
+    """Return the column with the unit m/s2 or g, from the size of its constant part if its header states no unit."""
     if s.is_unit_declared:
         return s
     constant = s.constant

@@ -70,6 +70,6 @@ def _complete(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, Float
 
 
 def _smoothed(values: FloatArray, n: int) -> FloatArray:
-    """Means over n rows, (N - n + 1, d)."""
+    """Moving means over n rows of d columns, shape (N - n + 1, d)."""
     sums = np.cumsum(np.vstack([np.zeros_like(values[:1]), values]), axis=0)
     return (sums[n:] - sums[:-n]) / n

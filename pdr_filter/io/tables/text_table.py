@@ -106,7 +106,7 @@ class TextTable:
         texts: Sequence[int] = (),
         decimal: str = ".",
     ) -> NumberTable:
-        """The columns at these places; see `Layout` and `parse_blocks`."""
+        """Parse the columns of a text table that `layout` picks (see `Layout` and `parse_blocks`)."""
         names = tuple(self.fields[place] for place in places)
         layout = Layout(tuple(places), whole, self.separator, decimal, names, tuple(texts))
         return parse_blocks(chain([self.first_rows], self._rest), layout, self.where, notes)

@@ -203,7 +203,10 @@ class Corridors:
         return free_rad + prob * difference_rad, var_rad2
 
     def _predict(self, state: CorridorState, elapsed_s: float, turned_rad: float) -> FloatArray:
-        """Return the predicted bank: drift + elapsed time * rate + turn * scale. The other states do not change."""
+        """Return the bank of filters predicted over an elapsed time and a turn.
+
+        The heading drift grows by elapsed time * drift rate + turn * scale error. The other states do not change.
+        """
         drift_row = np.array([1.0, elapsed_s, 0.0, turned_rad])
         bank, product = state.bank.copy(), state.bank.dot(drift_row)
         bank[:, :, _DRIFT] = product
