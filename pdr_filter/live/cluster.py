@@ -41,7 +41,7 @@ class DaskCluster:
             self._client = await made
 
     async def start(self, part: int, n_parts: int) -> Actor:
-        """Start a share at one of the workers, in turn."""
+        """Start a share of the sessions on one of the workers, which are chosen in turn."""
         addresses = sorted(await self._client.nthreads())
         if not addresses:
             raise LostError(f"no worker at {self._scheduler}: start one with dask worker")
@@ -65,13 +65,13 @@ class DaskCluster:
             raise LostError(f"{address}: {error}") from error
 
     async def close(self) -> None:
-        """Leave the cluster."""
+        """Disconnect from the cluster."""
         if self._client is not None:
             await self._client.close()
 
 
 class Actor:
-    """Share in a worker of the cluster."""
+    """Share of the sessions that a Dask worker serves."""
 
     def __init__(self, future: Any, actor: Any, address: str) -> None:
         self._future = future  # the actor lives as long as this reference
@@ -98,6 +98,6 @@ class Actor:
             raise LostError(f"dask worker {self._address} is gone ({error}): start it again") from error
 
     async def close(self) -> None:
-        """Save everything and end the actor."""
+        """Save all sessions and end the actor."""
         await self.ask([Save()])
         self._future.release()

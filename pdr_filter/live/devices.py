@@ -31,7 +31,7 @@ _LOG = logging.getLogger(__name__)
 
 
 class Devices:
-    """Sessions of one worker. Events for pages are given to `emit`, as JSON objects."""
+    """Sessions that one worker serves. Events for the pages are passed to `emit` as JSON objects."""
 
     def __init__(
         self, settings: Settings, folder: Path, emit: Callable[[Event], None], part: int = 0, n_parts: int = 1
@@ -81,7 +81,10 @@ class Devices:
         return {"samples": n}, keys
 
     def settle(self, is_all: bool = False) -> dict[str, Exception]:
-        """Write all messages since the last call, and filter those of sessions that are due; return what failed."""
+        """Save all messages since the last call, and filter the sessions that are due.
+
+        The result holds the error of each session that failed.
+        """
         failed: dict[str, Exception] = {}
         wait_s = 0.0 if is_all else min(len(self.sessions) * _PASS_S, _LONGEST_WAIT_S)
         for key in list(self._taken):
@@ -144,7 +147,7 @@ class Devices:
         return [event for session in self.sessions.values() for event in session.whole()]
 
     def tick(self) -> None:
-        """Filter and save the rest, send events, and remove silent phones. Call it about once per second."""
+        """Filter and save what remains, send events, and remove silent phones. Call it about once per second."""
         self.settle()
         for key, session in list(self.sessions.items()):
             events = session.rest()
@@ -160,7 +163,7 @@ class Devices:
                 self.emit(event)
 
     def close(self) -> None:
-        """Save everything."""
+        """Save all sessions."""
         for session in self.sessions.values():
             for event in session.save():
                 self.emit(event)

@@ -38,7 +38,7 @@ _MAX_NUMBER = 2**53
 
 
 class MessageError(ValueError):
-    """A message that cannot be understood, with the reason."""
+    """Error for a message that cannot be understood. It states the reason."""
 
 
 class SensorRows(NamedTuple):
@@ -49,13 +49,13 @@ class SensorRows(NamedTuple):
 
     @property
     def unit_s(self) -> float:
-        """Seconds in one unit of `time`."""
+        """Seconds in one unit of `time`, 1e-9 for whole nanoseconds."""
         return 1.0 if self.time.dtype.kind == "f" else 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Message:
-    """Content of one message."""
+    """Content of one message of a phone: its samples or a fix, its device and session."""
 
     device: str
     session: str
@@ -73,7 +73,7 @@ class Message:
 
 
 def together(messages: Sequence[Message], name: str) -> SensorRows | None:
-    """Rows of one sensor in several messages; None without any."""
+    """Return the rows of one sensor in several messages, or None if there are none."""
     parts = [m.rows[name] for m in messages if name in m.rows and len(m.rows[name].time)]
     if not parts:
         return None
@@ -106,7 +106,7 @@ _ONE_LINE = bytes.maketrans(b"\r\n", b"  ")
 
 
 def _items(body: bytes) -> list[Any]:
-    """JSON values of a body, which may be an array of them."""
+    """Return the JSON objects of a body, which may be a single object or an array."""
     try:
         content: Any = json.loads(body)
     except (ValueError, RecursionError) as error:
@@ -118,7 +118,7 @@ def _items(body: bytes) -> list[Any]:
 
 
 def to_json(message: Message) -> bytes:
-    """Body of a message in our own layout, with times in seconds, for `parse`."""
+    """Return the body of a message in the package's own layout, with times in seconds, as `parse` reads it."""
     samples = {name: np.column_stack([rows.time, rows.values]).tolist() for name, rows in message.rows.items()}
     content = {"device": message.device, "session": message.session, "platform": message.platform, "samples": samples}
     numbered = {} if message.number is None else {"number": message.number}
@@ -126,7 +126,7 @@ def to_json(message: Message) -> bytes:
 
 
 def _message(item: Mapping[str, Any], known: Mapping[str, str]) -> Message | None:
-    """Message of one object; None if it holds no known content."""
+    """Return the message in a JSON object, or None if its content is not used."""
     if "payload" in item:
         device, session = _text(item, "deviceId", known["device"]), _text(item, "sessionId", known["session"])
         rows = _sensor_logger_rows(item["payload"])
@@ -164,7 +164,7 @@ _SENSOR_LOGGER: Mapping[str, tuple[str, tuple[str, ...]]] = {
 
 
 def _sensor_logger_rows(payload: Any) -> dict[str, SensorRows]:
-    """Samples of a payload; sensors that nothing here uses are left out."""
+    """Return the samples in a payload of Sensor Logger by sensor. Sensors that are not used are left out."""
     if not isinstance(payload, list):
         raise MessageError(f"payload must be an array of samples, got {printable(payload)[:40]!r}: see docs/live.md")
     times: dict[str, list[Any]] = {}
@@ -196,7 +196,7 @@ ANDROID_SENSORS: Mapping[str, str] = {
 
 
 def _sensor_server_rows(item: Mapping[str, Any]) -> dict[str, SensorRows]:
-    """Sample of an Android sensor event, which SensorServer passes on unchanged."""
+    """Return the sample of an Android sensor event, which SensorServer passes on unchanged."""
     sensor = ANDROID_SENSORS.get(str(item["type"]))
     if sensor is None:
         return {}
@@ -216,7 +216,7 @@ def _sensor_server_rows(item: Mapping[str, Any]) -> dict[str, SensorRows]:
 
 
 def _own_rows(samples: Any) -> dict[str, SensorRows]:
-    """Samples by sensor, [[time_s, value, ...], ...] of each."""
+    """Return the samples of a message in the package's own layout by sensor: rows [time_s, value, ...]."""
     if not isinstance(samples, dict):
         raise MessageError(f"samples must be an object of sensors, got {printable(samples)[:40]!r}: see docs/live.md")
     found: dict[str, SensorRows] = {}
@@ -273,7 +273,7 @@ def phyphox_buffers(config: bytes) -> dict[str, tuple[str, ...]]:
 
 
 def phyphox_rows(answer: bytes, buffers: Mapping[str, tuple[str, ...]]) -> dict[str, SensorRows]:
-    """New samples of each sensor from what phyphox answers at /get."""
+    """Return the new samples of each sensor from the answer of phyphox at /get."""
     try:
         content: dict[str, Any] = json.loads(answer)["buffer"]
         columns = {name: [_floats(content[buffer]["buffer"]) for buffer in buffers[name]] for name in buffers}
@@ -317,13 +317,16 @@ def _payload_times(times: Sequence[Any]) -> IntArray:
 
 
 def _own_times(time: FloatArray) -> IntArray | FloatArray:
-    """Seconds as they are; times since 1970 in a smaller unit as whole nanoseconds."""
+    """Return times in seconds unchanged, and times since 1970 in a smaller unit as whole nanoseconds."""
     unit_ns = _unit_ns(time, is_seconds=False)
     return time if unit_ns is None else _nanoseconds(time, unit_ns)
 
 
 def _unit_ns(time: Any, is_seconds: bool) -> int | None:
-    """Nanoseconds in the unit of times since 1970; None for other times, and for seconds unless `is_seconds`."""
+    """Return the nanoseconds in the unit of times since 1970.
+
+    None for other times, and for seconds unless `is_seconds` is true.
+    """
     known = time[np.isfinite(time)]
     usual = abs(float(known[len(known) // 2])) if len(known) else 0.0
     units = _SINCE_1970 if is_seconds else _SINCE_1970[:-1]
@@ -331,7 +334,7 @@ def _unit_ns(time: Any, is_seconds: bool) -> int | None:
 
 
 def _nanoseconds(time: Any, unit_ns: int) -> IntArray:
-    """Times in whole nanoseconds; those that are too large for an int64 become a time that `_plausible` drops."""
+    """Return times in whole nanoseconds. A time too large for an int64 becomes one that `_plausible` discards."""
     if unit_ns == 1 and time.dtype.kind != "f":
         return time
     far = limits.MAX_WHOLE_TIME
@@ -349,7 +352,7 @@ def _floats(values: Any) -> FloatArray:
 
 
 def _plausible(time: Any, values: FloatArray) -> SensorRows:
-    """Rows with a usable time; values that no sensor gives become NaN."""
+    """Return the rows that have a usable time. Values that no sensor gives become NaN."""
     with np.errstate(invalid="ignore"):
         good = (time > -limits.MAX_WHOLE_TIME) & (time < limits.MAX_WHOLE_TIME)
         values = np.where(np.abs(values) < _LARGEST, values, np.nan)
@@ -357,7 +360,7 @@ def _plausible(time: Any, values: FloatArray) -> SensorRows:
 
 
 def _text(item: Mapping[str, Any], key: str, otherwise: str) -> str:
-    """A short text that can be shown."""
+    """Return a short text from a message, made safe for display."""
     value: Any = item.get(key)
     return printable(value if isinstance(value, str | int) and value != "" else otherwise)[: limits.MAX_NAME_CHARS]
 

@@ -79,7 +79,7 @@ def test_phyphox_gives_the_sensors_that_have_times() -> None:
         (b'{"payload": [{"name": "gyroscope", "time": 1e400, "values": {}}]}', "nanoseconds"),
         (b'{"payload": [{"name": "gyroscope", "time": 1, "values": {"x": "a"}}]}', "must be a number"),
         (b'{"samples": {"gyroscope": [[1, 2]]}}', "3 numbers"),
-        (b'{"samples": {"gyroscope": [[1, 2], [1]]}}', "not a number"),
+        (b'{"samples": {"gyroscope": [[1, 2], [1]]}}', "must be a number"),
         (b'{"samples": {"../x": [[1, 2]]}}', "unknown sensor"),
         (b'{"type": "android.sensor.gyroscope", "timestamp": 1, "values": [1]}', "3 numbers"),
         (b'{"fix": 1}', "a fix must be"),
