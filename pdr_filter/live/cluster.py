@@ -25,7 +25,10 @@ _LOOK_S = 0.5
 
 
 class DaskCluster:
-    """Dask cluster, which the caller trusts: its workers run code that the server sends."""
+    """Dask cluster whose workers run the filters.
+
+    The caller must trust it, because its workers run code that the server sends.
+    """
 
     def __init__(self, scheduler: str, settings: Settings, folder: Path) -> None:
         self._scheduler, self._settings, self._folder = scheduler, settings, folder.resolve()

@@ -119,7 +119,10 @@ class _Worker:
                 await asyncio.wait_for(self._running, _CLOSE_S)
 
     async def _run(self, share: Share) -> None:
-        """Give requests to the share or its successor, until all are answered and the worker is closed."""
+        """Pass requests to the share, or to the one that replaced it.
+
+        This ends when the worker is closed and all requests are answered.
+        """
         ticked_at = time.monotonic()
         while self._waiting or not self._closed:
             batch = list(islice(self._waiting, 1 if self._n_alone else _AT_ONCE))

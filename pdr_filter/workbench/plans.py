@@ -38,7 +38,10 @@ class Plans:
         return sorted(path.stem for path in self.folder.glob("*.geojson"))
 
     def path(self, name: str) -> Path | None:
-        """File of a plan, or None; only names of files that exist become paths."""
+        """Return the file of a floor plan, or None if it does not exist.
+
+        Only names of existing files become paths, so that a request cannot reach other files.
+        """
         return next((path for path in self.folder.glob("*.geojson") if path.stem == name), None)
 
     def new(self, name: str) -> str:
@@ -195,7 +198,7 @@ def _flat(coordinates: Any) -> list[Any]:
 
 
 def _moved(features: list[dict[str, Any]], move: Any, digits: int) -> list[dict[str, Any]]:
-    """Features with other coordinates."""
+    """Return the features with transformed coordinates."""
 
     def moved(coordinates: Any) -> Any:
         if isinstance(coordinates[0], float | int):
@@ -209,7 +212,7 @@ def _moved(features: list[dict[str, Any]], move: Any, digits: int) -> list[dict[
 
 
 def _plain(feature: Any) -> dict[str, Any]:
-    """A feature with only the parts that a plan has; ValueError if it lacks one."""
+    """Return a feature with only the fields that a floor plan uses. ValueError if one is missing."""
     try:
         geometry, properties = feature["geometry"], feature.get("properties") or {}
         points = np.array(_flat(geometry["coordinates"]), dtype=float)

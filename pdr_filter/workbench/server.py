@@ -46,11 +46,11 @@ Handler = Callable[[Request], Awaitable[Response]]
 
 
 class UnknownError(ValueError):
-    """An id or a name that does not exist."""
+    """Error for an id or a name that does not exist."""
 
 
 class TooLargeError(ValueError):
-    """A file or message that is larger than allowed."""
+    """Error for a file or message that is larger than allowed."""
 
 
 class WorkbenchSite:
@@ -151,7 +151,7 @@ class WorkbenchSite:
         return JSONResponse(self._state(walk))
 
     async def report(self, request: Request) -> Response:
-        """Serve the report of a walk with its present marks."""
+        """Serve the report of a walk, computed with its present marks."""
         summary = await self.workbench.show(self._walk(request))
         return self._cached(summary["key"])
 
@@ -189,7 +189,7 @@ class WorkbenchSite:
         return self._changed(walk, lambda: walk.undo(content["version"]))
 
     async def redo(self, request: Request) -> Response:
-        """Make the edit again that was taken back last."""
+        """Redo the edit that was undone last."""
         walk, content = self._walk(request), await _json_of(request)
         return self._changed(walk, lambda: walk.redo(content["version"]))
 
@@ -285,7 +285,7 @@ class WorkbenchSite:
         return JSONResponse(await asyncio.to_thread(self.plans.load, self._plan(request)))
 
     async def new_plan(self, request: Request) -> Response:
-        """Make an empty floor plan and return its name."""
+        """Create an empty floor plan and return its name."""
         content = await _json_of(request)
         return JSONResponse({"name": self.plans.new(str(content["name"])[:100])})
 
@@ -304,7 +304,7 @@ class WorkbenchSite:
         return FileResponse(path, headers={"Cache-Control": "no-store"})
 
     async def set_picture(self, request: Request) -> Response:
-        """Take the picture of a storey, and return its size."""
+        """Store the uploaded picture of a storey, and return its size."""
         path = self.plans.picture(self._plan(request), request.path_params["floor"])
         source = self.workbench.incoming / f"{path.name}.source"
         try:
@@ -410,7 +410,7 @@ async def _stream_to(request: Request, target: Path, most: int) -> int:
 
 
 def _unused(folder: Path, stem: str) -> Path:
-    """Path in the folder that does not exist."""
+    """Return a path in the folder that no file has yet."""
     path, n = folder / stem, 1
     while path.exists():
         n += 1

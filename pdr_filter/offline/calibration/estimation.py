@@ -372,7 +372,11 @@ class _Chunk:
     def normal_equations(
         self, about: FloatArray, phi: FloatArray, tau2: float, first: bool, G: FloatArray, g: FloatArray
     ) -> None:
-        """Write the G_s (F, F) and g_s (F,) of these people into G and g, linearised at their parameters (S, F)."""
+        """Write the normal equations of these people into G and g, linearised at their S parameter vectors (S, F).
+
+        For each person, G_s (F, F) is the matrix and g_s (F,) the right-hand side of the weighted least-squares
+        problem.
+        """
         group = self.group
         self.precision = self.w / (phi[self.context] * self.base_var)
         row, target = _linearised(self.A, self.offset, about[group.person], self.distance)
@@ -408,9 +412,12 @@ class _Chunk:
         self.rho_square = float((rho**2 + rho_variance).sum())
 
     def own_influence(self, about: FloatArray, posterior: PeoplePosterior) -> FloatArray:
-        """Return the influence (n,) of each segment on its own prediction.
+        """Return the influence (n,) of each segment on its own prediction, m.
 
-        theta without segment i = theta - C tilted_i' error_i / (variance_i - tilted_i C tilted_i' - size_i^2 kappa).
+        It is the gain in the prediction error when the parameters are estimated without the segment. theta without
+        segment i = theta - C tilted_i' error_i / (variance_i - tilted_i C tilted_i' - size_i^2 kappa). C is the
+        covariance of the parameters theta, tilted_i the derivative of the error by theta (`_marginal_rows`), size_i the
+        predicted length, and kappa the variance of the scale error of the recording given its data.
         """
         group = self.group
         row, _ = _linearised(self.A, self.offset, about[group.person], self.distance)

@@ -162,7 +162,10 @@ def _nis_of_measurements(problem: Problem, mean: FloatArray) -> FloatArray:
 
 
 def _position_anchors(problem: Problem) -> IntArray:
-    """Return the anchor (F + H + S + X,) of each observed position, -1 for other observations."""
+    """Return the anchor of each observed position and measurement, -1 for directions and states, (F + H + S + X,).
+
+    F, H, S and X are the numbers of positions, directions, states and measurements.
+    """
     others = np.full(len(problem.directions) + len(problem.states), -1)
     return np.concatenate([problem.positions.node, others, problem.measurements.node])
 
@@ -262,7 +265,10 @@ def _innovations(
 
 
 def _normalised_squares(residual: FloatArray, leverage: FloatArray, is_used: BoolArray) -> FloatArray:
-    """Return r' (I - L)^-1 r of used and r' (I + L)^-1 r of unused residuals (F, m) with leverages (F, m, m)."""
+    """Return the normalised squares of residuals r (F, m), with leverages L (F, m, m).
+
+    They are r' (I - L)^-1 r for used and r' (I + L)^-1 r for unused observations (see `_innovations`).
+    """
     # without any other information I - L is zero up to rounding, and the small term keeps it regular
     eye = (1 + 1e-12) * np.eye(residual.shape[1])
     S = eye + np.where(is_used, -1.0, 1.0)[:, None, None] * leverage
@@ -331,7 +337,10 @@ def linearised(problem: Problem, mean: FloatArray, frame_rad: float, weight: Flo
 
 
 def _error_rows(problem: Problem, mean: FloatArray) -> list[Rows]:
-    """Return the equations of the errors of correlated fixes: e_0 ~ N(0, I), e_k = a e_(k-1) + w, var w = 1 - a^2."""
+    """Return the equations of the errors e_k of correlated fixes, which are a first-order Gauss-Markov process.
+
+    e_0 ~ N(0, I) and e_k = a e_(k-1) + w with var w = 1 - a^2, where a is the correlation of consecutive errors.
+    """
     n, decay = problem.n_nodes, problem.errors.decay
     if len(problem.errors) == 0:
         return []
@@ -355,9 +364,11 @@ def _state_residuals(states: ObservedStates, mean: FloatArray) -> tuple[FloatArr
 
 
 def _position_residuals(problem: Problem, mean: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the whitened residuals (F, 2) of positions, and their derivatives (F, 2, 4) by both anchors.
+    """Return the whitened residuals (F, 2) of F observed positions, and their derivatives (F, 2, 4) by both anchors.
 
-    The residual is p + e^s R(theta) d + B e - G x_other - z.
+    The residual is p + e^s R(theta) d + B e - G x_other - z. (p, theta, s) are position, heading offset and log scale
+    at the anchor, and d is the displacement from the anchor to the time of the observation. B e is the correlated error
+    of the fix, G x_other the position of the other anchor (loop closures only), and z the observed position, all in m.
     """
     positions, errors = problem.positions, problem.errors
     at, relative = mean[positions.node, :N_STATES], positions.other >= 0
@@ -462,7 +473,10 @@ def _relaxed_squared_residuals(problem: Problem, state: FloatArray) -> FloatArra
 
 
 def _rotation_matrix_of(sum_m: FloatArray) -> FloatArray:
-    """Return M(D) (n, 2, 2): D rotated and scaled is M(D) (e^s cos theta, e^s sin theta)."""
+    """Return the matrices M(D) (n, 2, 2) of displacements D (n, 2), for which M(D) z is D rotated and scaled by z.
+
+    z = e^s (cos theta, sin theta) has the heading offset theta and the log scale s.
+    """
     east, north = sum_m[:, 0], sum_m[:, 1]
     return np.stack([np.stack([east, north], axis=-1), np.stack([north, -east], axis=-1)], axis=-2)
 

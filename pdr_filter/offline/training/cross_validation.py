@@ -312,9 +312,8 @@ class TrainingPlan(ABC):
 def train_one(plan: TrainingPlan, windows: LabelledWindows, progress: Progress, n_jobs: int = -1) -> ContextModel:
     """Return the model of one training plan, fitted on all its windows and scored on held-out groups of people.
 
-    A training plan names the model, its training windows and the people who are held out together.
-
-    `n_jobs` is the number of processes, -1 for all processors.
+    A `TrainingPlan` states which model to fit on which windows, and which people to hold out together. `n_jobs` is the
+    number of processes, -1 for all processors.
     """
     groups = plan.held_out(windows)
     n = len(groups) + 2

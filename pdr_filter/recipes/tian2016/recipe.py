@@ -44,6 +44,8 @@ class StaticFirstStepLength:
 def tian_fit(height_m: float, gender: str | None = None) -> StepLengthFit:
     """Return the step-length model of Tian et al. 2016, L = k h sqrt(f) (eq. 9), with the printed k.
 
+    L is the step length in m, h the body height in m and f the step frequency in Hz.
+
     Parameters
     ----------
     height_m : float

@@ -65,7 +65,7 @@ _RATES = _LINES[4:]
 
 
 def _band_names(line: str) -> list[str]:
-    """Return the names of the band powers of a line."""
+    """Return the names of the band powers of one signal."""
     return [f"log_band_{line}_{low:g}_{high:g}_hz" for low, high in BANDS_HZ]
 
 
@@ -390,9 +390,10 @@ def _swing_timing(
 
 
 def _timing(lines: FloatArray, floor: FloatArray, lagged_vertical: FloatArray, vertical_std: FloatArray) -> FloatArray:
-    """Return the correlations (W, K, L) of lines (W, K, N) with the vertical at each of `STEP_LAGS_S`.
+    """Return the correlations (W, K, L) of K signals (W, K, N) with the vertical at each of the L lags `STEP_LAGS_S`.
 
-    The floors make the result approach 0 for a phone at rest.
+    W is the number of windows of N samples. Lower bounds of the divisors make the result approach 0 for a phone at
+    rest.
     """
     centred = about_mean(lines)
     std = np.sqrt(mean_square(centred)) + floor

@@ -761,7 +761,7 @@ class WalkingHeading:
 
 
 def _as_complex(place: Placement) -> tuple[complex, complex, complex]:
-    """Return the summed vectors of a place as complex numbers, forward + i right."""
+    """Return the summed stride vectors of a carrying place as complex numbers, forward + i right."""
     a, b, c = place.vectors
     return complex(*a), complex(*b), complex(*c)
 

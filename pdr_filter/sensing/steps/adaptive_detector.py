@@ -61,7 +61,9 @@ class Rhythm:
 class AdaptiveDetectorState(ResponseState):
     """State of the adaptive detector.
 
-    The signal in `line` is |f| minus gravity. The rows of `response` are the transform, R and the wavelet frequency.
+    The signal in `line` is |f| minus gravity, with the specific force f in m/s2. The rows of `response` are the wavelet
+    transform, the power R of the motion (standard deviation of the low-passed |f| around each sample, m/s2), and the
+    wavelet frequency in Hz.
 
     Attributes
     ----------
@@ -229,11 +231,11 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
 
     @cached_property
     def _n_around(self) -> int:
-        """Number of samples over which R is computed."""
+        """Number of samples over which the standard deviation R of |f| is computed."""
         return round(self.before_s * self.rate_hz) + round(self.after_s * self.rate_hz) + 1
 
     def _rms(self, line: FloatArray, kernels: Sequence[FloatArray]) -> FloatArray:
-        """Return the standard deviations (K, N) of the signal filtered by K kernels, around each sample.
+        """Return the standard deviations (K, N) of the signal after each of K filter kernels, around each sample.
 
         Only samples with enough neighbours on both sides are included.
         """

@@ -335,7 +335,10 @@ class ResponseStepDetector(BaseStepDetector[R]):
 
     @abstractmethod
     def _response(self, line: FloatArray) -> FloatArray:
-        """Return the response (row 0) and its further values, (K, N), for signals (R, L + N)."""
+        """Return the response, whose maxima are steps (row 0), and its further values, (K, N).
+
+        The input are R signals (R, L + N), with L delayed and N new samples.
+        """
 
     @abstractmethod
     def _accepted(self, state: R, peak: FloatArray, interval_s: float, new_bout: bool) -> R | None:
