@@ -341,7 +341,7 @@ def variance_factor(squares: float, n_errors: int, n_before: int = 0) -> float:
 
 
 def _normalised(prob: FloatArray) -> FloatArray:
-    """Return probabilities that sum to one."""
+    """Return probabilities scaled so that they sum to one."""
     return prob / np.add.reduce(prob)
 
 
@@ -391,7 +391,10 @@ def disagreement(pairs: Sequence[PairedPoint], agreeing: Sequence[PairedPoint], 
 
 
 def agreement_limit(dof: int) -> float:
-    """Return the chi-square that one in a thousand sets of correct fixes exceeds."""
+    """Return the chi-square that only a share `_SIGNIFICANCE` (one in a thousand) of sets of correct fixes exceeds.
+
+    `dof` is the number of degrees of freedom. Without any, the limit is infinite.
+    """
     from scipy.special import chdtri  # imported here: it takes as long to load as the rest of the filter
 
     return float(chdtri(dof, _SIGNIFICANCE)) if dof > 0 else math.inf

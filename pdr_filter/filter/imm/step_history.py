@@ -78,7 +78,10 @@ class StepHistory:
         return float(self.trail[-1, TRAIL_TIME]) if len(self.trail) else -math.inf
 
     def plus(self, step: Step, walked: Walked, x: FloatArray, P: FloatArray) -> StepHistory:
-        """Return the history with one more step, after which the estimate has mean x (4,) and covariance P (4, 4)."""
+        """Return the history with one more step, after which the estimate has mean x (4,) and covariance P (4, 4).
+
+        The state x is east and north (m), heading offset (rad), and log scale of the step length.
+        """
         # after a pause the smoothed speed starts again
         is_first = math.isnan(self.last_s) or step.time_s - self.last_s > 1.5 * step.duration_s
         scale_var = float(P[LOG_SCALE, LOG_SCALE])

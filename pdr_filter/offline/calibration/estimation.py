@@ -414,10 +414,10 @@ class _Chunk:
     def own_influence(self, about: FloatArray, posterior: PeoplePosterior) -> FloatArray:
         """Return the influence (n,) of each segment on its own prediction, m.
 
-        It is the gain in the prediction error when the parameters are estimated without the segment. theta without
-        segment i = theta - C tilted_i' error_i / (variance_i - tilted_i C tilted_i' - size_i^2 kappa). C is the
-        covariance of the parameters theta, tilted_i the derivative of the error by theta (`_marginal_rows`), size_i the
-        predicted length, and kappa the variance of the scale error of the recording given its data.
+        The prediction without the segment is the prediction minus this influence. It follows from theta without segment
+        i = theta - C tilted_i' error_i / (variance_i - tilted_i C tilted_i' - size_i^2 kappa). C is the covariance of
+        the parameters theta, tilted_i the derivative of the error by theta (`_marginal_rows`), size_i the predicted
+        length, and kappa the variance of the scale error of the recording given its data.
         """
         group = self.group
         row, _ = _linearised(self.A, self.offset, about[group.person], self.distance)

@@ -285,7 +285,7 @@ def _moments(steps: Increments, first: IntArray) -> tuple[FloatArray, FloatArray
 
 
 def scaled_rotation(heading_rad: FloatArray, log_scale: FloatArray) -> FloatArray:
-    """Return e^s R(theta), shape (..., 2, 2)."""
+    """Return the rotation matrices of heading offsets theta scaled by log scales s, e^s R(theta), (..., 2, 2)."""
     c, s = np.exp(log_scale) * np.cos(heading_rad), np.exp(log_scale) * np.sin(heading_rad)
     return np.stack([np.stack([c, s], axis=-1), np.stack([-s, c], axis=-1)], axis=-2)
 
@@ -309,7 +309,7 @@ def end_states(start: FloatArray, sum_m: FloatArray) -> tuple[FloatArray, FloatA
 
 
 def state_transform(start: FloatArray) -> FloatArray:
-    """Return T (n, 4, 4) of states (n, 4), which rotates and scales the covariance of an interval."""
+    """Return the matrices T (n, 4, 4) that rotate and scale the covariance of an interval by the state at its start."""
     T = np.broadcast_to(np.eye(N_STATES), (len(start), N_STATES, N_STATES)).copy()
     T[:, _POSITION, _POSITION] = scaled_rotation(start[:, HEADING_OFFSET], start[:, LOG_SCALE])
     return T

@@ -456,7 +456,11 @@ def _relaxed_observations(problem: Problem, weight: FloatArray) -> list[Rows]:
 
 
 def _relaxed_squared_residuals(problem: Problem, state: FloatArray) -> FloatArray:
-    """Return the squared residuals (F + H + S,) of all observations for states (N, 6) in (p, z)."""
+    """Return the squared whitened residuals (F + H + S,) of all observations in the relaxed problem.
+
+    There are F positions, H directions and S states. The unknowns `state` (N, 6) of the anchors are the position p and
+    z = e^s (cos theta, sin theta), with heading offset theta and log scale s.
+    """
     positions, directions, errors = problem.positions, problem.directions, problem.errors
     by_errors = np.einsum("nab,nb->na", positions.whiten[errors.position] @ errors.by, state[problem.n_nodes :])
     state = state[: problem.n_nodes, :N_STATES]

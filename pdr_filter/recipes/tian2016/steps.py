@@ -311,7 +311,10 @@ class TianStepDetector(BaseStepDetector[TianDetectorState]):
 
 
 def n_filled_in(transition_s: float, step_frequency_hz: float) -> int:
-    """Return the number of steps during a transition, t f_s rounded half up (eq. 8)."""
+    """Return the number of steps during a transition of t seconds, t f_s rounded half up (eq. 8).
+
+    f_s is the step frequency in Hz.
+    """
     return int(np.floor(transition_s * step_frequency_hz + 0.5))
 
 
