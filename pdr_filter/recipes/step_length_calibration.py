@@ -556,7 +556,7 @@ def _check_numbers(calibration: Calibration) -> None:
 
 
 def slices_of(models: Mapping[str, StepLengthModel]) -> tuple[dict[str, slice], int]:
-    """Return the slice of each context in theta (P,), and P."""
+    """Return the slice of each context in the parameter vector theta (P,) of all contexts, and its length P."""
     ends = np.cumsum([0, *(m.n_params for m in models.values())])
     return {name: slice(int(a), int(b)) for name, (a, b) in zip(models, pairwise(ends), strict=True)}, int(ends[-1])
 

@@ -34,7 +34,7 @@ class Plans:
         self.folder = folder / PLANS
 
     def names(self) -> list[str]:
-        """Names of the plans, sorted."""
+        """Names of all floor plans in the folder, sorted."""
         return sorted(path.stem for path in self.folder.glob("*.geojson"))
 
     def path(self, name: str) -> Path | None:

@@ -54,7 +54,7 @@ class Doubt:
     is_used_last: bool = False
 
     def moved(self, positions: Callable[[FloatArray], FloatArray]) -> Doubt:
-        """Return the state with track positions transformed by a function of positions (..., 2)."""
+        """Return the doubt with the track positions of its fixes transformed by a function of positions (..., 2)."""
         return replace(
             self,
             pairs=tuple(pair.moved(positions) for pair in self.pairs),

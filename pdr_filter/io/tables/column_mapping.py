@@ -139,7 +139,7 @@ def _stream(path: Path, name: str, settings: dict[str, Any], time: dict[str, Any
 
 
 def _quoted(text: str) -> str:
-    r"""A TOML string.
+    r"""Return a text as a quoted TOML string.
 
     >>> print(_quoted('a"b'))
     "a\"b"

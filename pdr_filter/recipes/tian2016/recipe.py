@@ -68,7 +68,10 @@ def tian_fit(height_m: float, gender: str | None = None) -> StepLengthFit:
 
 
 def recipe_fit(height_m: float, gender: str | None = None) -> StepLengthFit:
-    """Return eq. 9, with eq. 2 for the first step from rest (section III-D), both with the printed k."""
+    """Return the step lengths of the paper: eq. 9, and eq. 2 for the first step from rest (section III-D).
+
+    Both have the printed factor k.
+    """
     moving, first = tian_fit(height_m, gender), static_fit(height_m, gender)
     theta, variance = np.concatenate([moving.theta, first.theta]), [moving.theta_cov[0, 0], first.theta_cov[0, 0]]
     return StepLengthFit(StaticFirstStepLength(height_m), theta, np.diag(variance), moving.residual_std_m)

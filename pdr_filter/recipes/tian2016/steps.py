@@ -48,8 +48,8 @@ TRANSITION_S = 2.0
 def ios_acceleration(specific_force_mps2: FloatArray, up_sensor: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return gravity and user acceleration in the convention of CoreMotion, both (N, 3), in g.
 
-    gravity + user acceleration = -f / g0. A phone that lies face up has gravity (0, 0, -1), and an upward acceleration
-    gives a negative user acceleration on z.
+    With f the specific force and g0 the standard gravity, gravity + user acceleration = -f / g0. A phone that lies face
+    up has gravity (0, 0, -1), and an upward acceleration gives a negative user acceleration on z.
     """
     gravity_g = -up_sensor
     return gravity_g, -specific_force_mps2 / STANDARD_GRAVITY_MPS2 - gravity_g
@@ -319,7 +319,7 @@ def n_filled_in(transition_s: float, step_frequency_hz: float) -> int:
 
 
 def _any_after(extremum: BoolArray, n_after: int, n: int) -> BoolArray:
-    """Return whether any of the `n_after` samples after each of the first n samples is an extremum."""
+    """Return, for each of the first n samples, True if any of the `n_after` samples after it is an extremum."""
     if n_after == 0:
         return np.zeros(n, dtype=bool)
     return np.asarray(sliding_window_view(extremum[1:], n_after)[:n].any(axis=1))

@@ -223,7 +223,10 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
     # signal is cut into blocks.
 
     def _response(self, line: FloatArray) -> FloatArray:
-        """Return the transform, R and the wavelet frequency, (3, N)."""
+        """Return the wavelet transform, the standard deviation R of |f| and the wavelet frequency, (3, N).
+
+        R is in m/s2 and the frequency in Hz.
+        """
         rms, *derivative_rms = self._rms(line[0], (self._power_low_pass, *self._derivatives))
         frequency_hz = np.maximum(self.frequency_at_1_mps2_hz * rms**self.frequency_exponent, _BANK_HZ[0])
         frequency_hz = np.maximum(np.minimum(frequency_hz, _BANK_HZ[-1]), self._sine_hz(*derivative_rms))

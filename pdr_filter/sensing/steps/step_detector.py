@@ -192,7 +192,7 @@ class BaseStepDetector(ABC, Generic[S]):
 
     @abstractmethod
     def _detect(self, state: S, line: FloatArray, first: int) -> tuple[S, list[tuple[int, Step]]]:
-        """Return the new state and the steps detected in signals (R, L + N).
+        """Return the new state and the steps detected in R signals, (R, L + N), with L delayed and N new samples.
 
         The last N columns are new, and the first of them is sample number `first`.
         """
