@@ -723,7 +723,7 @@ class WalkingHeading:
         return (self.held_systematic_std_rad if has_large_error else self.systematic_std_rad) ** 2
 
     def _with_axis(self, place: Placement, offset: Offset, stride: Stride, trust: float) -> Offset:
-        """Return the offset updated with the axis of the phone if it was read in at least half of the strides at this place.
+        """Return the offset updated with the axis of the phone if at least half of the strides at this place show it.
 
         The axis is not used if strides with high agreement contradict it.
         """
