@@ -158,7 +158,8 @@ def _journal(number: int) -> str:
 def _line(message: Message) -> str:
     """Return a message as one line of the journal.
 
-    Device, session and platform are added if the JSON text lacks them because the address of the request held them.
+    Device, session and platform precede the JSON text. The text may lack them, because the address of the request can
+    hold them.
     """
     names = {"device": message.device, "session": message.session, "platform": message.platform}
     return f"{json.dumps(names)} {message.source.decode('utf-8', 'replace')}\n"

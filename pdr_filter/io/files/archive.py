@@ -230,7 +230,7 @@ def open_members(path: Path) -> Generator[Members]:
 def _in_zip(file: IO[bytes], path: Path, inside: str, is_inner: bool = False) -> Generator[Members]:
     """Open the files in a zip file.
 
-    If the zip file holds zip files, they are opened instead: the only one, or the one that `inside` names.
+    If the only content is another zip file, or if `inside` names one of several, the files in that one are opened.
     """
     try:
         archive = zipfile.ZipFile(file)
