@@ -51,7 +51,7 @@ class WorkerProcess:
             pieces.insert(0, self._begin)
         if self._is_closed:  # another thread has called `close`
             self._end()
-            raise LostError("process was closed")
+            raise LostError("worker process was closed by another thread")
         to, answers = cast(Any, self._process.stdin), cast(Any, self._process.stdout)
         try:
             for piece in pieces:
@@ -59,7 +59,7 @@ class WorkerProcess:
             to.flush()
             return pickle.load(answers)
         except (OSError, EOFError, pickle.UnpicklingError) as error:
-            raise LostError(f"process died (exit code {self._end()})") from error
+            raise LostError(f"worker process died (exit code {self._end()})") from error
 
     def close(self) -> None:
         """End the process permanently. This may be called from any thread."""

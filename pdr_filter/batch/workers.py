@@ -159,7 +159,7 @@ def _on_cluster(work: Callable[[T], R], items: Sequence[T], scheduler: str) -> I
                     ),
                 )
             else:  # not caused by the recording: the scheduler has died, or the workers lack this package
-                raise RuntimeError(f"the cluster at {scheduler} failed ({future.status}): {error!r}")
+                raise RuntimeError(f"the cluster at {scheduler} failed ({future.status}): {error!r}; check its workers")
             futures[i] = None  # release the result on the cluster
 
 

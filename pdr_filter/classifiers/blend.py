@@ -22,7 +22,10 @@ _LINEAR, _TREES = "linear_", "trees_"  # prefixes of the arrays
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Blend(Machine):
-    """Mean of the logits of a linear classifier and of boosted trees: p is proportional to (p_linear p_trees)^(1/2)."""
+    """Mean of the logits of a linear classifier and of boosted trees.
+
+    The probabilities p are proportional to (p_linear p_trees)^(1/2), with the probabilities of both classifiers.
+    """
 
     linear: SoftmaxRegression
     trees: BoostedTrees

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 class BoostedTrees(TreeMachine):
     """Gradient-boosted trees: p = softmax(baseline + sum of the leaf values), with one tree for each class and round.
 
+    p (K,) are the probabilities of the K classes. The trees are ordered by round, and within a round by class.
     Friedman, "Greedy function approximation: a gradient boosting machine", Annals of Statistics 29, 2001, Algorithm 6.
-    The trees are ordered by round, and within a round by class.
     """
 
     value: FloatArray  # (n_nodes,) values of the leaves; unused for other nodes

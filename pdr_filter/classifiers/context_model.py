@@ -556,7 +556,7 @@ def _check(model: ContextModel) -> None:
     if (model.machine.n_features, model.machine.n_classes) != (n_features, n_classes):
         raise ValueError(
             f"the machine has {model.machine.n_features} features and {model.machine.n_classes} classes, but there are "
-            f"{n_features} feature_names and {n_classes} classes"
+            f"{n_features} feature_names and {n_classes} classes: give the names with which it was trained"
         )
     for name in ("feature_mean", "feature_scale"):
         check_array(name, getattr(model, name), shape=(n_features,), remedy="give one for each feature")
@@ -570,7 +570,10 @@ def _check(model: ContextModel) -> None:
         raise ValueError(f"slip must be a probability, got {model.slip}")
     for name, known in (("familiarity", model.familiarity), ("stairs", model.stairs)):
         if known is not None and known.axes.shape[1] != n_features:
-            raise ValueError(f"{name} has {known.axes.shape[1]} features, but there are {n_features} feature_names")
+            raise ValueError(
+                f"{name} has {known.axes.shape[1]} features, but there are {n_features} feature_names: fit it to the "
+                "features of the model"
+            )
     if model.stairs is not None and model.head != "context":
         raise ValueError(f"stairs is only for a model of contexts, got head {model.head!r}: leave stairs out")
     if model.stairs is not None and not set(model.stairs_labels) <= set(model.labels):
@@ -592,4 +595,7 @@ def _check(model: ContextModel) -> None:
         raise ValueError(f"training_prior must be {len(model.labels)} probabilities that sum to one, got {prior}")
     seen = tuple(c for c, p in zip(model.labels, prior, strict=True) if p > 0)
     if set(seen) != set(model.classes):
-        raise ValueError(f"training_prior is positive for {seen}, but the classes are {model.classes}")
+        raise ValueError(
+            f"training_prior is positive for {seen}, but the classes are {model.classes}: give a positive prior to "
+            "exactly these"
+        )

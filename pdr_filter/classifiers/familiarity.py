@@ -40,7 +40,7 @@ class Familiarity(Stored):
             check_array(name, getattr(self, name), "positive")
 
     def distance(self, standardised: FloatArray) -> FloatArray:
-        """Return the distances (...) of standardised features (..., F)."""
+        """Return the distance d of each window to the training windows, (...), from standardised features (..., F)."""
         z = np.clip(standardised, -_FEATURE_LIMIT, _FEATURE_LIMIT)
         # One product per window, because products of a batch can differ in the last bits.
         along = z[..., None, :] @ self.axes.T
@@ -49,15 +49,20 @@ class Familiarity(Stored):
         return np.sqrt(np.maximum(narrow + wide, 0.0) / z.shape[-1])
 
     def unknown_share(self, standardised: FloatArray) -> FloatArray:
-        """Return the unknown shares (...) of standardised features (..., F): 1 - (limit / d)^sharpness for d > limit.
+        """Return the unknown share of each window, 0 to 1, shape (...), from its F standardised features, (..., F).
 
-        The share is zero up to the limit. For a sharpness of 2, it is three quarters at twice the limit.
+        The unknown share says how much a window differs from all training windows. With d the distance of the window to
+        the training windows (`distance`), it is zero for d <= limit and 1 - (limit / d)^sharpness beyond. For a
+        sharpness of 2, it is three quarters at twice the limit.
         """
         return unknown_share(self.distance(standardised), self.limit, self.sharpness)
 
 
 def unknown_share(distance: FloatArray, limit: float, sharpness: float) -> FloatArray:
-    """Return the unknown shares of distances (...): zero up to the limit, 1 - (limit / d)^sharpness beyond it."""
+    """Return the unknown share of windows at distances d (...) from the training windows.
+
+    It is zero for d <= limit and 1 - (limit / d)^sharpness beyond.
+    """
     return 1.0 - (limit / np.maximum(distance, limit)) ** sharpness
 
 

@@ -125,7 +125,10 @@ def _check(machine: RelevanceVectors) -> None:
         )
     shape = machine.weights.shape
     if machine.basis.shape != shape or machine.cov_factor.shape != (*shape, shape[1]):
-        raise ValueError(f"shapes of weights {shape}, basis {machine.basis.shape} and cov_factor do not match")
+        raise ValueError(
+            f"weights of the kernel machine have the shape {shape}, but basis has {machine.basis.shape}: basis must "
+            "have the shape (K, m) of weights, and cov_factor (K, m, m); train the model again"
+        )
     if machine.basis.size and not 0 <= machine.basis.min() <= machine.basis.max() <= len(machine.vectors):
         raise ValueError(f"basis must hold 0 (bias) to {len(machine.vectors)} (last relevance vector)")
     for name in ("vectors", "weights", "cov_factor"):

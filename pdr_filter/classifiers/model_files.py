@@ -122,7 +122,11 @@ def of_prefix(prefix: str, arrays: Arrays) -> Arrays:
 
 
 def _kind(description: Any) -> Any:
-    """Return the kind stated by a .json. Context models of early versions do not state it."""
+    """Return the kind of model that the content of a .json file states, or None if it is no model.
+
+    Context models of early versions do not state their kind. They are recognised by the checksum of their arrays, and
+    the result is then "context_model".
+    """
     if not isinstance(description, dict):
         return None
     found = cast(dict[str, Any], description)

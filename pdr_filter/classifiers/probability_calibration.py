@@ -43,7 +43,7 @@ def fit_temperature(prob: FloatArray, label: IntArray) -> float:
 
 
 def slipped(prob: FloatArray, slip: float) -> FloatArray:
-    """Return the probabilities (1 - e) p + e / K, (..., K).
+    """Return the probabilities (1 - e) p + e / K, (..., K), of K classes from the probabilities p.
 
     With the slip probability e, a window belongs to any class with equal probability.
     """

@@ -54,7 +54,10 @@ class Budget:
 
 
 def basis_functions(X: FloatArray, vectors: FloatArray, kernel: str, width: float) -> FloatArray:
-    """Return the basis functions at the rows, (1 + R, N): ones for the bias, then K(x, v) of each vector (eq. 5)."""
+    """Return the basis functions at N rows, (1 + R, N), of Martinelli et al. (2018), eq. 5.
+
+    The first one is one (bias). The others are the kernel K(x, v) of each row x with each of R vectors v.
+    """
     functions = np.ones((len(vectors) + 1, len(X)))
     if kernel == "rbf":
         gram = cdist(vectors, X, "sqeuclidean")
@@ -76,10 +79,10 @@ def median_distance(vectors: FloatArray) -> float:
 def train_one_against_all(
     functions: FloatArray, label: IntArray, weight: FloatArray, n_classes: int, budget: Budget
 ) -> list[Trained]:
-    """Train K machines, each for its class against all others. For two classes, the first machine mirrors the second.
+    """Train K binary relevance vector machines, each for its class against all others.
 
-    Each machine is a `Trained` on the basis functions (R, N), which are the bias and the candidates. `label` (N,) is 0
-    to K - 1, and `weight` (N,) is the weight of each row.
+    For two classes, the first machine mirrors the second. Each machine is a `Trained` on the basis functions (R, N),
+    which are the bias and the candidates. `label` (N,) is 0 to K - 1, and `weight` (N,) is the weight of each row.
     """
     no_offset = np.zeros(len(label))
     machines: list[Trained] = []
@@ -150,7 +153,10 @@ def _train(
 def assemble(
     machines: Sequence[Trained], vectors: FloatArray, kernel: str, width: float, link: str, moderate: bool
 ) -> RelevanceVectors:
-    """Return K machines, trained on the bias and `vectors` (R, F), as arrays without unused vectors."""
+    """Return K trained machines as one kernel machine with shared arrays, without unused vectors.
+
+    The machines were trained on the bias and `vectors` (R, F).
+    """
     used = np.unique(np.concatenate([[0], *(machine.posterior.basis for machine in machines)]))  # with the bias
     size = max(len(machine.posterior.basis) for machine in machines)
     basis = np.zeros((len(machines), size), dtype=np.int64)

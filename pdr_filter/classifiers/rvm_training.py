@@ -54,11 +54,11 @@ class Likelihood(Protocol):
         ...
 
     def slope(self, logit: FloatArray) -> FloatArray:
-        """Return the derivatives d ln p / d t_n, (N,)."""
+        """Return the derivatives of the log-likelihood with respect to the logits, d ln p / d t_n, (N,)."""
         ...
 
     def curvature(self, logit: FloatArray) -> FloatArray:
-        """Return beta_n = -d^2 ln p / d t_n^2, (N,), which are not negative."""
+        """Return beta_n = -d^2 ln p / d t_n^2, (N,), the curvatures of the log-likelihood, which are not negative."""
         ...
 
 
@@ -77,7 +77,7 @@ class Bernoulli:
         return float(self.weight @ (self.target * t - np.logaddexp(0.0, t)))
 
     def slope(self, logit: FloatArray) -> FloatArray:
-        """Return the weighted y - sigma(t), (N,)."""
+        """Return the weighted residuals y - sigma(t), (N,), of targets y and logits t (offset included)."""
         return self.weight * (self.target - expit(logit + self.offset))
 
     def curvature(self, logit: FloatArray) -> FloatArray:
@@ -244,9 +244,10 @@ def apply(
 
 
 def inside_factors(now: Posterior) -> tuple[FloatArray, FloatArray]:
-    """Return sparsity s and quality q (M,) of the functions in the model.
+    """Return the sparsity s and quality q, (M,) each, of the M basis functions in the model.
 
-    They follow from 1 / Delta_mm = alpha_m + s_m and w_m = q_m Delta_mm.
+    With alpha_m the precision of the prior of weight w_m, and Delta the posterior covariance of the weights, they
+    follow from 1 / Delta_mm = alpha_m + s_m and w_m = q_m Delta_mm.
     """
     variance = now.variance
     s = np.maximum(1.0 / variance - now.alpha, np.finfo(float).eps / variance)
@@ -263,11 +264,12 @@ def evidence_gain(s: FloatArray, q: FloatArray) -> FloatArray:
 
 
 def outside_factors(likelihood: Likelihood, functions: FloatArray, now: Posterior) -> tuple[FloatArray, FloatArray]:
-    """Return S and Q, (R,) each, which equal s and q for functions outside of the model.
+    """Return S and Q, (R,) each, of R basis functions, which equal s and q (`inside_factors`) outside of the model.
 
-    For functions in the model, S is infinite. Otherwise Q = phi^T g and S = phi^T B phi - ||G Phi^T B phi||^2. The
-    matrix product in S takes most of the training time. It is computed in single precision, because S is only used here
-    to select the shortlist.
+    For functions in the model, S is infinite. Otherwise Q = phi^T g and S = phi^T B phi - ||G Phi^T B phi||^2. Here phi
+    is the basis function at all rows, Phi those of the model, g the gradient and B the diagonal matrix of curvatures of
+    the log-likelihood, and G^T G the posterior covariance of the weights. The matrix product in S takes most of the
+    training time. It is computed in single precision, because S is only used to select the shortlist.
     """
     beta, slope = likelihood.curvature(now.logit), likelihood.slope(now.logit)
     projection = ((functions[now.basis] * beta).T @ now.cov_factor.T).astype(np.float32)  # (N, M)
@@ -365,9 +367,10 @@ def posterior(
 
 
 def _reweighted(likelihood: Likelihood, phi: FloatArray, alpha: FloatArray, logit: FloatArray) -> FloatArray:
-    """Return the weights (M,) after one step of reweighted least squares from logits (N,).
+    """Return the weights (M,) after one step of iteratively reweighted least squares from logits t (N,).
 
-    They are Delta Phi^T B (t + B^-1 g).
+    They are Delta Phi^T B (t + B^-1 g), with the posterior covariance Delta, the basis functions Phi, and the gradient
+    g and the curvatures B (diagonal) of the log-likelihood.
     """
     beta = likelihood.curvature(logit)
     factor, scale = _scaled_cholesky(_precision(phi, beta, alpha))
@@ -382,7 +385,11 @@ def _empty(likelihood: Likelihood, functions: FloatArray) -> Posterior:
 
 
 def _precision(phi: FloatArray, beta: FloatArray, alpha: FloatArray) -> FloatArray:
-    """Return Phi^T B Phi + A, (M, M), the inverse of Delta (Martinelli et al. 2018, eq. 10)."""
+    """Return the precision matrix Phi^T B Phi + A (M, M) of the weights (Martinelli et al. 2018, eq. 10).
+
+    It is the inverse of the posterior covariance. Phi are the basis functions, B the diagonal matrix of curvatures, and
+    A that of the prior precisions alpha.
+    """
     scaled = phi * np.sqrt(beta)
     precision = scaled @ scaled.T
     precision[np.diag_indices_from(precision)] += alpha
@@ -400,9 +407,10 @@ def _levenberg_step(precision: FloatArray, gradient: FloatArray, damping: float)
 
 
 def _scaled_cholesky(precision: FloatArray, damping: float = 0.0) -> tuple[FloatArray, FloatArray]:
-    """Return lower L and scale d with L L^T = d_i H_ij d_j + damping I, where the scaled matrix has a unit diagonal.
+    """Return the lower triangular L and the scale d (M,) of a matrix H that is scaled to a unit diagonal.
 
-    The damping is raised until the matrix is positive definite.
+    L L^T has the elements d_i H_ij d_j, plus the damping on the diagonal. The damping is raised until the matrix is
+    positive definite.
     """
     scale = 1.0 / np.sqrt(np.diag(precision))
     scaled = precision * scale[:, None] * scale

@@ -10,7 +10,10 @@ from pdr_filter.values import FloatArray, check_array, softmax
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SoftmaxRegression(Machine):
-    """Multinomial logistic regression: p_k = softmax_k(w_k . x + b_k) of standardised features x."""
+    """Multinomial logistic regression: the logit of class k is w_k . x + b_k for standardised features x.
+
+    The softmax of the logits gives the class probabilities. w_k are the weights and b_k the bias of class k.
+    """
 
     weights: FloatArray  # (K, F) w
     intercept: FloatArray  # (K,) b

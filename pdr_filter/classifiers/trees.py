@@ -106,7 +106,10 @@ class Trees(Stored):
         return self.left == NO_CHILD
 
     def leaves(self, rows: FloatArray) -> Iterator[NDArray[np.intp]]:
-        """Yield the leaf nodes (T, n) that finite rows reach, for consecutive blocks of n of the rows (N, F)."""
+        """Yield the leaf nodes (T, n) that rows reach in each of T trees, for consecutive blocks of n rows.
+
+        The N rows (N, F) must be finite.
+        """
         with np.errstate(over="ignore"):  # values beyond float32 become infinite and go right
             values = rows.astype(np.float32)
         at_once = max(1, _BATCH_SIZE // len(self.roots))
@@ -198,7 +201,9 @@ def _check_links(trees: Trees) -> None:
         raise ValueError(f"roots must be nodes 0 to {n_nodes - 1}")
     visits = np.bincount(np.concatenate([children, trees.roots]), minlength=n_nodes)
     if (visits != 1).any():
-        raise ValueError(f"node {np.flatnonzero(visits != 1)[0]} belongs to no tree or to more than one place")
+        raise ValueError(
+            f"node {np.flatnonzero(visits != 1)[0]} belongs to no tree or has several parents: train again"
+        )
 
 
 def _levels(trees: Trees) -> list[NDArray[np.intp]]:

@@ -62,7 +62,7 @@ class Address:
 
     @property
     def name(self) -> str:
-        """Name or address by which phones reach this machine."""
+        """Name or address by which phones reach this computer."""
         from pdr_filter.live.access import lan_address
 
         return lan_address() if self.host in ("0.0.0.0", "::") else self.host

@@ -46,7 +46,7 @@ class StageSamples:
         return len(self.block.time_s)
 
     def part(self, a: int, b: int) -> StageSamples:
-        """Return the samples from a to b. Only a part with the first sample keeps the gap before it."""
+        """Return the samples from index a to index b. Only a part with the first sample keeps the gap before it."""
 
         def cut(columns: Any) -> Any:
             values = {f.name: getattr(columns, f.name) for f in fields(columns)}

@@ -21,7 +21,7 @@ from pdr_filter.values.recording import Recording, Truth
 
 @dataclass
 class Parsed:
-    """Streams on a common clock, and findings, which a reader fills in."""
+    """Streams on a common clock, and findings about them, which the reader of a format stores here."""
 
     path: Path
     source: str  # app or format, as the report names it
@@ -72,14 +72,17 @@ class Parsed:
         )
 
     def _move_epoch(self, by_s: float) -> None:
-        """Keep the unix time of time zero where time zero moves."""
+        """Move the Unix time of time zero when time zero moves by `by_s` seconds."""
         if by_s:
             for name, per_s in (("epoch_s", 1.0), ("epoch_ns", 1e9)):
                 if name in self.meta:
                     self.meta[name] += type(self.meta[name])(by_s * per_s)
 
     def _check_up(self, streams: Mapping[str, Samples], where: str) -> None:
-        """Check the sign of the accelerometer with the phone's own attitude, which shows the vertical."""
+        """Raise RecordingError if the sign of the accelerometer contradicts the phone's own attitude.
+
+        The attitude shows the direction of the vertical.
+        """
         cosine = up_cosine(streams["accelerometer"], streams["attitude"]) if "attitude" in streams else np.nan
         if np.isnan(cosine):
             return

@@ -58,9 +58,10 @@ def with_time(time_s: FloatArray, where: str, notes: list[str]) -> BoolArray:
 
 
 def up_cosine(accelerometer: Samples, attitude: Samples) -> float:
-    """Mean cosine between up and the specific force in the world of the phone's own attitude; NaN if not known.
+    """Return the mean cosine between up and the specific force that the phone's own attitude rotates into the world.
 
-    It is near 1 if the sign of the accelerometer and the sense of the quaternion (sensor to world) are right.
+    It is near 1 if the sign of the accelerometer and the sense of the quaternion (sensor to world) are right, and NaN
+    if it is unknown.
     """
     known = ~np.isnan(attitude.values).any(axis=1)
     if known.sum() < 2:
@@ -107,7 +108,7 @@ def _check_rows(samples: Samples, where: str) -> None:
 
 
 def _check_times(samples: Samples, where: str, is_unit_declared: bool) -> None:
-    """Refuse times that do not increase or are in another unit than seconds."""
+    """Raise RecordingError for times that do not increase or are in a unit other than seconds."""
     found = describe_stream("accelerometer", samples)
     n_still = found.n_duplicates + found.n_backward
     if 2 * n_still > len(samples) - 1:

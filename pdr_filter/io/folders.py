@@ -166,18 +166,21 @@ def _parts_in(path: Path) -> list[str]:
 
 @lru_cache(maxsize=20_000)
 def _parts_of_version(path: Path, n_bytes: int, changed_ns: int) -> tuple[str, ...]:
-    """Recordings in a file, remembered until it changes: a program may look at a large folder again and again."""
+    """Return the recordings in a file. The result is cached until the file changes.
+
+    A program may scan a large folder again and again.
+    """
     del n_bytes, changed_ns
     return tuple(parts_of(path))
 
 
 def _is_mapped(path: Path) -> bool:
-    """True for a text that has a TOML file of its columns."""
+    """Return True for a text file that has a TOML file with the mapping of its columns."""
     return path.suffix.lower() in _TEXTS and path.is_file() and mapping_beside(path).is_file()
 
 
 def _is_known(path: Path) -> bool:
-    """True for a text that looks like a recording, also for a broken one."""
+    """Return True for a text file that looks like a recording, even a damaged one."""
     if path.suffix.lower() not in _TEXTS:
         return False
     try:

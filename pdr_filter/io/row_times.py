@@ -49,10 +49,12 @@ def in_order(streams: Streams, suffix: str, notes: list[str]) -> dict[str, tuple
 def spread(
     streams: Streams, is_clock: bool, rate_hz: float, notes: list[str]
 ) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Return streams with a time for each sample of a group with a single time, as Bluetooth sensors deliver them.
+    """Return streams in which samples that share one time get individual times.
 
-    The time of a pack is that of its last sample. `rate_hz` is that of the samples, 0 if it is to be estimated.
-    `is_clock` says that the times were shown as dates, which a spreadsheet rounds to tenths and whole seconds.
+    Bluetooth sensors send several samples in one packet with a single time, which is the time of the last sample.
+    `rate_hz` is the sampling rate of the samples, or 0 to estimate it from the packets. `is_clock` is True if the
+    times were read from dates or times of day. A spreadsheet rounds these to tenths or whole seconds, and such rounded
+    times are left unchanged.
     """
     found, said = dict(streams), dict[str, list[str]]()
     for name in ("accelerometer", "gyroscope", "magnetometer"):
@@ -88,7 +90,7 @@ def spread(
 
 
 def _n_late(time_s: FloatArray) -> int:
-    """Number of rows with an earlier time than a row above them; 0 if only the clock jitters."""
+    """Return the number of rows whose time is earlier than that of a row above them, or 0 if only the clock jitters."""
     late_s = np.fmax.accumulate(time_s) - time_s
     return int((late_s > 0).sum()) if (late_s > _JITTER_S).any() else 0
 

@@ -31,9 +31,10 @@ def with_whole_addresses(blocks: Iterable[bytes]) -> Iterator[bytes]:
 
 
 def lines_of_log(pattern: bytes, separator: bytes, lines: bytes) -> bytes:
-    """Numbers of the lines that match, whose text may hold separators and quotes: names of networks may be anything.
+    """Return the numbers in the log lines that match a pattern.
 
-    `pattern` has a group for each number, and ADDRESS in place of the address.
+    The names of networks may contain separators and quotes. `pattern` has a group for each number, and ADDRESS in place
+    of the address of the access point.
     """
     found = re.finditer(pattern.replace(b"ADDRESS", _ADDRESS), lines, re.MULTILINE)
     rows = (separator.join(_ANY_ADDRESS.sub(_whole, group or b"") for group in match.groups()) for match in found)
@@ -41,9 +42,10 @@ def lines_of_log(pattern: bytes, separator: bytes, lines: bytes) -> bytes:
 
 
 def heard_s(reported_s: FloatArray, claimed_s: FloatArray, notes: list[str]) -> FloatArray:
-    """When access points were heard (N,): as the phone claims, if that is a few seconds before it reported them.
+    """Return the times (N,) in s at which the phone received the signals of access points.
 
-    Times of the report otherwise, with a note.
+    The time that the phone states is used if it is at most a few seconds before its report. Otherwise the time of the
+    report is used, with a note.
     """
     late_s = reported_s - claimed_s
     median_s = float(np.nanmedian(late_s)) if np.isfinite(late_s).any() else np.nan
@@ -55,10 +57,10 @@ def heard_s(reported_s: FloatArray, claimed_s: FloatArray, notes: list[str]) -> 
 
 
 def wifi_of(time_s: FloatArray, rows: FloatArray, where: str, notes: list[str]) -> Wifi | None:
-    """Wi-Fi of times (N,) and rows (N, 3) of address, dBm and MHz; None if no row is left.
+    """Return the Wi-Fi scans from times (N,) and rows (N, 3) of address, dBm and MHz, or None if no row is usable.
 
-    Rows without time, address or power are left out with a note. Phones report an access point again with the time at
-    which they heard it, so a row with the address and the time of another one is left out.
+    Rows without time, address or power are left out with a note. Phones repeat an access point with the time at which
+    they received it, so a row with the address and time of another row is left out.
     """
     bssid, rssi_dbm, frequency_mhz = rows.T
     whole = (bssid >= 0) & (bssid <= LARGEST_ADDRESS) & (bssid == np.floor(bssid))

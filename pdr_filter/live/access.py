@@ -22,7 +22,7 @@ LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")
 
 
 def is_loopback(host: str) -> bool:
-    """Whether a server that is bound to this host is for this machine only."""
+    """Return True if a server that is bound to this host can be reached from this computer only."""
     if host == "localhost":
         return True
     try:
@@ -32,7 +32,10 @@ def is_loopback(host: str) -> bool:
 
 
 def made_token(folder: Path | None) -> str:
-    """A new token, or the one of this folder's last server: phones keep the address that they were given."""
+    """Return the access token of this folder, or a new one.
+
+    Phones keep the address with the token that they were given, so a restarted server needs the same token.
+    """
     path = None if folder is None else folder / "token"
     if path is not None and path.exists() and (kept := path.read_text().strip()):
         return kept
@@ -45,12 +48,12 @@ def made_token(folder: Path | None) -> str:
 
 
 def is_token(token: str, given: Iterable[str | None]) -> bool:
-    """Whether one of the given texts is the token."""
+    """Return True if one of the given texts is the access token."""
     return any(hmac.compare_digest(token.encode(), value.encode("utf-8", "replace")) for value in given if value)
 
 
 def lan_address() -> str:
-    """Address of this machine in its local network, or 127.0.0.1 if unknown; nothing is sent."""
+    """Address of this computer in its local network, or 127.0.0.1 if unknown. Nothing is sent."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect(("192.0.2.1", 9))  # an address of documentation; for UDP it only chooses the interface
@@ -61,14 +64,14 @@ def lan_address() -> str:
 
 @dataclass
 class Rates:
-    """How much each sender may still send: a bucket of bytes that fills as time goes by."""
+    """Limit on the number of bytes that each sender may send: a token bucket that fills with time."""
 
     bytes_per_s: float = BYTES_PER_S
     burst_bytes: float = BURST_BYTES
     _left: dict[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
 
     def allows(self, who: str, n_bytes: int) -> bool:
-        """Whether this much more is within the bounds; it counts if so."""
+        """Return True, and count the bytes, if a sender may send `n_bytes` more now."""
         now = time.monotonic()
         left, then = self._left.pop(who, (self.burst_bytes, now))
         left = min(left + (now - then) * self.bytes_per_s, self.burst_bytes)

@@ -38,16 +38,19 @@ _NO_ROWS = np.empty((0, 3))
 
 
 class SessionError(ValueError):
-    """A session that cannot be tracked, with the reason and the remedy on the phone."""
+    """Error for a session that cannot be tracked. The message states the reason and what to change on the phone."""
 
 
 class LateError(ValueError):
-    """A message that came after its number was given up, so that its samples are not in the track."""
+    """Error for a message that arrived after the server had stopped waiting for it.
+
+    Its samples are not in the track.
+    """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Kind:
-    """Properties of a session that its first seconds show."""
+    """Properties of a session that its first seconds show, such as the kind of acceleration."""
 
     force: str  # the sensor that specific force comes from
     scale: float  # its unit and sign
@@ -58,7 +61,7 @@ class Kind:
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """State of a session between its messages, without the messages that wait."""
+    """State of a session between its messages. Waiting messages are kept separately."""
 
     kind: Kind | None = None
     next_number: int = -1  # expected number of the next message if the app numbers them; -1 before the first
@@ -104,7 +107,7 @@ def take(
         kind = _kind(waiting, platform)
         if isinstance(kind, str):
             if _is_too_much(waiting):
-                raise SessionError(f"still no track after {len(waiting)} messages: {kind}")
+                raise SessionError(f"there is still no track after {len(waiting)} messages: {kind}")
             return state, waiting, []
         state = replace_unchecked(state, kind=kind)
     return _released(state, waiting)
@@ -121,12 +124,16 @@ def finish(state: Assembly, held: Sequence[Message], platform: str) -> tuple[Ass
 
 
 def release(state: Assembly, held: Sequence[Message]) -> tuple[Assembly, list[Message], list[Streams]]:
-    """Return state, waiting messages and ready samples, without waiting any longer for missing messages or gravity."""
+    """Return the state, the messages that still wait, and the samples that are ready, at the end of a session.
+
+    Missing messages and gravity samples are no longer waited for. If the kind of the acceleration is still unknown, no
+    samples are ready and all messages remain in the list.
+    """
     return (state, list(held), []) if state.kind is None else _released(state, list(held), is_last=True)
 
 
 def reason_to_wait(state: Assembly, held: Sequence[Message], platform: str) -> str:
-    """Reason why messages wait, for the user; empty if none does."""
+    """Return the reason why messages of a session wait, for the user, or an empty string if none waits."""
     if not held:
         return ""
     if state.kind is None:
@@ -154,7 +161,10 @@ def _counted(state: Assembly, held: Sequence[Message], message: Message) -> tupl
 
 
 def _is_newer(state: Assembly, message: Message) -> bool:
-    """Whether all samples of a message are later than those passed on; after a set-back times do not show it."""
+    """Return True if all samples of a message are later than those already passed on.
+
+    After a backward clock jump the times do not show the order.
+    """
     begin_s, end_s = _span_s(state, message)
     return not state.set_backs and np.isfinite(end_s) and begin_s > state.last_s
 
@@ -204,7 +214,7 @@ def _number(message: Message) -> int:
 
 
 def _samples(state: Assembly, message: Message) -> tuple[Assembly, Streams]:
-    """Samples of one message, each sensor in order of time."""
+    """Return the state and the samples of one message, with each sensor in order of time."""
     kind = _kind_of(state)
     state, times_s = _on_one_clock(state, message, kind)
     found: Streams = {}
@@ -227,12 +237,12 @@ def _samples(state: Assembly, message: Message) -> tuple[Assembly, Streams]:
 
 
 def _whole(state: Assembly, force: Samples) -> Streams:
-    """Specific force in m/s2 with the sign of Android; empty without samples."""
+    """Return the specific force in m/s2 with the sign of Android, or no stream if it has no samples."""
     return {FORCE: Samples(force.time_s, _kind_of(state).scale * force.values)} if len(force) else {}
 
 
 def _kind_of(state: Assembly) -> Kind:
-    """The kind of acceleration that was found in the first samples."""
+    """Return the kind of acceleration that was found in the first samples of the session."""
     if state.kind is None:
         raise ValueError("no samples are assembled before the kind of the acceleration is known")
     return state.kind
@@ -246,9 +256,9 @@ def _latest_s(time_s: FloatArray) -> float:
 
 
 def _on_one_clock(state: Assembly, message: Message, kind: Kind) -> tuple[Assembly, dict[str, FloatArray]]:
-    """Times of a message in seconds by sensor, on a clock that is never set back.
+    """Return the times of a message in seconds, by sensor, on a clock without backward jumps.
 
-    Only the order of numbered messages tells a clock that was set back from samples that are sent again.
+    Only the order of numbered messages distinguishes a backward clock jump from samples that are sent again.
     """
     times_s = {name: seconds(rows, kind.zero_ns) + state.ahead_s for name, rows in message.rows.items()}
     force_s = times_s.get(kind.force, _NONE)
@@ -279,7 +289,10 @@ def _set_back(last_s: float, time_s: FloatArray, least_s: float) -> tuple[int, f
 def _with_gravity(
     state: Assembly, linear: Samples | None, gravity: Samples | None, is_last: bool = False
 ) -> tuple[Assembly, Samples]:
-    """Sum of linear acceleration and gravity, up to the time until which gravity is known or cannot come."""
+    """Return the sum of linear acceleration and gravity.
+
+    It ends at the time until which gravity is known. Later samples wait, unless no more gravity can arrive (`is_last`).
+    """
     linear_s, values = _appended(state.linear_s, state.linear, linear)
     gravity_s, known = _appended(state.gravity_s, state.gravity, gravity)
     order = np.argsort(gravity_s, kind="stable")
@@ -305,7 +318,10 @@ def _appended(time_s: FloatArray, values: FloatArray, rows: Samples | None) -> t
 
 
 def seconds(rows: SensorRows, zero_ns: int) -> FloatArray:
-    """Times in seconds: nanoseconds from time zero, as the files of the same apps are read; seconds as they are."""
+    """Return the times of a sensor in seconds.
+
+    Nanoseconds are counted from time zero, as when the files of the same apps are read. Seconds are unchanged.
+    """
     if rows.time.dtype.kind == "f":
         return rows.time.astype(np.float64)
     return (rows.time - zero_ns).astype(np.float64) * 1e-9  # the difference is exact in int64
@@ -329,7 +345,10 @@ def _moving(message: Message) -> Iterator[SensorRows]:
 
 
 def _kind(messages: Sequence[Message], platform: str, is_last: bool = False) -> Kind | str:
-    """Properties of a session, or the reason why they are not known yet; SessionError if they cannot be known."""
+    """Return the properties of a session, or the reason why they are not known yet.
+
+    SessionError if they can never be known.
+    """
     moving = [rows for m in messages for rows in _moving(m) if len(rows.time)]
     sensors = ", ".join(sorted({name for m in messages for name in m.rows})) or "no sensor"
     if not moving:
@@ -359,7 +378,7 @@ def _kind(messages: Sequence[Message], platform: str, is_last: bool = False) -> 
 
 
 def _check_rate(time: Any, unit_s: float) -> None:
-    """Raise SessionError if the first times are so close to each other that their unit must be wrong."""
+    """Raise SessionError if consecutive first times are so close that their unit must be wrong."""
     span_s = float(time.max() - time.min()) * unit_s
     if len(time) < _RATE_SAMPLES or 2 * span_s * len(_MOVING) * limits.RATE_RANGE_HZ[1] > len(time):
         return

@@ -12,7 +12,10 @@ NAMES = ("authority.pem", "server.pem")
 
 
 def certificate(folder: Path, host: str) -> Path:
-    """File with key and certificate for a host name or address, made once, and the certificate of its authority."""
+    """Return the file with key and certificate for a host name or address, and the certificate of its authority.
+
+    Both are created once and then reused.
+    """
     import trustme
 
     authority, server = (folder / name for name in NAMES)

@@ -25,7 +25,10 @@ _LOOK_S = 0.5
 
 
 class DaskCluster:
-    """Dask cluster, which the caller trusts: its workers run code that the server sends."""
+    """Dask cluster whose workers run the filters.
+
+    The caller must trust it, because its workers run code that the server sends.
+    """
 
     def __init__(self, scheduler: str, settings: Settings, folder: Path) -> None:
         self._scheduler, self._settings, self._folder = scheduler, settings, folder.resolve()
@@ -41,10 +44,10 @@ class DaskCluster:
             self._client = await made
 
     async def start(self, part: int, n_parts: int) -> Actor:
-        """Start a share at one of the workers, in turn."""
+        """Start a share of the sessions on one of the workers, which are chosen in turn."""
         addresses = sorted(await self._client.nthreads())
         if not addresses:
-            raise LostError(f"no worker at {self._scheduler}")
+            raise LostError(f"no worker at {self._scheduler}: start one with dask worker")
         address = addresses[part % len(addresses)]
         future = self._client.submit(
             Part,
@@ -65,13 +68,13 @@ class DaskCluster:
             raise LostError(f"{address}: {error}") from error
 
     async def close(self) -> None:
-        """Leave the cluster."""
+        """Disconnect from the cluster."""
         if self._client is not None:
             await self._client.close()
 
 
 class Actor:
-    """Share in a worker of the cluster."""
+    """Share of the sessions that a Dask worker serves."""
 
     def __init__(self, future: Any, actor: Any, address: str) -> None:
         self._future = future  # the actor lives as long as this reference
@@ -88,16 +91,16 @@ class Actor:
                 break
         if not asked.done():
             asked.cancel()
-            raise LostError(f"{self._address} is gone")
+            raise LostError(f"dask worker {self._address} is gone: start it again")
         return asked.result()
 
     async def _asked(self, requests: Sequence[Request]) -> list[Said]:
         try:
             return await self._actor.answer(list(requests))
         except Exception as error:  # a lost worker raises many kinds
-            raise LostError(f"{self._address} is gone: {error}") from error
+            raise LostError(f"dask worker {self._address} is gone ({error}): start it again") from error
 
     async def close(self) -> None:
-        """Save everything and end the actor."""
+        """Save all sessions and end the actor."""
         await self.ask([Save()])
         self._future.release()

@@ -31,7 +31,7 @@ _LOG = logging.getLogger(__name__)
 
 
 class Devices:
-    """Sessions of one worker. Events for pages are given to `emit`, as JSON objects."""
+    """Sessions that one worker serves. Events for the pages are passed to `emit` as JSON objects."""
 
     def __init__(
         self, settings: Settings, folder: Path, emit: Callable[[Event], None], part: int = 0, n_parts: int = 1
@@ -64,7 +64,10 @@ class Devices:
         return content
 
     def accept(self, messages: Sequence[Message], received_s: float) -> tuple[Event, set[str]]:
-        """Number of samples of messages, and the sessions that they are of; `settle` filters and writes them."""
+        """Assign messages to their sessions, and return the number of their samples and the ids of these sessions.
+
+        A session is created for a new phone. `settle` filters and saves the samples later.
+        """
         n, keys = 0, set[str]()
         for message in messages:
             if not message.device:
@@ -78,7 +81,10 @@ class Devices:
         return {"samples": n}, keys
 
     def settle(self, is_all: bool = False) -> dict[str, Exception]:
-        """Write all messages since the last call, and filter those of sessions that are due; return what failed."""
+        """Save all messages since the last call, and filter the sessions that are due.
+
+        The result holds the error of each session that failed.
+        """
         failed: dict[str, Exception] = {}
         wait_s = 0.0 if is_all else min(len(self.sessions) * _PASS_S, _LONGEST_WAIT_S)
         for key in list(self._taken):
@@ -141,7 +147,7 @@ class Devices:
         return [event for session in self.sessions.values() for event in session.whole()]
 
     def tick(self) -> None:
-        """Filter and save the rest, send events, and remove silent phones. Call it about once per second."""
+        """Filter and save what remains, send events, and remove silent phones. Call it about once per second."""
         self.settle()
         for key, session in list(self.sessions.items()):
             events = session.rest()
@@ -157,7 +163,7 @@ class Devices:
                 self.emit(event)
 
     def close(self) -> None:
-        """Save everything."""
+        """Save all sessions."""
         for session in self.sessions.values():
             for event in session.save():
                 self.emit(event)

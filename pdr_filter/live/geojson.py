@@ -14,7 +14,10 @@ _NOWHERE = (0.0, 0.0)
 
 
 def geojson(track: Event) -> dict[str, Any]:
-    """FeatureCollection with the path as a LineString; at latitude and longitude 0 if its place is unknown."""
+    """Return a GeoJSON FeatureCollection with the path of a track as a LineString.
+
+    If the geographic position of the track is unknown, it is drawn at latitude and longitude 0.
+    """
     path = np.array(track["path"] or [[0.0] * 6])
     origin = Origin(*(track["origin"] or _NOWHERE))
     latitude_deg, longitude_deg = origin.latitude_longitude_deg(path[:, 1:3])

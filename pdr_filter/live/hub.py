@@ -24,7 +24,7 @@ _ALIVE_S = 15.0
 
 
 class Live:
-    """Shared state of a running server."""
+    """State of a running server that all its requests share."""
 
     def __init__(self, settings: Settings, folder: Path, n_workers: int = 1, scheduler: str = "") -> None:
         self.settings, self.folder, self.n_workers, self.scheduler = settings, folder, n_workers, scheduler
@@ -39,7 +39,7 @@ class Live:
     def workers(self) -> Workers:
         """Workers of the running server; RuntimeError before it runs."""
         if self._workers is None:
-            raise RuntimeError("the server does not run")
+            raise RuntimeError("the server does not run: call start() before, or do not use it after its end")
         return self._workers
 
     async def start(self) -> None:
@@ -60,14 +60,17 @@ class Live:
         return {event["id"]: event for event in await self.workers.whole() if event["event"] == "track"}
 
     async def stop(self) -> None:
-        """Save everything."""
+        """Save all sessions and end the workers."""
         if self._workers is not None:
             await self._workers.close()
         if self._cluster is not None:
             await self._cluster.close()
 
     async def take(self, body: bytes, device: str = "", session: str = "", platform: str = "") -> Answer:
-        """Answer to the body of a message; `device` and the others are for messages that do not hold them."""
+        """Return the answer to the body of a message.
+
+        `device`, `session` and `platform` are used for messages that do not contain them.
+        """
         if len(body) > MAX_BODY_BYTES:
             return Answer(413, {"error": f"more than {MAX_BODY_BYTES} bytes in one message; send smaller ones"})
         try:
@@ -83,7 +86,7 @@ class Live:
         return await self.workers.take(Take(name, messages, time.time()))
 
     def _shown(self, text: str) -> None:
-        """Pass an event of a worker on to all readers."""
+        """Pass an event of a worker on to all pages and clients."""
         head = json.loads(text[: text.index(",")] + "}")["event"]
         if head in ("session", "gone"):
             event = json.loads(text)
@@ -95,18 +98,18 @@ class Live:
             reader.put(text)
 
     def end_readers(self) -> None:
-        """End the events of all readers, so that a server that is to end need not cut them off."""
+        """End the event streams of all clients, so that the server can stop without cutting connections."""
         self._is_ending = True
         for reader in self._readers:
             reader.put("")
 
     @property
     def is_full(self) -> bool:
-        """Whether there are as many readers as allowed."""
+        """Return True if the greatest number of clients is connected."""
         return len(self._readers) >= _MAX_READERS
 
     async def events(self) -> AsyncIterator[str]:
-        """Yield the present state of all sessions, then each event; "" now and then while there is none."""
+        """Yield the present state of all sessions, then each event, and an empty string now and then between events."""
         reader = Reader()
         self._readers.add(reader)
         try:
@@ -124,7 +127,10 @@ class Live:
 
 
 class Reader:
-    """Bounded queue of events for one reader; `is_stale` when the reader was too slow and needs the present state."""
+    """Bounded queue of events for one page or client.
+
+    `is_stale` is True if the client was too slow. It then needs the present state of all sessions.
+    """
 
     def __init__(self) -> None:
         self.is_stale = True

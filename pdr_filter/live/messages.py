@@ -38,7 +38,7 @@ _MAX_NUMBER = 2**53
 
 
 class MessageError(ValueError):
-    """A message that cannot be understood, with the reason."""
+    """Error for a message that cannot be understood. It states the reason."""
 
 
 class SensorRows(NamedTuple):
@@ -49,13 +49,13 @@ class SensorRows(NamedTuple):
 
     @property
     def unit_s(self) -> float:
-        """Seconds in one unit of `time`."""
+        """Seconds in one unit of `time`, 1e-9 for whole nanoseconds."""
         return 1.0 if self.time.dtype.kind == "f" else 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Message:
-    """Content of one message."""
+    """Content of one message of a phone: its samples or a fix, its device and session."""
 
     device: str
     session: str
@@ -73,7 +73,7 @@ class Message:
 
 
 def together(messages: Sequence[Message], name: str) -> SensorRows | None:
-    """Rows of one sensor in several messages; None without any."""
+    """Return the rows of one sensor in several messages, or None if there are none."""
     parts = [m.rows[name] for m in messages if name in m.rows and len(m.rows[name].time)]
     if not parts:
         return None
@@ -92,7 +92,7 @@ def parse(body: bytes, device: str = "", session: str = "", platform: str = "") 
     messages: list[Message] = []
     for item in items:
         if not isinstance(item, dict):
-            raise MessageError(f"a message is a JSON object, got {printable(item)[:40]!r}")
+            raise MessageError(f"a message must be a JSON object, got {printable(item)[:40]!r}: see docs/live.md")
         message = _message(cast("dict[str, Any]", item), known)
         if message is not None:
             # line ends in JSON are white space, and the journal needs a line for each message
@@ -106,7 +106,7 @@ _ONE_LINE = bytes.maketrans(b"\r\n", b"  ")
 
 
 def _items(body: bytes) -> list[Any]:
-    """JSON values of a body, which may be an array of them."""
+    """Return the JSON objects of a body, which may be a single object or an array."""
     try:
         content: Any = json.loads(body)
     except (ValueError, RecursionError) as error:
@@ -118,7 +118,7 @@ def _items(body: bytes) -> list[Any]:
 
 
 def to_json(message: Message) -> bytes:
-    """Body of a message in our own layout, with times in seconds, for `parse`."""
+    """Return the body of a message in the package's own layout, with times in seconds, as `parse` reads it."""
     samples = {name: np.column_stack([rows.time, rows.values]).tolist() for name, rows in message.rows.items()}
     content = {"device": message.device, "session": message.session, "platform": message.platform, "samples": samples}
     numbered = {} if message.number is None else {"number": message.number}
@@ -126,7 +126,7 @@ def to_json(message: Message) -> bytes:
 
 
 def _message(item: Mapping[str, Any], known: Mapping[str, str]) -> Message | None:
-    """Message of one object; None if it holds no known content."""
+    """Return the message in a JSON object, or None if its content is not used."""
     if "payload" in item:
         device, session = _text(item, "deviceId", known["device"]), _text(item, "sessionId", known["session"])
         rows = _sensor_logger_rows(item["payload"])
@@ -139,7 +139,7 @@ def _message(item: Mapping[str, Any], known: Mapping[str, str]) -> Message | Non
     if "fix" in item:
         fix: Any = item["fix"]
         if not isinstance(fix, dict):
-            raise MessageError(f"a fix is a JSON object, got {printable(fix)[:40]!r}")
+            raise MessageError(f"a fix must be a JSON object, got {printable(fix)[:40]!r}: see docs/live.md")
         return Message(device, session, None, platform, fix=cast("dict[str, Any]", fix))
     if {"type", "timestamp", "values"} <= item.keys():
         return Message(device, session, None, "android", _sensor_server_rows(item))
@@ -164,9 +164,9 @@ _SENSOR_LOGGER: Mapping[str, tuple[str, tuple[str, ...]]] = {
 
 
 def _sensor_logger_rows(payload: Any) -> dict[str, SensorRows]:
-    """Samples of a payload; sensors that nothing here uses are left out."""
+    """Return the samples in a payload of Sensor Logger by sensor. Sensors that are not used are left out."""
     if not isinstance(payload, list):
-        raise MessageError(f"payload is an array of samples, got {printable(payload)[:40]!r}")
+        raise MessageError(f"payload must be an array of samples, got {printable(payload)[:40]!r}: see docs/live.md")
     times: dict[str, list[Any]] = {}
     values: dict[str, list[list[Any]]] = {}
     try:
@@ -177,7 +177,9 @@ def _sensor_logger_rows(payload: Any) -> dict[str, SensorRows]:
                 times.setdefault(name, []).append(item["time"])
                 values.setdefault(name, []).append([held.get(key) for key in _SENSOR_LOGGER[name][1]])
     except (KeyError, TypeError, AttributeError) as error:
-        raise MessageError(f"payload holds a sample without name, time and values ({printable(error)[:60]})") from None
+        raise MessageError(
+            f"payload holds a sample without name, time and values ({printable(error)[:60]}): send all three"
+        ) from None
     return {_SENSOR_LOGGER[name][0]: _plausible(_payload_times(times[name]), _floats(values[name])) for name in times}
 
 
@@ -194,17 +196,19 @@ ANDROID_SENSORS: Mapping[str, str] = {
 
 
 def _sensor_server_rows(item: Mapping[str, Any]) -> dict[str, SensorRows]:
-    """Sample of an Android sensor event, which SensorServer passes on unchanged."""
+    """Return the sample of an Android sensor event, which SensorServer passes on unchanged."""
     sensor = ANDROID_SENSORS.get(str(item["type"]))
     if sensor is None:
         return {}
     values: Any = item["values"]
     if not isinstance(values, list) or len(cast("list[Any]", values)) < N_VALUES[sensor]:
-        raise MessageError(f"{item['type']}: values are {printable(values)[:40]!r}, not {N_VALUES[sensor]} numbers")
+        raise MessageError(
+            f"{item['type']}: values are {printable(values)[:40]!r}, but must be {N_VALUES[sensor]} numbers"
+        )
     try:
         time_ns = np.array([int(item["timestamp"])], dtype=np.int64)
     except (ValueError, TypeError, OverflowError) as error:
-        raise MessageError(f"timestamp is not whole nanoseconds ({printable(error)[:60]})") from None
+        raise MessageError(f"timestamp must be whole nanoseconds ({printable(error)[:60]})") from None
     return {sensor: _plausible(time_ns, _floats([cast("list[Any]", values)[: N_VALUES[sensor]]]))}
 
 
@@ -212,16 +216,18 @@ def _sensor_server_rows(item: Mapping[str, Any]) -> dict[str, SensorRows]:
 
 
 def _own_rows(samples: Any) -> dict[str, SensorRows]:
-    """Samples by sensor, [[time_s, value, ...], ...] of each."""
+    """Return the samples of a message in the package's own layout by sensor: rows [time_s, value, ...]."""
     if not isinstance(samples, dict):
-        raise MessageError(f"samples is an object of sensors, got {printable(samples)[:40]!r}")
+        raise MessageError(f"samples must be an object of sensors, got {printable(samples)[:40]!r}: see docs/live.md")
     found: dict[str, SensorRows] = {}
     for name, rows in cast("dict[str, Any]", samples).items():
         if name not in N_VALUES:
             raise MessageError(f"unknown sensor {printable(name)[:40]!r}; known are {', '.join(N_VALUES)}")
         table = _floats(rows)
         if table.size and (table.ndim != 2 or table.shape[1] != 1 + N_VALUES[name]):
-            raise MessageError(f"{name}: a sample is [time_s and {N_VALUES[name]} numbers], got shape {table.shape}")
+            raise MessageError(
+                f"{name}: a sample must be [time_s and {N_VALUES[name]} numbers], got an array of shape {table.shape}"
+            )
         if table.size:
             found[name] = _plausible(_own_times(table[:, 0]), table[:, 1:])
     return found
@@ -255,7 +261,9 @@ def phyphox_buffers(config: bytes) -> dict[str, tuple[str, ...]]:
             if sensor and {"t", *keys} <= places.keys():
                 found[sensor] = tuple(places[key] for key in ("t", *keys))
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise MessageError(f"/config is not that of phyphox ({printable(error)[:60]})") from None
+        raise MessageError(
+            f"/config is not that of phyphox ({printable(error)[:60]}): check the address, and update phyphox"
+        ) from None
     if FORCE not in found and not {LINEAR, GRAVITY} <= found.keys():
         raise MessageError(
             f"this experiment of phyphox has no acceleration with g (found: {', '.join(found) or 'nothing'}); open one "
@@ -265,16 +273,20 @@ def phyphox_buffers(config: bytes) -> dict[str, tuple[str, ...]]:
 
 
 def phyphox_rows(answer: bytes, buffers: Mapping[str, tuple[str, ...]]) -> dict[str, SensorRows]:
-    """New samples of each sensor from what phyphox answers at /get."""
+    """Return the new samples of each sensor from the answer of phyphox at /get."""
     try:
         content: dict[str, Any] = json.loads(answer)["buffer"]
         columns = {name: [_floats(content[buffer]["buffer"]) for buffer in buffers[name]] for name in buffers}
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise MessageError(f"/get is not that of phyphox ({printable(error)[:60]})") from None
+        raise MessageError(
+            f"/get is not that of phyphox ({printable(error)[:60]}): check the address, and update phyphox"
+        ) from None
     found: dict[str, SensorRows] = {}
     for name, lists in columns.items():
         if any(column.ndim != 1 for column in lists):
-            raise MessageError(f"/get is not that of phyphox (a buffer of {name} is no list of numbers)")
+            raise MessageError(
+                f"/get is not that of phyphox (a buffer of {name} is no list of numbers): update phyphox"
+            )
         n = min(map(len, lists))  # one may have grown while they were read
         if n:
             time_s, *values = (column[:n] for column in lists)
@@ -301,17 +313,20 @@ def _payload_times(times: Sequence[Any]) -> IntArray:
             found = np.array([int(t) for t in times], dtype=np.int64)
         return _nanoseconds(found, _unit_ns(found, is_seconds=found.dtype.kind == "f") or 1)
     except (ValueError, TypeError, OverflowError) as error:
-        raise MessageError(f"a time is not whole nanoseconds since 1970 ({printable(error)[:60]})") from None
+        raise MessageError(f"a time must be whole nanoseconds since 1970 ({printable(error)[:60]})") from None
 
 
 def _own_times(time: FloatArray) -> IntArray | FloatArray:
-    """Seconds as they are; times since 1970 in a smaller unit as whole nanoseconds."""
+    """Return times in seconds unchanged, and times since 1970 in a smaller unit as whole nanoseconds."""
     unit_ns = _unit_ns(time, is_seconds=False)
     return time if unit_ns is None else _nanoseconds(time, unit_ns)
 
 
 def _unit_ns(time: Any, is_seconds: bool) -> int | None:
-    """Nanoseconds in the unit of times since 1970; None for other times, and for seconds unless `is_seconds`."""
+    """Return the nanoseconds in the unit of times since 1970.
+
+    None for other times, and for seconds unless `is_seconds` is true.
+    """
     known = time[np.isfinite(time)]
     usual = abs(float(known[len(known) // 2])) if len(known) else 0.0
     units = _SINCE_1970 if is_seconds else _SINCE_1970[:-1]
@@ -319,7 +334,7 @@ def _unit_ns(time: Any, is_seconds: bool) -> int | None:
 
 
 def _nanoseconds(time: Any, unit_ns: int) -> IntArray:
-    """Times in whole nanoseconds; those that are too large for an int64 become a time that `_plausible` drops."""
+    """Return times in whole nanoseconds. A time too large for an int64 becomes one that `_plausible` discards."""
     if unit_ns == 1 and time.dtype.kind != "f":
         return time
     far = limits.MAX_WHOLE_TIME
@@ -333,11 +348,11 @@ def _floats(values: Any) -> FloatArray:
     try:
         return np.array(values, dtype=np.float64)  # null becomes NaN
     except (ValueError, TypeError, OverflowError) as error:
-        raise MessageError(f"a value is not a number ({printable(error)[:60]})") from None
+        raise MessageError(f"a value must be a number ({printable(error)[:60]})") from None
 
 
 def _plausible(time: Any, values: FloatArray) -> SensorRows:
-    """Rows with a usable time; values that no sensor gives become NaN."""
+    """Return the rows that have a usable time. Values that no sensor gives become NaN."""
     with np.errstate(invalid="ignore"):
         good = (time > -limits.MAX_WHOLE_TIME) & (time < limits.MAX_WHOLE_TIME)
         values = np.where(np.abs(values) < _LARGEST, values, np.nan)
@@ -345,7 +360,7 @@ def _plausible(time: Any, values: FloatArray) -> SensorRows:
 
 
 def _text(item: Mapping[str, Any], key: str, otherwise: str) -> str:
-    """A short text that can be shown."""
+    """Return a short text from a message, made safe for display."""
     value: Any = item.get(key)
     return printable(value if isinstance(value, str | int) and value != "" else otherwise)[: limits.MAX_NAME_CHARS]
 

@@ -18,7 +18,7 @@ from pdr_filter.live.settings import BusyError, Event, FixError, Settings
 
 @dataclass(frozen=True, slots=True)
 class Take:
-    """Messages of one body, all of one device, and when it was received."""
+    """Request to process the messages of one body, all of one device, with the time at which it was received."""
 
     device: str
     messages: Sequence[Message]
@@ -53,14 +53,14 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class Said:
-    """Answer, and events for pages as JSON."""
+    """Answer to a request, with the events for the pages as JSON texts."""
 
     answer: Answer
     events: list[str]
 
 
 class Part:
-    """Devices of one share.
+    """Devices that one worker serves.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ class Part:
         self._events.append(json.dumps(event, allow_nan=False))
 
     def answer(self, requests: Sequence[Request]) -> list[Said]:
-        """Answer requests in their order; messages that follow each other are filtered and written together."""
+        """Answer requests in their order. Consecutive messages are filtered and saved together."""
         said: list[Said] = []
         taken: list[tuple[Answer, set[str]]] = []
         for request in requests:
@@ -97,7 +97,7 @@ class Part:
         return [*said, *self._settled(taken)]
 
     def _settled(self, taken: Sequence[tuple[Answer, set[str]]]) -> list[Said]:
-        """Answers to messages after their sessions were filtered and written."""
+        """Return the answers to messages after their sessions were filtered and saved."""
         failed = self._devices.settle()
         answers: list[Answer] = []
         for answer, keys in taken:

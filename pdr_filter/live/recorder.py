@@ -51,12 +51,12 @@ class Recorder:
         replaced(self.folder / CONFIG, shared.name.encode())
 
     def config(self) -> Any:
-        """Configuration that `describe` was given."""
+        """Configuration that was passed to `describe`."""
         name = (self.folder / CONFIG).read_text()
         return serialise.from_bytes((self.folder.parent / CONFIGS / name).read_bytes())
 
     def samples(self, name: str, rows: Samples) -> None:
-        """Append samples of a sensor with every digit, so that the recording holds what the filter was given."""
+        """Append samples of a sensor with all digits, so that the recording equals what the filter received."""
         table = np.column_stack([rows.time_s, rows.values]).tolist()
         lines = "".join([",".join(map(repr, row)) + "\n" for row in table]).replace("nan", "")
         self._append(f"{name}.csv", ",".join(("time_s", *STREAM_COLUMNS[name])) + "\n", lines)
@@ -74,11 +74,11 @@ class Recorder:
         self._append(RANGES, _RANGE_COLUMNS, f"{time_s!r},{east_m!r},{north_m!r},{range_m!r},{std_m!r}\n")
 
     def journal(self, message: Message) -> None:
-        """Append a message, which stays until the next `saved`."""
+        """Append a message to the journal, where it stays until the next call of `saved`."""
         self._append(_journal(self._n_saved), "", _line(message))
 
     def flush(self) -> None:
-        """Write everything that was appended; it is out of this process when this returns."""
+        """Write everything that was appended. When this returns, the operating system has the data."""
         for name, lines in self._waiting.items():
             with (self.folder / name).open("ab", buffering=0) as file:
                 file.write("".join(lines).encode())
@@ -86,7 +86,7 @@ class Recorder:
         self._waiting = {}
 
     def saved(self, state: object, held: Iterable[Message]) -> None:
-        """Write a state from which `load` goes on; a new journal begins with the messages that wait."""
+        """Save a state from which `load` continues. A new journal begins with the messages that still wait."""
         self.flush()
         old = _journal(self._n_saved)
         self._n_saved += 1
@@ -119,7 +119,7 @@ class Recorder:
         return state, [_entry(line.decode()) for line in whole.split(b"\n") if line]
 
     def steps(self) -> list[dict[str, Any]]:
-        """Steps that are on the disk."""
+        """Return the steps that were written to disk."""
         path = self.folder / STEPS
         return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
@@ -140,7 +140,10 @@ class Recorder:
 
 
 def exported(folder: Path) -> dict[str, Path]:
-    """Files of a recording for users, by their names: samples, steps and fixes, or the messages of an untracked one."""
+    """Return the files of a recording for users, by name.
+
+    They are samples, steps and fixes, or the messages of a session that was not tracked.
+    """
     names = [name for name in (*FILES, STEPS, FIXES, RANGES) if (folder / name).exists()]
     journal = next(folder.glob("journal_*"), None)
     if not names and journal is not None:
@@ -153,7 +156,11 @@ def _journal(number: int) -> str:
 
 
 def _line(message: Message) -> str:
-    """A message with the names that its JSON may lack, which the address held."""
+    """Return a message as one line of the journal.
+
+    Device, session and platform precede the JSON text. The text may lack them, because the address of the request can
+    hold them.
+    """
     names = {"device": message.device, "session": message.session, "platform": message.platform}
     return f"{json.dumps(names)} {message.source.decode('utf-8', 'replace')}\n"
 
@@ -164,7 +171,7 @@ def _entry(line: str) -> tuple[str, str, str, bytes]:
 
 
 def replaced(path: Path, content: bytes) -> None:
-    """Write a file that is the old one or the new one, whenever the process ends."""
+    """Replace a file atomically: even if the process ends suddenly, the file is the old or the new one."""
     unfinished = path.with_name(f"{path.name}.{os.getpid()}.part")  # two workers may write one configuration
     unfinished.write_bytes(content)
     unfinished.replace(path)

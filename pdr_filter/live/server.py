@@ -33,7 +33,7 @@ _SHARED = [Path(__file__).parents[1] / "report" / name for name in ("assets", "p
 
 
 class Site:
-    """Handlers of all routes. `tiles` is the address of map tiles."""
+    """Handlers of all routes of the web server. `tiles` is the address of the map tiles."""
 
     def __init__(self, live: Live, tiles: str) -> None:
         self.live, self.tiles = live, tiles
@@ -58,7 +58,7 @@ class Site:
     # --- the page ---
 
     async def page(self, request: Request) -> Response:
-        """Serve the page of the tracks, or that for the browser of a phone."""
+        """Serve the page that shows the tracks, or the page on which a phone records in its browser."""
         name = {"/": "index.html", "/phone": "phone.html"}[request.url.path]
         return FileResponse(PAGE / name, headers=page_headers(self.tiles))
 
@@ -79,12 +79,12 @@ class Site:
     # --- messages ---
 
     async def data(self, request: Request) -> Response:
-        """Take the messages of a phone."""
+        """Process the body of a message that a phone sends."""
         body = await body_of(request)
         return _TOO_LONG if body is None else _json(await self.live.take(body, **_named(request)))
 
     async def stream(self, socket: WebSocket) -> None:
-        """Take messages over WebSocket; each gets an answer."""
+        """Process messages that arrive over a WebSocket. Each message gets an answer."""
         await socket.accept()
         named = _named(socket)
         named["session"] = named["session"] or uuid.uuid4().hex
@@ -153,20 +153,23 @@ class Site:
 
 
 def app(live: Live, token: str = "", tiles: str = "") -> Starlette:
-    """Application of a running server. Without a token it answers this machine only."""
+    """Application of a running server. Without a token it answers requests from this computer only."""
     made = Starlette(routes=Site(live, tiles).routes())
     made.add_middleware(AccessMiddleware, token=token)
     return made
 
 
 class AccessMiddleware:
-    """Refuses requests without the token; without a token, those from other machines or from pages of other sites."""
+    """Middleware that refuses requests without the access token.
+
+    Without a token, it refuses requests from other computers and from pages of other sites.
+    """
 
     def __init__(self, inner: ASGIApp, token: str) -> None:
         self.inner, self.token = inner, token
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on, or refuse it."""
+        """Pass a request to the application, or refuse it."""
         if scope["type"] not in ("http", "websocket"):
             await self.inner(scope, receive, send)
             return
@@ -225,23 +228,23 @@ def _json(answer: Answer) -> Response:
 
 
 def _named(asked: HTTPConnection) -> dict[str, str]:
-    """Names of device, session and platform in the address."""
+    """Return the names of device, session and platform in the address of a request."""
     return {name: asked.query_params.get(name, "")[:200] for name in ("device", "session", "platform")}
 
 
 def attachment(name: str) -> dict[str, str]:
-    """Headers of a file that a browser saves."""
+    """Return the headers with which a browser saves a response as a file."""
     return {"Content-Disposition": f'attachment; filename="{name}"'}
 
 
 def image_sources(tiles: str) -> str:
-    """Sources of images that a page may load: this server, and that of the map tiles."""
+    """Return the sources of images that a page may load: this server and the server of the map tiles."""
     where = urlsplit(tiles)
     return f"'self' data: {where.scheme}://{where.netloc}" if tiles else "'self' data:"
 
 
 def page_headers(tiles: str) -> dict[str, str]:
-    """Headers that let the page load nothing from other servers, except the tiles that the user named."""
+    """Return headers that forbid the page to load from other servers, except map tiles of the named server."""
     policy = (
         f"default-src 'self'; img-src {image_sources(tiles)}; style-src 'self' 'unsafe-inline'; frame-ancestors 'none'"
     )
@@ -249,7 +252,7 @@ def page_headers(tiles: str) -> dict[str, str]:
 
 
 def _zipped(folder: Path) -> bytes:
-    """Zip file of the files of a recording that are on the disk."""
+    """Return a zip file with the files of a recording that are on the disk."""
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", compression=zipfile.ZIP_DEFLATED) as archive:
         for name, path in exported(folder).items():

@@ -72,13 +72,16 @@ def plain_config_bytes(settings: Settings) -> bytes:
 
 
 def session_id(device: str, session: str) -> str:
-    """Name for addresses and folders: letters of the device and a checksum, so that no two sessions share one."""
+    """Return a session's name for addresses and folders.
+
+    It consists of letters of the device name and a checksum, so that no two sessions share a name.
+    """
     letters = "".join(c if c.isascii() and (c.isalnum() or c in "-_") else "_" for c in file_name(device))[:40]
     return f"{letters}-{hashlib.sha256(json.dumps([device, session]).encode()).hexdigest()[:12]}"
 
 
 class DeviceSession:
-    """One session of one device."""
+    """One session of one phone: its filter, its recording, and its waiting messages."""
 
     def __init__(self, device: str, session: str, settings: Settings, folder: Path) -> None:
         self.id = session_id(device, session)
@@ -153,7 +156,7 @@ class DeviceSession:
         return self._ready_s >= wait_s or time.monotonic() - self._advanced_at >= 2 * wait_s
 
     def advance(self) -> list[Event]:
-        """Filter the samples of all messages that were taken; afterwards `refused` may hold a reason."""
+        """Filter the samples of all messages that `take` received. Afterwards `refused` may hold a reason."""
         ready, self._ready, self._ready_s, self._advanced_at = self._ready, [], 0.0, time.monotonic()
         if self.refused:
             return []
@@ -173,7 +176,7 @@ class DeviceSession:
         return self.advance()
 
     def finish(self) -> list[Event]:
-        """Filter the last steps, when no other message will come."""
+        """Filter the last steps, when no further message can arrive."""
         try:
             self.assembly, self.held, ready = assembly.finish(self.assembly, self.held, self.settings.platform)
             self._record(ready)
@@ -195,7 +198,7 @@ class DeviceSession:
         return [*events, *self._outcomes(), *self._turned(), *self._corrected(), *self._now()]
 
     def _begun(self, samples: assembly.Streams) -> Config:
-        """Configuration for the sensors of the first seconds."""
+        """Return the configuration for the sensors that the first seconds contain."""
         kind = self.assembly.kind
         if kind is None:
             raise ValueError("no filter begins before the kind of the acceleration is known")
@@ -257,7 +260,7 @@ class DeviceSession:
     # --- events ---
 
     def about(self) -> Event:
-        """Properties of the session, with the reason why it waits or is not tracked."""
+        """Return the properties of the session, with the reason why it waits or cannot be tracked."""
         kind, origin = self.assembly.kind, None if self.online is None else self.online.origin
         waits = "" if self.refused else assembly.reason_to_wait(self.assembly, self.held, self.settings.platform)
         return {
@@ -329,7 +332,7 @@ class DeviceSession:
         return [{"event": "now", "id": self.id, "received_unix_s": sent, "silent_s": silent_s, **now}]
 
     def _turned(self, is_due: bool = False) -> list[Event]:
-        """`track` event now and then while north is not settled, because the whole path turns with it."""
+        """Return a `track` event now and then while north is uncertain, because the whole path rotates with it."""
         online = self.online
         wait_s = _TURN_S + len(self.path) * _TURN_STEP_S
         if online is None or (time.monotonic() - self._turn_at < wait_s and not is_due):
@@ -348,7 +351,7 @@ class DeviceSession:
         return [self.track()]
 
     def _corrected(self, is_due: bool = False) -> list[Event]:
-        """`path` event, if later samples and fixes have corrected what pages draw by more than a metre."""
+        """Return a `path` event if later samples and fixes moved what the pages draw by more than a metre."""
         if self.online is None or (time.monotonic() - self._drawn_at < _CORRECTED_S and not is_due):
             return []
         self._drawn_at = time.monotonic()
@@ -367,22 +370,25 @@ class DeviceSession:
         return {"event": "path", "id": self.id, "path": self._drawn}
 
     def track(self) -> Event:
-        """Event with the session and its path: time, east, north and covariance (ee, en, nn) after each step."""
+        """Return the event with the session and its path.
+
+        The path has time, east, north and covariance (ee, en, nn) after each step.
+        """
         silent_s = time.monotonic() - self.seen_at
         return {**self.about(), "event": "track", "silent_s": silent_s, "path": self.path}
 
     def rest(self) -> list[Event]:
-        """`now` event for the last samples, if they came too soon after the previous one."""
+        """Return a `now` event for the last samples if they came too soon after the previous event."""
         return self._now(is_due=True, is_live=False) if self._is_untold else []
 
     def whole(self) -> list[Event]:
-        """Events for a page that was just opened."""
+        """Return the events that show the whole session to a newly opened page."""
         track = {**self.track(), "history": list(self._history)}
         return [track, self._drawn_path(), *self._now(is_due=True, is_live=False)]
 
     @property
     def unsaved_s(self) -> float:
-        """Time since the first change that is not in the saved state."""
+        """Time since the first change that was not saved, s."""
         return max(time.monotonic() - self._unsaved_at, 0.0)
 
     def save(self) -> list[Event]:
@@ -429,7 +435,10 @@ class DeviceSession:
 
 
 def _pushed(online: OnlineFilter, samples: assembly.Streams) -> list[StepUpdate]:
-    """Updates after samples of all sensors; long stretches, such as after an outage, are pushed in parts."""
+    """Push samples of all sensors to a filter and return its updates.
+
+    Long stretches, such as those after an outage, are pushed in parts.
+    """
     begin_s = min(float(stream.time_s[0]) for stream in samples.values())
     parts = {name: np.floor((stream.time_s - begin_s) / _PART_S) for name, stream in samples.items()}
     updates: list[StepUpdate] = []
@@ -450,7 +459,7 @@ def _rows(samples: Samples, first: int, last: int) -> Samples:
 
 
 def _joined(ready: Sequence[assembly.Streams]) -> assembly.Streams:
-    """Samples of several messages as those of one, each sensor in order of time."""
+    """Return the samples of several messages joined, with each sensor in order of time."""
     if len(ready) == 1:
         return ready[0]
     found: assembly.Streams = {}
@@ -468,7 +477,7 @@ def _set_back_words(set_back: tuple[float, float]) -> str:
 
 
 def _place(content: Mapping[str, Any]) -> Place:
-    """Place from the form that `StepUpdate.to_dict` writes."""
+    """Return the place from its JSON form that `StepUpdate.to_dict` writes."""
     position_m, cov_m2 = np.array(content["position_m"]), np.array(content["cov_m2"])
     return Place(position_m, cov_m2, content["heading_rad"], content["n_steps"])
 

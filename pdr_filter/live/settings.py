@@ -11,16 +11,16 @@ Event = dict[str, Any]
 
 
 class FixError(ValueError):
-    """A fix that cannot be used, with the reason."""
+    """Error for a fix that cannot be used. It states the reason."""
 
 
 class BusyError(RuntimeError):
-    """No room or no time for a message at present."""
+    """Error for a message that the server has no room or no time for at present."""
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """Options for tracking, which all phones share."""
+    """Tracking options of a server, which apply to all phones."""
 
     recipe: str = "default"
     height_m: float | None = None

@@ -61,7 +61,10 @@ def told(take: Taker, name: str, say: Callable[[str], None]) -> Taker:
 
 
 async def replay(recording: Recording, speed: float, take: Taker) -> None:
-    """Send a recording as if it were walked now, or `speed` times as fast, until it ends or is refused."""
+    """Send the samples of a recording as messages, in real time or `speed` times faster.
+
+    It returns when the recording ends or the server refuses a message.
+    """
     streams = {name: samples for name, samples in recording.streams.items() if name in N_VALUES and name != "attitude"}
     time_s = recording.accelerometer.time_s
     # In recorded order: what a recording's clock did is replayed too. Other sensors go with the samples of their time.
@@ -86,7 +89,7 @@ async def replay(recording: Recording, speed: float, take: Taker) -> None:
 
 
 async def again(source: Callable[[], Awaitable[None]], say: Callable[[str], None]) -> None:
-    """Run a source again whenever it breaks off; each new reason is shown once."""
+    """Run a source, and restart it whenever its connection breaks. Each new reason is shown once."""
     said = ""
     while True:
         try:
@@ -103,9 +106,9 @@ async def again(source: Callable[[], Awaitable[None]], say: Callable[[str], None
 
 
 class Phyphox:
-    """A phone with phyphox, whose remote access is on. It is asked for its new samples five times a second.
+    """Source that fetches the new samples of a phone with phyphox five times a second.
 
-    After a broken connection it goes on behind the last sample that it gave.
+    Remote access must be on in the app. After a broken connection, the source continues after the last sample.
     """
 
     def __init__(self, address: str, take: Taker) -> None:
@@ -113,7 +116,7 @@ class Phyphox:
         self._session, self._seen_s = "", dict[str, float]()
 
     async def run(self) -> None:
-        """Ask until the connection breaks."""
+        """Fetch samples until the connection breaks."""
         buffers = phyphox_buffers(await self._got("config"))
         if not self._session:
             await self._got("control?cmd=start")
@@ -130,7 +133,7 @@ class Phyphox:
             await asyncio.sleep(_PART_S)
 
     async def _give(self, rows: Mapping[str, SensorRows]) -> None:
-        """Send new samples as messages of bounded length; their times show which samples were sent before."""
+        """Send new samples in messages of bounded length. Their times show which samples were already sent."""
         for part in _parts({name: r for name, r in rows.items() if len(r.time)}):
             message = Message(f"phyphox {urlsplit(self._address).netloc}", self._session, None, "android", part)
             await self._take(to_json(message))
@@ -141,7 +144,7 @@ class Phyphox:
 
 
 def _parts(rows: Mapping[str, SensorRows]) -> Iterator[dict[str, SensorRows]]:
-    """Samples of all sensors, ten seconds after ten seconds."""
+    """Yield the samples of all sensors in parts of ten seconds."""
     numbers = {name: np.floor(r.time / _LONG_S) for name, r in rows.items()}
     for number in np.unique(np.concatenate([*numbers.values(), np.empty(0)])):
         inside = {name: numbers[name] == number for name in rows}
@@ -149,7 +152,7 @@ def _parts(rows: Mapping[str, SensorRows]) -> Iterator[dict[str, SensorRows]]:
 
 
 def _phyphox_query(buffers: Mapping[str, tuple[str, ...]], seen_s: Mapping[str, float]) -> str:
-    """Query for the samples of each sensor after the last one received."""
+    """Return the query for the samples of each sensor after the last received one."""
     asked: list[str] = []
     for name, (time, *values) in buffers.items():
         after = f"{seen_s.get(name, 0.0)!r}"
@@ -163,7 +166,7 @@ def _later(rows: SensorRows, seen_s: float) -> SensorRows:
 
 
 def _got(address: str) -> bytes:
-    """Content of an address; each request opens a connection, because phyphox keeps none open."""
+    """Return the content of an address. Each request opens a connection, because phyphox keeps none open."""
     with urllib.request.urlopen(address, timeout=_ANSWER_S) as answer:
         content = answer.read(_MAX_ANSWER_BYTES + 1)
     if len(content) > _MAX_ANSWER_BYTES:
@@ -175,7 +178,7 @@ def _got(address: str) -> bytes:
 
 
 async def sensor_server(address: str, session: str, take: Taker) -> None:
-    """Listen to an Android phone with SensorServer, whose WebSocket sends one sample in each message."""
+    """Receive samples from an Android phone with SensorServer, whose WebSocket sends one sample per message."""
     from websockets.asyncio.client import connect
 
     address = _with_scheme(address, "ws").rstrip("/")
@@ -194,7 +197,7 @@ async def sensor_server(address: str, session: str, take: Taker) -> None:
 
 
 def _joined(bodies: list[bytes]) -> dict[str, SensorRows]:
-    """Samples of many messages by sensor, in seconds since the phone was switched on."""
+    """Return the samples of many messages by sensor, with times in seconds since the phone was switched on."""
     messages = [message for body in bodies for message in parse(body)]
     joined = {name: together(messages, name) for name in dict.fromkeys(name for m in messages for name in m.rows)}
     return {name: SensorRows(1e-9 * rows.time.astype(np.float64), rows.values) for name, rows in joined.items() if rows}
@@ -219,7 +222,7 @@ class Mqtt:
             )
 
     async def run(self) -> None:
-        """Take messages until the connection breaks."""
+        """Receive messages until the connection breaks."""
         import aiomqtt
 
         parts = self._address

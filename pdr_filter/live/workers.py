@@ -41,19 +41,19 @@ _LOG = logging.getLogger(__name__)
 
 
 class Share(Protocol):
-    """Share of the devices, in a process or an actor."""
+    """Share of the devices that one process or one actor of a cluster serves."""
 
     async def ask(self, requests: Sequence[Request]) -> list[Said]:
         """Return an answer to each request; LostError if the share is gone. One call at a time."""
         ...
 
     async def close(self) -> None:
-        """Save everything and end the share."""
+        """Save all sessions and end the share."""
         ...
 
 
 class Process:
-    """Share in a process of this machine."""
+    """Share of the sessions that a process on this computer serves."""
 
     def __init__(self, settings: Settings, folder: Path, part: int, n_parts: int) -> None:
         self._process = WorkerProcess(answers_of_part, settings, folder, part, n_parts)
@@ -71,14 +71,14 @@ class Process:
         return await asyncio.get_running_loop().run_in_executor(self._thread, self._process.ask, requests)
 
     async def close(self) -> None:
-        """Save everything and end the process."""
+        """Save all sessions and end the process."""
         await self.ask([Save()])
         self._process.close()
 
 
 @dataclass(slots=True, eq=False)
 class _Waiting:
-    """Request without an answer."""
+    """Request that has not been answered yet."""
 
     request: Request
     answered: asyncio.Future[Answer]
@@ -86,7 +86,7 @@ class _Waiting:
 
 
 class _Worker:
-    """Queue of requests for a share, which is replaced when it dies."""
+    """Queue of requests for a share of the devices. If the share dies, a new one replaces it."""
 
     def __init__(self, start: Callable[[], Awaitable[Share]], show: Callable[[str], None]) -> None:
         self._start, self._show = start, show
@@ -97,7 +97,7 @@ class _Worker:
         self._running: asyncio.Task[None] | None = None
 
     async def start(self) -> None:
-        """Start the share; return when it is ready for requests."""
+        """Start the share, and return when it is ready for requests."""
         share = await asyncio.wait_for(self._start(), _START_S)
         self._running = asyncio.create_task(self._run(share))
 
@@ -119,7 +119,10 @@ class _Worker:
                 await asyncio.wait_for(self._running, _CLOSE_S)
 
     async def _run(self, share: Share) -> None:
-        """Give requests to the share or its successor, until all are answered and the worker is closed."""
+        """Pass requests to the share, or to the one that replaced it.
+
+        This ends when the worker is closed and all requests are answered.
+        """
         ticked_at = time.monotonic()
         while self._waiting or not self._closed:
             batch = list(islice(self._waiting, 1 if self._n_alone else _AT_ONCE))
@@ -154,7 +157,7 @@ class _Worker:
             waiting.answered.set_result(answer)
 
     def _lost(self, batch: Sequence[_Waiting]) -> None:
-        """Count a try of each request that a share had when it died."""
+        """Count one attempt for each request that a share had not answered when it died."""
         self._n_alone = len(batch)
         for waiting in batch:
             waiting.n_tries += 1
@@ -162,7 +165,10 @@ class _Worker:
             self._answered(batch[0], Answer(500, {"error": "this message ended the process that took it, twice"}))
 
     async def _restart(self) -> Share:
-        """Next share, however long it takes; after a while requests are refused, so that phones do not hang."""
+        """Start a new share, however long this takes.
+
+        After a while, requests are refused, so that phones do not wait for an answer.
+        """
         wait_s, begun = _TICK_S, time.monotonic()
         while True:
             try:
@@ -190,7 +196,7 @@ class Workers:
         self._workers = [_Worker(starter(part), show) for part in range(n)]
 
     async def start(self) -> None:
-        """Start all workers; return when they are ready."""
+        """Start all workers, and return when they are ready."""
         await asyncio.gather(*(worker.start() for worker in self._workers))
 
     async def take(self, request: Take) -> Answer:
@@ -198,7 +204,7 @@ class Workers:
         return await self._workers[part_of(request.device, len(self._workers))].ask(request)
 
     async def whole(self) -> list[Event]:
-        """Events with the path and the present estimate of each session."""
+        """Return the events with the path and the present estimate of each session."""
         answers = await asyncio.gather(*(worker.ask(Whole()) for worker in self._workers))
         return [event for answer in answers if answer.status == 200 for event in answer.content]
 

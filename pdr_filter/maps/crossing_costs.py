@@ -160,7 +160,7 @@ class Ground:
         return -np.log(prob / _N_DIRECTIONS).ravel()
 
     def heights(self, position_m: FloatArray) -> FloatArray:
-        """Return the cost of being at positions (..., 2)."""
+        """Return the cost of being at positions (..., 2) in m."""
         index, inside = self.storey.index(position_m)
         return np.where(inside, self.height[index], self.terrain.outside)
 

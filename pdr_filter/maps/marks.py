@@ -210,11 +210,11 @@ def _check_walk(walk: Any, path: Path) -> None:
         raise ValueError(f"{path}: must be an object with {', '.join(_KINDS)}, got {str(walk)[:80]}; correct it")
     for name, value in walk.items():
         if not isinstance(value, _KINDS[name]) or (isinstance(value, bool) and _KINDS[name] is not bool):
-            raise ValueError(f"{path}: {name} is {str(value)[:80]!r}, which has another type; correct it")
+            raise ValueError(f"{path}: {name} is {str(value)[:80]!r}, which has another type: correct it in the file")
     try:
         if "height_m" in walk:
             check_height(walk["height_m"])
         if "origin" in walk:
             Origin.of(tuple(walk["origin"]))
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+        raise ValueError(f"{path}: {error}; correct this value in the file") from None

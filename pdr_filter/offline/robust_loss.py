@@ -33,9 +33,9 @@ _HUBER_ITERATIONS = 5  # a redescending loss needs an initial estimate that outl
 def weights(misfit: FloatArray, loss: str, mu: float = 1.0) -> FloatArray:
     """Return the weights w(u) of residuals u in standard deviations.
 
-    "huber" is min(1, k / |u|), "cauchy" is 1 / (1 + (u / k)^2), and "gnc" is the weight of truncated least squares
-    (`truncated_weights`). `mu` is the control parameter of the graduated non-convexity. Raises ValueError for an
-    unknown loss.
+    "huber" is min(1, k / |u|) and "cauchy" is 1 / (1 + (u / k)^2), with the tuning constant k of the loss. "gnc" is the
+    weight of truncated least squares (`truncated_weights`). `mu` is the control parameter of the graduated
+    non-convexity. Raises ValueError for an unknown loss.
     """
     if loss == "none":
         return np.ones_like(misfit)

@@ -556,7 +556,7 @@ def _check_numbers(calibration: Calibration) -> None:
 
 
 def slices_of(models: Mapping[str, StepLengthModel]) -> tuple[dict[str, slice], int]:
-    """Return the slice of each context in theta (P,), and P."""
+    """Return the slice of each context in the parameter vector theta (P,) of all contexts, and its length P."""
     ends = np.cumsum([0, *(m.n_params for m in models.values())])
     return {name: slice(int(a), int(b)) for name, (a, b) in zip(models, pairwise(ends), strict=True)}, int(ends[-1])
 
@@ -694,7 +694,8 @@ def _model_from_plain(context: str, plain: Mapping[str, Any], config: Config | N
     kind = getattr(step_length, str(plain["class"]), None)
     if not (isinstance(kind, type) and is_dataclass(kind) and hasattr(kind, "n_params")):
         raise ValueError(
-            f"no step-length model {plain['class']!r}: the file was written by another version of pdr_filter"
+            f"no step-length model {plain['class']!r}: the file was written by another "
+            "version of pdr_filter; calibrate again"
         )
     values = {name: np.inf if v is None else float(v) for name, v in plain.items() if name not in ("class", "n_params")}
     return cast(StepLengthModel, kind(**values))

@@ -358,7 +358,7 @@ def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _variance_along(up: FloatArray, cov: FloatArray) -> FloatArray:
-    """Return the quadratic form u' C u for directions u (N, 3) and symmetric matrices C (N, 3, 3)."""
+    """Return the variance u' C u along directions u (N, 3), for covariance matrices C (N, 3, 3)."""
     x, y, z = up.T
     diagonal = cov[:, 0, 0] * x * x + cov[:, 1, 1] * y * y + cov[:, 2, 2] * z * z
     return diagonal + 2.0 * (cov[:, 0, 1] * x * y + cov[:, 0, 2] * x * z + cov[:, 1, 2] * y * z)

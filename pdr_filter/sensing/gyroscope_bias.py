@@ -372,7 +372,7 @@ class GyroBias:
         return Device(bias[_BIAS].copy(), bias_cov[_BIAS, _BIAS].copy())
 
     def _update_still(self, bank: _Bank, n_still: int, window: BiasWindow) -> tuple[_Bank, int]:
-        """Return the bank updated with a window if it is still, and the number of consecutive still windows."""
+        """Return the bank of filters, updated if the window is still, and the number of consecutive still windows."""
         is_still = (
             window.angular_rate_std_radps < self.still_gyr_radps
             and _dot(window.angular_rate_radps, window.angular_rate_radps) < self.still_max_radps**2
@@ -395,7 +395,10 @@ class GyroBias:
     def _update_walk(
         self, bank: _Bank, walk: StraightWalk | None, window: BiasWindow, measured_rad: float
     ) -> tuple[_Bank, StraightWalk | None]:
-        """Return the bank and the straight walk after a window; a walk that ends updates the bank."""
+        """Return the bank of filters and the straight walk after a window.
+
+        When a straight walk ends, it updates the bank.
+        """
         if window.specific_force_std_mps2 < self.walking_acc_mps2:
             return self._measure_walk(bank, walk), None
         if walk is not None:
@@ -416,10 +419,10 @@ class GyroBias:
         return bank, walk
 
     def _measure_walk(self, bank: _Bank, walk: StraightWalk | None) -> _Bank:
-        """Return the bank updated with a straight walk, or unchanged if the walk is too short.
+        """Return the filter bank (see `_Bank`) updated with a straight walk, or unchanged if the walk is too short.
 
-        The negative slope of the uncorrected heading, without the first and the last window, measures the bias about
-        up.
+        While the pedestrian walks straight, a drift of the uncorrected heading is due to the bias. The negative slope
+        of that heading measures the bias about the vertical. The first and the last window are not used.
         """
         n = 0 if walk is None else len(walk.measured_rad) - 2
         if walk is None or n * self.window_s < self.straight_s[0]:
@@ -436,7 +439,7 @@ class GyroBias:
     def _update_field(
         self, bank: _Bank, state: GyroBiasState, window: BiasWindow
     ) -> tuple[_Bank, FieldScatter | None, bool, int]:
-        """Return the bank updated with the field direction of a window, and the new state of the field.
+        """Return the bank of filters updated with the magnetic field direction of a window, and the field's new state.
 
         The state of the field is its scatter, whether its direction is tracked, and the number of consecutive outliers.
         """
@@ -487,13 +490,14 @@ class GyroBias:
         return self.window_s * np.diag((bias_var, bias_var, bias_var, field_var, 0.0))
 
 
-_Bank = tuple[FloatArray, FloatArray, FloatArray]  # means, covariances, log weights
+# Filter bank: means (M, 5), covariances (M, 5, 5) and log weights (M,) of M parallel Kalman filters.
+_Bank = tuple[FloatArray, FloatArray, FloatArray]
 # Lower bound of the log weights, so that later measurements can still raise the weight of a filter.
 _MIN_LOG_WEIGHT = -12.0
 
 
 def _predict(bias: GyroBias, bank: _Bank, up_sensor: FloatArray, correction_rad: float) -> _Bank:
-    """Return the bank predicted over one window (equations in docs/methods/attitude.md).
+    """Return the bank of Kalman filters predicted over one window (equations in docs/methods/attitude.md).
 
     `correction_rad` is the turn by which the bias estimate in use corrects the heading. Headings are clockwise, the
     bias is counter-clockwise.
@@ -509,10 +513,12 @@ def _predict(bias: GyroBias, bank: _Bank, up_sensor: FloatArray, correction_rad:
 def _update(
     bank: _Bank, h: FloatArray, innovation: FloatArray, variance: float, outlier_prob: float, outlier_log_density: float
 ) -> tuple[_Bank, float]:
-    """Return the bank after a scalar measurement h' x with a possible outlier, and the probability of an inlier.
+    """Return the bank after a scalar measurement h' x that may be an outlier, and the probability of an inlier.
 
-    `h` is (5,), `innovation` (M,). With P the covariance of a filter, g = P h and S = h' g + `variance`
-    (`values.mixtures.possible_outlier`).
+    The state x (5,) of each of the M filters is the bias (3,), the field direction and the heading error. `h` (5,) is
+    the derivative of the measurement with respect to x, and `innovation` (M,) the residual of each filter. With P the
+    covariance of a filter, g = P h is the covariance of state and innovation, and S = h' g + `variance` the variance of
+    the innovation (`values.mixtures.possible_outlier`).
     """
     mean, cov, log_weight = bank
     g = cov @ h
@@ -531,10 +537,11 @@ def _update(
 def _update_bias(
     bank: _Bank, innovation: FloatArray, noise: FloatArray, outlier_prob: float, outlier_log_density: float
 ) -> _Bank:
-    """Return the bank after a measurement of the bias (3,) with a possible outlier.
+    """Return the bank of M Kalman filters (see `_Bank`) after a measurement of the gyroscope bias (3,), in rad/s.
 
-    Innovations are (M, 3), and the measurement noise R = `noise` is (3, 3). The equations are those of `_update` for a
-    vector.
+    The measurement may be an outlier, with probability `outlier_prob` and log density `outlier_log_density`. Each
+    filter has its innovation, (M, 3). `noise` (3, 3) is the covariance of the measurement. Each filter is updated with
+    the mixture of an accepted and a rejected measurement, and its weight with the likelihood of the mixture.
     """
     mean, cov, log_weight = bank
     hp = cov[:, _BIAS]
@@ -567,14 +574,17 @@ def _predicted(hp: FloatArray, innovation: FloatArray, noise: FloatArray) -> tup
 
 
 def _likelihood(bank: _Bank, innovation: FloatArray, noise: FloatArray) -> float:
-    """Return the likelihood of a measurement of the bias under the whole bank, up to a constant factor."""
+    """Return the likelihood of a measurement of the bias under the mixture of all filters, up to a constant factor."""
     _, cov, log_weight = bank
     _, log_density = _predicted(cov[:, _BIAS], innovation, noise)
     return float(np.exp(log_weight + log_density).sum())
 
 
 def _restarted(bank: _Bank, index: int, start: float, variance: float) -> _Bank:
-    """Return the bank with one element of the state reset to a measured value, independent of the other elements."""
+    """Return the bank of filters with one element of each state reset to a measured value.
+
+    The element is then uncorrelated with the other elements.
+    """
     mean, cov = bank[0].copy(), bank[1].copy()
     mean[:, index] = start
     cov[:, index, :] = 0.0
@@ -584,7 +594,10 @@ def _restarted(bank: _Bank, index: int, start: float, variance: float) -> _Bank:
 
 
 def _outlier_log_density(square: float, n: int, std: float) -> float:
-    """Return the log density of a normal distribution in n dimensions, without the constant that `_update` omits."""
+    """Return the log density of an outlier: a normal distribution in n dimensions.
+
+    The constant that `_update` omits is omitted here as well.
+    """
     return -0.5 * square / std**2 - n * math.log(std)
 
 
@@ -599,7 +612,7 @@ def _wrapped(angle_rad: FloatArray | float, period_rad: float) -> FloatArray:
 
 
 def _mixture(bank: _Bank) -> tuple[FloatArray, FloatArray]:
-    """Return the mean (5,) and covariance (5, 5) of the mixture of all filters of a bank."""
+    """Return the mean (5,) and covariance (5, 5) of the mixture of all Kalman filters of a bank (see `_Bank`)."""
     mean, cov, log_weight = bank
     weight = np.exp(log_weight)
     return combine(mean, cov, weight / np.add.reduce(weight))
@@ -608,7 +621,8 @@ def _mixture(bank: _Bank) -> tuple[FloatArray, FloatArray]:
 def _direction(bank: _Bank) -> tuple[float, float]:
     """Return the heading error of the mixture and its variance, both computed on the circle.
 
-    The resultant of wrapped normal distributions is r = sum_j w_j exp(i m_j - P_j / 2). The error is the direction of
+    Filter j of the bank has the weight w_j, and its heading error the mean m_j and the variance P_j. The resultant of
+    these wrapped normal distributions is r = sum_j w_j exp(i m_j - P_j / 2). The error is the direction of
     r, with the number of full turns of the most probable filter. The variance is -2 log |r|, at most that of a uniform
     heading. Linear moments would be wrong: the linear mean of errors of 0 and 7 rad is a direction that no filter has.
     """

@@ -179,7 +179,7 @@ def with_unit_gain(kernel: FloatArray, frequency_hz: float, rate_hz: float) -> F
 
 
 def running_sums(rows: FloatArray, n: int) -> FloatArray:
-    """Return the sums of n consecutive values, shape (..., N - n + 1), for rows (..., N).
+    """Return the sums of n consecutive values, shape (..., N - n + 1), for signals of N samples (..., N).
 
     The sums of 2, 4, 8, ... values are each computed from two sums of half the length, and the sum of n values from
     these by the binary digits of n. A box of 176 samples takes 9 additions instead of 176. Unlike the difference of two

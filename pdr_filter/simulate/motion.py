@@ -133,7 +133,10 @@ class Motion:
         return Rotation.from_euler(_AXES[:3], angles[:, :3]) * Rotation.from_euler(_AXES[3:], angles[:, 3:])
 
     def specific_force_mps2(self, time_s: FloatArray) -> FloatArray:
-        """Return the specific force R^T (p'' + g up) in the sensor frame, (N, 3)."""
+        """Return the specific force R^T (p'' + g up) in the sensor frame, (N, 3), in m/s2.
+
+        R is the rotation from sensor to world, p'' the acceleration of the phone, and g the standard gravity.
+        """
         force_enu = self.spline(time_s, 2)[:, :3] + np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
         return self.rotation(time_s).inv().apply(force_enu)
 

@@ -114,7 +114,10 @@ def _calling(rng: np.random.Generator) -> Carrying:
 
 
 def _swinging(rng: np.random.Generator) -> Carrying:
-    """Return a phone in a hanging hand, mostly along the fingers, else with a long edge down."""
+    """Draw the place and attitude of a phone in a swinging hand at the side of the body.
+
+    With a probability of 0.7 the phone lies along the fingers, otherwise with a long edge down.
+    """
     side = _side(rng)
     along = rng.uniform() < 0.7
     return Carrying(

@@ -91,7 +91,7 @@ class Strides:
 
 
 def drawn(ways: ComplexArray, rest: FloatArray, rng: np.random.Generator, n: int) -> ComplexArray:
-    """Return n random deviations (n, N_HARMONICS, N_CHANNELS).
+    """Return n random deviations of strides, (n, N_HARMONICS, N_CHANNELS).
 
     They have normal factors along the components `ways`, and independent normal values in each harmonic.
     """

@@ -46,9 +46,9 @@ _FIELD_UT = {"rotation-vector": (0.0, 25.0, -43.0), "true-heading": (25.0, 0.0, 
 def with_north_of_attitude(recording: Recording, north: str | None) -> Recording:
     """Return the recording with a synthetic magnetic field that is consistent with the phone's own attitude.
 
-    The field is R' m, with the rotation R from sensor to world of the attitude, and the field m in the world. It is
-    processed as if it were measured, because the phone derives its attitude from its magnetometer, which the same iron
-    disturbs.
+    The synthetic field is R' m, with the rotation R from sensor to world of the attitude, and the magnetic field m of
+    the Earth in the world. It is processed as if it were measured, because the phone derives its attitude from its
+    magnetometer, which the same iron disturbs.
     """
     if north not in _FIELD_UT or recording.attitude is None:
         return recording

@@ -339,7 +339,7 @@ class OnlineFilter:
             # The unit check is kept, so that the warning appears in `notes`; the rest of the block is discarded.
             sensing = replace(self.state.sensing, conditioner=replace(conditioner, units=units))
             self.state = replace(self.state, sensing=sensing)
-            raise ValueError(f"{units.wrong_force}; start a new filter with such samples")
+            raise ValueError(f"{units.wrong_force}; then start a new filter, because this one has refused the samples")
         self.state = state
         return output.updates
 
@@ -563,7 +563,9 @@ class OnlineFilter:
             blob = serialise.to_bytes({"config": None, "state": state}, foreign=True)
             serialise.restored(serialise.from_bytes(blob)["state"], init(self.config))
         except (TypeError, ValueError) as error:  # found when it is saved, not when it is loaded
-            raise ValueError(f"the filter cannot be saved: the state of one of your own parts: {error}") from None
+            raise ValueError(
+                f"the filter cannot be saved because of the state of one of your own parts: {error}"
+            ) from None
         return blob
 
     @classmethod

@@ -63,9 +63,10 @@ def posterior_prob(prior_prob: FloatArray, log_likelihood: FloatArray) -> FloatA
 
 
 def reweighted(prob: FloatArray, log_evidence: FloatArray) -> FloatArray:
-    """Return the probabilities p_k ~ p_k exp(e_k), shape (..., K), for finite evidence of a few nats.
+    """Return the probabilities proportional to p_k exp(e_k), shape (..., K), of K hypotheses.
 
-    `posterior_prob` accepts evidence of any size, but must compute the logarithms of the probabilities.
+    p_k is the probability of hypothesis k before, and e_k its finite log evidence of a few nats. `posterior_prob`
+    accepts evidence of any size, but must compute the logarithms of the probabilities.
     """
     relative = prob * np.exp(log_evidence - log_evidence.max(axis=-1, keepdims=True))
     return relative / relative.sum(axis=-1, keepdims=True)

@@ -35,7 +35,10 @@ _PACKAGES = ("values", "classifiers", "sensing", "filter", "recipes", "tracking"
 
 @dataclass(frozen=True, slots=True)
 class ForeignFields:
-    """Fields of a dataclass of another package, whose class the bytes do not name (see `restored`)."""
+    """Saved fields of a dataclass of another package.
+
+    The bytes do not name its class (see `restored`).
+    """
 
     fields: dict[str, Any]
 

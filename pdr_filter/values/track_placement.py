@@ -103,7 +103,7 @@ class TrackPlacement:
 
     @property
     def place(self) -> Origin | None:
-        """Given origin, or None."""
+        """Geographic position (latitude and longitude) given as the origin of the track, or None if none was given."""
         return None if self.origin is None else Origin.of(self.origin)
 
     @property

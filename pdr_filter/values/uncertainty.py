@@ -13,9 +13,10 @@ RADIUS_95 = 2.4477
 
 
 def worst_std_m(cov_m2: FloatArray) -> FloatArray:
-    """Return the standard deviation, m, along the least certain direction, for covariances (..., 2, 2).
+    """Return the standard deviation along the least certain direction, m, for covariances (..., 2, 2).
 
-    sqrt(l), with l = (a + c) / 2 + sqrt((a - c)^2 / 4 + b^2) the larger eigenvalue of ((a, b), (b, c)).
+    It is sqrt(l), with l = (a + c) / 2 + sqrt((a - c)^2 / 4 + b^2) the larger eigenvalue of the covariance ((a, b), (b,
+    c)).
     """
     a, b, c = cov_m2[..., 0, 0], cov_m2[..., 0, 1], cov_m2[..., 1, 1]
     with np.errstate(invalid="ignore"):  # an infinite covariance has no axes

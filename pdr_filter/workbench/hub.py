@@ -28,7 +28,7 @@ _MAX_READERS = 50
 
 
 class FailedError(ValueError):
-    """A request that a worker could not answer; `errno` as of an OSError, or 0."""
+    """Error for a request that a worker could not answer. `errno` is that of an OSError, or 0."""
 
     def __init__(self, reason: str, errno: int = 0) -> None:
         super().__init__(reason)
@@ -47,7 +47,9 @@ class _Process:
         try:
             answer = await asyncio.get_running_loop().run_in_executor(self._thread, self._process.ask, request)
         except LostError as error:
-            raise FailedError(f"{error}: the file is too large, or it crashes the reader") from None
+            raise FailedError(
+                f"{error}: the file is too large, or it crashes the reader; cut it, or export the recording again"
+            ) from None
         if isinstance(answer, dict) and "error" in answer:
             raise FailedError(answer["error"], answer.get("errno") or 0)
         return answer
@@ -90,7 +92,7 @@ class Workbench:
             process.close()
 
     async def scan(self, is_forced: bool = False) -> None:
-        """Look for new recordings, unless that was done just before."""
+        """Look for new recordings, unless the folder was searched only just before."""
         async with self._scanning:
             if time.monotonic() - self._scanned_s < _SCAN_S and not is_forced:
                 return
@@ -103,7 +105,7 @@ class Workbench:
             self._scanned_s = time.monotonic()
 
     async def quick(self, method: str, *arguments: Any) -> Any:
-        """Return the answer of the process that serves open pages."""
+        """Return the answer of the worker process that serves open pages."""
         return await self._quick.ask(Request(method, arguments))
 
     async def show(self, walk: Walk) -> dict[str, Any]:

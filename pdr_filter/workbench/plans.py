@@ -34,11 +34,14 @@ class Plans:
         self.folder = folder / PLANS
 
     def names(self) -> list[str]:
-        """Names of the plans, sorted."""
+        """Names of all floor plans in the folder, sorted."""
         return sorted(path.stem for path in self.folder.glob("*.geojson"))
 
     def path(self, name: str) -> Path | None:
-        """File of a plan, or None; only names of files that exist become paths."""
+        """Return the file of a floor plan, or None if it does not exist.
+
+        Only names of existing files become paths, so that a request cannot reach other files.
+        """
         return next((path for path in self.folder.glob("*.geojson") if path.stem == name), None)
 
     def new(self, name: str) -> str:
@@ -87,7 +90,7 @@ class Plans:
         if path is None:
             raise ValueError(f"there is no floor plan {name[:80]!r}")
         if _version(path) != version:
-            raise ConflictError("another browser or program has changed this plan in the meantime")
+            raise ConflictError("another browser or program has changed this plan in the meantime: reload the page")
         features = [_plain(feature) for feature in content["features"]]
         reference = content.get("georeference")
         properties = {"storeys": dict(content["storeys"]), "georeference": reference}
@@ -97,7 +100,10 @@ class Plans:
         return self.load(name)
 
     def _checked(self, path: Path, features: list[dict[str, Any]]) -> dict[str, Any]:
-        """Problems of the drawing, and the reason why `FloorPlan.read` refuses it."""
+        """Return the problems of a drawn plan, and the error message of `FloorPlan.read`.
+
+        The message is empty if the plan is valid.
+        """
         if not features:
             return {"problems": [], "reason": ""}
         try:
@@ -162,7 +168,11 @@ class Georeference:
 
 
 def _elsewhere(features: list[dict[str, Any]]) -> tuple[dict[str, Any], Any]:
-    """Georeference of a plan in degrees that another program has made, with north up."""
+    """Return the georeference of a drawn plan with coordinates in longitude and latitude, and its transform to metres.
+
+    Such a plan comes from a program other than the workbench, so no georeference is stored with it. The georeference
+    maps the south-west and the north-east corner of the plan, with north up.
+    """
     points = np.concatenate([_points(feature["geometry"]["coordinates"]) for feature in features])
     low, high = points.min(axis=0), points.max(axis=0)
     origin = Origin(float(low[1]), float(low[0]))
@@ -188,7 +198,7 @@ def _flat(coordinates: Any) -> list[Any]:
 
 
 def _moved(features: list[dict[str, Any]], move: Any, digits: int) -> list[dict[str, Any]]:
-    """Features with other coordinates."""
+    """Return the features with transformed coordinates."""
 
     def moved(coordinates: Any) -> Any:
         if isinstance(coordinates[0], float | int):
@@ -202,7 +212,7 @@ def _moved(features: list[dict[str, Any]], move: Any, digits: int) -> list[dict[
 
 
 def _plain(feature: Any) -> dict[str, Any]:
-    """A feature with only the parts that a plan has; ValueError if it lacks one."""
+    """Return a feature with only the fields that a floor plan uses. ValueError if one is missing."""
     try:
         geometry, properties = feature["geometry"], feature.get("properties") or {}
         points = np.array(_flat(geometry["coordinates"]), dtype=float)

@@ -46,11 +46,11 @@ Handler = Callable[[Request], Awaitable[Response]]
 
 
 class UnknownError(ValueError):
-    """An id or a name that does not exist."""
+    """Error for an id or a name that does not exist."""
 
 
 class TooLargeError(ValueError):
-    """A file or message that is larger than allowed."""
+    """Error for a file or message that is larger than allowed."""
 
 
 class WorkbenchSite:
@@ -151,12 +151,16 @@ class WorkbenchSite:
         return JSONResponse(self._state(walk))
 
     async def report(self, request: Request) -> Response:
-        """Serve the report of a walk with its present marks."""
+        """Serve the report of a walk, computed with its present marks."""
         summary = await self.workbench.show(self._walk(request))
         return self._cached(summary["key"])
 
     async def compare(self, request: Request) -> Response:
-        """Serve the report of a walk with several recipes and weightings."""
+        """Serve a report that compares several recipes on one walk.
+
+        Each pair `recipe/weighting` of the query names a recipe and a method that weights its step-length models:
+        "imm", "hc", "wc", or an empty string for the method of the recipe.
+        """
         walk = self._walk(request)
         pairs = [tuple(pair.split("/")) for pair in request.query_params.getlist("with")[:12]]
         weightings = ("", "imm", "hc", "wc")
@@ -185,7 +189,7 @@ class WorkbenchSite:
         return self._changed(walk, lambda: walk.undo(content["version"]))
 
     async def redo(self, request: Request) -> Response:
-        """Make the edit again that was taken back last."""
+        """Redo the edit that was undone last."""
         walk, content = self._walk(request), await _json_of(request)
         return self._changed(walk, lambda: walk.redo(content["version"]))
 
@@ -201,7 +205,7 @@ class WorkbenchSite:
     def _walk(self, request: Request) -> Walk:
         walk = self.workbench.walks.by_id.get(request.path_params["id"])
         if walk is None:
-            raise UnknownError("there is no such walk in this folder")
+            raise UnknownError("there is no such walk in this folder: reload the list of walks")
         return walk
 
     def _state(self, walk: Walk) -> dict[str, Any]:
@@ -247,7 +251,7 @@ class WorkbenchSite:
         """Take the dropped files into the folder if they are recordings; otherwise delete them and say why."""
         folder = self._drop(request)
         if not folder.is_dir():
-            raise UnknownError("no files have come")
+            raise UnknownError("no files were uploaded: drop them on the page again")
         try:
             inside = list(folder.iterdir())
             source = inside[0] if len(inside) == 1 else folder
@@ -271,7 +275,7 @@ class WorkbenchSite:
     def _drop(self, request: Request) -> Path:
         token = request.path_params["token"]
         if not _TOKEN.fullmatch(token):
-            raise UnknownError("a drop has sixteen hexadecimal digits")
+            raise UnknownError("the name of an upload must have sixteen hexadecimal digits: reload the page")
         return self.workbench.incoming / token
 
     # --- floor plans ---
@@ -281,7 +285,7 @@ class WorkbenchSite:
         return JSONResponse(await asyncio.to_thread(self.plans.load, self._plan(request)))
 
     async def new_plan(self, request: Request) -> Response:
-        """Make an empty floor plan and return its name."""
+        """Create an empty floor plan and return its name."""
         content = await _json_of(request)
         return JSONResponse({"name": self.plans.new(str(content["name"])[:100])})
 
@@ -296,11 +300,11 @@ class WorkbenchSite:
         """Serve the picture of a storey."""
         path = self.plans.picture(self._plan(request), request.path_params["floor"])
         if not path.exists():
-            raise UnknownError("this storey has no picture")
+            raise UnknownError("this storey has no picture: add one to the floor plan")
         return FileResponse(path, headers={"Cache-Control": "no-store"})
 
     async def set_picture(self, request: Request) -> Response:
-        """Take the picture of a storey, and return its size."""
+        """Store the uploaded picture of a storey, and return its size."""
         path = self.plans.picture(self._plan(request), request.path_params["floor"])
         source = self.workbench.incoming / f"{path.name}.source"
         try:
@@ -319,7 +323,7 @@ class WorkbenchSite:
     def _plan(self, request: Request) -> str:
         name = request.path_params["name"]
         if self.plans.path(name) is None:
-            raise UnknownError("there is no such floor plan in this folder")
+            raise UnknownError("there is no such floor plan in this folder: reload the list of plans")
         return name
 
 
@@ -383,13 +387,13 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 async def _json_of(request: Request) -> dict[str, Any]:
     body = await body_of(request, _MAX_EDIT_BYTES)
     if body is None:
-        raise TooLargeError(f"more than {_MAX_EDIT_BYTES} bytes")
+        raise TooLargeError(f"the edit has more than {_MAX_EDIT_BYTES} bytes: split it, or draw a simpler plan")
     try:
         content = json.loads(body)
     except RecursionError:
-        raise ValueError("not JSON") from None
+        raise ValueError("the body of the request must be JSON: reload the page") from None
     if not isinstance(content, dict):
-        raise ValueError("not an object of JSON")
+        raise ValueError("the body of the request must be a JSON object: reload the page")
     return content
 
 
@@ -406,7 +410,7 @@ async def _stream_to(request: Request, target: Path, most: int) -> int:
 
 
 def _unused(folder: Path, stem: str) -> Path:
-    """Path in the folder that does not exist."""
+    """Return a path in the folder that no file has yet."""
     path, n = folder / stem, 1
     while path.exists():
         n += 1

@@ -35,7 +35,7 @@ Files = Mapping[str, bytes]
 
 
 class ConflictError(ValueError):
-    """An edit of a version that someone else has changed in the meantime."""
+    """Error for an edit of a version that another browser or program has changed in the meantime."""
 
 
 @dataclass(slots=True, eq=False)
@@ -87,24 +87,26 @@ class Walk:
         self._redo.clear()
 
     def undo(self, version: str) -> None:
-        """Take back the last edit; ConflictError if there is none of this version."""
+        """Undo the last edit. ConflictError if there is none of this version."""
         self._back(version, self._undo, self._redo)
 
     def redo(self, version: str) -> None:
-        """Make the edit again that was taken back last."""
+        """Redo the edit that was undone last."""
         self._back(version, self._redo, self._undo)
 
     def _back(self, version: str, source: list[tuple[Files, str]], target: list[tuple[Files, str]]) -> None:
         old = self._old(version)
         if not source or source[-1][1] != version:
-            raise ConflictError("there is no edit of this version to take back or to make again")
+            raise ConflictError("there is no edit of this version to undo or to redo: reload the page")
         self._write(old, source[-1][0], target)
         source.pop()
 
     def _old(self, version: str) -> Files:
         old = mark_files(self.folder)
         if version_of(old) != version:
-            raise ConflictError("another browser or program has changed the marks of this walk in the meantime")
+            raise ConflictError(
+                "another browser or program has changed the marks of this walk in the meantime: reload the page"
+            )
         return old
 
     def _write(self, old: Files, new: Files, stack: list[tuple[Files, str]]) -> None:
@@ -121,7 +123,7 @@ class Walks:
         self.by_id: dict[str, Walk] = {}
 
     def scan(self) -> list[Walk]:
-        """Look for recordings; return those that are new or have changed."""
+        """Look for recordings, and return the walks that are new or have changed."""
         found: dict[str, Walk] = {}
         changed: list[Walk] = []
         for path in recordings_in(self.folder):
@@ -144,7 +146,7 @@ class Walks:
 
 
 def _shown(name: Path) -> str:
-    """Name of a walk in the list: without the folder of its own that a file has."""
+    """Return the name of a walk in the list, without the folder if the folder holds only this walk."""
     return str(name.parent) if name.parent.name == name.stem else str(name)
 
 
@@ -183,7 +185,7 @@ def _files(content: Mapping[str, Any], old: Files, own: Path, folder: Path) -> F
         if known is not None:
             walk["plan"] = Path(os.path.relpath(known, own)).as_posix()
         elif before.get("plan") != plan:
-            raise ValueError(f"there is no floor plan {str(plan)[:80]!r} in this folder")
+            raise ValueError(f"there is no floor plan {str(plan)[:80]!r} in this folder: choose another one")
     files: dict[str, bytes] = {}
     for name, rows in ((FIXES, content["fixes"]), (LOOP_CLOSURES, content["loop_closures"])):
         if rows:

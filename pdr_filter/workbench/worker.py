@@ -75,7 +75,7 @@ def make_worker(cache: str) -> Callable[[Request], Any]:
 
 @dataclass(slots=True)
 class _Opened:
-    """Recording in memory, with what makes smoothing it again quick."""
+    """Recording in memory, with intermediate results that make smoothing it again fast."""
 
     path: str
     checksum: str
@@ -189,7 +189,11 @@ class Worker:
     def _smoothed(
         self, opened: _Opened, progress: Callable[[float], None] | None, **options: Any
     ) -> tuple[Track, FloorPlan | None]:
-        """Return the smoothed track with the marks of the walk, and the floor plan to draw below it."""
+        """Return the smoothed track of a walk, and the floor plan to draw below it, or None without one.
+
+        The marks, which the user has set in the workbench (known points, headings, floor changes), are passed to the
+        smoother.
+        """
         marks = marks_in(marks_folder(Path(opened.path)))
         recording = marks.recording(opened.recording)
         if recording is not opened.recording:  # the memory knows a recording by its identity
@@ -235,7 +239,7 @@ class Worker:
 
 
 def progress_of(cache: Path, path: str) -> float:
-    """Fraction of the work on a walk that is done, as its worker last wrote it."""
+    """Return the fraction of the work on a walk that is done, as its worker last wrote it to a file."""
     with suppress(OSError, ValueError):
         return float((cache / f"{_name_of(path)}.progress").read_text())
     return 0.0
@@ -246,7 +250,7 @@ def _name_of(path: str) -> str:
 
 
 def checksum_of(recording: Path) -> str:
-    """Checksum of the bytes of a recording, without its marks."""
+    """Return the checksum of the bytes of a recording, without its marks."""
     path, inside = outside(recording)
     found = hashlib.sha256(inside.encode())
     files = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file() and p.name not in NAMES)

@@ -188,8 +188,8 @@ def changed(array: np.ndarray, index: int, value: float) -> np.ndarray:
         ("left", 0, 0, "after its parent"),  # a circle: prediction would not end
         ("right", 0, 10**6, "after its parent"),
         ("left", 0, -1, "one child"),
-        ("left", 0, 2, "belongs to no tree or to more than one"),
-        ("roots", 1, 0, "belongs to no tree or to more than one"),
+        ("left", 0, 2, "belongs to no tree or has several parents"),
+        ("roots", 1, 0, "belongs to no tree or has several parents"),
         ("roots", 1, -1, "roots must be nodes"),
         ("feature", 0, 12, "must be from 0 to 11"),
         ("feature", 0, -1, "must be from 0 to 11"),

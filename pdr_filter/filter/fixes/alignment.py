@@ -19,9 +19,10 @@ EYE = read_only(np.eye(2))
 
 
 def rotated_cov(cov: FloatArray, twice: complex) -> FloatArray:
-    """Return the mean of R P R' over rotations, for a covariance P (2, 2) and `twice`, the mean of e^(-2 i angle).
+    """Return the mean of R P R' over an uncertain rotation R, for a covariance P (2, 2).
 
-    The half trace does not change, and (xx - yy) / 2 + i xy is rotated back by twice the angle.
+    `twice` is the mean of e^(-2 i angle) over the distribution of the angle. With P = ((xx, xy), (xy, yy)), the half
+    trace does not change, and (xx - yy) / 2 + i xy is rotated back by twice the angle.
     """
     (xx, xy), (_, yy) = cov.tolist()
     size, shape = 0.5 * (xx + yy), complex(0.5 * (xx - yy), xy) * twice
@@ -115,8 +116,8 @@ def walked_var_m2(cov: FloatArray) -> float:
 def moved(mean: FloatArray, cov: FloatArray, alignment: Alignment) -> tuple[FloatArray, FloatArray]:
     """Return means (M, n) and covariances (M, n, n) transformed by an alignment, including its uncertainty.
 
-    P = T P T' + var(a) g g' + var(centre) for the position. T is the rotation of the position, and g the derivative of
-    the state with respect to the angle.
+    For the position, P becomes T P T' + var(a) g g' + var(centre). T is the rotation of the position, a the rotation
+    angle, g the derivative of the state with respect to a, and var(centre) the variance of the aligned centre.
     """
     T = np.eye(mean.shape[1])
     T[:2, :2] = alignment.rotation

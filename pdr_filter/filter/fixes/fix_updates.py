@@ -185,9 +185,10 @@ def _on_heading(
     fix: HeadingFix,
     device_heading_rad: float,
 ) -> Result:
-    """Return the state after a heading fix, z = device heading at its time + heading offset + offset of the filter.
+    """Return the state after a heading fix z.
 
-    If north is unknown, the fix defines it.
+    The measurement equation is z = device heading at the time of the fix + heading offset (state) + heading offset of
+    the mode's filter, in rad. If north is unknown, the fix defines it.
     """
     if len(state.steps.trail) == 0:
         return state, "nothing to compare", np.nan
@@ -206,9 +207,10 @@ def _on_heading(
 
 
 def _on_speed(model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: SpeedFix) -> Result:
-    """Return the state after a speed fix, log z - log v = error of the log scale to first order.
+    """Return the state after a speed fix z, in m/s.
 
-    v is the smoothed speed of the present bout.
+    With v the smoothed walking speed of the present bout of walking, log z - log v measures the error of the log scale
+    to first order.
     """
     speed = state.steps.speed
     if speed is None or speed.smoothed_mps <= 0:

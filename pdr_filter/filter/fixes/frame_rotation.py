@@ -220,7 +220,7 @@ class OpenTurn:
         return Alignment(drawn.angle_rad, drawn.angle_var_rad2, *centres_m, self.centre_var_m2, n_steps)
 
     def samples(self, rng: Generator, n: int) -> FloatArray:
-        """Return n angles at even intervals of the cumulative probability.
+        """Return n angles (rad) at even intervals of the cumulative probability of the rotation.
 
         The density is that for normally distributed errors, because the particle filter weights later fixes in the same
         way.
@@ -285,7 +285,7 @@ def _fitted(pairs: Sequence[PairedPoint], north_var_rad2: float) -> _Fit:
 
 
 def _complex(east_north_m: Sequence[FloatArray]) -> ComplexArray:
-    """Return north + i east (N,). A clockwise rotation multiplies it by e^(i angle)."""
+    """Return positions as complex numbers north + i east, (N,). A clockwise rotation multiplies them by e^(i angle)."""
     east_m, north_m = np.array(east_north_m).T
     return north_m + 1j * east_m
 
@@ -341,7 +341,7 @@ def variance_factor(squares: float, n_errors: int, n_before: int = 0) -> float:
 
 
 def _normalised(prob: FloatArray) -> FloatArray:
-    """Return probabilities that sum to one."""
+    """Return probabilities scaled so that they sum to one."""
     return prob / np.add.reduce(prob)
 
 
@@ -391,7 +391,10 @@ def disagreement(pairs: Sequence[PairedPoint], agreeing: Sequence[PairedPoint], 
 
 
 def agreement_limit(dof: int) -> float:
-    """Return the chi-square that one in a thousand sets of correct fixes exceeds."""
+    """Return the chi-square that only a share `_SIGNIFICANCE` (one in a thousand) of sets of correct fixes exceeds.
+
+    `dof` is the number of degrees of freedom. Without any, the limit is infinite.
+    """
     from scipy.special import chdtri  # imported here: it takes as long to load as the rest of the filter
 
     return float(chdtri(dof, _SIGNIFICANCE)) if dof > 0 else math.inf
@@ -411,7 +414,12 @@ def consistent_pairs(
 
 
 def _consistent_fit(pairs: tuple[PairedPoint, ...], north_var_rad2: float, n_sure: int) -> _Fit:
-    """Return the fit of the consistent pairs, see `consistent_pairs`."""
+    """Return the fit of shift and rotation to the fixes that are consistent with each other.
+
+    Each pair is a fix with the track position at its time. While the residuals exceed their limit, the pair whose
+    removal reduces them most is removed. The first `n_sure` pairs are never removed. `north_var_rad2` is the prior
+    variance of the rotation.
+    """
     fit = _fitted(pairs, north_var_rad2)
     while (n := len(fit.pairs)) > max(n_sure, 1):
         limit = agreement_limit(2 * n - 3) if n > 3 else _MIN_DISAGREEMENT**2

@@ -98,11 +98,11 @@ def _iterated(
     gap_var_m2: float,
     regular_prob: Callable[[float, float], float] | None,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float, int]:
-    """Return the iterated update of one filter.
+    """Return the update of one filter by a nonlinear measurement, iterated until its linearisation settles.
 
-    The results are the mean (1, 4), covariance (1, 4, 4), log likelihood (1,), NIS (1,), the probability of a regular
-    measurement, and the number of components. The position at the time of the measurement is B x + b, with
-    `relation` = (B, b).
+    The results are the mean (1, 4), covariance (1, 4, 4), log likelihood (1,), normalised innovation squared (1,), the
+    probability that the measurement is no outlier, and the number of components of the measurement. The position at the
+    time of the measurement is B x + b with the present state x (4,) and `relation` = (B, b).
     """
     prior_mean, prior_cov, x = mean[None], cov[None], mean
     linear = _linearised(fix, x, relation, heading_rad, gap_var_m2)
@@ -129,7 +129,10 @@ def _iterated(
 def _linearised(
     fix: Measurement, x: FloatArray, relation: tuple[FloatArray, FloatArray], heading_rad: float, gap_var_m2: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the measurement z (k,) = H x + noise of covariance R, linearised at a state (4,)."""
+    """Return a measurement z (k,), its matrix H (k, 4) and its noise covariance R (k, k), linearised at a state x (4,).
+
+    The linear measurement equation is z = H x + noise of covariance R.
+    """
     by_state, shift_m = relation
     residual, by_pose, cov = measured(fix, by_state @ x + shift_m, heading_rad + float(x[HEADING_OFFSET]))
     by_place = by_pose[:, :2]

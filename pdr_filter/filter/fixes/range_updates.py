@@ -135,8 +135,9 @@ def _is_contradicted(pairs: tuple[PairedRange, ...]) -> bool:
 def _is_wide(state: PedestrianState, fix: RangeFix, earlier: FloatArray) -> bool:
     """Return True if the track is too uncertain for a linear update by a range.
 
-    Within the standard deviation of the track, the arc of the range then deviates from its tangent by more than the
-    error of the range. The sagitta of an arc of radius r over s to either side is s^2 / 2r.
+    The arc of the range then deviates from its tangent by more than the error of the range, within one standard
+    deviation of the track. An arc of radius r deviates by s^2 / 2r (its sagitta) at a distance s from the tangent
+    point.
     """
     away_m = earlier[:2] - fix.anchor_m[:2]
     level_m, cov_m2 = math.hypot(*away_m), track_place(state).cov_m2

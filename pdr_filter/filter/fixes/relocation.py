@@ -54,7 +54,7 @@ class Doubt:
     is_used_last: bool = False
 
     def moved(self, positions: Callable[[FloatArray], FloatArray]) -> Doubt:
-        """Return the state with track positions transformed by a function of positions (..., 2)."""
+        """Return the doubt with the track positions of its fixes transformed by a function of positions (..., 2)."""
         return replace(
             self,
             pairs=tuple(pair.moved(positions) for pair in self.pairs),
@@ -119,7 +119,10 @@ class Doubt:
         return self._persists(last) and self._follows_track(math.inf)
 
     def _persists(self, last: PairedPoint) -> bool:
-        """Return True if a wrong track is more probable than a common error of the fixes for so long."""
+        """Return True if `last` and at least two earlier rejected fixes agree over `PATIENCE_S` seconds or more.
+
+        A wrong track is then more probable than a single error that all these fixes share, such as reflected signals.
+        """
         if self.pairs[-1] is not last or len(self.pairs) < _MIN_REJECTED:
             return False
         return self.pairs[-1].time_s - self.pairs[0].time_s >= PATIENCE_S

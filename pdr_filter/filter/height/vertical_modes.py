@@ -212,13 +212,16 @@ def at_level(moments: FloatArray, climbed_m: float, var_m2: float) -> FloatArray
 
 
 def _pressure(height_m: float) -> FloatArray:
-    """Return the factor of y that gives the pressure height minus its prediction."""
+    """Return the row vector h (5,) with h y = pressure height minus its prediction, for the state vector y (5,)."""
     return np.array([height_m, -1.0, 0.0, -1.0, -1.0])
 
 
 @lru_cache(maxsize=64)
 def _prediction(elapsed_s: float, n_steps: int) -> tuple[FloatArray, FloatArray]:
-    """Return G and Q (7, 5, 5) of a prediction over a time with some steps."""
+    """Return the transition matrices G and process noise Q of a prediction over a time with some steps.
+
+    Each has the shape (7, 5, 5), one matrix for each of the seven vertical modes.
+    """
     lifted_s = min(elapsed_s, _LONGEST_LIFT_S)
     G, Q = _PERSISTENCE + n_steps * _RISE_PER_STEP, _NOISE + elapsed_s * _WALK[n_steps > 0]
     G[LIFT, _CLIMBED, _RATE] = lifted_s
@@ -230,10 +233,11 @@ def _prediction(elapsed_s: float, n_steps: int) -> tuple[FloatArray, FloatArray]
 
 
 def _measured(moments: FloatArray, factor: FloatArray, variance: float) -> tuple[FloatArray, FloatArray]:
-    """Return updated moments E[y y'] and log likelihoods (7,), for an innovation factor' y with a noise variance.
+    """Return the moments E[y y'] and log likelihoods (7,) of the state vectors y of all modes after a measurement.
 
-    With c the covariance of y and the innovation, S the variance of the innovation and k = c / S, the mean becomes
-    m - k innovation and the covariance P - k c' (Kalman update).
+    The innovation is factor' y, with a noise variance. With m the mean and P the covariance of y, c the covariance of y
+    and the innovation, S the variance of the innovation and k = c / S, the mean becomes m - k innovation and the
+    covariance P - k c' (Kalman update).
     """
     mean, product = moments[:, :, _ONE], moments @ factor
     innovation = product[:, _ONE]

@@ -98,9 +98,10 @@ class Estimates:
 
 
 def position_cov(P: FloatArray, consider_cov_m2: FloatArray) -> FloatArray:
-    """Return the covariance (2, 2) of a position, including the consider parameters.
+    """Return the covariance (2, 2) of a position in m2, including the consider parameters.
 
-    P (4, 4) is the covariance of the state and `consider_cov_m2` (2, 2) that of the consider parameters.
+    Consider parameters are errors that all steps share and that the filter does not estimate. P (4, 4) is the
+    covariance of the state, and `consider_cov_m2` (2, 2) the covariance of the position due to the consider parameters.
     """
     (xx, xy, _, _), (yx, yy, _, _) = P[:2].tolist()
     (consider_xx, consider_xy), (_, consider_yy) = consider_cov_m2.tolist()

@@ -132,5 +132,5 @@ def _filters(mean: FloatArray, cov: FloatArray, dim_z: int = 1) -> list[Any]:
 
 
 def _estimates(filters: Sequence[Any]) -> tuple[FloatArray, FloatArray]:
-    """Return the means (M, n) and covariances (M, n, n) of filterpy filters."""
+    """Return the means (M, n) and covariances (M, n, n) of M filterpy filters with n states."""
     return np.stack([kalman.x for kalman in filters]), np.stack([kalman.P for kalman in filters])

@@ -157,7 +157,9 @@ def predict(mean: FloatArray, cov: FloatArray, F: FloatArray, Q: FloatArray) -> 
 
 
 def predict_cov(cov: FloatArray, F: FloatArray, Q: FloatArray) -> FloatArray:
-    """Return covariances after a linear prediction of each mode, P = F P F' + Q.
+    """Return the covariances after a linear prediction of each mode, F P F' + Q.
+
+    F is the transition matrix, P the covariance before the prediction, and Q the process noise covariance.
 
     Parameters
     ----------

@@ -150,9 +150,10 @@ class Directions:
         )
 
     def step_var_rad2(self, turned_rad: FloatArray | float) -> FloatArray:
-        """Return the variance (..., M) of the direction of a single step.
+        """Return the variance (..., M) of the direction of a single step, rad2, for each of M modes.
 
-        A step in which the phone turns by an angle may lead anywhere in that range: variance angle^2 / 12.
+        A step in which the phone turns by an angle may lead anywhere in that range, which has the variance angle^2 /
+        12.
         """
         return self.heading_var_rad2 + turned_rad * turned_rad / 12.0
 
@@ -240,14 +241,14 @@ class MotionNoise:
 
     @cached_property
     def log_scale_memory(self) -> float:
-        """Factor a by which the log scale decays in one step."""
+        """Factor a (0 to 1) by which the log scale of the step length is multiplied in each step."""
         if self.log_scale_std == 0:
             return 1.0
         return float(np.sqrt(1.0 - self.log_scale_drift_var / self.log_scale_std**2))
 
     @cached_property
     def of_log_scale(self) -> tuple[FloatArray, FloatArray]:
-        """Matrices F and Q (4, 4) of a step without displacement, in which only the log scale changes."""
+        """Transition matrix F and process noise Q, (4, 4) each, of a step in which only the log scale changes."""
         F, Q = np.eye(N_STATES), np.zeros((N_STATES, N_STATES))
         F[LOG_SCALE, LOG_SCALE], Q[LOG_SCALE, LOG_SCALE] = self.log_scale_memory, self.log_scale_drift_var
         return read_only(F), read_only(Q)

@@ -46,9 +46,10 @@ _MIN_SHARED = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Back:
-    """Backward relation from later states x' to earlier states x.
+    """Backward relation from the later state x' (4,) to an earlier state x (4,).
 
-    x = mean + moved + gain (x' - mean') + an error with covariance `left`.
+    x = mean + moved + gain (x' - mean') + error, where the error has the covariance `left`. mean and mean' are the
+    estimates of x and x'.
 
     Attributes
     ----------
@@ -69,12 +70,12 @@ class Back:
 
     @property
     def turned_rad(self) -> float:
-        """Correction of the heading of x."""
+        """Correction of the heading offset in the earlier state x between the two times, rad."""
         return float(self.moved[HEADING_OFFSET])
 
     @classmethod
     def over_prediction(cls, before: FloatArray, cross: FloatArray, after: FloatArray) -> Back:
-        """Return the relation over a prediction.
+        """Return the backward relation over a prediction from state x to state x'.
 
         The arguments are the covariance of x, the cross-covariance of x and x', and the covariance of x', each (..., 4,
         4).
@@ -83,14 +84,14 @@ class Back:
         return cls(gain, before - gain @ cross.swapaxes(-1, -2), np.zeros(before.shape[:-1]))
 
     def followed_by(self, later: Back) -> Back:
-        """Return the relation from the states after a later relation to x."""
+        """Return the backward relation from the state after a later relation to the earlier state x of this one."""
         gain = self.gain
         left = later.scale * self.left + gain @ later.left @ gain.swapaxes(-1, -2)
         moved = self.moved + _times(gain, later.moved)
         return Back(gain @ later.gain, left, moved, self.scale * later.scale)
 
     def with_correction(self, moved: FloatArray) -> Back:
-        """Return the relation after corrections (..., 4) of x'."""
+        """Return the relation after the estimate of the later state x' was corrected by (..., 4)."""
         return replace_unchecked(self, moved=self.moved + _times(self.gain, moved))
 
 
@@ -308,8 +309,8 @@ class PastPath:
         """Return the path after errors that all steps share have been added to the covariance of the present state.
 
         `shared_m2` (2, 2) is their covariance at the present position, and `before` and `after` (4, 4) are the
-        covariances of x. Shared errors grow with the displacement from the position where they began to accumulate.
-        They start again at `present_m` (2,).
+        covariances of the present state. Shared errors grow with the displacement from the position where they began to
+        accumulate. They start again at `present_m` (2,).
         """
         if np.trace(shared_m2) < _MIN_SHARED * np.trace(before[:2, :2]):
             return replace_unchecked(self.predicted(before, after), shared_from_s=time_s, shared_from_m=present_m)
@@ -325,7 +326,7 @@ class PastPath:
     def detached(self, cov: FloatArray, time_s: float, present_m: FloatArray) -> PastPath:
         """Return the path whose past steps no longer change with the present state, as after a lost heading.
 
-        `cov` (4, 4) is the covariance of x.
+        `cov` (4, 4) is the covariance of the present state.
         """
         path = self.rebased()
         steps = path.earlier
@@ -333,10 +334,12 @@ class PastPath:
         return replace_unchecked(path, earlier=fixed, since_s=time_s, shared_from_s=time_s, shared_from_m=present_m)
 
     def turned(self, alignment: Alignment, before: FloatArray, after: FloatArray, present_m: FloatArray) -> PastPath:
-        """Return the path in another frame.
+        """Return the path transformed by an alignment from the present frame to another one.
 
-        `before` and `after` are the covariances (4, 4) of x in the two frames, and `present_m` the present position in
-        the new frame. All positions of the present frame share the error of the alignment with the present position.
+        `before` and `after` are the covariances (4, 4) of the present state in the two frames, and `present_m` (2,) is
+        the present position in the new frame, m. The uncertain angle and shift of the alignment move the past positions
+        and the present position together. Their variances and their covariance with the present state grow
+        accordingly. Steps until `since_s` are already in the frame of the fixes and do not change.
         """
         path, T = self.rebased(), np.eye(N_STATES)
         T[:2, :2] = alignment.rotation
@@ -361,10 +364,10 @@ class PastPath:
     def places(
         self, cov: FloatArray, shared_m2: FloatArray, present_m: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return times (N,), positions (2, N) and covariances (3, N) of all steps.
+        """Return times (N,) in s, positions (2, N) in m, and covariances (3, N) in m2 of all N steps.
 
-        `cov` (4, 4) is the covariance of x, `shared_m2` (2, 2) that of errors which the steps share, and `present_m`
-        the present position.
+        `cov` (4, 4) is the covariance of the present state, `shared_m2` (2, 2) that of errors which all steps share,
+        and `present_m` (2,) is the present position.
         """
         (back, last), earlier = self._last(), self.earlier
         cov_m2 = back.scale * earlier.own_cov_m2
@@ -420,12 +423,15 @@ def _related_steps(steps: Sequence[WalkedStep], backs: Sequence[Back]) -> PastSt
 
 
 def _times(matrix: FloatArray, vector: FloatArray) -> FloatArray:
-    """Return products (..., 4) of matrices (..., 4, 4) and vectors (..., 4)."""
+    """Return the products (..., 4) of matrices (..., 4, 4) with vectors (..., 4)."""
     return (matrix @ vector[..., None])[..., 0]
 
 
 def _propagated(by: FloatArray, cov: FloatArray) -> FloatArray:
-    """Return covariances B P B' (3, N)."""
+    """Return the covariances B P B' of N positions as rows (xx, yy, xy), shape (3, N).
+
+    B relates each position to the present state, whose covariance is P.
+    """
     return _products(cov @ by, by)
 
 
@@ -436,6 +442,6 @@ def _products(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _squares(vector_m: FloatArray) -> FloatArray:
-    """Return products v v' (3, N) of vectors (2, N)."""
+    """Return the outer products v v' of N plane vectors (2, N) as rows of their three distinct elements, (3, N)."""
     east_m, north_m = vector_m
     return np.stack([east_m * east_m, east_m * north_m, north_m * north_m])

@@ -285,9 +285,10 @@ def with_step(
 
 
 def _consider_error_m(walked: Walked, P: FloatArray) -> FloatArray:
-    """Return the error (2 + M, 2) of one step for one standard deviation of each consider parameter.
+    """Return the position error (2 + M, 2) that one step adds for one standard deviation of each consider parameter.
 
-    See `Estimates.consider_cov_m2`.
+    The error is in m. Consider parameters are errors that all steps share and that the filter does not estimate
+    (`Estimates.consider_cov_m2`).
     """
     along, across = second_order_errors(float(P[HEADING_OFFSET, HEADING_OFFSET]), float(P[LOG_SCALE, LOG_SCALE]))
     sine, cosine = math.sin(walked.heading_rad), math.cos(walked.heading_rad)

@@ -50,20 +50,20 @@ class Walked:
 
 @dataclass(frozen=True, eq=False)
 class StepHistory:
-    """Last final steps of a track.
+    """Last steps of a track whose estimates are final.
 
     Attributes
     ----------
     n_final : int
         Number of final steps.
     last_s : float
-        Contact of the last step, or NaN before the first step of a segment.
+        Time of the foot contact that ended the last step, s. NaN before the first step of a segment.
     gap_s : float
-        Time without samples since the last step.
+        Time without samples since the last step, s.
     speed : WalkingSpeed or None
         Walking speed after the last step, or None before the first step of a segment.
     trail : (R, 4) array
-        Time, east, north and device heading of the last steps.
+        Time (s), east (m), north (m) and device heading (rad) of the last R steps.
     """
 
     n_final: int = 0
@@ -78,7 +78,10 @@ class StepHistory:
         return float(self.trail[-1, TRAIL_TIME]) if len(self.trail) else -math.inf
 
     def plus(self, step: Step, walked: Walked, x: FloatArray, P: FloatArray) -> StepHistory:
-        """Return the history with one more step, after which the estimate has mean x (4,) and covariance P (4, 4)."""
+        """Return the history with one more step, after which the estimate has mean x (4,) and covariance P (4, 4).
+
+        The state x is east and north (m), heading offset (rad), and log scale of the step length.
+        """
         # after a pause the smoothed speed starts again
         is_first = math.isnan(self.last_s) or step.time_s - self.last_s > 1.5 * step.duration_s
         scale_var = float(P[LOG_SCALE, LOG_SCALE])

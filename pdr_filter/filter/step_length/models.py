@@ -848,7 +848,7 @@ class BounceStepLength:
         return np.array([self.height_m * self._part_of_usual(step) * amplitude_mps2**0.25])
 
     def _part_of_usual(self, step: Step) -> float:
-        """Return the factor r of the class docstring."""
+        """Return the factor r by which this step differs from the usual one (see the class docstring)."""
         turn_rate_radps = min(step.turn_rate_radps, self.max_turn_rate_radps)
         part = math.exp(-((turn_rate_radps / self.turn_scale_radps) ** 2))
         part *= min(self.max_frequency_hz / step.frequency_hz, 1.0)
@@ -949,10 +949,10 @@ class StepLengths:
 
     @cached_property
     def _of_terms(self) -> FloatArray:
-        """Coefficients (2M, T) that map the T terms of a step to M lengths, then to M parameter variances.
+        """Matrix (2M, T) that maps T products of one step to the M lengths and then to the M parameter variances.
 
-        The terms are the regressors r of each distinct linear model and the products r r'. Lengths are linear in r,
-        variances in r r'.
+        With r the regressors of each distinct linear model, the T terms are the elements of r and of r r'. A length is
+        linear in r, and its variance is linear in r r'.
         """
         starts, n_terms = dict[Hashable, int](), 0
         for model in self._linear:
@@ -976,7 +976,10 @@ class StepLengths:
         return length, parameter_var + self.residual_var_m2
 
     def moments(self, step: Step) -> tuple[FloatArray, FloatArray]:
-        """Return the lengths in m (never negative) and the variances in m2 due to the parameters alone, each (M,)."""
+        """Return the length of one step for each of M fitted models, and its variance due to their parameters alone.
+
+        Lengths are in m and never negative, variances in m2. Both have the shape (M,).
+        """
         terms: list[float] = []
         for model in self._linear:
             r = np.asarray(model.regressors(step)).tolist()
@@ -1009,9 +1012,10 @@ def _key(model: StepLengthModel) -> Hashable:
 def _moments(
     model: StepLengthModel, step: Step, theta: FloatArray, theta_cov: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the length (...) and its variance (...) due to the parameters theta (..., p) with covariance (..., p, p).
+    """Return the length (...) of a step in m, and its variance (...) in m2 due to the parameters alone.
 
-    The length may be negative. The variance of an estimated covariance may be negative by rounding.
+    The p parameters theta (..., p) have the covariance (..., p, p). The length may be negative. The variance of an
+    estimated covariance may be negative by rounding.
     """
     length, jacobian = length_and_jacobian(model, step, theta)
     products = theta_cov * (jacobian[..., :, None] * jacobian[..., None, :])

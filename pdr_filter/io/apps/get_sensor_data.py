@@ -57,7 +57,7 @@ ONE_CLOCK_S = 0.5
 
 
 def looks_like(head: bytes) -> bool:
-    """Whether a text begins like a log of GetSensorData."""
+    """Return True if the first bytes of a text are those of a log of GetSensorData."""
     return re.search(rb"(?m)^(ACCE|GYRO|MAGN|POSI|AHRS);[-+\d.]+;", head) is not None or b"'ACCE;AppTimestamp" in head
 
 
@@ -113,7 +113,7 @@ def _check_columns(header: list[str], where: str) -> None:
 
 
 def _clock_offset_s(values: FloatArray, tag: str, where: str, notes: list[str]) -> float:
-    """Median of app time minus sensor time; NaN if the sensor's time cannot be used."""
+    """Return the median of app time minus sensor time, s, or NaN if the sensor time cannot be used."""
     known = np.isfinite(values[:, :2]).all(axis=1)
     app_s, sensor_s = values[known, 0], values[known, 1]
     if len(app_s) < 2:
@@ -167,7 +167,7 @@ def _unit_beside(path: Path) -> str:
 
 
 def _read_positions(values: FloatArray, parsed: Parsed) -> None:
-    """Reference positions as metres east and north of the first one."""
+    """Store the reference positions in `parsed`, as metres east and north of the first one."""
     import pymap3d
 
     known = np.isfinite(values[:, :3]).all(axis=1) & (np.abs(values[:, 1]) <= 90) & (np.abs(values[:, 2]) <= 180)

@@ -20,7 +20,7 @@ from pdr_filter.values import how_often
 
 
 def read_experiment(members: Members, parsed: Parsed) -> None:
-    """Take wall clock, pauses and device from the folder `meta`, as far as they are there."""
+    """Store wall clock, pauses and phone model in `parsed`, as far as the files in the folder `meta` contain them."""
     names = {PurePosixPath(name).name: name for name in members.names if PurePosixPath(name).parent.name == "meta"}
     if not {"time.csv", "device.csv"} & names.keys():
         return

@@ -107,7 +107,11 @@ def _read_arrays(file: Path, notes: list[str]) -> tuple[FloatArray, dict[str, Fl
 
 
 def _array(data: Any, name: str, columns: int, file: Path, notes: list[str]) -> FloatArray | None:
-    """Return a data set as floats, (N,) or (N, columns), or None if it does not exist."""
+    """Return a data set of an HDF5 file as floats, or None if the file does not have it.
+
+    The shape is (N,) for one column and (N, columns) otherwise. Infinite and absurd values become NaN, with a note in
+    `notes`. RecordingError for another shape, for text and for too many rows.
+    """
     found: Any = _inside_file(data, name, file)
     if found is None:
         return None
@@ -143,7 +147,10 @@ def _inside_file(data: Any, name: str, file: Path) -> Any:
 
 
 def _check_storage(found: Any, name: str, file: Path) -> None:
-    """Refuse what takes much more memory than the file has bytes, such as rows that were never written."""
+    """Raise RecordingError for a data set that needs much more memory than its file has bytes.
+
+    Rows that were declared but never written are an example.
+    """
     filters: Any = found.id.get_create_plist()
     names = [filters.get_filter(i)[0] for i in range(filters.get_nfilters())]
     if not set(names) <= set(FILTERS) or len(set(names)) < len(names):
@@ -159,7 +166,10 @@ def _check_storage(found: Any, name: str, file: Path) -> None:
 
 
 def _check_chunks(found: Any, name: str, file: Path) -> None:
-    """Refuse a chunk that unpacks to more than its declared size, because hdf5 itself does not check this."""
+    """Raise RecordingError for a chunk that unpacks to more than its declared size.
+
+    The hdf5 library itself does not check this.
+    """
     most = math.prod(found.chunks) * found.dtype.itemsize + 4  # a checksum has 4 bytes
     for i in range(found.id.get_num_chunks()):
         mask, piece = found.id.read_direct_chunk(found.id.get_chunk_info(i).chunk_offset)

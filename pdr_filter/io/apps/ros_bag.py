@@ -33,12 +33,12 @@ IMU, FIELD, PRESSURE, PLACE = (
 
 
 def looks_like(head: bytes) -> bool:
-    """Whether these are the first bytes of a bag."""
+    """Return True if the first bytes of a file are those of a ROS bag."""
     return head.startswith(MCAP) or (head.startswith(SQLITE) and b"topics" in head and b"messages" in head)
 
 
 def is_bag(members: Members) -> bool:
-    """Whether the files of a zip or folder are those of a bag."""
+    """Return True if the files of a zip file or folder are those of a ROS bag."""
     return any(looks_like(members.head(name)) for name in _bags(members))
 
 
@@ -64,7 +64,7 @@ def read_ros_bag(path: str | Path) -> Recording:
 
 
 class _Topic:
-    """The messages of a topic: times and numbers."""
+    """Messages of one topic of a ROS bag: their times and their numbers."""
 
     def __init__(self, kind: str) -> None:
         self.kind = kind
@@ -94,7 +94,10 @@ class _Topic:
 
 
 def _fill(parsed: Parsed, topics: dict[str, _Topic], seen: dict[str, str]) -> None:
-    """Fill in the streams. For each kind of message, the topic with the most usable messages is taken."""
+    """Store the topics as streams in `parsed`.
+
+    For each kind of message, the topic with the most usable messages is taken.
+    """
     imus = {name: topic for name, topic in topics.items() if topic.kind == IMU}
     parts = {"accelerometer": slice(7, 10), "gyroscope": slice(4, 7), "attitude": slice(0, 4)}
     chosen: dict[str, tuple[str, IntArray, FloatArray]] = {}
@@ -131,7 +134,10 @@ def _fill(parsed: Parsed, topics: dict[str, _Topic], seen: dict[str, str]) -> No
 
 
 def _decoded(kind: str, content: bytes) -> tuple[int, tuple[float, ...]]:
-    """Stamp in ns and the numbers of a message: of an Imu quaternion xyzw, angular rate, acceleration."""
+    """Return the time stamp of a message in ns, and its numbers.
+
+    The numbers of an Imu message are the quaternion (x, y, z, w), angular rate and acceleration.
+    """
     if len(content) < 16:
         raise ValueError("too short")
     order = "<" if content[1] & 1 else ">"

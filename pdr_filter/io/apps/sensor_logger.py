@@ -61,7 +61,11 @@ STALE_S = 60.0
 
 @dataclass
 class _Export:
-    """Tables of an export: for each sensor, nanoseconds since 1970 and values."""
+    """Content of a Sensor Logger export.
+
+    `sensors` holds a table for each sensor, with times in nanoseconds since 1970 and values. `metadata` describes the
+    recording, `annotations` are the user's remarks with their times, and `notes` are problems found while reading.
+    """
 
     sensors: dict[str, NumberTable] = field(default_factory=dict[str, NumberTable])
     metadata: dict[str, str] = field(default_factory=dict[str, str])
@@ -69,12 +73,12 @@ class _Export:
     notes: list[str] = field(default_factory=list[str])
 
     def about(self, key: str) -> str:
-        """A value of the metadata without surrounding space; empty if it is not there."""
+        """Return a value of the metadata without surrounding spaces, or an empty string if it does not exist."""
         return self.metadata.get(key, "").strip()
 
 
 def looks_like(header: str) -> bool:
-    """Whether the header line of a CSV file is one of Sensor Logger."""
+    """Return True if the header line of a CSV file is one of Sensor Logger."""
     return {"time", "seconds_elapsed"} <= set(header_fields(header, find_separator(header)))
 
 
@@ -91,13 +95,16 @@ def is_without_seconds_elapsed(members: Members) -> bool:
 
 
 def looks_like_export(head: bytes) -> bool:
-    """Whether these are the first bytes of its JSON, of a message that it pushes, or of a database."""
+    """Return True if the first bytes are those of an export of Sensor Logger.
+
+    An export is a JSON file, a file of messages that the app pushed, or a database.
+    """
     is_json = head.lstrip()[:1] == b"[" and b'"sensor"' in head[:4096]
     return is_json or is_push(head) or head.startswith(SQLITE)
 
 
 def sessions_of(members: Members) -> list[str]:
-    """The recordings in a file of messages that the app pushed; none of any other file."""
+    """Return the sessions in a file of messages that Sensor Logger pushed, or an empty list for any other file."""
     name = members.names[0]
     if members.inside or not is_push(members.head(name)):
         return []
@@ -122,8 +129,8 @@ def read_sensor_logger(path: str | Path, platform: str | None = None) -> Recordi
             export = _Export(sensors=push_tables(members, first, COLUMNS))
             if (n := max(map(len, export.sensors.values()), default=0)) < limits.MIN_SAMPLES:
                 raise RecordingError(
-                    f"{path}: messages that Sensor Logger pushed, with only {n} samples of a sensor; put all messages "
-                    "of the recording into one file, one behind the other"
+                    f"{path}: messages that Sensor Logger pushed, with at most {n} samples of a sensor: probably only "
+                    "one message of the recording was saved; put all messages into one file, one behind the other"
                 )
         elif not members.is_container or head.lstrip()[:1] == b"[":
             export = _read_json(members, first)
@@ -170,7 +177,10 @@ def read_sensor_logger(path: str | Path, platform: str | None = None) -> Recordi
 
 
 def _specific_force(export: _Export, parsed: Parsed) -> tuple[str, NumberTable]:
-    """The sensor that is asked for its rate, and specific force with Android's sign."""
+    """Return the name of the sensor that measured the acceleration, and the specific force with Android's sign.
+
+    The sampling rate that the user requested for this sensor is reported.
+    """
     path, sensors = parsed.path, export.sensors
     platform = export.about("platform").lower()
     standard = export.about("standardisation").lower() in ("true", "1")
@@ -225,14 +235,14 @@ def _platform_by_content(export: _Export, parsed: Parsed, named: str) -> str:
 
 
 def _at_times(sensor: NumberTable, time_ns: IntArray) -> FloatArray:
-    """Values interpolated linearly, NaN where the sensor has a hole."""
+    """Return linearly interpolated values of a sensor at the given times, with NaN where the sensor has a gap."""
     zero_ns = int(sensor.whole.min()) if len(sensor) else 0
     at_s, known_s = ((ns - zero_ns).astype(np.float64) * 1e-9 for ns in (time_ns, sensor.whole))
     return interpolated_near(at_s, known_s, sensor.values, limits.GRAVITY_GAP_S)
 
 
 def _requested_hz(export: _Export) -> dict[str, float]:
-    """Rates that the user chose, by sensor."""
+    """Return the sampling rates in Hz that the user chose in the app, by sensor."""
     names = [name.replace(" ", "") for name in export.about("sensors").split("|")]
     periods = export.about("sampleRateMs").split("|")
     rates: dict[str, float] = {}
@@ -253,7 +263,7 @@ def _requested_hz(export: _Export) -> dict[str, float]:
 
 
 def _read_tables(members: Members) -> _Export:
-    """The tables of a zip or folder."""
+    """Read the CSV tables in a zip file or folder."""
     export = _Export()
     tables = [name for name in members.names if PurePosixPath(name).suffix.lower() == ".csv"]
     # The last line of these two needs no line feed, and an annotation file may have no bytes at all.
@@ -296,7 +306,10 @@ def _read_tables(members: Members) -> _Export:
 
 
 def _member(names: Sequence[str], sensor: str, members: Members) -> str:
-    """The file of a sensor, also with something before or behind its name, as `walk_Gravity (1).csv`; "" if none."""
+    """Return the file of a sensor, or an empty string if there is none.
+
+    Its name may have text before or after the name of the sensor, as `walk_Gravity (1).csv`.
+    """
     stems = {name: PurePosixPath(name).stem.lower() for name in names}
     exact = [name for name, stem in stems.items() if stem == sensor.lower()]
     near = [name for name, stem in stems.items() if re.search(rf"(?<![a-z]){sensor.lower()}(?![a-z])", stem)]
@@ -311,7 +324,7 @@ def _member(names: Sequence[str], sensor: str, members: Members) -> str:
 
 
 def _read_json(members: Members, name: str) -> _Export:
-    """The objects of a JSON file, each with the name of its sensor; numbers are texts in it."""
+    """Read a JSON file, in which each object names its sensor and stores numbers as text."""
     export, where = _Export(), members.where(name)
     if not next(members.pieces(name), b"").lstrip().startswith(b"["):
         raise RecordingError(f"{where}: not an array of objects; export JSON from Sensor Logger again")
@@ -350,7 +363,7 @@ def _read_json(members: Members, name: str) -> _Export:
 
 
 def _begun_ns(times: Iterable[tuple[str, str]]) -> int | None:
-    """When the recording began: the median of time minus seconds elapsed; None if not known."""
+    """Return the start of the recording in ns since 1970: the median of time minus elapsed seconds; None if unknown."""
     starts: list[int] = []
     for time, elapsed in times:
         with contextlib.suppress(ValueError):
@@ -372,7 +385,7 @@ def _without_stale(sensor: NumberTable, begun_ns: int | None, name: str, notes: 
 
 
 def _annotations(rows: list[list[str]]) -> list[tuple[int, str]]:
-    """Time and text of the rows below a header that names both."""
+    """Return time and text of the annotations below a header that names both columns."""
     if not rows or "time" not in rows[0] or "text" not in rows[0]:
         return []
     at, text = rows[0].index("time"), rows[0].index("text")

@@ -24,12 +24,12 @@ Message = dict[str, Any]
 
 
 def is_push(head: bytes) -> bool:
-    """Whether these are the first bytes of messages that were pushed."""
+    """Return True if the first bytes of a file are those of messages that Sensor Logger pushed."""
     return head.lstrip()[:1] in (b"[", b"{") and b'"payload"' in head and b'"sessionId"' in head
 
 
 def messages_of(members: Members, name: str) -> dict[str, list[Message]]:
-    """The messages of each session, in the order in which they were sent."""
+    """Return the messages of each session, in the order in which the app sent them."""
     content = members.whole(name, limits.MAX_WHOLE_BYTES)
     sessions: dict[str, list[Message]] = {}
     for message in objects_in([content], members.where(name)):
@@ -41,7 +41,10 @@ def messages_of(members: Members, name: str) -> dict[str, list[Message]]:
 
 
 def push_tables(members: Members, name: str, columns: Columns) -> dict[str, NumberTable]:
-    """The sensors of a session: of the one that the path names, or of the only one."""
+    """Return a table for each sensor of a session of pushed messages.
+
+    The session is the one that the path names, or the only one in the file.
+    """
     where = members.where(name)
     sessions = messages_of(members, name)
     wanted = members.inside or next(iter(sessions), "")
@@ -70,7 +73,7 @@ def push_tables(members: Members, name: str, columns: Columns) -> dict[str, Numb
 def database_tables(
     members: Members, name: str, columns: Columns, notes: list[str]
 ) -> tuple[dict[str, NumberTable], dict[str, str]]:
-    """The sensors of a database, and its metadata."""
+    """Return a table for each sensor in a database of Sensor Logger, and its metadata."""
     where = members.where(name)
     sensors: dict[str, NumberTable] = {}
     metadata: dict[str, str] = {}

@@ -13,7 +13,10 @@ from pdr_filter.values import FloatArray, limits
 
 
 class TaggedLog:
-    """Single text file of a recording, with the comment lines at its start, which begin with `comment`."""
+    """Text file of a recording in which each line begins with the type of its data.
+
+    The comment lines at its start begin with `comment`.
+    """
 
     def __init__(self, members: Members, comment: str) -> None:
         self.name = members.only_text()
@@ -24,7 +27,10 @@ class TaggedLog:
         self._members = members
 
     def header_values(self, separator: str = "\n") -> dict[str, str]:
-        """Values of `key: value` in the comment lines, of which a line may hold several; the first of each key."""
+        """Return the values of `key: value` in the comment lines. The first value of a key counts.
+
+        A line may hold several pairs.
+        """
         values: dict[str, str] = {}
         for line in self.header:
             for part in line.split(separator):
@@ -81,9 +87,10 @@ class TaggedLog:
 
 
 def rotation_vector_quaternion(vector: FloatArray) -> FloatArray:
-    """Quaternions wxyz of Android's rotation vectors (N, 3), whose norm is the sine of half the angle.
+    """Return the quaternions (w, x, y, z) of Android's rotation vectors (N, 3).
 
-    w = sqrt(1 - x^2 - y^2 - z^2), not negative; NaN where the vector is longer than one by more than rounding.
+    The norm of a rotation vector is the sine of half the angle, so w = sqrt(1 - x^2 - y^2 - z^2), not negative. Vectors
+    that are longer than one by more than rounding give NaN.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         rest = 1 - np.square(vector).sum(axis=1)
@@ -105,13 +112,13 @@ def _ended(line: bytes, separator: bytes, tag_field: int, n_fields: Mapping[str,
 
 
 def _after_first(bytes_: NDArray[np.uint8], starts: NDArray[np.int64], separator: bytes) -> NDArray[np.int64]:
-    """Start of the second field of each line; past the end for lines with one field."""
+    """Return the start of the second field of each line. For lines with one field it is past the end."""
     at = np.append(np.flatnonzero(bytes_ == separator[0]), len(bytes_))
     return at[np.searchsorted(at, starts)] + 1
 
 
 def _begins(bytes_: NDArray[np.uint8], tags: NDArray[np.int64], wanted: bytes) -> NDArray[np.bool_]:
-    """Whether the bytes at each place are the wanted ones."""
+    """Return, for each of the places `tags`, True if the bytes there equal `wanted`, the type of a line."""
     fits = np.ones(len(tags), dtype=bool)
     for i, byte in enumerate(wanted):
         at = tags + i

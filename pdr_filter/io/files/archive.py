@@ -89,22 +89,25 @@ class Members:
         return f"{self.path}" if self.path.name == name else f"{self.path}: {name}"
 
     def only_text(self) -> str:
-        """The one file that can be a log or a table: the path itself, or the only text in a zip or folder."""
+        """Path of the only file that can be a log or a table.
+
+        It is the path itself, or the only text in a zip file or folder.
+        """
         names = [name for name in self.names if name.lower().endswith((".txt", ".log", ".csv"))] or list(self.names)
         if len(names) != 1:
             raise RecordingError(f"{self.path}: {len(names)} texts ({', '.join(names[:4])}); give one of them")
         return names[0]
 
     def head(self, name: str, most: int = limits.HEAD_BYTES) -> bytes:
-        """The first bytes of a member, `most` of them at most."""
+        """Return the first `most` bytes of a file."""
         return next(self.parts(name, most), b"")
 
     def small(self, name: str) -> bytes:
-        """The bytes of a member that is small in every recording; RecordingError if it is not."""
+        """Return the bytes of a file that is small in every recording. RecordingError if it is large."""
         return self.whole(name, limits.MAX_SMALL_BYTES, "take out of it what is not needed")
 
     def whole(self, name: str, most: int, remedy: str = "cut the recording") -> bytes:
-        """The bytes of a member that can only be read as a whole; RecordingError if there are more than `most`."""
+        """Return the bytes of a file that must be read as a whole. RecordingError if there are more than `most`."""
         parts: list[bytes] = []
         n_bytes = 0
         for part in self.parts(name, min(limits.BLOCK_BYTES, most + 1)):
@@ -115,7 +118,10 @@ class Members:
         return b"".join(parts)
 
     def file(self, most: int) -> bytes:
-        """The bytes of the file as a whole: of a zip that of the zip, also where it is packed in another."""
+        """Return the bytes of the file that was opened. For a zip file these are the packed bytes.
+
+        A zip file inside another one gives its own packed bytes.
+        """
         if self._archive is None or self._archive.fp is None:
             return self.whole(self.names[0], most)
         self._archive.fp.seek(0)
@@ -125,7 +131,7 @@ class Members:
         return content
 
     def pieces(self, name: str) -> Iterator[bytes]:
-        """The bytes of a member in pieces that end anywhere, without byte order mark."""
+        """Yield the bytes of a file in pieces without byte order mark. A piece may end anywhere in a line."""
         for i, part in enumerate(self.parts(name)):
             # UTF-16 without byte order mark, UTF-32 and binary files have zero bytes
             if i == 0 and b"\x00" in part[:4096]:
@@ -154,7 +160,10 @@ class Members:
             yield rest.replace(b"\r", b"\n")
 
     def parts(self, name: str, size: int = limits.BLOCK_BYTES) -> Iterator[bytes]:
-        """The bytes of a member in parts of this size: no more is unpacked at once; the CRC is checked at the end."""
+        """Yield the bytes of a file in parts of `size` bytes, so that no more is unpacked at once.
+
+        The checksum (CRC) is tested at the end.
+        """
         where = self.where(name)
         try:
             if self._archive is None:
@@ -219,7 +228,10 @@ def open_members(path: Path) -> Generator[Members]:
 
 @contextmanager
 def _in_zip(file: IO[bytes], path: Path, inside: str, is_inner: bool = False) -> Generator[Members]:
-    """The files in a zip; in the one zip in it, if it holds nothing else, or in that of its zips which is named."""
+    """Open the files in a zip file.
+
+    If the only content is another zip file, or if `inside` names one of several, the files in that one are opened.
+    """
     try:
         archive = zipfile.ZipFile(file)
     except _ZIP_ERRORS as error:
@@ -244,7 +256,7 @@ def _check_any(path: Path, what: str, begin: bytes) -> None:
 
 
 def _refuse_others(path: Path, head: bytes) -> None:
-    """Refuse a known kind of file that is not a recording, and name its kind."""
+    """Raise RecordingError for a known kind of file that is no recording, and name its kind."""
     kind = next((words for begin, words in _OTHERS.items() if head.lower().lstrip().startswith(begin.lower())), "")
     if head[_TAR_AT:].startswith(_TAR):
         kind = "a tar archive; unpack it and give the folder"
@@ -277,7 +289,7 @@ def outside(path: Path) -> tuple[Path, str]:
 
 
 def _trial_path(name: str) -> str:
-    """Folder and trial of a file."""
+    """Return the folder of a file followed by the name of its trial (see `trial_of`)."""
     return str(PurePosixPath(name).parent / trial_of(name))
 
 
@@ -302,7 +314,10 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def _files_below(path: Path) -> dict[str, Path]:
-    """Files in a folder, its `meta` and folders of sensors, by path; not deeper: it may be anybody's home folder."""
+    """Return the files in a folder by path, including those of its folder `meta` and of the folders of its sensors.
+
+    Deeper folders are not searched, because the folder may be a home folder with very many files.
+    """
     found: dict[str, Path] = {}
     below = [entry for entry in path.iterdir() if entry.is_dir() and not entry.is_symlink() and entry.name != "meta"]
     for folder in (path, path / "meta", *(below if _are_of_sensors(entry.name for entry in below) else ())):
@@ -318,7 +333,7 @@ def _files_below(path: Path) -> dict[str, Path]:
 
 
 def _without_sensor_folders(names: Sequence[str]) -> dict[str, str]:
-    """Map `Accelerometer/data.csv` to `Accelerometer.csv`, where each sensor has a folder with one file."""
+    """Map `Accelerometer/data.csv` to `Accelerometer.csv` if each sensor has its own folder with one file."""
     by_folder: dict[PurePosixPath, list[PurePosixPath]] = {}
     for name in map(PurePosixPath, names):
         if name.suffix.lower() in _TABLES and name.parent.name not in ("", "meta"):
@@ -340,12 +355,15 @@ def _are_of_sensors(folders: Iterable[str]) -> bool:
 
 
 def _most_unpacked(size: int) -> int:
-    """How many bytes a packed file of this size may hold."""
+    """Return the largest number of bytes that a packed file of this size may unpack to."""
     return max(limits.UNPACKED_FREELY_BYTES, limits.MAX_COMPRESSION_RATIO * size)
 
 
 def _infos_by_name(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
-    """Files in a zip by path inside it, whatever system packed it; a path that leads out of it is refused."""
+    """Return the files in a zip file by their path inside it, with slashes whatever system packed it.
+
+    RecordingError for a path that leads out of the zip file.
+    """
     if len(archive.infolist()) > limits.MAX_MEMBERS:
         raise RecordingError(f"{path}: more than {limits.MAX_MEMBERS} files in the zip; pack one recording alone")
     claimed = sum(info.file_size for info in archive.infolist())

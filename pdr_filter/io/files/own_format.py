@@ -109,7 +109,7 @@ def write_recording(recording: Recording, path: str | Path) -> Path:
 
 
 def _folder(members: Members) -> str:
-    """The folder of the recording inside a zip, with its slash; empty if its files are in none."""
+    """Return the folder of the recording inside a zip file, with its slash, or an empty string if there is none."""
     path = members.path
     if not members.is_container and path.name == REQUIRED:
         raise RecordingError(

@@ -38,7 +38,7 @@ def open_regular(path: Path) -> IO[bytes]:
 
 
 def read_small(path: Path, most: int) -> bytes:
-    """The bytes of a small regular file; RecordingError if there are more than `most`."""
+    """Return the bytes of a small regular file. RecordingError if there are more than `most`."""
     try:
         with open_regular(path) as file:
             content = file.read(most + 1)
@@ -107,7 +107,7 @@ def write_text(path: str | Path, text: str) -> Path:
 
 
 def write_files(contents: Mapping[Path, bytes]) -> None:
-    """Write files that belong together: none is under its name before all are on the disk."""
+    """Write files that belong together. No file gets its name before all are on the disk."""
     with ExitStack() as opened:
         for path, content in contents.items():
             file = opened.enter_context(whole_file(path))

@@ -28,7 +28,7 @@ class Database:
         self.columns = {name: self._columns(name) for name in names[: limits.MAX_TABLES]}
 
     def rows(self, table: str, columns: Sequence[str], where: tuple[str, int] | None = None) -> list[tuple[Any, ...]]:
-        """Columns of a table, of the rows in which one column has this number."""
+        """Return columns of a table, for all rows or for those where a column has a given number."""
         asked = f"SELECT {', '.join(map(_quoted, columns))} FROM {_quoted(table)}"
         if where is not None:
             asked += f" WHERE {_quoted(where[0])} = {where[1]:d}"
@@ -44,7 +44,7 @@ class Database:
 
 @contextmanager
 def open_database(members: Members, name: str) -> Generator[Database]:
-    """A database among the files of a recording; RecordingError if it is none or is damaged."""
+    """Open a database among the files of a recording. RecordingError if the file is no database or is damaged."""
     where = members.where(name)
     content = members.whole(name, limits.MAX_UNPACKED_BYTES)
     if not content.startswith(SQLITE):

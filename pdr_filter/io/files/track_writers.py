@@ -70,7 +70,7 @@ def track_frame(track: TrackRows, origin: Origin | tuple[float, float] | None = 
 
 
 def pandas_for_parquet(path: str | Path) -> Any:
-    """The module pandas; ValueError with the extra to install if it or pyarrow is missing."""
+    """Import pandas. ValueError with the extra to install if pandas or pyarrow is missing."""
     try:
         import pandas  # pyright: ignore
         import pyarrow  # noqa: F401  # pyright: ignore
@@ -86,7 +86,7 @@ _DIGITS = {"time_s": ".6f", "latitude_deg": ".9f", "longitude_deg": ".9f"}
 
 
 def _columns(track: TrackRows) -> dict[str, FloatArray]:
-    """Name and values of each column, one row a step."""
+    """Return name and values of each column of a track file, with one row for each step."""
     covariance = track.position_cov_m2.reshape(-1, 4)
     place: dict[str, FloatArray] = {}
     if track.origin is not None:
@@ -241,7 +241,7 @@ def _placemark(document: ElementTree.Element, name: str, description: str) -> El
 
 
 def _add_geometry(placemark: ElementTree.Element, kind: str, vertices: list[list[float]]) -> None:
-    """A line or a point on the ground."""
+    """Add a line or a point on the ground to a placemark of a KML file."""
     geometry = ElementTree.SubElement(placemark, kind)
     if kind == "LineString":
         _add(geometry, "tessellate", "1")  # over hills, not through them
@@ -249,12 +249,12 @@ def _add_geometry(placemark: ElementTree.Element, kind: str, vertices: list[list
 
 
 def _add(parent: ElementTree.Element, tag: str, text: str) -> None:
-    """An element with a text; XML cannot hold control characters, not even escaped."""
+    """Add an element with a text. Control characters are removed, because XML cannot hold them even if escaped."""
     ElementTree.SubElement(parent, tag).text = "".join(c for c in text if c.isprintable())
 
 
 def _description(track: TrackRows) -> str:
-    """A track in two sentences."""
+    """Return a description of a track in two sentences."""
     return f"{track.n_steps} steps, {track.distance_m:.1f} m; end: {track.how_sure}. {track.about_frame}"
 
 
@@ -266,8 +266,8 @@ def _write_xml(path: str | Path, root: ElementTree.Element) -> Path:
 def write_tum(track: TrackRows, path: str | Path) -> Path:
     """Write lines `timestamp tx ty tz qx qy qz qw` with strictly ascending times, and return the path.
 
-    East, north, zero; the quaternion turns the x axis about up into the walking heading (yaw = pi/2 - heading). The
-    first line is the start of the walk, with the heading of the first step.
+    The position is east, north and zero, in m. The quaternion rotates the x axis about up into the walking heading (yaw
+    = pi/2 - heading). The first line is the start of the walk, with the heading of the first step.
     """
     heading_rad = np.concatenate([track.walking_heading_rad[:1], track.walking_heading_rad])
     half_yaw_rad = yaw_from_heading(heading_rad if track.n_steps else np.zeros(1)) / 2
@@ -284,11 +284,11 @@ def write_tum(track: TrackRows, path: str | Path) -> Path:
 
 
 def _vertex_times(track: TrackRows) -> FloatArray:
-    """Times of the start and of all steps, (K + 1,)."""
+    """Return the times of the start and of all K steps, (K + 1,), in s."""
     return np.concatenate([[track.start_time_s], track.time_s])
 
 
 def _vertices(track: TrackRows) -> list[list[float]]:
-    """Longitude and latitude in degrees of the start and of all steps, K + 1 pairs, as map files have them."""
+    """Return longitude and latitude in degrees of the start and of all K steps, K + 1 pairs, as GeoJSON orders them."""
     lat_deg, lon_deg = track.latitude_longitude_deg(np.vstack([track.start_position_m, track.position_m]))
     return np.round(np.column_stack([lon_deg, lat_deg]), 9).tolist()

@@ -42,7 +42,7 @@ _DEVICES = ("device", "deviceid", "devicename", "phone", "phoneid", "phonename",
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tables:
-    """A recording that was read from tables, and how."""
+    """Recording that was read from tables, with the column mapping that was used."""
 
     recording: Recording
     guess: Guess
@@ -58,7 +58,7 @@ def read_table(path: str | Path, platform: str | None = None) -> Recording:
 
 
 def read_guessed(path: Path, platform: str | None = None) -> Tables:
-    """The recording with the mapping that it was read by, and the evidence for that."""
+    """Read a recording, and return it with the column mapping that was guessed and the evidence for it."""
     with open_members(path) as members:
         parsed = Parsed(path, "")
         sheets = sheets_of(members, notes=parsed.notes)
@@ -108,7 +108,7 @@ def read_generic_csv(path: str | Path) -> Recording:
 
 
 def read_mapped(path: Path, mapping: Mapping, source: str = "generic CSV") -> Recording:
-    """The recording in tables that a mapping describes."""
+    """Read a recording from tables whose columns a mapping describes."""
     parsed = Parsed(path, source)
     with open_members(path) as members:
         sheets = sheets_of(members, mapping.separator or None, parsed.notes)
@@ -127,7 +127,7 @@ def read_mapped(path: Path, mapping: Mapping, source: str = "generic CSV") -> Re
 
 
 def sheets_of(members: Members, separator: str | None = None, notes: list[str] | None = None) -> Sequence[Sheet]:
-    """The tables among the files of a recording; RecordingError if there is none."""
+    """Return the tables among the files of a recording. RecordingError if there is none."""
     found: Sequence[Sheet]
     if is_spreadsheet(members):
         found = spreadsheet_sheets(members)
@@ -169,7 +169,7 @@ def _named_values(head: bytes) -> str:
 
 
 def _check_one_device(sheet: Sheet) -> None:
-    """RecordingError where a column says that the rows are of several devices."""
+    """Raise RecordingError if a column shows that the rows come from several devices."""
     for i, name in enumerate(sheet.fields):
         if letters(name) not in _DEVICES:
             continue
@@ -182,7 +182,10 @@ def _check_one_device(sheet: Sheet) -> None:
 
 
 def _by_sensor(sheet: Sheet) -> Sequence[Sheet]:
-    """A table with a row for each sample of any sensor, whose name is in a column, as a table for each sensor."""
+    """Split a table that has one row for each sample of any sensor into one table for each sensor.
+
+    A column holds the name of the sensor.
+    """
     column = next((i for i, text in sheet.texts.items() if quantity_of_file(text)[0] in VECTORS), None)
     if column is None:
         column = next((i for i, name in enumerate(sheet.fields) if "".join(words_of(name)) in _TYPES), None)

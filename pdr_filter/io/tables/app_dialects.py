@@ -27,7 +27,7 @@ _PLATFORM = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """How an app writes its tables."""
+    """Conventions of the tables that an app writes."""
 
     app: str
     shows: str  # regular expression, looked for in the lines above the table, its header and the names of the files
@@ -38,7 +38,7 @@ class Dialect:
     usual_period_ms: float = 0.0  # of tables without a time that do not say it
 
     def period_of(self, about: str) -> float:
-        """Time between rows in ms: that of the lines above a table, else the usual one; 0 if it is not known."""
+        """Return the time between rows in ms, from the lines above a table or as usual for the app; 0 if unknown."""
         found = re.search(self.period_ms, about) if self.period_ms else None
         period_ms = float(found[1]) if found else 0.0
         return period_ms if 0.1 < period_ms < 1e6 else self.usual_period_ms
@@ -102,12 +102,15 @@ DIALECTS = (
 
 
 def dialect_of(text: str) -> Dialect | None:
-    """The app that this shows; None if none is known."""
+    """Return the app whose conventions a text shows, or None if no known app wrote it."""
     return next((dialect for dialect in DIALECTS if re.search(dialect.shows, text, re.IGNORECASE)), None)
 
 
 def said_platform(members: Members, about: str = "") -> str:
-    """Platform whose signs the metadata of a recording name, or lines above its tables; empty if none do."""
+    """Return the platform (ios or android) that the metadata or the lines above a table name, or an empty string.
+
+    The platform decides the sign of the acceleration.
+    """
     names = [name for name in members.names if _METADATA.fullmatch(PurePosixPath(name).name)]
     contents = [(members.small(name), name) for name in names if members.is_container]
     for path in () if members.is_container or members.inside else sorted(members.path.parent.glob("[MmDd]e[tv][ai]*")):

@@ -33,7 +33,7 @@ _ANGLES = ("roll", "pitch", "yaw")
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """The columns of one sensor."""
+    """Columns of one sensor."""
 
     sheet: int  # which of several
     quantity: str  # of `columns`, or "location"
@@ -46,7 +46,7 @@ class Group:
 
 
 def groups_of(sheet: Sheet, at: int) -> list[Group]:
-    """The sensors of a table."""
+    """Return the columns of a table grouped by sensor."""
     is_named = not all(name.startswith("column ") for name in sheet.fields)
     columns = [column_of(i, name) for i, name in enumerate(sheet.fields)]
     numbered = [i for i, name in enumerate(sheet.fields) if re.fullmatch(r"(?i)v(al(ue)?s?)?[\W_]*[0-3]\W*", name)]
@@ -89,7 +89,10 @@ def _group(
 
 
 def _without_names(sheet: Sheet, times: list[int]) -> tuple[list[Column], list[int]]:
-    """Columns by their order: the time, then the axes of the sensor that the name of the file says."""
+    """Return columns in the order of a table without column names.
+
+    The first is the time. The others are the axes of the sensor that the file name states.
+    """
     quantity, _ = quantity_of_file(sheet.name)
     numbers = [i for i in range(len(sheet.fields)) if i not in sheet.texts]
     times = times or numbers[:1]
@@ -102,7 +105,7 @@ def _without_names(sheet: Sheet, times: list[int]) -> tuple[list[Column], list[i
 
 
 def _triples(sheet: Sheet, columns: Sequence[Column], times: Sequence[int]) -> list[tuple[str, list[Column], int]]:
-    """Quantity and the three axes of each sensor, in the order of the table."""
+    """Return the quantity and the columns of the three axes of each sensor, in the order of the table."""
     of_file, of_file_preference = quantity_of_file(sheet.name)
     # Sensors that differ, as in ax and wx or in ax and gyro_x, say more than the name of a file.
     differ = len({column.quantity for column in columns if column.quantity in VECTORS}) > 1
@@ -137,7 +140,7 @@ def _triples(sheet: Sheet, columns: Sequence[Column], times: Sequence[int]) -> l
 
 
 def _scalars(sheet: Sheet, at: int, columns: Sequence[Column], times: Sequence[int]) -> list[Group]:
-    """Pressure, light, distance, and the location."""
+    """Return the groups of quantities with one value (pressure, light, distance), and the location."""
     of_file, _ = quantity_of_file(sheet.name)
     first: dict[str, Column] = {}
     for column in columns:
@@ -159,7 +162,10 @@ def _scalars(sheet: Sheet, at: int, columns: Sequence[Column], times: Sequence[i
 
 
 def _time_of(sheet: Sheet, quantity: str, places: Sequence[int], times: Sequence[int]) -> int | None:
-    """The column of times of a sensor: its own, else one of numbers, else one of dates."""
+    """Return the place of the column of times of a sensor, or None.
+
+    Its own time comes first, then a column of numeric times, then one of dates.
+    """
     if not times:
         return None
     first = min((p for p in places if p >= 0), default=0)
@@ -175,7 +181,7 @@ def _time_of(sheet: Sheet, quantity: str, places: Sequence[int], times: Sequence
 
 
 def _sensor_of_time(name: str) -> str:
-    """The sensor whose times these are, if the name says one."""
+    """Return the quantity whose times a column holds, if the name of the column states it, or an empty string."""
     stem = letters(name)
     if stem.startswith("location"):
         return "location"

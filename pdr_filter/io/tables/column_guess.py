@@ -63,7 +63,7 @@ _SLOWEST_HZ = 0.1
 
 @dataclass
 class Guess:
-    """A mapping, and why."""
+    """Guessed mapping of the columns, with the evidence for it."""
 
     mapping: Mapping
     evidence: list[str] = field(default_factory=list[str])
@@ -74,7 +74,7 @@ class Guess:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Stream:
-    """A group with its values."""
+    """Columns of one sensor, with their values."""
 
     group: Group
     sheet: Sheet
@@ -94,7 +94,10 @@ class _Stream:
 def guess(
     sheets: Sequence[Sheet], groups: Sequence[Group], dialect: Dialect | None, platform: str | None, where: str
 ) -> Guess:
-    """The mapping of these tables; RecordingError without an acceleration with gravity, or if its sign is not known."""
+    """Return the guessed mapping of the columns of these tables.
+
+    RecordingError if there is no acceleration with gravity, or if its sign is unknown.
+    """
     app = "" if dialect is None else dialect.app
     result = Guess(Mapping(()), source=f"table of {app}" if app else "table")
     rate_hz = _rate_of_rows(sheets, groups, dialect, where)
@@ -146,7 +149,10 @@ def guess(
 
 
 def columns_by_content(sheet: Sheet) -> tuple[str, str, Sequence[str], str]:
-    """Time and accelerometer of a table as its values show them, each with its unit; "?" where they show none."""
+    """Guess the columns of time and accelerometer from the values of a table.
+
+    Each has its unit. A column that the values do not show is "?".
+    """
     numbers = [i for i in range(len(sheet.fields)) if i not in sheet.dates and i not in sheet.texts]
     time, time_unit = next(((sheet.fields[i], "date") for i in sheet.dates), ("?", "s"))
     with suppress(RecordingError):
@@ -170,7 +176,7 @@ def columns_by_content(sheet: Sheet) -> tuple[str, str, Sequence[str], str]:
 
 
 def _rate_of_rows(sheets: Sequence[Sheet], groups: Sequence[Group], dialect: Dialect | None, where: str) -> float:
-    """The rate of tables without a time; zero if all have one."""
+    """Return the sampling rate of tables without a column of times, in Hz, or zero if all tables have one."""
     if all(group.time is not None for group in groups):
         return 0.0
     if dialect is not None and (period_ms := dialect.period_of(sheets[groups[0].sheet].about)):
@@ -206,7 +212,10 @@ def _stream(group: Group, sheet: Sheet, dialect: Dialect | None, rate_hz: float)
 
 
 def _time_unit(ticks: FloatArray) -> str:
-    """Unit of times without a stated one: by the size of times since 1970, else by the rates of phones."""
+    """Return the unit of times whose header states none.
+
+    Times since 1970 show their unit by their size. Other times are compared with the usual sampling rates of phones.
+    """
     ticks = ticks[~np.isnan(ticks)]
     median = float(np.median(ticks)) if len(ticks) else 0.0
     span = float(ticks.max() - ticks.min()) if len(ticks) else 0.0
@@ -219,7 +228,7 @@ def _time_unit(ticks: FloatArray) -> str:
 
 
 def _forces(streams: Sequence[_Stream], dialect: Dialect | None, result: Guess, where: str) -> list[_Stream]:
-    """The accelerometer, or gravity and linear acceleration, with their units."""
+    """Return the accelerometer stream, or the streams of gravity and linear acceleration, with their units."""
     app = "this table" if dialect is None else f"this looks like {dialect.app}, whose table"
     found = [_with_force_unit(s) for s in streams if s.group.quantity in (ACCELERATION, LINEAR, GRAVITY)]
     if not found:
@@ -271,7 +280,7 @@ def _forces(streams: Sequence[_Stream], dialect: Dialect | None, result: Guess, 
 
 
 def _with_force_unit(s: _Stream) -> _Stream:
-    """With m/s2 or g by the size of its constant part, if its header does not say it."""
+    """Return the column with the unit m/s2 or g, from the size of its constant part if its header states no unit."""
     if s.is_unit_declared:
         return s
     constant = s.constant
@@ -283,7 +292,10 @@ def _with_force_unit(s: _Stream) -> _Stream:
 
 
 def _has_gravity(s: _Stream) -> bool:
-    """Whether gravity is in it; also where its header has the wrong unit, which the checks of every reader refuse."""
+    """Return True if an acceleration contains gravity.
+
+    It also does so if its header states the wrong unit. The checks of every reader refuse such a unit later.
+    """
     low, high = _G_OF_GRAVITY
     if s.constant * s.factor >= _LEAST_GRAVITY_MPS2:
         return True
@@ -340,7 +352,7 @@ def _as_rate(s: _Stream, forces: Sequence[_Stream]) -> _Stream:
 
 
 def _force(forces: Sequence[_Stream]) -> FloatArray:
-    """The specific force in m/s2, the sum where gravity is apart."""
+    """Return the specific force in m/s2. If gravity is a separate stream, it is added to the linear acceleration."""
     at_s = forces[0].time_s
     same = [np.array_equal(s.time_s, at_s) for s in forces]
     values = [
@@ -350,13 +362,19 @@ def _force(forces: Sequence[_Stream]) -> FloatArray:
 
 
 def _is_of_earth(s: _Stream) -> bool:
-    """Whether a field can be that of the Earth, which one with the phone's own magnets in it seldom is."""
+    """Return False for a magnetic field whose strength is implausible for the field of the Earth, else True.
+
+    An uncalibrated field, with the magnets of the phone in it, is usually implausible.
+    """
     low, high = limits.MAGNETIC_FIELD_RANGE_UT
     return s.group.quantity != FIELD or low <= median_norm(s.values) * s.factor <= high
 
 
 def _sign(dialect: Dialect | None, platform: str | None, forces: Sequence[_Stream], result: Guess, where: str) -> int:
-    """Sign of acceleration and gravity: that of the app, of the named platform, or Android's with a note."""
+    """Return the sign of acceleration and gravity.
+
+    It is that of the app, or of the named platform, or Android's, with a note.
+    """
     if dialect is not None and dialect.sign is not None:
         if platform is not None:
             raise RecordingError(
@@ -381,5 +399,5 @@ def _sign(dialect: Dialect | None, platform: str | None, forces: Sequence[_Strea
 
 
 def _common_s(s: _Stream, other: _Stream) -> float:
-    """For how long two streams are beside each other on one clock, in whole s."""
+    """Return how long two streams overlap on one clock, in whole seconds."""
     return round(min(s.time_s.max(), other.time_s.max()) - max(s.time_s.min(), other.time_s.min()))

@@ -40,7 +40,7 @@ class StreamMap:
 
     @property
     def factor(self) -> float:
-        """To the unit of `Recording`, with the sign."""
+        """Factor from the unit and sign of the column to those of `Recording`."""
         quantity = ACCELERATION if self.stream == "accelerometer" else self.stream
         return UNITS.get(quantity, {}).get(normal_unit(self.unit), 1.0) * self.sign
 
@@ -56,7 +56,7 @@ class Mapping:
     where: str = ""  # the TOML file that says it
 
     def toml(self) -> str:
-        """The text of the TOML file."""
+        """Return the mapping as the text of a TOML file."""
         lines: list[str] = []
         if self.separator or self.decimal:
             given = {"separator": self.separator, "decimal": self.decimal}
@@ -76,13 +76,13 @@ class Mapping:
 
 
 def mapping_beside(path: Path) -> Path:
-    """Path of the mapping of a file: walk.toml or walk.csv.toml beside walk.csv."""
+    """Return the path of the column mapping of a file: walk.toml or walk.csv.toml in the folder of walk.csv."""
     longer = beside(path, path.name + ".toml")
     return longer if longer.is_file() else beside(path, path.with_suffix(".toml").name)
 
 
 def read_mapping(path: Path) -> Mapping:
-    """The mapping in a TOML file; RecordingError if it cannot be one."""
+    """Read a column mapping from a TOML file. RecordingError if it is invalid."""
     content = read_toml(path)
     if unknown := content.keys() - {"file", "time", *STREAMS}:
         raise RecordingError(f"{path}: unknown table {sorted(unknown)[0]!r}; use {', '.join(STREAMS)}")
@@ -139,7 +139,7 @@ def _stream(path: Path, name: str, settings: dict[str, Any], time: dict[str, Any
 
 
 def _quoted(text: str) -> str:
-    r"""A TOML string.
+    r"""Return a text as a quoted TOML string.
 
     >>> print(_quoted('a"b'))
     "a\"b"

@@ -189,18 +189,21 @@ def normal_unit(unit: str) -> str:
 
 
 def is_unit(text: str) -> bool:
-    """Whether a text is a unit, of a sensor or a time."""
+    """Return True if a text is a unit of a sensor or of time."""
     unit = normal_unit(text)
     return unit in TIME_UNITS or any(unit in units for units in UNITS.values())
 
 
 def letters(name: str) -> str:
-    """The letters of a name, in lower case and without accents."""
+    """Return the letters of a name in lower case and without accents."""
     return re.sub(r"[^a-z]", "", unicodedata.normalize("NFKD", name).lower())
 
 
 def words_of(name: str) -> list[str]:
-    """Words of a name in lower case and without accents: separated by other characters, or by `camelCase`."""
+    """Return the words of a name in lower case and without accents.
+
+    Other characters or `camelCase` separate words.
+    """
     plain = "".join(c for c in unicodedata.normalize("NFKD", name) if not unicodedata.combining(c))
     return [word.lower() for word in _WORD.findall(plain)]
 
@@ -231,7 +234,7 @@ def quantity_of_words(words: Sequence[str]) -> tuple[str, int]:
 
 @lru_cache(maxsize=256)
 def quantity_of_file(name: str) -> tuple[str, int]:
-    """Quantity that the name of a file or a sheet contains anywhere, and its preference; "" if none."""
+    """Return the quantity that the name of a file or sheet contains, and its preference, or "" if there is none."""
     words = words_of(name)
     parts = {"".join(words[i:j]) for i in range(len(words)) for j in range(i + 1, min(i + 4, len(words)) + 1)}
     fitting = [word for word in _OF_FILES if word in parts or any(_is_within(longer, word) for longer in words)]
@@ -241,7 +244,7 @@ def quantity_of_file(name: str) -> tuple[str, int]:
 
 
 def _is_within(longer: str, word: str) -> bool:
-    """Whether a word of a file name is a known one with others before or behind it, as in wristaccel and gyrodata."""
+    """Return True if a word of a file name contains a known word, as in wristaccel and gyrodata."""
     before, found, behind = longer.partition(word)
     is_glued = bool(found) and word in _GLUED and QUANTITY_OF[word] != "orientation"
     if not before and not (is_glued and len(word) >= _LONG):
@@ -250,12 +253,12 @@ def _is_within(longer: str, word: str) -> bool:
 
 
 def _by_gravity(stem: str) -> str:
-    """Acceleration or linear acceleration of a name that ends with or without gravity; "" of any other."""
+    """Return the quantity of an acceleration whose name states that it is with or without gravity, or ""."""
     return LINEAR if _WITHOUT_GRAVITY.search(stem) else ACCELERATION if _WITH_GRAVITY.search(stem) else ""
 
 
 def trial_of(name: str) -> str:
-    """Name of a file without suffix and the words of its sensor: `walk1` of `walk1_acc.csv`."""
+    """Return the name of a file without suffix and without the words of its sensor: `walk1` for `walk1_acc.csv`."""
     stem = re.sub(r"\.\w+$", "", name.rpartition("/")[2])
     words = [(word.start(), word.end(), word[0].lower()) for word in _WORD.finditer(stem)]
     of_sensor = {
@@ -270,7 +273,10 @@ def trial_of(name: str) -> str:
 
 
 def _accuracy(name: str, unit: str) -> int | None:
-    """Preference of an accuracy as that of the horizontal position, 0 if of something else; None of any other name."""
+    """Return how well a column fits as the horizontal accuracy of a location, 0 if it is another accuracy.
+
+    None if the name is not that of an accuracy.
+    """
     words = words_of(name)
     stem = "".join(words)
     # `words_of` drops letters of other scripts.
@@ -287,7 +293,7 @@ def _accuracy(name: str, unit: str) -> int | None:
 
 @lru_cache(maxsize=256)  # detection and reading ask for the same names
 def column_of(place: int, name: str) -> Column:
-    """Quantity, axis and unit that the name of a column says; see the examples above."""
+    """Return the quantity, axis and unit that the name of a column states. `place` is the number of the column."""
     unit_found = _UNIT.search(name) or _UNIT_WORD.search(name.rstrip())
     unit = normal_unit(unit_found[1]).replace("_", "") if unit_found else ""
     unit = _UNIT_OF_WORD.get(unit, unit)
@@ -322,7 +328,7 @@ def column_of(place: int, name: str) -> Column:
 
 
 def _axes_of(words: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
-    """Axis and remaining words, for an axis behind them or before them."""
+    """Yield the axis and the remaining words, with the axis after or before them."""
     if not words:
         return
     first, last = words[0], words[-1]
@@ -335,7 +341,7 @@ def _axes_of(words: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
 
 
 def is_time(name: str) -> bool:
-    """Whether a name is one of a time."""
+    """Return True if a column has the name of a time."""
     bare = _UNIT.sub("", name)
     stem = letters(bare)
     is_word = not _TIME_WORDS.isdisjoint(bare.lower().split())
@@ -346,20 +352,26 @@ def is_time(name: str) -> bool:
 
 
 def nanoseconds_of(fields: Sequence[str], place: int) -> int | None:
-    """The column with the nanoseconds of a column of whole seconds, as ROS has them: stamp.secs and stamp.nsecs."""
+    """Return the place of the column with the nanoseconds that belong to a column of whole seconds, or None.
+
+    ROS writes a time as stamp.secs and stamp.nsecs.
+    """
     found = _WHOLE_SECONDS.fullmatch(fields[place])
     names = [] if found is None else [f"{found[1]}{nano}{found[2]}".lower() for nano in ("n", "nano")]
     return next((i for i, name in enumerate(fields) if name.lower() in names), None)
 
 
 def has_time_unit(name: str) -> bool:
-    """Whether a name ends with a unit of time in brackets: a time in a language that is not known."""
+    """Return True if a name ends with a unit of time in brackets.
+
+    Such a column is a time, even if the language of its name is unknown.
+    """
     found = _UNIT.search(name)
     return found is not None and normal_unit(found[1]) in TIME_UNITS
 
 
 def time_unit_of(name: str) -> str:
-    """The unit that the name of a time says; empty if none."""
+    """Return the unit that the name of a column of times states, or an empty string."""
     found = _UNIT.search(name)
     words = [found[1].strip()] if found else re.split(r"[^A-Za-z\u00b5\u03bc]+", name)
     words = [normal_unit(word) for word in words]

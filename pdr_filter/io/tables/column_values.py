@@ -19,7 +19,10 @@ LEAST_S = 10.0
 
 
 def constant_part(time_s: FloatArray, values: FloatArray) -> float:
-    """The median norm of the mean over windows of 2 s, in the unit of the values: of an accelerometer, gravity."""
+    """Return the median norm of the mean over windows of 2 s, in the unit of the values.
+
+    For an accelerometer it is gravity.
+    """
     time_s, values = _complete(time_s, values)
     if not len(values):
         return float("nan")
@@ -32,11 +35,12 @@ def constant_part(time_s: FloatArray, values: FloatArray) -> float:
 
 
 def turning(time_s: FloatArray, force: FloatArray, rate_time_s: FloatArray, rate: FloatArray) -> float | None:
-    """How far gravity turns in the phone against what the gyroscope says, as a factor; None if it cannot be seen.
+    """Return the rotation of gravity in the phone divided by the rotation that the gyroscope predicts, or None.
 
-    A direction u that is fixed in the world obeys du/dt = -w x u in the phone. The factor is 1 if the angular rate w is
-    in rad/s and has the axes and the sense of the accelerometer, pi/180 = 0.017 if it is in deg/s, and near 0 or below
-    if the axes differ. The sign of the accelerometer does not matter.
+    A direction u that is fixed in the world obeys du/dt = -w x u in the phone, with the angular rate w. The factor is 1
+    if w is in rad/s and has the axes and the sense of the accelerometer. It is pi/180 = 0.017 if w is in deg/s, and
+    near 0 or below if the axes differ. The sign of the accelerometer does not matter. The result is None if the
+    recording does not show the rotation.
     """
     time_s, force = _complete(time_s, force)
     rate_time_s, rate = _complete(rate_time_s, rate)
@@ -64,12 +68,12 @@ def turning(time_s: FloatArray, force: FloatArray, rate_time_s: FloatArray, rate
 
 
 def _complete(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Times and values of the rows without NaN."""
+    """Return the times and values of the rows without NaN."""
     known = ~(np.isnan(values).any(axis=1) | np.isnan(time_s))
     return (time_s, values) if known.all() else (time_s[known], values[known])
 
 
 def _smoothed(values: FloatArray, n: int) -> FloatArray:
-    """Means over n rows, (N - n + 1, d)."""
+    """Return moving means over n rows of d columns, shape (N - n + 1, d)."""
     sums = np.cumsum(np.vstack([np.zeros_like(values[:1]), values]), axis=0)
     return (sums[n:] - sums[:-n]) / n

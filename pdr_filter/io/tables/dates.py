@@ -45,7 +45,7 @@ _MOST_DAYS = 32  # in a block of rows; each takes a look at all of them
 
 
 def is_date(text: str) -> bool:
-    """Whether a field holds a date with a time of day, or a time of day."""
+    """Return True if a field holds a date with a time of day, or a time of day."""
     return _found_in(text.strip()) is not None
 
 
@@ -54,7 +54,10 @@ def _found_in(text: str) -> re.Match[str] | None:
 
 
 def nanoseconds_of(text: str) -> int:
-    """One date as whole nanoseconds since 1970, or a clock time since midnight; ValueError if it is none."""
+    """Return a date as whole nanoseconds since 1970, or a time of day as nanoseconds since midnight.
+
+    ValueError if the text is neither.
+    """
     found = _found_in(text.strip())
     if found is None:
         raise ValueError(f"{text[:_WIDEST]!r} is no date that is known; write dates as 2023-03-16 14:00:39.412")
@@ -67,7 +70,10 @@ def nanoseconds_of(text: str) -> int:
 
 
 def as_nanoseconds(rows: bytes, separator: bytes, place: int) -> bytes:
-    """Rows of text with the dates of one column as nanoseconds. Other texts are unchanged."""
+    """Return rows of text in which the dates of one column are replaced by nanoseconds.
+
+    Other texts are unchanged.
+    """
     mark = re.escape(separator)
     column = re.compile(rb'(?m)^((?:[^\n%b]*%b){%d})"?([^\n"%b]*)"?' % (mark, mark, place, mark))
 
@@ -119,7 +125,7 @@ def column_nanoseconds(rows: bytes, separator: bytes, place: int) -> IntArray | 
 
 
 def _digits(fields: NDArray[np.uint8], begin: int, end: int) -> IntArray | None:
-    """The whole numbers in these places of fields; None if there is anything but digits."""
+    """Return the whole numbers between the given places of fields, or None if any character is not a digit."""
     digits = fields[:, begin:end].astype(np.int64) - ord("0")
     if ((digits < 0) | (digits > 9)).any():
         return None
@@ -127,7 +133,10 @@ def _digits(fields: NDArray[np.uint8], begin: int, end: int) -> IntArray | None:
 
 
 def _days(fields: NDArray[np.uint8], found: re.Match[str]) -> IntArray | None:
-    """Begin of the day of each field, in nanoseconds; None if there are more days than a block of samples has."""
+    """Return the begin of the day of each field in nanoseconds.
+
+    None if there are more days than a block of samples can have.
+    """
     days = np.zeros(len(fields), dtype=np.int64)
     left = np.ones(len(fields), dtype=bool)
     at = found.start(1)
@@ -143,7 +152,10 @@ def _days(fields: NDArray[np.uint8], found: re.Match[str]) -> IntArray | None:
 
 
 def without_midnights(ns: IntArray) -> IntArray:
-    """Clock times continued past midnight or the full hour, where the clock restarts. Dates are unchanged."""
+    """Return times of day continued past midnight or past the full hour, where the clock restarts.
+
+    Dates are unchanged.
+    """
     if len(ns) == 0 or ns.max() >= _NS_OF_DAY:
         return ns
     period = _NS_OF_HOUR if ns.max() < _NS_OF_HOUR else _NS_OF_DAY
@@ -153,7 +165,7 @@ def without_midnights(ns: IntArray) -> IntArray:
 
 @lru_cache(maxsize=1000)
 def _day_ns(first: str, middle: str, last: str) -> int:
-    """Nanoseconds from 1970 to the begin of a day; zero of a clock time without one."""
+    """Return the nanoseconds from 1970 to the begin of a day, or zero for a time of day without date."""
     if not first:
         return 0
     try:

@@ -40,12 +40,12 @@ Row = dict[str, Any]
 
 
 def looks_like(head: bytes) -> bool:
-    """Whether a text begins like JSON."""
+    """Return True if the first bytes of a text are those of JSON."""
     return _BEGIN.match(head.removeprefix(codecs.BOM_UTF8)) is not None
 
 
 def json_sheets(members: Members, name: str, notes: list[str] | None = None) -> list[Sheet]:
-    """The tables in a text of JSON; RecordingError if it is damaged."""
+    """Return the tables in a JSON text. RecordingError if it is damaged."""
     where = members.where(name)
     tables: dict[str, _Columns] = {}
     for item in objects_in(members.pieces(name), where, notes):
@@ -117,7 +117,10 @@ def objects_in(pieces: Iterable[bytes], where: str, notes: list[str] | None = No
 
 
 def _rows_of(item: Row, name: str = "", depth: int = 0) -> Iterator[tuple[str, list[Row] | dict[str, list[Any]]]]:
-    """Name and rows, or columns, of the tables in an object; one that is a row is a table of one row."""
+    """Yield the name and the rows or columns of the tables in a JSON object.
+
+    An object that is a row itself is a table of one row.
+    """
     lists = {key: cast("list[Any]", value) for key, value in item.items() if isinstance(value, list)}
     tables = {key: [cast("Row", row) for row in rows if isinstance(row, dict)] for key, rows in lists.items()}
     tables = {key: rows for key, rows in tables.items() if rows}
@@ -143,13 +146,13 @@ def _holds_columns(item: Row) -> bool:
 
 
 def _sensor_of(row: Row) -> str:
-    """The sensor that a row names; empty if it names none."""
+    """Return the sensor that a row names, or an empty string."""
     said = next((row[key] for key in _SENSOR if isinstance(row.get(key), str)), "")
     return said[: limits.MAX_NAME_CHARS] if quantity_of_file(said)[0] in VECTORS else ""
 
 
 def _flat(item: Row, before: str = "", depth: int = 0) -> Row:
-    """The values in an object, by names with points between."""
+    """Return the values in a nested object by name, with points between the names of the levels."""
     found: Row = {}
     for key, value in item.items():
         name = before if key in _PLAIN else f"{before}.{key}" if before else key
@@ -164,7 +167,7 @@ def _flat(item: Row, before: str = "", depth: int = 0) -> Row:
 
 
 class _Columns:
-    """The columns of a table, some thousand rows at once, so that no more are in memory as objects."""
+    """Columns of a table, filled in blocks of some thousand rows, so that few rows are in memory as objects."""
 
     def __init__(self, where: str) -> None:
         self._where = where
@@ -182,7 +185,7 @@ class _Columns:
             self._keep_rows()
 
     def sheet(self, name: str) -> Sheet | None:
-        """The table; None without a column of numbers."""
+        """Return the table, or None if no column holds numbers."""
         self._keep_rows()
         columns: dict[str, FloatArray | IntArray] = {}
         places: dict[str, list[int]] = {"": [], "date": [], "exact": []}
@@ -219,7 +222,7 @@ _Column = tuple[FloatArray | IntArray, str]  # values, and whether they are date
 
 
 def _column(values: list[Any], where: str) -> _Column | None:
-    """The numbers or dates of a column, NaN where there is none; None of texts."""
+    """Return the numbers or dates of a column, with NaN for missing ones, or None for a column of text."""
     first = next((value for value in values if value not in (None, "", "null")), None)
     try:
         if isinstance(first, str) and is_date(first):
@@ -262,7 +265,7 @@ def _wholes(texts: list[str]) -> list[int | None]:
 
 
 def _floats(column: list[Any]) -> list[float]:
-    """Numbers, or texts of numbers; NaN where there is none. ValueError for anything else."""
+    """Return numbers, or texts of numbers, as floats, NaN where they are missing. ValueError for anything else."""
     kinds = set(map(type, column))
     if kinds <= {int, float} or (kinds == {str} and "_" not in "".join(column)):  # Python would read 1_0 as ten
         with suppress(ValueError):

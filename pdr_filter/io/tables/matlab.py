@@ -35,12 +35,12 @@ _MAX_DEPTH, _MAX_ELEMENTS = 20, 200_000
 
 
 def is_matlab(head: bytes) -> bool:
-    """Whether these are the first bytes of a MATLAB file."""
+    """Return True if the first bytes of a file are those of a MATLAB file."""
     return head.startswith((_HEAD, _HEAD_OF_7_3))
 
 
 def matlab_sheets(members: Members, name: str) -> list[Sheet]:
-    """The tables in a MATLAB file."""
+    """Return the tables in a MATLAB file."""
     where = members.where(name)
     content = members.whole(name, limits.MAX_UNPACKED_BYTES)
     if content.startswith(_HEAD_OF_7_3):
@@ -55,7 +55,7 @@ def matlab_sheets(members: Members, name: str) -> list[Sheet]:
 
 @dataclass(frozen=True, slots=True)
 class _Opaque:
-    """A variable that is an object: what identifies it among those of the file."""
+    """Variable of a MATLAB file that is an object, with the number that identifies the object in the file."""
 
     name: str
     kind: str
@@ -67,7 +67,7 @@ class _Opaque:
 
 
 class _File:
-    """The variables of a file, and the properties of its objects."""
+    """Variables of a MATLAB file, and the properties of its objects."""
 
     def __init__(self, content: bytes) -> None:
         if len(content) < 128:
@@ -90,7 +90,7 @@ class _File:
                 self.variables[found[0]] = found[1]
 
     def sheets(self, where: str) -> list[Sheet]:
-        """A table of each timetable, and one of all columns of the same length."""
+        """Return a table for each timetable, and one of all columns that have the same length."""
         found: list[Sheet] = []
         plain: dict[int, dict[str, FloatArray]] = {}
         for name, value in list(self.variables.items())[: limits.MAX_TABLES]:
@@ -132,7 +132,7 @@ class _File:
     # ------------------------------------------------------------------------------------------- objects
 
     def _cells_of(self, value: Any) -> list[Any]:
-        """The values of the objects of a file."""
+        """Return the list of values that the objects of a MATLAB file refer to by number."""
         inner = np.asarray(value, dtype=np.uint8).tobytes()
         for _, kind, data in self._elements(inner, 8):
             found = self._matrix(data, 0) if kind == _MATRIX else None
@@ -143,7 +143,7 @@ class _File:
         return []
 
     def _properties(self, number: int) -> dict[str, Any]:
-        """The properties of an object by its number."""
+        """Return the properties of an object from its number."""
         meta = np.asarray(self._cells[0], dtype=np.uint8).tobytes()
         words = np.frombuffer(meta[: len(meta) // 4 * 4], dtype=self._order + "u4").astype(int)
         names = meta[40 : words[2]].split(b"\x00")
@@ -161,7 +161,7 @@ class _File:
     # ------------------------------------------------------------------------------------------- elements
 
     def _elements(self, content: bytes, at: int) -> Iterator[tuple[int, int, bytes]]:
-        """Place, kind and bytes of the elements one behind the other."""
+        """Yield the place, kind and bytes of consecutive elements."""
         while at + 8 <= len(content):
             self._elements_left -= 1
             if self._elements_left < 0:
@@ -186,7 +186,10 @@ class _File:
                 yield begin, inner_kind, inner
 
     def _matrix(self, content: bytes, depth: int) -> tuple[str, Any] | None:
-        """Name and value: an array, a text, a list of cells, a dict of a structure; None of any other."""
+        """Return name and value of a matrix element, or None for a kind that no table needs.
+
+        The value is an array, a text, a list of cells, or the dict of a structure.
+        """
         if depth > _MAX_DEPTH:
             raise ValueError("too deep")
         parts = [(kind, data) for _, kind, data in self._elements(content, 0)]
@@ -236,6 +239,6 @@ def _is_object(value: Any) -> bool:
 
 
 def _object_number(value: Any) -> int:
-    """The number of an object, behind its shape."""
+    """Return the number of an object, which follows its shape."""
     words = np.asarray(value.value if isinstance(value, _Opaque) else value).ravel().astype(int)
     return int(words[2 + words[1]])

@@ -28,14 +28,14 @@ _MOST_S = 300.0  # a sheet of a million rows takes some ten seconds
 
 
 def is_spreadsheet(members: Members, name: str = "") -> bool:
-    """Whether a file is one of Excel: a zip with a workbook in it, or the older kind."""
+    """Return True if a file is an Excel file: a zip file that contains a workbook, or the older format."""
     if members.is_container:
         return _WORKBOOK in members.names
     return members.head(name or members.names[0], 8) == _OLD
 
 
 def spreadsheet_sheets(members: Members) -> list[Sheet]:
-    """The tables in a spreadsheet."""
+    """Return the tables in a spreadsheet."""
     path = members.path
     if importlib.util.find_spec("python_calamine") is None:
         raise RecordingError(
@@ -56,7 +56,7 @@ def spreadsheet_sheets(members: Members) -> list[Sheet]:
 
 
 def _check_claims(members: Members) -> None:
-    """Unpack all of it within bounds, and compare the cells that are there with the rectangle around them."""
+    """Raise RecordingError if a spreadsheet unpacks to too much, or has few cells in a huge rectangle."""
     for name in members.names:
         n_cells = last_row = last_column = 0
         rest = b""

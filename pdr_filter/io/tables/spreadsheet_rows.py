@@ -17,7 +17,7 @@ MEMORY_BYTES = 3 * 1024**3
 
 
 def plain(value: Any) -> Any:
-    """A number or a text; dates and times as texts."""
+    """Return a cell as a number or a text. Dates and times become texts."""
     return value if isinstance(value, bool | int | float | str) else str(value)
 
 

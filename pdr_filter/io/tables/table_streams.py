@@ -53,7 +53,10 @@ def fill(parsed: Parsed, mapping: Mapping, sheets: Sequence[Sheet]) -> None:
 
 
 def quaternion_of(roll_rad: FloatArray, pitch_rad: FloatArray, yaw_rad: FloatArray) -> FloatArray:
-    """Quaternions wxyz, sensor to world with z up, of CoreMotion's angles: R = Rz(yaw) Rx(pitch) Ry(roll)."""
+    """Return quaternions (w, x, y, z), from sensor to world with z up, from the angles of CoreMotion.
+
+    The rotation matrix is R = Rz(yaw) Rx(pitch) Ry(roll).
+    """
     with np.errstate(invalid="ignore"):
         (cr, sr), (cp, sp), (cy, sy) = ((np.cos(a / 2), np.sin(a / 2)) for a in (roll_rad, pitch_rad, yaw_rad))
     # q_z(yaw) q_x(pitch) = (cy cp, cy sp, sy sp, sy cp); times q_y(roll) = (cr, 0, sr, 0)
@@ -62,7 +65,10 @@ def quaternion_of(roll_rad: FloatArray, pitch_rad: FloatArray, yaw_rad: FloatArr
 
 
 def is_new_place(values: FloatArray) -> BoolArray:
-    """True for rows with a new location: tables with a row for each sample repeat locations, and 0, 0 is none."""
+    """Return True for rows with a new location.
+
+    Tables with a row for each sample repeat locations. Latitude 0 and longitude 0 is no location.
+    """
     changes = np.ones(len(values), dtype=bool)
     changes[1:] = (values[1:, :2] != values[:-1, :2]).any(axis=1)
     return changes & ~np.isnan(values[:, :2]).any(axis=1) & (values[:, :2] != 0).any(axis=1)
@@ -71,7 +77,7 @@ def is_new_place(values: FloatArray) -> BoolArray:
 def _summed(
     linear: tuple[IntArray | FloatArray, float, FloatArray], gravity: tuple[IntArray | FloatArray, float, FloatArray]
 ) -> tuple[IntArray | FloatArray, float, FloatArray]:
-    """Linear acceleration and gravity, which may have other times."""
+    """Return the sum of linear acceleration and gravity, which may have different times."""
     zero = linear[0][0].item() if len(linear[0]) else 0
     at_s = _seconds(linear[0], linear[1], zero, linear[1])
     known_s = _seconds(gravity[0], gravity[1], zero, linear[1])
@@ -83,7 +89,10 @@ def _summed(
 
 
 def _seconds(ticks: IntArray | FloatArray, unit_s: float, zero: float, zero_unit_s: float) -> FloatArray:
-    """Times in s from a time that is an int if it is that of whole numbers."""
+    """Return times in s since `zero` from ticks of `unit_s` seconds.
+
+    `zero` is in ticks of `zero_unit_s` seconds. Integer ticks keep their full precision.
+    """
     if unit_s == zero_unit_s or zero == 0:
         return np.asarray(ticks - zero, dtype=np.float64) * unit_s
     return ticks.astype(np.float64) * unit_s - float(zero) * zero_unit_s

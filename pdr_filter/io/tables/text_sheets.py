@@ -37,7 +37,7 @@ LARGEST_FLOAT_WHOLE = 2**53
 
 @dataclass(frozen=True, slots=True)
 class TextRows:
-    """Rows of a table in a text."""
+    """Rows of a table in a text, which are parsed when they are used."""
 
     where: str  # for messages
     fields: tuple[str, ...]
@@ -49,7 +49,7 @@ class TextRows:
     only: tuple[int, str] | None = None  # a column and its text in the selected rows
 
     def __call__(self, numbers: Sequence[int], whole: int | None, notes: list[str]) -> NumberTable:
-        """These columns as floats, and one as whole numbers."""
+        """Return the given columns as floats, and one column as whole numbers."""
         names = tuple(self.fields[i] for i in numbers)
         layout = Layout(tuple(numbers), whole, self.separator, self.decimal, names)
         if whole is None or whole not in self.dates:
@@ -65,7 +65,7 @@ class TextRows:
         return NumberTable(without_midnights(found.whole), found.values)
 
     def _dated(self, rows: bytes, layout: Layout, dates: int, notes: list[str], line: int) -> NumberTable:
-        """Rows of which one column is dates."""
+        """Parse rows in which one column holds dates."""
         try:
             ns = column_nanoseconds(rows, self.separator.encode(), dates)
             if ns is not None:
@@ -103,11 +103,11 @@ class TextRows:
         return re.escape(self.separator.encode())
 
     def _up_to(self, column: int) -> bytes:
-        """The pattern of a row before a column."""
+        """Return the regular expression of a row up to a column."""
         return rb"(?m)^(?:[^\n" + self._mark + rb"]*" + self._mark + b"){%d}" % column
 
     def texts_of(self, column: int) -> list[str]:
-        """Texts of a column, each once; none if there are more than a phone has sensors."""
+        """Return the different texts of a column, or an empty list if there are more than a phone has sensors."""
         pattern = self._up_to(column) + rb'"?([^\n"' + self._mark + rb"]*)"
         texts: dict[bytes, None] = {}
         for rows in self._rows():
@@ -125,7 +125,10 @@ def by_text(sheet: Sheet, column: int) -> list[Sheet]:
 
 
 def text_sheets(members: Members, member: str, separator: str | None = None) -> list[Sheet]:
-    """The tables in a text, of which there are several where its first name begins another line of names."""
+    """Return the tables in a text.
+
+    There are several if the first column name begins another line of column names.
+    """
     header = members.head(member).removeprefix(b"\xef\xbb\xbf").partition(b"\n")[0].strip()
     if header.startswith(b'"') and (first := re.match(rb'"[^"\d]*"', header)):
         n_tables = sum(len(_begins(block, first[0])) for block in members.blocks(member))
@@ -142,12 +145,12 @@ def text_sheets(members: Members, member: str, separator: str | None = None) -> 
 
 
 def _begins(block: bytes, first: bytes) -> list[int]:
-    """Places of the lines of a block that begin so."""
+    """Return the places of the lines in a block that begin with `first`."""
     return [found.start() for found in re.finditer(re.escape(b"\n" + first), b"\n" + block)]
 
 
 def _table_at(members: Members, member: str, first: bytes, n: int) -> Iterator[bytes]:
-    """Blocks of the n-th of several tables."""
+    """Yield the blocks of the n-th of several tables in a text."""
     at = -1
     for block in members.blocks(member):
         begins = _begins(block, first)
@@ -160,7 +163,7 @@ def _table_at(members: Members, member: str, first: bytes, n: int) -> Iterator[b
 def text_sheet(
     members: Members, member: str, separator: str | None = None, blocks: Callable[[], Iterator[bytes]] | None = None
 ) -> Sheet | None:
-    """The table in a text, or in some blocks of it; None if it holds none."""
+    """Return the table in a text, or in some blocks of it, or None if there is no table."""
     head = members.head(member) if blocks is None else next(blocks(), b"")[: limits.HEAD_BYTES]
     if b"\x00" in head[:4096]:
         return None
@@ -193,7 +196,10 @@ def text_sheet(
 
 
 def unlike(names: Sequence[str]) -> tuple[str, ...]:
-    """Names of columns, each once: one without a name gets its number, one that is there again a further number."""
+    """Return unique column names.
+
+    A column without a name gets its number. A repeated name gets a further number.
+    """
     found: list[str] = []
     for i, name in enumerate(names, 1):
         name = name or f"column {i}"
@@ -214,7 +220,7 @@ class _Found:
 
 
 def _lines(head: bytes) -> list[str]:
-    """The whole lines of the first bytes of a text."""
+    """Return the complete lines in the first bytes of a text."""
     try:
         text = head.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -224,7 +230,7 @@ def _lines(head: bytes) -> list[str]:
 
 
 def _n_known(text: str) -> int:
-    """How many fields of the first lines that are not ASCII are names of a time or a sensor."""
+    """Return the number of non-ASCII fields in the first lines that name a time, a quantity or an axis."""
     fields = {field.strip(' "') for line in text.splitlines()[:_LINES_TRIED] for field in re.split(r"[,;|\t]", line)}
     columns = [(name, column_of(0, name)) for name in fields if not name.isascii()]
     return sum(is_time(name) or bool(column.quantity or column.axis) for name, column in columns)
@@ -268,7 +274,7 @@ def _layout(lines: list[str], separator: str) -> _Found | None:
 
 
 def _merged(names: list[str]) -> list[str]:
-    """Names over columns, each also over those without one behind it, as merged cells are written."""
+    """Return column names in which a name also stands over the unnamed columns after it, as in merged cells."""
     found: list[str] = []
     for name in names:
         found.append(name or (found[-1] if found else ""))
@@ -284,7 +290,10 @@ def _is_value(text: str) -> bool:
 
 
 def _is_row(row: list[str]) -> bool:
-    """Whether fields are those of a sample: at least two numbers or dates, and most of those that are not empty."""
+    """Return True if fields are those of a sample.
+
+    It has at least two numbers or dates, and they are most of the fields that are not empty.
+    """
     known = [text for text in row if text]
     n_values = sum(map(_is_value, known))
     return n_values >= 2 and 2 * n_values > len(known)

@@ -48,7 +48,7 @@ class Layout:
 
     @property
     def needed(self) -> int:
-        """How many fields a line must have."""
+        """Least number of fields in a line."""
         return 1 + max([*self.picked, *self.texts, self.whole or 0])
 
 
@@ -61,7 +61,7 @@ def header_fields(line: str, separator: str) -> list[str]:
 
 
 def find_separator(header: str) -> str:
-    """The separator that splits a header line into most fields; a comma if none does."""
+    """Return the separator that splits a header line into most fields, or a comma if none does."""
     return max(SEPARATORS, key=lambda separator: len(header_fields(header, separator)))
 
 
@@ -84,11 +84,11 @@ class TextTable:
 
     @property
     def is_empty(self) -> bool:
-        """Whether there is neither a header nor a row."""
+        """True if the table has neither a header nor a row."""
         return not self.header.strip() and not self.first_rows.strip()
 
     def places(self, names: Sequence[str]) -> tuple[int, ...]:
-        """Places of the columns of these names; RecordingError unless each is there once."""
+        """Return the places of the columns with these names. RecordingError unless each exists exactly once."""
         for name in names:
             if (n := self.fields.count(name)) != 1:
                 raise RecordingError(
@@ -106,14 +106,14 @@ class TextTable:
         texts: Sequence[int] = (),
         decimal: str = ".",
     ) -> NumberTable:
-        """The columns at these places; see `Layout` and `parse_blocks`."""
+        """Parse the columns of a text table that `layout` picks (see `Layout` and `parse_blocks`)."""
         names = tuple(self.fields[place] for place in places)
         layout = Layout(tuple(places), whole, self.separator, decimal, names, tuple(texts))
         return parse_blocks(chain([self.first_rows], self._rest), layout, self.where, notes)
 
 
 def decode(content: bytes, where: str, first_line: int = 1) -> str:
-    """Text of UTF-8 bytes; RecordingError names the byte that is none, and its line."""
+    """Decode UTF-8 bytes. RecordingError names the invalid byte and its line."""
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -124,7 +124,7 @@ def decode(content: bytes, where: str, first_line: int = 1) -> str:
 
 
 def text_rows(content: bytes, where: str) -> list[list[str]]:
-    """The rows of a small table of text that are not empty."""
+    """Return the rows of a small table of text that are not empty."""
     text = decode(content.replace(b"\x00", b""), where)
     separator = find_separator(text.partition("\n")[0])
     try:
@@ -160,7 +160,7 @@ def parse_blocks(
 
 
 def concatenated(parts: Sequence[NumberTable]) -> NumberTable:
-    """The rows of all parts, one below the other."""
+    """Return the rows of all parts in one table."""
     return NumberTable(
         np.concatenate([part.whole for part in parts]),
         np.concatenate([part.values for part in parts]),
@@ -169,7 +169,7 @@ def concatenated(parts: Sequence[NumberTable]) -> NumberTable:
 
 
 def finite(values: FloatArray, where: str, notes: list[str]) -> FloatArray:
-    """Values with infinite and absurdly large ones replaced by NaN, with a note."""
+    """Return values in which infinite and absurdly large ones are replaced by NaN, and add a note about them."""
     # Without a copy, which may be large, and whatever is NaN.
     low, high = (float(extreme.reduce(values, axis=None, initial=0.0)) for extreme in (np.fmin, np.fmax))
     if low >= -limits.LARGEST_VALUE and high <= limits.LARGEST_VALUE:
@@ -180,13 +180,13 @@ def finite(values: FloatArray, where: str, notes: list[str]) -> FloatArray:
 
 
 def refuse_far_times(whole: IntArray, where: str) -> None:
-    """Refuse whole times whose differences an int64 could not hold."""
+    """Raise RecordingError for whole times whose differences exceed an int64."""
     if len(whole) and not (whole.min() >= -limits.MAX_WHOLE_TIME and whole.max() <= limits.MAX_WHOLE_TIME):
         raise RecordingError(f"{where}: times from {whole.min()} to {whole.max()}; export them as they were recorded")
 
 
 def parse_lines(lines: Sequence[str], layout: Layout) -> NumberTable:
-    """Parse lines that have a number in every picked field; ValueError if one has not."""
+    """Parse lines that have a number in every picked field. ValueError if a field is no number."""
     columns = [*([] if layout.whole is None else [layout.whole]), *layout.picked]
     kinds = [(f"f{i}", np.int64 if column == layout.whole and i == 0 else float) for i, column in enumerate(columns)]
     rows = np.loadtxt(lines, np.dtype(kinds), None, layout.separator, usecols=columns, ndmin=1, quotechar='"')
@@ -217,9 +217,9 @@ def _parse_block(block: bytes, layout: Layout, where: str, notes: list[str], lin
 
 
 def _by_arrow(block: bytes, layout: Layout) -> NumberTable | None:
-    """The rows of a large block by pyarrow, which has the same bits in a third of the time.
+    """Parse a large block of rows with pyarrow, which gives the same bits in a third of the time.
 
-    None if it is not installed, or if anything is odd: then the rows are looked at here.
+    None if pyarrow is not installed, or if anything in the block is unusual. The caller then parses it row by row.
     """
     is_plain = block.endswith(b"\n") and not layout.texts and layout.decimal != layout.separator
     if len(block) < LARGE_BYTES or not is_plain or not block.isascii() or b'"' in block:
@@ -265,7 +265,7 @@ def _filled(text: str, separator: str) -> str:
 
 
 def _parse_rows(text: str, layout: Layout, where: str, notes: list[str], line: int, is_whole: bool) -> NumberTable:
-    """Parse row by row, for the note or the message that says which field of which line is odd."""
+    """Parse a block row by row, so that a note or an error message can name the line and the field."""
     values: list[list[float]] = []
     whole: list[int] = []
     texts: list[list[str]] = []
@@ -311,7 +311,7 @@ def _parse_rows(text: str, layout: Layout, where: str, notes: list[str], line: i
 
 
 def _rows(text: str, separator: str, where: str, line: int) -> Iterator[tuple[int, list[str], bool]]:
-    """Line number, fields and whether it is the last, for every row that is not empty."""
+    """Yield the line number, the fields, and True for the last row, for every row that is not empty."""
     reader = csv.reader(io.StringIO(text), delimiter=separator)
     n_lines = text.count("\n") + 1
     try:
@@ -325,13 +325,13 @@ def _rows(text: str, separator: str, where: str, line: int) -> Iterator[tuple[in
 
 
 def _is_complete(row: list[str], layout: Layout) -> bool:
-    """Whether a last line without line feed can be taken: all fields are there, and no number is cut in the middle."""
+    """Return True if a last line without line feed is complete: it has all fields, and no number is cut."""
     numbers = (*layout.picked, *([] if layout.whole is None else [layout.whole]))
     return len(row) >= layout.needed and all(to_number(row[i]) is not None for i in numbers)
 
 
 def _no_number(row: list[str], i: int, layout: Layout, where: str) -> RecordingError:
-    """Error for the i-th picked field."""
+    """Return the error for the i-th picked field of a row, which is no number."""
     name = layout.names[i] if i < len(layout.names) else str(layout.picked[i] + 1)
     if row[layout.picked[i]].strip() == name:
         return RecordingError(
@@ -345,7 +345,7 @@ def _no_number(row: list[str], i: int, layout: Layout, where: str) -> RecordingE
 
 
 def to_number(field: str) -> float | None:
-    """The number in a field, NaN if it is empty, None if it is text."""
+    """Return the number in a field, NaN if the field is empty, or None if it is text."""
     field = field.strip()
     if not field or field in UNKNOWN:
         return math.nan
@@ -358,7 +358,7 @@ def to_number(field: str) -> float | None:
 
 
 def whole_number(field: str) -> int | None:
-    """The whole number in a field without loss, None if it is empty; ValueError if it is something else."""
+    """Return the whole number in a field without loss, or None if the field is empty. ValueError for anything else."""
     field = field.strip()
     if not field or field in ("nan", "NaN", *UNKNOWN):
         return None

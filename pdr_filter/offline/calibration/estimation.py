@@ -160,7 +160,7 @@ def estimate_parameters(
             moved = np.abs(theta - before.people) / np.sqrt(np.diagonal(posterior.people_cov, axis1=1, axis2=2))
             converged = float(moved.max(initial=0.0)) < 1e-4 and variances.is_near(old)
     if posterior is None:
-        raise ValueError(f"_MAX_ITERATIONS must be 1 or more, got {_MAX_ITERATIONS}")
+        raise ValueError(f"the module constant _MAX_ITERATIONS must be 1 or more, got {_MAX_ITERATIONS}: restore it")
     return task.result(about, posterior, variances, iteration, converged)
 
 
@@ -372,7 +372,11 @@ class _Chunk:
     def normal_equations(
         self, about: FloatArray, phi: FloatArray, tau2: float, first: bool, G: FloatArray, g: FloatArray
     ) -> None:
-        """Write the G_s (F, F) and g_s (F,) of these people into G and g, linearised at their parameters (S, F)."""
+        """Write the normal equations of these people into G and g, linearised at their S parameter vectors (S, F).
+
+        For each person, G_s (F, F) is the matrix and g_s (F,) the right-hand side of the weighted least-squares
+        problem.
+        """
         group = self.group
         self.precision = self.w / (phi[self.context] * self.base_var)
         row, target = _linearised(self.A, self.offset, about[group.person], self.distance)
@@ -408,9 +412,12 @@ class _Chunk:
         self.rho_square = float((rho**2 + rho_variance).sum())
 
     def own_influence(self, about: FloatArray, posterior: PeoplePosterior) -> FloatArray:
-        """Return the influence (n,) of each segment on its own prediction.
+        """Return the influence (n,) of each segment on its own prediction, m.
 
-        theta without segment i = theta - C tilted_i' error_i / (variance_i - tilted_i C tilted_i' - size_i^2 kappa).
+        The prediction without the segment is the prediction minus this influence. It follows from theta without segment
+        i = theta - C tilted_i' error_i / (variance_i - tilted_i C tilted_i' - size_i^2 kappa). C is the covariance of
+        the parameters theta, tilted_i the derivative of the error by theta (`_marginal_rows`), size_i the predicted
+        length, and kappa the variance of the scale error of the recording given its data.
         """
         group = self.group
         row, _ = _linearised(self.A, self.offset, about[group.person], self.distance)
@@ -425,9 +432,10 @@ class _Chunk:
 def _linearised(
     A: FloatArray, offset: FloatArray, theta: FloatArray, distance: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return rows (N, F) and targets (N,) of the linearised segments.
+    """Return the regression rows (N, F) and targets (N,) of N segments, linearised at the parameters theta (N, F).
 
-    Near these theta, distance - |A theta + offset| = target - row @ theta.
+    A segment adds up to the vector A theta + offset in m, with A (2, F) the sums of the regressors of its steps. Its
+    known length is `distance`. Near theta, the residual distance - |A theta + offset| equals target - row @ theta.
     """
     vector = np.einsum("ndp,np->nd", A, theta) + offset
     size = np.hypot(vector[:, 0], vector[:, 1])
@@ -495,13 +503,13 @@ def _sums(values: FloatArray, starts: IntArray) -> FloatArray:
 
 
 def _gram(rows: FloatArray, weight: FloatArray, starts: IntArray) -> FloatArray:
-    """Return the sums of weight row' row of each group, shape (groups, F, F)."""
+    """Return for each group of rows the sum of weight * outer(row, row), shape (groups, F, F)."""
     weighted = rows * weight[:, None]
     result = np.stack([weighted[a:b].T @ rows[a:b] for a, b in pairwise(starts.tolist())])
     return 0.5 * (result + result.transpose(0, 2, 1))
 
 
 def _bilinear(left: FloatArray, right: FloatArray, cov: FloatArray, starts: IntArray) -> FloatArray:
-    """Return left C right' of each row, with the covariance C of its group from `cov` (groups, F, F)."""
+    """Return left C right' for each pair of rows, with C the covariance of the row's group in `cov` (groups, F, F)."""
     turned = np.concatenate([left[a:b] @ own for (a, b), own in zip(pairwise(starts.tolist()), cov, strict=True)])
     return np.einsum("np,np->n", turned, right)

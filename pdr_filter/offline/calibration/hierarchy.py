@@ -103,9 +103,12 @@ def solve_people(
 def _eliminated(
     G: FloatArray, g: FloatArray, mean: FloatArray, precision: FloatArray, personal: IntArray, W: FloatArray
 ) -> PeoplePosterior:
-    """Return the posterior for parameters of unit size.
+    """Return the posterior of the population's and all people's step-length parameters, by elimination with GTSAM.
 
-    GTSAM eliminates the people first, then the population. Each conditional of a person is R t_s + S y = d.
+    The parameters are scaled so that their values are about one. GTSAM first eliminates the own parameters t_s of each
+    person s, then the population's parameters y. Elimination gives R t_s + S y = d + unit normal noise for each person,
+    with the matrices R (triangular) and S and the vector d. The arguments are those of `solve_people`. SingularError if
+    the data do not determine the parameters.
     """
     n_people, n_params = g.shape
     ordering = gtsam.Ordering()
@@ -163,9 +166,10 @@ def _graph(
 def _blocks(
     G: FloatArray, g: FloatArray, personal: IntArray, W: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return the quadratic form of each person in (t_s, y), including the tie between both.
+    """Return the quadratic form of each person s in the own parameters t_s and the population's parameters y.
 
-    The five blocks are: matrix of t_s, mixed matrix, vector of t_s, matrix of y, vector of y.
+    It includes the prior of t_s given y. The five blocks are the matrix of t_s, the mixed matrix, the vector of t_s,
+    the matrix of y, and the vector of y.
     """
     n_people, n_params = g.shape
     shared = np.delete(np.arange(n_params), personal)
@@ -204,7 +208,7 @@ def population_without_each(
 
 
 def _parts(conditional: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return R, S and d of a Gaussian conditional of GTSAM."""
+    """Return R, S and d of a Gaussian conditional R t + S y = d of GTSAM, with t the variables that were eliminated."""
     return np.asarray(conditional.R()), np.asarray(conditional.S()), np.asarray(conditional.d())
 
 

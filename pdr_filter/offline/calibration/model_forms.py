@@ -66,7 +66,7 @@ def forms_of(
 
 
 def models_of(priors: Priors) -> dict[str, StepLengthModel]:
-    """Return the step-length model of each context."""
+    """Return the step-length model of each context, taken from the priors of the calibration."""
     return {name: p.model for name, p in priors.items()}
 
 

@@ -17,7 +17,10 @@ from pdr_filter.values import BoolArray, FloatArray, IntArray
 
 @dataclass(slots=True)
 class Rows:
-    """Whitened linear equations A x_a + B x_b = rhs, one block for each pair of keys.
+    """Whitened linear equations A x_a + B x_b = rhs, one block of m equations for each pair of unknown vectors.
+
+    An unknown vector x is identified by its number, the key. x_a and x_b are the unknowns with the first and the second
+    key.
 
     Attributes
     ----------

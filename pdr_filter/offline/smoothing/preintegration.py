@@ -197,8 +197,11 @@ class Intervals:
 def preintegrate(steps: Increments, nodes: IntArray) -> Intervals:
     """Return the steps summed between anchors, in time proportional to the number of steps.
 
-    Q_pp = sum C_i + sum q_i J b_i (J b_i)' + sum r_i d_i d_i',  b_i = D - D_{i-1},  d_i = D - D_i, and so on
-    (docs/methods/smoothing.md). The sums over i are differences of cumulative sums, for all steps at once.
+    With D the sum of all steps of an interval and D_i that of its first i steps, C_i the covariance of step i, q_i and
+    r_i the drift variances of heading offset and log scale, and J the rotation by a right angle, the position
+    covariance is Q_pp = sum C_i + sum q_i J b_i (J b_i)' + sum r_i d_i d_i' with b_i = D - D_{i-1} and d_i = D - D_i.
+    The other blocks are similar (docs/methods/smoothing.md). The sums over i are differences of cumulative sums, for
+    all steps at once.
     """
     if len(nodes) < 2 or nodes[0] != 0 or nodes[-1] != len(steps) or (np.diff(nodes) < 1).any():
         raise ValueError(f"anchors must increase from 0 to the number of steps, {len(steps)}, got {nodes}")
@@ -282,15 +285,18 @@ def _moments(steps: Increments, first: IntArray) -> tuple[FloatArray, FloatArray
 
 
 def scaled_rotation(heading_rad: FloatArray, log_scale: FloatArray) -> FloatArray:
-    """Return e^s R(theta), shape (..., 2, 2)."""
+    """Return the rotation matrices of heading offsets theta scaled by log scales s, e^s R(theta), (..., 2, 2)."""
     c, s = np.exp(log_scale) * np.cos(heading_rad), np.exp(log_scale) * np.sin(heading_rad)
     return np.stack([np.stack([c, s], axis=-1), np.stack([-s, c], axis=-1)], axis=-2)
 
 
 def end_states(start: FloatArray, sum_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the states (n, 4) after the summed steps (n, 2) from start states (n, 4), and their derivatives (n, 4, 4).
+    """Return the states (n, 4) at the end of n intervals, and their derivatives F (n, 4, 4) by the start states.
 
-    F = d x_b / d x_a. The position depends on the heading offset by J e^s R D and on the log scale by e^s R D.
+    Each interval starts at an anchor with state x_a and ends at the next one with state x_b, so F = d x_b / d x_a.
+    `sum_m` (n, 2) is the sum D of its steps in m, before rotation and scaling. With J the rotation by a right angle, R
+    that by the heading offset and s the log scale, the end position has the derivative J e^s R D by the heading offset
+    and e^s R D by the log scale.
     """
     rotation = scaled_rotation(start[:, HEADING_OFFSET], start[:, LOG_SCALE])
     moved = np.einsum("nab,nb->na", rotation, sum_m)
@@ -303,7 +309,7 @@ def end_states(start: FloatArray, sum_m: FloatArray) -> tuple[FloatArray, FloatA
 
 
 def state_transform(start: FloatArray) -> FloatArray:
-    """Return T (n, 4, 4) of states (n, 4), which rotates and scales the covariance of an interval."""
+    """Return the matrices T (n, 4, 4) that rotate and scale the covariance of an interval by the state at its start."""
     T = np.broadcast_to(np.eye(N_STATES), (len(start), N_STATES, N_STATES)).copy()
     T[:, _POSITION, _POSITION] = scaled_rotation(start[:, HEADING_OFFSET], start[:, LOG_SCALE])
     return T

@@ -96,11 +96,11 @@ class ObservedOffsets:
     Attributes
     ----------
     node : array (O,)
-        Number of steps before the offset, or its anchor.
+        Number of steps before the offset. In a `Problem` it is the index of the anchor (state) instead.
     offset_rad : array (O,)
-        Observed heading offset.
+        Observed heading offset in rad.
     std_rad : array (O,)
-        Standard deviation.
+        Standard deviation of the observed heading offset in rad.
     """
 
     node: IntArray
@@ -229,7 +229,10 @@ class Problem:
 
     @property
     def limit_nis(self) -> FloatArray:
-        """Gates (F + H + S + X,) of the normalised innovation squared, above which an observation is an outlier."""
+        """Gates (F + H + S + X,) of the normalised innovation squared, above which an observation is an outlier.
+
+        F, H, S and X are the numbers of positions, directions, states and measurements.
+        """
         n = [len(self.positions), len(self.directions) + len(self.states)]
         return np.concatenate([np.repeat([_POSITION_NIS, _DIRECTION_NIS], n), self._limits_of_measurements])
 
@@ -243,7 +246,10 @@ class Problem:
 
     @property
     def possible(self) -> FloatArray:
-        """Mask (F + H + S + X,) of usable observations: 1, or 0 for a direction over too short a distance."""
+        """Mask of usable observations (F + H + S + X,): 1, or 0 for a direction over too short a distance.
+
+        F, H, S and X are the numbers of positions, directions, states and measurements.
+        """
         walked = self.directions.length_m > MIN_HEADING_LENGTH_M
         n_others = len(self.states) + len(self.measurements)
         return np.concatenate([np.ones(len(self.positions)), walked.astype(float), np.ones(n_others)])

@@ -85,7 +85,11 @@ def solve(problem: Problem) -> Solution:
 
 
 def _initial_guess(problem: Problem) -> tuple[FloatArray, float, FloatArray]:
-    """Return initial states, the rotation of the frame, and weights of the observations, from the linear problem."""
+    """Return initial states, the rotation of the frame, and observation weights for the nonlinear smoother.
+
+    They solve the relaxed problem, which replaces heading offset and log scale by a plane vector. It is linear, so it
+    needs no initial guess. The weights come from a graduated non-convexity that removes outliers.
+    """
     n_relaxed = len(problem.positions) + len(problem.directions) + len(problem.states)
     all_limits, limit, possible = problem.limit_nis, problem.limit_nis[:n_relaxed], problem.possible[:n_relaxed]
     weight, mu = possible.copy(), None
@@ -158,7 +162,10 @@ def _nis_of_measurements(problem: Problem, mean: FloatArray) -> FloatArray:
 
 
 def _position_anchors(problem: Problem) -> IntArray:
-    """Return the anchor (F + H + S + X,) of each observed position, -1 for other observations."""
+    """Return the anchor of each observed position and measurement, -1 for directions and states, (F + H + S + X,).
+
+    F, H, S and X are the numbers of positions, directions, states and measurements.
+    """
     others = np.full(len(problem.directions) + len(problem.states), -1)
     return np.concatenate([problem.positions.node, others, problem.measurements.node])
 
@@ -258,7 +265,10 @@ def _innovations(
 
 
 def _normalised_squares(residual: FloatArray, leverage: FloatArray, is_used: BoolArray) -> FloatArray:
-    """Return r' (I - L)^-1 r of used and r' (I + L)^-1 r of unused residuals (F, m) with leverages (F, m, m)."""
+    """Return the normalised squares of residuals r (F, m), with leverages L (F, m, m).
+
+    They are r' (I - L)^-1 r for used and r' (I + L)^-1 r for unused observations (see `_innovations`).
+    """
     # without any other information I - L is zero up to rounding, and the small term keeps it regular
     eye = (1 + 1e-12) * np.eye(residual.shape[1])
     S = eye + np.where(is_used, -1.0, 1.0)[:, None, None] * leverage
@@ -327,7 +337,10 @@ def linearised(problem: Problem, mean: FloatArray, frame_rad: float, weight: Flo
 
 
 def _error_rows(problem: Problem, mean: FloatArray) -> list[Rows]:
-    """Return the equations of the errors of correlated fixes: e_0 ~ N(0, I), e_k = a e_(k-1) + w, var w = 1 - a^2."""
+    """Return the equations of the errors e_k of correlated fixes, which are a first-order Gauss-Markov process.
+
+    e_0 ~ N(0, I) and e_k = a e_(k-1) + w with var w = 1 - a^2, where a is the correlation of consecutive errors.
+    """
     n, decay = problem.n_nodes, problem.errors.decay
     if len(problem.errors) == 0:
         return []
@@ -351,9 +364,11 @@ def _state_residuals(states: ObservedStates, mean: FloatArray) -> tuple[FloatArr
 
 
 def _position_residuals(problem: Problem, mean: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the whitened residuals (F, 2) of positions, and their derivatives (F, 2, 4) by both anchors.
+    """Return the whitened residuals (F, 2) of F observed positions, and their derivatives (F, 2, 4) by both anchors.
 
-    The residual is p + e^s R(theta) d + B e - G x_other - z.
+    The residual is p + e^s R(theta) d + B e - G x_other - z. (p, theta, s) are position, heading offset and log scale
+    at the anchor, and d is the displacement from the anchor to the time of the observation. B e is the correlated error
+    of the fix, G x_other the position of the other anchor (loop closures only), and z the observed position, all in m.
     """
     positions, errors = problem.positions, problem.errors
     at, relative = mean[positions.node, :N_STATES], positions.other >= 0
@@ -441,7 +456,11 @@ def _relaxed_observations(problem: Problem, weight: FloatArray) -> list[Rows]:
 
 
 def _relaxed_squared_residuals(problem: Problem, state: FloatArray) -> FloatArray:
-    """Return the squared residuals (F + H + S,) of all observations for states (N, 6) in (p, z)."""
+    """Return the squared whitened residuals (F + H + S,) of all observations in the relaxed problem.
+
+    There are F positions, H directions and S states. The unknowns `state` (N, 6) of the anchors are the position p and
+    z = e^s (cos theta, sin theta), with heading offset theta and log scale s.
+    """
     positions, directions, errors = problem.positions, problem.directions, problem.errors
     by_errors = np.einsum("nab,nb->na", positions.whiten[errors.position] @ errors.by, state[problem.n_nodes :])
     state = state[: problem.n_nodes, :N_STATES]
@@ -458,7 +477,10 @@ def _relaxed_squared_residuals(problem: Problem, state: FloatArray) -> FloatArra
 
 
 def _rotation_matrix_of(sum_m: FloatArray) -> FloatArray:
-    """Return M(D) (n, 2, 2): D rotated and scaled is M(D) (e^s cos theta, e^s sin theta)."""
+    """Return the matrices M(D) (n, 2, 2) of displacements D (n, 2), for which M(D) z is D rotated and scaled by z.
+
+    z = e^s (cos theta, sin theta) has the heading offset theta and the log scale s.
+    """
     east, north = sum_m[:, 0], sum_m[:, 1]
     return np.stack([np.stack([east, north], axis=-1), np.stack([north, -east], axis=-1)], axis=-2)
 
@@ -474,7 +496,7 @@ def _relaxed_positions(problem: Problem) -> tuple[FloatArray, FloatArray, FloatA
 
 
 def _vector(state: FloatArray) -> FloatArray:
-    """Return z = e^s (cos theta, sin theta) of a state (4,)."""
+    """Return the vector e^s (cos theta, sin theta) of a state (4,), with log scale s and heading offset theta."""
     theta, s = state[HEADING_OFFSET], state[LOG_SCALE]
     return np.exp(s) * np.array([np.cos(theta), np.sin(theta)])
 
@@ -504,9 +526,12 @@ def _relaxed_states(states: ObservedStates) -> tuple[FloatArray, FloatArray]:
 
 
 def _relaxed_offsets(offsets: ObservedOffsets, key: int, frame_std_rad: float) -> list[Rows]:
-    """Return the relaxed equations of the heading offsets, in which the rotation of the frame is a vector of key `key`.
+    """Return the equations of observed heading offsets in the relaxed (linear) problem, and the prior of the rotation.
 
-    z is the measured offset's unit vector, rotated by that vector.
+    The unknowns are z = e^s (cos theta, sin theta) of each anchor, with log scale s and heading offset theta, and
+    r = (cos angle, sin angle) of the rotation of the frame. The equation is z = R(offset) r, with R(offset) the
+    rotation matrix of the observed offset. `key` is the number of the unknown r in the equations. The prior of r is
+    (1, 0) with standard deviation `frame_std_rad`.
     """
     inverse = 1 / np.minimum(offsets.std_rad, np.sqrt(MAX_HEADING_VARIANCE))
     by_state = np.zeros((len(offsets), 2, N_STATES))

@@ -29,8 +29,8 @@ Classes = tuple[str, ...]
 def fit_softmax(Z: FloatArray, y: TextArray, weight: FloatArray, C: float = 0.02) -> tuple[SoftmaxRegression, Classes]:
     """Return a multinomial logistic regression and its classes.
 
-    C is the inverse of the penalty. Values of 0.1 to 0.005 have the same log loss within 0.02 on held-out people. With
-    smaller values, the probabilities become less certain than the temperature can correct.
+    C is the inverse strength of the penalty on the weights. Values of 0.1 to 0.005 have the same log loss within 0.02
+    on held-out people. With smaller values, the probabilities become less certain than the temperature can correct.
     """
     fitted: Any = LogisticRegression(C=C, max_iter=300, tol=1e-3).fit(Z, y, sample_weight=weight)
     weights, intercept = fitted.coef_, fitted.intercept_

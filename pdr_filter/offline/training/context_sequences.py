@@ -219,7 +219,7 @@ def filter_windows(
     n_contexts = windows.prob.shape[1]
     check_transition_prob(transition_prob, n_contexts)
     if not 0 < floor < 1:
-        raise ValueError(f"floor must be between 0 and 1, got {floor}")
+        raise ValueError(f"floor, the least probability of a context, must be between 0 and 1, got {floor}")
     log_prob = np.log(np.maximum(windows.prob, floor))
     log_prior = np.log(np.where(windows.training_prior > 0, windows.training_prior, 1.0 / n_contexts))
     by_evidence, by_prior = (np.asarray(exponent)[..., None] for exponent in (evidence_exponent, prior_exponent))
@@ -240,7 +240,7 @@ def log_loss_by_person(
     prior_exponent: FloatArray,
     floor: float,
 ) -> tuple[tuple[str, ...], FloatArray]:
-    """Return the people, and the log loss (G, P) of each person for G pairs of exponents."""
+    """Return the names of P people, and the mean log loss (G, P) of each person for each of G pairs of exponents."""
     result = filter_windows(windows, transition_prob, evidence_exponent, prior_exponent, floor)
     known = windows.label != UNKNOWN
     loss = -np.log(np.maximum(result[known, :, windows.label[known]], 1e-300))

@@ -132,10 +132,10 @@ def cross_calibrated(prob: FloatArray, context: TextArray, person: TextArray, mo
 
 
 def calibration(prob: FloatArray, context: TextArray, model: ContextModel) -> tuple[float, float]:
-    """Return the temperature and the slip that calibrate the probabilities (W, C) of held-out people.
+    """Return the temperature and the slip probability that calibrate the probabilities (W, C) of held-out people.
 
-    The slip is at least 1 / (W + 2), by Laplace's rule of succession. W windows without an error do not exclude one,
-    and a single label with probability zero would have an infinite log loss.
+    The slip probability is at least 1 / (W + 2), by Laplace's rule of succession. W windows without an error do not
+    exclude one, and a single label with probability zero would have an infinite log loss.
     """
     if not len(context):
         return 1.0, 0.0

@@ -310,9 +310,10 @@ class TrainingPlan(ABC):
 
 
 def train_one(plan: TrainingPlan, windows: LabelledWindows, progress: Progress, n_jobs: int = -1) -> ContextModel:
-    """Return the model of one plan, fitted on all its windows and scored on held-out groups.
+    """Return the model of one training plan, fitted on all its windows and scored on held-out groups of people.
 
-    `n_jobs` is the number of processes, -1 for all processors.
+    A `TrainingPlan` states which model to fit on which windows, and which people to hold out together. `n_jobs` is the
+    number of processes, -1 for all processors.
     """
     groups = plan.held_out(windows)
     n = len(groups) + 2

@@ -80,7 +80,7 @@ def guo2018(subject: Subject | None = None) -> Config:
             Note(
                 "recipe",
                 "the pose is classified from pitch and roll only (12 of 18 features), because light and proximity are "
-                "not recorded",
+                "not recorded: expect more confused poses than in the paper",
             ),
             *height_notes(subject),
         ),

@@ -86,7 +86,7 @@ class MagnitudeFeatures:
     low_pass_hz: float = 5.0
 
     def describe(self, windows: FloatArray, rate_hz: float) -> FloatArray:
-        """Return the features (W, 28) of windows with signals (W, R, N)."""
+        """Return the 28 features (W, 28) of W windows with R signals of N samples, (W, R, N)."""
         return np.array([features_28(window, rate_hz) for window in windows[:, :_N_MAGNITUDES]])
 
 

@@ -76,7 +76,10 @@ _FREQUENCY_ACC = NAMES.index("dominant_frequency_1_acc_hz")
 
 @dataclass(frozen=True)
 class Node:
-    """Node of the tree with the linear test w . x + b > 0 for features x in the order of `TREE_FEATURES`."""
+    """Node of the decision tree, with the linear test w . x + b > 0.
+
+    w are weights and b is a bias. x are the features in the order of `TREE_FEATURES`.
+    """
 
     weights: tuple[float, ...]
     bias: float

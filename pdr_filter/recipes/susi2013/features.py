@@ -181,7 +181,10 @@ class MotionWindows(SlidingWindows[MotionWindowState, MotionWindow]):
         return state, [(window.last, self._describe(window)) for window in windows]
 
     def _moving_mean(self, line: FloatArray, n_before: int) -> FloatArray:
-        """Return the mean over the last L samples, or all so far, at each sample after the delay line (eq. 3)."""
+        """Return the mean over the last L samples at each sample after the delay line (eq. 3).
+
+        At the start of a segment it is the mean over all samples so far.
+        """
         length = self.window_samples
         # each output is one dot product over the window, so that results are bit-identical for any split into blocks
         sums = np.stack([np.convolve(row, np.ones(length), mode="valid") for row in line])

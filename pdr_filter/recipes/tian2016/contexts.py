@@ -44,7 +44,10 @@ _CARRYING_MODE: Mapping[int, str] = {HOLDING: "texting", SWING: "swinging", POCK
 
 @dataclass(frozen=True)
 class MachineState:
-    """Mode of the machine, and counts of samples in the window that determines the next mode."""
+    """State of the machine that decides on the carrying mode.
+
+    It has the present mode, and counts of samples in the window that determines the next mode.
+    """
 
     mode: int
     mode_before: int  # S_bt, the main mode before a transition
@@ -190,7 +193,7 @@ def _first(condition: BoolArray, start: int, stop: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class TianContextsState:
-    """State of machine and step detector, and the last report."""
+    """State of the carrying-mode machine and of the step detector, and the last report."""
 
     machine: MachineState
     detector: TianDetectorState
@@ -236,7 +239,8 @@ class TianContexts:
         check_numbers(self)
         if self.machine.rate_hz != self.steps.rate_hz:
             raise ValueError(
-                f"machine and steps must have the same rate_hz, got {self.machine.rate_hz} and {self.steps.rate_hz}"
+                "the state machine of the carrying mode (machine) and the step detector (steps) must have the same "
+                f"rate_hz, got {self.machine.rate_hz} and {self.steps.rate_hz}: set one of the two"
             )
 
     @property
@@ -251,7 +255,7 @@ class TianContexts:
 
     @property
     def hop_s(self) -> float:
-        """Longest time in s between reports."""
+        """Longest time between two reports of context and carrying mode by this stage, s."""
         return 1.0
 
     def init(self) -> TianContextsState:

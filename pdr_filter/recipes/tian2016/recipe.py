@@ -26,7 +26,7 @@ _RELATIVE_STD = 2.30 / 28
 class StaticFirstStepLength:
     """Step length L = k h sqrt(f), or L = k_1 h for the first step from rest, which has no frequency.
 
-    theta = (k, k_1).
+    L is in m, h is the body height in m, and f the step frequency in Hz. The parameters are theta = (k, k_1).
     """
 
     height_m: float
@@ -43,6 +43,8 @@ class StaticFirstStepLength:
 
 def tian_fit(height_m: float, gender: str | None = None) -> StepLengthFit:
     """Return the step-length model of Tian et al. 2016, L = k h sqrt(f) (eq. 9), with the printed k.
+
+    L is the step length in m, h the body height in m and f the step frequency in Hz.
 
     Parameters
     ----------
@@ -66,7 +68,10 @@ def tian_fit(height_m: float, gender: str | None = None) -> StepLengthFit:
 
 
 def recipe_fit(height_m: float, gender: str | None = None) -> StepLengthFit:
-    """Return eq. 9, with eq. 2 for the first step from rest (section III-D), both with the printed k."""
+    """Return the step lengths of the paper: eq. 9, and eq. 2 for the first step from rest (section III-D).
+
+    Both have the printed factor k.
+    """
     moving, first = tian_fit(height_m, gender), static_fit(height_m, gender)
     theta, variance = np.concatenate([moving.theta, first.theta]), [moving.theta_cov[0, 0], first.theta_cov[0, 0]]
     return StepLengthFit(StaticFirstStepLength(height_m), theta, np.diag(variance), moving.residual_std_m)
@@ -109,7 +114,7 @@ def tian2016(subject: Subject | None = None) -> Config:
             Note(
                 "recipe",
                 "tian2016 tracks changes of the carrying mode from the start: a phone that was put into a pocket or a "
-                "bag before the recording began is assumed to be held in the hand",
+                "bag before the recording began is assumed to be held in the hand; begin with the phone in the hand",
             ),
             *height_notes(subject),
         ),

@@ -48,8 +48,8 @@ TRANSITION_S = 2.0
 def ios_acceleration(specific_force_mps2: FloatArray, up_sensor: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return gravity and user acceleration in the convention of CoreMotion, both (N, 3), in g.
 
-    gravity + user acceleration = -f / g0. A phone that lies face up has gravity (0, 0, -1), and an upward acceleration
-    gives a negative user acceleration on z.
+    With f the specific force and g0 the standard gravity, gravity + user acceleration = -f / g0. A phone that lies face
+    up has gravity (0, 0, -1), and an upward acceleration gives a negative user acceleration on z.
     """
     gravity_g = -up_sensor
     return gravity_g, -specific_force_mps2 / STANDARD_GRAVITY_MPS2 - gravity_g
@@ -99,7 +99,11 @@ class Carried:
         return CarriedState(HOLDING, self._n_transition)
 
     def update(self, state: CarriedState, carrying_mode: IntArray) -> tuple[CarriedState, IntArray]:
-        """Return the new state, and HOLDING, SWING, POCKET or TRANS for each carrying mode (index, -1: unknown)."""
+        """Return the new state, and for each sample the state of the phone: HOLDING, SWING, POCKET or TRANS.
+
+        `carrying_mode` has one index of a carrying mode for each sample, -1 if unknown. An unknown mode is a
+        transition (TRANS) for up to `transition_s`. After that, the last known mode holds again.
+        """
         n = len(carrying_mode)
         known = carrying_mode >= 0
         last_known = np.maximum.accumulate(np.where(known, np.arange(n), -1))
@@ -307,12 +311,15 @@ class TianStepDetector(BaseStepDetector[TianDetectorState]):
 
 
 def n_filled_in(transition_s: float, step_frequency_hz: float) -> int:
-    """Return the number of steps during a transition, t f_s rounded half up (eq. 8)."""
+    """Return the number of steps during a transition of t seconds, t f_s rounded half up (eq. 8).
+
+    f_s is the step frequency in Hz.
+    """
     return int(np.floor(transition_s * step_frequency_hz + 0.5))
 
 
 def _any_after(extremum: BoolArray, n_after: int, n: int) -> BoolArray:
-    """Return whether any of the `n_after` samples after each of the first n samples is an extremum."""
+    """Return, for each of the first n samples, True if any of the `n_after` samples after it is an extremum."""
     if n_after == 0:
         return np.zeros(n, dtype=bool)
     return np.asarray(sliding_window_view(extremum[1:], n_after)[:n].any(axis=1))

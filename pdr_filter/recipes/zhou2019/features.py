@@ -45,7 +45,10 @@ def static_bias(static_mps2: FloatArray, up_sensor: FloatArray | None = None) ->
 
 
 def acceleration(specific_force_mps2: FloatArray, bias_mps2: FloatArray) -> FloatArray:
-    """Return the acceleration a = |f - b| - g in m/s2, (N,), from specific force (N, 3) and bias (3,) (eq. 2)."""
+    """Return the acceleration a = |f - b| - g in m/s2, (N,), from specific force f (N, 3) and bias b (3,) (eq. 2).
+
+    g is the standard gravity.
+    """
     return specific_force_magnitude(specific_force_mps2 - bias_mps2) - STANDARD_GRAVITY_MPS2
 
 

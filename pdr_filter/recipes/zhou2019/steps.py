@@ -352,7 +352,10 @@ def dominant_period_s(acceleration_mps2: FloatArray, search: EventSearch, rate_h
 
 
 def _window_samples(period_s: float, rate_hz: float) -> int:
-    """Return the length of a window in samples, w = f_A / f_D (eq. 5)."""
+    """Return the length of a window in samples, w = f_A / f_D (eq. 5).
+
+    f_A is the sampling rate and f_D the dominant frequency of the motion, both in Hz.
+    """
     return max(round(period_s * rate_hz), 1)
 
 

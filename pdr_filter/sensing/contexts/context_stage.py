@@ -660,9 +660,10 @@ def _cadences_hz(contexts: ContextSet) -> tuple[FloatArray, FloatArray]:
 
 
 def cadence_log_evidence(frequency_hz: float, contexts: ContextSet = DEFAULT_CONTEXTS) -> FloatArray:
-    """Return the log likelihood (C,) of a step frequency f in each context.
+    """Return the log likelihood (C,) of a step frequency f in Hz in each of C contexts.
 
-    It is log((1 - e) N(f; m_c, s_c^2) + e / range), where e is the probability of an outlier.
+    It is log((1 - e) N(f; m_c, s_c^2) + e / range). m_c and s_c are the mean and standard deviation of the step
+    frequency in context c, e is the probability of an outlier, and range the width of the possible frequencies.
     """
     mean_hz, std_hz = _cadences_hz(contexts)
     normalised = (frequency_hz - mean_hz) / std_hz

@@ -142,7 +142,10 @@ class ClimbRate:
 
     @property
     def scale_height_m(self) -> float:
-        """Scale height R T / (g M), m, over which the pressure falls by a factor e."""
+        """Scale height of the atmosphere, R T / (g M), m, over which the pressure falls by a factor e.
+
+        R is the gas constant, T the temperature, g the standard gravity and M the molar mass of air.
+        """
         temperature_k = self.temperature_c + ZERO_CELSIUS_K
         return GAS_CONSTANT_J_PER_MOL_K * temperature_k / (STANDARD_GRAVITY_MPS2 * MOLAR_MASS_OF_AIR_KG_PER_MOL)
 

@@ -65,7 +65,7 @@ _RATES = _LINES[4:]
 
 
 def _band_names(line: str) -> list[str]:
-    """Return the names of the band powers of a line."""
+    """Return the names of the band powers of one signal."""
     return [f"log_band_{line}_{low:g}_{high:g}_hz" for low, high in BANDS_HZ]
 
 
@@ -130,12 +130,12 @@ def hann_taper(n: int) -> FloatArray:
 
 
 def about_mean(lines: FloatArray) -> FloatArray:
-    """Return lines (..., N) minus their means."""
+    """Return signals of N samples, shape (..., N), minus the mean of each signal."""
     return lines - (np.add.reduce(lines, axis=-1) / lines.shape[-1])[..., None]
 
 
 def mean_square(lines: FloatArray) -> FloatArray:
-    """Return the mean squares (...) of lines (..., N)."""
+    """Return the mean square of each signal, shape (...), for signals of N samples along the last axis, (..., N)."""
     return np.asarray(np.add.reduce(lines * lines, axis=-1) / lines.shape[-1], dtype=np.float64)
 
 
@@ -223,7 +223,7 @@ def features_of(windows: FloatArray, swing: SwingLines, rate_hz: float) -> Float
 
 
 def _norm(vectors: FloatArray) -> FloatArray:
-    """Return the lengths (W, N) of vectors (W, d, N)."""
+    """Return the norms (W, N) of vectors with d components, (W, d, N), for W windows of N samples."""
     return np.sqrt((vectors * vectors).sum(axis=1))
 
 
@@ -270,7 +270,7 @@ def _moments(centred: FloatArray, std: FloatArray, floor: float) -> FloatArray:
 
 
 def _power(centred: FloatArray) -> FloatArray:
-    """Return the power of each bin (..., N // 2 + 1) of lines (..., N) after the Hann taper."""
+    """Return the power spectrum of signals (..., N) after a Hann taper, with N // 2 + 1 frequencies each."""
     n = centred.shape[-1]
     spectrum = np.fft.rfft(centred * hann_taper(n))
     return (spectrum.real**2 + spectrum.imag**2) * (2.0 / n**2)
@@ -390,9 +390,10 @@ def _swing_timing(
 
 
 def _timing(lines: FloatArray, floor: FloatArray, lagged_vertical: FloatArray, vertical_std: FloatArray) -> FloatArray:
-    """Return the correlations (W, K, L) of lines (W, K, N) with the vertical at each of `STEP_LAGS_S`.
+    """Return the correlations (W, K, L) of K signals (W, K, N) with the vertical at each of the L lags `STEP_LAGS_S`.
 
-    The floors make the result approach 0 for a phone at rest.
+    W is the number of windows of N samples. Lower bounds of the divisors make the result approach 0 for a phone at
+    rest.
     """
     centred = about_mean(lines)
     std = np.sqrt(mean_square(centred)) + floor
@@ -401,12 +402,15 @@ def _timing(lines: FloatArray, floor: FloatArray, lagged_vertical: FloatArray, v
 
 
 def _product(line: FloatArray, lagged: FloatArray) -> FloatArray:
-    """Return the sums (W, L) of products of a line (W, N) with another line at L lags, (W, L, N)."""
+    """Return the sums (W, L) of products of a signal (W, N) with another signal at L lags, (W, L, N)."""
     return (lagged @ line[:, :, None])[:, :, 0]
 
 
 def _lagged(line: FloatArray, lags_s: tuple[float, ...], rate_hz: float) -> FloatArray:
-    """Return the line (W, N) at each lag, (W, L, N): row l holds line(t + lag_l), and zero outside the window."""
+    """Return a signal (W, N) shifted by each of L lags, (W, L, N).
+
+    Row l holds the signal at time t + lag_l, and zero outside the window.
+    """
     n_windows, n = line.shape
     starts, margin = _lag_samples(lags_s, rate_hz)
     padded = np.zeros((n_windows, n + 2 * margin))

@@ -73,11 +73,11 @@ def stride_features(windows: FloatArray, rate_hz: float) -> FloatArray:
 
 @cache
 def _harmonics(n: int, rate_hz: float) -> tuple[FloatArray, FloatArray]:
-    """Return two matrices for each of S stride frequencies, (S, N, K) and (S, K, K), that fit harmonics to a line.
+    """Return two matrices for each of S stride frequencies that fit H harmonics to a signal of N samples.
 
-    K = 1 + 2 H. The first matrix converts n samples of a tapered line to orthonormal parts, whose squares sum to the
-    explained power. The second converts these parts to coefficients: of the constant, and of the cosine and sine of
-    each harmonic.
+    The shapes are (S, N, K) and (S, K, K), with K = 1 + 2 H. The first matrix converts a tapered signal to orthonormal
+    parts, whose squares sum to the explained power. The second converts these parts to coefficients: of the constant,
+    and of the cosine and sine of each harmonic.
     """
     t = (np.arange(n) - (n - 1) / 2) / rate_hz
     root = hann_taper(n) ** 0.5
@@ -108,9 +108,9 @@ def _side_by_side(n: int, rate_hz: float) -> tuple[FloatArray, FloatArray]:
 
 
 def _all_stride_parts(lines: FloatArray, rate_hz: float) -> FloatArray:
-    """Return the parts (W, S, L, K) of tapered lines (W, L, N) at all stride frequencies, window by window.
+    """Return the orthonormal parts (W, S, L, K) of L tapered signals in W windows, (W, L, N), at S stride frequencies.
 
-    The sum of a line and its mirror image has only even parts, their difference only odd ones. This halves the work.
+    The sum of a signal and its mirror image has only even parts, their difference only odd ones. This halves the work.
     """
     n_windows, n_lines, n = lines.shape
     later, earlier = lines[:, :, n // 2 :], lines[:, :, (n - 1) // 2 :: -1]
@@ -161,11 +161,11 @@ def features_of(windows: FloatArray, swing: SwingLines, rate_hz: float) -> Float
 
 @cache
 def _factors() -> tuple[IntArray, IntArray]:
-    """Return the indices of the factors of each phase: complex units (P, 4) and shares (P, 3).
+    """Return the indices of the factors of each of P phases: complex units (P, 4) and shares (P, 3).
 
-    The units of all harmonics come line by line, followed by their conjugates and by 1. A harmonic with power p is
-    repeated p times, and unused positions refer to the 1. The shares have the same order of harmonics and also end with
-    1.
+    The units are the complex harmonics of all signals divided by their absolute values. They come signal by signal,
+    followed by their conjugates and by 1. A harmonic with power p is repeated p times, and unused positions refer to
+    the 1. The shares have the same order of harmonics and also end with 1.
     """
     n = len(LINES) * N_HARMONICS
     units, shares = np.full((len(PHASES), 4), 2 * n), np.full((len(PHASES), 3), n)
@@ -195,5 +195,5 @@ def _phases(coefficients: FloatArray, amplitude: FloatArray, share: FloatArray) 
 
 
 def _power(coefficients: FloatArray) -> FloatArray:
-    """Return the mean power (..., H) of each harmonic from coefficients (..., 1 + 2 H)."""
+    """Return the mean power (..., H) of each of H harmonics from coefficients (..., 1 + 2 H)."""
     return 0.5 * (coefficients[..., 1::2] ** 2 + coefficients[..., 2::2] ** 2)

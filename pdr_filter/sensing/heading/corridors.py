@@ -58,12 +58,12 @@ class CorridorState:
 
     @property
     def mean(self) -> FloatArray:
-        """Means of the filters, shape (M, 4), a view into the bank."""
+        """Means (M, 4) of the M parallel Kalman filters, a view into the array of the bank."""
         return self.bank[:, 0]
 
     @property
     def cov(self) -> FloatArray:
-        """Covariances of the filters, shape (M, 4, 4), a view into the bank."""
+        """Covariances (M, 4, 4) of the M parallel Kalman filters, a view into the array of the bank."""
         return self.bank[:, 1:]
 
 
@@ -203,7 +203,10 @@ class Corridors:
         return free_rad + prob * difference_rad, var_rad2
 
     def _predict(self, state: CorridorState, elapsed_s: float, turned_rad: float) -> FloatArray:
-        """Return the predicted bank: drift + elapsed time * rate + turn * scale. The other states do not change."""
+        """Return the bank of filters predicted over an elapsed time and a turn.
+
+        The heading drift grows by elapsed time * drift rate + turn * scale error. The other states do not change.
+        """
         drift_row = np.array([1.0, elapsed_s, 0.0, turned_rad])
         bank, product = state.bank.copy(), state.bank.dot(drift_row)
         bank[:, :, _DRIFT] = product
@@ -252,9 +255,9 @@ class Corridors:
 
 
 def _moments(state: CorridorState, means: FloatArray, variances: FloatArray, added: float) -> tuple[float, float]:
-    """Return the mean and variance over the bank of a quantity with these moments (M,) in its filters.
+    """Return the mean and variance of a quantity over the mixture of all M filters of the bank.
 
-    `added` is added to the variance.
+    The quantity has the given means and variances (M,) in the filters. `added` is added to the variance.
     """
     weight = np.exp(state.log_weight)
     mean = float(weight.dot(means))

@@ -36,7 +36,10 @@ _DEFINED_RAD2 = math.radians(1.0) ** 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Offset:
-    """Mean and covariance of the heading offset o, its zero g and the systematic error s.
+    """Mean and covariance of the heading offset o, its zero g and the systematic error s, all in rad.
+
+    o is the walking heading minus the device heading. o + g is the same angle from the zero of the device heading, as
+    strides measure it.
 
     Attributes
     ----------

@@ -273,9 +273,10 @@ class MagneticNorth:
 
 
 def _readings(samples: FloatArray, time_s: FloatArray) -> FloatArray:
-    """Return the times and flattened matrices [X f]' [X f] (R, 50) of complete readings.
+    """Return the times and the flattened matrices [X f]' [X f] (R, 50) of R complete readings.
 
-    `samples` (R, size, 8) are their samples. X and f are means over each reading.
+    `samples` (R, size, 8) are their samples. The columns of X are the regressors and f the measured field, both
+    averaged over each reading.
     """
     to_frame = np.moveaxis(rotation_matrix(samples[:, :, _QUAT]), (-2, -1), (0, 1))
     Xf = np.empty((len(samples), 3, 7))

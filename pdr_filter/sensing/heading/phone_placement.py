@@ -173,9 +173,10 @@ class StrideAgreement:
         return not agree and lifts and step_power <= self.swinging_step_share**2 * stride_power
 
     def _phase_ahead(self, place: Placement) -> float:
-        """Return the phase of this person minus the usual one, rad: the x that maximises |a cos x + b sin x|.
+        """Return the phase of this person minus the usual phase, rad.
 
-        a and b are the sums of the two vectors at step frequency. The result is limited while strides are few.
+        It is the angle x that maximises |a cos x + b sin x|, where the complex numbers a and b are the sums of the two
+        vectors at step frequency. The result is limited while strides are few.
         """
         _, (af, ar), (bf, br) = place.vectors
         ahead_rad = 0.5 * math.atan2(2.0 * (af * bf + ar * br), af * af + ar * ar - (bf * bf + br * br))

@@ -177,7 +177,8 @@ def pointing_axis(up: Vector) -> Vector:
 def carry_axis(axis: Vector, up: Vector, new_up: Vector) -> Vector:
     """Return an axis perpendicular to `up`, rotated by the shortest rotation from `up` to `new_up`.
 
-    For v perpendicular to u, v' = v - (m . v) / (1 + u . m) (u + m) is the shortest rotation from u to m.
+    With u = up, m = new_up and an axis v perpendicular to u, the rotated axis is v' = v - (m . v) / (1 + u . m) (u +
+    m). All are unit vectors.
     """
     cosine = dot(up, new_up)
     if cosine < -0.99:
@@ -223,9 +224,10 @@ def harmonics(signals: FloatArray, ends: IntArray, rate_hz: float) -> tuple[Comp
 
 
 def in_phase(amplitudes: ComplexArray, phase_rad: FloatArray) -> ComplexArray:
-    """Return the part (K,) of the horizontal amplitudes in phase with the vertical ones advanced by a phase (K,).
+    """Return the part (K,) of the horizontal amplitudes of K strides in phase with their vertical amplitudes.
 
-    The result is forward + i right, m/s2. `amplitudes` is (K, 3): forward, right, vertical.
+    The vertical amplitudes are first advanced by a phase (K,). `amplitudes` is (K, 3): forward, right, vertical,
+    complex, in m/s2. The result is forward + i right in m/s2.
     """
     horizontal, vertical = amplitudes[:, :2], amplitudes[:, 2]
     size = np.abs(vertical)

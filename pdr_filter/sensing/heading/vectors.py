@@ -19,7 +19,7 @@ def cross(a: Vector, b: Vector) -> Vector:
 
 
 def combined(p: float, a: Vector, q: float, b: Vector) -> Vector:
-    """Return p a + q b."""
+    """Return the linear combination p a + q b of two vectors a and b with factors p and q."""
     return (p * a[0] + q * b[0], p * a[1] + q * b[1], p * a[2] + q * b[2])
 
 

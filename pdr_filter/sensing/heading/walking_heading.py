@@ -723,7 +723,7 @@ class WalkingHeading:
         return (self.held_systematic_std_rad if has_large_error else self.systematic_std_rad) ** 2
 
     def _with_axis(self, place: Placement, offset: Offset, stride: Stride, trust: float) -> Offset:
-        """Return the offset updated with the axis of the phone if it was read in at least half of the strides here.
+        """Return the offset updated with the axis of the phone if at least half of the strides at this place show it.
 
         The axis is not used if strides with high agreement contradict it.
         """
@@ -761,7 +761,7 @@ class WalkingHeading:
 
 
 def _as_complex(place: Placement) -> tuple[complex, complex, complex]:
-    """Return the summed vectors of a place as complex numbers, forward + i right."""
+    """Return the summed stride vectors of a carrying place as complex numbers, forward + i right."""
     a, b, c = place.vectors
     return complex(*a), complex(*b), complex(*c)
 

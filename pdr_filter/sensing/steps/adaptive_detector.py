@@ -61,7 +61,9 @@ class Rhythm:
 class AdaptiveDetectorState(ResponseState):
     """State of the adaptive detector.
 
-    The signal in `line` is |f| minus gravity. The rows of `response` are the transform, R and the wavelet frequency.
+    The signal in `line` is |f| minus gravity, with the specific force f in m/s2. The rows of `response` are the wavelet
+    transform, the power R of the motion (standard deviation of the low-passed |f| around each sample, m/s2), and the
+    wavelet frequency in Hz.
 
     Attributes
     ----------
@@ -221,7 +223,10 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
     # signal is cut into blocks.
 
     def _response(self, line: FloatArray) -> FloatArray:
-        """Return the transform, R and the wavelet frequency, (3, N)."""
+        """Return the wavelet transform, the standard deviation R of |f| and the wavelet frequency, (3, N).
+
+        R is in m/s2 and the frequency in Hz.
+        """
         rms, *derivative_rms = self._rms(line[0], (self._power_low_pass, *self._derivatives))
         frequency_hz = np.maximum(self.frequency_at_1_mps2_hz * rms**self.frequency_exponent, _BANK_HZ[0])
         frequency_hz = np.maximum(np.minimum(frequency_hz, _BANK_HZ[-1]), self._sine_hz(*derivative_rms))
@@ -229,11 +234,11 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
 
     @cached_property
     def _n_around(self) -> int:
-        """Number of samples over which R is computed."""
+        """Number of samples over which the standard deviation R of |f| is computed."""
         return round(self.before_s * self.rate_hz) + round(self.after_s * self.rate_hz) + 1
 
     def _rms(self, line: FloatArray, kernels: Sequence[FloatArray]) -> FloatArray:
-        """Return the standard deviations (K, N) of the signal filtered by K kernels, around each sample.
+        """Return the standard deviations (K, N) of the signal after each of K filter kernels, around each sample.
 
         Only samples with enough neighbours on both sides are included.
         """
@@ -252,7 +257,10 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
         return np.where(is_sine & (frequency_hz < self.max_sine_hz), self.sine_share * frequency_hz, 0.0)
 
     def _transform(self, line: FloatArray, frequency_hz: FloatArray) -> FloatArray:
-        """Return the transform (N,) at the wavelet frequency of each sample, interpolated within the bank."""
+        """Return the wavelet transform (N,) at the wavelet frequency of each sample.
+
+        It is interpolated between the transforms at the fixed frequencies of the filter bank.
+        """
         place = np.interp(frequency_hz, _BANK_HZ, np.arange(len(_BANK_HZ), dtype=float))
         lower = np.minimum(place.astype(int), len(_BANK_HZ) - 2)
         upper_share = place - lower

@@ -192,7 +192,7 @@ class BaseStepDetector(ABC, Generic[S]):
 
     @abstractmethod
     def _detect(self, state: S, line: FloatArray, first: int) -> tuple[S, list[tuple[int, Step]]]:
-        """Return the new state and the steps detected in signals (R, L + N).
+        """Return the new state and the steps detected in R signals, (R, L + N), with L delayed and N new samples.
 
         The last N columns are new, and the first of them is sample number `first`.
         """
@@ -335,7 +335,10 @@ class ResponseStepDetector(BaseStepDetector[R]):
 
     @abstractmethod
     def _response(self, line: FloatArray) -> FloatArray:
-        """Return the response (row 0) and its further values, (K, N), for signals (R, L + N)."""
+        """Return the response, whose maxima are steps (row 0), and its further values, (K, N).
+
+        The input are R signals (R, L + N), with L delayed and N new samples.
+        """
 
     @abstractmethod
     def _accepted(self, state: R, peak: FloatArray, interval_s: float, new_bout: bool) -> R | None:

@@ -445,7 +445,7 @@ def describe_steps(signals: FloatArray, spans: Sequence[StepSpan]) -> list[Step]
 
 
 def amplitude(values: FloatArray, periods: int = 1) -> float:
-    """Return the amplitude of the sinusoid with m periods in values (n,): 2 / n |sum x_k exp(-2 pi i m k / n)|."""
+    """Return the amplitude of the sinusoid with m periods in n values x (n,): 2 / n |sum x_k exp(-2 pi i m k / n)|."""
     cosine, sine = (values @ _periods(len(values), periods)).tolist()
     return 2 / len(values) * hypot(cosine, sine)
 

@@ -34,9 +34,10 @@ _MAX_GROUP = 16
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WalkEvidence:
-    """Linear model of the log odds of walking given the features of `evidence_features`.
+    """Linear model of the log odds of walking given the features x of `evidence_features`.
 
-    The log odds are b + sum_i w_i clip((x_i - m_i) / s_i, -3, 3).
+    The log odds are b + sum_i w_i clip((x_i - m_i) / s_i, -3, 3), with the bias b and, for each feature, the weight
+    w_i, the mean m_i and the standard deviation s_i.
 
     Attributes
     ----------
