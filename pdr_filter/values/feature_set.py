@@ -82,7 +82,8 @@ FeatureFunction = Callable[[Mapping[str, FloatArray]], Mapping[str, float]]
 class FunctionFeatures:
     """Features computed by a function, window by window.
 
-    The function gets a dictionary of the signals of a window, by their names in `WINDOW_SIGNALS`, each (N,) at 100 Hz.
+    The function gets a dictionary of the signals of a window, by their names in `WINDOW_SIGNALS`, each (N,), at the rate of
+    the windows (100 Hz in the default recipe).
     It returns a dictionary of the features. Signals of a missing sensor are zeros.
     """
 
@@ -110,7 +111,10 @@ class FunctionFeatures:
         return getattr(self.function, "__name__", type(self.function).__name__)
 
     def describe(self, windows: FloatArray, rate_hz: float) -> FloatArray:
-        """Return the features (W, F) of windows (W, N_WINDOW_SIGNALS, N)."""
+        """Return the features (W, F) of windows with all `WINDOW_SIGNALS`, (W, R, N). `rate_hz` is not used.
+
+        ValueError if the function returns other names than for the first window.
+        """
         found = [self.function(dict(zip(WINDOW_SIGNALS, window, strict=True))) for window in windows]
         for each in found:
             if tuple(each) != self.names:
@@ -154,7 +158,7 @@ class JoinedFeatures:
         return next((each.low_pass_hz for each in self.sets if each.low_pass_hz is not None), None)
 
     def describe(self, windows: FloatArray, rate_hz: float) -> FloatArray:
-        """Return the features (W, F) of windows (W, N_WINDOW_SIGNALS, N)."""
+        """Return the features (W, F) of windows with all `WINDOW_SIGNALS`, (W, R, N), at `rate_hz`."""
         return np.concatenate([each.describe(windows, rate_hz) for each in self.sets], axis=1)
 
 
