@@ -38,9 +38,9 @@ def random_person(mode: str, number: int) -> tuple[Gait, Carrying]:
 def simulated_person(mode: str, number: int) -> Recording:
     """Return a walk of a random person with corners, and with running or stairs, in one carrying mode.
 
-    Equal modes and numbers give equal recordings. The number determines rate, sensor errors and legs together: recordings
-    at 50 Hz have no stairs, those at 100 Hz upstairs and those at 200 Hz downstairs. Use the recordings for carrying
-    modes, not for contexts.
+    Equal modes and numbers give equal recordings. The number determines rate, sensor errors and legs together:
+    recordings at 50 Hz have no stairs, those at 100 Hz upstairs and those at 200 Hz downstairs. Use the recordings for
+    carrying modes, not for contexts.
     """
     seed = number * len(MODES) + MODES.index(mode)
     rng = np.random.default_rng([number, MODES.index(mode)])

@@ -82,9 +82,9 @@ FeatureFunction = Callable[[Mapping[str, FloatArray]], Mapping[str, float]]
 class FunctionFeatures:
     """Features computed by a function, window by window.
 
-    The function gets a dictionary of the signals of a window, by their names in `WINDOW_SIGNALS`, each (N,), at the rate of
-    the windows (100 Hz in the default recipe).
-    It returns a dictionary of the features. Signals of a missing sensor are zeros.
+    The function gets a dictionary of the signals of a window, by their names in `WINDOW_SIGNALS`, each (N,), at the
+    rate of the windows (100 Hz in the default recipe). It returns a dictionary of the features. Signals of a missing
+    sensor are zeros.
     """
 
     function: FeatureFunction
