@@ -327,7 +327,7 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
         self.classes_, label = np.unique(labels, return_inverse=True)
         if len(self.classes_) < 2:
             raise ValueError(
-                f"y must have at least two classes, got only {self.classes_[0]!r}: give rows of another class"
+                f"y must have at least two classes, got one class, {self.classes_[0]!r}: give rows of another class"
             )
         weight = weight * self._class_factors(label, weight)[label]
         self.cv_log_loss_: dict[float, float] = {}

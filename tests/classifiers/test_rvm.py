@@ -326,7 +326,7 @@ def test_features_that_are_not_finite_are_refused(bad: float) -> None:
 
 
 def test_one_class_is_refused() -> None:
-    with pytest.raises(ValueError, match="at least two classes, got only"):
+    with pytest.raises(ValueError, match="at least two classes, got one class"):
         RelevanceVectorClassifier().fit(np.eye(3), ["walking"] * 3)
 
 
