@@ -126,8 +126,8 @@ def _check(machine: RelevanceVectors) -> None:
     shape = machine.weights.shape
     if machine.basis.shape != shape or machine.cov_factor.shape != (*shape, shape[1]):
         raise ValueError(
-            f"weights of the kernel machine have the shape {shape}, but basis has {machine.basis.shape}: basis must "
-            "have the shape (K, m) of weights, and cov_factor (K, m, m); train the model again"
+            f"the shapes of a kernel machine do not match: weights {shape}, basis {machine.basis.shape}, cov_factor "
+            f"{machine.cov_factor.shape}; they must be (K, m), (K, m) and (K, m, m): train the model again"
         )
     if machine.basis.size and not 0 <= machine.basis.min() <= machine.basis.max() <= len(machine.vectors):
         raise ValueError(f"basis must hold 0 (bias) to {len(machine.vectors)} (last relevance vector)")
