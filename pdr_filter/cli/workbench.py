@@ -24,11 +24,13 @@ if TYPE_CHECKING:
 def app(
     address: Address,
     folder: Annotated[
-        Path, typer.Argument(metavar="FOLDER", help="Folder of walks; made if it is not there.")
+        Path, typer.Argument(metavar="FOLDER", help="Folder of walks. It is created if it does not exist.")
     ] = Path(),
-    tiles: Annotated[str, typer.Option(metavar="URL", help="Map tiles: an address with {z}, {x} and {y} in it.")] = "",
+    tiles: Annotated[str, typer.Option(metavar="URL", help="URL of map tiles, which contains {z}, {x} and {y}.")] = "",
     texts: Annotated[Path | None, typer.Option(help="JSON file with translated texts of the pages.")] = None,
-    jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes; one for each core if not given.")] = None,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, help="Number of worker processes. Default: one for each core.")
+    ] = None,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open a browser.")] = False,
 ) -> None:
     """Open the walks of a folder in a browser: mark known points, place and export them, and draw floor plans.
@@ -76,7 +78,7 @@ def app(
             out.print(f"workbench    {root}/{query}")
             if phone:
                 out.print(f"phones send  {phone}")
-            out.print("Ctrl+C ends it.")
+            out.print("Ctrl+C stops the workbench.")
             if not no_browser:
                 webbrowser.open(f"{root}/{query}")
 

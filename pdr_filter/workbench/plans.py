@@ -11,6 +11,7 @@ import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,7 @@ class Plans:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder / PLANS
+        self._saving = Lock()  # saves run in threads: the version must not change between the check and the write
 
     def names(self) -> list[str]:
         """Names of all floor plans in the folder, sorted."""
@@ -89,14 +91,16 @@ class Plans:
         path = self.path(name)
         if path is None:
             raise ValueError(f"there is no floor plan {name[:80]!r}")
-        if _version(path) != version:
-            raise ConflictError("another browser or program has changed this plan in the meantime: reload the page")
         features = [_plain(feature) for feature in content["features"]]
         reference = content.get("georeference")
         properties = {"storeys": dict(content["storeys"]), "georeference": reference}
         if reference:
             features = _moved(features, Georeference.of(reference).to_degrees, _DIGITS_DEG)
-        self._write(path, {"type": "FeatureCollection", "name": name, "properties": properties, "features": features})
+        plan = {"type": "FeatureCollection", "name": name, "properties": properties, "features": features}
+        with self._saving:
+            if _version(path) != version:
+                raise ConflictError("another browser or program has changed this plan in the meantime: reload the page")
+            self._write(path, plan)
         return self.load(name)
 
     def _checked(self, path: Path, features: list[dict[str, Any]]) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import asyncio
 import errno
 import json
 import re
+import secrets
 import shutil
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import suppress
@@ -146,7 +147,7 @@ class WorkbenchSite:
         return JSONResponse(found)
 
     async def walk(self, request: Request) -> Response:
-        """Return the marks of a walk and its summary if it is known; begin to prepare quick answers."""
+        """Return the marks of a walk, and its summary if the walk has been processed."""
         walk = self._walk(request)
         return JSONResponse(self._state(walk))
 
@@ -306,7 +307,7 @@ class WorkbenchSite:
     async def set_picture(self, request: Request) -> Response:
         """Store the uploaded picture of a storey, and return its size."""
         path = self.plans.picture(self._plan(request), request.path_params["floor"])
-        source = self.workbench.incoming / f"{path.name}.source"
+        source = self.workbench.incoming / f"{secrets.token_hex(8)}.source"  # two uploads may run at the same time
         try:
             await _stream_to(request, source, MAX_PICTURE_BYTES)
             page = int(request.query_params.get("page", "1"))

@@ -25,7 +25,7 @@ from pdr_filter.maps.marks import (
     version_of,
     write_mark_files,
 )
-from pdr_filter.values.sanitise import printable
+from pdr_filter.values.sanitise import file_name, printable
 
 _MAX_UNDO = 200
 HIDDEN = ".pdr_filter"
@@ -195,7 +195,8 @@ def _files(content: Mapping[str, Any], old: Files, own: Path, folder: Path) -> F
     if PERSON in old and content.get("has_person", True) and walk.get("person") == before.get("person"):
         files[PERSON] = old[PERSON]
     elif walk.get("person") and walk.get("person") != before.get("person"):
-        known = next((p for p in (folder / PEOPLE).glob("*.json") if p.stem == walk["person"]), None)
+        stem = file_name(walk["person"])
+        known = next((p for p in (folder / PEOPLE).glob("*.json") if p.stem == stem), None)
         if known is not None:
             files[PERSON] = known.read_bytes()
     return files

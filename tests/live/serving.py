@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -24,6 +25,7 @@ from pdr_filter.values import Samples
 from pdr_filter.values.recording import Recording
 
 COMMAND = "from pdr_filter.cli import main; main()"
+START_S = 120.0  # a server that has not printed its addresses by then is killed, and its test fails
 EPOCH_NS = 1_716_760_513_715_797_500
 
 
@@ -42,10 +44,13 @@ class Server:
         )
         assert self._process.stderr is not None
         self.said: list[str] = []
+        give_up = threading.Timer(START_S, self._process.kill)
+        give_up.start()
         for line in self._process.stderr:
             self.said.append(line)
             if "Ctrl+C" in line:
                 break
+        give_up.cancel()
         found = re.search(r"phones send +(https?://\S+)/data(\?token=(\S+))?", "".join(self.said))
         if found is None:
             raise RuntimeError("".join(self.said) or "the server said nothing")

@@ -190,7 +190,8 @@ def test_an_edit_that_cannot_be_used_changes_nothing(tmp_path: Path, changes: di
     with_bench(tmp_path, scenario)
 
 
-def test_the_step_length_of_a_person_is_used_by_other_walks_only(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["Ann", "Ann: 1/2"])
+def test_the_step_length_of_a_person_is_used_by_other_walks_only(tmp_path: Path, name: str) -> None:
     short_walk().save(tmp_path / "a")
     short_walk().save(tmp_path / "b")
     track = pdr.smooth(short_walk()).track
@@ -201,12 +202,13 @@ def test_the_step_length_of_a_person_is_used_by_other_walks_only(tmp_path: Path)
     async def scenario(client: Client) -> None:
         first, second = await client.walk("a"), await client.walk("b")
         await client.post(f"{first}/teach", {}, 400)  # no name yet
-        await client.edit(first, walk={"person": "Ann"}, fixes=longer[::10])
+        await client.edit(first, walk={"person": name}, fixes=longer[::10])
         found = await client.post(f"{first}/teach", {})
         assert 0.3 < found["step_length_m"] < 1.2
         assert not (tmp_path / "a" / "person.json").exists()
-        await client.edit(second, walk={"person": "Ann"})
-        assert (tmp_path / "b" / "person.json").read_bytes() == (tmp_path / "people" / "Ann.json").read_bytes()
+        await client.edit(second, walk={"person": name})
+        (known,) = (tmp_path / "people").iterdir()
+        assert (tmp_path / "b" / "person.json").read_bytes() == known.read_bytes()
         assert read_marks(tmp_path / "b").arguments()["person"].name == "person.json"
         await client.edit(second, walk={})
         assert not (tmp_path / "b" / "person.json").exists()

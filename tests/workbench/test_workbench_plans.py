@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import numpy as np
@@ -50,6 +53,29 @@ def test_a_plan_is_saved_as_pdr_filter_reads_it_and_edited_again(tmp_path: Path)
     with pytest.raises(ConflictError, match="another browser"):
         plans.save(name, loaded["version"], loaded)
     assert plans.load(name) == saved
+
+
+def test_of_two_saves_at_the_same_time_the_second_is_a_conflict(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plans = Plans(tmp_path)
+    name = plans.new("House")
+    loaded = plans.load(name)
+    write, is_writing = plans._write, Event()
+
+    def slow_write(*arguments: Any) -> None:
+        is_writing.set()
+        time.sleep(0.2)
+        write(*arguments)
+
+    monkeypatch.setattr(plans, "_write", slow_write)
+    with ThreadPoolExecutor(1) as pool:
+        first = pool.submit(plans.save, name, loaded["version"], loaded | {"features": house()})
+        assert is_writing.wait(10)
+        with pytest.raises(ConflictError, match="another browser"):
+            plans.save(name, loaded["version"], loaded)
+        assert len(first.result()["features"]) == len(house())
+    assert len(plans.load(name)["features"]) == len(house())
 
 
 def test_a_plan_with_two_known_points_lies_on_earth_and_comes_back_in_its_own_frame(tmp_path: Path) -> None:
