@@ -189,7 +189,10 @@ def opened(
         content = file.read()
         rows, length = _parsed(content, table)
         if length and not content.startswith(header.encode()):
-            raise ValueError(f"{table}: not a table of the contexts {', '.join(contexts)}; give another name")
+            raise ValueError(
+                f"{table}: this file exists and is not a result table with the contexts {', '.join(contexts)}; give "
+                "the name of a new file, or the recipe with which the table was made"
+            )
         if retry_failed and any(row.failed for row in rows):
             rows = [row for row in rows if not row.failed]
             # the file is rewritten in place to keep the lock; rows lost by a kill at this point are recomputed

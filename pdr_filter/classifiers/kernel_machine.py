@@ -130,6 +130,9 @@ def _check(machine: RelevanceVectors) -> None:
             f"{machine.cov_factor.shape}; they must be (K, m), (K, m) and (K, m, m): train the model again"
         )
     if machine.basis.size and not 0 <= machine.basis.min() <= machine.basis.max() <= len(machine.vectors):
-        raise ValueError(f"basis must hold 0 (bias) to {len(machine.vectors)} (last relevance vector)")
+        raise ValueError(
+            f"basis must hold 0 (bias) to {len(machine.vectors)} (last relevance vector), got {machine.basis.min()} to "
+            f"{machine.basis.max()}: train the model again"
+        )
     for name in ("vectors", "weights", "cov_factor"):
         check_array(name, getattr(machine, name))

@@ -122,7 +122,7 @@ def of_prefix(prefix: str, arrays: Arrays) -> Arrays:
 
 
 def _kind(description: Any) -> Any:
-    """Return the kind of model that the content of a .json file states, or None if it is no model.
+    """Return the kind of model that the content of a .json file states, or None if it describes something else.
 
     Context models of early versions do not state their kind. They are recognised by the checksum of their arrays, and
     the result is then "context_model".

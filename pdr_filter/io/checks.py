@@ -123,5 +123,6 @@ def _check_times(samples: Samples, where: str, is_unit_declared: bool) -> None:
 
 
 def _refuse(wrong: str, where: str) -> None:
+    """Raise RecordingError unless `wrong`, a sentence with problem and remedy, is empty."""
     if wrong:
         raise RecordingError(f"{where}: {wrong}")

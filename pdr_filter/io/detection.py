@@ -62,7 +62,10 @@ def _detect_among(members: Members) -> str:
 
 
 def _is_unknown_table(members: Members, name: str) -> bool:
-    """Return True for a text with rows of numbers, for which the table reader explains what is missing."""
+    """Return True for a text file with rows of numbers but without a known layout.
+
+    The table reader then refuses it with a message that says what is missing.
+    """
     head = members.head(name)
     if not name.lower().endswith(TEXTS) or head.startswith((b"time_s,", b"\xef\xbb\xbftime_s,")):
         return False

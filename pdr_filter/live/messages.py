@@ -285,7 +285,8 @@ def phyphox_rows(answer: bytes, buffers: Mapping[str, tuple[str, ...]]) -> dict[
     for name, lists in columns.items():
         if any(column.ndim != 1 for column in lists):
             raise MessageError(
-                f"/get is not that of phyphox (a buffer of {name} is no list of numbers): update phyphox"
+                f"/get is not that of phyphox (a buffer of {name} is not a list of numbers): check the address, and "
+                "update phyphox"
             )
         n = min(map(len, lists))  # one may have grown while they were read
         if n:

@@ -101,7 +101,10 @@ class Recorder:
         self._sizes = {**sizes, new: len(lines)}
 
     def load(self) -> tuple[Any, list[tuple[str, str, str, bytes]]]:
-        """Return the state saved last, or None, and the messages since: device, session, platform and JSON."""
+        """Return the state saved last, or None, and the messages since: device, session, platform and JSON.
+
+        Lines that were written after the last save, and journals of earlier saves, are deleted.
+        """
         path, state = self.folder / STATE, None
         if path.exists():
             content = serialise.from_bytes(path.read_bytes())

@@ -95,7 +95,12 @@ class _RecordingFilter(ParticleFilter):
         is_moved: bool = False,
         reckoned: tuple[FloatArray, FloatArray] | None = None,
     ) -> ParticleState:
-        """Record the state after an event if its particles changed, and return it."""
+        """Append the state after an event to `events`, and return this state.
+
+        Each step is recorded, other events only if they changed the weights of the particles. `reckoned` is the
+        dead-reckoned position and its covariance after a step, and None for other events. `is_moved` is True if a fix
+        shifted the track.
+        """
         is_lost = after.n_lost > before.n_lost
         if after.weight is not before.weight or reckoned is not None:
             self.events.append(_Event(after, (is_lost or is_moved) and len(before.weight) > 0, reckoned))

@@ -78,7 +78,7 @@ class CalibratedPerson:
     k: Mapping[str, FloatArray]
     k_cov: Mapping[str, FloatArray]
     n_segments: int
-    main_context: str = "walking"  # of the calibration
+    main_context: str = "walking"
 
     @property
     def k0(self) -> float:

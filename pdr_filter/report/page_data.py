@@ -125,7 +125,7 @@ def _ellipses(cov_m2: FloatArray) -> tuple[tuple[FloatArray, FloatArray], FloatA
 
 
 def _with_ellipse(track: TrackRows, shown: IntArray, major_m: FloatArray) -> list[int]:
-    """Return the indices of shown steps whose ellipse is always drawn."""
+    """Return the indices in `shown` of the steps whose ellipse is always drawn: at equal distances, and the last."""
     if not len(shown):
         return []
     nearest = np.clip(np.searchsorted(shown, ellipse_rows(track.step_length_m)), 0, len(shown) - 1)

@@ -113,8 +113,11 @@ def _judged(
 ) -> tuple[FloatArray, tuple[bool, bool], tuple[bool, bool]]:
     """Return `still_since_s`, `moved` and `dead` of `WatchdogState` after a complete window.
 
-    `constant` and `moving` (6,) tell for each axis whether it was constant or showed motion in the window. An axis with
-    missing values is neither.
+    Each result is a pair, for the accelerometer and the gyroscope. `constant` and `moving` (6,) tell for each axis,
+    three of the specific force and three of the angular rate, whether it was constant or showed motion in the window.
+    An axis with missing values is neither. `still_since_s` is the start of the consecutive windows in which an axis of
+    the sensor was constant. `moved` is True if the other sensor showed motion in these windows. A sensor is `dead` if
+    this lasts for `_DEAD_S`.
     """
     since_s, moved, dead = since_s.copy(), list(moved_before), [False, False]
     for sensor, (columns, other_columns) in enumerate((_AXES, _AXES[::-1])):

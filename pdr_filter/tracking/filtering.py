@@ -504,7 +504,7 @@ def _with_steps(config: Config, state: State, known_s: float, updates: Sequence[
 
 
 def _on_plan(update: StepUpdate, place: OnPlan | None) -> StepUpdate:
-    """Return a step with the position of the particles, or unchanged if there are none."""
+    """Return a step with position, covariance and heading of the particles, or unchanged if there are none."""
     if place is None:
         return update
     return replace_unchecked(

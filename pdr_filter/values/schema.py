@@ -25,7 +25,7 @@ def check_declared(cls: type[Any], content: Mapping[str, Any]) -> None:
     declared = _declared(cls)
     for name, value in content.items():
         if name not in declared:
-            raise ValueError(f"{cls.__name__} has no {name}")
+            raise ValueError(f"{cls.__name__} has no field {name}: the file was changed or is of another version")
         if not _is_a(value, declared[name]):
             kind = str(declared[name]).replace("typing.", "")
             raise ValueError(f"{name} of {cls.__name__} must be {kind}, got {str(value)[:60]}")

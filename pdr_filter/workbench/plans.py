@@ -87,7 +87,7 @@ class Plans:
         }
 
     def save(self, name: str, version: str, content: Mapping[str, Any]) -> dict[str, Any]:
-        """Replace a plan and return it; ConflictError if it has another version, ValueError if it is no plan."""
+        """Replace a plan and return it; ConflictError if it has another version, ValueError if it is invalid."""
         path = self.path(name)
         if path is None:
             raise ValueError(f"there is no floor plan {name[:80]!r}")

@@ -67,11 +67,11 @@ class Walk:
 
     @property
     def folder(self) -> Path:
-        """Folder of the marks."""
+        """Folder of the marks of this walk: known positions, loop closures, person and settings (`maps.marks`)."""
         return marks_folder(self.path)
 
     def marks(self, folder: Path) -> dict[str, Any]:
-        """Marks as the pages know them, with their version. Floor plans of the folder have names, not paths."""
+        """Return the marks in the form of the pages, with their version. A floor plan has its name, not its path."""
         files = mark_files(self.folder)
         content = _content(files, self.folder, folder)
         version = version_of(files)

@@ -427,7 +427,7 @@ def test_the_table_has_a_column_for_each_context_of_the_recipe(
     assert ",=up_s," not in header
     assert batch.read_table(out) == [row]
     assert batch.track([path], "renaming:recipe", out=out) == [row]
-    with pytest.raises(ValueError, match="not a table of the contexts stationary, walking"):
+    with pytest.raises(ValueError, match="not a result table with the contexts stationary, walking"):
         batch.track([path], out=out)
     (failed,) = batch.track([path], "renaming:for_the_tall", out=out)
     assert "not those of the recipe for an unknown person" in failed.reason

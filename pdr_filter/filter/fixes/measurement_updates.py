@@ -101,8 +101,8 @@ def _iterated(
     """Return the update of one filter by a nonlinear measurement, iterated until its linearisation settles.
 
     The results are the mean (1, 4), covariance (1, 4, 4), log likelihood (1,), normalised innovation squared (1,), the
-    probability that the measurement is no outlier, and the number of components of the measurement. The position at the
-    time of the measurement is B x + b with the present state x (4,) and `relation` = (B, b).
+    probability that the measurement is not an outlier, and the number of components of the measurement. The position at
+    the time of the measurement is B x + b with the present state x (4,) and `relation` = (B, b).
     """
     prior_mean, prior_cov, x = mean[None], cov[None], mean
     linear = _linearised(fix, x, relation, heading_rad, gap_var_m2)

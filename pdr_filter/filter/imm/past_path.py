@@ -390,7 +390,11 @@ class PastPath:
         return min((ee * nn - en * en) / max(squares, _MIN_VAR), _MAX_SHARED)
 
     def _since_shared_m(self, time_s: FloatArray, place_m: FloatArray) -> FloatArray:
-        """Return the displacements (2, N) of steps since shared errors began to accumulate, else zero."""
+        """Return the vectors (2, N) from `shared_from_m` to the positions `place_m` (2, N) of N steps.
+
+        `shared_from_m` is the position from which the errors that all steps share accumulate, and `shared_from_s` its
+        time. The vectors of steps at or before this time are zero.
+        """
         return np.where(time_s > self.shared_from_s, place_m - self.shared_from_m[:, None], 0.0)
 
 

@@ -203,7 +203,7 @@ class PedestrianModel:
 
     @cached_property
     def step_evidence(self) -> FloatArray:
-        """Log evidence (M,) of a detected step for each mode."""
+        """Log evidence (M,) of a detected step for each mode, relative to walking: not 0 for modes that stand."""
         return self.step_log_odds_stationary * self.stands
 
     @cached_property

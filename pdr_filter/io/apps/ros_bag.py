@@ -173,7 +173,7 @@ _KINDS = (IMU, FIELD, PRESSURE, PLACE)
 def _of_database(members: Members, name: str, seen: dict[str, str]) -> Messages:
     with open_database(members, name) as database:
         if not {"topics", "messages"} <= database.columns.keys():
-            raise RecordingError(f"{members.where(name)}: a database without topics and messages is no bag; give a bag")
+            raise RecordingError(f"{members.where(name)}: this database has no topics and messages; give a ROS bag")
         topics = {row[0]: (str(row[1]), str(row[2])) for row in database.rows("topics", ("id", "name", "type"))}
         seen |= dict(topics.values())
         for number, (topic, kind) in topics.items():

@@ -256,7 +256,7 @@ def _check_any(path: Path, what: str, begin: bytes) -> None:
 
 
 def _refuse_others(path: Path, head: bytes) -> None:
-    """Raise RecordingError for a known kind of file that is no recording, and name its kind."""
+    """Raise RecordingError, which names the kind, for a known kind of file that cannot be a recording."""
     kind = next((words for begin, words in _OTHERS.items() if head.lower().lstrip().startswith(begin.lower())), "")
     if head[_TAR_AT:].startswith(_TAR):
         kind = "a tar archive; unpack it and give the folder"

@@ -76,7 +76,7 @@ def whole_file(path: str | Path) -> Generator[IO[bytes]]:
     """Open a file for atomic writing. It appears at the path when the block ends without an error.
 
     Until then it has another name in the same folder, and whatever is at the path stays as it is. A link stays a link.
-    What is no regular file, such as /dev/stdout, is written to as it is.
+    A path that is not a regular file, such as /dev/stdout, is written to directly.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -44,7 +44,7 @@ class Database:
 
 @contextmanager
 def open_database(members: Members, name: str) -> Generator[Database]:
-    """Open a database among the files of a recording. RecordingError if the file is no database or is damaged."""
+    """Open a SQLite database of a recording. RecordingError if the file is damaged or not a database."""
     where = members.where(name)
     content = members.whole(name, limits.MAX_UNPACKED_BYTES)
     if not content.startswith(SQLITE):

@@ -53,7 +53,7 @@ def write_parquet(track: TrackRows, path: str | Path, origin: Origin | tuple[flo
 
 
 def track_frame(track: TrackRows, origin: Origin | tuple[float, float] | None = None) -> Any:
-    """Return a pandas DataFrame with the columns of `write_csv`; what is not in the columns is in its `attrs`."""
+    """Return a pandas DataFrame with the columns of `write_csv`. Name, notes and frame are in its `attrs`."""
     placed = track if origin is None else track.placed(origin)
     frame: Any = pandas_module("Track.to_pandas").DataFrame(_columns(placed))
     frame.attrs = {

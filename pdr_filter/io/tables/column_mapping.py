@@ -110,7 +110,7 @@ def read_mapping(path: Path) -> Mapping:
 def _table(path: Path, content: dict[str, Any], key: str, known: set[str]) -> dict[str, Any]:
     value: Any = content.get(key, {})
     if not isinstance(value, dict):
-        raise RecordingError(f"{path}: {key} is no table; write it as [{key}]")
+        raise RecordingError(f"{path}: {key} is not a table; write it as [{key}]")
     found = cast("dict[str, Any]", value)
     if found.keys() - known:
         raise RecordingError(f"{path}: [{key}] has {sorted(found.keys() - known)[0]!r}; use {', '.join(sorted(known))}")

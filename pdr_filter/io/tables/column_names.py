@@ -244,7 +244,12 @@ def quantity_of_file(name: str) -> tuple[str, int]:
 
 
 def _is_within(longer: str, word: str) -> bool:
-    """Return True if a word of a file name contains a known word, as in wristaccel and gyrodata."""
+    """Return True if `longer`, one word of a file name, consists of the known word `word` joined to something else.
+
+    The known word may be at the start, followed by a word such as data or raw, or by another known word (gyrodata). If
+    it is in `_GLUED` and not an orientation, it may be at the end from 4 letters (wristaccel), and anywhere from
+    `_LONG` letters. Shorter words at other places are ignored, because a word may contain them by chance.
+    """
     before, found, behind = longer.partition(word)
     is_glued = bool(found) and word in _GLUED and QUANTITY_OF[word] != "orientation"
     if not before and not (is_glued and len(word) >= _LONG):

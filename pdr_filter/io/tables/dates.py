@@ -60,7 +60,7 @@ def nanoseconds_of(text: str) -> int:
     """
     found = _found_in(text.strip())
     if found is None:
-        raise ValueError(f"{text[:_WIDEST]!r} is no date that is known; write dates as 2023-03-16 14:00:39.412")
+        raise ValueError(f"{text[:_WIDEST]!r} is not a known form of a date; write dates as 2023-03-16 14:00:39.412")
     year, month, day, hour, minute, second, part, zone = found.groups()
     hours = int(hour or 0)
     if zone and zone[0] in "AaPp":
@@ -176,7 +176,7 @@ def _day_ns(first: str, middle: str, last: str) -> int:
             raise ValueError(year)
         return (date(year, month, day) - date(1970, 1, 1)).days * _NS_OF_DAY
     except (ValueError, KeyError) as error:
-        raise ValueError(f"{first}-{middle}-{last} is no date that is known; write dates as 2023-03-16") from error
+        raise ValueError(f"{first}-{middle}-{last} is not a known form of a date; write dates as 2023-03-16") from error
 
 
 def _zone_ns(zone: str) -> int:

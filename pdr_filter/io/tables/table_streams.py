@@ -67,7 +67,7 @@ def quaternion_of(roll_rad: FloatArray, pitch_rad: FloatArray, yaw_rad: FloatArr
 def is_new_place(values: FloatArray) -> BoolArray:
     """Return True for rows with a new location.
 
-    Tables with a row for each sample repeat locations. Latitude 0 and longitude 0 is no location.
+    Tables with a row for each sample repeat locations. Latitude 0 with longitude 0 is not a location.
     """
     changes = np.ones(len(values), dtype=bool)
     changes[1:] = (values[1:, :2] != values[:-1, :2]).any(axis=1)

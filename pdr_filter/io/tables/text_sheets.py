@@ -163,7 +163,10 @@ def _table_at(members: Members, member: str, first: bytes, n: int) -> Iterator[b
 def text_sheet(
     members: Members, member: str, separator: str | None = None, blocks: Callable[[], Iterator[bytes]] | None = None
 ) -> Sheet | None:
-    """Return the table in a text, or in some blocks of it, or None if there is no table."""
+    """Return the table in a text file, or None if there is none.
+
+    `blocks` yields the text in pieces, if it is not the content of the file `member`.
+    """
     head = members.head(member) if blocks is None else next(blocks(), b"")[: limits.HEAD_BYTES]
     if b"\x00" in head[:4096]:
         return None

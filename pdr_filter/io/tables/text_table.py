@@ -186,7 +186,7 @@ def refuse_far_times(whole: IntArray, where: str) -> None:
 
 
 def parse_lines(lines: Sequence[str], layout: Layout) -> NumberTable:
-    """Parse lines that have a number in every picked field. ValueError if a field is no number."""
+    """Parse lines that have a number in every picked field. ValueError if a field is not a number."""
     columns = [*([] if layout.whole is None else [layout.whole]), *layout.picked]
     kinds = [(f"f{i}", np.int64 if column == layout.whole and i == 0 else float) for i, column in enumerate(columns)]
     rows = np.loadtxt(lines, np.dtype(kinds), None, layout.separator, usecols=columns, ndmin=1, quotechar='"')
@@ -286,7 +286,8 @@ def _parse_rows(text: str, layout: Layout, where: str, notes: list[str], line: i
                 known = whole_number(row[layout.whole])
             except ValueError as error:
                 raise RecordingError(
-                    f"{where}, line {at}: time {row[layout.whole].strip()[:40]!r} is no whole number; export it again"
+                    f"{where}, line {at}: time {row[layout.whole].strip()[:40]!r} is not a whole number; "
+                    "export the file again"
                 ) from error
             if known is None:
                 n_timeless += 1
@@ -331,7 +332,7 @@ def _is_complete(row: list[str], layout: Layout) -> bool:
 
 
 def _no_number(row: list[str], i: int, layout: Layout, where: str) -> RecordingError:
-    """Return the error for the i-th picked field of a row, which is no number."""
+    """Return the error for the i-th picked field of a row, which is not a number."""
     name = layout.names[i] if i < len(layout.names) else str(layout.picked[i] + 1)
     if row[layout.picked[i]].strip() == name:
         return RecordingError(

@@ -246,7 +246,13 @@ class _Task:
         return full
 
     def posterior(self, about: FloatArray, variances: _Variances, information: float, first: bool) -> PeoplePosterior:
-        """Return the posterior of the population and all people, with segments linearised at parameters (S, F)."""
+        """Return the posterior of the parameters of the population and of all S people, given all segments.
+
+        The equations of a person's segments are linearised at this person's row of `about` (S, F), with the F estimated
+        parameters. `variances` are those of the last iteration. Their noise variances are divided by `information`, the
+        factor that belongs to the loss. `first` is True in the first iteration: the scale error of a recording then
+        multiplies the known distances, and later the predicted ones.
+        """
         for chunk in self.chunks:
             phi = variances.noise / information
             chunk.normal_equations(about, phi, variances.recording, first, self.G, self.g)

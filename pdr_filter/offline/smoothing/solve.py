@@ -440,7 +440,7 @@ def _relaxed(problem: Problem) -> list[Rows]:
 def _relaxed_observations(problem: Problem, weight: FloatArray) -> list[Rows]:
     """Return the relaxed equations of positions, directions and headings.
 
-    A scale alone has none, because it is no vector.
+    A scale alone has none, because it is not a vector.
     """
     positions, directions, states = problem.positions, problem.directions, problem.states
     of_positions, of_directions, of_states = np.split(weight, [len(positions), len(positions) + len(directions)])

@@ -319,7 +319,10 @@ def site_scores(windows: LabelledWindows, prob: FloatArray, use: BoolArray) -> d
 
 
 def _followed(recording: TextArray, prob: FloatArray) -> FloatArray:
-    """Return the filtered probabilities (W, L) after each window of its recording, from equally probable modes."""
+    """Return the filtered probabilities (W, L) of the L `CARRYING_MODES` after each window of its recording.
+
+    Each recording starts with equal probabilities of the modes in `MODES`, and zero for the others.
+    """
     prior = np.array([float(mode in MODES) for mode in CARRYING_MODES])
     prior /= prior.sum()
     result = np.zeros_like(prob)

@@ -61,8 +61,8 @@ def guo2018(subject: Subject | None = None) -> Config:
 
     Notes
     -----
-    Light and proximity are usually not recorded, so that the forest uses only the other 12 of the 18 features. All
-    deviations from the paper are in docs/methods/guo2018.md.
+    The shipped forest uses 12 of the paper's 18 features, without light and proximity, because its training recordings
+    lack these sensors. All deviations from the paper are in docs/methods/guo2018.md.
 
     Examples
     --------
@@ -79,8 +79,8 @@ def guo2018(subject: Subject | None = None) -> Config:
         notes=(
             Note(
                 "recipe",
-                "the pose is classified from pitch and roll only (12 of 18 features), because light and proximity are "
-                "not recorded: expect more confused poses than in the paper",
+                "the pose is classified from pitch and roll only (12 of the paper's 18 features): the shipped forest "
+                "does not use light and proximity, so expect more confused poses than in the paper",
             ),
             *height_notes(subject),
         ),

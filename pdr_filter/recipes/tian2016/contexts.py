@@ -346,7 +346,12 @@ class TianContexts:
         return state, reports
 
     def _walking(self, state: TianContextsState, modes: IntArray, revealed: list[int]) -> tuple[BoolArray, int]:
-        """Return whether the person walks at each sample, and the sample at which the last step was detected."""
+        """Return whether the person walks at each sample (N,), and the sample since which no step was detected.
+
+        Sample numbers count from the start of the segment. `modes` (N,) are the states of the phone, and `revealed` the
+        indices in the block at which a step became known. Walking ends `stationary_s` after the last step. Samples of a
+        transition do not count: each of them moves the returned number by one.
+        """
         walking = np.empty(len(modes), dtype=bool)
         is_walking, last = state.walking, state.last_contact
         steps = set(revealed)

@@ -273,7 +273,12 @@ class TianStepDetector(BaseStepDetector[TianDetectorState]):
     def _follow_transition(
         self, state: TianDetectorState, sample: int, mode: int, known: int
     ) -> tuple[TianDetectorState, list[Step]]:
-        """Return the new state, and the steps of a transition that ends before this sample (eq. 8)."""
+        """Return the new state, and the steps that are filled in for a transition that ends before this sample (eq. 8).
+
+        No steps are detected while the phone changes between two carrying modes. The filled-in steps are evenly spaced.
+        Their number is the duration of the transition times the step frequency before it. The list is empty if no
+        transition ends here. `mode` is the state of the phone at `sample`, and `known` the number of the newest sample.
+        """
         if mode == TRANS and state.transition_start < 0:
             at_s = self._log.time_s(state.log, sample)
             since_s = at_s - state.log.last_contact_s

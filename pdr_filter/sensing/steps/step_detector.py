@@ -372,7 +372,7 @@ class ResponseStepDetector(BaseStepDetector[R]):
         return replace_unchecked(state, log=log, response=response[:, -2:]), list(zip(numbers, steps, strict=True))
 
     def _step_at(self, state: R, values: FloatArray, known: int) -> tuple[R, StepSpan | None]:
-        """Return the new state and the span of the step that ends at a local maximum, or None if it is no step.
+        """Return the new state and the span of the step that ends at a local maximum, or None if it is not a step.
 
         The maximum is the middle column of `values` (K, 3). Sample number `known` revealed it.
         """
