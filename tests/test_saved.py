@@ -94,7 +94,7 @@ ATTITUDE_OF_CONFIG = ("value", "dict", "config", "fields", "sensing", "fields", 
         ((*SENSING, "processed_s"), 1e31, "processed_s of SensingState must be"),
         ((*SENSING, "n_samples"), 2**70, "n_samples of SensingState must be"),
         ((*STATE, "n_climbs_used"), -1, "n_climbs_used of State must be a non-negative count, got -1"),
-        ((*SENSING, "rattle", "fields", "extra"), 1.0, "RattleState has no extra"),
+        ((*SENSING, "rattle", "fields", "extra"), 1.0, "RattleState has no field extra"),
     ],
 )
 def test_a_saved_filter_of_which_one_value_cannot_be_is_refused_by_its_name(
