@@ -318,7 +318,7 @@ def test_pushed_messages_in_any_order_are_the_recording_and_two_sessions_are_two
     assert [str(p.relative_to(path)) for p in recordings_in(path)] == ["two", "one"]
     assert_same_streams(read(path / "one"), WALK, "accelerometer", time_s=1e-9)
     path.write_text(json.dumps(messages[0]))
-    assert "put all messages of the recording into one file" in refusal(path)
+    assert "put all messages into one file" in refusal(path)
 
 
 def test_a_missing_column_is_refused_with_its_name(tmp_path: Path) -> None:
