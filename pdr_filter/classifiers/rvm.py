@@ -81,8 +81,9 @@ def train_one_against_all(
 ) -> list[Trained]:
     """Train K binary relevance vector machines, each for its class against all others.
 
-    For two classes, the first machine mirrors the second. Each machine is a `Trained` on the basis functions (R, N),
-    which are the bias and the candidates. `label` (N,) is 0 to K - 1, and `weight` (N,) is the weight of each row.
+    For two classes, only the machine of class 1 is trained. The machine of class 0 is its copy with negated weights and
+    logits. Each machine is a `Trained` on the basis functions (R, N), which are the bias and the candidates. `label`
+    (N,) is 0 to K - 1, and `weight` (N,) is the weight of each row.
     """
     no_offset = np.zeros(len(label))
     machines: list[Trained] = []
@@ -131,9 +132,10 @@ def train_multinomial(
 
 
 def _joint_value(logit: FloatArray, label: IntArray, weight: FloatArray, trained: Sequence[Trained]) -> float:
-    """Return the log-likelihood of the softmax plus the Occam factors, in nats.
+    """Return the log-likelihood of the softmax plus the log Occam factors of all machines, in nats.
 
-    The Occam factor of a machine is ln p(w*) + ln |Delta| / 2.
+    The log Occam factor of a machine is ln p(w*) + ln |Delta| / 2, up to a constant. Here w* are the posterior means of
+    its weights, p is their Gaussian prior with the precisions alpha, and Delta is their posterior covariance.
     """
     chosen = logit[label, np.arange(len(label))]
     value = float(weight @ (chosen - np.asarray(logsumexp(logit, axis=0))))

@@ -62,7 +62,7 @@ def weighting_tracks(
 
 
 def weighting_errors(recording: Recording, config: Config | None = None, lag_steps: int = 4) -> Table:
-    """Return the distance errors that are caused by wrong contexts, for each weighting.
+    """Return the errors of the walked distance that are caused by wrong contexts, for each weighting.
 
     Parameters
     ----------
@@ -77,24 +77,26 @@ def weighting_errors(recording: Recording, config: Config | None = None, lag_ste
     -------
     Table
         A row for each weighting and a row "contexts known", with columns `weighting`, `distance_m` and `error_percent`.
+        The error is relative to the distance of the row "contexts known".
 
     Raises
     ------
     ValueError
         If no step is inside a label, or if the modes do not match the contexts one to one.
 
-    Notes
-    -----
-    All rows have the same steps and step-length models. The reference is the distance with the step length of the true
-    context of each step. Steps outside of all labels do not count.
+    Notes ----- All rows have the same steps and step-length models. The row "contexts known" is the reference: each
+    step has the step length of its true context. Steps outside of all labels do not count.
 
-    "wc" has the threshold 0.8, and "wc, always" has the threshold 0. The IMM has four rows:
+    "hc" (highest context) takes the step length of the most probable context. "wc" (weighted context) takes the mean of
+    the step lengths, weighted with the context probabilities. It does so if the second-highest probability is at least
+    0.8 times the highest, and is "hc" otherwise. "wc, always" takes the weighted mean at each step. The IMM
+    (interacting multiple model) has four rows:
 
-    - "imm, as the steps were made": online estimates of the step lengths.
+    - "imm, as the steps were made": step lengths as the filter estimated them online, without later steps.
     - "imm": mode probabilities smoothed over all later steps, as in `Track.walked_m`.
     - "imm, lagged": mode probabilities smoothed over `lag_steps` later steps.
-    - "imm, smoothed": mode probabilities smoothed over all later steps, with the evidence weights of offline smoothing
-      (`Config.in_hindsight`).
+    - "imm, smoothed": as "imm", after a filter run in which the evidence of each context window is raised to the power
+      `PedestrianModel.hindsight_exponent`. `Config.in_hindsight` makes this change for offline smoothing.
 
     Examples
     --------

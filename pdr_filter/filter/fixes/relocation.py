@@ -97,9 +97,10 @@ class Doubt:
     def alignment(self, last: PairedPoint, heading_var_rad2: float, n_steps: int, can_turn: bool) -> Alignment | None:
         """Return the alignment by which the rejected fixes relocate the track, or None while the track may be right.
 
-        `last` must be the last rejected fix. The heading with its variance is a measurement of the rotation. If it
-        contradicts the fixes, the rotation is estimated without it. This requires `can_turn`: the rotation of the track
-        is itself estimated from fixes.
+        `last` must be the last rejected fix. The heading of the track is a measurement that the rotation is zero, with
+        the variance `heading_var_rad2`. If the fixes contradict this measurement, the rotation is estimated from the
+        fixes alone. This is only done if `can_turn` is True, which means that the present rotation of the track was
+        itself estimated from fixes. Otherwise the result is None. `n_steps` is the number of steps so far.
         """
         pairs = self.pairs
         if not self._persists(last):
