@@ -98,8 +98,7 @@ class Alignment:
         return (track_m - self.track_centre_m) @ self.rotation.T + self.world_centre_m
 
     def world(self, place: Place) -> Place:
-        """Return a place of the track frame transformed to the world frame, including the uncertainty of the alignment.
-        """
+        """Return a place of the track frame transformed to the world frame, with the uncertainty of the alignment."""
         position_m = self.positions(place.position_m)
         east_m, north_m = (position_m - self.world_centre_m).tolist()
         spread = self.angle_var_rad2 * np.array([[north_m**2, -north_m * east_m], [-north_m * east_m, east_m**2]])
@@ -108,8 +107,7 @@ class Alignment:
 
 
 def walked_var_m2(cov: FloatArray) -> float:
-    """Return the variance of the present position given the heading offset, in m2, as mean of the variances east and
-    north.
+    """Return the variance of the position given the heading offset, in m2, as mean of the variances east and north.
 
     `cov` (4, 4) is the covariance of the filter state (east, north, heading offset, log scale). The part of the
     position variance that is due to an error of the heading offset is subtracted.

@@ -48,8 +48,8 @@ _MIN_SHARED = 0.01
 class Back:
     """Backward relation from the later state x' (4,) to an earlier state x (4,).
 
-    x = mean + moved + gain (x' - mean') + error, where the error has the covariance `left`. mean and mean' are the
-    estimates of x and x'.
+    x = mean + moved + gain (x' - mean') + error, where the error has the covariance `left`. mean is the estimate of x
+    when x was the present state. mean' is the estimate of x' when x' was the present state.
 
     Attributes
     ----------
@@ -58,9 +58,11 @@ class Back:
     left : (..., 4, 4) array
         Covariance P - G P' G' of the error.
     moved : (..., 4) array
-        Correction of x between the two times.
+        Correction of the estimate of x by the measurements between the two times. It is not part of mean, so that mean
+        + moved is the smoothed estimate of x.
     scale : float, default 1.0
-        Factor by which the event scales the variance of all earlier errors.
+        Factor by which the covariances of all errors before x' are multiplied, as after a position fix that deviates
+        more than expected.
     """
 
     gain: FloatArray
@@ -84,7 +86,11 @@ class Back:
         return cls(gain, before - gain @ cross.swapaxes(-1, -2), np.zeros(before.shape[:-1]))
 
     def followed_by(self, later: Back) -> Back:
-        """Return the backward relation from the state after a later relation to the earlier state x of this one."""
+        """Return the backward relation over this interval and the following one.
+
+        This relation leads from the state x' back to x. `later` leads from a later state x'' back to x'. The result
+        leads from x'' back to x.
+        """
         gain = self.gain
         left = later.scale * self.left + gain @ later.left @ gain.swapaxes(-1, -2)
         moved = self.moved + _times(gain, later.moved)
@@ -155,7 +161,7 @@ class WalkedStep:
 
 
 def _relations_over_steps(steps: Sequence[WalkedStep]) -> list[Back]:
-    """Return the relation of the combined states before and after each step."""
+    """Return the backward relation over each step, from the combined state after the step to that before it."""
     (_, updated, prob, mean, cov, drifted_cov, turned_mean, turned_cov, ahead_mean, ahead_cov, by_state) = (
         np.array([getattr(step, name) for step in steps]) for name in WalkedStep.__dataclass_fields__
     )
@@ -173,14 +179,17 @@ def _relations_over_steps(steps: Sequence[WalkedStep]) -> list[Back]:
 
 @dataclass(frozen=True, eq=False)
 class PastSteps:
-    """Past steps and their relation to a later state. The last axis of all arrays is that of the steps.
+    """Past steps and their relation to a later state x (east, north, heading offset, log scale).
+
+    The position of a step is place + B (x - mean) + e, with mean the estimate of x and e an error that is uncorrelated
+    with x. The last axis of all arrays is that of the steps.
 
     Attributes
     ----------
     time_s : (N,) array
         Contacts of the steps.
     place_m : (2, N) array
-        Positions (east, north).
+        Estimated positions (east, north) after each step.
     by_state : (2, 4, N) array
         B, the derivative of each position with respect to the later state.
     own_cov_m2 : (3, N) array
@@ -231,9 +240,11 @@ class PastSteps:
     def with_moments(
         self, place_m: FloatArray, cov_m2: FloatArray, cross: FloatArray, state_cov: FloatArray
     ) -> PastSteps:
-        """Return the steps with given positions (2, N) and covariances (3, N).
+        """Return the steps with given positions (2, N) and position covariances (3, N), related to a given state.
 
-        `cross` (2, 4, N) are the cross-covariances with a state of covariance `state_cov` (4, 4).
+        `cross` (2, 4, N) are the cross-covariances C of the positions with the state, and `state_cov` (4, 4) is its
+        covariance S. The derivative `by_state` becomes B = C S^-1, and `own_cov_m2` the rest of the covariance, which
+        is `cov_m2` - B C'.
         """
         by = np.linalg.inv(state_cov + _MIN_COV) @ cross
         return PastSteps(self.time_s, place_m, by, cov_m2 - _products(by, cross))
@@ -255,7 +266,8 @@ class PastPath:
     since_s : float
         Steps until this time are in the frame of the fixes. A change of the present frame does not move them.
     shared_from_m : (2,) array
-        Position from which errors that the steps share have accumulated.
+        Position of the track when errors that all steps share were last added to the covariance of the state. Since
+        then these errors, such as those of consider parameters, have grown in proportion to the displacement from it.
     shared_from_s : float
         Time of that position.
     """
@@ -308,9 +320,11 @@ class PastPath:
     ) -> PastPath:
         """Return the path after errors that all steps share have been added to the covariance of the present state.
 
-        `shared_m2` (2, 2) is their covariance at the present position, and `before` and `after` (4, 4) are the
-        covariances of the present state. Shared errors grow with the displacement from the position where they began to
-        accumulate. They start again at `present_m` (2,).
+        `shared_m2` (2, 2) is the covariance of the shared errors at the present position `present_m` (2,), at the time
+        `time_s`. `before` and `after` (4, 4) are the covariances of the present state without and with them. The shared
+        error of a past step is proportional to its displacement from `shared_from_m`. It is added to the covariance of
+        the step and to its covariance with the present state, so that later corrections move the step, too. Shared
+        errors that arise later accumulate from `present_m`.
         """
         if np.trace(shared_m2) < _MIN_SHARED * np.trace(before[:2, :2]):
             return replace_unchecked(self.predicted(before, after), shared_from_s=time_s, shared_from_m=present_m)
@@ -379,9 +393,11 @@ class PastPath:
         return time_s, place_m, cov_m2 + shared_m2
 
     def _share(self, shared_m2: FloatArray, present_m: FloatArray) -> float:
-        """Return the variance per square metre of displacement of an error along the displacement.
+        """Return the variance of the errors that all steps share, per square metre of displacement.
 
-        It is the largest one whose contribution is still part of `shared_m2` (2, 2).
+        Let d be the displacement from `shared_from_m` to `present_m` (2,). An error that is proportional to d has the
+        covariance s d d'. The result is the largest s, at most `_MAX_SHARED`, for which `shared_m2` (2, 2) minus s d d'
+        is positive semidefinite.
         """
         displacement_m = present_m - self.shared_from_m
         (ee, en), (_, nn) = (shared_m2 + _MIN_COV[:2, :2]).tolist()
