@@ -64,7 +64,7 @@ def read_ros_bag(path: str | Path) -> Recording:
 
 
 class _Topic:
-    """Messages of one topic of a ROS bag: their times and their numbers."""
+    """Messages of one topic of a ROS bag: the time of each message in ns, and the numerical values in it."""
 
     def __init__(self, kind: str) -> None:
         self.kind = kind

@@ -118,14 +118,14 @@ def _columns(track: TrackRows) -> dict[str, FloatArray]:
 def write_geojson(track: TrackRows, path: str | Path, origin: Origin | tuple[float, float] | None = None) -> Path:
     """Write a FeatureCollection with the track as one LineString in WGS 84, and return the path.
 
-    The line begins at the start of the walk and has one vertex for each step; a track without steps is a Point.
-    `origin` (latitude and longitude in degrees) is where east and north are zero: the start of the walk, but for a
-    track in the frame of its fixes. One that its recording's locations placed has an origin of its own. Properties for
-    each vertex: `coordTimes` (seconds of the recording) and `covariance_m2` ([ee, en, nn]).
+    The line begins at the start of the walk and has one vertex for each step. A track without steps is a Point.
+    `origin` is the latitude and longitude in degrees of the point with east and north zero. This point is the start of
+    the walk, or the origin of the fixes if the track is in the frame of its fixes. `origin` is not needed for a track
+    that was placed by the locations of its recording, because this track has an origin. Properties for each vertex are
+    `coordTimes` (seconds of the recording), `covariance_m2` ([ee, en, nn]) and `floor` (the storey).
 
-    The third coordinate is the altitude where the origin has one. Otherwise a track that left the height of its start
-    has its height there, in metres above the start and not above the ellipsoid. The property `height` says which, and
-    `floor` is the storey of each vertex.
+    The third coordinate is the altitude if the origin has an altitude. Otherwise it is the height above the start in m,
+    if the height changes. The property `height` states which of both it is.
     """
     placed = track if origin is None else track.placed(origin)
     return _write_geojson(placed, path, track.name, placed.about_frame)

@@ -42,10 +42,10 @@ _DEVICES = ("device", "deviceid", "devicename", "phone", "phoneid", "phonename",
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tables:
-    """Recording that was read from tables, with the column mapping that was used."""
+    """Pair of a recording that was read from tables and the column mapping with which it was read."""
 
     recording: Recording
-    guess: Guess
+    guess: Guess  # mapping of the columns, as guessed from names and values
 
 
 def read_table(path: str | Path, platform: str | None = None) -> Recording:

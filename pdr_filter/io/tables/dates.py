@@ -85,9 +85,11 @@ def as_nanoseconds(rows: bytes, separator: bytes, place: int) -> bytes:
 
 
 def column_nanoseconds(rows: bytes, separator: bytes, place: int) -> IntArray | None:
-    """The dates of one column of whole rows, if all are as wide as the first; None if it takes `as_nanoseconds`.
+    """Return the dates of one column as nanoseconds (N,), for N complete rows whose dates all have one form.
 
-    The same numbers in a tenth of the time, as apps write each date alike.
+    `place` is the index of the column. A date with time gives nanoseconds since 1970, a time of day those since
+    midnight. The result is None if a row is incomplete, contains quotes, or has a date of another width or form.
+    `as_nanoseconds` reads such rows. It gives equal numbers, but takes ten times as long.
     """
     if not rows.endswith(b"\n") or b'"' in rows:
         return None
