@@ -104,9 +104,10 @@ def parts_of(path: Path) -> list[str]:
 def recordings_among(members: Members, names: Iterable[str]) -> list[str]:
     """Return the paths of those folders and files among the names that are one recording each.
 
-    "." stands for the folder that holds all names. A file that has an acceleration and another sensor is a recording.
-    If sensors are in separate files, the whole folder is one recording. If the names of these files show several
-    trials, such as `walk1_acc.csv` and `walk2_acc.csv`, each trial is a recording (`_of_one_sensor`).
+    "." stands for the folder that holds all names. A folder with a typical file of an export, such as
+    `Accelerometer.csv`, is a recording. In any other folder, each file that has an acceleration and another sensor is a
+    recording. If sensors are in separate files, the whole folder is one recording. If the names of these files show
+    several trials, such as `walk1_acc.csv` and `walk2_acc.csv`, each trial is a recording (`_of_one_sensor`).
     """
     by_folder: dict[str, list[str]] = {}
     for name in list(names)[: limits.MAX_MEMBERS]:
@@ -143,9 +144,9 @@ def _of_one_sensor(folder: str, of_sensors: dict[str, set[str]], is_all: bool) -
     `of_sensors` maps the name of a file to its sensors. `is_all` is True if no file of the folder is a recording by
     itself. Three cases are tried in this order:
 
-    - At least two trials have both an acceleration and a gyroscope: the result is the path of each trial. - There is an
-      acceleration and another sensor, or one acceleration file alone (`is_all`): the result is the folder. - Otherwise
-      each file with an acceleration that includes gravity is a recording.
+    - At least two trials have both an acceleration and a gyroscope: the result is the path of each trial.
+    - There is an acceleration and another sensor, or one acceleration file alone (`is_all`): the result is the folder.
+    - Otherwise each file with an acceleration that includes gravity is a recording.
     """
     trials: dict[str, set[str]] = {}
     for name, sensors in of_sensors.items():
@@ -163,7 +164,7 @@ def _of_one_sensor(folder: str, of_sensors: dict[str, set[str]], is_all: bool) -
 
 
 def _parts_in(path: Path) -> list[str]:
-    """Return the names of the recordings in a file, or directly in a folder without its subfolders.
+    """Return the names of the recordings in a file, or among the files of a folder itself.
 
     The names are relative to `path`. "." in the result means that the files of the folder are together one recording.
     The list is empty for a file with a single recording, and if a file cannot be read.

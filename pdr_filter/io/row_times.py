@@ -24,7 +24,7 @@ _LOST = 1.5
 
 
 def in_order(streams: Streams, suffix: str, notes: list[str]) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Return the streams, with rows sorted by time if somebody moved rows within the table, as when editing it.
+    """Return the streams, with rows sorted by time if rows were moved within the table by an edit.
 
     Rows can also be out of order because the clock of the phone jumped backward. Such rows stay as recorded, because
     the filter itself handles clock jumps. Sorting tells both cases apart: moved rows then fill a gap, while rows after

@@ -41,7 +41,10 @@ _LOG = logging.getLogger(__name__)
 
 
 class Share(Protocol):
-    """Share of the devices that one process or one actor of a cluster serves."""
+    """Interface of a worker that serves a share of the devices and their sessions.
+
+    `Process` implements it with a process on this computer, and `cluster.Actor` with an actor of a Dask cluster.
+    """
 
     async def ask(self, requests: Sequence[Request]) -> list[Said]:
         """Return an answer to each request; LostError if the share is gone. One call at a time."""
@@ -53,7 +56,7 @@ class Share(Protocol):
 
 
 class Process:
-    """Share of the sessions that a process on this computer serves."""
+    """Worker process on this computer that serves a share of the devices (implements `Share`)."""
 
     def __init__(self, settings: Settings, folder: Path, part: int, n_parts: int) -> None:
         self._process = WorkerProcess(answers_of_part, settings, folder, part, n_parts)

@@ -76,9 +76,14 @@ class Marks:
     def arguments(self, recording: Recording, waypoint_std_m: float | None = 1.0) -> dict[str, Any]:
         """Return the arguments of `pdr_filter.smooth` for a recording with these marks.
 
-        Positions that the recording itself has are used beside the marks if both are in one frame: waypoints unless the
-        marked points have an origin or a floor plan, and locations if the origin is the first of them. Without
-        `waypoint_std_m` neither is used. A floor plan in degrees also gives the origin if `walk.json` has none.
+        Positions that the recording itself contains are used in addition to the marks if they are in the same frame:
+
+        - Locations are used if there are marked points and their origin is the first location of the recording.
+        - Waypoints are used if there is no origin and no marked points on a floor plan. Their standard deviation is
+          `waypoint_std_m` in m.
+
+        If `waypoint_std_m` is None, neither locations nor waypoints of the recording are used. A floor plan in degrees
+        gives the origin if `walk.json` has none.
         """
         found: dict[str, Any] = {"fixes": list(self.fixes), "loop_closures": list(self.loop_closures)}
         if self.person is not None:
