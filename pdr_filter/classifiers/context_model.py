@@ -124,8 +124,8 @@ class ContextModel:
         data. Rows sum to one.
     evidence_exponent, prior_exponent : float, optional
         Exponents e and r of the evidence of a window for a context, (p / prior^r)^e. Here p is the probability of the
-        context and prior its `training_prior`. They replace the defaults of `PedestrianModel` and were chosen on the
-        labels of the training data.
+        context and prior its `training_prior`. The exponents were chosen on the labels of the training data, and
+        replace the defaults of `PedestrianModel`.
     features : FeatureSet, optional
         Computes the features of windows, if they are not features of this package. Files do not contain it.
     needs_gyroscope : bool, default True

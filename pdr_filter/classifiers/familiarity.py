@@ -69,10 +69,11 @@ def unknown_share(distance: FloatArray, limit: float, sharpness: float) -> Float
 def fit_familiarity(standardised: FloatArray, limit: float, sharpness: float = 2.0) -> Familiarity:
     """Return the familiarity that is fitted to standardised features (N, F) of windows.
 
-    The features are first cut to the range from -8 to 8. Their principal axes and variances are then computed about
-    zero, which is the mean of all training windows, and not about their own mean. A subset such as the windows on
-    stairs has another mean, so its variance along the line through both means is larger. Windows between both means are
-    therefore familiar, too. `limit` is the distance from which windows are partly unknown, chosen on held-out people.
+    The features are first cut to the range from -8 to 8. The principal axes and variances of the features are then
+    computed about zero, not about the mean of these features. Zero is the mean of all training windows. A subset such
+    as the windows on stairs has another mean, so its variance along the line through both means is larger. Windows
+    between both means are therefore familiar, too. `limit` is the distance from which windows are partly unknown,
+    chosen on held-out people.
     """
     cut = np.clip(standardised, -_FEATURE_LIMIT, _FEATURE_LIMIT)
     variance, axes = np.linalg.eigh(cut.T @ cut / len(cut))

@@ -271,13 +271,13 @@ def outside_factors(likelihood: Likelihood, functions: FloatArray, now: Posterio
     """Return the sparsity S and quality Q, (R,) each, of all R candidate basis functions.
 
     For a function that is not in the model, S and Q equal the s and q that `inside_factors` would give after its
-    addition. They are Q = phi^T g and S = phi^T B phi - ||G Phi^T B phi||^2. Here phi is the candidate at all rows and
-    Phi are the functions of the model. g is the gradient and B the diagonal matrix of curvatures of the log-likelihood.
-    G^T G is the posterior covariance of the weights.
+    addition. The formulas are Q = phi^T g and S = phi^T B phi - ||G Phi^T B phi||^2. Here phi is the candidate at all
+    rows and Phi are the functions of the model. g is the gradient and B the diagonal matrix of curvatures of the
+    log-likelihood. G^T G is the posterior covariance of the weights.
 
-    S is set to infinity for functions in the model and for combinations of these, so that they are not added. Their Q
-    has no meaning. The matrix product in S takes most of the training time. It is computed in single precision, because
-    S only selects the candidates that `additions` examines exactly.
+    S is set to infinity for functions in the model and for linear combinations of these functions, so that neither is
+    added. Q has no meaning where S is infinite. The matrix product in S takes most of the training time. The product is
+    computed in single precision, because S only selects the candidates that `additions` examines exactly.
     """
     beta, slope = likelihood.curvature(now.logit), likelihood.slope(now.logit)
     projection = ((functions[now.basis] * beta).T @ now.cov_factor.T).astype(np.float32)  # (N, M)

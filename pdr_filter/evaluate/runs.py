@@ -88,9 +88,9 @@ def weighting_errors(recording: Recording, config: Config | None = None, lag_ste
     step has the step length of its true context. Steps outside of all labels do not count.
 
     "hc" (highest context) takes the step length of the most probable context. "wc" (weighted context) takes the mean of
-    the step lengths, weighted with the context probabilities. It does so if the second-highest probability is at least
-    0.8 times the highest, and is "hc" otherwise. "wc, always" takes the weighted mean at each step. The IMM
-    (interacting multiple model) has four rows:
+    the step lengths, weighted with the context probabilities. If the second-highest probability is below 0.8 times the
+    highest, "wc" is equal to "hc". "wc, always" takes the weighted mean at each step. The IMM (interacting multiple
+    model) has four rows:
 
     - "imm, as the steps were made": step lengths as the filter estimated them online, without later steps.
     - "imm": mode probabilities smoothed over all later steps, as in `Track.walked_m`.

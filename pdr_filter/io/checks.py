@@ -30,7 +30,7 @@ def checked_streams(
     `notes`. Notes and errors name a stream by its name followed by `suffix`. Raises RecordingError for an implausible
     stream.
 
-    An unusually low sampling rate is normally refused, as the times may be in another unit. It is accepted if
+    An unusually low sampling rate is normally refused, as the times may be in another unit. A low rate is accepted if
     `is_unit_declared` is True, which means that the file states the unit of its times.
     """
     streams: dict[str, Samples] = {}

@@ -55,7 +55,7 @@ class Answer:
 class Said:
     """Response of a part to one request: the answer for the sender, and the events for the open web pages.
 
-    The events are JSON texts. They are those since the previous response.
+    The events are JSON texts, for all changes since the previous response.
     """
 
     answer: Answer
@@ -142,6 +142,6 @@ def answers_of_part(
 ) -> Callable[[Sequence[Request]], list[Said]]:
     """Load one part of the devices, and return the function that answers requests for this part.
 
-    A worker process calls it once when it starts. The returned function is `Part.answer`.
+    A worker process calls this function once when it starts. The returned function is `Part.answer`.
     """
     return Part(settings, folder, part, n_parts).answer

@@ -79,8 +79,8 @@ class Marks:
         Positions that the recording itself contains are used in addition to the marks if they are in the same frame:
 
         - Locations are used if there are marked points and their origin is the first location of the recording.
-        - Waypoints are used if there is no origin and no marked points on a floor plan. Their standard deviation is
-          `waypoint_std_m` in m.
+        - Waypoints are used if there is no origin and no marked points on a floor plan. `waypoint_std_m` is the
+          standard deviation of a waypoint in m.
 
         If `waypoint_std_m` is None, neither locations nor waypoints of the recording are used. A floor plan in degrees
         gives the origin if `walk.json` has none.

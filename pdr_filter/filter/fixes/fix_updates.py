@@ -125,14 +125,14 @@ def _without_shared_error(
     The measurement is z (2,) = H x + noise of covariance R. This fix has the index n, the position z_n and the true
     position p_n. Let z_i be an earlier fix with the error e_i. The error of fix n is sum_i A_i e_i + w, with regression
     matrices A_i and an independent w (`error_given_before`). Let d_i be the displacement of the track from fix i to fix
-    n, psi the error of the heading offset and s that of the log scale (true minus estimate). Then z_i + d_i = p_n - psi
-    J d_i - s d_i + e_i, where J (east, north) = (north, -east).
+    n. Let psi be the error of the heading offset and s the error of the log scale (true minus estimate). Then z_i + d_i
+    = p_n - psi J d_i - s d_i + e_i, where J (east, north) = (north, -east).
 
-    The returned measurement is z_n - sum_i A_i (z_i + d_i), in which the errors e_i cancel. Its mean is (I - sum_i A_i)
-    p_n + sum_i A_i (psi J d_i + s d_i). A filter with the errors of the fixes as further states would give the same
-    result (A. E. Bryson and L. J. Henrikson, "Estimation using sampled data containing sequentially correlated noise",
-    J. Spacecraft 5, 1968). The displacement since fix n, which leads from p_n to the present position, is as uncertain
-    as heading and step lengths.
+    The returned measurement is z_n - sum_i A_i (z_i + d_i), in which the errors e_i cancel. The mean of the measurement
+    is (I - sum_i A_i) p_n + sum_i A_i (psi J d_i + s d_i). A filter with the errors of the fixes as further states
+    would give the same result (A. E. Bryson and L. J. Henrikson, "Estimation using sampled data containing sequentially
+    correlated noise", J. Spacecraft 5, 1968). The displacement since fix n, which leads from p_n to the present
+    position, is as uncertain as heading and step lengths.
     """
     x, P = state.estimates.combined
     since_m = track_place(state).position_m - track_m

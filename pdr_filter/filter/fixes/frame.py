@@ -116,9 +116,9 @@ class Frame:
     def is_north_wrong(self) -> bool:
         """True while the positions contradict the prior of the rotation, as after a wrong heading fix.
 
-        The misfit of the positions is computed with and without the prior. It is the sum of the normalised squared
-        errors, plus a constant for each position that is removed as inconsistent (`disagreement`). The prior is wrong
-        if its omission reduces the misfit by more than the 99.9 % limit of chi-square with one degree of freedom.
+        The misfit of the positions is computed with and without the prior. The misfit is the sum of the normalised
+        squared errors, plus a constant for each position that is removed as inconsistent (`disagreement`). The prior is
+        wrong if its omission reduces the misfit by more than the 99.9 % limit of chi-square with one degree of freedom.
         """
         return self.north_conflict > agreement_limit(1)
 
@@ -265,8 +265,8 @@ class Frame:
     def most_probable(self, n_steps: int) -> Alignment:
         """Return the alignment of the present frame with the frame of the fixes by the most probable rotation.
 
-        It is for a frame that is not joined. `n_steps` is the number of steps so far, to which the alignment applies.
-        Raises ValueError if the frame has no density of the rotation, as before the first fix and in a joined frame.
+        The frame must not be joined. `n_steps` is the number of steps so far, to which the alignment applies. Raises
+        ValueError if the frame has no density of the rotation, as before the first fix and in a joined frame.
         """
         if self._density is None:
             raise ValueError("the rotation of this frame is settled: use its alignment")
@@ -276,8 +276,9 @@ class Frame:
     def present_alignment(self) -> Alignment | None:
         """Most probable alignment of the present frame with the frame of the fixes.
 
-        Before the first fix it is the rotation by the compass. It is None in a joined frame, whose states are already
-        in the frame of the fixes, and if neither fixes nor a compass show the rotation.
+        Before the first fix the alignment is the rotation by the compass. The result is None in a joined frame, whose
+        states are already in the frame of the fixes. The result is also None if neither fixes nor a compass show the
+        rotation.
         """
         if self.is_joined:
             return None

@@ -331,8 +331,8 @@ def _density_of_fit(fit: _Fit) -> OpenTurn:
 def _centres(fit: _Fit) -> tuple[FloatArray, FloatArray]:
     """Return the centre of rotation in the start frame and in the frame of the fixes, (2,) each (east, north).
 
-    They are the weighted means of the track positions and of the fixes, with the weights `centre_weight`. The best
-    shift maps one mean to the other for every angle.
+    The two points are the weighted means of the track positions and of the fixes, with the weights `centre_weight`. The
+    best shift maps one mean to the other for every angle.
     """
     track, world = complex(fit.centre_weight @ fit.track), complex(fit.centre_weight @ fit.world)
     return np.array([track.imag, track.real]), np.array([world.imag, world.real])

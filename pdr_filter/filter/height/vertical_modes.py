@@ -245,8 +245,8 @@ def _measured(moments: FloatArray, factor: FloatArray, variance: float) -> tuple
     as factor' y. The first element of `factor` is therefore the measured value, and the other elements are minus the
     coefficients of the states. `variance` is the variance of the measurement.
 
-    Let m be the mean and P the covariance of y. With c the covariance of y and the innovation, S the variance of the
-    innovation and k = c / S, the mean becomes m - k innovation and the covariance P - k c' (Kalman update).
+    Let m be the mean and P the covariance of y. Let c be the covariance of y and the innovation, S the variance of the
+    innovation, and k = c / S. The mean becomes m - k innovation, and the covariance P - k c' (Kalman update).
     """
     mean, product = moments[:, :, _ONE], moments @ factor
     innovation = product[:, _ONE]

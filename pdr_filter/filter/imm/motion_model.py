@@ -331,7 +331,7 @@ def expect_first_direction(cov: FloatArray, std_rad: float) -> FloatArray:
     uncertainty, because the offset rotates them.
 
     Let c be the covariance of the offset with all states, v the variance of the offset, and r = std_rad^2 / v. The
-    covariance of all states changes by (r - 1) c c' / v. This changes c to r c and v to std_rad^2.
+    covariance of all states changes by (r - 1) c c' / v. In particular, c becomes r c and v becomes std_rad^2.
     """
     o = HEADING_OFFSET
     cov = cov.copy()

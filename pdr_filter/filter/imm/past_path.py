@@ -58,8 +58,8 @@ class Back:
     left : (..., 4, 4) array
         Covariance P - G P' G' of the error.
     moved : (..., 4) array
-        Correction of the estimate of x by the measurements between the two times. It is not part of mean, so that mean
-        + moved is the smoothed estimate of x.
+        Correction of the estimate of x by the measurements between the two times. The correction is not part of mean,
+        so that mean + moved is the smoothed estimate of x.
     scale : float, default 1.0
         Factor by which the covariances of all errors before x' are multiplied, as after a position fix that deviates
         more than expected.
@@ -264,12 +264,13 @@ class PastPath:
     events : tuple of WalkedStep or Back
         Last events, not yet applied to `earlier`.
     since_s : float
-        Steps until this time are in the frame of the fixes. A change of the present frame does not move them.
+        Time until which steps are already in the frame of the fixes. A change of the present frame does not move these
+        steps.
     shared_from_m : (2,) array
-        Position of the track when errors that all steps share were last added to the covariance of the state. Since
-        then these errors, such as those of consider parameters, have grown in proportion to the displacement from it.
+        Position of the track when errors that all steps share were last added to the covariance of the state. Such
+        errors, as those of consider parameters, grow in proportion to the displacement from this position.
     shared_from_s : float
-        Time of that position.
+        Time at which the track was at `shared_from_m`.
     """
 
     earlier: PastSteps = NO_STEPS
@@ -322,9 +323,9 @@ class PastPath:
 
         `shared_m2` (2, 2) is the covariance of the shared errors at the present position `present_m` (2,), at the time
         `time_s`. `before` and `after` (4, 4) are the covariances of the present state without and with them. The shared
-        error of a past step is proportional to its displacement from `shared_from_m`. It is added to the covariance of
-        the step and to its covariance with the present state, so that later corrections move the step, too. Shared
-        errors that arise later accumulate from `present_m`.
+        error of a past step is proportional to its displacement from `shared_from_m`. This error is added to the
+        covariance of the step and to its covariance with the present state. Later corrections of the state therefore
+        move the step, too. Shared errors that arise later accumulate from `present_m`.
         """
         if np.trace(shared_m2) < _MIN_SHARED * np.trace(before[:2, :2]):
             return replace_unchecked(self.predicted(before, after), shared_from_s=time_s, shared_from_m=present_m)

@@ -205,7 +205,7 @@ class PedestrianModel:
     def step_evidence(self) -> FloatArray:
         """Log evidence (M,) of a detected step for each mode.
 
-        It is `step_log_odds_stationary` for modes in which the person makes no steps, and 0 for all other modes.
+        The value is `step_log_odds_stationary` for modes in which the person makes no steps, and 0 for all other modes.
         """
         return self.step_log_odds_stationary * self.stands
 

@@ -446,8 +446,8 @@ def present_position(state: PedestrianState) -> tuple[FloatArray, FloatArray]:
 def moved_by_heading_m(previous: PedestrianState, updated: PedestrianState, length_m: float) -> float:
     """Return the length of the move of the position minus the step length, in m, at least 0.
 
-    The move leads from the combined position before a step to that after it. It is longer than the step if the step
-    corrected the heading, which rotates earlier steps. The result is 0 across a pause or a change of the frame.
+    The move leads from the combined position before a step to that after it. The move is longer than the step if the
+    step corrected the heading, which rotates earlier steps. The result is 0 across a pause or a change of the frame.
     """
     is_pause = not updated.steps.last_s - previous.steps.last_s < _PAUSE_S
     if (

@@ -65,10 +65,9 @@ def after_step(
 ) -> WalkingSpeed:
     """Return the walking speed after a step, or after the first step if `previous` is None.
 
-    The speed of a step of length L and duration T is v = L / T, with the variance var v = (var L + 2 v^2 s^2) / T^2.
-    Here s is the standard deviation of a contact time. The smoothed speed v_s has the variance P, and D is the scatter
-    of the steps. Each step updates them in this order, with q = 0.01 m2/s3 the variance of the change of speed per
-    second:
+    A step of length L and duration T has the speed v = L / T, with variance var v = (var L + 2 v^2 s^2) / T^2. Here s
+    is the standard deviation of a contact time. The smoothed speed v_s has the variance P, and D is the scatter of the
+    steps. Each step updates them in this order, with q = 0.01 m2/s3 the variance of the change of speed per second:
 
     D = 0.95 D + 0.05 (v - v_s)^2; P = P + q T; K = P / (P + max(var v, D)); v_s = v_s + K (v - v_s); P = (1 - K) P.
 

@@ -156,7 +156,7 @@ def _check_unit(parsed: Parsed, where: str) -> None:
 
 
 def _unit_beside(path: Path) -> str:
-    """Return the unit of the accelerometer, "g" or "m/s2", that the TOML file beside the log declares.
+    """Return the unit of the accelerometer, "g" or "m/s2", as declared in the TOML file of the log.
 
     The result is "" if there is no TOML file or if it declares no unit.
     """

@@ -289,7 +289,8 @@ def _accuracy(name: str, unit: str) -> int | None:
     """Return a score of how surely a column holds the horizontal accuracy of a location.
 
     The score is 3 if the name says that the accuracy is horizontal, and 2 if it names an accuracy without a direction.
-    It is 0 for another accuracy, such as of a height or a speed, and None if the name does not name an accuracy.
+    The score is 0 for another accuracy, such as of a height or a speed. The result is None for a name without an
+    accuracy.
     """
     words = words_of(name)
     stem = "".join(words)

@@ -89,7 +89,7 @@ def column_nanoseconds(rows: bytes, separator: bytes, place: int) -> IntArray | 
 
     `place` is the index of the column. A date with time gives nanoseconds since 1970, a time of day those since
     midnight. The result is None if a row is incomplete, contains quotes, or has a date of another width or form.
-    `as_nanoseconds` reads such rows. It gives equal numbers, but takes ten times as long.
+    `as_nanoseconds` reads such rows, but takes ten times as long.
     """
     if not rows.endswith(b"\n") or b'"' in rows:
         return None

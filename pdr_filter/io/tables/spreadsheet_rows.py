@@ -24,8 +24,8 @@ def plain(value: Any) -> Any:
 def main() -> None:
     """Write the names and rows of the sheets of a spreadsheet as JSON to the standard output.
 
-    This is the entry point of the child process. The spreadsheet comes from the standard input, and the first argument
-    is the largest number of sheets.
+    The function is the entry point of the child process. The spreadsheet comes from the standard input, and the first
+    argument is the largest number of sheets.
     """
     from python_calamine import CalamineWorkbook
 

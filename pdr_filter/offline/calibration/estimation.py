@@ -125,11 +125,11 @@ def estimate_parameters(
     of theta between people.
 
     Every iteration linearises at the direction of A_i theta_s from the previous one (Gauss-Newton) and integrates out
-    the scale errors rho_w exactly. It then solves for all theta (`hierarchy.solve_people`), and updates the robust
-    weights and the variances phi, tau^2 and B from the posterior (docs/methods/calibration.md).
+    the scale errors rho_w exactly. The iteration then solves for all theta (`hierarchy.solve_people`), and updates the
+    robust weights and the variances phi, tau^2 and B from the posterior (docs/methods/calibration.md).
 
-    `relinearise` is for nonlinear models. It returns the `SegmentSums`, linearised at the given parameters of each
-    person (S, P). Raises SingularError if neither data nor priors determine a parameter.
+    `relinearise` is a function for nonlinear models, which returns the `SegmentSums` linearised at the given parameters
+    of each person (S, P). Raises SingularError if neither data nor priors determine a parameter.
     """
     weights(np.zeros(1), loss)
     task = _Task(sums, prior)
@@ -271,10 +271,10 @@ class _Task:
         """Return the variances that maximise the expected log posterior (M step), from the last variances `old`.
 
         The noise factor phi of a context becomes phi' = phi sum_i w_i (h_i u_i^2 + 1 - h_i) / sum_i w_i (h_i ratio + 1
-        - h_i), summed over its segments i. u_i is the standardised residual of a segment (`misfit`) and w_i its robust
-        weight. h_i is the share of the noise e_i in the variance of the residual. phi (h_i u_i^2 + 1 - h_i) is the
-        expectation of e_i^2 given all data, relative to its prior variance, if the segment is not an outlier. `ratio`
-        is E w u^2 / E w of the loss for standard normal residuals u (`robust_loss.moments`).
+        - h_i). The sums are over the segments i of the context. u_i is the standardised residual of a segment
+        (`misfit`) and w_i its robust weight. h_i is the share of the noise e_i in the variance of the residual. phi
+        (h_i u_i^2 + 1 - h_i) is the expectation of e_i^2 given all data, relative to its prior variance, if the segment
+        is not an outlier. `ratio` is E w u^2 / E w of the loss for standard normal residuals u (`robust_loss.moments`).
         """
         prior, n_contexts = self.prior, len(self.prior.step_std_m)
         excess, counts, found, n_recordings = np.zeros(n_contexts), np.zeros(n_contexts), 0.0, 0
