@@ -84,8 +84,10 @@ def weighting_errors(recording: Recording, config: Config | None = None, lag_ste
     ValueError
         If no step is inside a label, or if the modes do not match the contexts one to one.
 
-    Notes ----- All rows have the same steps and step-length models. The row "contexts known" is the reference: each
-    step has the step length of its true context. Steps outside of all labels do not count.
+    Notes
+    -----
+    All rows have the same steps and step-length models. The row "contexts known" is the reference: each step has the
+    step length of its true context. Steps outside of all labels do not count.
 
     "hc" (highest context) takes the step length of the most probable context. "wc" (weighted context) takes the mean of
     the step lengths, weighted with the context probabilities. If the second-highest probability is below 0.8 times the
@@ -205,8 +207,10 @@ def epoch_distances(track: TrackRows, modes: Sequence[Mode]) -> tuple[FloatArray
     ValueError
         If the modes do not match the contexts one to one.
 
-    Notes ----- The results are the arguments of `pdr_filter.filter.imm.weighting.weighted_distances` (Martinelli et al.
-    2018, eq. 17 and 18).
+    Notes
+    -----
+    The results are the arguments of `pdr_filter.filter.imm.weighting.weighted_distances` (Martinelli et al. 2018, eq.
+    17 and 18).
 
     Examples
     --------

@@ -93,9 +93,11 @@ def weighted_distances(distance_m: FloatArray, context_prob: FloatArray, thresho
     ValueError
         If `context_prob` does not have one row more than `distance_m`.
 
-    Notes ----- Let l_k (C,) be row k of `distance_m` and w_k (C,) the weights of context window k. The provisional
-    distance of epoch k is pd_k = l_k . w_{k-1}, and the final distance is d_k = l_k . w_k. The totals are D_k = D_{k-1}
-    + (d_k + pd_k) / 2 and PD_k = PD_{k-1} + (d_{k-1} - pd_{k-1}) / 2 + pd_k.
+    Notes
+    -----
+    Let l_k (C,) be row k of `distance_m` and w_k (C,) the weights of context window k. The provisional distance of
+    epoch k is pd_k = l_k . w_{k-1}, and the final distance is d_k = l_k . w_k. The totals are D_k = D_{k-1} + (d_k +
+    pd_k) / 2 and PD_k = PD_{k-1} + (d_{k-1} - pd_{k-1}) / 2 + pd_k.
 
     References
     ----------

@@ -797,10 +797,12 @@ class BounceStepLength:
     ValueError
         If a field is not a positive number.
 
-    Notes ----- The inputs of the other models depend on where the phone is carried. The impact of the heel reaches a
-    trouser pocket but not a hand. This impact changes the range, the variance and the mean modulus of the acceleration,
-    but hardly A. Up to 2.4 steps a second, the step frequency f is not an input. People step faster where they step
-    harder. With A known, the frequency therefore says nothing about the step length of an unknown person
+    Notes
+    -----
+    The inputs of the other models depend on where the phone is carried. The impact of the heel reaches a trouser pocket
+    but not a hand. This impact changes the range, the variance and the mean modulus of the acceleration, but hardly A.
+    Up to 2.4 steps a second, the step frequency f is not an input. People step faster where they step harder. With A
+    known, the frequency therefore says nothing about the step length of an unknown person
     (docs/methods/step_length.md).
 
     r is the product of these factors, in which w is the turn rate and f the step frequency:
