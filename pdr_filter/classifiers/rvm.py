@@ -1,7 +1,7 @@
 """Relevance vector machine for several classes: sparse Bayesian classification with probabilities (Tipping 2001).
 
 The model is that of section V-C of Martinelli et al. 2018 (eq. 4-9), trained by `pdr_filter.classifiers.rvm_training`.
-The iteration as printed in the paper (eq. 10, 11) is `tests.oracles.rvm_reference`.
+The iteration as printed in that paper (eq. 10 and 11 of Martinelli et al. 2018) is `tests.oracles.rvm_reference`.
 """
 
 from __future__ import annotations
@@ -194,14 +194,15 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
     Parameters
     ----------
     kernel : {"rbf", "linear"}, default "rbf"
-        "rbf": one candidate basis function exp(-||x - x_i||^2 / (2 kernel_width^2)) for each training row (eq. 5).
-        "linear": one candidate for each feature, x_j divided by its root mean square, so that relevance selects
-        features. (Inner products with the training rows would span the same functions with more candidates than
-        dimensions.)
+        "rbf": one candidate basis function exp(-||x - x_i||^2 / (2 kernel_width^2)) for each training row (eq. 5 of
+        Martinelli et al. 2018). "linear": one candidate for each feature, x_j divided by its root mean square, so that
+        relevance selects features. (Inner products with the training rows would span the same functions with more
+        candidates than dimensions.)
     kernel_width : float, "cv" or None, default None
-        sigma_G of eq. 5, in units of the features. None: the median distance between candidates. "cv": the width with
-        the lowest cross-validated log loss, from 0.5 to 4 times the median distance, in the time of about 20 trainings.
-        (The evidence would prefer narrower kernels than the log loss of new rows does.)
+        sigma_G of eq. 5 of Martinelli et al. 2018, in units of the features. None: the median distance between
+        candidates. "cv": the width with the lowest cross-validated log loss, from 0.5 to 4 times the median distance,
+        in the time of about 20 trainings. (The evidence would prefer narrower kernels than the log loss of new rows
+        does.)
     multi_class : {"one_against_all", "multinomial"}, default "one_against_all"
         "one_against_all": one machine for each class against all others, with normalised sigmoids (the paper).
         "multinomial": machines whose logits compete in a softmax, with 1.5 times the training time and fewer vectors.

@@ -24,6 +24,9 @@ def weighting_tracks(
 ) -> dict[str, Track]:
     """Return tracks of a recording with the weightings HC, WC and IMM, with all other settings equal.
 
+    HC (highest context) uses the step length of the most probable context. WC (weighted context) uses the mean of the
+    step lengths, weighted with the context probabilities. IMM is the interacting multiple model.
+
     Parameters
     ----------
     recording : Recording
@@ -149,7 +152,7 @@ def weighting_errors(recording: Recording, config: Config | None = None, lag_ste
 
 
 def threshold_sweep(recording: Recording, config: Config, thresholds: Sequence[float]) -> Table:
-    """Return the walked distance of the weighting WC for several thresholds.
+    """Return the walked distance with the weighting WC (weighted context) for several thresholds.
 
     Parameters
     ----------
@@ -158,8 +161,9 @@ def threshold_sweep(recording: Recording, config: Config, thresholds: Sequence[f
     config : Config
         Configuration of the filter.
     thresholds : sequence of float
-        Thresholds of the ratio of the second-highest to the highest context probability. 0 always weights the step
-        lengths (WC), 1 takes that of the most probable context (HC).
+        Thresholds of the ratio of the second-highest to the highest context probability. With 0, each step length is
+        the mean over the contexts, weighted with their probabilities (WC). With 1, it is the length of the most
+        probable context (HC, highest context).
 
     Returns
     -------

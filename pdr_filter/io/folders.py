@@ -65,7 +65,10 @@ def recordings_in(folder: str | Path) -> list[Path]:
 
 
 def only_recording_in(path: Path) -> Path:
-    """Return the path, or the only recording in the folder. RecordingError if there are several."""
+    """Return the path of a file, or the path of the only recording in a folder or file.
+
+    RecordingError if a folder or file holds several recordings.
+    """
     # A search of a whole home folder would take long, and links lead to files that were not given.
     below = list(islice(path.rglob("*"), limits.MAX_MEMBERS)) if path.is_dir() else []
     if path.is_dir():
@@ -90,7 +93,10 @@ def only_recording_in(path: Path) -> Path:
 
 
 def parts_of(path: Path) -> list[str]:
-    """Return the names of the recordings in a file with several, to append to its path. Empty for any other file."""
+    """Return the names of the recordings in a file that holds several recordings.
+
+    A name is appended to the path of the file to read its recording. The list is empty for a file with one recording.
+    """
     if not path.exists():
         return []
     with open_members(path) as members:

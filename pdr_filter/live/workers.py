@@ -47,7 +47,7 @@ class Share(Protocol):
     """
 
     async def ask(self, requests: Sequence[Request]) -> list[Said]:
-        """Return an answer to each request; LostError if the share is gone. One call at a time."""
+        """Return an answer to each request. LostError if the process or actor has died. Calls must not overlap."""
         ...
 
     async def close(self) -> None:
@@ -122,9 +122,9 @@ class _Worker:
                 await asyncio.wait_for(self._running, _CLOSE_S)
 
     async def _run(self, share: Share) -> None:
-        """Pass requests to the share, or to the one that replaced it.
+        """Pass requests to the share, or to its replacement after it died.
 
-        This ends when the worker is closed and all requests are answered.
+        The method returns when the worker is closed and all requests are answered.
         """
         ticked_at = time.monotonic()
         while self._waiting or not self._closed:

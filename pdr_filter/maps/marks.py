@@ -61,7 +61,7 @@ class Marks:
     loop_closures: tuple[LoopClosure, ...] = ()
     person: Path | None = None
     walk: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    names: tuple[str, ...] = ()  # of the files that exist
+    names: tuple[str, ...] = ()  # names of the mark files that exist
 
     @property
     def plan(self) -> Path | None:
@@ -180,7 +180,7 @@ def mark_files(folder: Path) -> dict[str, bytes]:
 
 
 def version_of(files: Mapping[str, bytes]) -> str:
-    """Checksum of the files of marks, by which a change by someone else is noticed."""
+    """Return a checksum of the files of marks in a folder, which shows whether another program has changed them."""
     return hashlib.sha256(b"\0".join(p for n in sorted(files) for p in (n.encode(), files[n]))).hexdigest()[:16]
 
 
@@ -207,13 +207,16 @@ def _finish(folder: Path) -> None:
 
 
 def table_rows(name: str, content: bytes) -> list[list[float | None]]:
-    """Return the rows of a CSV file of marks in the order of its columns; None where a cell is empty."""
+    """Return the rows of a CSV file of marks in the order of its columns. An empty cell is None."""
     rows = csv.DictReader(io.StringIO(content.decode()))
     return [[float(row[c]) if row.get(c) else None for c in _COLUMNS[name]] for row in rows]
 
 
 def table_bytes(name: str, rows: list[list[float | None]]) -> bytes:
-    """Return a CSV file of marks with all digits; the columns of headings only where one is known."""
+    """Return the bytes of a CSV file of marks, with all digits.
+
+    Columns of headings exist only if a heading is known.
+    """
     columns = _COLUMNS[name]
     if name == FIXES and all(row[4] is None for row in rows):
         columns = columns[:4]

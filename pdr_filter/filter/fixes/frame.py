@@ -197,7 +197,8 @@ class Frame:
     def with_north(self, north: Alignment) -> Frame:
         """Return the frame after a heading fix has rotated it.
 
-        The remaining rotation has the variances of north and of the heading fix together.
+        `north` is the alignment by this fix. Its angle variance becomes the prior variance of the remaining rotation to
+        the frame of the fixes.
         """
         frame = replace(self, compass=None, north_var_rad2=north.angle_var_rad2)
         frame = replace(frame, later=(*self.later, north)) if self.since else replace(frame, north=north)

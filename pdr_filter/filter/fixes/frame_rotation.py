@@ -138,7 +138,10 @@ class Compass:
         return peak * np.exp((-0.5 / self.var_rad2) * (away * away)) + _FAILURE_DENSITY
 
     def linearised(self, angle_rad: float) -> tuple[float, float]:
-        """Return the information about the rotation near an angle, and the residual of that angle."""
+        """Return the information of the compass about the rotation near an angle, and the residual of the angle.
+
+        The information is in 1/rad2. The residual is the angle minus that of the compass, in rad.
+        """
         failure_prob = _FAILURE_DENSITY / float(self.density(np.array(angle_rad)))
         return (1.0 - failure_prob) / self.var_rad2, float(wrap_angle(angle_rad - self.angle_rad))
 
@@ -273,7 +276,8 @@ class _Fit(NamedTuple):
 def _fitted(pairs: Sequence[PairedPoint], north_var_rad2: float) -> _Fit:
     """Return the fit of point pairs.
 
-    Errors of the fixes are correlated as the fixes state. Errors of the track are shared by all later pairs.
+    Errors of the fixes are correlated in time (`PairedPoint.correlation_s`). An error of the track at one pair is
+    shared by all later pairs.
     """
     walked = np.array([p.walked_var_m2 for p in pairs])
     shared = np.minimum(walked[:, None], walked) - walked.min()
@@ -339,7 +343,7 @@ def _centres(fit: _Fit) -> tuple[FloatArray, FloatArray]:
 
 
 def degrees_of_freedom(pairs: Sequence[PairedPoint]) -> int:
-    """Return the number of errors that remain after the estimation of shift and rotation."""
+    """Return the degrees of freedom of the errors of n pairs after shift and rotation: 2 n - 3, at least 0."""
     return max(2 * len(pairs) - 3, 0)
 
 
@@ -360,7 +364,7 @@ def _normalised(prob: FloatArray) -> FloatArray:
 def align(
     pairs: Sequence[PairedPoint], n_steps: int, north_var_rad2: float = math.inf, compass: Compass | None = None
 ) -> Alignment | None:
-    """Return the alignment of the point pairs, or None while the rotation is too uncertain.
+    """Return the least-squares alignment of track and fixes in point pairs, or None if the rotation is too uncertain.
 
     Gauss-Newton iterations start at the most probable angle of the density. With e_i = w_i e^(-i angle) the fixes
     rotated back to the start frame, d e_i / d angle = -i e_i. Shift and angle are independent at the weighted centre. A
@@ -384,7 +388,7 @@ def align(
 
 
 def centre_weights(pairs: Sequence[PairedPoint]) -> FloatArray:
-    """Return the weights (N,) of the pairs in the centre of their alignment, which sum to one."""
+    """Return the weights (N,) of the pairs, with sum one, whose weighted mean is the centre of rotation of `align`."""
     return _fitted(pairs, math.inf).centre_weight
 
 
@@ -396,7 +400,8 @@ def least_squares_error(pairs: Sequence[PairedPoint], north_var_rad2: float = ma
 def disagreement(pairs: Sequence[PairedPoint], agreeing: Sequence[PairedPoint], north_var_rad2: float) -> float:
     """Return the misfit of a choice of consistent pairs.
 
-    It is the sum of their normalised squared errors, plus the limit of the gate for each removed pair.
+    The misfit is the sum of the normalised squared errors of the pairs in `agreeing`, after the best shift and
+    rotation. The gate limit of a position is added for each of the other pairs.
     """
     n_left_out = len(pairs) - len(agreeing)
     return least_squares_error(agreeing, north_var_rad2) + (n_left_out * agreement_limit(2) if n_left_out else 0.0)

@@ -62,7 +62,7 @@ class Doubt:
         )
 
     def with_rejected(self, pair: PairedPoint) -> Doubt:
-        """Return the state after one more rejected fix.
+        """Return the stored rejected fixes after one more rejected fix.
 
         The fix joins `pairs` if it is consistent with them, else `rival`, else it starts a new rival. A rival of three
         fixes becomes `pairs`, and the former pairs become the rival. A single outlier therefore never removes the
@@ -77,11 +77,11 @@ class Doubt:
         return replace(doubt, pairs=rival, rival=self.pairs)
 
     def with_used(self) -> Doubt:
-        """Return the state after a used fix.
+        """Return the stored rejected fixes after a used fix.
 
-        It is empty if two fixes in a row were used, or if fewer than three were rejected. Two sources that alternate
-        and contradict each other therefore never relocate the track. A single used fix does not remove three or more
-        rejected ones.
+        The result is empty if two fixes in a row were used, or if fewer than three were rejected. Two sources that
+        alternate and contradict each other therefore never relocate the track. A single used fix does not remove three
+        or more rejected ones.
         """
         if len(self.pairs) < _MIN_REJECTED or self.is_used_last:
             return Doubt()

@@ -146,7 +146,7 @@ def initial() -> FloatArray:
 
 
 def combined(moments: FloatArray) -> Estimate:
-    """Return the combined height estimate of moments."""
+    """Return the combined height estimate of all vertical modes from the moments (7, 5, 5)."""
     (_, climbed_m, _, sloped_m, air_m), climbed, _, sloped, _ = np.add.reduce(moments).tolist()
     climbed_var, sloped_var = climbed[_CLIMBED] - climbed_m**2, sloped[_SLOPED] - sloped_m**2
     height_var = climbed_var + sloped_var + 2.0 * (climbed[_SLOPED] - climbed_m * sloped_m)
@@ -154,7 +154,7 @@ def combined(moments: FloatArray) -> Estimate:
 
 
 def with_air_unknown(moments: FloatArray, climbed_m: float) -> FloatArray:
-    """Return the moments of a person on level ground at a climbed height, with an unknown state of the air."""
+    """Return the moments (7, 5, 5) of a person on level ground at a climbed height, with an unknown air state."""
     total = np.add.reduce(moments)
     x, cov = total[_ONE].copy(), total - np.outer(total[_ONE], total[_ONE])
     x[_CLIMBED], x[_RATE] = climbed_m, 0.0
@@ -190,7 +190,7 @@ def after_second(
 
 
 def after_step(moments: FloatArray, rise_m: float, climbed_var_m2: float, sloped_var_m2: float) -> FloatArray:
-    """Return the moments after a step with an expected rise, without a measurement."""
+    """Return the moments (7, 5, 5) after a step with an expected rise in m, without a measurement."""
     moved = moments.copy()
     if rise_m != 0.0:
         moved[:, _CLIMBED] += rise_m * moved[:, _ONE]
@@ -209,7 +209,7 @@ def as_slope(moments: FloatArray, climbed_m: float) -> FloatArray:
 
 
 def at_level(moments: FloatArray, climbed_m: float, var_m2: float) -> FloatArray:
-    """Return the moments after a measurement of the climbed height by a known level."""
+    """Return the moments (7, 5, 5) after a measurement of the climbed height by the known height of a storey, in m."""
     prob = moments[:, _ONE, _ONE, None, None]
     updated, _ = _measured(moments / prob, np.array([climbed_m, -1.0, 0.0, 0.0, 0.0]), var_m2)
     return updated * prob

@@ -97,7 +97,7 @@ class Back:
         return Back(gain @ later.gain, left, moved, self.scale * later.scale)
 
     def with_correction(self, moved: FloatArray) -> Back:
-        """Return the relation after the estimate of the later state x' was corrected by (..., 4)."""
+        """Return the relation after the estimate of the later state x' was corrected by `moved` (..., 4)."""
         return replace_unchecked(self, moved=self.moved + _times(self.gain, moved))
 
 
@@ -222,7 +222,7 @@ class PastSteps:
     def moved_m(self, moved: FloatArray) -> FloatArray:
         """Return the positions (2, N) after a correction (4,) of the later state.
 
-        A correction of the heading moves them along the arc of `motion_model.update_heading`.
+        A correction of the heading moves the positions along an arc, as in `motion_model.update_heading`.
         """
         turn_rad, along_arc = float(moved[HEADING_OFFSET]), moved.copy()
         along_arc[HEADING_OFFSET] = math.sin(turn_rad)
@@ -233,7 +233,10 @@ class PastSteps:
         return place_m
 
     def rebased(self, back: Back) -> PastSteps:
-        """Return the steps related to the state after a backward relation."""
+        """Return the steps related to a later state x' instead of the state x.
+
+        `back` is the backward relation from x' to x.
+        """
         own_cov_m2 = back.scale * self.own_cov_m2 + _propagated(self.by_state, back.left)
         return PastSteps(self.time_s, self.moved_m(back.moved), back.gain.T @ self.by_state, own_cov_m2)
 
@@ -280,20 +283,20 @@ class PastPath:
     shared_from_s: float = -math.inf
 
     def with_event(self, event: WalkedStep | Back) -> PastPath:
-        """Return the path after one more event."""
+        """Return the path after one more event: a step, or a backward relation over a change of the state."""
         if abs(event.turned_rad) > _LARGE_TURN_RAD:
             return replace_unchecked(self.rebased(), events=(event,)).rebased()
         path = replace_unchecked(self, events=(*self.events, event))
         return path.rebased() if len(path.events) >= _BLOCK else path
 
     def predicted(self, before: FloatArray, after: FloatArray) -> PastPath:
-        """Return the path after the covariance (4, 4) of the present state has grown."""
+        """Return the path after the covariance (4, 4) of the present state has grown from `before` to `after`."""
         return self.with_event(Back.over_prediction(before, before, after))
 
     def corrected(self, moved: FloatArray, scale: float) -> PastPath:
         """Return the path after a correction (4,) of the present state.
 
-        `scale` multiplies the variances of all errors.
+        `scale` is the factor by which the covariances of all errors so far are multiplied.
         """
         return self.with_event(replace_unchecked(_UNCHANGED, moved=moved, scale=scale))
 
@@ -305,7 +308,7 @@ class PastPath:
         return replace_unchecked(self, earlier=self.earlier.rebased(back).joined(last), events=())
 
     def _last(self) -> tuple[Back, PastSteps]:
-        """Return the relation over the stored events, and the steps among them related to the present state."""
+        """Return the backward relation over all stored events, and the stored steps related to the present state."""
         steps = [event for event in self.events if isinstance(event, WalkedStep)]
         over_steps = iter(_relations_over_steps(steps) if steps else ())
         backs = [next(over_steps) if isinstance(event, WalkedStep) else event for event in self.events]
@@ -434,7 +437,7 @@ def turned(alignment: Alignment, place_m: FloatArray, cov_m2: FloatArray) -> tup
 
 
 def _related_steps(steps: Sequence[WalkedStep], backs: Sequence[Back]) -> PastSteps:
-    """Return steps related to the present state, given the relation of the state after each step to it."""
+    """Return steps related to the present state, from the backward relations to the state after each step."""
     pairs = zip(steps, backs, strict=True)
     place_m = np.stack([step.updated_mean[:2] + back.moved[:2] for step, back in pairs], axis=-1)
     by_state = np.stack([back.gain[:2] for back in backs], axis=-1)
@@ -449,7 +452,7 @@ def _times(matrix: FloatArray, vector: FloatArray) -> FloatArray:
 
 
 def _propagated(by: FloatArray, cov: FloatArray) -> FloatArray:
-    """Return the covariances B P B' of N positions as rows (xx, yy, xy), shape (3, N).
+    """Return the covariances B P B' of N positions as rows (xx, xy, yy), shape (3, N), with x east and y north.
 
     B relates each position to the present state, whose covariance is P.
     """

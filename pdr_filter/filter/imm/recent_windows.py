@@ -33,7 +33,7 @@ def window_before(windows: RecentWindows, time_s: float) -> WindowContext | None
 
 
 def n_after(windows: RecentWindows, window: WindowContext) -> int:
-    """Return the number of windows after one of them."""
+    """Return the number of windows in `windows` that are later than `window`."""
     n = 0
     while windows[-1 - n].time_s > window.time_s:
         n += 1

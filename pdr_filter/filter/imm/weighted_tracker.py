@@ -54,10 +54,11 @@ class WeightedState:
 
 @dataclass(frozen=True, eq=False)
 class WeightedTracker:
-    """Tracker with a single filter over the weighted step lengths of the contexts (HC and WC).
+    """Tracker with a single filter over the weighted step lengths of the contexts, for the weightings HC and WC.
 
-    A step is reported provisionally when it is detected. It is reported again as final when the following context
-    window is known.
+    HC (highest context) uses the step length of the most probable context. WC (weighted context) uses the mean of the
+    step lengths, weighted with the context probabilities. A step is reported provisionally when it is detected. It is
+    reported again as final when the following context window is known.
 
     Attributes
     ----------
@@ -317,7 +318,8 @@ class WeightedTracker:
     def _prob_of(self, state: WeightedState, window: WindowContext | None) -> FloatArray:
         """Return the context probabilities (C,) of a window.
 
-        Without a window they are those of the latest window. Without any window they are those of the last final step.
+        If `window` is None, the probabilities of the latest window are returned. Without any window these are the
+        probabilities of the last final step.
         """
         if window is None and not state.windows:
             return self.model.context_prob(state.mode_prob)

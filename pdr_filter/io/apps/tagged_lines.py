@@ -115,7 +115,10 @@ def _ended(line: bytes, separator: bytes, tag_field: int, n_fields: Mapping[str,
 
 
 def _after_first(bytes_: NDArray[np.uint8], starts: NDArray[np.int64], separator: bytes) -> NDArray[np.int64]:
-    """Return the start of the second field of each line. For lines with one field it is past the end."""
+    """Return the index of the byte at which the second field of each line begins.
+
+    For a line with one field, the index lies in a later line or after the last byte.
+    """
     at = np.append(np.flatnonzero(bytes_ == separator[0]), len(bytes_))
     return at[np.searchsorted(at, starts)] + 1
 

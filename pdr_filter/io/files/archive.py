@@ -142,7 +142,10 @@ class Members:
             yield part.removeprefix(b"\xef\xbb\xbf") if i == 0 else part
 
     def blocks(self, name: str) -> Iterator[bytes]:
-        """Yield `pieces` cut at line ends, which become line feeds. A last line without an end is a block."""
+        """Yield the bytes of a text file in blocks of complete lines, with line feeds as line ends.
+
+        A last line without line end is a block of its own.
+        """
         rest = b""
         for part in self.pieces(name):
             if b"\r" in part or rest.endswith(b"\r"):
@@ -231,7 +234,8 @@ def open_members(path: Path) -> Generator[Members]:
 def _in_zip(file: IO[bytes], path: Path, inside: str, is_inner: bool = False) -> Generator[Members]:
     """Open the files in a zip file.
 
-    If the only content is another zip file, or if `inside` names one of several, the files in that one are opened.
+    If the only content is another zip file, the files in that inner zip file are opened. If there are several, the
+    inner zip file that `inside` names is opened.
     """
     try:
         archive = zipfile.ZipFile(file)

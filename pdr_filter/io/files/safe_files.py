@@ -59,7 +59,7 @@ def read_json(path: Path, most: int) -> Any:
 
 
 def inside(path: Path, *folders: Path) -> Path:
-    """Return the path; RecordingError if it is a link that leads out of these folders."""
+    """Return the path unchanged. RecordingError if it is a link whose target is in none of the given folders."""
     target = path.resolve()
     if not any(target.is_relative_to(folder.resolve()) for folder in folders):
         raise RecordingError(f"{path}: a link that leads out of its folder, to {target}; copy the file itself there")

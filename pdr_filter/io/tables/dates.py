@@ -135,9 +135,9 @@ def _digits(fields: NDArray[np.uint8], begin: int, end: int) -> IntArray | None:
 
 
 def _days(fields: NDArray[np.uint8], found: re.Match[str]) -> IntArray | None:
-    """Return the begin of the day of each field in nanoseconds.
+    """Return the start of the day of each date, in ns since 1970.
 
-    None if there are more days than a block of samples can have.
+    The result is None if there are more different days than a block of samples can have.
     """
     days = np.zeros(len(fields), dtype=np.int64)
     left = np.ones(len(fields), dtype=bool)
@@ -154,9 +154,11 @@ def _days(fields: NDArray[np.uint8], found: re.Match[str]) -> IntArray | None:
 
 
 def without_midnights(ns: IntArray) -> IntArray:
-    """Return times of day continued past midnight or past the full hour, where the clock restarts.
+    """Return times of day in ns without the backward jumps at midnight, or at the full hour for times mm:ss.
 
-    Dates are unchanged.
+    After each jump, a day or an hour is added to all later times.
+
+    Dates (nanoseconds since 1970) are unchanged.
     """
     if len(ns) == 0 or ns.max() >= _NS_OF_DAY:
         return ns

@@ -272,7 +272,7 @@ def _wholes(texts: list[str]) -> list[int | None]:
 
 
 def _floats(column: list[Any]) -> list[float]:
-    """Return numbers, or texts of numbers, as floats, NaN where they are missing. ValueError for anything else."""
+    """Return numbers, or texts of numbers, as floats, with NaN for missing values. ValueError for anything else."""
     kinds = set(map(type, column))
     if kinds <= {int, float} or (kinds == {str} and "_" not in "".join(column)):  # Python would read 1_0 as ten
         with suppress(ValueError):

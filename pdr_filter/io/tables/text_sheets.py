@@ -83,7 +83,11 @@ class TextRows:
             raise RecordingError(f"{self.where}: {error}") from error
 
     def _rows(self) -> Iterator[bytes]:
-        """Blocks of rows: without the lines before them, single spaces between fields."""
+        """Yield the rows of the table in blocks of bytes, without the lines above the table.
+
+        If `only` is set, only rows with its text in its column are included. If blanks separate the fields, several
+        blanks become one.
+        """
         left = self.n_before
         for block in self.blocks():
             at = 0
@@ -251,7 +255,7 @@ def _n_known(text: str) -> int:
 
 
 def _layout(lines: list[str], separator: str) -> _Found | None:
-    """Start of the table with fields separated by this mark, or None without one."""
+    """Return the start of the table if `separator` separates its fields, or None if the lines are no such table."""
     # Line ends that were converted twice leave a blank line after each.
     places = [*islice((i for i, line in enumerate(lines) if line.strip()), _LINES_TRIED + _LINES_COMPARED)]
     if separator != " " and not any(separator in lines[i] for i in places):

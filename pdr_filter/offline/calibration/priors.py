@@ -187,7 +187,7 @@ def weak_prior(
 
 
 def _constant_length(length_m: float, std_m: float, between_m: float, step_std_m: float) -> StepLengthPrior:
-    """Return a prior of a constant step length: k1 and k2 of eq. 12 are held at zero."""
+    """Return a prior of a constant step length: k1 and k2 of eq. 12 of Martinelli et al. 2018 are held at zero."""
     return prior(FrequencyVarianceStepLength(), [length_m, 0, 0], [std_m, 0, 0], [between_m, 0, 0], step_std_m)
 
 
