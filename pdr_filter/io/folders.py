@@ -65,7 +65,7 @@ def recordings_in(folder: str | Path) -> list[Path]:
 
 
 def only_recording_in(path: Path) -> Path:
-    """Return the path of a file, or the path of the only recording in a folder or file.
+    """Return the path of a file with one recording, or the path of the only recording in a folder.
 
     RecordingError if a folder or file holds several recordings.
     """

@@ -56,7 +56,8 @@ class Place:
 class Alignment:
     """Transformation world = R (track - track_centre) + world_centre, with R a clockwise rotation.
 
-    The transformation leads from a frame of the track, "track", to the frame of the fixes, "world".
+    The transformation leads from a frame of the track ("track") to another frame ("world"), which is usually that of
+    the fixes.
 
     Attributes
     ----------
@@ -69,9 +70,8 @@ class Alignment:
     centre_var_m2 : float
         Variance of the centre along each axis.
     n_steps : int
-        Number of steps when the alignment was estimated. The alignment transforms the steps with indices from `since`
-        to `n_steps`
-        - 1. Steps from `n_steps` on are reported in the world frame.
+        Number of steps when the alignment was estimated. The alignment transforms steps with the indices k for which
+        `since` <= k < `n_steps`. Steps from `n_steps` on are reported in the world frame.
     since : int
         Index of the first step in the track frame of this alignment. Steps before it were reported in an earlier frame.
     """

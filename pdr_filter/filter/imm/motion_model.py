@@ -326,9 +326,9 @@ def update_heading(mean: FloatArray, cov: FloatArray, step: Step, frame_rad: flo
 def expect_first_direction(cov: FloatArray, std_rad: float) -> FloatArray:
     """Return covariances (..., M, 4, 4) in which the heading offset is as uncertain as the first walking heading.
 
-    The first walking heading defines the direction of the frame, so that it causes no innovation. After it, the heading
-    offset has the standard deviation of this heading, `std_rad`. The direction of earlier steps has the same
-    uncertainty, because the offset rotates them.
+    The first walking heading defines the direction of the frame, so that it causes no innovation. The heading offset
+    then has the standard deviation `std_rad` of this heading, because later walking headings can correct only this
+    uncertainty. The direction of earlier steps has the same uncertainty, because the offset rotates them.
 
     Let c be the covariance of the offset with all states, v the variance of the offset, and r = std_rad^2 / v. The
     covariance of all states changes by (r - 1) c c' / v. In particular, c becomes r c and v becomes std_rad^2.

@@ -271,7 +271,7 @@ class PastPath:
         steps.
     shared_from_m : (2,) array
         Position of the track when errors that all steps share were last added to the covariance of the state. Such
-        errors, as those of consider parameters, grow in proportion to the displacement from this position.
+        errors, for example those of consider parameters, grow in proportion to the displacement from this position.
     shared_from_s : float
         Time at which the track was at `shared_from_m`.
     """

@@ -25,7 +25,7 @@ def with_window(windows: RecentWindows, window: WindowContext) -> RecentWindows:
 def window_before(windows: RecentWindows, time_s: float) -> WindowContext | None:
     """Return the last window whose new samples begin at or before a time, or None without windows.
 
-    Windows overlap. The new samples of a window are those of its last hop, which no window before contains. Later
+    Windows overlap. The new samples of a window are those of its last hop, which no earlier window contains. Later
     windows belong to later steps. The first window of a segment is returned for earlier times, because it has no
     predecessor and all of its samples are new.
     """
@@ -48,7 +48,7 @@ def window_around(windows: RecentWindows, time_s: float) -> WindowContext | None
 def window_after(windows: RecentWindows, time_s: float) -> WindowContext | None:
     """Return the first window whose new samples all lie at or after a time, or None if it is not yet classified.
 
-    Windows overlap. The new samples of a window are those of its last hop, which no window before contains. The result
+    Windows overlap. The new samples of a window are those of its last hop, which no earlier window contains. The result
     is the window after the one that `window_around` returns.
     """
     return next((w for w in windows if w.new_since_s >= time_s), None)

@@ -282,7 +282,7 @@ def outside(path: Path) -> tuple[Path, str]:
     """Split a path into a file or folder that exists on disk, and the rest of the path inside it.
 
     The rest of `export.zip/walk_2` is `walk_2`. In a folder, the rest may be the name of a trial: `walk1` stands for
-    all files such as `walk1_acc.csv` and `walk1_gyro.csv`. If the path itself exists, the rest is "".
+    all files such as `walk1_acc.csv` and `walk1_gyro.csv`. In all other cases the rest is "".
     """
     if not path.exists():
         for parent in path.parents:
