@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reduced:
-    """Data of one recording that a calibration needs."""
+    """Segments of known length of one recording, for the calibration of step lengths."""
 
-    segments: tuple[AnySegment, ...]
-    notes: tuple[str, ...]
+    segments: tuple[AnySegment, ...]  # parts of the recording with a known distance, and their steps
+    notes: tuple[str, ...]  # reasons why the recording, or a part of it, was not used
     is_nameless: bool = False  # the recording has segments but does not name its person
 
 
@@ -170,7 +170,7 @@ def calibrate(
 
 
 def models_in(priors: Mapping[str, StepLengthPrior]) -> list[tuple[str, StepLengthModel]]:
-    """Return pairs of context and step-length model."""
+    """Return pairs of context name and step-length model, taken from the priors by context name."""
     return [(context, prior.model) for context, prior in priors.items()]
 
 

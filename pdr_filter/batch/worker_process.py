@@ -101,7 +101,11 @@ def serve() -> None:
 
 @contextmanager
 def dask_errors(scheduler: str) -> Generator[None]:
-    """Raise ValueError with a remedy if Dask is not installed or the scheduler does not answer."""
+    """Context manager that turns errors of Dask in its block into a ValueError with a remedy.
+
+    An ImportError means that Dask is not installed. An OSError, TimeoutError or ValueError means that no scheduler
+    answers at the address `scheduler`.
+    """
     try:
         yield
     except ImportError as error:

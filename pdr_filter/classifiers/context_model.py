@@ -88,7 +88,7 @@ class ContextModel:
     feature_names : tuple of str, length F
         Features, in the order of the input of `predict`.
     classes : tuple of str, length K
-        Labels in the training data, in the order of the machine. A subset of `labels`.
+        Labels in the training data, in the order of the probabilities of `machine`. A subset of `labels`.
     training_prior : array_like, shape (L,)
         Share of each label in the training data. The shares sum to one, and are zero for labels that are not in the
         data.
@@ -99,7 +99,7 @@ class ContextModel:
     card : dict
         Model card: data, date, versions, metrics. Any JSON values.
     head : {"context", "carrying_mode"}
-        Kind of the labels.
+        Kind of the labels: contexts of motion, or carrying modes of the phone.
     temperature : float, default 1.0
         Divisor of the logits (`probability_calibration.tempered`), fitted on held-out people.
     slip : float, default 0.0
@@ -109,11 +109,12 @@ class ContextModel:
         Standardised features are cut at plus and minus this value, so that an unfamiliar value of one feature cannot
         dominate all other features.
     familiarity : Familiarity, optional
-        Distance of a window to the training windows. Without it the unknown share is always zero.
+        Distance of a window to the training windows. The unknown share of a window follows from it: 0 for a window like
+        the training windows, and nearly 1 for unfamiliar motion. Without it the unknown share is always zero.
     stairs : Familiarity, optional
-        Distance of a window to the training windows on stairs. For a window unlike all of them, the features that
-        distinguish stairs were learned with the phone in other places. `blend_stairs_with_prior` then replaces the
-        distinction.
+        Distance of a window to the training windows on stairs. If a window is unlike all of them, the model cannot tell
+        stairs from level walking in this window. The probabilities of the three `stairs_labels` are then partly
+        replaced by a prior (`blend_stairs_with_prior`).
     labels : tuple of str, length L, optional
         Labels, in the order of the probabilities. The default is `CONTEXTS` or `CARRYING_MODES`.
     stairs_labels : tuple of str, length 3
@@ -122,7 +123,9 @@ class ContextModel:
         Transition probabilities between labels from one step to the next, estimated from the labels of the training
         data. Rows sum to one.
     evidence_exponent, prior_exponent : float, optional
-        Exponents of the evidence of a window, as in `PedestrianModel`, chosen on the labels of the training data.
+        Exponents e and r of the evidence of a window for a context, (p / prior^r)^e. Here p is the probability of the
+        context and prior its `training_prior`. The exponents were chosen on the labels of the training data, and
+        replace the defaults of `PedestrianModel`.
     features : FeatureSet, optional
         Computes the features of windows, if they are not features of this package. Files do not contain it.
     needs_gyroscope : bool, default True
@@ -452,9 +455,11 @@ def _card_lines(card: Mapping[str, Any]) -> list[str]:
 
 
 def blend_stairs_with_prior(prob: FloatArray, share: FloatArray, level_and_stairs: list[int]) -> FloatArray:
-    """Return context probabilities (..., C) in which a share of walking and stairs follows the prior of a day.
+    """Return context probabilities (..., C) with walking and stairs partly redistributed by the steps of a usual day.
 
-    The share (...) of the probability of walking and stairs is distributed as the steps of a day, and the rest is kept.
+    Let g be the sum of the probabilities of level walking, stairs up and stairs down. The part `share` g is divided
+    among the three in the ratio 0.94 : 0.03 : 0.03. Each of the three keeps 1 - `share` of its own probability. Other
+    contexts are unchanged. `share` (...) is the unknown share of each window with respect to stairs, 0 to 1.
     `level_and_stairs` are the indices of level walking, stairs up and stairs down.
     """
     if not np.any(share):

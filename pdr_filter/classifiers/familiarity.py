@@ -67,11 +67,13 @@ def unknown_share(distance: FloatArray, limit: float, sharpness: float) -> Float
 
 
 def fit_familiarity(standardised: FloatArray, limit: float, sharpness: float = 2.0) -> Familiarity:
-    """Return the familiarity with principal axes and variances of standardised features (N, F), cut at 8.
+    """Return the familiarity that is fitted to standardised features (N, F) of windows.
 
-    The limit is chosen on held-out people. Variances are taken with respect to zero, which is the mean of all training
-    windows. A subset of them, such as the windows on stairs, has another mean. Windows are then familiar up to the
-    distance of the subset along the line through both means.
+    The features are first cut to the range from -8 to 8. The principal axes and variances of the features are then
+    computed about zero, not about the mean of these features. Zero is the mean of all training windows. A subset such
+    as the windows on stairs has another mean, so its variance along the line through both means is larger. Windows
+    between both means are therefore familiar, too. `limit` is the distance from which windows are partly unknown,
+    chosen on held-out people.
     """
     cut = np.clip(standardised, -_FEATURE_LIMIT, _FEATURE_LIMIT)
     variance, axes = np.linalg.eigh(cut.T @ cut / len(cut))

@@ -106,7 +106,10 @@ class ArtefactFormat:
 
 
 def file_pair(path: str | Path) -> tuple[Path, Path]:
-    """Return the paths of the .json and the .npz, given either path, or both without suffix."""
+    """Return the paths of the .json file and the .npz file of one saved model.
+
+    `path` may be the path of either file, or their common path without suffix.
+    """
     stem = re.sub(r"\.(npz|json)$", "", str(path))
     return Path(f"{stem}.json"), Path(f"{stem}.npz")
 

@@ -1,7 +1,7 @@
 """Relevance vector machine for several classes: sparse Bayesian classification with probabilities (Tipping 2001).
 
 The model is that of section V-C of Martinelli et al. 2018 (eq. 4-9), trained by `pdr_filter.classifiers.rvm_training`.
-The iteration as printed in the paper (eq. 10, 11) is `tests.oracles.rvm_reference`.
+The iteration as printed in that paper (eq. 10 and 11 of Martinelli et al. 2018) is `tests.oracles.rvm_reference`.
 """
 
 from __future__ import annotations
@@ -81,8 +81,9 @@ def train_one_against_all(
 ) -> list[Trained]:
     """Train K binary relevance vector machines, each for its class against all others.
 
-    For two classes, the first machine mirrors the second. Each machine is a `Trained` on the basis functions (R, N),
-    which are the bias and the candidates. `label` (N,) is 0 to K - 1, and `weight` (N,) is the weight of each row.
+    For two classes, only the machine of class 1 is trained. The machine of class 0 is its copy with negated weights and
+    logits. Each machine is a `Trained` on the basis functions (R, N), which are the bias and the candidates. `label`
+    (N,) is 0 to K - 1, and `weight` (N,) is the weight of each row.
     """
     no_offset = np.zeros(len(label))
     machines: list[Trained] = []
@@ -131,9 +132,10 @@ def train_multinomial(
 
 
 def _joint_value(logit: FloatArray, label: IntArray, weight: FloatArray, trained: Sequence[Trained]) -> float:
-    """Return the log-likelihood of the softmax plus the Occam factors, in nats.
+    """Return the log-likelihood of the softmax plus the log Occam factors of all machines, in nats.
 
-    The Occam factor of a machine is ln p(w*) + ln |Delta| / 2.
+    The log Occam factor of a machine is ln p(w*) + ln |Delta| / 2, up to a constant. Here w* are the posterior means of
+    its weights, p is their Gaussian prior with the precisions alpha, and Delta is their posterior covariance.
     """
     chosen = logit[label, np.arange(len(label))]
     value = float(weight @ (chosen - np.asarray(logsumexp(logit, axis=0))))
@@ -192,14 +194,15 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
     Parameters
     ----------
     kernel : {"rbf", "linear"}, default "rbf"
-        "rbf": one candidate basis function exp(-||x - x_i||^2 / (2 kernel_width^2)) for each training row (eq. 5).
-        "linear": one candidate for each feature, x_j divided by its root mean square, so that relevance selects
-        features. (Inner products with the training rows would span the same functions with more candidates than
-        dimensions.)
+        "rbf": one candidate basis function exp(-||x - x_i||^2 / (2 kernel_width^2)) for each training row (eq. 5 of
+        Martinelli et al. 2018). "linear": one candidate for each feature, x_j divided by its root mean square, so that
+        relevance selects features. (Inner products with the training rows would span the same functions with more
+        candidates than dimensions.)
     kernel_width : float, "cv" or None, default None
-        sigma_G of eq. 5, in units of the features. None: the median distance between candidates. "cv": the width with
-        the lowest cross-validated log loss, from 0.5 to 4 times the median distance, in the time of about 20 trainings.
-        (The evidence would prefer narrower kernels than the log loss of new rows does.)
+        sigma_G of eq. 5 of Martinelli et al. 2018, in units of the features. None: the median distance between
+        candidates. "cv": the width with the lowest cross-validated log loss, from 0.5 to 4 times the median distance,
+        in the time of about 20 trainings. (The evidence would prefer narrower kernels than the log loss of new rows
+        does.)
     multi_class : {"one_against_all", "multinomial"}, default "one_against_all"
         "one_against_all": one machine for each class against all others, with normalised sigmoids (the paper).
         "multinomial": machines whose logits compete in a softmax, with 1.5 times the training time and fewer vectors.

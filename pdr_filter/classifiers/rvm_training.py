@@ -88,14 +88,17 @@ class Bernoulli:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Posterior:
-    """Gaussian (Laplace) posterior of the weights of M basis functions, and the evidence of their alphas."""
+    """Gaussian (Laplace) posterior of the weights of M basis functions, given the precisions alpha of their prior.
+
+    The evidence is the probability of the training labels given the alphas, with the weights integrated out.
+    """
 
     basis: IntArray  # (M,) rows of the matrix of candidate functions, ascending
-    alpha: FloatArray  # (M,) precisions of the prior
+    alpha: FloatArray  # (M,) precisions of the zero-mean Gaussian prior of the weights
     mean: FloatArray  # (M,) most probable weights
     cov_factor: FloatArray  # (M, M) G, the covariance is G^T G
-    logit: FloatArray  # (N,) at the mean
-    log_evidence: float  # nats
+    logit: FloatArray  # (N,) of the training rows, for the mean weights
+    log_evidence: float  # log evidence of the alphas, nats
 
     @property
     def variance(self) -> FloatArray:
@@ -116,20 +119,21 @@ class Trained:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Proposal:
-    """Changes proposed for a pass: new alphas, functions to delete, and functions to add."""
+    """Changes proposed for a pass: new alphas (prior precisions), functions to delete, and functions to add."""
 
-    alpha: FloatArray  # (M,)
-    delete: BoolArray  # (M,)
+    alpha: FloatArray  # (M,) new prior precisions of the functions in the model
+    delete: BoolArray  # (M,) functions to delete
     added: IntArray  # (P,) in descending order of their evidence gain
-    added_alpha: FloatArray  # (P,)
+    added_alpha: FloatArray  # (P,) prior precisions of the added functions
     gain: float  # expected evidence gain of the additions, nats
     has_postponed_deletions: bool  # more deletions are due than one pass may do
 
 
 def spread_start(likelihood: Likelihood, functions: FloatArray, n_functions: int) -> Posterior:
-    """Return a posterior with the bias and other functions, at equal intervals of `functions`.
+    """Return the posterior of the model with which the training starts.
 
-    There are up to `n_functions` in total.
+    The model has up to `n_functions` basis functions. These are the rows of `functions` (R, N) at equal intervals of
+    the row index, including the bias in row 0.
     """
     n = max(1, min(n_functions, len(functions)))
     basis = np.unique(np.linspace(0, len(functions) - 1, n).astype(np.int64))
@@ -146,12 +150,12 @@ def train(
     max_passes: int = 100,
     tol: float = 1.0,
 ) -> Trained:
-    """Return the alphas with (locally) maximal evidence, and their posterior.
+    """Return the alphas with (locally) maximal evidence, and the posterior of the weights.
 
-    `functions` (R, N) are the candidates at the N rows, with the bias (ones) first. One function is one row, so that
-    blocks of functions are contiguous. `start` is the posterior of an earlier training, possibly with another
-    likelihood. The default is `spread_start`. Training stops when two consecutive passes each raise the log evidence by
-    less than `tol` / 2.
+    An alpha is the precision of the Gaussian prior of a weight. `functions` (R, N) are the candidates at the N rows,
+    with the bias (ones) first. One function is one row, so that blocks of functions are contiguous. `start` is the
+    posterior of an earlier training, possibly with another likelihood. The default is `spread_start`. Training stops
+    when two consecutive passes each raise the log evidence by less than `tol` / 2.
     """
     if start is None:
         now = spread_start(likelihood, functions, max_basis)
@@ -264,12 +268,16 @@ def evidence_gain(s: FloatArray, q: FloatArray) -> FloatArray:
 
 
 def outside_factors(likelihood: Likelihood, functions: FloatArray, now: Posterior) -> tuple[FloatArray, FloatArray]:
-    """Return S and Q, (R,) each, of R basis functions, which equal s and q (`inside_factors`) outside of the model.
+    """Return the sparsity S and quality Q, (R,) each, of all R candidate basis functions.
 
-    For functions in the model, S is infinite. Otherwise Q = phi^T g and S = phi^T B phi - ||G Phi^T B phi||^2. Here phi
-    is the basis function at all rows, Phi those of the model, g the gradient and B the diagonal matrix of curvatures of
-    the log-likelihood, and G^T G the posterior covariance of the weights. The matrix product in S takes most of the
-    training time. It is computed in single precision, because S is only used to select the shortlist.
+    For a function that is not in the model, S and Q equal the s and q that `inside_factors` would give after its
+    addition. The formulas are Q = phi^T g and S = phi^T B phi - ||G Phi^T B phi||^2. Here phi is the candidate at all
+    rows and Phi are the functions of the model. g is the gradient and B the diagonal matrix of curvatures of the
+    log-likelihood. G^T G is the posterior covariance of the weights.
+
+    S is set to infinity for functions in the model and for linear combinations of these functions, so that neither is
+    added. Q has no meaning where S is infinite. The matrix product in S takes most of the training time. The product is
+    computed in single precision, because S only selects the candidates that `additions` examines exactly.
     """
     beta, slope = likelihood.curvature(now.logit), likelihood.slope(now.logit)
     projection = ((functions[now.basis] * beta).T @ now.cov_factor.T).astype(np.float32)  # (N, M)
@@ -287,7 +295,8 @@ def outside_factors(likelihood: Likelihood, functions: FloatArray, now: Posterio
 def additions(likelihood: Likelihood, functions: FloatArray, now: Posterior) -> tuple[IntArray, FloatArray, float]:
     """Return the functions to add (P,), best first, their alphas (P,), and the sum of their evidence gains in nats.
 
-    The best function of the shortlist is added, S and Q of the others are updated for its presence, and so on.
+    The shortlist are the candidates with the largest evidence gains, if each were added alone. The best function of the
+    shortlist is added, S and Q of the others are updated for its presence, and so on.
     """
     sparsity, quality = outside_factors(likelihood, functions, now)
     value = evidence_gain(sparsity, quality)

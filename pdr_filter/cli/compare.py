@@ -1,4 +1,8 @@
-"""Command `pdr-filter compare`, which compares the weightings HC, WC and IMM, or recipes."""
+"""Command `pdr-filter compare`, which compares the weightings HC, WC and IMM, or recipes.
+
+HC (highest context) uses the step length of the most probable context. WC (weighted context) uses the mean of the step
+lengths, weighted with the context probabilities. IMM is the interacting multiple model.
+"""
 
 from __future__ import annotations
 
@@ -74,7 +78,11 @@ def compare(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Compare the weightings HC, WC and IMM on recordings, or several recipes."""
+    """Compare the weightings HC, WC and IMM on recordings, or several recipes.
+
+    HC (highest context) uses the step length of the most probable context. WC (weighted context) uses the mean of the
+    step lengths, weighted with the context probabilities. IMM is the interacting multiple model.
+    """
     import pdr_filter as pdr
     from pdr_filter.report.html import write_report
 

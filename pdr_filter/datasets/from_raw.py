@@ -171,7 +171,7 @@ def _waypoints(time_s: FloatArray, points_m: FloatArray, floor: float) -> Table:
 
 
 def _label(begin_s: float, end_s: float, context: str, carrying_mode: str) -> Table:
-    """Return a table with one label."""
+    """Return a table of labels with one row: context and carrying mode between two times in s."""
     row = {"start_s": begin_s, "end_s": end_s, "context": context, "carrying_mode": carrying_mode}
     return table({name: [value] for name, value in row.items()})
 
@@ -192,7 +192,11 @@ def _landmarks(path: Path) -> FloatArray:
 
 
 def _rows(path: Path) -> Iterator[list[float]]:
-    """Return the numeric lines of a text file of senslogs."""
+    """Iterate over the numeric lines of a text file, as lists of numbers.
+
+    The phone app senslogs wrote the files, with fields that are separated by blanks. Lines that do not begin with a
+    digit are skipped.
+    """
     lines = read_small(path, limits.MAX_MEMBER_BYTES).decode("utf-8", "replace").splitlines()
     return (list(map(float, line.split())) for line in lines if line[:1].isdigit())
 

@@ -157,8 +157,8 @@ def second_over_first(prob: FloatArray) -> FloatArray:
 
     Notes
     -----
-    The weighting WC weights the step lengths of all contexts if the ratio is at least a threshold (Martinelli et al.
-    2018, Algorithm 2).
+    The weighting WC (weighted context) uses the weighted mean of the step lengths of all contexts if the ratio is at
+    least a threshold (Martinelli et al. 2018, Algorithm 2).
 
     Examples
     --------

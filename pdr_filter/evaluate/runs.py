@@ -24,6 +24,9 @@ def weighting_tracks(
 ) -> dict[str, Track]:
     """Return tracks of a recording with the weightings HC, WC and IMM, with all other settings equal.
 
+    HC (highest context) uses the step length of the most probable context. WC (weighted context) uses the mean of the
+    step lengths, weighted with the context probabilities. IMM is the interacting multiple model.
+
     Parameters
     ----------
     recording : Recording
@@ -62,7 +65,7 @@ def weighting_tracks(
 
 
 def weighting_errors(recording: Recording, config: Config | None = None, lag_steps: int = 4) -> Table:
-    """Return the distance errors that are caused by wrong contexts, for each weighting.
+    """Return the errors of the walked distance that are caused by wrong contexts, for each weighting.
 
     Parameters
     ----------
@@ -77,6 +80,7 @@ def weighting_errors(recording: Recording, config: Config | None = None, lag_ste
     -------
     Table
         A row for each weighting and a row "contexts known", with columns `weighting`, `distance_m` and `error_percent`.
+        The error is relative to the distance of the row "contexts known".
 
     Raises
     ------
@@ -85,16 +89,19 @@ def weighting_errors(recording: Recording, config: Config | None = None, lag_ste
 
     Notes
     -----
-    All rows have the same steps and step-length models. The reference is the distance with the step length of the true
-    context of each step. Steps outside of all labels do not count.
+    All rows have the same steps and step-length models. The row "contexts known" is the reference: each step has the
+    step length of its true context. Steps outside of all labels do not count.
 
-    "wc" has the threshold 0.8, and "wc, always" has the threshold 0. The IMM has four rows:
+    "hc" (highest context) takes the step length of the most probable context. "wc" (weighted context) takes the mean of
+    the step lengths, weighted with the context probabilities. If the second-highest probability is below 0.8 times the
+    highest, "wc" is equal to "hc". "wc, always" takes the weighted mean at each step. The IMM (interacting multiple
+    model) has four rows:
 
-    - "imm, as the steps were made": online estimates of the step lengths.
+    - "imm, as the steps were made": step lengths as the filter estimated them online, without later steps.
     - "imm": mode probabilities smoothed over all later steps, as in `Track.walked_m`.
     - "imm, lagged": mode probabilities smoothed over `lag_steps` later steps.
-    - "imm, smoothed": mode probabilities smoothed over all later steps, with the evidence weights of offline smoothing
-      (`Config.in_hindsight`).
+    - "imm, smoothed": as "imm", after a filter run in which the evidence of each context window is raised to the power
+      `PedestrianModel.hindsight_exponent`. `Config.in_hindsight` makes this change for offline smoothing.
 
     Examples
     --------
@@ -145,7 +152,7 @@ def weighting_errors(recording: Recording, config: Config | None = None, lag_ste
 
 
 def threshold_sweep(recording: Recording, config: Config, thresholds: Sequence[float]) -> Table:
-    """Return the walked distance of the weighting WC for several thresholds.
+    """Return the walked distance with the weighting WC (weighted context) for several thresholds.
 
     Parameters
     ----------
@@ -154,8 +161,9 @@ def threshold_sweep(recording: Recording, config: Config, thresholds: Sequence[f
     config : Config
         Configuration of the filter.
     thresholds : sequence of float
-        Thresholds of the ratio of the second-highest to the highest context probability. 0 always weights the step
-        lengths (WC), 1 takes that of the most probable context (HC).
+        Thresholds of the ratio of the second-highest to the highest context probability. With 0, each step length is
+        the mean over the contexts, weighted with their probabilities (WC). With 1, it is the length of the most
+        probable context (HC, highest context).
 
     Returns
     -------
@@ -203,8 +211,10 @@ def epoch_distances(track: TrackRows, modes: Sequence[Mode]) -> tuple[FloatArray
     ValueError
         If the modes do not match the contexts one to one.
 
-    Notes ----- The results are the arguments of `pdr_filter.filter.imm.weighting.weighted_distances` (Martinelli et al.
-    2018, eq. 17 and 18).
+    Notes
+    -----
+    The results are the arguments of `pdr_filter.filter.imm.weighting.weighted_distances` (Martinelli et al. 2018, eq.
+    17 and 18).
 
     Examples
     --------

@@ -63,8 +63,10 @@ def matched_steps(true_s: FloatArray, found_s: FloatArray, tolerance_s: float) -
     ValueError
         If times are not ascending or NaN, or if the tolerance is negative.
 
-    Notes ----- The number of matches is maximal. For points on a line and a single tolerance, matching the earliest
-    possible pair is optimal.
+    Notes
+    -----
+    The number of matches is maximal. For points on a line and a single tolerance, matching the earliest possible pair
+    is optimal.
 
     Examples
     --------

@@ -23,11 +23,15 @@ def checked_streams(
     notes: list[str],
     is_unit_declared: bool = False,
 ) -> dict[str, Samples]:
-    """Return plausible streams with known times, the accelerometer first. RecordingError for an implausible stream.
+    """Return the streams without rows of unknown time, after checks that their values are plausible.
 
-    `found` holds times (N,) and values (N, d) by the name of the stream, as parsed; `zero_s` becomes time zero. What
-    was left out or found odd is added to `notes`, which call a stream by its name and the suffix, as messages do. Where
-    the file itself says the unit of its times, a slow rate is believed and no other unit is looked for.
+    `found` maps the name of a stream to its parsed times (N,) and values (N, d). `zero_s` becomes time zero. The result
+    has the accelerometer first. Rows and streams that are left out, and repeated or backward times, are added to
+    `notes`. Notes and errors name a stream by its name followed by `suffix`. Raises RecordingError for an implausible
+    stream.
+
+    An unusually low sampling rate is normally refused, as the times may be in another unit. A low rate is accepted if
+    `is_unit_declared` is True, which means that the file states the unit of its times.
     """
     streams: dict[str, Samples] = {}
     for name in sorted(found, key=lambda name: name != "accelerometer"):

@@ -25,7 +25,10 @@ _WHOLE = ("get_sensor_data", "indoor_location", "ronin")
 
 
 def recordings_of(paths: str | Path | Iterable[str | Path]) -> list[str]:
-    """Absolute paths, each once and in order; a folder that is not a recording stands for all recordings in it."""
+    """Return the absolute paths of all recordings that the given paths stand for, each once and in order.
+
+    A file stands for itself. A folder that is not itself a recording stands for all recordings in it (`recordings_in`).
+    """
     found: list[Path] = []
     for path in [paths] if isinstance(paths, str | Path) else paths:
         path = Path(path)
@@ -34,11 +37,13 @@ def recordings_of(paths: str | Path | Iterable[str | Path]) -> list[str]:
 
 
 def recordings_in(folder: str | Path) -> list[Path]:
-    """Paths of the recordings in a folder and the folders in it, sorted; of one that is a recording, its own.
+    """Return the sorted paths of the recordings in a folder and in its subfolders.
 
-    Every zip and hdf5 file is taken for one, so that a broken one is reported; text files only if they look like one of
-    the known formats, or have a TOML file of their columns beside them. A file that holds several stands for each.
-    Files such as `walk1_acc.csv` and `walk1_gyro.csv` beside those of `walk2` are the recordings walk1 and walk2.
+    If the folder itself is one recording, the result is the path of the folder. Every zip and hdf5 file counts as a
+    recording, so that a broken file is reported later. A text file counts if it looks like a known format, or if a TOML
+    file beside it describes its columns. A file that holds several recordings gives one path for each, such as
+    `export.zip/walk_2`. Files such as `walk1_acc.csv` and `walk1_gyro.csv` beside those of `walk2` give the paths
+    `walk1` and `walk2`.
     """
     folder = Path(folder)
     if folder.is_file():
@@ -60,7 +65,10 @@ def recordings_in(folder: str | Path) -> list[Path]:
 
 
 def only_recording_in(path: Path) -> Path:
-    """Return the path, or the only recording in the folder. RecordingError if there are several."""
+    """Return the path of a file with one recording, or the path of the only recording in a folder.
+
+    RecordingError if a folder or file holds several recordings.
+    """
     # A search of a whole home folder would take long, and links lead to files that were not given.
     below = list(islice(path.rglob("*"), limits.MAX_MEMBERS)) if path.is_dir() else []
     if path.is_dir():
@@ -85,7 +93,10 @@ def only_recording_in(path: Path) -> Path:
 
 
 def parts_of(path: Path) -> list[str]:
-    """Return the names of the recordings in a file with several, to append to its path. Empty for any other file."""
+    """Return the names of the recordings in a file that holds several recordings.
+
+    A name is appended to the path of the file to read its recording. The list is empty for a file with one recording.
+    """
     if not path.exists():
         return []
     with open_members(path) as members:
@@ -97,11 +108,12 @@ def parts_of(path: Path) -> list[str]:
 
 
 def recordings_among(members: Members, names: Iterable[str]) -> list[str]:
-    """Folders, and files, of which each is one recording; "." is the folder of all.
+    """Return the paths of those folders and files among the names that are one recording each.
 
-    A file with an accelerometer alone and files of other sensors beside it are one, with whatever lies there, too,
-    unless their names are those of several trials. Files of which each has all its sensors, or of which there are none
-    but accelerometers, are one each.
+    "." stands for the folder that holds all names. A folder with a typical file of an export, such as
+    `Accelerometer.csv`, is a recording. In any other folder, each file that has an acceleration and another sensor is a
+    recording. If sensors are in separate files, the whole folder is one recording. If the names of these files show
+    several trials, such as `walk1_acc.csv` and `walk2_acc.csv`, each trial is a recording (`_of_one_sensor`).
     """
     by_folder: dict[str, list[str]] = {}
     for name in list(names)[: limits.MAX_MEMBERS]:
@@ -133,7 +145,15 @@ def recordings_among(members: Members, names: Iterable[str]) -> list[str]:
 
 
 def _of_one_sensor(folder: str, of_sensors: dict[str, set[str]], is_all: bool) -> list[str]:
-    """Recordings of files with a sensor each: their folder, its trials, or each file."""
+    """Return the recordings in a folder, for the files that hold only one sensor each.
+
+    `of_sensors` maps the name of a file to its sensors. `is_all` is True if no file of the folder is a recording by
+    itself. Three cases are tried in this order:
+
+    - At least two trials have both an acceleration and a gyroscope: the result is the path of each trial.
+    - There is an acceleration and another sensor, or one acceleration file alone (`is_all`): the result is the folder.
+    - Otherwise each file with an acceleration that includes gravity is a recording.
+    """
     trials: dict[str, set[str]] = {}
     for name, sensors in of_sensors.items():
         trials.setdefault(trial_of(name), set()).update(sensors)
@@ -150,9 +170,10 @@ def _of_one_sensor(folder: str, of_sensors: dict[str, set[str]], is_all: bool) -
 
 
 def _parts_in(path: Path) -> list[str]:
-    """Recordings among the files of a folder itself, or in a file of several.
+    """Return the names of the recordings in a file, or among the files of a folder itself.
 
-    "." if those of a folder are one, others being left out with a note.
+    The names are relative to `path`. "." in the result means that the files of the folder are together one recording.
+    The list is empty for a file with a single recording, and if a file cannot be read.
     """
     try:
         if path.is_file():

@@ -24,10 +24,12 @@ _LOST = 1.5
 
 
 def in_order(streams: Streams, suffix: str, notes: list[str]) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Return streams with rows sorted by time, if rows were moved within a table.
+    """Return the streams, with rows sorted by time if rows were moved within the table by an edit.
 
-    Moved rows fill a gap. After a backward clock jump rows lie between others, or far from all, and stay as recorded:
-    the filter follows the clock. The accelerometer decides between the two for all sensors.
+    Rows can also be out of order because the clock of the phone jumped backward. Such rows stay as recorded, because
+    the filter itself handles clock jumps. Sorting tells both cases apart: moved rows then fill a gap, while rows after
+    a clock jump fall between other rows or leave a gap. If the times of the accelerometer show a clock jump, no stream
+    is sorted. Sorted streams are named in `notes`, with `suffix` after the name.
     """
     found = dict(streams)
     late = {name: n_late for name, (time_s, _) in streams.items() if (n_late := _n_late(time_s))}

@@ -50,13 +50,13 @@ class LateError(ValueError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Kind:
-    """Properties of a session that its first seconds show, such as the kind of acceleration."""
+    """Properties of a live session that its first seconds show, such as unit and sign of the acceleration."""
 
-    force: str  # the sensor that specific force comes from
-    scale: float  # its unit and sign
-    how: str  # the same in words
-    zero_ns: int  # time zero where the phone's times are nanoseconds
-    has_location: bool
+    force: str  # name of the sensor from which the specific force is taken
+    scale: float  # factor from the values of this sensor to m/s2 with Android's sign
+    how: str  # description of unit and sign for messages
+    zero_ns: int  # time that becomes zero if the times of the phone are in ns, else 0
+    has_location: bool  # True if the messages contain locations
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,7 +280,11 @@ def _on_one_clock(state: Assembly, message: Message, kind: Kind) -> tuple[Assemb
 
 
 def _set_back(last_s: float, time_s: FloatArray, least_s: float) -> tuple[int, float]:
-    """Return index and size of the first backward clock jump in times, or (N, 0) if there is none."""
+    """Return the index and the size of the first backward clock jump in N times, or (N, 0) if there is none.
+
+    The size is the positive time in s by which a time is earlier than the latest time before it. Only jumps of more
+    than `least_s` count. `last_s` is the time before the first of the N times.
+    """
     behind_s = np.maximum.accumulate(np.concatenate([[last_s], time_s]))[:-1] - time_s
     (back,) = (behind_s > least_s).nonzero()
     return (int(back[0]), float(behind_s[back[0]])) if len(back) else (len(time_s), 0.0)

@@ -74,7 +74,7 @@ class DaskCluster:
 
 
 class Actor:
-    """Share of the sessions that a Dask worker serves."""
+    """Actor on a Dask worker that serves a share of the devices (implements `Share`)."""
 
     def __init__(self, future: Any, actor: Any, address: str) -> None:
         self._future = future  # the actor lives as long as this reference

@@ -45,7 +45,7 @@ Request = Take | Whole | Tick | Save
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """Answer to a request, with a status of HTTP."""
+    """Answer to the sender of a request: HTTP status and content."""
 
     status: int
     content: Any
@@ -53,14 +53,17 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class Said:
-    """Answer to a request, with the events for the pages as JSON texts."""
+    """Response of a part to one request: the answer for the sender, and the events for the open web pages.
+
+    The events are JSON texts, for all changes since the previous response.
+    """
 
     answer: Answer
     events: list[str]
 
 
 class Part:
-    """Devices that one worker serves.
+    """Share of the devices that one worker serves, with the sessions of these devices.
 
     Parameters
     ----------
@@ -137,5 +140,8 @@ def _refusal(error: Exception) -> Answer:
 def answers_of_part(
     settings: Settings, folder: Path, part: int, n_parts: int
 ) -> Callable[[Sequence[Request]], list[Said]]:
-    """Return the function with which a process answers the requests for a part, which it loads."""
+    """Load one part of the devices, and return the function that answers requests for this part.
+
+    A worker process calls this function once when it starts. The returned function is `Part.answer`.
+    """
     return Part(settings, folder, part, n_parts).answer

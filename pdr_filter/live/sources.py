@@ -45,7 +45,11 @@ _AT_ONCE = 64
 
 
 def told(take: Taker, name: str, say: Callable[[str], None]) -> Taker:
-    """Return a taker that waits for a busy server, and tells the user each new reason of a refusal."""
+    """Return a function that passes messages to the server like `take`, but handles a busy server and refusals.
+
+    While the server is busy (status 429 or 503), the message is sent again after a pause. If the server refuses it, the
+    reason is passed to `say`, preceded by `name`. A reason that equals the last one is not repeated.
+    """
     reason = ""
 
     async def taken(body: bytes, **named: str) -> Answer:

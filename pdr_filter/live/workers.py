@@ -41,10 +41,13 @@ _LOG = logging.getLogger(__name__)
 
 
 class Share(Protocol):
-    """Share of the devices that one process or one actor of a cluster serves."""
+    """Interface of a worker that serves a share of the devices and their sessions.
+
+    `Process` implements it with a process on this computer, and `cluster.Actor` with an actor of a Dask cluster.
+    """
 
     async def ask(self, requests: Sequence[Request]) -> list[Said]:
-        """Return an answer to each request; LostError if the share is gone. One call at a time."""
+        """Return an answer to each request. LostError if the process or actor has died. Calls must not overlap."""
         ...
 
     async def close(self) -> None:
@@ -53,7 +56,7 @@ class Share(Protocol):
 
 
 class Process:
-    """Share of the sessions that a process on this computer serves."""
+    """Worker process on this computer that serves a share of the devices (implements `Share`)."""
 
     def __init__(self, settings: Settings, folder: Path, part: int, n_parts: int) -> None:
         self._process = WorkerProcess(answers_of_part, settings, folder, part, n_parts)
@@ -119,9 +122,9 @@ class _Worker:
                 await asyncio.wait_for(self._running, _CLOSE_S)
 
     async def _run(self, share: Share) -> None:
-        """Pass requests to the share, or to the one that replaced it.
+        """Pass requests to the share, or to its replacement after it died.
 
-        This ends when the worker is closed and all requests are answered.
+        The method returns when the worker is closed and all requests are answered.
         """
         ticked_at = time.monotonic()
         while self._waiting or not self._closed:

@@ -113,7 +113,9 @@ class Ground:
 
     @cached_property
     def height(self) -> _Field:
-        """Cost of being in each cell, flat.
+        """Cost of being in each cell of the storey, as a flattened array (n_rows n_columns,).
+
+        A cost is a negative log probability (`Terrain`).
 
         A step pays for an increase of this field. A decrease is free, so leaving a room costs nothing.
         """
@@ -146,7 +148,10 @@ class Ground:
 
     @cached_property
     def _choice_costs(self) -> _Field:
-        """Negative log of the mean probability of walking `look_m` from each cell, over all directions, flat."""
+        """Cost of walking `look_m` straight on from each cell, as a flattened array (n_rows n_columns,).
+
+        The cost is the negative log of the probability of such a walk, averaged over all directions.
+        """
         n_rows, n_columns = self.storey.cells.shape
         height, n = self.height.reshape(n_rows, n_columns), round(self.terrain.look_m / CELL_M)
         around = np.pad(height, n, constant_values=self.terrain.outside)
@@ -166,7 +171,7 @@ class Ground:
 
     @cached_property
     def _to_lift_m(self) -> _Field:
-        """Distance of each cell from the nearest lift, flat."""
+        """Distance in m of each cell from the nearest lift, as a flattened array (n_rows n_columns,)."""
         from scipy.ndimage import distance_transform_edt
 
         return CELL_M * np.asarray(distance_transform_edt(self.storey.cells != LIFT), dtype=np.float32).ravel()

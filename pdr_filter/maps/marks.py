@@ -61,7 +61,7 @@ class Marks:
     loop_closures: tuple[LoopClosure, ...] = ()
     person: Path | None = None
     walk: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    names: tuple[str, ...] = ()  # of the files that exist
+    names: tuple[str, ...] = ()  # names of the mark files that exist
 
     @property
     def plan(self) -> Path | None:
@@ -76,9 +76,14 @@ class Marks:
     def arguments(self, recording: Recording, waypoint_std_m: float | None = 1.0) -> dict[str, Any]:
         """Return the arguments of `pdr_filter.smooth` for a recording with these marks.
 
-        Positions that the recording itself has are used beside the marks if both are in one frame: waypoints unless the
-        marked points have an origin or a floor plan, and locations if the origin is the first of them. Without
-        `waypoint_std_m` neither is used. A floor plan in degrees also gives the origin if `walk.json` has none.
+        Positions that the recording itself contains are used in addition to the marks if they are in the same frame:
+
+        - Locations are used if there are marked points and their origin is the first location of the recording.
+        - Waypoints are used if there is no origin and no marked points on a floor plan. `waypoint_std_m` is the
+          standard deviation of a waypoint in m.
+
+        If `waypoint_std_m` is None, neither locations nor waypoints of the recording are used. A floor plan in degrees
+        gives the origin if `walk.json` has none.
         """
         found: dict[str, Any] = {"fixes": list(self.fixes), "loop_closures": list(self.loop_closures)}
         if self.person is not None:
@@ -175,7 +180,7 @@ def mark_files(folder: Path) -> dict[str, bytes]:
 
 
 def version_of(files: Mapping[str, bytes]) -> str:
-    """Checksum of the files of marks, by which a change by someone else is noticed."""
+    """Return a checksum of the files of marks in a folder, which shows whether another program has changed them."""
     return hashlib.sha256(b"\0".join(p for n in sorted(files) for p in (n.encode(), files[n]))).hexdigest()[:16]
 
 
@@ -202,13 +207,16 @@ def _finish(folder: Path) -> None:
 
 
 def table_rows(name: str, content: bytes) -> list[list[float | None]]:
-    """Return the rows of a CSV file of marks in the order of its columns; None where a cell is empty."""
+    """Return the rows of a CSV file of marks in the order of its columns. An empty cell is None."""
     rows = csv.DictReader(io.StringIO(content.decode()))
     return [[float(row[c]) if row.get(c) else None for c in _COLUMNS[name]] for row in rows]
 
 
 def table_bytes(name: str, rows: list[list[float | None]]) -> bytes:
-    """Return a CSV file of marks with all digits; the columns of headings only where one is known."""
+    """Return the bytes of a CSV file of marks, with all digits.
+
+    Columns of headings exist only if a heading is known.
+    """
     columns = _COLUMNS[name]
     if name == FIXES and all(row[4] is None for row in rows):
         columns = columns[:4]

@@ -56,10 +56,11 @@ def advance_offsets(
 ) -> FloatArray:
     """Move the heading offsets of N particles over a step, in place, and return log weights (N,).
 
-    The offset o is a random walk, o_k = o_{k-1} + N(0, q). The strides measure it as v = o_k + N(0, r), with variances
-    q and r in rad2. The new offset o_k is drawn from its distribution given v, and the weight is the likelihood of v
-    given o_{k-1}, N(o_{k-1}, q + r). `x` are the particles (N, 6), `mode` (N,) their modes, and `z` (N,) standard
-    normal numbers.
+    The offset o of a particle is its walking heading minus the device heading. The offset is a random walk, o_k =
+    o_{k-1} + N(0, q). The walking heading minus the device heading of the step is its measurement, v = o_k + N(0, r).
+    The variances q and r are in rad2. The new offset o_k is drawn from its distribution given v, and the weight is the
+    likelihood of v given o_{k-1}, N(o_{k-1}, q + r). `x` are the particles (N, 6), `mode` (N,) their modes, and `z`
+    (N,) standard normal numbers.
     """
     measured, unmeasured = model.noise.heading_drift.variances_rad2(
         since_s, step.heading_unknown_s, step.yaw_bias_std_radps, model.directions.drift_rad2_per_s

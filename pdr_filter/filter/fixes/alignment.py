@@ -21,8 +21,9 @@ EYE = read_only(np.eye(2))
 def rotated_cov(cov: FloatArray, twice: complex) -> FloatArray:
     """Return the mean of R P R' over an uncertain rotation R, for a covariance P (2, 2).
 
-    `twice` is the mean of e^(-2 i angle) over the distribution of the angle. With P = ((xx, xy), (xy, yy)), the half
-    trace does not change, and (xx - yy) / 2 + i xy is rotated back by twice the angle.
+    R rotates clockwise by an angle, and `twice` is the mean of e^(-2 i angle) over the distribution of this angle. Let
+    P = ((xx, xy), (xy, yy)), with x east and y north. A rotation keeps (xx + yy) / 2 and multiplies (xx - yy) / 2 + i
+    xy by e^(-2 i angle). The mean follows with `twice` as the factor.
     """
     (xx, xy), (_, yy) = cov.tolist()
     size, shape = 0.5 * (xx + yy), complex(0.5 * (xx - yy), xy) * twice
@@ -42,7 +43,7 @@ class Place:
     heading_rad : float
         Walking heading.
     n_steps : int
-        Number of the step that led to the place.
+        Index of the step that led to the place, from 0 for the first step.
     """
 
     position_m: FloatArray
@@ -55,6 +56,9 @@ class Place:
 class Alignment:
     """Transformation world = R (track - track_centre) + world_centre, with R a clockwise rotation.
 
+    The transformation leads from a frame of the track ("track") to another frame ("world"), which is usually that of
+    the fixes.
+
     Attributes
     ----------
     angle_rad : float
@@ -66,10 +70,10 @@ class Alignment:
     centre_var_m2 : float
         Variance of the centre along each axis.
     n_steps : int
-        Number of steps reported before the alignment.
+        Number of steps when the alignment was estimated. The alignment transforms steps with the indices k for which
+        `since` <= k < `n_steps`. Steps from `n_steps` on are reported in the world frame.
     since : int
-        Number of the first step in the frame that the alignment transforms. Earlier steps are already in the other
-        frame.
+        Index of the first step in the track frame of this alignment. Steps before it were reported in an earlier frame.
     """
 
     angle_rad: float
@@ -81,7 +85,7 @@ class Alignment:
     since: int = 0
 
     def applies_to(self, place: Place) -> bool:
-        """Return True if a place was reported in the frame that this alignment transforms."""
+        """Return True if a place was reported in the track frame of this alignment."""
         return self.since <= place.n_steps < self.n_steps
 
     @property
@@ -91,11 +95,11 @@ class Alignment:
         return np.array([[c, s], [-s, c]])
 
     def positions(self, track_m: FloatArray) -> FloatArray:
-        """Return positions (..., 2) transformed to the other frame."""
+        """Return positions (..., 2) of the track frame transformed to the world frame."""
         return (track_m - self.track_centre_m) @ self.rotation.T + self.world_centre_m
 
     def world(self, place: Place) -> Place:
-        """Return a place transformed to the other frame, including the uncertainty of the alignment."""
+        """Return a place of the track frame transformed to the world frame, with the uncertainty of the alignment."""
         position_m = self.positions(place.position_m)
         east_m, north_m = (position_m - self.world_centre_m).tolist()
         spread = self.angle_var_rad2 * np.array([[north_m**2, -north_m * east_m], [-north_m * east_m, east_m**2]])
@@ -104,9 +108,10 @@ class Alignment:
 
 
 def walked_var_m2(cov: FloatArray) -> float:
-    """Return the variance of a position that its heading does not explain, as mean of both axes.
+    """Return the variance of the position given the heading offset, in m2, as mean of the variances east and north.
 
-    The covariance (4, 4) is that of the filter state.
+    `cov` (4, 4) is the covariance of the filter state (east, north, heading offset, log scale). The part of the
+    position variance that is due to an error of the heading offset is subtracted.
     """
     # a heading that is known exactly has variance zero
     of_heading, heading_var = cov[:2, HEADING_OFFSET], max(float(cov[HEADING_OFFSET, HEADING_OFFSET]), 1e-12)

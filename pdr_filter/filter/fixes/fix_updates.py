@@ -122,13 +122,17 @@ def _without_shared_error(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return a linear measurement by a fix whose noise is independent of the errors of earlier fixes.
 
-    The measurement is z (2,) = H x + noise of covariance R. Let z_i be an earlier fix, d_i the displacement of the
-    track from its time to the time of this fix n, and A_i the share of its error in the error of fix n
-    (`error_given_before`). Then z_i + d_i = p_n - J d_i d_psi - d_i d_s + e_i. The measurement z = z_n - sum_i A_i (z_i
-    + d_i) is (I - sum_i A_i) p_n plus the effect of errors of heading offset and log scale on the displacements. A
-    filter with the errors of the fixes as further states would give the same result (A. E. Bryson and L. J. Henrikson,
-    "Estimation using sampled data containing sequentially correlated noise", J. Spacecraft 5, 1968). The displacement
-    since fix n, which leads from p_n to the present position, is as uncertain as heading and step lengths.
+    The measurement is z (2,) = H x + noise of covariance R. This fix has the index n, the position z_n and the true
+    position p_n. Let z_i be an earlier fix with the error e_i. The error of fix n is sum_i A_i e_i + w, with regression
+    matrices A_i and an independent w (`error_given_before`). Let d_i be the displacement of the track from fix i to fix
+    n. Let psi be the error of the heading offset and s the error of the log scale (true minus estimate). Then z_i + d_i
+    = p_n - psi J d_i - s d_i + e_i, where J (east, north) = (north, -east).
+
+    The returned measurement is z_n - sum_i A_i (z_i + d_i), in which the errors e_i cancel. The mean of the measurement
+    is (I - sum_i A_i) p_n + sum_i A_i (psi J d_i + s d_i). A filter with the errors of the fixes as further states
+    would give the same result (A. E. Bryson and L. J. Henrikson, "Estimation using sampled data containing sequentially
+    correlated noise", J. Spacecraft 5, 1968). The displacement since fix n, which leads from p_n to the present
+    position, is as uncertain as heading and step lengths.
     """
     x, P = state.estimates.combined
     since_m = track_place(state).position_m - track_m
@@ -273,8 +277,9 @@ def _on_first_positions(
 def _on_contradicting_fix(state: PedestrianState, pair: PairedPoint) -> Result:
     """Return the state after a fix that is inconsistent with the other fixes of a frame that is not joined.
 
-    After a lost heading the track position at the loss is one of the others. If such fixes contradict the others for
-    long, they relocate the track, with an unknown rotation.
+    The fix is first stored as rejected. If the stored rejected fixes agree with each other for long, the track is
+    relocated to them, with an unknown rotation. After a lost heading, the track position at the loss counts as one of
+    the other fixes.
     """
     doubt, n_steps = state.fixes.doubt.with_rejected(pair), state.steps.n_final
     state = replace(state, fixes=replace(state.fixes, doubt=doubt))

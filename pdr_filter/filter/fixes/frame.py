@@ -32,26 +32,32 @@ _UNSURE = 3.84
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """Relation between the track and the frame of the fixes.
+    """Relation between the frame of the filter states and the frame of the fixes.
+
+    A track begins in its start frame, with unknown position and north. Fixes determine the shift and the rotation. The
+    frame is joined when the filter states are transformed into the frame of the fixes. A new frame with unknown
+    rotation begins where the heading is lost.
 
     Attributes
     ----------
     is_joined : bool
-        True if the filter states are in the frame of the fixes.
+        True if the filter states are in the frame of the fixes. Unlike `is_known`, this concerns the filter states and
+        not the reported positions.
     since : int
-        Number of steps before the heading was lost and a new frame began, or 0 for the start frame.
+        Number of steps before the present frame began where the heading was lost, or 0 for the start frame.
     pairs : tuple of PairedPoint
-        Fixes since then, until the frame is joined. After a lost heading the first pair is the position at the loss.
+        Fixes since the present frame began, each with the track position at its time, until the frame is joined. After
+        a lost heading the first pair is the track position at the loss.
     agreeing : tuple of PairedPoint
-        Those pairs that are consistent.
+        Members of `pairs` that are consistent with each other.
     turn : OpenTurn or None
-        Density of the rotation given the consistent pairs.
+        Density of the rotation from the present frame to the frame of the fixes, given the consistent pairs.
     compass : Compass or None
         Magnetic north, until the frame is joined.
     north_var_rad2 : float
         Prior variance of the rotation before any position fix, or infinity if it is unknown.
     north_conflict : float
-        Decrease of the normalised squared errors of the positions without this prior.
+        Decrease of the misfit of the pairs (`disagreement`) if the prior with variance `north_var_rad2` is omitted.
     north : Alignment or None
         Rotation of the start frame by a heading fix, before any position fix.
     alignment : Alignment or None
@@ -110,7 +116,9 @@ class Frame:
     def is_north_wrong(self) -> bool:
         """True while the positions contradict the prior of the rotation, as after a wrong heading fix.
 
-        A wrong heading has the same cost as an outlier at the limit of its gate. So has each position that is removed.
+        The misfit of the positions is computed with and without the prior. The misfit is the sum of the normalised
+        squared errors, plus a constant for each position that is removed as inconsistent (`disagreement`). The prior is
+        wrong if its omission reduces the misfit by more than the 99.9 % limit of chi-square with one degree of freedom.
         """
         return self.north_conflict > agreement_limit(1)
 
@@ -141,9 +149,11 @@ class Frame:
         return place if turn is None else turn.world(place)
 
     def origin(self, place: Origin) -> Origin:
-        """Return the origin of the fixes with the present estimate of shift and rotation.
+        """Return the geographic origin of the fixes, with the estimated rotation and the errors of the start frame.
 
-        The rotation is that of the start frame, including a heading fix before the first position fix.
+        `turn_rad` and `turn_std_rad` are the rotation from the start frame to the frame of the fixes and its standard
+        deviation. The rotation includes a heading fix before the first position fix. `position_std_m` is the standard
+        deviation of the shift along each axis. Without any estimate the origin is returned unchanged.
         """
         before_rad = 0.0 if self.north is None else self.north.angle_rad
         turn = self.alignment or self._provisional or self._density
@@ -187,7 +197,8 @@ class Frame:
     def with_north(self, north: Alignment) -> Frame:
         """Return the frame after a heading fix has rotated it.
 
-        The remaining rotation has the variances of north and of the heading fix together.
+        `north` is the alignment by this fix. Its angle variance becomes the prior variance of the remaining rotation to
+        the frame of the fixes.
         """
         frame = replace(self, compass=None, north_var_rad2=north.angle_var_rad2)
         frame = replace(frame, later=(*self.later, north)) if self.since else replace(frame, north=north)
@@ -215,8 +226,8 @@ class Frame:
     def _is_track_uncertain(self) -> bool:
         """True if the error of the track since the first pair is as large as that of the fixes.
 
-        Until then fixes rotate and shift the whole track. In a joined frame each fix corrects position and heading from
-        then on, which bends the track.
+        Until the error is so large, fixes rotate and shift the whole track. In a joined frame each fix corrects
+        position and heading from then on, which bends the track.
         """
         walked_m2 = [pair.walked_var_m2 for pair in self.agreeing]
         return bool(walked_m2) and max(walked_m2) - min(walked_m2) > min(pair.var_m2 for pair in self.agreeing)
@@ -253,14 +264,23 @@ class Frame:
         return replace(self, is_joined=False, since=n_steps, pairs=pairs, north_var_rad2=var)._reestimated()
 
     def most_probable(self, n_steps: int) -> Alignment:
-        """Return the most probable alignment of a frame with uncertain rotation, to transform later steps."""
+        """Return the alignment of the present frame with the frame of the fixes by the most probable rotation.
+
+        The frame must not be joined. `n_steps` is the number of steps so far, to which the alignment applies. Raises
+        ValueError if the frame has no density of the rotation, as before the first fix and in a joined frame.
+        """
         if self._density is None:
             raise ValueError("the rotation of this frame is settled: use its alignment")
         return replace(self._provisional, n_steps=n_steps) if self._provisional else self._density.alignment(n_steps)
 
     @property
     def present_alignment(self) -> Alignment | None:
-        """Most probable alignment of the present frame, or None if positions are already in the other frame."""
+        """Most probable alignment of the present frame with the frame of the fixes.
+
+        Before the first fix the alignment is the rotation by the compass. The result is None in a joined frame, whose
+        states are already in the frame of the fixes. The result is also None if neither fixes nor a compass show the
+        rotation.
+        """
         if self.is_joined:
             return None
         if self._density is not None:
@@ -271,7 +291,7 @@ class Frame:
         return Alignment(angle_rad, var_rad2, np.zeros(2), np.zeros(2), 0.0, 0)
 
     def moved(self, alignment: Alignment) -> Frame:
-        """Return the frame with the track positions of its pairs transformed."""
+        """Return the frame with the track positions of its pairs transformed by an alignment."""
         return replace(self, pairs=tuple(pair.moved(alignment.positions) for pair in self.pairs))._reestimated()
 
 

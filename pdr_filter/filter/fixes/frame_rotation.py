@@ -138,30 +138,35 @@ class Compass:
         return peak * np.exp((-0.5 / self.var_rad2) * (away * away)) + _FAILURE_DENSITY
 
     def linearised(self, angle_rad: float) -> tuple[float, float]:
-        """Return the information about the rotation near an angle, and the residual of that angle."""
+        """Return the information of the compass about the rotation near an angle, and the residual of the angle.
+
+        The information is in 1/rad2. The residual is the angle minus that of the compass, in rad.
+        """
         failure_prob = _FAILURE_DENSITY / float(self.density(np.array(angle_rad)))
         return (1.0 - failure_prob) / self.var_rad2, float(wrap_angle(angle_rad - self.angle_rad))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenTurn:
-    """Density of an unknown rotation, and the point about which it rotates.
+    """Density of the unknown rotation from the start frame to the frame of the fixes, and the centre of rotation.
 
     Attributes
     ----------
     prob : (A,) array
         Probability of each of the angles `_ANGLES_RAD`.
     normal_prob : (A,) array
-        The same for normally distributed errors of the fixes, used by `samples`.
+        Probability of each angle if the errors of the fixes are normally distributed, used by `samples`. `prob` is for
+        errors with a Student's t distribution.
     track_centre_m : (2,) array
         Centre of rotation in the start frame.
     world_centre_m : (2,) array
         Position of the centre in the frame of the fixes, which does not depend on the angle.
     centre_var_m2 : float
-        Variance of that position along each axis.
+        Variance of `world_centre_m` along each axis.
     drawn : int or None
-        Index of the angle at which positions are reported, with mean squares about them. If it is None, positions are
-        means over the density.
+        Index of the single angle with which positions are reported, as for a plot. Covariances are then the mean
+        squares of the deviations from these positions, over all angles. If it is None, positions are means over the
+        density and covariances are about these means.
     """
 
     prob: FloatArray
@@ -252,7 +257,11 @@ class OpenTurn:
 
 
 class _Fit(NamedTuple):
-    """Point pairs in the start frame after removal of the best shift for each angle. Both axes are equivalent."""
+    """Fit of a shift to point pairs, for each angle of the rotation.
+
+    Errors along east and north are independent and have equal variances. Positions are therefore complex numbers, and
+    one covariance matrix serves both axes.
+    """
 
     pairs: tuple[PairedPoint, ...]
     projected: FloatArray  # (N, N) inverse covariance of the errors along one axis, projected to remove the best shift
@@ -267,7 +276,8 @@ class _Fit(NamedTuple):
 def _fitted(pairs: Sequence[PairedPoint], north_var_rad2: float) -> _Fit:
     """Return the fit of point pairs.
 
-    Errors of the fixes are correlated as the fixes state. Errors of the track are shared by all later pairs.
+    Errors of the fixes are correlated in time (`PairedPoint.correlation_s`). An error of the track at one pair is
+    shared by all later pairs.
     """
     walked = np.array([p.walked_var_m2 for p in pairs])
     shared = np.minimum(walked[:, None], walked) - walked.min()
@@ -304,11 +314,13 @@ def rotation_density(pairs: Sequence[PairedPoint], north_var_rad2: float = math.
 
 
 def _density_of_fit(fit: _Fit) -> OpenTurn:
-    """Return the density of the rotation for a fit, as Student's t density.
+    """Return the density of the rotation for a fit, for fix errors with a Student's t distribution.
 
-    With an unknown common factor of the variances and an unknown shift, p ~ (f + s)^-((f + 2 n - 2) / 2). Here f are
-    the degrees of freedom of the prior of the factor, and s the normalised squared errors of n pairs (A. Gelman et al.,
-    "Bayesian Data Analysis", section 14.2, with this prior).
+    The probability of an angle is proportional to its prior times (f + s)^(-(f + 2 n - 2) / 2). s is the sum of the
+    normalised squared errors of the n pairs at that angle, after the best shift. The formula holds if all variances
+    have an unknown common factor and the shift is unknown (A. Gelman et al., "Bayesian Data Analysis", section 14.2).
+    The factor has a scaled inverse chi-square prior with f degrees of freedom, unlike in the book. s is increased by a
+    constant if its minimum is below the number of errors, because errors are at least as large as stated.
     """
     pair_squares, power = fit.squares - fit.prior_squares, 0.5 * (_STUDENT_DOF + 2 * len(fit.pairs) - 2)
     least = float(pair_squares.min())
@@ -321,13 +333,17 @@ def _density_of_fit(fit: _Fit) -> OpenTurn:
 
 
 def _centres(fit: _Fit) -> tuple[FloatArray, FloatArray]:
-    """Return the track position that the best shift keeps for every angle, in both frames."""
+    """Return the centre of rotation in the start frame and in the frame of the fixes, (2,) each (east, north).
+
+    The two points are the weighted means of the track positions and of the fixes, with the weights `centre_weight`. The
+    best shift maps one mean to the other for every angle.
+    """
     track, world = complex(fit.centre_weight @ fit.track), complex(fit.centre_weight @ fit.world)
     return np.array([track.imag, track.real]), np.array([world.imag, world.real])
 
 
 def degrees_of_freedom(pairs: Sequence[PairedPoint]) -> int:
-    """Return the number of errors that remain after the estimation of shift and rotation."""
+    """Return the degrees of freedom of the errors of n pairs after shift and rotation: 2 n - 3, at least 0."""
     return max(2 * len(pairs) - 3, 0)
 
 
@@ -348,7 +364,7 @@ def _normalised(prob: FloatArray) -> FloatArray:
 def align(
     pairs: Sequence[PairedPoint], n_steps: int, north_var_rad2: float = math.inf, compass: Compass | None = None
 ) -> Alignment | None:
-    """Return the alignment of the point pairs, or None while the rotation is too uncertain.
+    """Return the least-squares alignment of track and fixes in point pairs, or None if the rotation is too uncertain.
 
     Gauss-Newton iterations start at the most probable angle of the density. With e_i = w_i e^(-i angle) the fixes
     rotated back to the start frame, d e_i / d angle = -i e_i. Shift and angle are independent at the weighted centre. A
@@ -372,7 +388,7 @@ def align(
 
 
 def centre_weights(pairs: Sequence[PairedPoint]) -> FloatArray:
-    """Return the weights (N,) of the pairs in the centre of their alignment, which sum to one."""
+    """Return the weights (N,) of the pairs, with sum one, whose weighted mean is the centre of rotation of `align`."""
     return _fitted(pairs, math.inf).centre_weight
 
 
@@ -384,7 +400,8 @@ def least_squares_error(pairs: Sequence[PairedPoint], north_var_rad2: float = ma
 def disagreement(pairs: Sequence[PairedPoint], agreeing: Sequence[PairedPoint], north_var_rad2: float) -> float:
     """Return the misfit of a choice of consistent pairs.
 
-    It is the sum of their normalised squared errors, plus the limit of the gate for each removed pair.
+    The misfit is the sum of the normalised squared errors of the pairs in `agreeing`, after the best shift and
+    rotation. The gate limit of a position is added for each of the other pairs.
     """
     n_left_out = len(pairs) - len(agreeing)
     return least_squares_error(agreeing, north_var_rad2) + (n_left_out * agreement_limit(2) if n_left_out else 0.0)

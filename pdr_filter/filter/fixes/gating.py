@@ -34,7 +34,12 @@ def gated(
 
 
 def with_consider_path(state: PedestrianState, cov: FloatArray) -> PedestrianState:
-    """Return the state with a path for covariances (F, 4, 4) that now include the errors of the consider parameters."""
+    """Return the state with a path of past steps that also includes the errors of the consider parameters.
+
+    `cov` (F, 4, 4) are the covariances of the filters after the caller has added `consider_cov_m2` to their position
+    part. The path attributes these errors to the past steps, too (`PastPath.with_shared`). The estimates of the state
+    are unchanged.
+    """
     estimates = state.estimates
     x, P = estimates.combined
     _, grown_P = replace(estimates, cov=cov).combined

@@ -223,8 +223,9 @@ def place_at(places: FloatArray, time_s: float) -> tuple[float, float] | None:
 def independent(fixes: Sequence[PositionFix]) -> tuple[PositionFix, ...]:
     """Return fixes with independent errors that contain the same information as fixes with correlated errors.
 
-    The covariance of each fix is increased by the information that earlier fixes already contain. Use it for algorithms
-    that assume independent errors, such as `pdr_filter.smooth`.
+    The covariance of each fix is multiplied by a factor of one or more. The factor is such that the weighted mean of
+    the fixes of a standing pedestrian has the variance that follows from the correlated errors. Use the result for
+    algorithms that assume independent errors, such as `pdr_filter.smooth`.
 
     Parameters
     ----------

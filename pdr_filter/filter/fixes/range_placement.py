@@ -100,7 +100,7 @@ class PlacedTrack:
     cov : (3, 3) array
         Covariance of the centre and the angle.
     log_odds : float
-        Log odds against the best solution, 0 or less.
+        Log of the probability of this solution divided by that of the most probable one, 0 or less.
     log_density : float
         Log density of the ranges and the prior at this pose.
     fits : tuple of bool
@@ -160,9 +160,10 @@ def recent(pairs: Sequence[PairedRange], pair: PairedRange) -> tuple[PairedRange
 
 
 def solutions(pairs: Sequence[PairedRange], prior: PriorPose | None = None) -> list[PlacedTrack]:
-    """Return all solutions with non-negligible odds, the best first.
+    """Return the possible shifts and rotations of the track that fit the ranges, the most probable first.
 
-    The list is empty if there are too few ranges, or if they leave a continuum of solutions.
+    Solutions with a probability below a thousandth of that of the best one are left out. The list is empty if there are
+    too few ranges, or if they leave a continuum of solutions.
     """
     fixes = [pair.fix for pair in pairs]
     if len(fixes) < (_MIN_RANGES if prior is None else 1):
@@ -210,7 +211,7 @@ def _distinct(pose: FloatArray) -> FloatArray:
 
 
 def log_density_unmoved(pairs: Sequence[PairedRange]) -> float:
-    """Return the log density of the ranges for the present position of the track."""
+    """Return the log density of the ranges if the track has its present position and rotation."""
     track = np.array([pair.track_m for pair in pairs])
     centre = track.mean(axis=0)
     problem = _Problem([pair.fix for pair in pairs], track - centre, None, centre)

@@ -135,9 +135,10 @@ def _is_contradicted(pairs: tuple[PairedRange, ...]) -> bool:
 def _is_wide(state: PedestrianState, fix: RangeFix, earlier: FloatArray) -> bool:
     """Return True if the track is too uncertain for a linear update by a range.
 
-    The arc of the range then deviates from its tangent by more than the error of the range, within one standard
-    deviation of the track. An arc of radius r deviates by s^2 / 2r (its sagitta) at a distance s from the tangent
-    point.
+    A range defines a circle around the anchor, which a linear update replaces by a tangent. An arc of radius r deviates
+    from its tangent by s^2 / 2r (the sagitta) at a distance s from the tangent point. Here s is the standard deviation
+    of the track position along the tangent. The track is too uncertain if this deviation exceeds the standard deviation
+    of the range.
     """
     away_m = earlier[:2] - fix.anchor_m[:2]
     level_m, cov_m2 = math.hypot(*away_m), track_place(state).cov_m2

@@ -62,7 +62,7 @@ class Doubt:
         )
 
     def with_rejected(self, pair: PairedPoint) -> Doubt:
-        """Return the state after one more rejected fix.
+        """Return the stored rejected fixes after one more rejected fix.
 
         The fix joins `pairs` if it is consistent with them, else `rival`, else it starts a new rival. A rival of three
         fixes becomes `pairs`, and the former pairs become the rival. A single outlier therefore never removes the
@@ -77,11 +77,11 @@ class Doubt:
         return replace(doubt, pairs=rival, rival=self.pairs)
 
     def with_used(self) -> Doubt:
-        """Return the state after a used fix.
+        """Return the stored rejected fixes after a used fix.
 
-        It is empty if two fixes in a row were used, or if fewer than three were rejected. Two sources that alternate
-        and contradict each other therefore never relocate the track. A single used fix does not remove three or more
-        rejected ones.
+        The result is empty if two fixes in a row were used, or if fewer than three were rejected. Two sources that
+        alternate and contradict each other therefore never relocate the track. A single used fix does not remove three
+        or more rejected ones.
         """
         if len(self.pairs) < _MIN_REJECTED or self.is_used_last:
             return Doubt()
@@ -97,9 +97,10 @@ class Doubt:
     def alignment(self, last: PairedPoint, heading_var_rad2: float, n_steps: int, can_turn: bool) -> Alignment | None:
         """Return the alignment by which the rejected fixes relocate the track, or None while the track may be right.
 
-        `last` must be the last rejected fix. The heading with its variance is a measurement of the rotation. If it
-        contradicts the fixes, the rotation is estimated without it. This requires `can_turn`: the rotation of the track
-        is itself estimated from fixes.
+        `last` must be the last rejected fix. The heading of the track is a measurement that the rotation is zero, with
+        the variance `heading_var_rad2`. If the fixes contradict this measurement, the rotation is estimated from the
+        fixes alone. The estimation requires `can_turn`, which is True if the present rotation of the track was itself
+        estimated from fixes. Otherwise the result is None. `n_steps` is the number of steps so far.
         """
         pairs = self.pairs
         if not self._persists(last):

@@ -116,28 +116,31 @@ class Altitude:
 class Known:
     """Height estimate at one time.
 
+    The air state is the part of the pressure height that changes by weather and draughts and not by motion.
+
     Attributes
     ----------
     moments : (7, 5, 5) array
-        Moments of the vertical modes (`vertical_modes`).
+        Moments p E[y y'] of the seven vertical modes (`vertical_modes`). p is the probability of a mode, and y = (1,
+        climbed, rate, sloped, air) is its state.
     climbed_m : float
-        Height climbed on stairs, lifts and escalators.
+        Height climbed on stairs, lifts and escalators since the start.
     height_m : float
         Height above the start, including slopes.
     height_var_m2 : float
         Variance of `height_m`.
     pressure_s : float
-        Time of the last second of the barometer.
+        Time of the most recent one-second mean of the barometer.
     ride : tuple of float or None
         Start of the present ride, and the climbed height at its start.
     calm_in_s : float
-        Remaining time of calm pressure after which a vehicle counts as left, or 0 outside a vehicle.
+        Time for which the pressure must still be calm until a vehicle counts as left, or 0 outside a vehicle.
     first_air_m : float
-        First estimate of the air state.
+        First estimate of the air state, or NaN before it.
     most_air_m : float
-        Largest change of the air state since then.
+        Largest difference of the air state from `first_air_m`.
     floors : FloorState
-        Storeys.
+        Estimate of the storey.
     """
 
     moments: FloatArray
@@ -219,9 +222,11 @@ def initial_height() -> HeightState:
 
 
 def window_log_evidence(windows: Sequence[WindowContext], model: PedestrianModel) -> FloatArray:
-    """Return the log evidence (W, 7) of context windows for the vertical modes.
+    """Return the log evidence (W, 7) of W context windows for the seven vertical modes.
 
-    It uses the motion only. The climb rate is not used, because the barometer is a separate measurement.
+    The modes are level ground, slope, stairs up, stairs down, lift, sudden change of the air, and drift of the air. The
+    evidence comes from the context probabilities only. The climb rate of a window is not used, because the barometer is
+    a separate measurement.
     """
     if not windows:
         return np.zeros((0, N_MODES))
@@ -235,7 +240,10 @@ def window_log_evidence(windows: Sequence[WindowContext], model: PedestrianModel
     any_context = context_evidence.max(axis=1)
 
     def best_of(holds: Callable[[Context], bool], otherwise: FloatArray) -> FloatArray:
-        """Return the highest evidence (W,) of the contexts for which `holds` is true, or `otherwise` without any."""
+        """Return the highest log evidence (W,) of the contexts for which `holds` (context) is True.
+
+        If `holds` is False for all contexts, the result is `otherwise` (W,).
+        """
         index = model.context_set.index_where(holds)
         return context_evidence[:, index].max(axis=1) if len(index) else otherwise
 

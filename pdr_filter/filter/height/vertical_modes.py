@@ -135,14 +135,18 @@ class Estimate(NamedTuple):
 
 
 def initial() -> FloatArray:
-    """Return the moments (7, 5, 5) at the start, where the height is zero."""
+    """Return the moments p E[y y'] (7, 5, 5) of the vertical modes at the start, where the height is zero.
+
+    p is the probability of a mode and y = (1, climbed, rate, sloped, air) its state. The mode level ground has the
+    probability one, and the air is unknown.
+    """
     moments = np.zeros(_SHAPE)
     moments[LEVEL, _ONE, _ONE], moments[LEVEL, _AIR, _AIR] = 1.0, _UNKNOWN_M2
     return moments
 
 
 def combined(moments: FloatArray) -> Estimate:
-    """Return the combined height estimate of moments."""
+    """Return the combined height estimate of all vertical modes from the moments (7, 5, 5)."""
     (_, climbed_m, _, sloped_m, air_m), climbed, _, sloped, _ = np.add.reduce(moments).tolist()
     climbed_var, sloped_var = climbed[_CLIMBED] - climbed_m**2, sloped[_SLOPED] - sloped_m**2
     height_var = climbed_var + sloped_var + 2.0 * (climbed[_SLOPED] - climbed_m * sloped_m)
@@ -150,7 +154,7 @@ def combined(moments: FloatArray) -> Estimate:
 
 
 def with_air_unknown(moments: FloatArray, climbed_m: float) -> FloatArray:
-    """Return the moments of a person on level ground at a climbed height, with an unknown state of the air."""
+    """Return the moments (7, 5, 5) of a person on level ground at a climbed height, with an unknown air state."""
     total = np.add.reduce(moments)
     x, cov = total[_ONE].copy(), total - np.outer(total[_ONE], total[_ONE])
     x[_CLIMBED], x[_RATE] = climbed_m, 0.0
@@ -186,7 +190,7 @@ def after_second(
 
 
 def after_step(moments: FloatArray, rise_m: float, climbed_var_m2: float, sloped_var_m2: float) -> FloatArray:
-    """Return the moments after a step with an expected rise, without a measurement."""
+    """Return the moments (7, 5, 5) after a step with an expected rise in m, without a measurement."""
     moved = moments.copy()
     if rise_m != 0.0:
         moved[:, _CLIMBED] += rise_m * moved[:, _ONE]
@@ -205,7 +209,7 @@ def as_slope(moments: FloatArray, climbed_m: float) -> FloatArray:
 
 
 def at_level(moments: FloatArray, climbed_m: float, var_m2: float) -> FloatArray:
-    """Return the moments after a measurement of the climbed height by a known level."""
+    """Return the moments (7, 5, 5) after a measurement of the climbed height by the known height of a storey, in m."""
     prob = moments[:, _ONE, _ONE, None, None]
     updated, _ = _measured(moments / prob, np.array([climbed_m, -1.0, 0.0, 0.0, 0.0]), var_m2)
     return updated * prob
@@ -218,9 +222,10 @@ def _pressure(height_m: float) -> FloatArray:
 
 @lru_cache(maxsize=64)
 def _prediction(elapsed_s: float, n_steps: int) -> tuple[FloatArray, FloatArray]:
-    """Return the transition matrices G and process noise Q of a prediction over a time with some steps.
+    """Return the matrices G and Q, (7, 5, 5) each, of the prediction of the state of each vertical mode.
 
-    Each has the shape (7, 5, 5), one matrix for each of the seven vertical modes.
+    A prediction over `elapsed_s` seconds with `n_steps` steps leads from the state y = (1, climbed, rate, sloped, air)
+    of a mode to G y + noise. Q is the covariance of the noise. Changes from one mode to another are not included.
     """
     lifted_s = min(elapsed_s, _LONGEST_LIFT_S)
     G, Q = _PERSISTENCE + n_steps * _RISE_PER_STEP, _NOISE + elapsed_s * _WALK[n_steps > 0]
@@ -233,11 +238,15 @@ def _prediction(elapsed_s: float, n_steps: int) -> tuple[FloatArray, FloatArray]
 
 
 def _measured(moments: FloatArray, factor: FloatArray, variance: float) -> tuple[FloatArray, FloatArray]:
-    """Return the moments E[y y'] and log likelihoods (7,) of the state vectors y of all modes after a measurement.
+    """Return the moments E[y y'] (7, 5, 5) and log likelihoods (7,) of all modes after a scalar measurement.
 
-    The innovation is factor' y, with a noise variance. With m the mean and P the covariance of y, c the covariance of y
-    and the innovation, S the variance of the innovation and k = c / S, the mean becomes m - k innovation and the
-    covariance P - k c' (Kalman update).
+    y = (1, climbed, rate, sloped, air) is the state of a mode. `moments` are its moments E[y y'] before the
+    measurement, not multiplied by the probability of the mode. The innovation is measurement minus prediction, written
+    as factor' y. The first element of `factor` is therefore the measured value, and the other elements are minus the
+    coefficients of the states. `variance` is the variance of the measurement.
+
+    Let m be the mean and P the covariance of y. Let c be the covariance of y and the innovation, S the variance of the
+    innovation, and k = c / S. The mean becomes m - k innovation, and the covariance P - k c' (Kalman update).
     """
     mean, product = moments[:, :, _ONE], moments @ factor
     innovation = product[:, _ONE]

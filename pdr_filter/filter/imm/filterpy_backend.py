@@ -26,9 +26,12 @@ from pdr_filter.values import FloatArray, softmax
 
 
 class MendedIMMEstimator(IMMEstimator):  # filterpy has no type hints
-    """IMM estimator of filterpy with the corrections listed in the module.
+    """IMM (interacting multiple model) estimator of filterpy, with four corrections.
 
-    `M[i, j]` is the transition probability from mode i to mode j.
+    - `M[i, j]` is the transition probability from mode i to mode j, and rows sum to one.
+    - A measurement of None changes nothing.
+    - Each `predict` applies a transition to the mode probabilities, also without a measurement in between.
+    - Likelihoods are logarithms, so that those that underflow keep their evidence.
     """
 
     def predict(self, u: Any = None) -> None:

@@ -287,14 +287,16 @@ def update_heading(mean: FloatArray, cov: FloatArray, step: Step, frame_rad: flo
     """Return means (..., M, 4) and covariances (..., M, 4, 4) updated with the measured walking heading of a step.
 
     The measured walking heading z is the direction that the body faces. Its prediction is frame_rad + device heading +
-    offset state, and the innovation is wrapped: K = P[o, o] / (P[o, o] + R). A mode that walks sideways adds its own
-    angle later. `frame_rad` is the heading offset that counts as zero.
+    offset state, and the innovation is wrapped. The gain is K = P[o, o] / (P[o, o] + r), with o the index of the
+    heading offset and r the variance of z. A mode that walks sideways adds its own angle later. `frame_rad` is the
+    heading offset that counts as zero.
 
     The update also corrects earlier steps. Steps since the heading became uncertain are rotated by the correction delta
-    = K innovation. A linear update would move the position along the tangent, by the lever l = P[p, o] / P[o, o] times
-    delta. Write l = J d, where d is the displacement that rotates with the offset. This update moves the position along
-    the arc instead: p + (R(delta) - I) d = p + sin(delta) l + (cos(delta) - 1) d. The move is never longer than twice
-    the length of d. The lever rotates as well: P[p, :] gains (R(delta) - I) l P[o, :].
+    = K innovation. A linear update would move the position p along the tangent, by the lever l = P[p, o] / P[o, o]
+    times delta. Write l = J d with J (east, north) = (north, -east), where d is the displacement that rotates with the
+    offset. Let R(delta) be the clockwise rotation by delta. This update moves the position along the arc instead, to p
+    + (R(delta) - I) d = p + sin(delta) l + (cos(delta) - 1) d. The move is never longer than twice the length of d. The
+    lever rotates as well: P[p, :] gains (R(delta) - I) l P[o, :].
     """
     o = HEADING_OFFSET
     variance = step.walking_heading_std_rad**2
@@ -324,10 +326,12 @@ def update_heading(mean: FloatArray, cov: FloatArray, step: Step, frame_rad: flo
 def expect_first_direction(cov: FloatArray, std_rad: float) -> FloatArray:
     """Return covariances (..., M, 4, 4) in which the heading offset is as uncertain as the first walking heading.
 
-    The first walking heading defines the direction of the frame, so that it causes no innovation. Only the uncertainty
-    that later walking headings can still correct matters. The offset is known as well as this first heading, and so is
-    the direction of the steps before it. With c the covariance of the offset with all states, v its variance and r =
-    std^2 / v: the covariance of all other states grows by (r - 1) c c' / v, c becomes r c, and v becomes std^2.
+    The first walking heading defines the direction of the frame, so that it causes no innovation. The heading offset
+    then has the standard deviation `std_rad` of this heading, because later walking headings can correct only this
+    uncertainty. The direction of earlier steps has the same uncertainty, because the offset rotates them.
+
+    Let c be the covariance of the offset with all states, v the variance of the offset, and r = std_rad^2 / v. The
+    covariance of all states changes by (r - 1) c c' / v. In particular, c becomes r c and v becomes std_rad^2.
     """
     o = HEADING_OFFSET
     cov = cov.copy()
@@ -481,16 +485,17 @@ def bound_heading_variance(cov: FloatArray) -> FloatArray:
 
 
 def second_order_errors(heading_var_rad2: float, log_scale_var: float) -> tuple[float, float]:
-    """Return the root mean square errors along and across a unit step that the linear covariance neglects.
+    """Return the root mean square errors along and across a step of length one that the linear covariance neglects.
 
-    Let e be the heading error and s the error of the log scale, normal and independent, with variances v and w. The
-    step is e^s (cos e, sin e), and the linear model has (1 + s, e) instead.
+    Let h be the heading error in rad and s the error of the log scale, normal and independent, with variances v and w.
+    The step is exp(s) (cos h, sin h), and the linear model has (1 + s, h) instead.
 
-    - Along the step, E[(e^s cos e - 1 - s)^2] = e^2w (1 + e^-2v) / 2 + 1 + w - 2 (1 + w) e^(w/2) e^(-v/2).
-    - Across the step, only the effect of the scale is added, E[((e^s - 1) sin e)^2] =
-      (e^2w - 2 e^(w/2) + 1) (1 - e^-2v) / 2. The linear error e is already larger than sin e.
+    - Along the step, E[(exp(s) cos h - 1 - s)^2] =
+      exp(2 w) (1 + exp(-2 v)) / 2 + 1 + w - 2 (1 + w) exp(w / 2) exp(-v / 2).
+    - Across the step, only the effect of the scale is added, E[((exp(s) - 1) sin h)^2] =
+      (exp(2 w) - 2 exp(w / 2) + 1) (1 - exp(-2 v)) / 2. The linear error h is already larger than sin h.
 
-    All steps share e and s, so that these errors add up as vectors and not as variances. For a known scale the error
+    All steps share h and s, so that these errors add up as vectors and not as variances. For a known scale the error
     along the step is between 0 and 1.22.
     """
     v, w = heading_var_rad2, log_scale_var

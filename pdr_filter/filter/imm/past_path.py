@@ -48,8 +48,8 @@ _MIN_SHARED = 0.01
 class Back:
     """Backward relation from the later state x' (4,) to an earlier state x (4,).
 
-    x = mean + moved + gain (x' - mean') + error, where the error has the covariance `left`. mean and mean' are the
-    estimates of x and x'.
+    x = mean + moved + gain (x' - mean') + error, where the error has the covariance `left`. mean is the estimate of x
+    when x was the present state. mean' is the estimate of x' when x' was the present state.
 
     Attributes
     ----------
@@ -58,9 +58,11 @@ class Back:
     left : (..., 4, 4) array
         Covariance P - G P' G' of the error.
     moved : (..., 4) array
-        Correction of x between the two times.
+        Correction of the estimate of x by the measurements between the two times. The correction is not part of mean,
+        so that mean + moved is the smoothed estimate of x.
     scale : float, default 1.0
-        Factor by which the event scales the variance of all earlier errors.
+        Factor by which the covariances of all errors before x' are multiplied, as after a position fix that deviates
+        more than expected.
     """
 
     gain: FloatArray
@@ -84,14 +86,18 @@ class Back:
         return cls(gain, before - gain @ cross.swapaxes(-1, -2), np.zeros(before.shape[:-1]))
 
     def followed_by(self, later: Back) -> Back:
-        """Return the backward relation from the state after a later relation to the earlier state x of this one."""
+        """Return the backward relation over this interval and the following one.
+
+        This relation leads from the state x' back to x. `later` leads from a later state x'' back to x'. The result
+        leads from x'' back to x.
+        """
         gain = self.gain
         left = later.scale * self.left + gain @ later.left @ gain.swapaxes(-1, -2)
         moved = self.moved + _times(gain, later.moved)
         return Back(gain @ later.gain, left, moved, self.scale * later.scale)
 
     def with_correction(self, moved: FloatArray) -> Back:
-        """Return the relation after the estimate of the later state x' was corrected by (..., 4)."""
+        """Return the relation after the estimate of the later state x' was corrected by `moved` (..., 4)."""
         return replace_unchecked(self, moved=self.moved + _times(self.gain, moved))
 
 
@@ -155,7 +161,7 @@ class WalkedStep:
 
 
 def _relations_over_steps(steps: Sequence[WalkedStep]) -> list[Back]:
-    """Return the relation of the combined states before and after each step."""
+    """Return the backward relation over each step, from the combined state after the step to that before it."""
     (_, updated, prob, mean, cov, drifted_cov, turned_mean, turned_cov, ahead_mean, ahead_cov, by_state) = (
         np.array([getattr(step, name) for step in steps]) for name in WalkedStep.__dataclass_fields__
     )
@@ -173,14 +179,17 @@ def _relations_over_steps(steps: Sequence[WalkedStep]) -> list[Back]:
 
 @dataclass(frozen=True, eq=False)
 class PastSteps:
-    """Past steps and their relation to a later state. The last axis of all arrays is that of the steps.
+    """Past steps and their relation to a later state x (east, north, heading offset, log scale).
+
+    The position of a step is place + B (x - mean) + e, with mean the estimate of x and e an error that is uncorrelated
+    with x. The last axis of all arrays is that of the steps.
 
     Attributes
     ----------
     time_s : (N,) array
         Contacts of the steps.
     place_m : (2, N) array
-        Positions (east, north).
+        Estimated positions (east, north) after each step.
     by_state : (2, 4, N) array
         B, the derivative of each position with respect to the later state.
     own_cov_m2 : (3, N) array
@@ -213,7 +222,7 @@ class PastSteps:
     def moved_m(self, moved: FloatArray) -> FloatArray:
         """Return the positions (2, N) after a correction (4,) of the later state.
 
-        A correction of the heading moves them along the arc of `motion_model.update_heading`.
+        A correction of the heading moves the positions along an arc, as in `motion_model.update_heading`.
         """
         turn_rad, along_arc = float(moved[HEADING_OFFSET]), moved.copy()
         along_arc[HEADING_OFFSET] = math.sin(turn_rad)
@@ -224,16 +233,21 @@ class PastSteps:
         return place_m
 
     def rebased(self, back: Back) -> PastSteps:
-        """Return the steps related to the state after a backward relation."""
+        """Return the steps related to a later state x' instead of the state x.
+
+        `back` is the backward relation from x' to x.
+        """
         own_cov_m2 = back.scale * self.own_cov_m2 + _propagated(self.by_state, back.left)
         return PastSteps(self.time_s, self.moved_m(back.moved), back.gain.T @ self.by_state, own_cov_m2)
 
     def with_moments(
         self, place_m: FloatArray, cov_m2: FloatArray, cross: FloatArray, state_cov: FloatArray
     ) -> PastSteps:
-        """Return the steps with given positions (2, N) and covariances (3, N).
+        """Return the steps with given positions (2, N) and position covariances (3, N), related to a given state.
 
-        `cross` (2, 4, N) are the cross-covariances with a state of covariance `state_cov` (4, 4).
+        `cross` (2, 4, N) are the cross-covariances C of the positions with the state, and `state_cov` (4, 4) is its
+        covariance S. The derivative `by_state` becomes B = C S^-1, and `own_cov_m2` the rest of the covariance, which
+        is `cov_m2` - B C'.
         """
         by = np.linalg.inv(state_cov + _MIN_COV) @ cross
         return PastSteps(self.time_s, place_m, by, cov_m2 - _products(by, cross))
@@ -253,11 +267,13 @@ class PastPath:
     events : tuple of WalkedStep or Back
         Last events, not yet applied to `earlier`.
     since_s : float
-        Steps until this time are in the frame of the fixes. A change of the present frame does not move them.
+        Time until which steps are already in the frame of the fixes. A change of the present frame does not move these
+        steps.
     shared_from_m : (2,) array
-        Position from which errors that the steps share have accumulated.
+        Position of the track when errors that all steps share were last added to the covariance of the state. Such
+        errors, for example those of consider parameters, grow in proportion to the displacement from this position.
     shared_from_s : float
-        Time of that position.
+        Time at which the track was at `shared_from_m`.
     """
 
     earlier: PastSteps = NO_STEPS
@@ -267,20 +283,20 @@ class PastPath:
     shared_from_s: float = -math.inf
 
     def with_event(self, event: WalkedStep | Back) -> PastPath:
-        """Return the path after one more event."""
+        """Return the path after one more event: a step, or a backward relation over a change of the state."""
         if abs(event.turned_rad) > _LARGE_TURN_RAD:
             return replace_unchecked(self.rebased(), events=(event,)).rebased()
         path = replace_unchecked(self, events=(*self.events, event))
         return path.rebased() if len(path.events) >= _BLOCK else path
 
     def predicted(self, before: FloatArray, after: FloatArray) -> PastPath:
-        """Return the path after the covariance (4, 4) of the present state has grown."""
+        """Return the path after the covariance (4, 4) of the present state has grown from `before` to `after`."""
         return self.with_event(Back.over_prediction(before, before, after))
 
     def corrected(self, moved: FloatArray, scale: float) -> PastPath:
         """Return the path after a correction (4,) of the present state.
 
-        `scale` multiplies the variances of all errors.
+        `scale` is the factor by which the covariances of all errors so far are multiplied.
         """
         return self.with_event(replace_unchecked(_UNCHANGED, moved=moved, scale=scale))
 
@@ -292,7 +308,7 @@ class PastPath:
         return replace_unchecked(self, earlier=self.earlier.rebased(back).joined(last), events=())
 
     def _last(self) -> tuple[Back, PastSteps]:
-        """Return the relation over the stored events, and the steps among them related to the present state."""
+        """Return the backward relation over all stored events, and the stored steps related to the present state."""
         steps = [event for event in self.events if isinstance(event, WalkedStep)]
         over_steps = iter(_relations_over_steps(steps) if steps else ())
         backs = [next(over_steps) if isinstance(event, WalkedStep) else event for event in self.events]
@@ -308,9 +324,11 @@ class PastPath:
     ) -> PastPath:
         """Return the path after errors that all steps share have been added to the covariance of the present state.
 
-        `shared_m2` (2, 2) is their covariance at the present position, and `before` and `after` (4, 4) are the
-        covariances of the present state. Shared errors grow with the displacement from the position where they began to
-        accumulate. They start again at `present_m` (2,).
+        `shared_m2` (2, 2) is the covariance of the shared errors at the present position `present_m` (2,), at the time
+        `time_s`. `before` and `after` (4, 4) are the covariances of the present state without and with them. The shared
+        error of a past step is proportional to its displacement from `shared_from_m`. This error is added to the
+        covariance of the step and to its covariance with the present state. Later corrections of the state therefore
+        move the step, too. Shared errors that arise later accumulate from `present_m`.
         """
         if np.trace(shared_m2) < _MIN_SHARED * np.trace(before[:2, :2]):
             return replace_unchecked(self.predicted(before, after), shared_from_s=time_s, shared_from_m=present_m)
@@ -379,9 +397,11 @@ class PastPath:
         return time_s, place_m, cov_m2 + shared_m2
 
     def _share(self, shared_m2: FloatArray, present_m: FloatArray) -> float:
-        """Return the variance per square metre of displacement of an error along the displacement.
+        """Return the variance of the errors that all steps share, per square metre of displacement.
 
-        It is the largest one whose contribution is still part of `shared_m2` (2, 2).
+        Let d be the displacement from `shared_from_m` to `present_m` (2,). An error that is proportional to d has the
+        covariance s d d'. The result is the largest s, at most `_MAX_SHARED`, for which `shared_m2` (2, 2) minus s d d'
+        is positive semidefinite.
         """
         displacement_m = present_m - self.shared_from_m
         (ee, en), (_, nn) = (shared_m2 + _MIN_COV[:2, :2]).tolist()
@@ -417,7 +437,7 @@ def turned(alignment: Alignment, place_m: FloatArray, cov_m2: FloatArray) -> tup
 
 
 def _related_steps(steps: Sequence[WalkedStep], backs: Sequence[Back]) -> PastSteps:
-    """Return steps related to the present state, given the relation of the state after each step to it."""
+    """Return steps related to the present state, from the backward relations to the state after each step."""
     pairs = zip(steps, backs, strict=True)
     place_m = np.stack([step.updated_mean[:2] + back.moved[:2] for step, back in pairs], axis=-1)
     by_state = np.stack([back.gain[:2] for back in backs], axis=-1)
@@ -432,7 +452,7 @@ def _times(matrix: FloatArray, vector: FloatArray) -> FloatArray:
 
 
 def _propagated(by: FloatArray, cov: FloatArray) -> FloatArray:
-    """Return the covariances B P B' of N positions as rows (xx, yy, xy), shape (3, N).
+    """Return the covariances B P B' of N positions as rows (xx, xy, yy), shape (3, N), with x east and y north.
 
     B relates each position to the present state, whose covariance is P.
     """

@@ -203,7 +203,10 @@ class PedestrianModel:
 
     @cached_property
     def step_evidence(self) -> FloatArray:
-        """Log evidence (M,) of a detected step for each mode, relative to walking: not 0 for modes that stand."""
+        """Log evidence (M,) of a detected step for each mode.
+
+        The value is `step_log_odds_stationary` for modes in which the person makes no steps, and 0 for all other modes.
+        """
         return self.step_log_odds_stationary * self.stands
 
     @cached_property

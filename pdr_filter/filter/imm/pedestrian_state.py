@@ -213,14 +213,14 @@ class PedestrianState:
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """Less probable one of two hypotheses.
+    """Less probable one of two hypotheses about the position and heading of the track.
 
     Attributes
     ----------
     pedestrian : PedestrianState
         State of the hypothesis.
     log_odds : float
-        Log odds against the other hypothesis, 0 or less.
+        Log of the probability of this hypothesis divided by that of the more probable one, 0 or less.
     """
 
     pedestrian: PedestrianState
@@ -444,9 +444,10 @@ def present_position(state: PedestrianState) -> tuple[FloatArray, FloatArray]:
 
 
 def moved_by_heading_m(previous: PedestrianState, updated: PedestrianState, length_m: float) -> float:
-    """Return the distance by which the move of the position exceeds the step length, in m.
+    """Return the length of the move of the position minus the step length, in m, at least 0.
 
-    The excess is due to a correction of the heading. It is 0 across a pause or a change of the frame.
+    The move leads from the combined position before a step to that after it. The move is longer than the step if the
+    step corrected the heading, which rotates earlier steps. The result is 0 across a pause or a change of the frame.
     """
     is_pause = not updated.steps.last_s - previous.steps.last_s < _PAUSE_S
     if (

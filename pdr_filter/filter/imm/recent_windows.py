@@ -23,16 +23,17 @@ def with_window(windows: RecentWindows, window: WindowContext) -> RecentWindows:
 
 
 def window_before(windows: RecentWindows, time_s: float) -> WindowContext | None:
-    """Return the last window whose new samples begin at or before a time.
+    """Return the last window whose new samples begin at or before a time, or None without windows.
 
-    Later windows belong to later steps. The first window of a segment is returned for earlier times, because it has no
+    Windows overlap. The new samples of a window are those of its last hop, which no earlier window contains. Later
+    windows belong to later steps. The first window of a segment is returned for earlier times, because it has no
     predecessor and all of its samples are new.
     """
     return next((w for w in reversed(windows) if w.new_since_s <= time_s), windows[0] if windows else None)
 
 
 def n_after(windows: RecentWindows, window: WindowContext) -> int:
-    """Return the number of windows after one of them."""
+    """Return the number of windows in `windows` that are later than `window`."""
     n = 0
     while windows[-1 - n].time_s > window.time_s:
         n += 1
@@ -40,13 +41,14 @@ def n_after(windows: RecentWindows, window: WindowContext) -> int:
 
 
 def window_around(windows: RecentWindows, time_s: float) -> WindowContext | None:
-    """Return the first window that ends at or after a time, or None if it is not known yet."""
+    """Return the first window that ends at or after a time, or None if no such window has been classified yet."""
     return next((w for w in windows if w.time_s >= time_s), None)
 
 
 def window_after(windows: RecentWindows, time_s: float) -> WindowContext | None:
-    """Return the first window whose new samples all lie at or after a time, or None if it is not known yet.
+    """Return the first window whose new samples all lie at or after a time, or None if it is not yet classified.
 
-    It is the window after the one that `window_around` returns.
+    Windows overlap. The new samples of a window are those of its last hop, which no earlier window contains. The result
+    is the window after the one that `window_around` returns.
     """
     return next((w for w in windows if w.new_since_s >= time_s), None)

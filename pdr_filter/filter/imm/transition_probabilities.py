@@ -25,9 +25,9 @@ _TO_WALKING, _TO_OTHERS = 0.9, 0.1
 
 
 def _stay_and_share(context: Context) -> tuple[float, float]:
-    """Return the mean stay in a context in steps, and its share among the contexts after level walking.
+    """Return the mean stay in a context in steps, and the share of transitions out of level walking that lead to it.
 
-    The shares are not normalised.
+    The shares of all contexts are weights that do not sum to one.
     """
     if context.stands:
         return _STANDING

@@ -65,11 +65,15 @@ def after_step(
 ) -> WalkingSpeed:
     """Return the walking speed after a step, or after the first step if `previous` is None.
 
-    v = L / T, with var v = (var L + 2 v^2 s^2) / T^2 and s the standard deviation of a contact time. The smoothed speed
-    v_s with variance P is updated by P = P + q T; D = 0.95 D + 0.05 (v - v_s)^2; K = P / (P + max(var v, D)); v_s = v_s
-    + K (v - v_s); P = (1 - K) P. Both reported variances have v^2 var(log scale) added, that of the smoothed speed also
-    D / 2. The variance of the length must not include the scale of the person. The first step of a bout restarts the
-    smoothed speed, but not the scatter D.
+    A step of length L and duration T has the speed v = L / T, with variance var v = (var L + 2 v^2 s^2) / T^2. Here s
+    is the standard deviation of a contact time. The smoothed speed v_s has the variance P, and D is the scatter of the
+    steps. Each step updates them in this order, with q = 0.01 m2/s3 the variance of the change of speed per second:
+
+    D = 0.95 D + 0.05 (v - v_s)^2; P = P + q T; K = P / (P + max(var v, D)); v_s = v_s + K (v - v_s); P = (1 - K) P.
+
+    `step_std_mps` is the root of var v + v^2 var(log scale). `smoothed_std_mps` is the root of P + D / 2 + v_s^2
+    var(log scale). The variance of the length must not include the scale of the person. The first step of a bout
+    (`is_first`) restarts the smoothed speed, but not the scatter D.
     """
     speed = length_m / duration_s
     var = (length_var_m2 + 2 * (speed * CONTACT_STD_S) ** 2) / duration_s**2

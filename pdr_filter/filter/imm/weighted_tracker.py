@@ -54,10 +54,11 @@ class WeightedState:
 
 @dataclass(frozen=True, eq=False)
 class WeightedTracker:
-    """Tracker with a single filter over the weighted step lengths of the contexts (HC and WC).
+    """Tracker with a single filter over the weighted step lengths of the contexts, for the weightings HC and WC.
 
-    A step is reported provisionally when it is detected. It is reported again as final when the following context
-    window is known.
+    HC (highest context) uses the step length of the most probable context. WC (weighted context) uses the mean of the
+    step lengths, weighted with the context probabilities. A step is reported provisionally when it is detected. It is
+    reported again as final when the following context window is known.
 
     Attributes
     ----------
@@ -263,7 +264,10 @@ class WeightedTracker:
     def _weights(self, state: WeightedState, step: Step, is_final: bool) -> tuple[FloatArray, FloatArray]:
         """Return the context probabilities (C,) and the mode weights (M,) of a step.
 
-        Both are the mean of provisional and final values, as the distance (d + pd) / 2 in Algorithms 1 and 2.
+        Probabilities and weights are the mean of a provisional and a final value. This agrees with the distance (d +
+        pd) / 2 in Algorithms 1 and 2 of Martinelli et al. (2018). The provisional value is that of the first window
+        that ends at or after the step. The final value is that of the first window whose new samples all lie after the
+        step. If `is_final` is False, the provisional value replaces the final one.
         """
         provisional = self._prob_of(state, window_around(state.windows, step.time_s))
         final = self._prob_of(state, window_after(state.windows, step.time_s)) if is_final else provisional
@@ -314,7 +318,8 @@ class WeightedTracker:
     def _prob_of(self, state: WeightedState, window: WindowContext | None) -> FloatArray:
         """Return the context probabilities (C,) of a window.
 
-        Without a window they are those of the latest window. Without any window they are those of the last final step.
+        If `window` is None, the probabilities of the latest window are returned. Without any window these are the
+        probabilities of the last final step.
         """
         if window is None and not state.windows:
             return self.model.context_prob(state.mode_prob)

@@ -26,9 +26,10 @@ def context_weights(context_prob: FloatArray, threshold: float) -> FloatArray:
     """Return the weights of the contexts (C,) for context probabilities (C,).
 
     If the context is uncertain, the weights are the probabilities. Otherwise the most probable context has weight one.
-    The context is uncertain if second-highest / highest probability >= threshold (the condition of Algorithm 2).
-    Threshold 0 is always WC. Threshold 1 is HC unless the two probabilities are equal. The threshold `HC` (infinity) is
-    always HC. Among equal maxima the first one has the weight (eq. 19).
+    The context is uncertain if second-highest / highest probability >= threshold (Algorithm 2 of Martinelli et al.
+    2018). Threshold 0 is always WC (weighted context). Threshold 1 is HC (highest context) unless the two probabilities
+    are equal. The threshold `HC` (infinity) is always HC. Among equal maxima the first one has the weight (eq. 19 of
+    Martinelli et al. 2018).
     """
     second, first = np.partition(context_prob, -2)[-2:]
     if second >= threshold * first:
@@ -45,6 +46,9 @@ HC = np.inf  # threshold with which the highest context is always used
 class WeightedDistances:
     """Distances of Algorithms 1 and 2 of Martinelli et al. (2018) for epochs 1 to K, in m.
 
+    A context window ends with each epoch. The provisional distance of an epoch uses the context weights of the window
+    before the epoch. The final distance uses those of the window that ends with the epoch.
+
     Attributes
     ----------
     provisional_m : (K,) array
@@ -52,9 +56,9 @@ class WeightedDistances:
     final_m : (K,) array
         Final distance d_k of each epoch.
     total_final_m : (K,) array
-        Total final distance D_k.
+        Total final distance D_k, the sum of (d_i + pd_i) / 2 over the epochs 1 to k.
     total_provisional_m : (K,) array
-        Total provisional distance PD_k.
+        Total provisional distance PD_k = PD_{k-1} + (d_{k-1} - pd_{k-1}) / 2 + pd_k, which is known before d_k.
     """
 
     provisional_m: FloatArray
@@ -64,12 +68,15 @@ class WeightedDistances:
 
 
 def weighted_distances(distance_m: FloatArray, context_prob: FloatArray, threshold: float) -> WeightedDistances:
-    """Return the HC or WC distances of epochs, exactly as Algorithms 1 and 2 of Martinelli et al. (2018).
+    """Return the distances of epochs by HC or WC, as Algorithms 1 and 2 of Martinelli et al. (2018).
+
+    HC (highest context) takes the distance of the most probable context. WC (weighted context) takes the mean of the
+    distances of all contexts, weighted with the context probabilities.
 
     Parameters
     ----------
     distance_m : (K, C) array
-        Distance of each epoch for each context (eq. 17, 18).
+        Distance of each epoch for each context (eq. 17 and 18 of Martinelli et al. 2018).
     context_prob : (K + 1, C) array
         Context probabilities of the windows 0 to K. Window 0 is before the first epoch.
     threshold : float
@@ -88,8 +95,9 @@ def weighted_distances(distance_m: FloatArray, context_prob: FloatArray, thresho
 
     Notes
     -----
-    With w_k the weights of context window k, pd_k = d_k . w_{k-1};  d_{k-1} = d_{k-1} . w_{k-1};
-    D_{k-1} = D_{k-2} + (d_{k-1} + pd_{k-1}) / 2;  PD_k = PD_{k-1} + (d_{k-1} - pd_{k-1}) / 2 + pd_k.
+    Let l_k (C,) be row k of `distance_m` and w_k (C,) the weights of context window k. The provisional distance of
+    epoch k is pd_k = l_k . w_{k-1}, and the final distance is d_k = l_k . w_k. The totals are D_k = D_{k-1} + (d_k +
+    pd_k) / 2 and PD_k = PD_{k-1} + (d_{k-1} - pd_{k-1}) / 2 + pd_k.
 
     References
     ----------

@@ -778,14 +778,15 @@ class BounceStepLength:
     height_m : float, default 1.70
         Body height h in m.
     max_amplitude_mps2 : float, default 3.0
-        Upper bound of A in m/s2. A larger amplitude is due to a soft arm, not to the body.
+        Upper bound of A in m/s2. A larger amplitude is due to an arm that lets the phone bounce, not to the body.
     min_amplitude_mps2 : float, default 0.3
         Lower bound of A in m/s2.
     max_frequency_hz : float, default 2.4
         Frequency in Hz above which lengths decrease as 1 / f: 144 steps a minute, the quickest walking.
     turn_scale_radps : float, default 2.2
-        Turn rate in rad/s at which steps are shortened by the factor 1 / e. For each site of the calibration of k held
-        out in turn, values from 2.0 to 2.15 are best on the others. There is no difference up to 2.3.
+        Turn rate in rad/s at which steps are shortened by the factor 1 / e. The value was compared on the sites of the
+        data that calibrated k, with one site held out at a time. On the other sites, values from 2.0 to 2.15 are best
+        and values up to 2.3 are as good.
     max_turn_rate_radps : float, default 1.5
         Upper bound of the turn rate in rad/s: half a turn in two seconds. Quicker turns are movements of the hand.
     n_params : int, default 1
@@ -798,12 +799,13 @@ class BounceStepLength:
 
     Notes
     -----
-    The inputs of the other models depend on where the phone is carried. The impact of the heel reaches a trouser
-    pocket but not a hand. It changes the range, the variance and the mean modulus of the acceleration, but hardly A.
-    The cadence is not an input besides A. People step faster where they step harder, so that with A known the cadence
-    says nothing about the step length of an unknown person (docs/methods/step_length.md).
+    The inputs of the other models depend on where the phone is carried. The impact of the heel reaches a trouser pocket
+    but not a hand. This impact changes the range, the variance and the mean modulus of the acceleration, but hardly A.
+    Up to 2.4 steps a second, the step frequency f is not an input. People step faster where they step harder. With A
+    known, the frequency therefore says nothing about the step length of an unknown person
+    (docs/methods/step_length.md).
 
-    r is the product of these factors:
+    r is the product of these factors, in which w is the turn rate and f the step frequency:
 
     - (A / B)^(1/4) where A is below its usual value B, as when people stop or shuffle. A is here the mean over two
       steps, because left and right steps differ in a pocket.

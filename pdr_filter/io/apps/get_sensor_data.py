@@ -156,7 +156,10 @@ def _check_unit(parsed: Parsed, where: str) -> None:
 
 
 def _unit_beside(path: Path) -> str:
-    """Return the unit named in the TOML file of the log, or "" without such a file."""
+    """Return the unit of the accelerometer, "g" or "m/s2", as declared in the TOML file of the log.
+
+    The result is "" if there is no TOML file or if it declares no unit.
+    """
     toml = beside(path, path.with_suffix(".toml").name)
     if path.is_dir() or toml == path or not toml.is_file():
         return ""

@@ -20,7 +20,11 @@ from pdr_filter.values import how_often
 
 
 def read_experiment(members: Members, parsed: Parsed) -> None:
-    """Store wall clock, pauses and phone model in `parsed`, as far as the files in the folder `meta` contain them."""
+    """Add what the folder `meta` of a phyphox export says about the experiment to `parsed`.
+
+    time.csv gives the wall clock time of the start and the number of pauses. device.csv gives the phone model and the
+    version of the app. Without both files `parsed` does not change.
+    """
     names = {PurePosixPath(name).name: name for name in members.names if PurePosixPath(name).parent.name == "meta"}
     if not {"time.csv", "device.csv"} & names.keys():
         return

@@ -64,7 +64,7 @@ def read_ros_bag(path: str | Path) -> Recording:
 
 
 class _Topic:
-    """Messages of one topic of a ROS bag: their times and their numbers."""
+    """Messages of one topic of a ROS bag: the time of each message in ns, and the numerical values in it."""
 
     def __init__(self, kind: str) -> None:
         self.kind = kind
@@ -134,9 +134,9 @@ def _fill(parsed: Parsed, topics: dict[str, _Topic], seen: dict[str, str]) -> No
 
 
 def _decoded(kind: str, content: bytes) -> tuple[int, tuple[float, ...]]:
-    """Return the time stamp of a message in ns, and its numbers.
+    """Return the time stamp of a message in ns, and the numerical values of the message.
 
-    The numbers of an Imu message are the quaternion (x, y, z, w), angular rate and acceleration.
+    The values of an Imu message are the quaternion (x, y, z, w), angular rate and acceleration.
     """
     if len(content) < 16:
         raise ValueError("too short")

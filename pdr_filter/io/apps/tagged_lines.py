@@ -46,10 +46,12 @@ class TaggedLog:
         notes: list[str],
         rewritten: Mapping[str, Callable[[bytes], bytes]] | None = None,
     ) -> tuple[dict[str, NumberTable], int]:
-        """Return tables by type of line and the number of lines of other types. Repairs are added to the notes.
+        """Return a table for each type of line in `layouts`, and the total number of lines of all other types.
 
-        Layouts, by type, count columns from the begin of the line and have the same separator. `tag_field` (0 or 1)
-        is the field of a line that holds its type. Lines of a type in `rewritten` are parsed as this makes them.
+        `layouts` maps the type of a line to the layout of its columns. All layouts have the same separator, and columns
+        are counted from the start of the line. `tag_field` (0 or 1) is the field of a line that holds its type.
+        `rewritten` maps a type to a function that changes the bytes of its lines before they are parsed. Repairs, such
+        as a last line that was left out, are added to `notes`.
         """
         separator = next(iter(layouts.values())).separator.encode()
         parts: dict[str, list[NumberTable]] = {tag: [] for tag in layouts}
@@ -100,9 +102,10 @@ def rotation_vector_quaternion(vector: FloatArray) -> FloatArray:
 
 
 def _ended(line: bytes, separator: bytes, tag_field: int, n_fields: Mapping[str, int]) -> bytes | None:
-    """Complete the last line with a line feed.
+    """Return the last line of a file with a line feed, if it is complete.
 
-    Return an empty line if its type is not read, and None if the previous line of its type has more fields.
+    The result is b"" if the type of the line is not in `n_fields`, so that it is ignored. The result is None if the
+    line has fewer fields than the previous line of its type (`n_fields`), which means that it was cut off.
     """
     fields = line.split(separator)
     tag = fields[tag_field].decode("latin-1") if len(fields) > tag_field else ""
@@ -112,7 +115,10 @@ def _ended(line: bytes, separator: bytes, tag_field: int, n_fields: Mapping[str,
 
 
 def _after_first(bytes_: NDArray[np.uint8], starts: NDArray[np.int64], separator: bytes) -> NDArray[np.int64]:
-    """Return the start of the second field of each line. For lines with one field it is past the end."""
+    """Return the index of the byte at which the second field of each line begins.
+
+    For a line with one field, the index lies in a later line or after the last byte.
+    """
     at = np.append(np.flatnonzero(bytes_ == separator[0]), len(bytes_))
     return at[np.searchsorted(at, starts)] + 1
 

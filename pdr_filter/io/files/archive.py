@@ -48,12 +48,13 @@ _UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
 class Members:
-    """The files of a recording: those of a zip or a folder, or one file alone, or in a gz. Nothing is unpacked to disk.
+    """Files of one recording: in a zip file or a folder, or a single file, also in a gz file.
 
-    `inside` is what a path names inside a file or among those of a folder: of a zip a folder or a file, of a log a
-    session, of files such as `walk1_acc.csv` and `walk1_gyro.csv` the trial walk1.
-    Where each sensor has a folder of its own, its file is called as if it lay beside them, by the folder's name.
-    Text in UTF-16 with a byte order mark comes as UTF-8.
+    Nothing is unpacked to disk. Text in UTF-16 with a byte order mark is converted to UTF-8.
+
+    `inside` selects one recording of several. In a zip file it is a folder or a file, and in a log a session. In a
+    folder with files such as `walk1_acc.csv` and `walk1_gyro.csv` it is the name of a trial, walk1. If each sensor has
+    its own folder with one file, such as `Accelerometer/data.csv`, the file has the name `Accelerometer.csv` here.
     """
 
     def __init__(
@@ -141,7 +142,10 @@ class Members:
             yield part.removeprefix(b"\xef\xbb\xbf") if i == 0 else part
 
     def blocks(self, name: str) -> Iterator[bytes]:
-        """Yield `pieces` cut at line ends, which become line feeds. A last line without an end is a block."""
+        """Yield the bytes of a text file in blocks of complete lines, with line feeds as line ends.
+
+        A last line without line end is a block of its own.
+        """
         rest = b""
         for part in self.pieces(name):
             if b"\r" in part or rest.endswith(b"\r"):
@@ -192,7 +196,7 @@ class Members:
 
 @contextmanager
 def open_members(path: Path) -> Generator[Members]:
-    """Open a zip, a folder or one file; RecordingError if it is not there, is empty or cannot be opened.
+    """Open a zip, a folder or one file. RecordingError if it does not exist, is empty or cannot be opened.
 
     The path may go on inside a file: `export.zip/walk_2` is the folder walk_2 of the zip.
     """
@@ -230,7 +234,8 @@ def open_members(path: Path) -> Generator[Members]:
 def _in_zip(file: IO[bytes], path: Path, inside: str, is_inner: bool = False) -> Generator[Members]:
     """Open the files in a zip file.
 
-    If the only content is another zip file, or if `inside` names one of several, the files in that one are opened.
+    If the only content is another zip file, the files in that inner zip file are opened. If there are several, the
+    inner zip file that `inside` names is opened.
     """
     try:
         archive = zipfile.ZipFile(file)
@@ -265,15 +270,19 @@ def _refuse_others(path: Path, head: bytes) -> None:
 
 
 def zips_among(names: Sequence[str]) -> list[str]:
-    """Return the zips (spreadsheets included) among the names, or nothing if there are other files of samples."""
+    """Return the names of zip files and .xlsx spreadsheets among the names of files.
+
+    The list is empty if one of the other files may hold samples. Files such as a readme, a licence or an image do not.
+    """
     others = [name for name in names if not name.lower().endswith((".zip", ".xlsx"))]
     return [] if any(_ABOUT.search(name) is None for name in others) else [n for n in names if n not in others]
 
 
 def outside(path: Path) -> tuple[Path, str]:
-    """Split a path inside a file or folder into the existing file or folder, and the rest.
+    """Split a path into a file or folder that exists on disk, and the rest of the path inside it.
 
-    Inside a folder it is a trial: files that have its name beside that of their sensor.
+    The rest of `export.zip/walk_2` is `walk_2`. In a folder, the rest may be the name of a trial: `walk1` stands for
+    all files such as `walk1_acc.csv` and `walk1_gyro.csv`. In all other cases the rest is "".
     """
     if not path.exists():
         for parent in path.parents:

@@ -59,7 +59,7 @@ def read_json(path: Path, most: int) -> Any:
 
 
 def inside(path: Path, *folders: Path) -> Path:
-    """Return the path; RecordingError if it is a link that leads out of these folders."""
+    """Return the path unchanged. RecordingError if it is a link whose target is in none of the given folders."""
     target = path.resolve()
     if not any(target.is_relative_to(folder.resolve()) for folder in folders):
         raise RecordingError(f"{path}: a link that leads out of its folder, to {target}; copy the file itself there")
@@ -67,7 +67,11 @@ def inside(path: Path, *folders: Path) -> Path:
 
 
 def beside(path: Path, name: str) -> Path:
-    """Return the file of this name in the folder of another file, or in the folder to which the other is a link."""
+    """Return the path of the file `name` in the folder of the file `path`.
+
+    Raises RecordingError if `name` is a link that leads to another folder. If `path` itself is a link, the folder of
+    its target is allowed, too.
+    """
     return inside(path.with_name(name), path.parent, path.resolve().parent)
 
 

@@ -27,8 +27,8 @@ _NOT_ON_EARTH = "local, not on Earth"
 def write_csv(track: TrackRows, path: str | Path, origin: Origin | tuple[float, float] | None = None) -> Path:
     """Write one line for each step under a header with units, and return the path; only the header if no step.
 
-    A track with an origin, its own or the one given, has columns of latitude and longitude, and of the altitude where
-    the origin has one.
+    `origin` gives the track a geographic origin. A track with an origin also has columns of latitude and longitude. If
+    the origin has an altitude, there is a column of altitudes.
     """
     columns = _columns(track if origin is None else track.placed(origin))
     text = io.StringIO()
@@ -43,7 +43,8 @@ def write_csv(track: TrackRows, path: str | Path, origin: Origin | tuple[float, 
 def write_parquet(track: TrackRows, path: str | Path, origin: Origin | tuple[float, float] | None = None) -> Path:
     """Write the columns of `write_csv` with all their digits, and return the path.
 
-    What is not in the columns is in the metadata, which pandas gives as `attrs` of the frame. Needs pandas and pyarrow.
+    Name, notes, frame and origin of the track are metadata of the file, which pandas returns as `attrs` of the
+    DataFrame. Needs pandas and pyarrow.
     """
     pandas_for_parquet(path)
     frame = track_frame(track, origin)
@@ -118,14 +119,14 @@ def _columns(track: TrackRows) -> dict[str, FloatArray]:
 def write_geojson(track: TrackRows, path: str | Path, origin: Origin | tuple[float, float] | None = None) -> Path:
     """Write a FeatureCollection with the track as one LineString in WGS 84, and return the path.
 
-    The line begins at the start of the walk and has one vertex for each step; a track without steps is a Point.
-    `origin` (latitude and longitude in degrees) is where east and north are zero: the start of the walk, but for a
-    track in the frame of its fixes. One that its recording's locations placed has an origin of its own. Properties for
-    each vertex: `coordTimes` (seconds of the recording) and `covariance_m2` ([ee, en, nn]).
+    The line begins at the start of the walk and has one vertex for each step. A track without steps is a Point.
+    `origin` is the latitude and longitude in degrees of the point with east and north zero. This point is the start of
+    the walk, or the origin of the fixes if the track is in the frame of its fixes. `origin` is not needed for a track
+    that was placed by the locations of its recording, because this track has an origin. Properties for each vertex are
+    `coordTimes` (seconds of the recording), `covariance_m2` ([ee, en, nn]) and `floor` (the storey).
 
-    The third coordinate is the altitude where the origin has one. Otherwise a track that left the height of its start
-    has its height there, in metres above the start and not above the ellipsoid. The property `height` says which, and
-    `floor` is the storey of each vertex.
+    The third coordinate is the altitude if the origin has an altitude. Otherwise it is the height above the start in m,
+    if the height changes. The property `height` states which of both it is.
     """
     placed = track if origin is None else track.placed(origin)
     return _write_geojson(placed, path, track.name, placed.about_frame)
@@ -134,8 +135,8 @@ def write_geojson(track: TrackRows, path: str | Path, origin: Origin | tuple[flo
 def write_local_geojson(track: TrackRows, path: str | Path) -> Path:
     """Write the shape of a track that has no place on Earth, and return the path, which ends in .local.geojson.
 
-    Maps need degrees: the origin of the track is drawn at latitude and longitude 0, in the open sea, where lengths and
-    angles are right. Name, `frame` and `about` of the file say that this is no place.
+    Maps need degrees. The origin of the track is therefore drawn at latitude and longitude 0, in the open sea, where
+    lengths and angles are undistorted. Name, `frame` and `about` of the file state that the track was not walked there.
     """
     if track.origin is not None:
         raise ValueError(f"the track {track.name!r} has a place on Earth: write it with write_geojson")
@@ -183,8 +184,9 @@ def write_gpx(
 ) -> Path:
     """Write a GPX 1.1 track from the start of the walk through all steps, and return the path.
 
-    `origin` is that of `write_geojson`; points have an elevation where it has a height. Time zero of the recording is
-    the unix time `epoch_s` (`Recording.epoch_s`, where it is known); with 0 the walk is in January 1970.
+    `origin` is the geographic origin of the track, as in `write_geojson`. Points have an elevation if the origin has an
+    altitude. `epoch_s` is the unix time of time zero of the recording (`Recording.epoch_s`). With 0, the walk is in
+    January 1970.
     """
     times_s = _vertex_times(track)
     if not (np.isfinite(epoch_s) and epoch_s + times_s.min() >= 0 and epoch_s + times_s.max() <= limits.MAX_EPOCH_S):
@@ -209,9 +211,10 @@ def write_gpx(
 
 
 def write_kml(track: TrackRows, path: str | Path, origin: Origin | tuple[float, float] | None = None) -> Path:
-    """Write a KML 2.2 document for Google Earth and the like, and return the path: the line, its start and its end.
+    """Write a KML 2.2 document, for example for Google Earth, with track, start and end, and return the path.
 
-    `origin` is that of `write_geojson`. The descriptions say distance, steps, how far off the end may be, and notes.
+    `origin` is the geographic origin of the track, as in `write_geojson`. The description contains distance, number of
+    steps, position error of the end, and notes.
     """
     placed = track if origin is None else track.placed(origin)
     vertices = _vertices(placed)

@@ -42,17 +42,18 @@ _DEVICES = ("device", "deviceid", "devicename", "phone", "phoneid", "phonename",
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tables:
-    """Recording that was read from tables, with the column mapping that was used."""
+    """Pair of a recording that was read from tables and the column mapping with which it was read."""
 
     recording: Recording
-    guess: Guess
+    guess: Guess  # mapping of the columns, as guessed from names and values
 
 
 def read_table(path: str | Path, platform: str | None = None) -> Recording:
     """Return the recording in the tables of an app, which are recognised by their columns.
 
-    `platform`, ios or android, says the sign of the accelerometer where the app writes another on each. RecordingError
-    if there is no acceleration with gravity, or its sign or unit is not known.
+    `platform` ("ios" or "android") determines the sign of the acceleration if the app writes different signs on the two
+    systems. RecordingError if there is no acceleration with gravity, or if the sign or unit of the acceleration is
+    unknown.
     """
     return read_guessed(Path(path), platform).recording
 
@@ -158,7 +159,7 @@ def sheets_of(members: Members, separator: str | None = None, notes: list[str] |
 
 
 def _named_values(head: bytes) -> str:
-    """Return why lines such as `ACC: 12, 0.1, 0.2, 9.8` or `x=0.1` are not read, or "" for other lines."""
+    """Return the reason why lines such as `ACC: 12, 0.1, 0.2, 9.8` or `x=0.1` cannot be read, or "" for other lines."""
     found = _NAMED_VALUE.search(head.decode("utf-8", "replace"))
     if found is None:
         return ""
@@ -202,7 +203,7 @@ def _is_text(name: str, members: Members) -> bool:
 
 
 def _nothing(sheets: Sequence[Sheet], path: Path) -> str:
-    """Return the error for tables without a known sensor, with a mapping to complete."""
+    """Return the error for tables without a known sensor. The message contains a column mapping to complete."""
     sheet = sheets[0]
     if all(name.startswith("column ") for name in sheet.fields):
         head = next(sheet.parse.blocks(), b"")[:4096] if isinstance(sheet.parse, TextRows) else b""
@@ -221,7 +222,7 @@ def _nothing(sheets: Sequence[Sheet], path: Path) -> str:
 
 
 def sensors_of(members: Members, name: str) -> set[str]:
-    """Sensors named by the columns of a text; an empty set for a text without a table."""
+    """Return the set of sensors that the columns of a text file name. The set is empty for a text without a table."""
     sheets: Sequence[Sheet]
     try:
         if looks_like(members.head(name)):

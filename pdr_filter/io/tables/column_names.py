@@ -209,7 +209,10 @@ def words_of(name: str) -> list[str]:
 
 
 def quantity_of_words(words: Sequence[str]) -> tuple[str, int]:
-    """Quantity that words end with, and its preference; "" if none.
+    """Return the quantity that the last words of a column name state, and the preference of the column.
+
+    The quantity is "" if the words name none. The preference is 2 for calibrated values, 0 for raw or uncalibrated
+    values, and 1 for others. Of several columns of a quantity, that with the largest preference is used.
 
     Examples
     --------
@@ -234,7 +237,11 @@ def quantity_of_words(words: Sequence[str]) -> tuple[str, int]:
 
 @lru_cache(maxsize=256)
 def quantity_of_file(name: str) -> tuple[str, int]:
-    """Return the quantity that the name of a file or sheet contains, and its preference, or "" if there is none."""
+    """Return the quantity that the name of a file or sheet contains, and the preference of the file.
+
+    The quantity is "" if the name contains none. The preference is 2 for calibrated values, 0 for raw or uncalibrated
+    values, and 1 for others. Of several files of a quantity, that with the largest preference is used.
+    """
     words = words_of(name)
     parts = {"".join(words[i:j]) for i in range(len(words)) for j in range(i + 1, min(i + 4, len(words)) + 1)}
     fitting = [word for word in _OF_FILES if word in parts or any(_is_within(longer, word) for longer in words)]
@@ -246,9 +253,10 @@ def quantity_of_file(name: str) -> tuple[str, int]:
 def _is_within(longer: str, word: str) -> bool:
     """Return True if `longer`, one word of a file name, consists of the known word `word` joined to something else.
 
-    The known word may be at the start, followed by a word such as data or raw, or by another known word (gyrodata). If
-    it is in `_GLUED` and not an orientation, it may be at the end from 4 letters (wristaccel), and anywhere from
-    `_LONG` letters. Shorter words at other places are ignored, because a word may contain them by chance.
+    A known word names a quantity. At the start of `longer` it must be followed by a word such as data or raw, or by
+    another known word (gyrodata). Known words in `_GLUED`, except those of an orientation, may also be elsewhere: at
+    the end with at least 4 letters (wristaccel), and anywhere with at least `_LONG` (8) letters. Shorter words at other
+    places are ignored, because a word may contain them by chance.
     """
     before, found, behind = longer.partition(word)
     is_glued = bool(found) and word in _GLUED and QUANTITY_OF[word] != "orientation"
@@ -278,9 +286,11 @@ def trial_of(name: str) -> str:
 
 
 def _accuracy(name: str, unit: str) -> int | None:
-    """Return how well a column fits as the horizontal accuracy of a location, 0 if it is another accuracy.
+    """Return a score of how surely a column holds the horizontal accuracy of a location.
 
-    None if the name is not that of an accuracy.
+    The score is 3 if the name says that the accuracy is horizontal, and 2 if it names an accuracy without a direction.
+    The score is 0 for another accuracy, such as of a height or a speed. The result is None for a name without an
+    accuracy.
     """
     words = words_of(name)
     stem = "".join(words)
@@ -298,7 +308,7 @@ def _accuracy(name: str, unit: str) -> int | None:
 
 @lru_cache(maxsize=256)  # detection and reading ask for the same names
 def column_of(place: int, name: str) -> Column:
-    """Return the quantity, axis and unit that the name of a column states. `place` is the number of the column."""
+    """Return the quantity, axis and unit that the name of a column states. `place` is the index of the column."""
     unit_found = _UNIT.search(name) or _UNIT_WORD.search(name.rstrip())
     unit = normal_unit(unit_found[1]).replace("_", "") if unit_found else ""
     unit = _UNIT_OF_WORD.get(unit, unit)
@@ -333,7 +343,11 @@ def column_of(place: int, name: str) -> Column:
 
 
 def _axes_of(words: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
-    """Yield the axis and the remaining words, with the axis after or before them."""
+    """Yield each axis that the words of a column name may state, with the words that remain without it.
+
+    The axis is sought at the end of the last word (accx gives x and acc), and then at the start of the first word
+    (xacc). The angles alpha, beta and gamma at the end count as axes, too.
+    """
     if not words:
         return
     first, last = words[0], words[-1]

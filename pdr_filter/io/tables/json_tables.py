@@ -58,7 +58,10 @@ def json_sheets(members: Members, name: str, notes: list[str] | None = None) -> 
 
 
 def json_fields(members: Members, name: str) -> list[Sheet]:
-    """The tables in a text of JSON without their values: of its first objects, or of its only one."""
+    """Return the tables in a JSON text with the names of their columns, but without values.
+
+    Only the objects in the first bytes of the text are read. If the first object is longer, the whole text is read.
+    """
     head, found = members.head(name), dict[str, dict[str, None]]()
     for pieces in ([head], members.pieces(name)):
         with suppress(RecordingError):
@@ -74,9 +77,10 @@ def json_fields(members: Members, name: str) -> list[Sheet]:
 
 
 def objects_in(pieces: Iterable[bytes], where: str, notes: list[str] | None = None) -> Iterator[Row]:
-    """Objects of a text, in an array or one behind the other.
+    """Iterate over the JSON objects in a text, which are elements of an array or follow one another.
 
-    An end that is cut off is left out with a note; RecordingError without `notes`, or if nothing is before it.
+    If the text is damaged or ends within an object, the objects before it are returned and a note is added to `notes`.
+    Raises RecordingError instead if `notes` is None, or if no complete object comes before the damage.
     """
     decoder, utf_8 = json.JSONDecoder(), codecs.getincrementaldecoder("utf-8")()
     text, n_found, n_open, wanted = "", 0, 0, 0
@@ -241,7 +245,10 @@ def _column(values: list[Any], where: str) -> _Column | None:
 
 
 def table_of_rows(rows: Sequence[Row], columns: Sequence[str], where: str, notes: list[str]) -> NumberTable:
-    """The key `time` of objects as whole numbers, and these as floats; rows without a time are left out."""
+    """Return a table of JSON objects: the key `time` as whole numbers, and the keys in `columns` as floats.
+
+    Objects without a time are left out.
+    """
     if rows and (missing := [key for key in ("time", *columns) if key not in rows[0]]):
         found = ", ".join(map(str, rows[0]))[:120]
         raise RecordingError(f"{where}: no key {missing[0]!r} (found: {found}); export again")
@@ -265,7 +272,7 @@ def _wholes(texts: list[str]) -> list[int | None]:
 
 
 def _floats(column: list[Any]) -> list[float]:
-    """Return numbers, or texts of numbers, as floats, NaN where they are missing. ValueError for anything else."""
+    """Return numbers, or texts of numbers, as floats, with NaN for missing values. ValueError for anything else."""
     kinds = set(map(type, column))
     if kinds <= {int, float} or (kinds == {str} and "_" not in "".join(column)):  # Python would read 1_0 as ten
         with suppress(ValueError):

@@ -239,6 +239,9 @@ def _is_object(value: Any) -> bool:
 
 
 def _object_number(value: Any) -> int:
-    """Return the number of an object, which follows its shape."""
+    """Return the number of a MATLAB object, from the integers with which the file refers to it.
+
+    The integers are a mark, the number n of dimensions, n sizes, and then the number of the object.
+    """
     words = np.asarray(value.value if isinstance(value, _Opaque) else value).ravel().astype(int)
     return int(words[2 + words[1]])

@@ -15,7 +15,8 @@ from pdr_filter.io.tables.column_names import nanoseconds_of
 from pdr_filter.io.tables.text_table import NumberTable, finite
 from pdr_filter.values import FloatArray, IntArray
 
-# The columns at these places as floats, and one as whole numbers; notes are added to the list.
+# Function that returns the columns with the given indices as floats, and one more column as integers (or none if its
+# index is None). Repairs are added to the list of notes.
 Parse = Callable[[Sequence[int], int | None, list[str]], NumberTable]
 
 
@@ -29,7 +30,7 @@ class Sheet:
     parse: Parse
     about: str = ""  # text above the table
     dates: frozenset[int] = frozenset()  # columns of dates and clock times, parsed as whole nanoseconds
-    exact: frozenset[int] = frozenset()  # columns that only whole numbers hold
+    exact: frozenset[int] = frozenset()  # columns of whole numbers that a float would round
     texts: Mapping[int, str] = field(default_factory=dict[int, str])  # texts of the first row by column
     used: Set[int] = frozenset()  # columns that are parsed together
     notes: list[str] = field(default_factory=list[str])
@@ -44,7 +45,7 @@ class Sheet:
         dates: Set[int] = frozenset(),
         exact: Set[int] = frozenset(),
     ) -> Sheet:
-        """Sheet of columns in memory; those of `dates` and `exact` are int64."""
+        """Return a sheet of columns in memory, by name. Columns with indices in `dates` or `exact` are int64."""
 
         def parse(numbers: Sequence[int], whole: int | None, notes: list[str]) -> NumberTable:
             arrays = [*columns.values()]
@@ -55,16 +56,21 @@ class Sheet:
         return cls(name, where, tuple(columns), parse, dates=frozenset(dates), exact=frozenset(exact))
 
     def using(self, places: Set[int | None], notes: list[str]) -> Sheet:
-        """Return a copy that parses these columns together, and adds to the notes; places may be negative or None."""
+        """Return a copy of the sheet that parses the given columns together, and adds repairs to `notes`.
+
+        `places` are indices of columns. A place that is negative or None stands for a missing column and is ignored.
+        """
         used = {place for place in places if place is not None and place >= 0}
         beside = {place for p in used if (place := nanoseconds_of(self.fields, p)) is not None}
         return replace(self, used=(used | beside) - self.dates, notes=notes)
 
     def stream(self, places: Sequence[int], time: int | None) -> tuple[IntArray | FloatArray, FloatArray]:
-        """Times (N,) and values (N, d) of the rows with a value; NaN for a place that is not there (-1).
+        """Return the times (N,) and the values (N, d) of those rows that have a value in one of the given columns.
 
-        Times are whole numbers if only these hold them, and numbers of rows if there is no column of times. Sensors of
-        different rates in one table leave fields empty. The rows are parsed once for each column of exact times.
+        `places` are the indices of the columns. A place that the table does not have (-1) gives NaN. `time` is the
+        index of the column of times. Times are integers if a float would lose digits, as for nanoseconds. If `time` is
+        None, the times are row numbers from 0. Rows without a value occur if sensors of different rates share a table.
+        The table is parsed once for each column of integer times, and the result is kept.
         """
         exact = time if time is not None and time in self.dates | self.exact else None
         numbers = sorted(self.used)

@@ -49,7 +49,11 @@ class TextRows:
     only: tuple[int, str] | None = None  # a column and its text in the selected rows
 
     def __call__(self, numbers: Sequence[int], whole: int | None, notes: list[str]) -> NumberTable:
-        """Return the given columns as floats, and one column as whole numbers."""
+        """Return the columns with the indices `numbers` as floats, and the column `whole` as integers.
+
+        `whole` is usually a column of times. Dates become nanoseconds. If `whole` is None, there is no column of
+        integers.
+        """
         names = tuple(self.fields[i] for i in numbers)
         layout = Layout(tuple(numbers), whole, self.separator, self.decimal, names)
         if whole is None or whole not in self.dates:
@@ -79,7 +83,11 @@ class TextRows:
             raise RecordingError(f"{self.where}: {error}") from error
 
     def _rows(self) -> Iterator[bytes]:
-        """Blocks of rows: without the lines before them, single spaces between fields."""
+        """Yield the rows of the table in blocks of bytes, without the lines above the table.
+
+        If `only` is set, only rows with its text in its column are included. If blanks separate the fields, several
+        blanks become one.
+        """
         left = self.n_before
         for block in self.blocks():
             at = 0
@@ -107,7 +115,7 @@ class TextRows:
         return rb"(?m)^(?:[^\n" + self._mark + rb"]*" + self._mark + b"){%d}" % column
 
     def texts_of(self, column: int) -> list[str]:
-        """Return the different texts of a column, or an empty list if there are more than a phone has sensors."""
+        """Return the different values of a column of text, or an empty list if there are more than 40."""
         pattern = self._up_to(column) + rb'"?([^\n"' + self._mark + rb"]*)"
         texts: dict[bytes, None] = {}
         for rows in self._rows():
@@ -118,7 +126,11 @@ class TextRows:
 
 
 def by_text(sheet: Sheet, column: int) -> list[Sheet]:
-    """Sheets of a text, one for each text of a column and called like it; none if there are too many."""
+    """Split a sheet of a text file into one sheet for each different value of a column, such as the name of the sensor.
+
+    Each new sheet has the value as its name, and the rows with this value. The list is empty if there are more than 40
+    values, or if the sheet is not from a text file.
+    """
     if not isinstance(rows := sheet.parse, TextRows):
         return []
     return [replace(sheet, name=name, parse=replace(rows, only=(column, name))) for name in rows.texts_of(column)]
@@ -233,14 +245,17 @@ def _lines(head: bytes) -> list[str]:
 
 
 def _n_known(text: str) -> int:
-    """Return the number of non-ASCII fields in the first lines that name a time, a quantity or an axis."""
+    """Return the number of different fields of the first lines that are non-ASCII names of a time, quantity or axis.
+
+    The code page for which this number is largest is used to decode the text.
+    """
     fields = {field.strip(' "') for line in text.splitlines()[:_LINES_TRIED] for field in re.split(r"[,;|\t]", line)}
     columns = [(name, column_of(0, name)) for name in fields if not name.isascii()]
     return sum(is_time(name) or bool(column.quantity or column.axis) for name, column in columns)
 
 
 def _layout(lines: list[str], separator: str) -> _Found | None:
-    """Start of the table with fields separated by this mark, or None without one."""
+    """Return the start of the table if `separator` separates its fields, or None if the lines are no such table."""
     # Line ends that were converted twice leave a blank line after each.
     places = [*islice((i for i, line in enumerate(lines) if line.strip()), _LINES_TRIED + _LINES_COMPARED)]
     if separator != " " and not any(separator in lines[i] for i in places):

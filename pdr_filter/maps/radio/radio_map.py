@@ -172,11 +172,12 @@ class RadioMap:
     def fixes(self, recording: Recording) -> list[PositionFix]:
         """Return one position fix per informative Wi-Fi scan of a recording.
 
-        The covariance of a fix is that of the positions that the map cannot distinguish. Its reception time is the end
-        of the scan. The errors of successive scans are correlated (`correlation_s`), and scans that would add almost no
-        information give no fix. A scan gives no fix either if it hears fewer than five access points of the map. The
-        same applies if its standard deviation per axis is above 15 m, as in unmapped or ambiguous areas. The storey is
-        set if its probability is at least 95 %.
+        The position and the covariance of a fix are the mean and the covariance of the position over the cells of its
+        most probable storey, given the scan. A variance of 6 m2 is added on each axis for the errors of the map. The
+        reception time of a fix is the end of the scan. The errors of successive scans are correlated (`correlation_s`),
+        and scans that would add almost no information give no fix. A scan gives no fix either if it hears fewer than
+        five access points of the map. The same applies if its standard deviation per axis is above 15 m, as in unmapped
+        or ambiguous areas. The storey is set if its probability is at least 95 %.
 
         Parameters
         ----------
@@ -302,7 +303,8 @@ class RadioMap:
     def _heard(self, scans: Sequence[WifiScan]) -> csr_matrix:
         """Return the fingerprints (S, A) of scans, restricted to the access points of the map.
 
-        The unit length of a fingerprint includes unmapped access points, so they reduce the fit.
+        A fingerprint is scaled to unit length before access points that are not in the map are removed. A scan with
+        many such access points therefore fits all places of the map less well.
         """
         known = np.union1d(self.bssid, np.concatenate([s.bssid for s in scans]))
         index = np.repeat(np.arange(len(scans)), [len(s.bssid) for s in scans])

@@ -119,12 +119,17 @@ def estimate_parameters(
 ) -> ParameterEstimate:
     """Return the maximum a posteriori estimate of all parameters and variances by expectation-maximisation.
 
-    Every iteration linearises at the direction of A_i theta_s from the previous one (Gauss-Newton) and integrates out
-    the recording scales rho_w exactly. It then solves for all theta (`hierarchy.solve_people`), and updates the robust
-    weights and the variances phi, tau^2 and B from the posterior (docs/methods/calibration.md).
+    The known length of segment i is | A_i theta_s | (1 + rho_w) + e_i. A_i are the regressors of the segment
+    (`SegmentSums`) and theta_s the parameters of person s. rho_w is the scale error of recording w with the variance
+    tau^2. e_i is noise, whose variance is the prior variance times the factor phi of the context. B is the covariance
+    of theta between people.
 
-    `relinearise` returns the sums at the parameters of each person (S, P), for nonlinear models. Raises SingularError
-    if neither data nor priors determine a parameter.
+    Every iteration linearises at the direction of A_i theta_s from the previous one (Gauss-Newton) and integrates out
+    the scale errors rho_w exactly. The iteration then solves for all theta (`hierarchy.solve_people`), and updates the
+    robust weights and the variances phi, tau^2 and B from the posterior (docs/methods/calibration.md).
+
+    `relinearise` is a function for nonlinear models, which returns the `SegmentSums` linearised at the given parameters
+    of each person (S, P). Raises SingularError if neither data nor priors determine a parameter.
     """
     weights(np.zeros(1), loss)
     task = _Task(sums, prior)
@@ -249,9 +254,10 @@ class _Task:
         """Return the posterior of the parameters of the population and of all S people, given all segments.
 
         The equations of a person's segments are linearised at this person's row of `about` (S, F), with the F estimated
-        parameters. `variances` are those of the last iteration. Their noise variances are divided by `information`, the
-        factor that belongs to the loss. `first` is True in the first iteration: the scale error of a recording then
-        multiplies the known distances, and later the predicted ones.
+        parameters. `variances` are those of the last iteration. The noise variances are divided by `information`, the
+        information factor of the robust loss (`robust_loss.moments`). The factor is 1 for least squares. With the
+        factor, the covariances are those of an M-estimate with this loss. `first` is True in the first iteration: the
+        scale error of a recording then multiplies the known distances, and later the predicted ones.
         """
         for chunk in self.chunks:
             phi = variances.noise / information
@@ -262,11 +268,13 @@ class _Task:
         return solve_people(self.G, self.g, self.prior.mean[self.free], self.precision, self.personal, W)
 
     def variances(self, posterior: PeoplePosterior, old: _Variances, ratio: float) -> _Variances:
-        """Return the variances that maximise the expected posterior; `ratio` is E w u^2 / E w of the loss.
+        """Return the variances that maximise the expected log posterior (M step), from the last variances `old`.
 
-        phi' = phi sum_i w_i (h_i u_i^2 + 1 - h_i) / sum_i w_i (h_i ratio + 1 - h_i). Here h_i is the share of noise in
-        the variance of the residual u_i. phi (h_i u_i^2 + 1 - h_i) is E e_i^2 given all data, if the segment is not an
-        outlier.
+        The noise factor phi of a context becomes phi' = phi sum_i w_i (h_i u_i^2 + 1 - h_i) / sum_i w_i (h_i ratio + 1
+        - h_i). The sums are over the segments i of the context. u_i is the standardised residual of a segment
+        (`misfit`) and w_i its robust weight. h_i is the share of the noise e_i in the variance of the residual. phi
+        (h_i u_i^2 + 1 - h_i) is the expectation of e_i^2 given all data, relative to its prior variance, if the segment
+        is not an outlier. `ratio` is E w u^2 / E w of the loss for standard normal residuals u (`robust_loss.moments`).
         """
         prior, n_contexts = self.prior, len(self.prior.step_std_m)
         excess, counts, found, n_recordings = np.zeros(n_contexts), np.zeros(n_contexts), 0.0, 0
@@ -399,10 +407,14 @@ class _Chunk:
         g[group.present] -= _sums(self.a * (self.kappa * self.q)[:, None], group.recordings_of_people)
 
     def compute_residuals(self, about: FloatArray, posterior: PeoplePosterior, phi: FloatArray) -> None:
-        """Compute the residual of each segment with respect to all other segments, and the expected sum of rho_w^2.
+        """Compute the standardised residuals of all segments with respect to predictions by all other segments.
 
-        Also stored is the share of noise in the variance of that residual. The ordinary residual of a segment is not
-        informative. If a person has one segment, the parameters follow it, right or wrong.
+        The results are attributes. `misfit` is the residual of each segment in standard deviations. `noise_share` is
+        the share of the noise of the segment in the variance of the residual, of which the rest is due to the
+        prediction. `rho_square` is the expectation of sum_w rho_w^2, with rho_w the scale error of recording w.
+
+        The ordinary residual of a segment is not informative. If a person has one segment, the parameters follow it,
+        right or wrong.
         """
         group, theta, cov = self.group, posterior.people, posterior.people_cov[self.group.present]
         row, target = _linearised(self.A, self.offset, about[group.person], self.distance)
@@ -422,8 +434,8 @@ class _Chunk:
 
         The prediction without the segment is the prediction minus this influence. It follows from theta without segment
         i = theta - C tilted_i' error_i / (variance_i - tilted_i C tilted_i' - size_i^2 kappa). C is the covariance of
-        the parameters theta, tilted_i the derivative of the error by theta (`_marginal_rows`), size_i the predicted
-        length, and kappa the variance of the scale error of the recording given its data.
+        the parameters theta, tilted_i the derivative of the predicted length by theta (`_marginal_rows`), size_i the
+        predicted length, and kappa the variance of the scale error of the recording given its data.
         """
         group = self.group
         row, _ = _linearised(self.A, self.offset, about[group.person], self.distance)
@@ -431,7 +443,11 @@ class _Chunk:
         return gain * self.precision / self.left * self.error
 
     def _marginal_rows(self, row: FloatArray) -> FloatArray:
-        """Return the derivative of -e_i with respect to theta, including its effect through rho_w."""
+        """Return the derivatives (n, F) of the predicted lengths by the parameters theta (F,) of the person.
+
+        The prediction is row @ theta + size rho_w. The scale error rho_w of a recording has its estimate given theta,
+        kappa (q - a @ theta), so that it also depends on theta.
+        """
         return row - (self.size * self.kappa[self.group.recording])[:, None] * self.a[self.group.recording]
 
 

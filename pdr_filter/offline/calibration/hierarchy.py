@@ -213,9 +213,10 @@ def _parts(conditional: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _undetermined(G: FloatArray, precision: FloatArray, personal: IntArray, W: FloatArray) -> tuple[int, ...]:
-    """Return the indices of the parameters without information, for the total or for any person.
+    """Return the indices of the parameters that neither the data nor the priors determine.
 
-    These are the large components of eigenvectors with almost no information.
+    Such parameters are sought in the information matrix of the population (sum over all people plus prior), and in that
+    of each person. The indices are those of the large components of eigenvectors with almost no information.
     """
     indices: set[int] = set()
     shared = np.delete(np.arange(len(precision)), personal)

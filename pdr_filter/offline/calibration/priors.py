@@ -140,9 +140,11 @@ def weak_prior(
 ) -> StepLengthPrior:
     """Return a weakly informative prior for any step-length model.
 
-    The prior is only strong enough to separate parameters that have the same effect on the data. Without a `mean`, the
-    first term of a typical step is 0.7 +- 0.7 m and each other term is 0 +- 0.7 m. With a `mean`, each term has a
-    standard deviation of 0.35 m.
+    The prior is only strong enough to separate parameters that have the same effect on the data. A term is the
+    contribution of one parameter to the length of the typical step: the parameter times the derivative of the length
+    with respect to it. Without a `mean`, the first term has the mean 0.7 m and each other term the mean 0 m. All terms
+    have a standard deviation of 0.7 m. With a `mean`, each parameter has this mean, and each term has a standard
+    deviation of 0.35 m.
 
     Parameters
     ----------
@@ -154,7 +156,7 @@ def weak_prior(
         Indices of the parameters that differ between people. A single one has a standard deviation of 7 % of a step
         between people. With n of them, each has this value divided by sqrt(n).
     step : Step, optional
-        Typical step at which the terms are evaluated.
+        Typical step for which the terms are computed.
 
     Returns
     -------
@@ -185,7 +187,7 @@ def weak_prior(
 
 
 def _constant_length(length_m: float, std_m: float, between_m: float, step_std_m: float) -> StepLengthPrior:
-    """Return a prior of a constant step length: k1 and k2 of eq. 12 are held at zero."""
+    """Return a prior of a constant step length: k1 and k2 of eq. 12 of Martinelli et al. 2018 are held at zero."""
     return prior(FrequencyVarianceStepLength(), [length_m, 0, 0], [std_m, 0, 0], [between_m, 0, 0], step_std_m)
 
 

@@ -169,8 +169,10 @@ class Segment:
 class SummedSegment:
     """A `Segment` reduced to its sums, for models that are linear in their parameters.
 
-    It is all that a worker process has to return. `contexts`, `models` and `derivatives`, each (2, p), belong together.
-    `steps_in` (C,) counts the steps of the contexts `context_names`.
+    A worker process returns it in place of the steps. `contexts`, `models` and `derivatives` have equal lengths. Entry
+    j of `derivatives` (2, p) is the derivative of the displacement of the segment, east and north, with respect to the
+    p parameters of model j, for the steps of context j. `steps_in` (C,) are the numbers of steps in each of the
+    contexts `context_names`. The other fields are those of `Segment`.
     """
 
     subject: str
