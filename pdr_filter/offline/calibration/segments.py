@@ -453,8 +453,8 @@ def _is_bent(heading_rad: FloatArray, length_m: FloatArray) -> bool:
 def step_contexts(track: TrackRows) -> FloatArray:
     """Return the context probabilities (K, C) of each step.
 
-    They are the filter's mode probabilities summed by context. If a mode has a context that the track does not know,
-    they are the probabilities of the windows.
+    They are the filter's mode probabilities summed by context. If a mode has a context that is not in `track.contexts`,
+    the result is `track.context_prob`, the classifier's probabilities at each step, without the filter.
     """
     prob = np.zeros((track.n_steps, len(track.contexts)))
     for m, context in enumerate(track.mode_contexts):
@@ -498,7 +498,11 @@ def _stretches(recording: Recording, anchor_std_m: float | None) -> tuple[list[_
 
 
 def _of_known_distance(segments: Any, clicked_std_m: float) -> list[_Stretch]:
-    """Return the stretches of truth segments with a known distance. Single steps have the accuracy of a stride."""
+    """Return one stretch for each truth segment with a known distance.
+
+    `clicked_std_m` is the standard deviation of the distances. A segment shorter than `SINGLE_STEP_M` is a single step,
+    whose distance has at most the standard deviation `STRIDE_STD_M`.
+    """
     known = segments[np.isfinite(segments.distance_m)]
     anchor_std_m = np.where(known.distance_m < SINGLE_STEP_M, min(clicked_std_m, STRIDE_STD_M), clicked_std_m)
     n_steps = known.n_steps if "n_steps" in (known.dtype.names or ()) else np.full(len(known), np.nan)
