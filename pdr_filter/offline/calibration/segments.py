@@ -454,7 +454,7 @@ def step_contexts(track: TrackRows) -> FloatArray:
     """Return the context probabilities (K, C) of each step.
 
     They are the filter's mode probabilities summed by context. If a mode has a context that is not in `track.contexts`,
-    the result is `track.context_prob`, the classifier's probabilities at each step, without the filter.
+    the result is `track.context_prob`, the classifier's probabilities for the window of each step.
     """
     prob = np.zeros((track.n_steps, len(track.contexts)))
     for m, context in enumerate(track.mode_contexts):

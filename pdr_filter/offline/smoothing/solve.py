@@ -440,9 +440,9 @@ def _relaxed(problem: Problem) -> list[Rows]:
 
 
 def _relaxed_observations(problem: Problem, weight: FloatArray) -> list[Rows]:
-    """Return the relaxed equations of positions, directions and headings.
+    """Return the relaxed equations of observed positions, directions and heading offsets, with their weights.
 
-    A scale alone has none, because it is not a vector.
+    A measured log scale alone determines no vector, so that its equation has weight zero.
     """
     positions, directions, states = problem.positions, problem.directions, problem.states
     of_positions, of_directions, of_states = np.split(weight, [len(positions), len(positions) + len(directions)])

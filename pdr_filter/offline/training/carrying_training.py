@@ -72,7 +72,9 @@ _SHAKING_NAMES: tuple[str, ...] = tuple(n for n in invariant.WITHOUT_GYROSCOPE i
 class CarryingPlan(TrainingPlan):
     """Plan of one model of the carrying mode.
 
-    `source_weight` has the weights of simulated, turned and weak windows. A data set has weight one.
+    `source_weight` has the total weight of the synthetic windows of each kind, relative to one for the windows of a
+    recorded data set. The kinds are "simulated" people, "turned" windows (a phone in the hand, rotated to the ear) and
+    "weak" windows (a trouser pocket, motion scaled down).
     """
 
     head: str = "carrying_mode"

@@ -351,7 +351,11 @@ def _step_labels(
 
 @dataclass(frozen=True, eq=False)
 class _DefaultEvidence:
-    """Transition matrix and exponents of the default recipe, for any contexts."""
+    """Prior values for the estimate of transitions and exponents, for the labels of one model.
+
+    The transition matrix is computed for these labels (`context_transitions`). The exponents and the floor are those of
+    the default recipe.
+    """
 
     transition_prob: FloatArray
     evidence_exponent: float

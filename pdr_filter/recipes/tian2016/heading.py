@@ -30,9 +30,10 @@ _MEMORY_S = 6.0
 
 
 def average_angle(angle_rad: FloatArray) -> float:
-    """Return the arithmetic mean, in [-pi, pi), of angles (N,) within half a turn of each other, in spite of wraps.
+    """Return the arithmetic mean, in [-pi, pi), of angles (N,) in rad that lie within half a turn of each other.
 
-    It is mean(a) + average(wrap(a_i - mean(a))) with the circular mean, which equals Table IV if no yaw is near 0.
+    The angles may be wrapped, for example 3.1 and -3.1. The result is m + average(wrap(a_i - m)), with the circular
+    mean m of the angles a_i. If no angle needs wrapping, it equals the mean of Tian et al. 2016, Table IV.
     """
     middle = circular_mean(angle_rad)
     return float(wrap_angle(middle + float(np.mean(wrap_angle(angle_rad - middle)))))
@@ -148,7 +149,10 @@ class OffsetCompensation:
         return OffsetCompensationState(self._carried.init())
 
     def after_gap(self, state: OffsetCompensationState) -> OffsetCompensationState:
-        """Return the state after a gap, which keeps only the zero of the viewing direction.
+        """Return the state after a gap, which keeps only the reference angle of the viewing direction.
+
+        The reference angle (`viewing_zero_rad`) is the viewing direction minus the device heading at the first held
+        step.
 
         Parameters
         ----------
