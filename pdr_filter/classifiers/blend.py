@@ -55,7 +55,10 @@ class Blend(Machine):
 
     @classmethod
     def from_arrays(cls, arrays: Arrays) -> Self:
-        """Create a blend from the arrays of `to_arrays`. KeyError or ValueError for other arrays."""
+        """Create the blend of a linear classifier and boosted trees from the arrays of `to_arrays`.
+
+        KeyError or ValueError for other arrays.
+        """
         return cls(
             SoftmaxRegression.from_arrays(of_prefix(_LINEAR, arrays)),
             BoostedTrees.from_arrays(of_prefix(_TREES, arrays)),

@@ -37,7 +37,8 @@ class DeadReckoning:
     walked_m : ndarray, shape (K + 1,)
         Walked distance, m.
     walked_var_m2 : ndarray, shape (K + 1,)
-        Variance of each position for a known heading, m^2. It increases monotonically.
+        Variance of each position that remains if the heading is known exactly, mean of both axes, m^2. It increases
+        monotonically.
     """
 
     time_s: FloatArray
@@ -62,17 +63,19 @@ class DeadReckoning:
         return read_only(place[:2]), float(place[2])
 
     def own_var_m2(self, agreeing: Sequence[PairedPoint]) -> FloatArray:
-        """Return the variance (K,) that dead reckoning adds to each aligned position.
+        """Return the variance (K,) in m^2 that dead reckoning adds to the variance of the alignment at each position.
 
-        Let w(t) be the variance of dead reckoning until t. Its error is shared by all later positions, so that the
-        covariance of two positions is min(w(t), w(s)). Let a_i be the weights of the locations in the centre of the
-        alignment. The error at t, relative to the error of the centre, has the variance
+        The alignment fixes the centre of the track, which is the weighted mean of the paired locations. The variance of
+        an aligned position along each axis is the variance of this centre plus the result. Let w(t) be the variance of
+        dead reckoning until t. Its error is shared by all later positions, so that the covariance of two positions is
+        min(w(t), w(s)). Let a_i be the weights of the locations in the centre, and w_i the variances w at their times.
+        The dead-reckoning error at t relative to that of the centre has the variance
 
             w(t) - 2 sum_i a_i min(w(t), w_i) + sum_ij a_i a_j min(w_i, w_j).
 
-        The variance of the centre already contains the last sum, except w_0, the smallest w_i. The result is therefore
-        w(t) - 2 sum_i a_i min(w(t), w_i) + w_0. It is negative near the centre, where steps are known better than the
-        centre.
+        The variance of the centre already contains the last sum minus w_0, the smallest w_i. The result is therefore
+        w(t) - 2 sum_i a_i min(w(t), w_i) + w_0. It is negative for positions near the centre, which are more certain
+        than the centre itself.
         """
         weight, walked = centre_weights(agreeing), np.array([pair.walked_var_m2 for pair in agreeing])
         shared = [float(weight @ np.minimum(w, walked)) for w in self.walked_var_m2[1:]]

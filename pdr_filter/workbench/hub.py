@@ -60,7 +60,11 @@ class _Process:
 
 
 class Workbench:
-    """State of a running workbench."""
+    """Recordings of one folder, the worker processes that smooth them, and the open pages of the workbench.
+
+    The workbench is a local web application that shows the walks of a folder and edits their marks. The pages
+    (browsers) receive events about the walks from here.
+    """
 
     def __init__(self, folder: Path, n_processes: int | None = None) -> None:
         self.folder, self.walks = folder, Walks(folder)
@@ -75,7 +79,10 @@ class Workbench:
         self._scanning, self._scanned_s = asyncio.Lock(), -_SCAN_S
 
     async def start(self) -> None:
-        """Begin the work in the background; OSError if the folder cannot be written."""
+        """Start the background tasks that process walks and look for new recordings.
+
+        OSError if the folder cannot be written.
+        """
         shutil.rmtree(self.incoming, ignore_errors=True)  # of a server that was killed
         for folder in (self.cache, self.incoming):
             folder.mkdir(parents=True, exist_ok=True)
@@ -109,7 +116,10 @@ class Workbench:
         return await self._quick.ask(Request(method, arguments))
 
     async def show(self, walk: Walk) -> dict[str, Any]:
-        """Return the summary of an open walk with its present marks; the next ones are answered quickly."""
+        """Process a walk with its present marks in the worker process of open pages, and return its summary.
+
+        The process keeps the recording in memory, so that it answers quickly when the user changes the marks again.
+        """
         walk.summary = await self.quick("walk", str(walk.path), True)
         walk.state, walk.reason = "done", ""
         self.tell(walk.event())
@@ -160,11 +170,14 @@ class Workbench:
 
     @property
     def is_full(self) -> bool:
-        """Whether there are as many readers as allowed."""
+        """True if as many pages (browsers) as allowed receive events."""
         return len(self._readers) >= _MAX_READERS
 
     async def events(self) -> AsyncIterator[str]:
-        """Yield the state of all walks, then each event; "" now and then while there is none."""
+        """Yield one page's events as JSON texts: first the state of all walks, then each event.
+
+        An empty text is yielded from time to time if there is no event.
+        """
         reader = Reader()
         self._readers.add(reader)
         try:

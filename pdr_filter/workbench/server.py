@@ -195,7 +195,10 @@ class WorkbenchSite:
         return self._changed(walk, lambda: walk.redo(content["version"]))
 
     async def teach(self, request: Request) -> Response:
-        """Calibrate the person of a walk from its fixes, for other walks of this person."""
+        """Save the step length that the fixes of a walk determine in the file of its person, for other walks.
+
+        Return the step length in m, its relative standard deviation and the number of fixes.
+        """
         walk = self._walk(request)
         name = walk.marks(self.workbench.folder)["marks"]["walk"].get("person", "")
         if not name:
@@ -229,7 +232,11 @@ class WorkbenchSite:
     # --- dropped files ---
 
     async def drop(self, request: Request) -> Response:
-        """Take one file of a drop. Its name is only a name; a folder in it becomes part of the name."""
+        """Save one uploaded file of a drop, and return its name.
+
+        A drop is a file or folder that the user drags onto the page. It is uploaded file by file to a temporary folder.
+        The path of the file in the dropped folder is sanitised, and only its last two parts are used.
+        """
         folder = self._drop(request)
         if not folder.is_dir():
             folder.mkdir()
@@ -249,7 +256,10 @@ class WorkbenchSite:
         return JSONResponse({"name": target.name})
 
     async def end_drop(self, request: Request) -> Response:
-        """Take the dropped files into the folder if they are recordings; otherwise delete them and say why."""
+        """Move the files of a complete drop into the folder of the workbench if they are recordings.
+
+        Otherwise delete the files and return the reason.
+        """
         folder = self._drop(request)
         if not folder.is_dir():
             raise UnknownError("no files were uploaded: drop them on the page again")

@@ -54,7 +54,10 @@ class Walk:
     _redo: list[tuple[Files, str]] = field(default_factory=list[tuple[Files, str]])
 
     def event(self) -> dict[str, Any]:
-        """Row of the list of walks."""
+        """Return the event that updates the row of this walk in the list of walks on all pages.
+
+        It has the id, name, state, reason of a failure, time of the last change, and the summary.
+        """
         return {
             **self.summary,
             "event": "walk",

@@ -79,7 +79,11 @@ class Frame:
 
     @property
     def rotation_var_rad2(self) -> float:
-        """Variance of the rotation that is not in the filter states, which is 0 for a joined frame."""
+        """Variance in rad2 of the rotation from the track to the frame of the fixes, beyond the filter states.
+
+        It is 0 if the frame is joined: the filter states are in the frame of the fixes and contain the variance of the
+        rotation.
+        """
         if self.is_joined:
             return 0.0
         turn = self._provisional or self._density
@@ -253,9 +257,16 @@ class Frame:
         return replace(self, is_joined=False, since=n_steps, pairs=pairs, north_var_rad2=var)._reestimated()
 
     def most_probable(self, n_steps: int) -> Alignment:
-        """Return the most probable alignment of a frame with uncertain rotation, to transform later steps."""
+        """Return the most probable alignment of the track with the frame of the fixes while the rotation is uncertain.
+
+        It transforms the steps after the first `n_steps`. ValueError before the first position fix, and after the
+        filter states have been transformed into the frame of the fixes.
+        """
         if self._density is None:
-            raise ValueError("the rotation of this frame is settled: use its alignment")
+            raise ValueError(
+                "the rotation of this frame is not being estimated, because there is no position fix yet or the track "
+                "is already in the frame of the fixes: call most_probable only between the two, and else use alignment"
+            )
         return replace(self._provisional, n_steps=n_steps) if self._provisional else self._density.alignment(n_steps)
 
     @property

@@ -56,6 +56,9 @@ class WeightedState:
 class WeightedTracker:
     """Tracker with a single filter over the weighted step lengths of the contexts (HC and WC).
 
+    HC (highest context) is the step length of the most probable context. WC (weighted context) is the mean of the step
+    lengths, weighted with the context probabilities.
+
     A step is reported provisionally when it is detected. It is reported again as final when the following context
     window is known.
 
@@ -108,7 +111,11 @@ class WeightedTracker:
 
     @property
     def weighting(self) -> str:
-        """Short name of the weighting: "hc", "wc", or the name of the function."""
+        """Short name of the rule that turns context probabilities into weights of the step lengths.
+
+        It is "hc" (highest context: the step length of the most probable context), "wc" (weighted context: the mean of
+        the step lengths, weighted with the context probabilities), or the name of `function`.
+        """
         if self.function is not None:
             return str(getattr(self.function, "__name__", type(self.function).__name__))
         return "hc" if self.threshold == HC else "wc"

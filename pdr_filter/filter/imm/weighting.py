@@ -26,9 +26,11 @@ def context_weights(context_prob: FloatArray, threshold: float) -> FloatArray:
     """Return the weights of the contexts (C,) for context probabilities (C,).
 
     If the context is uncertain, the weights are the probabilities. Otherwise the most probable context has weight one.
-    The context is uncertain if second-highest / highest probability >= threshold (the condition of Algorithm 2).
-    Threshold 0 is always WC. Threshold 1 is HC unless the two probabilities are equal. The threshold `HC` (infinity) is
-    always HC. Among equal maxima the first one has the weight (eq. 19).
+    The context is uncertain if second-highest / highest probability >= threshold (the condition of Algorithm 2 of
+    Martinelli et al. 2018). Threshold 0 always gives the probabilities (WC, weighted context). Threshold 1 gives the
+    most probable context (HC, highest context) unless the two probabilities are equal. The threshold `HC` (infinity)
+    always gives the most probable context. Among equal maxima the first one has the weight (Martinelli et al. 2018, eq.
+    19).
     """
     second, first = np.partition(context_prob, -2)[-2:]
     if second >= threshold * first:
@@ -43,7 +45,7 @@ HC = np.inf  # threshold with which the highest context is always used
 
 @dataclass(frozen=True, eq=False)
 class WeightedDistances:
-    """Distances of Algorithms 1 and 2 of Martinelli et al. (2018) for epochs 1 to K, in m.
+    """Distances in m of Algorithms 1 and 2 of Martinelli et al. (2018) for the epochs 1 to K between context windows.
 
     Attributes
     ----------
@@ -64,14 +66,18 @@ class WeightedDistances:
 
 
 def weighted_distances(distance_m: FloatArray, context_prob: FloatArray, threshold: float) -> WeightedDistances:
-    """Return the HC or WC distances of epochs, exactly as Algorithms 1 and 2 of Martinelli et al. (2018).
+    """Return the distances weighted by contexts, exactly as Algorithms 1 and 2 of Martinelli et al. (2018).
+
+    An epoch is the time from one context window to the next. HC (highest context) takes the distance of the most
+    probable context. WC (weighted context) takes the mean of the distances, weighted with the context probabilities.
 
     Parameters
     ----------
     distance_m : (K, C) array
-        Distance of each epoch for each context (eq. 17, 18).
+        Distance of each epoch for each context in m (eq. 17, 18).
     context_prob : (K + 1, C) array
-        Context probabilities of the windows 0 to K. Window 0 is before the first epoch.
+        Context probabilities of the windows 0 to K. Window k - 1 is at the beginning of epoch k, and window k at its
+        end.
     threshold : float
         Ratio of the second-highest to the highest probability from which the contexts are weighted by their
         probabilities (WC). Otherwise the highest context is used. `HC` (infinity) always uses the highest context.
@@ -110,7 +116,7 @@ def weighted_distances(distance_m: FloatArray, context_prob: FloatArray, thresho
     if len(context_prob) != len(distance_m) + 1:
         raise ValueError(
             f"context_prob must have one row more than distance_m, got {len(context_prob)} and {len(distance_m)} rows: "
-            "begin it with window 0, before the first epoch"
+            "add the context probabilities before the first distance as first row"
         )
     weights = np.stack([context_weights(p, threshold) for p in context_prob])
     provisional = (distance_m * weights[:-1]).sum(axis=1)

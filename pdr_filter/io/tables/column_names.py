@@ -172,7 +172,7 @@ class Column:
 
 
 def normal_unit(unit: str) -> str:
-    """Return a unit as `UNITS` spells it.
+    """Return the name of a unit in the spelling of the keys of `UNITS`, in lower case and without spaces.
 
     Examples
     --------

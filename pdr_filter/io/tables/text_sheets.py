@@ -145,12 +145,15 @@ def text_sheets(members: Members, member: str, separator: str | None = None) -> 
 
 
 def _begins(block: bytes, first: bytes) -> list[int]:
-    """Return the places of the lines in a block that begin with `first`."""
+    """Return the start indices of those lines of a block that begin with the bytes `first`."""
     return [found.start() for found in re.finditer(re.escape(b"\n" + first), b"\n" + block)]
 
 
 def _table_at(members: Members, member: str, first: bytes, n: int) -> Iterator[bytes]:
-    """Yield the blocks of the n-th of several tables in a text."""
+    """Yield the blocks of bytes of the n-th of several tables in a text.
+
+    Each table begins with a line that begins with `first`.
+    """
     at = -1
     for block in members.blocks(member):
         begins = _begins(block, first)

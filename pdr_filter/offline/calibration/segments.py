@@ -201,14 +201,18 @@ class SummedSegment:
         return f"{self.recording} {self.start_s:.1f}-{self.end_s:.1f} s"
 
     def sums(self, context: str, model: StepLengthModel, about: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the derivative (2, p) and the zero constant (2,) of `Segment.sums` for a linear model.
+        """Return the derivative (2, p) of the summed step vectors by the p parameters of a linear model, and zero.
 
-        Raises ValueError for a model for which the segment was not summed.
+        The second result (2,) is the constant part of `Segment.sums`, which is zero for a linear model. ValueError if
+        `SummedSegment.of` did not sum the steps for this context and model.
         """
         for name, other, derivative in zip(self.contexts, self.models, self.derivatives, strict=True):
             if name == context and other == model:
                 return derivative, np.zeros(2)
-        raise ValueError(f"{self.name}: the steps are not summed for {model} of {context}; extract the segments again")
+        raise ValueError(
+            f"{self.name}: the steps are not summed for {model} of {context}, because the segment was reduced to sums "
+            "for other models: reduce the recording again with this model"
+        )
 
 
 AnySegment = Segment | SummedSegment
