@@ -258,7 +258,7 @@ class WorkbenchSite:
     async def end_drop(self, request: Request) -> Response:
         """Move the files of a complete drop into the folder of the workbench if they are recordings.
 
-        Otherwise delete the files and return the reason.
+        Otherwise delete the files and raise FailedError with the reason.
         """
         folder = self._drop(request)
         if not folder.is_dir():

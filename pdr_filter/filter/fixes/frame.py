@@ -259,8 +259,8 @@ class Frame:
     def most_probable(self, n_steps: int) -> Alignment:
         """Return the most probable alignment of the track with the frame of the fixes while the rotation is uncertain.
 
-        It transforms the steps after the first `n_steps`. ValueError before the first position fix, and after the
-        filter states have been transformed into the frame of the fixes.
+        It transforms later steps. `n_steps` is the number of steps reported before it. ValueError before the first
+        position fix, and after the filter states have been transformed into the frame of the fixes.
         """
         if self._density is None:
             raise ValueError(
