@@ -50,7 +50,7 @@ class Blend(Machine):
         return relative / relative.sum(axis=1, keepdims=True)
 
     def to_arrays(self) -> Arrays:
-        """Return the arrays of both parts, with prefixed names, for `from_arrays`."""
+        """Return the arrays of both classifiers, with prefixed names, for `from_arrays`."""
         return prefixed(_LINEAR, self.linear.to_arrays()) | prefixed(_TREES, self.trees.to_arrays())
 
     @classmethod

@@ -26,7 +26,7 @@ MAX_LOCATIONS = 40
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeadReckoning:
-    """Dead-reckoned positions including the start, with their variances for a known heading.
+    """Dead-reckoned positions including the start, with their variances for an exactly known heading.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class DeadReckoning:
 
     @classmethod
     def of(cls, start_s: float, updates: Sequence[StepUpdate], var_m2: Sequence[float]) -> DeadReckoning:
-        """Return the dead-reckoned positions of final steps, given the start time and the variance at each step."""
+        """Return the dead-reckoned positions of final steps, given the start time and `walked_var_m2` at each step."""
         places = [update.position_m if update.of_start is None else update.of_start.position_m for update in updates]
         return cls(
             np.array([start_s, *(update.step.time_s for update in updates)]),
@@ -58,7 +58,7 @@ class DeadReckoning:
         )
 
     def at(self, time_s: float) -> tuple[FloatArray, float]:
-        """Return position (2,) and variance, interpolated at a time."""
+        """Return the position (2,) in m and `walked_var_m2`, interpolated at a time."""
         place = interpolated(time_s, self.time_s, np.column_stack([self.position_m, self.walked_var_m2]))
         return read_only(place[:2]), float(place[2])
 
@@ -107,7 +107,10 @@ class AlignedTrack:
     frame: Frame
 
     def results(self, at_s: float) -> list[FixResult]:
-        """Return the outcome of each fix."""
+        """Return the outcome of each fix, "turned", "rejected" or "frozen", at the time `at_s`.
+
+        A fix is "turned" if it determined the alignment, and "frozen" if it repeats the last position during walking.
+        """
         outcomes: list[FixOutcome] = [
             "frozen" if is_frozen else "turned" if pair in self.frame.agreeing else "rejected"
             for is_frozen, pair in zip(self.frozen, self.pairs, strict=True)
@@ -169,7 +172,7 @@ def aligned(recording: Recording, results: Iterable[tuple[State, Output]]) -> It
 
 
 def _even_fixes(location: Samples, first_s: float, last_s: float) -> tuple[LocationState, tuple[PositionFix, ...]]:
-    """Return the fixes between the times of the first and last sample, at even intervals."""
+    """Return the fixes from the locations between two times, at even intervals, and the state of their conversion."""
     inside = (location.time_s >= first_s) & (location.time_s <= last_s)
     latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values[inside].T
     interval_s = max(INTERVAL_S, (last_s - first_s) / MAX_LOCATIONS) if inside.any() else INTERVAL_S

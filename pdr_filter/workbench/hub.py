@@ -43,7 +43,7 @@ class _Process:
         self._thread = ThreadPoolExecutor(1)
 
     async def ask(self, request: Request) -> Any:
-        """Return the answer; FailedError with the reason if there is none."""
+        """Return the answer of the worker process to a request. FailedError with the reason if it fails."""
         try:
             answer = await asyncio.get_running_loop().run_in_executor(self._thread, self._process.ask, request)
         except LostError as error:
@@ -99,7 +99,10 @@ class Workbench:
             process.close()
 
     async def scan(self, is_forced: bool = False) -> None:
-        """Look for new recordings, unless the folder was searched only just before."""
+        """Look for new, changed and deleted recordings in the folder, and send events about them to the pages.
+
+        A scan within `_SCAN_S` of the last one is omitted, unless `is_forced`.
+        """
         async with self._scanning:
             if time.monotonic() - self._scanned_s < _SCAN_S and not is_forced:
                 return
@@ -112,7 +115,10 @@ class Workbench:
             self._scanned_s = time.monotonic()
 
     async def quick(self, method: str, *arguments: Any) -> Any:
-        """Return the answer of the worker process that serves open pages."""
+        """Return the answer of the worker process that is reserved for requests of open pages.
+
+        `method` is the name of a method of `worker.Worker`. FailedError if the method fails.
+        """
         return await self._quick.ask(Request(method, arguments))
 
     async def show(self, walk: Walk) -> dict[str, Any]:
@@ -142,7 +148,7 @@ class Workbench:
             self.tell(walk.event())
 
     async def _watch(self) -> None:
-        """Tell pages the progress of each file, and look for new recordings while a page is open."""
+        """Send the progress of each walk to the pages, and look for new recordings while a page is open."""
         while True:
             await asyncio.sleep(_PROGRESS_S)
             if not self._readers:

@@ -55,7 +55,10 @@ class TooLargeError(ValueError):
 
 
 class WorkbenchSite:
-    """Handlers of all routes. `address` is the whole address of the workbench, with its token."""
+    """Handlers of all HTTP routes of the workbench.
+
+    `address` is the whole address of the workbench, with its token.
+    """
 
     def __init__(self, workbench: Workbench, tiles: str, address: str, phone: str, texts: dict[str, str]) -> None:
         self.workbench, self.plans = workbench, Plans(workbench.folder)
@@ -98,7 +101,7 @@ class WorkbenchSite:
     # --- pages ---
 
     async def page(self, request: Request) -> Response:
-        """Serve a page in the language of the texts."""
+        """Serve an HTML page: the list of walks, a walk or a floor plan, with `texts` in the language of the user."""
         kind = request.url.path.split("/")[1] or "index"
         if kind == "walk":
             self._walk(request)
@@ -171,7 +174,7 @@ class WorkbenchSite:
         return self._cached(found["key"])
 
     async def export(self, request: Request) -> Response:
-        """Return a file of a walk."""
+        """Return an exported file of a walk, of one of the kinds `EXPORTS`."""
         walk, kind = self._walk(request), request.path_params["kind"]
         if kind not in EXPORTS:
             raise UnknownError(f"there is no export {kind[:20]!r}; give one of {', '.join(EXPORTS)}")

@@ -83,7 +83,10 @@ class _Opened:
 
 
 class Worker:
-    """Methods that answer requests. The recording of the last request stays in memory."""
+    """Object in a worker process whose methods answer the requests of the workbench.
+
+    The recording of the last request stays in memory.
+    """
 
     def __init__(self, cache: Path) -> None:
         self.cache = cache
@@ -114,7 +117,10 @@ class Worker:
         return summary
 
     def compare(self, path: str, variants: Sequence[tuple[str, str]]) -> dict[str, Any]:
-        """Return the key of a report that shows a walk with several recipes and weightings."""
+        """Return the key of a cached report that shows a walk with several recipes and weightings, as {"key": key}.
+
+        `variants` are pairs of a recipe and a weighting.
+        """
         checksum = checksum_of(Path(path))
         names = json.dumps(list(variants))
         key = hashlib.sha256(f"{self._key(Path(path), checksum)} {names}".encode()).hexdigest()[:32]
@@ -131,7 +137,7 @@ class Worker:
         return {"key": key}
 
     def export(self, path: str, kind: str) -> tuple[str, bytes]:
-        """Return the name and content of a file of a walk."""
+        """Return the name and content of an exported file of a walk. `kind` is one of `EXPORTS`."""
         opened = self._open(path, checksum_of(Path(path)))
         if kind == "zip":
             return f"{opened.recording.name}.zip", _zipped(Path(path))

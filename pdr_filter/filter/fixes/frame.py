@@ -271,7 +271,11 @@ class Frame:
 
     @property
     def present_alignment(self) -> Alignment | None:
-        """Most probable alignment of the present frame, or None if positions are already in the other frame."""
+        """Most probable alignment of the track with the frame of the fixes.
+
+        None if positions are already in the frame of the fixes, or if neither fixes nor magnetic north determine the
+        rotation.
+        """
         if self.is_joined:
             return None
         if self._density is not None:

@@ -46,10 +46,11 @@ class TaggedLog:
         notes: list[str],
         rewritten: Mapping[str, Callable[[bytes], bytes]] | None = None,
     ) -> tuple[dict[str, NumberTable], int]:
-        """Return tables by type of line and the number of lines of other types. Repairs are added to the notes.
+        """Return the tables of the wanted lines by their type, and the number of lines of other types.
 
-        Layouts, by type, count columns from the begin of the line and have the same separator. `tag_field` (0 or 1)
-        is the field of a line that holds its type. Lines of a type in `rewritten` are parsed as this makes them.
+        `layouts` has the layout of each wanted type. Columns are counted from the beginning of the line, and all
+        layouts have the same separator. `tag_field` (0 or 1) is the field of a line that holds its type. `rewritten`
+        maps a type to a function that converts its lines before they are parsed. Repairs are added to the notes.
         """
         separator = next(iter(layouts.values())).separator.encode()
         parts: dict[str, list[NumberTable]] = {tag: [] for tag in layouts}
@@ -100,9 +101,10 @@ def rotation_vector_quaternion(vector: FloatArray) -> FloatArray:
 
 
 def _ended(line: bytes, separator: bytes, tag_field: int, n_fields: Mapping[str, int]) -> bytes | None:
-    """Complete the last line with a line feed.
+    """Return the last line of a file with a line feed added.
 
-    Return an empty line if its type is not read, and None if the previous line of its type has more fields.
+    The result is an empty line if lines of this type are not read. It is None if the line is cut off: it has fewer
+    fields than the previous line of its type, `n_fields`.
     """
     fields = line.split(separator)
     tag = fields[tag_field].decode("latin-1") if len(fields) > tag_field else ""
@@ -112,7 +114,10 @@ def _ended(line: bytes, separator: bytes, tag_field: int, n_fields: Mapping[str,
 
 
 def _after_first(bytes_: NDArray[np.uint8], starts: NDArray[np.int64], separator: bytes) -> NDArray[np.int64]:
-    """Return the start of the second field of each line. For lines with one field it is past the end."""
+    """Return the index of the second field of each line that begins at `starts`.
+
+    For a line with one field, the index is beyond its end.
+    """
     at = np.append(np.flatnonzero(bytes_ == separator[0]), len(bytes_))
     return at[np.searchsorted(at, starts)] + 1
 

@@ -357,7 +357,7 @@ def is_time(name: str) -> bool:
 
 
 def nanoseconds_of(fields: Sequence[str], place: int) -> int | None:
-    """Return the place of the column with the nanoseconds that belong to a column of whole seconds, or None.
+    """Return the index of the column with the nanoseconds that belong to a column of whole seconds, or None.
 
     ROS writes a time as stamp.secs and stamp.nsecs.
     """

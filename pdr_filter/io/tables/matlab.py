@@ -161,7 +161,7 @@ class _File:
     # ------------------------------------------------------------------------------------------- elements
 
     def _elements(self, content: bytes, at: int) -> Iterator[tuple[int, int, bytes]]:
-        """Yield the place, kind and bytes of consecutive elements."""
+        """Yield the start index, kind and bytes of consecutive data elements of a MATLAB file."""
         while at + 8 <= len(content):
             self._elements_left -= 1
             if self._elements_left < 0:

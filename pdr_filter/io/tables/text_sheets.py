@@ -65,7 +65,7 @@ class TextRows:
         return NumberTable(without_midnights(found.whole), found.values)
 
     def _dated(self, rows: bytes, layout: Layout, dates: int, notes: list[str], line: int) -> NumberTable:
-        """Parse rows in which one column holds dates."""
+        """Parse rows in which the column `dates` holds dates, which become nanoseconds since 1970."""
         try:
             ns = column_nanoseconds(rows, self.separator.encode(), dates)
             if ns is not None:
@@ -79,7 +79,11 @@ class TextRows:
             raise RecordingError(f"{self.where}: {error}") from error
 
     def _rows(self) -> Iterator[bytes]:
-        """Blocks of rows: without the lines before them, single spaces between fields."""
+        """Yield the rows of the table in blocks of bytes, without the lines before the first row.
+
+        Fields that are separated by spaces are separated by a single one. If `only` is set, only rows with its text in
+        its column are yielded.
+        """
         left = self.n_before
         for block in self.blocks():
             at = 0
@@ -103,7 +107,7 @@ class TextRows:
         return re.escape(self.separator.encode())
 
     def _up_to(self, column: int) -> bytes:
-        """Return the regular expression of a row up to a column."""
+        """Return a regular expression that matches a row from its beginning up to the field of a column."""
         return rb"(?m)^(?:[^\n" + self._mark + rb"]*" + self._mark + b"){%d}" % column
 
     def texts_of(self, column: int) -> list[str]:
@@ -118,7 +122,10 @@ class TextRows:
 
 
 def by_text(sheet: Sheet, column: int) -> list[Sheet]:
-    """Sheets of a text, one for each text of a column and called like it; none if there are too many."""
+    """Return one sheet for each different text in a column, with the rows that have this text and with it as name.
+
+    The result is empty if there are more different texts than a phone has sensors.
+    """
     if not isinstance(rows := sheet.parse, TextRows):
         return []
     return [replace(sheet, name=name, parse=replace(rows, only=(column, name))) for name in rows.texts_of(column)]
@@ -243,7 +250,10 @@ def _n_known(text: str) -> int:
 
 
 def _layout(lines: list[str], separator: str) -> _Found | None:
-    """Start of the table with fields separated by this mark, or None without one."""
+    """Return the header and the first row of the table in the lines of a text, or None if there is no table.
+
+    `separator` is the character between fields.
+    """
     # Line ends that were converted twice leave a blank line after each.
     places = [*islice((i for i, line in enumerate(lines) if line.strip()), _LINES_TRIED + _LINES_COMPARED)]
     if separator != " " and not any(separator in lines[i] for i in places):

@@ -47,11 +47,11 @@ class Rows:
 
     @classmethod
     def of_one(cls, key: int, A: FloatArray, rhs: FloatArray) -> Rows:
-        """Return a block with a single key."""
+        """Return one block of equations A x = rhs for the single unknown with this key."""
         return cls(np.full(1, key), A[None], rhs[None], np.full(1, -1), np.zeros((0, 0, 0)))
 
     def chosen(self, keep: BoolArray) -> Rows:
-        """Return the blocks of a mask."""
+        """Return the blocks that a mask (n,) selects."""
         B = self.B[keep] if len(self.B) else self.B
         weight = self.weight[keep] if len(self.weight) else self.weight
         return Rows(self.a[keep], self.A[keep], self.rhs[keep], self.b[keep], B, weight)

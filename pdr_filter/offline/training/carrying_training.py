@@ -82,7 +82,10 @@ class CarryingPlan(TrainingPlan):
     source_weight: Mapping[str, float]
 
     def weight(self, windows: LabelledWindows) -> FloatArray:
-        """Return weights (W,) with the same total for every mode, and the source weights within a mode."""
+        """Return weights (W,) with the same total for every carrying mode.
+
+        Within a mode, each source (data set or kind of synthetic windows) has a total in proportion to `source_weight`.
+        """
         return balanced_weight(windows.carrying_mode, windows.dataset, self.source_weight)
 
     def held_out(self, windows: LabelledWindows) -> dict[str, BoolArray]:

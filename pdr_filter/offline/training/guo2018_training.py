@@ -72,7 +72,10 @@ class PosePlan(TrainingPlan):
     feature_limit: float = np.inf
 
     def weight(self, windows: LabelledWindows) -> FloatArray:
-        """Return weights (W,) with the same total for every pose, and the source weights within a pose."""
+        """Return weights (W,) with the same total for every pose.
+
+        Within a pose, each source (data set or kind of synthetic windows) has a total in proportion to `SOURCE_WEIGHT`.
+        """
         return balanced_weight(windows.carrying_mode, windows.dataset, SOURCE_WEIGHT)
 
     def standardisation(self, features: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -82,7 +82,7 @@ RATE_SCALE = 9.8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionLevelState:
-    """Samples that later windows need."""
+    """Samples of the last window, from which the next levels of motion are computed."""
 
     n_samples: int  # samples of this segment so far
     # (6, L - 1): specific force, its squared norm, squared norm of the angular rate, 1 for samples without angular rate
@@ -145,7 +145,7 @@ class PoseWindow(DescribedWindow):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseWindowState:
-    """Samples that later windows need."""
+    """State of the level of motion, and samples of pitch, roll and level that later windows need."""
 
     level: MotionLevelState
     buffer: WindowBuffer  # rows: pitch, roll, level of motion, 1 if its window has an angular rate

@@ -364,7 +364,7 @@ class TianContexts:
 
         Sample numbers count from the start of the segment. `modes` (N,) are the states of the phone, and `revealed` the
         indices in the block at which a step became known. Walking ends `stationary_s` after the last step. Samples of a
-        transition do not count: each of them moves the returned number by one.
+        transition do not count for this time, so each of them increases the second result by one.
         """
         walking = np.empty(len(modes), dtype=bool)
         is_walking, last = state.walking, state.last_contact

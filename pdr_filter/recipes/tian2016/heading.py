@@ -56,7 +56,7 @@ def viewing_direction(specific_force_mps2: FloatArray, attitude: AttitudeBlock) 
 
 @dataclass(frozen=True, eq=False)
 class OffsetCompensationState:
-    """Samples of the last seconds, and the offset or the data for its estimate. NaN means unknown."""
+    """Samples of the last seconds, and the heading offset or the data for its estimate. NaN means unknown."""
 
     carried: CarriedState
     n_samples: int = 0  # samples of this segment
@@ -272,7 +272,11 @@ class OffsetCompensation:
         return replace_unchecked(state, n_since=0, training_rad=np.empty(0), offset_rad=_NAN, last_heading_rad=_NAN)
 
     def _compensated(self, state: OffsetCompensationState, step: Step) -> tuple[OffsetCompensationState, float]:
-        """Return the new state, and the direction of a step in a swinging hand or in a pocket (Table V)."""
+        """Return the new state, and the walking direction of a step in a swinging hand or in a pocket, rad.
+
+        The direction is the device heading minus the offset. Until the offset is estimated, it is the direction before
+        the transition (Tian et al. 2016, Table V). It is NaN if that direction is unknown.
+        """
         if np.isnan(state.baseline_rad):
             return state, _NAN
         heading_rad = step.device_heading_rad

@@ -372,7 +372,7 @@ def dominant_period_s(acceleration_mps2: FloatArray, search: EventSearch, rate_h
 
 
 def _window_samples(period_s: float, rate_hz: float) -> int:
-    """Return the length of a window in samples, w = f_A / f_D (eq. 5).
+    """Return the length of a window in samples, w = f_A / f_D (Zhou et al. 2019, eq. 5).
 
     f_A is the sampling rate and f_D the dominant frequency of the motion, both in Hz.
     """

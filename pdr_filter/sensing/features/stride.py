@@ -1,7 +1,7 @@
 """Features of the harmonics of the stride: how force and rotation are distributed over them.
 
 A window holds two or three strides, so the bins of its spectrum are wider than the difference between walking and
-stairs. The frequency f of the stride is therefore estimated first. Each line is then fitted by a sum of `N_HARMONICS`
+stairs. The frequency f of the stride is therefore estimated first. Each signal is then fitted by a sum of `N_HARMONICS`
 harmonics of f. Even harmonics repeat every step, odd ones distinguish left from right. Shares of harmonics do not
 change with step frequency or pace, and no feature depends on the attitude or handedness of the device.
 
@@ -98,7 +98,8 @@ _EVEN, _ODD = [0, *range(1, 2 * N_HARMONICS, 2)], [*range(2, 2 * N_HARMONICS + 1
 def _side_by_side(n: int, rate_hz: float) -> tuple[FloatArray, FloatArray]:
     """Return the even and odd columns of the first matrix of `_harmonics`, restricted to the later half of the samples.
 
-    They apply to a line plus or minus its mirror image. The columns of all stride frequencies are next to each other.
+    They apply to a signal plus or minus its mirror image in time. The columns of all stride frequencies are next to
+    each other.
     """
     later = _harmonics(n, rate_hz)[0][:, n // 2 :].copy()
     if n % 2:

@@ -277,10 +277,10 @@ class MagneticNorth:
 
 
 def _readings(samples: FloatArray, time_s: FloatArray) -> FloatArray:
-    """Return the times and the flattened matrices [X f]' [X f] (R, 50) of R complete readings.
+    """Return a row (50,) for each of R complete readings: its time, and its flattened matrix [X f]' [X f].
 
-    `samples` (R, size, 8) are their samples. The columns of X are the regressors and f the measured field, both
-    averaged over each reading.
+    `samples` (R, size, 8) are the samples of the readings. X = [1 R] and the measured field f are averaged over each
+    reading, with the rotation R from the sensor to the attitude frame.
     """
     to_frame = np.moveaxis(rotation_matrix(samples[:, :, _QUAT]), (-2, -1), (0, 1))
     Xf = np.empty((len(samples), 3, 7))

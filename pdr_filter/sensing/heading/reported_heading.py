@@ -57,7 +57,7 @@ class Reported:
     shown_var_rad2 : float
         Smallest variance of `shown_rad` in the present place of the phone so far, rad2.
     error_rad : float
-        Error of the device heading in the last report, rad.
+        Error of the device heading (estimate minus truth) in the last report, rad.
     var_rad2 : float
         Variance of `offset_rad`, rad2. Infinite before the first report.
     lost_var_rad2 : float

@@ -176,7 +176,7 @@ class WalkingHeadingState:
     of_bias_var_rad2 : float
         Variance of `of_bias_rad`, rad2.
     lost_var_rad2 : float
-        Heading variance added by the uncertain gyroscope bias so far, rad2.
+        Heading variance that the uncertain gyroscope bias has added since the start, rad2.
     reported : Reported
         Information already passed to the filter.
     walking_rad : float
@@ -701,7 +701,7 @@ class WalkingHeading:
         return offset, formers, place, UNKNOWN_STD_RAD
 
     def _known_place_at(self, time_s: float) -> KnownPlace | None:
-        """Return the place of the first pass at a time, or None without a first pass."""
+        """Return the place of the phone at a time, as estimated in the first pass, or None without a first pass."""
         i = bisect_right(self.known_places, time_s, key=attrgetter("start_s"))
         return self.known_places[i - 1] if i else None
 
