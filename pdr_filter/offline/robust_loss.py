@@ -52,9 +52,9 @@ def weights(misfit: FloatArray, loss: str, mu: float = 1.0) -> FloatArray:
 def moments(loss: str, mu: float = 1.0) -> tuple[float, float]:
     """Return E w u^2 / E w and the information factor of a loss with weights w(u), for standard normal residuals u.
 
-    The first value corrects the estimated variance of the residuals: with unit variance, sum w u^2 / sum w tends to it,
-    whatever the share of residuals with weight zero. The second value is (E w u^2)^2 / (E psi^2 E w) with psi = w u. If
-    the weight of each equation in the normal equations is multiplied by it, the inverse of their matrix is the
+    The first value corrects the estimated variance of the residuals. For unit variance, sum w u^2 / sum w tends to this
+    value, whatever the share of residuals with weight zero. The second value is (E w u^2)^2 / (E psi^2 E w) with psi =
+    w u. The weights in the normal equations are multiplied by this factor. The inverse of their matrix is then the
     asymptotic covariance of an M-estimate, which is proportional to E psi^2 / (E psi')^2.
     """
     u = np.linspace(-9, 9, 20001)

@@ -265,7 +265,7 @@ class Frame:
         if self._density is None:
             raise ValueError(
                 "the rotation of this frame is not being estimated, because there is no position fix yet or the track "
-                "is already in the frame of the fixes: call most_probable only between the two, and else use alignment"
+                "is already in the frame of the fixes: use present_alignment or alignment"
             )
         return replace(self._provisional, n_steps=n_steps) if self._provisional else self._density.alignment(n_steps)
 

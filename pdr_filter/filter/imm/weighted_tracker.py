@@ -113,8 +113,8 @@ class WeightedTracker:
     def weighting(self) -> str:
         """Short name of the rule that turns context probabilities into weights of the step lengths.
 
-        It is "hc" (highest context: the step length of the most probable context), "wc" (weighted context: the mean of
-        the step lengths, weighted with the context probabilities), or the name of `function`.
+        It is "hc" (highest context), "wc" (weighted context), or the name of `function`. "hc" takes the step length of
+        the most probable context. "wc" takes the mean of the step lengths, weighted with the context probabilities.
         """
         if self.function is not None:
             return str(getattr(self.function, "__name__", type(self.function).__name__))

@@ -36,8 +36,9 @@ _MAX_SPEED_MPS = 2.0
 class Errors:
     """Errors of correlated fixes, one state (6,) per fix, in order of time.
 
-    Each component is a Gauss-Markov process of variance one: two for the constant part of the position error (east and
-    north), two for the varying part, one for the shrinkage of the track, and one for the delay.
+    Each component is a Gauss-Markov process of variance one. Two components are the constant part of the position
+    error, and two the varying part. The fifth is the shrinkage of the locations towards their local mean, and the last
+    is their delay.
 
     Attributes
     ----------

@@ -102,8 +102,8 @@ def increments(
     The displacement of a step is the mean over the M modes, sum_m mu_m L_m u(psi + o_m), with the covariance of the
     mixture. For mode m, mu_m is the probability, L_m the step length and o_m the heading offset. psi is the device
     heading, and u the unit vector of a heading. All steps share the error of the fitted step-length parameters. The
-    second result is therefore the mean of J cov J' / L^2 over steps and modes, with the derivative J of L by the
-    parameters and their covariance cov. This is an approximation for several parameters. `mode_prob` is (K, M), and
+    second result is therefore the mean of J cov J' / L^2 over steps and modes. J is the derivative of L by the
+    parameters, and cov is their covariance. This is an approximation for several parameters. `mode_prob` is (K, M), and
     `gap_before_s` (K,) is the time without samples before each step.
     """
     n = len(steps)

@@ -351,7 +351,7 @@ def _step_labels(
 
 @dataclass(frozen=True, eq=False)
 class _DefaultEvidence:
-    """Prior values for the estimate of transitions and exponents, for the labels of one model.
+    """Default transition matrix and exponents for the labels of one model, for data with too few changes of context.
 
     The transition matrix is computed for these labels (`context_transitions`). The exponents and the floor are those of
     the default recipe.

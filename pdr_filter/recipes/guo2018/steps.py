@@ -217,8 +217,8 @@ class PoseStepDetector(BaseStepDetector[PoseStepState]):
 def feature_signals(block: UniformBlock) -> FloatArray:
     """Return the signals (4, N) in which the steps of each pose are detected (Guo et al. 2018, eq. 3 to 6).
 
-    With specific force f in m/s2 and angular rate w in rad/s, they are sqrt(f_y^2 + f_z^2) for texting, sqrt(f_x^2 +
-    f_y^2) for calling, |f| for a pocket and |w_z| for a swinging hand.
+    They are sqrt(f_y^2 + f_z^2) for texting, sqrt(f_x^2 + f_y^2) for calling, |f| for a pocket, and |w_z| for a
+    swinging hand. f is the specific force in m/s2 and w the angular rate in rad/s.
     """
     x, y, z = block.specific_force_mps2.T
     return np.stack(

@@ -68,13 +68,13 @@ class CarryingMachine:
 
     Gravity in the samples of the transition determines the next main mode. After SWING or POCKET, it is HOLDING if
     gravity is that of a held phone in any sample, otherwise the other one of SWING and POCKET. After HOLDING, it is
-    HOLDING if the phone was only rotated (see `held_again_s`). Otherwise it is SWING if the phone is on its long edge
-    (|g_x| > GS_x) in any sample and its screen is down (g_z >= GS_z) in none, and POCKET in all other cases.
+    HOLDING if the phone was only rotated (see `held_again_s`). It is SWING if the phone is on its long edge (|g_x| >
+    GS_x) in any sample, and its screen is down (g_z >= GS_z) in none. In all other cases it is POCKET.
 
     Without angular rate, gravity alone determines the mode every `transition_s`. The mode is HOLDING if the screen is
-    up (g_z < -GH_z) in more than half of the samples, SWING if the phone is on its long edge in more than half, and
-    POCKET otherwise. This is an extension, because the paper assumes a gyroscope. An upright phone is then assigned to
-    POCKET, which is the most frequent case.
+    up (g_z < -GH_z) in more than half of the samples. It is SWING if the phone is on its long edge in more than half,
+    and POCKET otherwise. This is an extension, because the paper assumes a gyroscope. An upright phone is then assigned
+    to POCKET, which is the most frequent case.
 
     Parameters
     ----------

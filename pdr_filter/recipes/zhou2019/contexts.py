@@ -57,9 +57,9 @@ class BehaviourThresholds:
     def classify(self, features: FloatArray) -> str:
         """Return the behaviour for the features (3,) of a window: variance, DC component and energy.
 
-        It is running if the DC component exceeds its threshold (Condition 6), else walking if variance and energy do
-        (Condition 5), else irregular if DC component and energy do (Condition 4), else standing (Condition 3). The
-        conditions are those of Zhou et al. 2019, Table 1.
+        It is running if the DC component exceeds its threshold (Condition 6). Otherwise it is walking if variance and
+        energy exceed theirs (Condition 5), or irregular if DC component and energy do (Condition 4). Otherwise it is
+        standing (Condition 3). The conditions are those of Zhou et al. 2019, Table 1.
         """
         variance, dc_component, energy = features
         if dc_component > self.running_dc_mps2:

@@ -55,8 +55,8 @@ def acceleration(specific_force_mps2: FloatArray, bias_mps2: FloatArray) -> Floa
 def behaviour_features(acceleration_mps2: FloatArray) -> FloatArray:
     """Return variance in m2/s4, DC component in m/s2 and energy in m/s2, (3,), of filtered acceleration (N,).
 
-    The DC component f_0 is the mean. The energy is the mean absolute value of the Fourier coefficients without f_0, as
-    in Zhou et al. 2019, eq. 4, so that it is an amplitude and not a power.
+    The DC component f_0 is the mean. The energy is the mean absolute value of the Fourier coefficients without f_0
+    (Zhou et al. 2019, eq. 4). It is an amplitude and not a power.
     """
     n = len(acceleration_mps2)
     dc_component = acceleration_mps2.mean()

@@ -222,8 +222,8 @@ def _lever(acceleration_about: ComplexArray, horizontal: ComplexArray, n: int) -
     The lever is the distance from the axis about which the phone tilts to the phone, such as the length of a swinging
     arm. It is the factor from the angular acceleration to the horizontal specific force.
 
-    The arguments are the spectra of the angular acceleration about the main axis, (W, B), and of the horizontal
-    specific force, (W, 2, B), for windows of `n` samples.
+    `acceleration_about` (W, B) is the spectrum of the angular acceleration about the main axis. `horizontal` (W, 2, B)
+    is that of the horizontal specific force. The windows have `n` samples.
     """
     # Least squares of the horizontal acceleration on the angular one. The factor i between angular rate and angular
     # acceleration is omitted, because only absolute values are used.

@@ -47,8 +47,8 @@ class MagneticNorthState:
     """Buffered readings of the magnetic field, and the sums of the regression.
 
     The model of a reading f (3,) in the attitude frame is f = X (m, b) + e with X = [1 R], (3, 6). m is the field of
-    the Earth, b the hard iron of the phone, R the rotation from the sensor to the attitude frame, and e the disturbance
-    of the place. A reading adds the matrix [X f]' [X f], (7, 7), to the sums.
+    the Earth, and b the hard iron of the phone. R is the rotation from the sensor to the attitude frame, and e the
+    disturbance of the place. A reading adds the matrix [X f]' [X f], (7, 7), to the sums.
 
     Attributes
     ----------

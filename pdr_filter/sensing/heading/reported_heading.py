@@ -78,8 +78,8 @@ class Reported:
     def after_loss(self, lost_var_rad2: float) -> Reported:
         """Return the estimate with a variance increased by `lost_var_rad2`.
 
-        This is the variance in rad2 by which the device heading itself has become less certain, due to a gap, a time
-        without angular rate, or the uncertain gyroscope bias.
+        This variance in rad2 makes the device heading itself less certain. The cause is a gap, a time without angular
+        rate, or the uncertain gyroscope bias.
         """
         if lost_var_rad2 == 0.0 and (self.var_rad2 <= UNKNOWN_VAR_RAD2 or math.isinf(self.var_rad2)):
             return self
