@@ -280,9 +280,10 @@ def _cells(row: Row, contexts: Sequence[str]) -> list[str]:
 
 
 def _of_cells(cells: Sequence[str], contexts: Sequence[str]) -> Row:
+    """Return the row of a table from the cells of a line. ValueError for a wrong number of cells, or a wrong cell."""
     n_columns = len(columns_of(contexts))
     if len(cells) != n_columns:
-        raise ValueError(f"{len(cells)} of {n_columns} cells")
+        raise ValueError(f"it has {len(cells)} cells instead of {n_columns}")
     n_before = len(_BEFORE)
     of_contexts = cells[n_before : n_before + len(contexts)]
     seconds = {name: float(cell) for name, cell in zip(contexts, of_contexts, strict=True) if cell}

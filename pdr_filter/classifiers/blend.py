@@ -50,12 +50,15 @@ class Blend(Machine):
         return relative / relative.sum(axis=1, keepdims=True)
 
     def to_arrays(self) -> Arrays:
-        """Return the arrays of both parts, with prefixed names, for `from_arrays`."""
+        """Return the arrays of both classifiers, with prefixed names, for `from_arrays`."""
         return prefixed(_LINEAR, self.linear.to_arrays()) | prefixed(_TREES, self.trees.to_arrays())
 
     @classmethod
     def from_arrays(cls, arrays: Arrays) -> Self:
-        """Create a blend from the arrays of `to_arrays`. KeyError or ValueError for other arrays."""
+        """Create the blend of a linear classifier and boosted trees from the arrays of `to_arrays`.
+
+        KeyError or ValueError for other arrays.
+        """
         return cls(
             SoftmaxRegression.from_arrays(of_prefix(_LINEAR, arrays)),
             BoostedTrees.from_arrays(of_prefix(_TREES, arrays)),

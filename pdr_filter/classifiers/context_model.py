@@ -582,7 +582,10 @@ def _check(model: ContextModel) -> None:
     if model.stairs is not None and model.head != "context":
         raise ValueError(f"stairs is only for a model of contexts, got head {model.head!r}: leave stairs out")
     if model.stairs is not None and not set(model.stairs_labels) <= set(model.labels):
-        raise ValueError(f"stairs_labels must be three of {model.labels}, got {model.stairs_labels}")
+        raise ValueError(
+            f"stairs_labels must be among the labels {model.labels}, got {model.stairs_labels}: give the labels of "
+            "level walking, stairs up and stairs down, in this order"
+        )
     if model.transition_prob is not None:
         check_transition_prob(model.transition_prob, len(model.labels))
     for name in ("evidence_exponent", "prior_exponent"):

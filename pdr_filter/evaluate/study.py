@@ -117,7 +117,8 @@ def study_table(rows: Sequence[Table], people: Sequence[str] | None = None) -> T
     for k, each in enumerate(rows):
         if each.name.tolist() != names:
             raise ValueError(
-                f"rows must have the same tracks, got {names} and, for recording {k}, {each.name.tolist()}"
+                f"rows must have the same tracks for all recordings, got {names} for recording 0 and, for recording "
+                f"{k}, {each.name.tolist()}: call comparison_table with tracks of the same names in the same order"
             )
     people = [str(k) for k in range(len(rows))] if people is None else list(people)
     if len(people) != len(rows):

@@ -244,7 +244,10 @@ def _whole(state: Assembly, force: Samples) -> Streams:
 def _kind_of(state: Assembly) -> Kind:
     """Return the kind of acceleration that was found in the first samples of the session."""
     if state.kind is None:
-        raise ValueError("no samples are assembled before the kind of the acceleration is known")
+        raise ValueError(
+            "it is not known yet whether this session sends specific force or acceleration without gravity: assemble "
+            "its samples only after the kind of the acceleration was found"
+        )
     return state.kind
 
 

@@ -50,11 +50,12 @@ def weights(misfit: FloatArray, loss: str, mu: float = 1.0) -> FloatArray:
 
 @cache
 def moments(loss: str, mu: float = 1.0) -> tuple[float, float]:
-    """Return E w u^2 / E w and the information factor of a loss, for standard normal residuals u.
+    """Return E w u^2 / E w and the information factor of a loss with weights w(u), for standard normal residuals u.
 
-    The first value makes the estimated scale consistent: sum w u^2 / sum w tends to it, whatever the share of residuals
-    with weight zero. The second value is (E w u^2)^2 / (E psi^2 E w) with psi = w u. Multiplied with the weights, it
-    gives the covariances of an M-estimate, E psi^2 / (E psi')^2.
+    The first value corrects the estimated variance of the residuals. For unit variance, sum w u^2 / sum w tends to this
+    value, whatever the share of residuals with weight zero. The second value is (E w u^2)^2 / (E psi^2 E w) with psi =
+    w u. The weights in the normal equations are multiplied by this factor. The inverse of their matrix is then the
+    asymptotic covariance of an M-estimate, which is proportional to E psi^2 / (E psi')^2.
     """
     u = np.linspace(-9, 9, 20001)
     density = np.exp(-0.5 * u**2) / np.sqrt(2 * np.pi) * (u[1] - u[0])
@@ -64,9 +65,12 @@ def moments(loss: str, mu: float = 1.0) -> tuple[float, float]:
 
 
 def next_stage(loss: str, iteration: int, largest: float, mu: float) -> tuple[str, float, bool]:
-    """Return the loss and the control parameter of the next iteration, and whether they are final.
+    """Return the loss and the control parameter mu of the next iteration, and True if they no longer change.
 
-    `largest` is the largest absolute residual in standard deviations.
+    "cauchy" begins with "huber" in the first iterations, until `iteration` reaches `_HUBER_ITERATIONS`. "gnc" begins
+    with the mu of `truncated_start`, and multiplies it by `GNC_FACTOR` in each iteration up to `_LAST_MU`. All other
+    losses are final at once. `loss` is the loss of the calibration, `iteration` the number of finished iterations,
+    `largest` the largest absolute residual in standard deviations, and `mu` the last control parameter.
     """
     if loss == "cauchy" and iteration < _HUBER_ITERATIONS:
         return "huber", 1.0, False
@@ -83,10 +87,10 @@ def truncated_start(excess: float) -> float:
 
 
 def truncated_weights(squared: FloatArray, limit: FloatArray, mu: float) -> FloatArray:
-    """Return the weights of squared residuals in truncated least squares (eq. 14 of the paper).
+    """Return the weights, 0 to 1, of squared residuals in truncated least squares (Yang et al. 2020, eq. 14).
 
-    Weights are 1 well below `limit`, 0 well above it, and change smoothly between. A larger mu makes the change
-    steeper.
+    A weight is 1 for squared residuals well below `limit`, 0 well above it, and changes smoothly between. `limit` is
+    the squared residual from which an observation is an outlier. A larger mu makes the change steeper.
     """
     between = np.sqrt(limit * mu * (mu + 1) / np.maximum(squared, 1e-12)) - mu
     below, above = squared <= limit * mu / (mu + 1), squared >= limit * (mu + 1) / mu

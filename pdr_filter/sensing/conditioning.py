@@ -579,8 +579,8 @@ def merge_streams(recording: Recording, max_gap_s: float = 0.3) -> ImuBlock:
     recording : Recording
         Recording with an accelerometer and optionally a gyroscope and a magnetometer.
     max_gap_s : float, default 0.3
-        Longest time between two samples of a stream, in s, that is interpolated. A stream that starts or ends earlier
-        than this before or after a sample is held.
+        Longest time between two samples of a stream, in s, that is interpolated. Before its first sample and after its
+        last sample, a stream keeps the value of that sample for less than this time.
 
     Returns
     -------

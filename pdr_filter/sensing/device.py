@@ -139,7 +139,7 @@ class Device:
         try:
             content = read_json(Path(path), limits.MAX_SMALL_BYTES)
             if content["pdr_filter_device"] != 1:
-                raise ValueError(f"version {content['pdr_filter_device']}")
+                raise ValueError(f"it has format version {content['pdr_filter_device']} instead of 1")
             return cls(np.array(content["bias_radps"], float), np.array(content["bias_cov_radps2"], float))
         except Exception as error:  # a damaged file can raise any exception
             raise ValueError(f"{path}: no device file of pdr_filter ({error}); write one with Device.save") from None

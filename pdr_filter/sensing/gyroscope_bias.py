@@ -92,11 +92,12 @@ class StraightWalk:
     heading_rad : tuple of float
         Corrected headings of the last two windows, rad. They serve to detect a corner.
     measured_rad : tuple of float
-        Uncorrected headings of the windows that are not measured yet, rad. The negative slope is the bias.
+        Uncorrected headings of the windows that have not yet updated the bias estimate, rad. Their negative slope over
+        time is the bias about the vertical.
     up_sensor : FloatArray
         Unit vector up in the sensor frame in the first window, shape (3,).
     n_to_skip : int
-        Windows to skip before the walk is measured again.
+        Number of windows to skip before the walk updates the bias estimate again.
     """
 
     heading_rad: tuple[float, ...]
@@ -107,7 +108,7 @@ class StraightWalk:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldScatter:
-    """Recent mean and scatter of the magnetic field.
+    """Recent mean and scatter of the magnetic field, with exponential forgetting.
 
     Attributes
     ----------
@@ -118,7 +119,7 @@ class FieldScatter:
     up_ut : float
         Mean vertical field, uT.
     variance_ut2 : float
-        Variance of one of the two parts, uT2.
+        Mean of the variances of the horizontal field strength and the vertical field, uT2.
     direction_rad : float
         Direction of the field in the last window, clockwise from north of the attitude frame, rad.
     """
@@ -152,7 +153,8 @@ class GyroBiasState:
         Variance of `heading_error_rad`, rad2.
     heading_lost_var_rad2 : float
         Sum of the heading variance that the uncertain bias has added since the start, without reductions by
-        measurements, rad2. The filter of the track must add it, because it receives each measurement separately.
+        measurements, rad2. The filter of the track must add this variance, because it receives each measurement
+        separately.
     corrected_rad : float
         Total turn by which the bias estimates so far have corrected the heading, rad.
     n_still : int
@@ -472,7 +474,11 @@ class GyroBias:
     def _scatter(
         self, field: FieldScatter | None, horizontal_ut: float, up_ut: float, direction_rad: float
     ) -> tuple[FieldScatter, float]:
-        """Return the mean and scatter of the field updated with a window, and the variance for this window."""
+        """Return the mean and scatter of the field updated with a window, and a variance of the field in this window.
+
+        The variance in uT2 is the updated mean variance of the horizontal field strength and the vertical field. Half
+        of the squared deviation of this window from their means is added to it.
+        """
         if field is None:
             return FieldScatter(1, horizontal_ut, up_ut, 0.0, direction_rad), 0.0
         n = field.n_windows + 1

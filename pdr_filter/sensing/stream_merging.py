@@ -260,10 +260,13 @@ class StreamMerger:
         return MergerState(tuple(kept))
 
     def _n_whole(self, stream: StreamState, n: int, before_s: float, others_s: float = -np.inf) -> int:
-        """Return how many of the first n rows precede the first hole that may still be filled.
+        """Return how many of the first n rows of a sensor precede the first hole that may still be filled.
 
-        `before_s` is the last time before these rows. For a sensor other than the accelerometer, `others_s` is the last
-        usable time of the accelerometer.
+        A hole is an interval longer than `max_gap_s` and than 2.5 usual intervals of the sensor. Late samples may still
+        fill it as long as the samples after it span less than `wait_s`. `before_s` is the time of the sample before
+        these rows. For a sensor other than the accelerometer, `others_s` is the last usable time of the accelerometer.
+        If it is more than `wait_s` after the beginning of a hole, the hole is no longer waited for. For the
+        accelerometer itself it is minus infinity, because the accelerometer waits for no other sensor.
         """
         time_s = stream.rows[:n, 0]
         intervals_s = time_s.copy()

@@ -26,7 +26,7 @@ MAX_LOCATIONS = 40
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeadReckoning:
-    """Dead-reckoned positions including the start, with their variances for a known heading.
+    """Dead-reckoned positions including the start, with their variances for an exactly known heading.
 
     Attributes
     ----------
@@ -37,7 +37,8 @@ class DeadReckoning:
     walked_m : ndarray, shape (K + 1,)
         Walked distance, m.
     walked_var_m2 : ndarray, shape (K + 1,)
-        Variance of each position for a known heading, m^2. It increases monotonically.
+        Variance of each position that remains if the heading is known exactly, mean of both axes, m^2. It increases
+        monotonically.
     """
 
     time_s: FloatArray
@@ -47,7 +48,7 @@ class DeadReckoning:
 
     @classmethod
     def of(cls, start_s: float, updates: Sequence[StepUpdate], var_m2: Sequence[float]) -> DeadReckoning:
-        """Return the dead-reckoned positions of final steps, given the start time and the variance at each step."""
+        """Return the dead-reckoned positions of final steps, given the start time and `walked_var_m2` at each step."""
         places = [update.position_m if update.of_start is None else update.of_start.position_m for update in updates]
         return cls(
             np.array([start_s, *(update.step.time_s for update in updates)]),
@@ -57,22 +58,24 @@ class DeadReckoning:
         )
 
     def at(self, time_s: float) -> tuple[FloatArray, float]:
-        """Return position (2,) and variance, interpolated at a time."""
+        """Return the position (2,) in m and `walked_var_m2`, interpolated at a time."""
         place = interpolated(time_s, self.time_s, np.column_stack([self.position_m, self.walked_var_m2]))
         return read_only(place[:2]), float(place[2])
 
     def own_var_m2(self, agreeing: Sequence[PairedPoint]) -> FloatArray:
-        """Return the variance (K,) that dead reckoning adds to each aligned position.
+        """Return the variance (K,) in m^2 that dead reckoning adds to the variance of the alignment at each position.
 
-        Let w(t) be the variance of dead reckoning until t. Its error is shared by all later positions, so that the
-        covariance of two positions is min(w(t), w(s)). Let a_i be the weights of the locations in the centre of the
-        alignment. The error at t, relative to the error of the centre, has the variance
+        The alignment fixes the centre of the track, which is the weighted mean of the paired locations. The variance of
+        an aligned position along each axis is the variance of this centre plus the result. Let w(t) be the variance of
+        dead reckoning until t. Its error is shared by all later positions, so that the covariance of two positions is
+        min(w(t), w(s)). Let a_i be the weights of the locations in the centre, and w_i the variances w at their times.
+        The dead-reckoning error at t relative to that of the centre has the variance
 
             w(t) - 2 sum_i a_i min(w(t), w_i) + sum_ij a_i a_j min(w_i, w_j).
 
-        The variance of the centre already contains the last sum, except w_0, the smallest w_i. The result is therefore
-        w(t) - 2 sum_i a_i min(w(t), w_i) + w_0. It is negative near the centre, where steps are known better than the
-        centre.
+        The variance of the centre already contains the last sum minus w_0, the smallest w_i. The result is therefore
+        w(t) - 2 sum_i a_i min(w(t), w_i) + w_0. It is negative for positions near the centre, which are more certain
+        than the centre itself.
         """
         weight, walked = centre_weights(agreeing), np.array([pair.walked_var_m2 for pair in agreeing])
         shared = [float(weight @ np.minimum(w, walked)) for w in self.walked_var_m2[1:]]
@@ -104,7 +107,10 @@ class AlignedTrack:
     frame: Frame
 
     def results(self, at_s: float) -> list[FixResult]:
-        """Return the outcome of each fix."""
+        """Return the outcome of each fix, "turned", "rejected" or "frozen", at the time `at_s`.
+
+        A fix is "turned" if it determined the alignment, and "frozen" if it repeats the last position during walking.
+        """
         outcomes: list[FixOutcome] = [
             "frozen" if is_frozen else "turned" if pair in self.frame.agreeing else "rejected"
             for is_frozen, pair in zip(self.frozen, self.pairs, strict=True)
@@ -166,7 +172,7 @@ def aligned(recording: Recording, results: Iterable[tuple[State, Output]]) -> It
 
 
 def _even_fixes(location: Samples, first_s: float, last_s: float) -> tuple[LocationState, tuple[PositionFix, ...]]:
-    """Return the fixes between the times of the first and last sample, at even intervals."""
+    """Return the fixes from the locations between two times, at even intervals, and the state of their conversion."""
     inside = (location.time_s >= first_s) & (location.time_s <= last_s)
     latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values[inside].T
     interval_s = max(INTERVAL_S, (last_s - first_s) / MAX_LOCATIONS) if inside.any() else INTERVAL_S

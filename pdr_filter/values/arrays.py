@@ -109,10 +109,17 @@ def table(columns: Mapping[str, ArrayLike]) -> Table:
 
 
 def check_columns(rows: Table, kinds: Mapping[str, str], name: str) -> None:
-    """Raise ValueError unless a table has the given columns, each of one of the given NumPy kinds."""
+    """Raise ValueError unless a table has the given columns, each of one of the given NumPy kinds.
+
+    `kinds` has the allowed kinds of each column as letters: U for text, b for truth values, i for whole numbers, f for
+    floats.
+    """
     for column, of in kinds.items():
         if column not in (rows.dtype.names or ()) or rows.dtype[column].kind not in of:
-            raise ValueError(f"{name} must have a column {column} of kind {' or '.join(of)}, got {rows.dtype}")
+            raise ValueError(
+                f"{name} must have a column {column} of NumPy kind {' or '.join(of)} (U text, b True or False, i whole "
+                f"numbers, f floats), got {rows.dtype}: keep the columns as pdr_filter made them"
+            )
 
 
 def check_cov(cov: FloatArray, name: str) -> None:

@@ -72,10 +72,11 @@ def error_given_before(fix: PositionFix, before: Sequence[PositionFix]) -> tuple
 
 
 def repeated_cov_m2(fix: PositionFix, before: Sequence[PositionFix]) -> FloatArray:
-    """Return the covariance (2, 2) with which a fix can be used as if it were independent of earlier fixes.
+    """Return the covariance (2, 2) in m2 with which a fix can be used as if it were independent of earlier fixes.
 
-    The weighted mean of the fixes of a standing pedestrian then has the variance of the full covariance matrix. At even
-    intervals t the variance is (1 + r) / (1 - r) times as large, with r = exp(-t / T).
+    It is `fix.cov_m2` times a factor of at least one. The weighted mean of the fixes of a standing pedestrian then has
+    the variance that follows from their full covariance matrix. For fixes at even intervals t, the factor is (1 + r) /
+    (1 - r) with r = exp(-t / T) and the time constant T of the errors.
     """
     if fix.correlation_s == 0 or not before:
         return fix.cov_m2

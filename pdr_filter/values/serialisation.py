@@ -53,10 +53,11 @@ def to_bytes(value: object, foreign: bool = False) -> bytes:
 
 
 def restored(value: Any, like: Any) -> Any:
-    """Return a loaded value in which foreign fields have the classes that a value of the same structure has there.
+    """Return a loaded value in which each `ForeignFields` is replaced by an object of its class.
 
-    `like` is the first state of the part that made the value. Raises ValueError for foreign fields in a place where
-    `like` has no dataclass of these fields.
+    `like` is a value of the same structure: the first state of the part that made the saved value. The class is that of
+    the object at the same position in `like`. Raises ValueError if `like` has no dataclass with these fields at that
+    position.
     """
     if isinstance(value, ForeignFields):
         names, of_like = ", ".join(value.fields), _parts(like)
@@ -81,7 +82,10 @@ def restored(value: Any, like: Any) -> Any:
 
 
 def _parts(value: Any) -> dict[Any, Any]:
-    """Items of a dictionary, tuple or list, or the fields from which a dataclass is made; nothing of other values."""
+    """Return the items of a dictionary, tuple or list by key or index, or the fields of a dataclass by name.
+
+    The result is empty for any other value.
+    """
     if isinstance(value, dict):
         return cast(dict[Any, Any], value)
     if isinstance(value, tuple | list):
@@ -193,7 +197,7 @@ def _of_type(value: Any, cls: type) -> Any:
 def _array(node: Mapping[str, Any]) -> np.ndarray[Any, Any]:
     dtype = np.dtype(_of_type(node["dtype"], str))
     if dtype.kind not in "biuf":
-        raise ValueError(f"an array of {dtype}")
+        raise ValueError(f"the array has type {dtype}, but saved arrays contain only numbers or truth values")
     data = base64.b64decode(node["array"], validate=True)
     return np.frombuffer(data, dtype=dtype).reshape(_of_type(node["shape"], list)).copy()
 
@@ -202,8 +206,8 @@ def _dataclass(name: str) -> type[Any]:
     module_name, _, class_name = name.partition(":")
     package, _, rest = module_name.partition(".")
     if package != _PACKAGE or (module_name not in sys.modules and rest.partition(".")[0] not in _PACKAGES):
-        raise ValueError(f"refused to load {name!r}")
+        raise ValueError(f"refused to load {name!r}, because only the classes of a filter are loaded")
     cls = getattr(importlib.import_module(module_name), class_name)
     if not (isinstance(cls, type) and is_dataclass(cls)):
-        raise ValueError(f"{name!r} is not a value type")
+        raise ValueError(f"{name!r} is not a dataclass, so it cannot be a part of a saved filter")
     return cls

@@ -43,7 +43,7 @@ class _Process:
         self._thread = ThreadPoolExecutor(1)
 
     async def ask(self, request: Request) -> Any:
-        """Return the answer; FailedError with the reason if there is none."""
+        """Return the answer of the worker process to a request. FailedError with the reason if it fails."""
         try:
             answer = await asyncio.get_running_loop().run_in_executor(self._thread, self._process.ask, request)
         except LostError as error:
@@ -60,7 +60,11 @@ class _Process:
 
 
 class Workbench:
-    """State of a running workbench."""
+    """Recordings of one folder, the worker processes that smooth them, and the open pages of the workbench.
+
+    The workbench is a local web application that shows the walks of a folder and edits their marks. The pages
+    (browsers) receive events about the walks from here.
+    """
 
     def __init__(self, folder: Path, n_processes: int | None = None) -> None:
         self.folder, self.walks = folder, Walks(folder)
@@ -75,7 +79,10 @@ class Workbench:
         self._scanning, self._scanned_s = asyncio.Lock(), -_SCAN_S
 
     async def start(self) -> None:
-        """Begin the work in the background; OSError if the folder cannot be written."""
+        """Start the background tasks that process walks and look for new recordings.
+
+        OSError if the folder cannot be written.
+        """
         shutil.rmtree(self.incoming, ignore_errors=True)  # of a server that was killed
         for folder in (self.cache, self.incoming):
             folder.mkdir(parents=True, exist_ok=True)
@@ -92,7 +99,10 @@ class Workbench:
             process.close()
 
     async def scan(self, is_forced: bool = False) -> None:
-        """Look for new recordings, unless the folder was searched only just before."""
+        """Look for new, changed and deleted recordings in the folder, and send events about them to the pages.
+
+        A scan within `_SCAN_S` of the last one is omitted, unless `is_forced`.
+        """
         async with self._scanning:
             if time.monotonic() - self._scanned_s < _SCAN_S and not is_forced:
                 return
@@ -105,11 +115,17 @@ class Workbench:
             self._scanned_s = time.monotonic()
 
     async def quick(self, method: str, *arguments: Any) -> Any:
-        """Return the answer of the worker process that serves open pages."""
+        """Return the answer of the worker process that is reserved for requests of open pages.
+
+        `method` is the name of a method of `worker.Worker`. FailedError if the method fails.
+        """
         return await self._quick.ask(Request(method, arguments))
 
     async def show(self, walk: Walk) -> dict[str, Any]:
-        """Return the summary of an open walk with its present marks; the next ones are answered quickly."""
+        """Process a walk with its present marks in the worker process of open pages, and return its summary.
+
+        The process keeps the recording in memory, so that it answers quickly when the user changes the marks again.
+        """
         walk.summary = await self.quick("walk", str(walk.path), True)
         walk.state, walk.reason = "done", ""
         self.tell(walk.event())
@@ -132,7 +148,7 @@ class Workbench:
             self.tell(walk.event())
 
     async def _watch(self) -> None:
-        """Tell pages the progress of each file, and look for new recordings while a page is open."""
+        """Send the progress of each walk to the pages, and look for new recordings while a page is open."""
         while True:
             await asyncio.sleep(_PROGRESS_S)
             if not self._readers:
@@ -160,11 +176,14 @@ class Workbench:
 
     @property
     def is_full(self) -> bool:
-        """Whether there are as many readers as allowed."""
+        """True if as many pages (browsers) as allowed receive events."""
         return len(self._readers) >= _MAX_READERS
 
     async def events(self) -> AsyncIterator[str]:
-        """Yield the state of all walks, then each event; "" now and then while there is none."""
+        """Yield one page's events as JSON texts: first the state of all walks, then each event.
+
+        An empty text is yielded from time to time if there is no event.
+        """
         reader = Reader()
         self._readers.add(reader)
         try:

@@ -55,7 +55,10 @@ class TooLargeError(ValueError):
 
 
 class WorkbenchSite:
-    """Handlers of all routes. `address` is the whole address of the workbench, with its token."""
+    """Handlers of all HTTP routes of the workbench.
+
+    `address` is the whole address of the workbench, with its token.
+    """
 
     def __init__(self, workbench: Workbench, tiles: str, address: str, phone: str, texts: dict[str, str]) -> None:
         self.workbench, self.plans = workbench, Plans(workbench.folder)
@@ -98,7 +101,7 @@ class WorkbenchSite:
     # --- pages ---
 
     async def page(self, request: Request) -> Response:
-        """Serve a page in the language of the texts."""
+        """Serve an HTML page: the list of walks, a walk or a floor plan, with `texts` in the language of the user."""
         kind = request.url.path.split("/")[1] or "index"
         if kind == "walk":
             self._walk(request)
@@ -171,7 +174,7 @@ class WorkbenchSite:
         return self._cached(found["key"])
 
     async def export(self, request: Request) -> Response:
-        """Return a file of a walk."""
+        """Return an exported file of a walk, of one of the kinds `EXPORTS`."""
         walk, kind = self._walk(request), request.path_params["kind"]
         if kind not in EXPORTS:
             raise UnknownError(f"there is no export {kind[:20]!r}; give one of {', '.join(EXPORTS)}")
@@ -195,7 +198,10 @@ class WorkbenchSite:
         return self._changed(walk, lambda: walk.redo(content["version"]))
 
     async def teach(self, request: Request) -> Response:
-        """Calibrate the person of a walk from its fixes, for other walks of this person."""
+        """Save the step length that the fixes of a walk determine in the file of its person, for other walks.
+
+        Return the step length in m, its relative standard deviation and the number of fixes.
+        """
         walk = self._walk(request)
         name = walk.marks(self.workbench.folder)["marks"]["walk"].get("person", "")
         if not name:
@@ -229,7 +235,11 @@ class WorkbenchSite:
     # --- dropped files ---
 
     async def drop(self, request: Request) -> Response:
-        """Take one file of a drop. Its name is only a name; a folder in it becomes part of the name."""
+        """Save one uploaded file of a drop, and return its name.
+
+        A drop is a file or folder that the user drags onto the page. It is uploaded file by file to a temporary folder.
+        The path of the file in the dropped folder is sanitised, and only its last two parts are used.
+        """
         folder = self._drop(request)
         if not folder.is_dir():
             folder.mkdir()
@@ -249,7 +259,10 @@ class WorkbenchSite:
         return JSONResponse({"name": target.name})
 
     async def end_drop(self, request: Request) -> Response:
-        """Take the dropped files into the folder if they are recordings; otherwise delete them and say why."""
+        """Move the files of a complete drop into the folder of the workbench if they are recordings.
+
+        Otherwise delete the files and raise FailedError with the reason.
+        """
         folder = self._drop(request)
         if not folder.is_dir():
             raise UnknownError("no files were uploaded: drop them on the page again")

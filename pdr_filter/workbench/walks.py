@@ -40,7 +40,7 @@ class ConflictError(ValueError):
 
 @dataclass(slots=True, eq=False)
 class Walk:
-    """One recording of the folder."""
+    """One recording of the folder, with its state of processing, its summary, and the history of its edits."""
 
     id: str
     path: Path
@@ -54,7 +54,10 @@ class Walk:
     _redo: list[tuple[Files, str]] = field(default_factory=list[tuple[Files, str]])
 
     def event(self) -> dict[str, Any]:
-        """Row of the list of walks."""
+        """Return the event that updates the row of this walk in the list of walks on all pages.
+
+        It has the id, name, state, reason of a failure, time of the last change, and the summary.
+        """
         return {
             **self.summary,
             "event": "walk",
@@ -71,7 +74,10 @@ class Walk:
         return marks_folder(self.path)
 
     def marks(self, folder: Path) -> dict[str, Any]:
-        """Return the marks in the form of the pages, with their version. A floor plan has its name, not its path."""
+        """Return the marks of the walk as JSON values for the pages, with their version.
+
+        A floor plan is given by its name, not by its path.
+        """
         files = mark_files(self.folder)
         content = _content(files, self.folder, folder)
         version = version_of(files)
@@ -141,7 +147,7 @@ class Walks:
         return changed
 
     def people(self) -> list[str]:
-        """Names of the people whose step lengths are known."""
+        """Return the names of the people whose step lengths are known, sorted."""
         return sorted(path.stem for path in (self.folder / PEOPLE).glob("*.json"))
 
 
@@ -151,7 +157,7 @@ def _shown(name: Path) -> str:
 
 
 def _stamp(path: Path) -> tuple[int, int]:
-    """Size and time of the last change of the files of a recording, without its marks."""
+    """Return the total size of the files of a recording and the time of their last change in ns, without its marks."""
     while not path.exists() and path != path.parent:  # a recording inside a file
         path = path.parent
     files = [path] if path.is_file() else [p for p in path.iterdir() if p.is_file() and p.name not in _MARKS]
@@ -177,7 +183,10 @@ def _content(files: Files, own: Path, folder: Path) -> dict[str, Any]:
 
 
 def _files(content: Mapping[str, Any], old: Files, own: Path, folder: Path) -> Files:
-    """Files of marks from what a page sent. A name of a person whose step lengths are known brings their file."""
+    """Return the contents of the mark files, by file name, from the marks that a page has sent.
+
+    If the person is new for this walk and has a known step length, the person's file is added.
+    """
     walk = {name: value for name, value in dict(content["walk"]).items() if value not in (None, "", False)}
     before = json.loads(old[WALK]) if WALK in old else {}
     if plan := walk.get("plan"):

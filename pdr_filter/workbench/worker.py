@@ -83,14 +83,20 @@ class _Opened:
 
 
 class Worker:
-    """Methods that answer requests. The recording of the last request stays in memory."""
+    """Object in a worker process whose methods answer the requests of the workbench.
+
+    The recording of the last request stays in memory.
+    """
 
     def __init__(self, cache: Path) -> None:
         self.cache = cache
         self._opened: _Opened | None = None
 
     def walk(self, path: str, is_to_stay: bool = False) -> dict[str, Any]:
-        """Return the summary of a walk; its report is in the cache then. `is_to_stay` keeps the recording in memory."""
+        """Return the summary of a walk (`_summary`), computed or from the cache. Its report is in the cache afterwards.
+
+        `is_to_stay` keeps the recording in memory for further requests.
+        """
         checksum = checksum_of(Path(path))
         key = self._key(Path(path), checksum)
         file = self.cache / f"{key}.json"
@@ -111,7 +117,10 @@ class Worker:
         return summary
 
     def compare(self, path: str, variants: Sequence[tuple[str, str]]) -> dict[str, Any]:
-        """Return the key of a report that shows a walk with several recipes and weightings."""
+        """Return the key of a cached report that shows a walk with several recipes and weightings, as {"key": key}.
+
+        `variants` are pairs of a recipe and a weighting.
+        """
         checksum = checksum_of(Path(path))
         names = json.dumps(list(variants))
         key = hashlib.sha256(f"{self._key(Path(path), checksum)} {names}".encode()).hexdigest()[:32]
@@ -128,7 +137,7 @@ class Worker:
         return {"key": key}
 
     def export(self, path: str, kind: str) -> tuple[str, bytes]:
-        """Return the name and content of a file of a walk."""
+        """Return the name and content of an exported file of a walk. `kind` is one of `EXPORTS`."""
         opened = self._open(path, checksum_of(Path(path)))
         if kind == "zip":
             return f"{opened.recording.name}.zip", _zipped(Path(path))
@@ -146,7 +155,11 @@ class Worker:
             return f"{track.name}{file.name.removeprefix('walk')}", file.read_bytes()
 
     def teach(self, path: str, person: str) -> dict[str, Any]:
-        """Write the step lengths that the fixes of a walk determine to the file of a person; return their number."""
+        """Save the step length that the fixes of a walk determine to the file `person`, and return it.
+
+        The result has the step length in m, its relative standard deviation `std` and the number of fixes `n_fixes`.
+        ValueError if the fixes do not determine it.
+        """
         opened = self._open(path, checksum_of(Path(path)))
         track, _ = self._smoothed(opened, None)
         if track.person is None:
@@ -158,7 +171,10 @@ class Worker:
         return {"step_length_m": session.step_length_m, "std": session.std, "n_fixes": session.n_fixes}
 
     def check(self, path: str) -> dict[str, Any]:
-        """Return how many recordings a new file or folder holds; ValueError says why it cannot be used."""
+        """Return the number of recordings in a new file or folder, as {"n": number}.
+
+        Any error, with its reason, if the first of them cannot be read.
+        """
         found = recordings_in(path) or [Path(path)]
         read(found[0])
         return {"n": len(found)}
@@ -180,7 +196,10 @@ class Worker:
         return self._opened
 
     def _dead_reckoned(self, path: str, checksum: str) -> None:
-        """Prepare for quick answers to marks."""
+        """Load and smooth a walk, so that its recording and its dead-reckoned track are in memory.
+
+        The next request for the walk, after the user has changed its marks, then repeats only the least squares.
+        """
         opened = self._open(path, checksum)
         with suppress(ValueError):
             self._smoothed(opened, None)
@@ -262,7 +281,10 @@ def checksum_of(recording: Path) -> str:
 
 
 def _summary(track: Track, recording: Recording) -> dict[str, Any]:
-    """Return the numbers and the small path of a walk for the list."""
+    """Return the entry of a walk in the list of walks: duration, number of steps, distance, notes and a thumbnail.
+
+    The thumbnail `path` has at most `_N_POINTS` positions of the track in m.
+    """
     points = np.vstack([track.start_position_m, track.position_m])
     points = points[np.isfinite(points).all(axis=1)]
     rows = np.unique(np.linspace(0, len(points) - 1, min(_N_POINTS, len(points))).astype(int))

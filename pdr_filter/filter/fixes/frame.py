@@ -85,7 +85,11 @@ class Frame:
 
     @property
     def rotation_var_rad2(self) -> float:
-        """Variance of the rotation that is not in the filter states, which is 0 for a joined frame."""
+        """Variance in rad2 of the rotation from the track to the frame of the fixes, beyond the filter states.
+
+        It is 0 if the frame is joined: the filter states are in the frame of the fixes and contain the variance of the
+        rotation.
+        """
         if self.is_joined:
             return 0.0
         turn = self._provisional or self._density
@@ -270,7 +274,10 @@ class Frame:
         ValueError if the frame has no density of the rotation, as before the first fix and in a joined frame.
         """
         if self._density is None:
-            raise ValueError("the rotation of this frame is settled: use its alignment")
+            raise ValueError(
+                "the rotation of this frame is not being estimated, because there is no position fix yet or the track "
+                "is already in the frame of the fixes: use present_alignment or alignment"
+            )
         return replace(self._provisional, n_steps=n_steps) if self._provisional else self._density.alignment(n_steps)
 
     @property

@@ -49,7 +49,7 @@ class Tracker(Protocol[S]):
 
     @property
     def weighting(self) -> str:
-        """Short name of the weighting, such as "imm", "wc" or "hc"."""
+        """Short name of the weighting, such as "imm" (interacting multiple model), "wc" or "hc" (`WeightedTracker`)."""
         ...
 
     @property

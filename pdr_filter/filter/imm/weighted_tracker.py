@@ -109,7 +109,11 @@ class WeightedTracker:
 
     @property
     def weighting(self) -> str:
-        """Short name of the weighting: "hc", "wc", or the name of the function."""
+        """Short name of the rule that turns context probabilities into weights of the step lengths.
+
+        It is "hc" (highest context), "wc" (weighted context), or the name of `function`. "hc" takes the step length of
+        the most probable context. "wc" takes the mean of the step lengths, weighted with the context probabilities.
+        """
         if self.function is not None:
             return str(getattr(self.function, "__name__", type(self.function).__name__))
         return "hc" if self.threshold == HC else "wc"

@@ -44,7 +44,7 @@ HC = np.inf  # threshold with which the highest context is always used
 
 @dataclass(frozen=True, eq=False)
 class WeightedDistances:
-    """Distances of Algorithms 1 and 2 of Martinelli et al. (2018) for epochs 1 to K, in m.
+    """Distances in m of Algorithms 1 and 2 of Martinelli et al. (2018) for the epochs 1 to K between context windows.
 
     A context window ends with each epoch. The provisional distance of an epoch uses the context weights of the window
     before the epoch. The final distance uses those of the window that ends with the epoch.
@@ -78,7 +78,8 @@ def weighted_distances(distance_m: FloatArray, context_prob: FloatArray, thresho
     distance_m : (K, C) array
         Distance of each epoch for each context (eq. 17 and 18 of Martinelli et al. 2018).
     context_prob : (K + 1, C) array
-        Context probabilities of the windows 0 to K. Window 0 is before the first epoch.
+        Context probabilities of the windows 0 to K. Window k - 1 is at the beginning of epoch k, and window k at its
+        end.
     threshold : float
         Ratio of the second-highest to the highest probability from which the contexts are weighted by their
         probabilities (WC). Otherwise the highest context is used. `HC` (infinity) always uses the highest context.
@@ -118,7 +119,7 @@ def weighted_distances(distance_m: FloatArray, context_prob: FloatArray, thresho
     if len(context_prob) != len(distance_m) + 1:
         raise ValueError(
             f"context_prob must have one row more than distance_m, got {len(context_prob)} and {len(distance_m)} rows: "
-            "begin it with window 0, before the first epoch"
+            "add the context probabilities before the first distance as first row"
         )
     weights = np.stack([context_weights(p, threshold) for p in context_prob])
     provisional = (distance_m * weights[:-1]).sum(axis=1)

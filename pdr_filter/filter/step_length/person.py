@@ -162,7 +162,7 @@ class Person:
         try:
             content = read_json(Path(path), limits.MAX_SMALL_BYTES)
             if content["pdr_filter_person"] != 1:
-                raise ValueError(f"version {content['pdr_filter_person']}")
+                raise ValueError(f"it has format version {content['pdr_filter_person']} instead of 1")
             sessions = tuple(Session(**session) for session in content["sessions"])
             for session in sessions:
                 check_whole(session)

@@ -58,7 +58,10 @@ def read_ronin(path: str | Path) -> Recording:
         raise RecordingError(f"{file}: no synced/acce, which holds the accelerometer; take data.hdf5 as published")
     for name, values in arrays.items():
         if len(values) != len(time_s):
-            raise RecordingError(f"{file}: {len(values)} rows of {name}, but {len(time_s)} times; take it whole")
+            raise RecordingError(
+                f"{file}: {len(values)} rows of {name}, but {len(time_s)} times, as in a damaged file; take data.hdf5 "
+                "as published"
+            )
     scale, bias = _vector(info, "imu_acce_scale", file), _vector(info, "imu_acce_bias", file)
     if scale is not None and bias is not None:
         arrays["accelerometer"] = scale * (arrays["accelerometer"] - bias)

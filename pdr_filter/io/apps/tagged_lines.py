@@ -124,7 +124,10 @@ def _after_first(bytes_: NDArray[np.uint8], starts: NDArray[np.int64], separator
 
 
 def _begins(bytes_: NDArray[np.uint8], tags: NDArray[np.int64], wanted: bytes) -> NDArray[np.bool_]:
-    """Return, for each of the places `tags`, True if the bytes there equal `wanted`, the type of a line."""
+    """Return True for each index in `tags` (N,) at which the text `bytes_` continues with the bytes `wanted`.
+
+    `tags` are the indices of the line types in a block of lines, and `wanted` is one line type.
+    """
     fits = np.ones(len(tags), dtype=bool)
     for i, byte in enumerate(wanted):
         at = tags + i

@@ -172,7 +172,7 @@ class Column:
 
 
 def normal_unit(unit: str) -> str:
-    """Return a unit as `UNITS` spells it.
+    """Return the name of a unit in the spelling of the keys of `UNITS`, in lower case and without spaces.
 
     Examples
     --------
@@ -371,7 +371,7 @@ def is_time(name: str) -> bool:
 
 
 def nanoseconds_of(fields: Sequence[str], place: int) -> int | None:
-    """Return the place of the column with the nanoseconds that belong to a column of whole seconds, or None.
+    """Return the index of the column with the nanoseconds that belong to a column of whole seconds, or None.
 
     ROS writes a time as stamp.secs and stamp.nsecs.
     """

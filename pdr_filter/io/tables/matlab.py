@@ -161,11 +161,11 @@ class _File:
     # ------------------------------------------------------------------------------------------- elements
 
     def _elements(self, content: bytes, at: int) -> Iterator[tuple[int, int, bytes]]:
-        """Yield the place, kind and bytes of consecutive elements."""
+        """Yield the start index, kind and bytes of consecutive data elements of a MATLAB file."""
         while at + 8 <= len(content):
             self._elements_left -= 1
             if self._elements_left < 0:
-                raise ValueError("more parts than tables have")
+                raise ValueError("it has more data elements than a file of tables")
             begin = at
             kind, n = struct.unpack_from(self._order + "II", content, at)
             if kind >> 16:  # a small one, whose length stands beside its kind
@@ -174,7 +174,7 @@ class _File:
                 data_at, at = at + 8, at + 8 + (n if kind == _COMPRESSED else (n + 7) // 8 * 8)
             data = content[data_at : data_at + n]
             if len(data) < n:
-                raise ValueError("cut off")
+                raise ValueError("its last data element is cut off")
             if kind != _COMPRESSED:
                 yield begin, kind, data
                 continue

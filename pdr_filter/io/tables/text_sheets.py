@@ -69,7 +69,7 @@ class TextRows:
         return NumberTable(without_midnights(found.whole), found.values)
 
     def _dated(self, rows: bytes, layout: Layout, dates: int, notes: list[str], line: int) -> NumberTable:
-        """Parse rows in which one column holds dates."""
+        """Parse rows in which the column `dates` holds dates, which become nanoseconds since 1970."""
         try:
             ns = column_nanoseconds(rows, self.separator.encode(), dates)
             if ns is not None:
@@ -111,7 +111,7 @@ class TextRows:
         return re.escape(self.separator.encode())
 
     def _up_to(self, column: int) -> bytes:
-        """Return the regular expression of a row up to a column."""
+        """Return a regular expression that matches a row from its beginning up to the field of a column."""
         return rb"(?m)^(?:[^\n" + self._mark + rb"]*" + self._mark + b"){%d}" % column
 
     def texts_of(self, column: int) -> list[str]:
@@ -157,12 +157,15 @@ def text_sheets(members: Members, member: str, separator: str | None = None) -> 
 
 
 def _begins(block: bytes, first: bytes) -> list[int]:
-    """Return the places of the lines in a block that begin with `first`."""
+    """Return the start indices of those lines of a block that begin with the bytes `first`."""
     return [found.start() for found in re.finditer(re.escape(b"\n" + first), b"\n" + block)]
 
 
 def _table_at(members: Members, member: str, first: bytes, n: int) -> Iterator[bytes]:
-    """Yield the blocks of the n-th of several tables in a text."""
+    """Yield the blocks of bytes of the n-th of several tables in a text.
+
+    Each table begins with a line that begins with `first`.
+    """
     at = -1
     for block in members.blocks(member):
         begins = _begins(block, first)

@@ -180,9 +180,12 @@ def finite(values: FloatArray, where: str, notes: list[str]) -> FloatArray:
 
 
 def refuse_far_times(whole: IntArray, where: str) -> None:
-    """Raise RecordingError for whole times whose differences exceed an int64."""
+    """Raise RecordingError for integer times so large that their differences would exceed an int64."""
     if len(whole) and not (whole.min() >= -limits.MAX_WHOLE_TIME and whole.max() <= limits.MAX_WHOLE_TIME):
-        raise RecordingError(f"{where}: times from {whole.min()} to {whole.max()}; export them as they were recorded")
+        raise RecordingError(
+            f"{where}: times from {whole.min()} to {whole.max()}, too large for nanoseconds since 1970; export them as "
+            "they were recorded"
+        )
 
 
 def parse_lines(lines: Sequence[str], layout: Layout) -> NumberTable:

@@ -203,14 +203,18 @@ class SummedSegment:
         return f"{self.recording} {self.start_s:.1f}-{self.end_s:.1f} s"
 
     def sums(self, context: str, model: StepLengthModel, about: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the derivative (2, p) and the zero constant (2,) of `Segment.sums` for a linear model.
+        """Return the derivative (2, p) of the summed step vectors by the p parameters of a linear model, and zero.
 
-        Raises ValueError for a model for which the segment was not summed.
+        The second result (2,) is the constant part of `Segment.sums`, which is zero for a linear model. ValueError if
+        `SummedSegment.of` did not sum the steps for this context and model.
         """
         for name, other, derivative in zip(self.contexts, self.models, self.derivatives, strict=True):
             if name == context and other == model:
                 return derivative, np.zeros(2)
-        raise ValueError(f"{self.name}: the steps are not summed for {model} of {context}; extract the segments again")
+        raise ValueError(
+            f"{self.name}: the steps are not summed for {model} of {context}, because the segment was reduced to sums "
+            "for other models: reduce the recording again with this model"
+        )
 
 
 AnySegment = Segment | SummedSegment
@@ -455,8 +459,8 @@ def _is_bent(heading_rad: FloatArray, length_m: FloatArray) -> bool:
 def step_contexts(track: TrackRows) -> FloatArray:
     """Return the context probabilities (K, C) of each step.
 
-    They are the filter's mode probabilities summed by context. If a mode has a context that the track does not know,
-    they are the probabilities of the windows.
+    They are the filter's mode probabilities summed by context. If a mode has a context that is not in `track.contexts`,
+    the result is `track.context_prob`, the classifier's probabilities for the window of each step.
     """
     prob = np.zeros((track.n_steps, len(track.contexts)))
     for m, context in enumerate(track.mode_contexts):
@@ -500,7 +504,11 @@ def _stretches(recording: Recording, anchor_std_m: float | None) -> tuple[list[_
 
 
 def _of_known_distance(segments: Any, clicked_std_m: float) -> list[_Stretch]:
-    """Return the stretches of truth segments with a known distance. Single steps have the accuracy of a stride."""
+    """Return one stretch for each truth segment with a known distance.
+
+    `clicked_std_m` is the standard deviation of the distances. A segment shorter than `SINGLE_STEP_M` is a single step,
+    whose distance has at most the standard deviation `STRIDE_STD_M`.
+    """
     known = segments[np.isfinite(segments.distance_m)]
     anchor_std_m = np.where(known.distance_m < SINGLE_STEP_M, min(clicked_std_m, STRIDE_STD_M), clicked_std_m)
     n_steps = known.n_steps if "n_steps" in (known.dtype.names or ()) else np.full(len(known), np.nan)

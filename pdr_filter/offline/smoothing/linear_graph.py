@@ -47,11 +47,11 @@ class Rows:
 
     @classmethod
     def of_one(cls, key: int, A: FloatArray, rhs: FloatArray) -> Rows:
-        """Return a block with a single key."""
+        """Return one block of equations A x = rhs for the single unknown with this key."""
         return cls(np.full(1, key), A[None], rhs[None], np.full(1, -1), np.zeros((0, 0, 0)))
 
     def chosen(self, keep: BoolArray) -> Rows:
-        """Return the blocks of a mask."""
+        """Return the blocks that a mask (n,) selects."""
         B = self.B[keep] if len(self.B) else self.B
         weight = self.weight[keep] if len(self.weight) else self.weight
         return Rows(self.a[keep], self.A[keep], self.rhs[keep], self.b[keep], B, weight)
@@ -81,9 +81,10 @@ def eliminated(rows: Sequence[Rows]) -> gtsam.GaussianBayesTree:
 
 
 def cov_of(tree: gtsam.GaussianBayesTree, keys: Sequence[int]) -> FloatArray:
-    """Return the joint covariance of keys, computed by QR.
+    """Return the joint covariance of the unknowns with these keys, computed by QR factorisation.
 
-    The marginals of GTSAM use a Cholesky factorisation, which treats positions known within a kilometre as unknown.
+    The marginals of GTSAM use a Cholesky factorisation, which works with squared values. It takes a position prior with
+    a standard deviation of one kilometre for no information at all.
     """
     R, _ = tree.jointBayesNet(list(keys), gtsam.EliminateQR).matrix()
     inverse = np.linalg.inv(R)
@@ -142,14 +143,17 @@ def joint_covariances(
 
 @dataclass(frozen=True, slots=True)
 class _Clique:
-    """Joint covariance of some keys, and the position of each key in it."""
+    """Joint covariance `cov` of some unknowns, and the rows `place` of each unknown in it, by key."""
 
     cov: FloatArray
     place: dict[int, range]
 
     @classmethod
     def of_sizes(cls, cov: FloatArray, sizes: dict[int, int]) -> _Clique:
-        """Return the covariance of keys in this order, whose sizes are given."""
+        """Return a clique from the joint covariance `cov` of its unknowns.
+
+        `sizes` maps the key of each unknown to its dimension, in the order of the rows of `cov`.
+        """
         ends = accumulate(sizes.values())
         return cls(cov, {key: range(end - size, end) for (key, size), end in zip(sizes.items(), ends, strict=True)})
 

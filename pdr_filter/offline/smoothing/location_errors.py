@@ -36,16 +36,20 @@ _MAX_SPEED_MPS = 2.0
 class Errors:
     """Errors of correlated fixes, one state (6,) per fix, in order of time.
 
+    Each component is a Gauss-Markov process of variance one. Two components are the constant part of the position
+    error, and two the varying part. The fifth is the shrinkage of the locations towards their local mean, and the last
+    is their delay.
+
     Attributes
     ----------
     position : array (E,)
         Index of the fix among the observed positions.
     node : array (E,)
-        Anchor of the fix, increasing.
+        Index of the anchor of the fix, increasing.
     by : array (E, 2, 6)
-        Derivative of the observed position with respect to the error state, in m.
+        Derivative of the observed position (east, north) with respect to the error state, in m.
     decay : array (E - 1, 6)
-        Correlation with the previous error state.
+        Correlation of each component with the same component of the previous fix, 0 to 1.
     """
 
     position: IntArray
@@ -68,9 +72,10 @@ def independent_share(fix: PositionFix, is_location: bool) -> float:
 
 
 def errors_of(fixes: Sequence[PositionFix], is_location: BoolArray, node: IntArray) -> Errors:
-    """Return the error states of the correlated fixes among fixes (F,) in order of time, with their anchors `node`.
+    """Return the error states of the E correlated fixes among F fixes in order of time.
 
-    The error of a location has all parts. The error of another fix has the varying part only.
+    The error of a phone's location has all four parts: constant, varying, shrinkage and delay (see `Errors`). The error
+    of any other fix has the varying part only. `node` (F,) is the index of each fix's anchor.
     """
     position = np.flatnonzero([f.correlation_s > 0 for f in fixes])
     if not len(position):
@@ -130,10 +135,12 @@ def with_even_variances(locations: Sequence[PositionFix]) -> tuple[PositionFix, 
 
 
 def joined_at_contacts(fixes: Sequence[PositionFix], contacts: IntArray) -> tuple[tuple[PositionFix, ...], IntArray]:
-    """Return fixes in order of time with correlated ones at one contact joined, and the index of each fix there.
+    """Return the fixes in order of time, with the correlated fixes at one contact joined into one.
 
-    Each correlated fix adds an error state to the unknowns, and a resting phone receives locations at a single contact
-    for as long as it rests. Their mean is assigned the covariance of one of them, which is too large after a long rest.
+    The second result (F,) is the index of each given fix in the returned fixes. `contacts` (F,) is the number of steps
+    before the contact nearest to each fix. Each correlated fix adds an error state to the unknowns, and a resting phone
+    receives locations at a single contact for as long as it rests. Their mean is assigned the covariance of one of
+    them, which is too large after a long rest.
     """
     groups: dict[tuple[int, bool], list[int]] = {}
     for k in sorted(range(len(fixes)), key=lambda k: fixes[k].time_s):

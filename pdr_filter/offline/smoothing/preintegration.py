@@ -97,12 +97,14 @@ def increments(
     noise: MotionNoise,
     gap_before_s: FloatArray,
 ) -> tuple[Increments, float]:
-    """Return the increments of detected steps, and the variance of the log scale due to the fits of the modes.
+    """Return the increments of detected steps, and the variance of the log scale from the step-length parameters.
 
-    The displacement is the mean over the modes, sum_m mu_m L_m u(psi + o_m), with the covariance of the mixture. The
-    covariance of a fit's parameters is an error that all steps share. It is returned as the mean of J cov J' / L^2,
-    which is an approximation for several parameters. `mode_prob` is (K, M), and `gap_before_s` (K,) is the time without
-    samples before each step.
+    The displacement of a step is the mean over the M modes, sum_m mu_m L_m u(psi + o_m), with the covariance of the
+    mixture. For mode m, mu_m is the probability, L_m the step length and o_m the heading offset. psi is the device
+    heading, and u the unit vector of a heading. All steps share the error of the fitted step-length parameters. The
+    second result is therefore the mean of J cov J' / L^2 over steps and modes. J is the derivative of L by the
+    parameters, and cov is their covariance. This is an approximation for several parameters. `mode_prob` is (K, M), and
+    `gap_before_s` (K,) is the time without samples before each step.
     """
     n = len(steps)
     lengths = StepLengths(tuple(m.step_length for m in modes))
@@ -162,7 +164,10 @@ def _elapsed_s(steps: Table, gap_before_s: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Intervals:
-    """Steps summed between anchors.
+    """Steps summed between anchors, with displacement D and covariance Q.
+
+    D is the displacement in m in the frame of the heading offset and scale at the start of an interval. Q is the
+    covariance of the state (east, north, heading offset, log scale) that the steps add, in the same frame.
 
     Attributes
     ----------
@@ -171,13 +176,14 @@ class Intervals:
     index : array (K,)
         Interval of each step.
     sum_m : array (K, 2)
-        D from the start of the interval to the contact of each step, in the frame of the interval's start.
+        D from the start of the interval to the contact of each step.
     cov : array (K, 4, 4)
-        Q over the same range, without the events before the next step.
+        Q from the start of the interval to the contact of each step. It excludes a gap or a change of the heading
+        offset after the contact.
     total_m : array (n, 2)
-        D of each interval.
+        D of each whole interval.
     total_cov : array (n, 4, 4)
-        Q of each interval, including the gap and the change of the heading offset at its end.
+        Q of each whole interval, including a gap and a change of the heading offset at its end.
     whiten : array (n, 4, 4)
         Inverse of the lower Cholesky factor of `total_cov`.
     """
@@ -256,9 +262,12 @@ def preintegrate(steps: Increments, nodes: IntArray) -> Intervals:
 def _moments(steps: Increments, first: IntArray) -> tuple[FloatArray, FloatArray]:
     """Return the mean (K, 2) and covariance (K, 2, 2) of the displacement of each step.
 
-    Both are conditional on the heading at the start of the interval. Without a measured angular rate, the heading of a
-    step is that of the start with a growing variance V. The mean displacement is shortened by exp(-V / 2). The rest of
-    the mean square of the sum, E |S|^2 = sum_ij d_i . d_j exp(-|V_i - V_j| / 2), becomes an isotropic covariance.
+    Both are conditional on the heading at the start of the step's interval. `first` (K,) is the first step of that
+    interval. Without a measured angular rate, the heading has a variance V that grows from step to step. The mean
+    displacement of a step d is then shortened to exp(-V / 2) d. Let S be the sum of the displacements from the start of
+    the interval to a step, with E |S|^2 = sum_ij d_i . d_j exp(-|V_i - V_j| / 2). The variance of S is the difference
+    of E |S|^2 and |E S|^2. The increase of this variance by a step is added to the covariance of the step, half on each
+    axis.
     """
     if not steps.unknown_var_rad2.any():
         return steps.displacement_m, steps.cov_m2

@@ -178,9 +178,9 @@ NO_OFFSETS = ObservedOffsets(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(
 class Problem:
     """Steps between anchors, priors, and observations of a walk.
 
-    Positions, directions, states and measurements may be outliers. Arrays of their weights and limits have the shape (F
-    + H + S + X,), in this order. The keys of the unknowns are the anchors, then the errors of correlated fixes, and
-    last the rotation of the frame.
+    Positions, directions, states and measurements may be outliers. Arrays of their weights (1 used, 0 rejected) and of
+    their gates (`limit_nis`) have the shape (F + H + S + X,), in this order. The keys of the unknowns are the anchors,
+    then the errors of correlated fixes, and last the rotation of the frame.
 
     Attributes
     ----------
@@ -195,13 +195,13 @@ class Problem:
     directions : ObservedDirections
         Known headings.
     offsets : ObservedOffsets
-        Heading offsets from the strides.
+        Heading offsets measured by the strides (`heading_offsets`), relative to the first one. They are never outliers.
     frame_std_rad : float
-        Prior standard deviation of the rotation from the frame of the offsets to that of the positions.
+        Prior standard deviation in rad of the rotation from the frame of the offsets to that of the positions.
     errors : Errors
         Errors of correlated fixes.
     states : ObservedStates
-        Measurements of heading offset and log scale.
+        Measurements of the heading offset or the log scale, from heading fixes, speed fixes and magnetic north.
     measurements : ObservedMeasurements
         All other measurements.
     """
@@ -341,7 +341,11 @@ _Contact = tuple[int, FloatArray, float]
 
 
 class _Contacts(NamedTuple):
-    """Nearest contacts (`nearest_contact`) of all observations. Known headings have the numbers of steps only."""
+    """Nearest contacts (`nearest_contact`) of fixes, loop closures (two each) and known headings (two each).
+
+    For a known heading, only the numbers of steps before its two contacts are stored, without displacement and
+    variance.
+    """
 
     fixes: list[_Contact]
     loops: list[tuple[_Contact, _Contact]]
@@ -439,11 +443,12 @@ def nearest_contact(steps: Increments, time_s: float) -> _Contact:
 def heading_offsets(track: TrackRows, steps: Increments, modes: Sequence[Mode]) -> ObservedOffsets:
     """Return the heading offsets measured by the strides: walking heading minus device heading minus the mode's offset.
 
-    Offsets are relative to the first one, which becomes a measurement of zero at the start, with its standard
-    deviation. A later direction carries only the information that is new to a filter that has used the earlier ones
-    (docs/methods/heading.md). Its value may therefore deviate far from the offset that it is evidence for. The function
-    runs a filter of the heading offset alone along the steps. Each measurement is returned as the filter's prediction
-    plus the innovation. The innovation is wrapped here, so that the measurement is linear from then on.
+    Offsets are relative to the first one, which becomes a measurement of zero before the first step with its own
+    standard deviation. The walking heading of a later step is a pseudo-measurement. It contains only the information
+    that is new after the earlier ones (docs/methods/heading.md), and may lie far from the true offset. The difference
+    from the prediction must therefore be wrapped correctly. For this purpose, the function runs a scalar Kalman filter
+    of the heading offset along the steps. Each returned value is the filter's prediction plus the wrapped innovation,
+    so the smoother can use it as a linear measurement. The standard deviations are those of the walking headings.
     """
     std = np.asarray(track.steps.walking_heading_std_rad)
     (known,) = np.isfinite(std).nonzero()

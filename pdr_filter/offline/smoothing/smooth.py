@@ -282,7 +282,7 @@ def smooth(
     stood = [fix for fix in run.fixes if isinstance(fix, Standstill)]
 
     def reckoned() -> tuple[Config, Track]:
-        """Dead reckoning: fixes and locations come in afterwards."""
+        """Return the configuration and the dead-reckoned track of the recording, without fixes and locations."""
         own, known_device = _with_first_pass(recording, asked, first_pass)
         own = own.in_hindsight().with_model(frame=START_FRAME)
         found = collected(recording, own, outputs(recording, own, stood, second_pass, with_hills=run.with_location))
@@ -356,12 +356,13 @@ def _with_first_pass(
 
     The second value is the device as estimated in the first pass if the configuration uses its bias, otherwise None.
 
-    The second pass has the final estimates of the first pass from its first step on. The walking direction relative to
-    the phone is best known at the end of a carrying position. The axes of a building reveal the bias only after some
-    corners. If the bias differs, the directions come from one more pass with that bias, because they depend on it for a
-    phone that is turned over. The covariance of the bias is doubled, because the second pass uses the same samples
-    again. Without building axes the bias is not used: straight walking would be counted twice, which makes tracks worse
-    as often as better.
+    The caller runs the second pass, which has the final estimates of the first pass from its first step on. The walking
+    direction relative to the phone is best known at the end of the time in one carrying position. The axes of a
+    building determine the gyroscope bias only after some corners. The bias of the first pass is used if building axes
+    contributed to it and the configuration has no bias of its own. In that case the walking directions are estimated
+    again with this bias, because they depend on it for a phone that is turned over. The covariance of the bias is
+    doubled, because the second pass uses the same samples again. Without building axes the bias is not used: straight
+    walking would be counted twice, which makes tracks worse as often as better.
     """
     if "gyroscope" not in recording.streams:
         return config, None
@@ -409,10 +410,11 @@ def _smooth_track(
     anchor_interval_s: float,
     guess: WalkedPath | None,
 ) -> tuple[Smoothed, FloatArray]:
-    """Return the smoothed result of a dead-reckoned track, and the variance (K,) of each position for a known heading.
+    """Return the smoothed result of a dead-reckoned track, and the variance (K,) in m2 of each position.
 
-    `guess` is the path at which measurements are first linearised. The result includes the person's step scale if the
-    fixes determine it.
+    The variance is the part of the position variance that the heading offset does not explain, mean of both axes
+    (`filter.fixes.alignment.walked_var_m2`). `guess` is the path at which measurements are first linearised. The result
+    includes the person's step scale if the fixes determine it.
     """
     noise = config.model.noise
     start_s, end_s = track.start_time_s, track.start_time_s + track.duration_s
@@ -488,7 +490,10 @@ def _smoothed(
     observed: Observations,
     used: Used,
 ) -> tuple[Smoothed, FloatArray]:
-    """Return the result of a solved problem, and the variance (K,) of each position for a known heading."""
+    """Return the result of a solved problem, and the variance (K,) in m2 of each position for a known heading.
+
+    The variance is the part of the position variance that the heading offset does not explain, mean of both axes.
+    """
     mean, cov = step_states(problem.intervals, found.mean, found.joint_cov)
     position = mean[:, :2]
     before = np.vstack([found.mean[:1, :2], position[:-1]])
@@ -536,9 +541,11 @@ def _smoothed(
 
 
 def _second_order_error_m(moved: FloatArray, heading_var_rad2: FloatArray, anchored: IntArray) -> FloatArray:
-    """Return the along-track error (K, 2) of uncertain headings, from the nearer anchor with a fix.
+    """Return the rms error vector (K, 2) in m of each position due to the nonlinearity of an uncertain heading.
 
-    See `second_order_errors`.
+    The linear covariance neglects this error along the steps (`second_order_errors`). It is summed over the steps from
+    the last or to the next anchor with a used fix, whichever sum is shorter. `moved` (K, 2) are the displacements of
+    the steps, and `anchored` are the numbers of steps before these anchors. Without any, the sum begins at the start.
     """
     share = np.array([second_order_errors(min(v, MAX_HEADING_VARIANCE), 0.0)[0] for v in heading_var_rad2.tolist()])
     total = np.concatenate([np.zeros((1, 2)), np.cumsum(share[:, None] * moved, axis=0)])

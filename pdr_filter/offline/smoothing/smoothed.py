@@ -48,7 +48,8 @@ class Smoothed:
     track : Track
         The smoothed track.
     heading_offset_rad : array (K,)
-        Walking heading minus device heading after each step, including the rotation of the map.
+        Walking heading minus device heading after each step, including the rotation from the phone's frame to that of
+        the fixes.
     heading_offset_std_rad : array (K,)
         Standard deviation of `heading_offset_rad`.
     log_scale : array (K,)
@@ -63,7 +64,8 @@ class Smoothed:
         One row per observation: `kind` ("fix", "location", "loop closure" or "known heading"), `number` in its
         sequence, `time_s`, `nis` and `weight`. `nis` is the normalised innovation squared relative to all other
         observations, or NaN if the observation was not part of the problem. `weight` is 1 if the observation was used.
-        It is 0 if the observation was rejected, outside the recording, frozen or without information.
+        It is 0 if the observation was rejected, outside the recording or without information, or if a fix repeats its
+        last position while steps continue (frozen).
     floor : array (K,)
         Storey at each step from the given floor changes, NaN before the first change.
     notes : tuple of str
@@ -144,7 +146,10 @@ def observation_table(observed: Observations, row: IntArray | None = None, found
 
 
 def fix_results(observed: Observations, observations: Table, used: Used, end_s: float) -> tuple[FixResult, ...]:
-    """Return the outcome of each fix and location: "used", "rejected" or "frozen"."""
+    """Return the outcome of each fix and location: "used", "rejected" or "frozen".
+
+    A fix is frozen if it repeats the last position while steps continue. `end_s` is the end of the recording.
+    """
     fixes = (*observed.fixes, *observed.locations)
     rows = zip(fixes, observations.weight.tolist(), observations.nis.tolist(), used.is_frozen.tolist(), strict=False)
     return tuple(

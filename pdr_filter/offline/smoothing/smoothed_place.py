@@ -33,7 +33,9 @@ def aligned_walk(
 ) -> tuple[Smoothed, LocationState, tuple[PositionFix, ...]]:
     """Return a smoothed walk, rotated and shifted as a whole to fit the locations of the recording.
 
-    The locations and their state are returned too. The walk is unchanged if there are no usable locations.
+    The second result is the state of the conversion of locations to fixes, with their geographic origin and the counts
+    of unusable locations. The third result are the converted locations. The walk is unchanged if there are no usable
+    locations. `walked_var_m2` (K,) is the variance of each position for a known heading.
     """
     track, end_s = smoothed.track, smoothed.track.start_time_s + smoothed.track.duration_s
     way = DeadReckoning(

@@ -410,10 +410,12 @@ def _direction_residuals(directions: ObservedDirections, mean: FloatArray) -> tu
 
 
 def _relaxed(problem: Problem) -> list[Rows]:
-    """Return the equations of the relaxed problem that hold for any observations.
+    """Return the equations of the relaxed problem that do not depend on the weights of the observations.
 
-    The unknowns are (p, z) with z = e^s (cos theta, sin theta). In these the problem is linear, with isotropic
-    covariances, and needs no initial guess.
+    These are the priors, the motion between anchors, the errors of correlated fixes, and the heading offsets of the
+    strides, which are never outliers. The unknowns of an anchor are its position p and z = e^s (cos theta, sin theta),
+    with log scale s and heading offset theta. In these unknowns the problem is linear, with isotropic covariances, and
+    needs no initial guess.
     """
     intervals, n = problem.intervals, len(problem.intervals)
     spread = min(problem.start_cov[HEADING_OFFSET, HEADING_OFFSET], MAX_HEADING_VARIANCE)
@@ -438,9 +440,9 @@ def _relaxed(problem: Problem) -> list[Rows]:
 
 
 def _relaxed_observations(problem: Problem, weight: FloatArray) -> list[Rows]:
-    """Return the relaxed equations of positions, directions and headings.
+    """Return the relaxed equations of observed positions, directions and heading offsets, with their weights.
 
-    A scale alone has none, because it is not a vector.
+    A measured log scale alone determines no vector, so that its equation has weight zero.
     """
     positions, directions, states = problem.positions, problem.directions, problem.states
     of_positions, of_directions, of_states = np.split(weight, [len(positions), len(positions) + len(directions)])

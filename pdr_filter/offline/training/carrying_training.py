@@ -72,7 +72,9 @@ _SHAKING_NAMES: tuple[str, ...] = tuple(n for n in invariant.WITHOUT_GYROSCOPE i
 class CarryingPlan(TrainingPlan):
     """Plan of one model of the carrying mode.
 
-    `source_weight` has the weights of simulated, turned and weak windows. A data set has weight one.
+    `source_weight` has the total weight of the synthetic windows of each kind, relative to one for the windows of a
+    recorded data set. The kinds are "simulated" people, "turned" windows (a phone in the hand, rotated to the ear) and
+    "weak" windows (a trouser pocket, motion scaled down).
     """
 
     head: str = "carrying_mode"
@@ -80,7 +82,10 @@ class CarryingPlan(TrainingPlan):
     source_weight: Mapping[str, float]
 
     def weight(self, windows: LabelledWindows) -> FloatArray:
-        """Return weights (W,) with the same total for every mode, and the source weights within a mode."""
+        """Return weights (W,) with the same total for every carrying mode.
+
+        Within a mode, each source (data set or kind of synthetic windows) has a total in proportion to `source_weight`.
+        """
         return balanced_weight(windows.carrying_mode, windows.dataset, self.source_weight)
 
     def held_out(self, windows: LabelledWindows) -> dict[str, BoolArray]:

@@ -351,7 +351,11 @@ def _step_labels(
 
 @dataclass(frozen=True, eq=False)
 class _DefaultEvidence:
-    """Transition matrix and exponents of the default recipe, for any contexts."""
+    """Default transition matrix and exponents for the labels of one model, for data with too few changes of context.
+
+    The transition matrix is computed for these labels (`context_transitions`). The exponents and the floor are those of
+    the default recipe.
+    """
 
     transition_prob: FloatArray
     evidence_exponent: float

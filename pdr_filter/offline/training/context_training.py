@@ -134,8 +134,11 @@ def cross_calibrated(prob: FloatArray, context: TextArray, person: TextArray, mo
 def calibration(prob: FloatArray, context: TextArray, model: ContextModel) -> tuple[float, float]:
     """Return the temperature and the slip probability that calibrate the probabilities (W, C) of held-out people.
 
-    The slip probability is at least 1 / (W + 2), by Laplace's rule of succession. W windows without an error do not
-    exclude one, and a single label with probability zero would have an infinite log loss.
+    The slip probability e is the probability that a window has any class at random, so p becomes (1 - e) p + e / K for
+    K classes (`slipped`).
+
+    It is at least 1 / (W + 2), by Laplace's rule of succession. W windows without an error do not exclude an error. A
+    single label with probability zero would have an infinite log loss.
     """
     if not len(context):
         return 1.0, 0.0

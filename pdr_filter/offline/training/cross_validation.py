@@ -59,7 +59,7 @@ _LEAST_STD = 1e-6  # a smaller standard deviation is rounding noise of a constan
 
 
 def recordings_of(data_dir: Path, datasets: Iterable[str]) -> list[Path]:
-    """Return the paths of the recordings of data sets, one folder each, without duplicates."""
+    """Return the paths of the recordings of some data sets, `data_dir/DATASET/*.zip`, without `DUPLICATES`."""
     found = [path for dataset in datasets for path in sorted((data_dir / dataset).glob("*.zip"))]
     return [path for path in found if path.stem not in DUPLICATES]
 
@@ -274,7 +274,11 @@ class TrainingPlan(ABC):
         )
 
     def fit(self, windows: LabelledWindows) -> ContextModel:
-        """Return a model fitted on some windows, as used for held-out groups and for the final model."""
+        """Return a model fitted on some windows, without calibration and without `Familiarity`.
+
+        `train_one` uses this method for the held-out groups and for the final model. Plans override it if the result of
+        `fit_machine` needs a correction.
+        """
         return self.fit_machine(windows)
 
     def card(self, windows: LabelledWindows, scores: Mapping[str, Any], sites: Mapping[str, Any]) -> dict[str, Any]:

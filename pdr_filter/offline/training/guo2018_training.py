@@ -72,7 +72,10 @@ class PosePlan(TrainingPlan):
     feature_limit: float = np.inf
 
     def weight(self, windows: LabelledWindows) -> FloatArray:
-        """Return weights (W,) with the same total for every pose, and the source weights within a pose."""
+        """Return weights (W,) with the same total for every pose.
+
+        Within a pose, each source (data set or kind of synthetic windows) has a total in proportion to `SOURCE_WEIGHT`.
+        """
         return balanced_weight(windows.carrying_mode, windows.dataset, SOURCE_WEIGHT)
 
     def standardisation(self, features: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -85,7 +88,10 @@ class PosePlan(TrainingPlan):
         return replace(model, training_prior=(model.training_prior > 0) / len(model.classes))
 
     def held_out(self, windows: LabelledWindows) -> dict[str, BoolArray]:
-        """Return the held-out groups: a scenario, the sites with few people, and every person of the scored data set.
+        """Return the held-out groups as masks (W,) by name.
+
+        The first group are the recordings of tyrex near magnets. The next groups are one data set each, except the
+        scored data set. The last groups are the people of the scored data set, one each.
 
         Groups without real windows, and groups that leave no real windows for training, are omitted.
         """
@@ -159,12 +165,12 @@ def train_guo(
 
 @dataclass(frozen=True, eq=False)
 class WalkWindows(Columns):
-    """Motion levels (eq. 1) of labelled windows.
+    """Motion levels of labelled windows, in m2/s4: the level of motion of Guo et al. 2018, eq. 1 (`MotionLevel`).
 
     Attributes
     ----------
     level : array (W,)
-        Level of motion.
+        Level of motion: variance of the specific force plus 9.8 times the mean squared angular rate.
     level_accelerometer : array (W,)
         Level without the term of the angular rate.
     has_rate : array (W,) of bool
@@ -172,7 +178,7 @@ class WalkWindows(Columns):
     is_moving : array (W,) of bool
         True unless the context is "stationary".
     place : array (W,) of str
-        Data set and carrying mode.
+        Data set and carrying mode, for example "motionsense pocket".
     person : array (W,) of str
         Person.
     """
@@ -189,8 +195,8 @@ class WalkWindows(Columns):
 class _UpDirections(Columns):
     """Directions of up in the windows of one recording.
 
-    `up_sensor` is (W, N, 3) in the sensor frame. `level` and `level_accelerometer` (W,) are the motion levels with and
-    without the angular rate.
+    `up_sensor` is (W, N, 3) in the sensor frame. `level` and `level_accelerometer` (W,) are the levels of motion in
+    m2/s4, with and without the angular rate.
     """
 
     up_sensor: FloatArray
@@ -298,9 +304,10 @@ def kappa(truth: TextArray, prob: FloatArray) -> float:
 
 
 def walk_threshold(level: FloatArray, is_moving: BoolArray, place: TextArray) -> tuple[float, dict[str, float]]:
-    """Return the threshold delta_min that maximises the worst recall, and the recalls.
+    """Return the threshold of the level of motion above which the person walks, and the recalls at this threshold.
 
-    The recalls are that of rest, and that of movement for each place.
+    The threshold is delta_min of Guo et al. 2018, eq. 1, in m2/s4. It maximises the smallest of the recalls: of
+    "stationary" windows, and of moving windows for each value of `place` (data set and carrying mode).
     """
     at_rest, moving = np.sort(level[~is_moving]), is_moving
     places = {str(p): np.sort(level[moving & (place == p)]) for p in np.unique(place[moving])}
@@ -317,7 +324,10 @@ def walk_threshold(level: FloatArray, is_moving: BoolArray, place: TextArray) ->
 
 
 def walk_card(walks: WalkWindows) -> dict[str, Any]:
-    """Return the thresholds of eq. 1, and the recalls of walking and of rest for held-out people."""
+    """Return the thresholds of the level of motion, and the recalls of moving and of rest for held-out people.
+
+    The thresholds are delta_min of Guo et al. 2018, eq. 1, with and without the angular rate (`walk_threshold`).
+    """
     with_rate = walks.has_rate
     result: dict[str, Any] = {}
     for key, level, use in (

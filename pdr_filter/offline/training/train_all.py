@@ -59,7 +59,10 @@ def train(
 def _train_contexts(
     paths: Sequence[Path], out_dir: Path, progress: Progress
 ) -> tuple[list[dict[str, Any]], Callable[[Sequence[str]], ContextModel]]:
-    """Return the cards of the context models, and a function that trains the default's without some people."""
+    """Train and save the context models, and return their cards and a function for cross-validation.
+
+    The function trains the context model of the default recipe again, without the people whose names it receives.
+    """
     cards: list[dict[str, Any]] = []
     default_without: Callable[[Sequence[str]], ContextModel] = shipped_model_without
     share = 1 / len(contexts.PLANS)

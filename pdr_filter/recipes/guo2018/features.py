@@ -82,7 +82,7 @@ RATE_SCALE = 9.8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionLevelState:
-    """Samples that later windows need."""
+    """Samples of the last window, from which the next levels of motion are computed."""
 
     n_samples: int  # samples of this segment so far
     # (6, L - 1): specific force, its squared norm, squared norm of the angular rate, 1 for samples without angular rate
@@ -91,7 +91,10 @@ class MotionLevelState:
 
 @dataclass(frozen=True)
 class MotionLevel:
-    """Level of motion of a phone (eq. 1), causal, at every sample.
+    """Level of motion T_n of a phone in m2/s4 (Guo et al. 2018, eq. 1), causal, at every sample.
+
+    It is the variance of the specific force plus 9.8 times the mean squared angular rate, and shows whether a person
+    moves.
 
     T_n = (1/N) sum_k (|f_k - mean f|^2 + 9.8 |w_k|^2), with specific force f in m/s2 and angular rate w in rad/s. The
     sum is over the samples of the last `window_s`, or over all samples so far at the start of a segment.
@@ -142,7 +145,7 @@ class PoseWindow(DescribedWindow):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseWindowState:
-    """Samples that later windows need."""
+    """State of the level of motion, and samples of pitch, roll and level that later windows need."""
 
     level: MotionLevelState
     buffer: WindowBuffer  # rows: pitch, roll, level of motion, 1 if its window has an angular rate

@@ -185,14 +185,21 @@ class PoseStepDetector(BaseStepDetector[PoseStepState]):
         return replace_unchecked(state, recent=line[:, -self._n_statistics - 1 :].copy()), steps
 
     def _maxima(self, line: FloatArray, start: int) -> list[int]:
-        """Return the walking samples of a line, from `start` on, that are local maxima of the signal of their pose."""
+        """Return the indices of walking samples, from `start` on, that are local maxima of the signal of their pose.
+
+        `line` (6, N) has the four filtered signals, 1 for walking samples, and the row of the signal of the pose.
+        """
         line = line[:, start - 1 :]
         row = line[5, 1:-1].astype(np.int64)
         is_maximum = local_maxima(line[:4])[row, np.arange(len(row))]
         return (start + np.flatnonzero(is_maximum & (line[4, 1:-1] > 0))).tolist()
 
     def _accept(self, state: PoseStepState, peak: FloatArray, sample: int) -> tuple[PoseStepState, Step | None]:
-        """Return the new state, and the step of a maximum if its frequency is possible (criterion 3), else None."""
+        """Return the new state, and the step of a local maximum, or None if the step frequency is above `max_step_hz`.
+
+        `peak` (3,) has the maximum and its neighbours, and `sample` is the number of the maximum. The frequency limit
+        is criterion 3 of Guo et al. 2018. The result is also None if the samples of the step are not available.
+        """
         at = sample + vertex(peak)
         interval_s = (at - state.last_peak) / self.rate_hz
         if interval_s * self.max_step_hz < 1.0:
@@ -208,7 +215,11 @@ class PoseStepDetector(BaseStepDetector[PoseStepState]):
 
 
 def feature_signals(block: UniformBlock) -> FloatArray:
-    """Return the signals of texting, calling, pocket and swinging, (4, N), which are eq. 3, 4, 5 and 6."""
+    """Return the signals (4, N) in which the steps of each pose are detected (Guo et al. 2018, eq. 3 to 6).
+
+    They are sqrt(f_y^2 + f_z^2) for texting, sqrt(f_x^2 + f_y^2) for calling, |f| for a pocket, and |w_z| for a
+    swinging hand. f is the specific force in m/s2 and w the angular rate in rad/s.
+    """
     x, y, z = block.specific_force_mps2.T
     return np.stack(
         [

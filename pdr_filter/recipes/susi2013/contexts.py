@@ -164,8 +164,8 @@ class MotionModes(WindowStage[MotionWindowState, MotionWindow, None]):
 
     Static is the context "stationary". An arm at rest is "walking", with equal probabilities of texting, calling and
     bag. A swinging hand is "walking" with the carrying mode "swinging". Irregular motion is "stationary" with
-    `irregular_prob`, because it has no displacement. Running and stairs count as walking. In windows without walking
-    the four carrying modes are equally probable.
+    `irregular_prob`, because it has no displacement. Running and stairs count as walking. If walking is improbable,
+    texting, calling, bag and swinging are equally probable.
 
     Parameters
     ----------

@@ -60,19 +60,28 @@ class MachineState:
 
 @dataclass(frozen=True)
 class CarryingMachine:
-    """State machine of Table I, which is updated sample by sample.
+    """State machine of the carrying mode (Tian et al. 2016, Table I), which is updated sample by sample.
 
-    Transitions are detected in the angular rate. Without angular rate, gravity alone determines the mode every
-    `transition_s`. The mode is HOLDING if the screen is up (g_z < -GH_z) in more than half of the samples, SWING if the
-    phone is on its long edge in more than half, and POCKET otherwise. This is an extension, because the paper assumes a
-    gyroscope. An upright phone is then assigned to POCKET, which is the most frequent case.
+    The main modes are HOLDING (in the hand in front of the body), SWING (in a swinging hand) and POCKET. A main mode
+    ends when an angular rate exceeds a limit: about y or z in HOLDING, about y in SWING, about z in POCKET (Table II).
+    The transition TRANS follows for `transition_s`.
+
+    Gravity in the samples of the transition determines the next main mode. After SWING or POCKET, it is HOLDING if
+    gravity is that of a held phone in any sample, otherwise the other one of SWING and POCKET. After HOLDING, it is
+    HOLDING if the phone was only rotated (see `held_again_s`). It is SWING if the phone is on its long edge (|g_x| >
+    GS_x) in any sample, and its screen is down (g_z >= GS_z) in none. In all other cases it is POCKET.
+
+    Without angular rate, gravity alone determines the mode every `transition_s`. The mode is HOLDING if the screen is
+    up (g_z < -GH_z) in more than half of the samples. It is SWING if the phone is on its long edge in more than half,
+    and POCKET otherwise. This is an extension, because the paper assumes a gyroscope. An upright phone is then assigned
+    to POCKET, which is the most frequent case.
 
     Parameters
     ----------
     rate_hz : float, default 100.0
         Sampling rate in Hz.
     rate_y_radps, rate_z_radps : float
-        Angular rates R_y and R_z that start a transition, about the axes that the mode monitors (Table II).
+        Angular rates R_y and R_z about the y and z axis of the phone that start a transition, in rad/s.
     transition_s : float, default 2.0
         Duration of a transition in s.
     held_y_g, held_z_g : float, default 0.65
@@ -80,10 +89,11 @@ class CarryingMachine:
     edge_x_g : float, default 0.9
         Gravity GS_x on x of a phone in a swinging hand, in g.
     face_down_z_g : float, default 0.4
-        Gravity GS_z on z that is never reached during a transition to a swinging hand, in g.
+        Gravity GS_z on z, in g. If g_z reaches it in any sample of a transition, the screen is down, and the mode after
+        HOLDING is not SWING.
     held_again_s : float, default 0.5
-        Duration in s at the end of the window. A held phone whose screen is up (g_z < -GH_z) during all of it was only
-        rotated, and stays in HOLDING. A value longer than the window disables this, as in the paper.
+        Duration in s at the end of the transition. A held phone whose screen is up (g_z < -GH_z) during all of it was
+        only rotated, and stays in HOLDING. A value longer than the window disables this, as in the paper.
     """
 
     rate_hz: float = 100.0
@@ -152,13 +162,17 @@ class CarryingMachine:
         return held, np.abs(x) > self.edge_x_g, z >= self.face_down_z_g, z < -self.held_z_g
 
     def _moved(self, angular_rate_radps: FloatArray, rate_known: BoolArray) -> BoolArray:
-        """Return whether the angular rate starts a transition in each main mode (Table II), (3, N)."""
+        """Return whether the angular rate starts a transition, (3, N), in HOLDING, SWING and POCKET (rows)."""
         about_y = rate_known & (np.abs(angular_rate_radps[:, 1]) > self.rate_y_radps)
         about_z = rate_known & (np.abs(angular_rate_radps[:, 2]) > self.rate_z_radps)
         return np.stack([about_y | about_z, about_y, about_z])
 
     def _after_transition(self, state: MachineState) -> int:
-        """Return the mode after a transition, S_at of Table I, or HOLDING for a phone that was only rotated."""
+        """Return the main mode after a transition, from the counts of samples with each direction of gravity.
+
+        The rules are in `CarryingMachine`. They are S_at in Table I of Tian et al. 2016, except for a held phone that
+        was only rotated.
+        """
         if state.mode_before in (SWING, POCKET):
             other = POCKET if state.mode_before == SWING else SWING
             return HOLDING if state.n_held > 0 else other
@@ -350,7 +364,7 @@ class TianContexts:
 
         Sample numbers count from the start of the segment. `modes` (N,) are the states of the phone, and `revealed` the
         indices in the block at which a step became known. Walking ends `stationary_s` after the last step. Samples of a
-        transition do not count: each of them moves the returned number by one.
+        transition do not count for this time, so each of them increases the second result by one.
         """
         walking = np.empty(len(modes), dtype=bool)
         is_walking, last = state.walking, state.last_contact

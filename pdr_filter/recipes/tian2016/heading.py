@@ -30,9 +30,10 @@ _MEMORY_S = 6.0
 
 
 def average_angle(angle_rad: FloatArray) -> float:
-    """Return the arithmetic mean, in [-pi, pi), of angles (N,) within half a turn of each other, in spite of wraps.
+    """Return the arithmetic mean, in [-pi, pi), of angles (N,) in rad that lie within half a turn of each other.
 
-    It is mean(a) + average(wrap(a_i - mean(a))) with the circular mean, which equals Table IV if no yaw is near 0.
+    The angles may be wrapped, for example 3.1 and -3.1. The result is m + average(wrap(a_i - m)), with the circular
+    mean m of the angles a_i. If no angle needs wrapping, it equals the mean of Tian et al. 2016, Table IV.
     """
     middle = circular_mean(angle_rad)
     return float(wrap_angle(middle + float(np.mean(wrap_angle(angle_rad - middle)))))
@@ -55,7 +56,7 @@ def viewing_direction(specific_force_mps2: FloatArray, attitude: AttitudeBlock) 
 
 @dataclass(frozen=True, eq=False)
 class OffsetCompensationState:
-    """Samples of the last seconds, and the offset or the data for its estimate. NaN means unknown."""
+    """Samples of the last seconds, and the heading offset or the data for its estimate. NaN means unknown."""
 
     carried: CarriedState
     n_samples: int = 0  # samples of this segment
@@ -148,7 +149,10 @@ class OffsetCompensation:
         return OffsetCompensationState(self._carried.init())
 
     def after_gap(self, state: OffsetCompensationState) -> OffsetCompensationState:
-        """Return the state after a gap, which keeps only the zero of the viewing direction.
+        """Return the state after a gap, which keeps only the reference angle of the viewing direction.
+
+        The reference angle (`viewing_zero_rad`) is the viewing direction minus the device heading at the first held
+        step.
 
         Parameters
         ----------
@@ -268,7 +272,11 @@ class OffsetCompensation:
         return replace_unchecked(state, n_since=0, training_rad=np.empty(0), offset_rad=_NAN, last_heading_rad=_NAN)
 
     def _compensated(self, state: OffsetCompensationState, step: Step) -> tuple[OffsetCompensationState, float]:
-        """Return the new state, and the direction of a step in a swinging hand or in a pocket (Table V)."""
+        """Return the new state, and the walking direction of a step in a swinging hand or in a pocket, rad.
+
+        The direction is the device heading minus the offset. Until the offset is estimated, it is the direction before
+        the transition (Tian et al. 2016, Table V). It is NaN if that direction is unknown.
+        """
         if np.isnan(state.baseline_rad):
             return state, _NAN
         heading_rad = step.device_heading_rad

@@ -68,9 +68,10 @@ def tian_fit(height_m: float, gender: str | None = None) -> StepLengthFit:
 
 
 def recipe_fit(height_m: float, gender: str | None = None) -> StepLengthFit:
-    """Return the step lengths of the paper: eq. 9, and eq. 2 for the first step from rest (section III-D).
+    """Return the step-length model of Tian et al. 2016 with its printed parameters.
 
-    Both have the printed factor k.
+    The step length in m is L = k h sqrt(f) (eq. 9), or L = k_1 h for the first step from rest (eq. 2, section III-D). h
+    is the body height in m and f the step frequency in Hz. k and k_1 depend on the gender of the person.
     """
     moving, first = tian_fit(height_m, gender), static_fit(height_m, gender)
     theta, variance = np.concatenate([moving.theta, first.theta]), [moving.theta_cov[0, 0], first.theta_cov[0, 0]]

@@ -26,16 +26,20 @@ _NAME = "Zhou et al. 2019, Table 1"
 
 @dataclass(frozen=True)
 class BehaviourThresholds:
-    """Thresholds of Table 1 for one placement of the sensor.
+    """Thresholds of the behaviours (Zhou et al. 2019, Table 1) for one placement of the sensor.
+
+    The signal is the low-passed acceleration a = |f| - g in a window. The behaviours are standing, walking, running and
+    irregular swing.
 
     Attributes
     ----------
     max_change_mps2 : float
-        Largest change of the maximum at which the behaviour is kept, T_a of Condition 1.
+        Largest change of the maximum of a between two windows at which the behaviour is kept, T_a of Condition 1.
     running_dc_mps2 : float
-        Smallest DC component of running, T_f^R of Condition 6.
+        Smallest DC component (mean of a) of running, T_f^R of Condition 6.
     walking_variance, walking_energy : float
-        Smallest variance in m2/s4 and energy in m/s2 of walking, T_sigma^W and T_E^W of Condition 5.
+        Smallest variance in m2/s4 and smallest energy (mean absolute Fourier coefficient) in m/s2 of walking, T_sigma^W
+        and T_E^W of Condition 5.
     irregular_dc_mps2, irregular_energy : float
         Smallest DC component and energy in m/s2 of irregular swing, T_f^I and T_E^I of Condition 4.
     """
@@ -51,7 +55,12 @@ class BehaviourThresholds:
         check_numbers(self, zero=("max_change_mps2",), signed=("irregular_dc_mps2",))
 
     def classify(self, features: FloatArray) -> str:
-        """Return the behaviour for the features (3,) of a window, by Conditions 6, 5, 4 and 3 in this order."""
+        """Return the behaviour for the features (3,) of a window: variance, DC component and energy.
+
+        It is running if the DC component exceeds its threshold (Condition 6). Otherwise it is walking if variance and
+        energy exceed theirs (Condition 5), or irregular if DC component and energy do (Condition 4). Otherwise it is
+        standing (Condition 3). The conditions are those of Zhou et al. 2019, Table 1.
+        """
         variance, dc_component, energy = features
         if dc_component > self.running_dc_mps2:
             return "running"
@@ -146,7 +155,9 @@ class BehaviourStage(WindowStage[BehaviourState, BehaviourWindow, BehaviourMemor
         return BehaviourMemory("", (), 0)
 
     def assess(self, memory: BehaviourMemory, window: BehaviourWindow) -> tuple[BehaviourMemory, WindowContext]:
-        """Run one cycle of Table 1 and return the context of a window.
+        """Return the context of a window, by one cycle of the state machine of Zhou et al. 2019, Table 1.
+
+        The behaviour is kept while the maximum of the acceleration is unchanged, and classified again after a change.
 
         Parameters
         ----------

@@ -34,10 +34,10 @@ NAMES: tuple[str, ...] = ("variance", "dc_component", "energy")
 
 
 def static_bias(static_mps2: FloatArray, up_sensor: FloatArray | None = None) -> FloatArray:
-    """Return the bias b = mean(f) - g up (eq. 3), (3,) in m/s2, from specific force (N, 3) of a sensor at rest.
+    """Return the accelerometer bias b = mean(f) - g up, (3,) in m/s2, from specific force f (N, 3) of a sensor at rest.
 
-    `up_sensor` is a unit vector (3,) in the sensor frame. [0, 0, 1] is eq. 3 as printed. By default it is the direction
-    of the mean specific force.
+    `up_sensor` is the unit vector up (3,) in the sensor frame. [0, 0, 1] gives eq. 3 of Zhou et al. 2019 as printed. By
+    default it is the direction of the mean specific force.
     """
     mean = static_mps2.mean(axis=0)
     up = mean / np.sqrt((mean * mean).sum()) if up_sensor is None else up_sensor
@@ -45,15 +45,19 @@ def static_bias(static_mps2: FloatArray, up_sensor: FloatArray | None = None) ->
 
 
 def acceleration(specific_force_mps2: FloatArray, bias_mps2: FloatArray) -> FloatArray:
-    """Return the acceleration a = |f - b| - g in m/s2, (N,), from specific force f (N, 3) and bias b (3,) (eq. 2).
+    """Return the acceleration a = |f - b| - g in m/s2, (N,), from specific force f (N, 3) and bias b (3,).
 
-    g is the standard gravity.
+    g is the standard gravity (Zhou et al. 2019, eq. 2).
     """
     return specific_force_magnitude(specific_force_mps2 - bias_mps2) - STANDARD_GRAVITY_MPS2
 
 
 def behaviour_features(acceleration_mps2: FloatArray) -> FloatArray:
-    """Return variance (m2/s4), DC component f_0 and energy (m/s2; eq. 4), (3,), of filtered acceleration (N,)."""
+    """Return variance in m2/s4, DC component in m/s2 and energy in m/s2, (3,), of filtered acceleration (N,).
+
+    The DC component f_0 is the mean. The energy is the mean absolute value of the Fourier coefficients without f_0
+    (Zhou et al. 2019, eq. 4). It is an amplitude and not a power.
+    """
     n = len(acceleration_mps2)
     dc_component = acceleration_mps2.mean()
     centred = acceleration_mps2 - dc_component

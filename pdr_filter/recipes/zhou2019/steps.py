@@ -49,7 +49,7 @@ class EventSearch:
         Smallest amplitude of f_D relative to the highest spectral line. f_D is the lowest local maximum of the spectrum
         that reaches it, so that harmonics are not selected.
     min_maximum_mps2 : float
-        Smallest threshold of maxima, T_L.
+        Smallest threshold T_L in m/s2. Local maxima of the acceleration below it are ignored.
     """
 
     cutoff_hz: float
@@ -64,7 +64,11 @@ class EventSearch:
 
 @dataclass(frozen=True, eq=False)
 class ReferenceLines:
-    """Reference lines of a window, and the event in progress."""
+    """Reference lines R_L and R_S of a window, levels of the acceleration in m/s2, and the event in progress.
+
+    R_L is the highest maximum of the window. R_S is a level near its lowest minimum (`small_line_mps2`). An event
+    begins when the acceleration rises through R_M, which lies between R_S and R_L, and ends when it falls through R_S.
+    """
 
     large_mps2: float | None = None  # R_L; None before the first maximum
     small_mps2: float | None = None  # R_S
@@ -89,7 +93,9 @@ class ReferenceLineState(DetectorState):
 class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
     """Step detector of Zhou et al. 2019, which finds crossings of adaptive reference lines.
 
-    The detector is causal. A step is usually reported one window and 0.25 s after its contact, and at most `latency_s`.
+    An event lasts from a rise of the acceleration through the line R_M to the next fall through the line R_S
+    (`ReferenceLines`). It is a stride on the foot and a step elsewhere (`steps_per_event`). The detector is causal. A
+    step is usually reported one window and 0.25 s after its contact, and at most `latency_s`.
 
     Parameters
     ----------
@@ -104,9 +110,11 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
     steps_per_event : int
         Steps of an event: 2 for a sensor on the foot, 1 elsewhere on the body.
     relative_maximum : float
-        Smallest threshold of maxima, T_L, relative to R_L.
+        Smallest threshold T_L of maxima, relative to the reference line R_L, which is the highest maximum of the window
+        before.
     min_line_part : float
-        Smallest height of R_S above the minimum, relative to the height of R_L above the minimum.
+        Smallest height of the lower reference line R_S above the minimum, relative to the height of R_L above the
+        minimum.
     min_period_part : float
         Shortest time between the ends of two events, relative to the dominant period.
     low_pass_s : float, default 0.5
@@ -253,7 +261,12 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
     def _place(
         self, lines: ReferenceLines, samples: FloatArray, mean_mps2: float, search: EventSearch
     ) -> ReferenceLines:
-        """Return the lines with R_L and R_S updated by the extrema in the samples (eq. 6; rules 1 to 3)."""
+        """Return the reference lines for a window, updated by the extrema of its samples (Zhou et al. 2019, Table 2).
+
+        R_L becomes the highest local maximum above the threshold T_L. R_S becomes the level of `small_line_mps2` for
+        the lowest local minimum below `mean_mps2`, or the mean of that level and the old R_S if R_S would fall. Without
+        such extrema a line is unchanged (rules 1 to 3).
+        """
         middle = samples[1:-1]
         large, small = lines.large_mps2, lines.small_mps2
         threshold = max(search.min_maximum_mps2, self.relative_maximum * (large or 0.0))  # T_L
@@ -269,7 +282,7 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
     def _cross(
         self, lines: ReferenceLines, window: FloatArray, state: ReferenceLineState
     ) -> tuple[ReferenceLines, list[float]]:
-        """Return the lines after a window, and the ends of its events as fractional filtered samples."""
+        """Return the reference lines after a window, and the fractional sample numbers at which its events end."""
         large, small, start, last_end = lines.large_mps2, lines.small_mps2, lines.start, lines.last_end
         ends: list[float] = []
         if large is not None and small is not None:
@@ -324,13 +337,20 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
 
 
 def small_line_mps2(minimum_mps2: float, large_mps2: float, min_line_part: float = 0.0) -> float:
-    """Return R_S of a window: twice a positive minimum (rule 2) or half of a negative one, with a smallest height."""
+    """Return the lower reference line R_S of a window in m/s2 (Zhou et al. 2019, Table 2, rule 2).
+
+    It is twice the minimum of the acceleration, or half of a negative minimum. It is at least `min_line_part` of the
+    way from the minimum up to the upper line R_L (`large_mps2`).
+    """
     factor = 2.0 if minimum_mps2 > 0 else 0.5
     return max(factor * minimum_mps2, minimum_mps2 + min_line_part * (large_mps2 - minimum_mps2))
 
 
 def median_line_mps2(large_mps2: float, small_mps2: float) -> float:
-    """Return R_M = (R_L + R_S) / 4 (rule 4), raised above R_S if it is not between the lines (R_L < 3 R_S)."""
+    """Return the middle reference line R_M = (R_L + R_S) / 4 in m/s2 (Zhou et al. 2019, Table 2, rule 4).
+
+    R_M is at least a tenth of the way from R_S up to R_L, because the formula gives a line below R_S if R_L < 3 R_S.
+    """
     return max(0.25 * (large_mps2 + small_mps2), small_mps2 + 0.1 * (large_mps2 - small_mps2))
 
 
@@ -352,7 +372,7 @@ def dominant_period_s(acceleration_mps2: FloatArray, search: EventSearch, rate_h
 
 
 def _window_samples(period_s: float, rate_hz: float) -> int:
-    """Return the length of a window in samples, w = f_A / f_D (eq. 5).
+    """Return the length of a window in samples, w = f_A / f_D (Zhou et al. 2019, eq. 5).
 
     f_A is the sampling rate and f_D the dominant frequency of the motion, both in Hz.
     """

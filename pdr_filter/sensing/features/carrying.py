@@ -217,9 +217,13 @@ def _rotation_features(
 
 
 def _lever(acceleration_about: ComplexArray, horizontal: ComplexArray, n: int) -> tuple[FloatArray, FloatArray]:
-    """Return the length of the lever in m and the share of the horizontal acceleration that it explains, each (W,).
+    """Return the length of the lever, (W,) in m, and the share of the horizontal force that it explains, (W,), 0 to 1.
 
-    The arguments are spectra of the angular acceleration about the main axis and of the horizontal specific force.
+    The lever is the distance from the axis about which the phone tilts to the phone, such as the length of a swinging
+    arm. It is the factor from the angular acceleration to the horizontal specific force.
+
+    `acceleration_about` (W, B) is the spectrum of the angular acceleration about the main axis. `horizontal` (W, 2, B)
+    is that of the horizontal specific force. The windows have `n` samples.
     """
     # Least squares of the horizontal acceleration on the angular one. The factor i between angular rate and angular
     # acceleration is omitted, because only absolute values are used.

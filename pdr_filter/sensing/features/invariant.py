@@ -70,7 +70,7 @@ def _band_names(line: str) -> list[str]:
 
 
 def _timing_names(line: str) -> list[str]:
-    """Return the names of the correlations of a line with the vertical at each of `STEP_LAGS_S`."""
+    """Return the names of the correlations of a signal with the vertical acceleration at each of `STEP_LAGS_S`."""
     return [f"{line}_follows_vertical_{lag:+g}_s" for lag in STEP_LAGS_S]
 
 
@@ -149,7 +149,7 @@ def in_groups(
 ) -> FloatArray:
     """Return the features (W, F) of windows, computed for 32 windows at a time.
 
-    The lines of 32 windows fit into the processor's cache. The grouping changes no result.
+    The signals of 32 windows fit into the processor's cache. The grouping changes no result.
     """
     groups = (features(windows[i : i + 32], rate_hz) for i in range(0, len(windows), 32))
     return np.concatenate([np.empty((0, n_features)), *groups])
@@ -166,7 +166,10 @@ def invariant_features(windows: FloatArray, rate_hz: float) -> FloatArray:
 
 
 def features_of(windows: FloatArray, swing: SwingLines, rate_hz: float) -> FloatArray:
-    """Return the features (W, F) of a few windows of `SIGNALS` (W, 12, N), with computed swing."""
+    """Return the features (W, F) of a few windows of `SIGNALS`, (W, 12, N).
+
+    `swing` is the result of `swing_lines` for these windows. The caller computes it once for all feature sets.
+    """
     n = windows.shape[2]
     vertical = about_mean(windows[:, 0])
     horizontal = about_mean(windows[:, 1:3])
@@ -263,7 +266,7 @@ def _principal(centred: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _moments(centred: FloatArray, std: FloatArray, floor: float) -> FloatArray:
-    """Return the skewness and kurtosis (W, 2), which are zero for a constant line."""
+    """Return the skewness and kurtosis (W, 2) of signals (W, N), which are zero for a constant signal."""
     scaled = centred / np.maximum(std, floor)[:, None]
     squared = scaled * scaled
     return np.stack([(squared * scaled).mean(axis=1), mean_square(squared)], axis=1)
@@ -334,7 +337,11 @@ class SwingLines:
 
 
 def swing_lines(windows: FloatArray) -> SwingLines:
-    """Return the swing of windows of `SIGNALS`, (W, 12, N)."""
+    """Return the swing of the limb that carries the phone, for W windows of `SIGNALS`, (W, 12, N).
+
+    The swing is the rotation about the main horizontal axis of the angular rate. The result has the angular rates about
+    this axis and across it, and the specific forces along it and across it.
+    """
     rate, up, sensor_force = windows[:, 3:6], windows[:, 6:9], windows[:, 9:12]
     mean_up = up.mean(axis=2)
     mean_up = mean_up / np.sqrt((mean_up * mean_up).sum(axis=1))[:, None]
@@ -390,10 +397,10 @@ def _swing_timing(
 
 
 def _timing(lines: FloatArray, floor: FloatArray, lagged_vertical: FloatArray, vertical_std: FloatArray) -> FloatArray:
-    """Return the correlations (W, K, L) of K signals (W, K, N) with the vertical at each of the L lags `STEP_LAGS_S`.
+    """Return the correlations (W, K, L) of K signals (W, K, N) with the vertical acceleration at each of L lags.
 
-    W is the number of windows of N samples. Lower bounds of the divisors make the result approach 0 for a phone at
-    rest.
+    The lags are `STEP_LAGS_S`, and W is the number of windows of N samples. Lower bounds of the divisors make the
+    result approach 0 for a phone at rest.
     """
     centred = about_mean(lines)
     std = np.sqrt(mean_square(centred)) + floor
@@ -423,14 +430,18 @@ def _lagged(line: FloatArray, lags_s: tuple[float, ...], rate_hz: float) -> Floa
 
 @cache
 def _lag_samples(lags_s: tuple[float, ...], rate_hz: float) -> tuple[tuple[int, ...], int]:
-    """Return the first sample of each lag in a line padded by a margin, and the margin in samples."""
+    """Return the start index of each lag in a padded signal, and the length of the padding in samples.
+
+    The padding at each end is as long as the longest lag. A slice from the start index, as long as the signal, is the
+    signal at time t + lag.
+    """
     lags = [round(lag * rate_hz) for lag in lags_s]
     margin = max(abs(lag) for lag in lags)
     return tuple(lag + margin for lag in lags), margin
 
 
 def _follows(vertical: FloatArray, horizontal: FloatArray, rate_hz: float) -> FloatArray:
-    """Return the correlation (W, L) of the horizontal with the vertical at each of `LAGS_S`, 0 to 1.
+    """Return the correlation (W, L) of the horizontal with the vertical acceleration at each of `LAGS_S`, 0 to 1.
 
     It is the length of the correlation vector, so that it does not depend on the horizontal axes.
     """
@@ -440,7 +451,7 @@ def _follows(vertical: FloatArray, horizontal: FloatArray, rate_hz: float) -> Fl
 
 
 def _asymmetry(power: FloatArray, step_lag_s: FloatArray, n: int, rate_hz: float) -> FloatArray:
-    """Return the log ratio (W,) of the amplitude of the vertical at stride frequency to that at step frequency.
+    """Return the log ratio (W,) of the vertical amplitude at stride frequency to that at step frequency.
 
     It is large for a limp, and for a phone in one trouser pocket.
     """

@@ -1,7 +1,7 @@
 """Features of the harmonics of the stride: how force and rotation are distributed over them.
 
 A window holds two or three strides, so the bins of its spectrum are wider than the difference between walking and
-stairs. The frequency f of the stride is therefore estimated first. Each line is then fitted by a sum of `N_HARMONICS`
+stairs. The frequency f of the stride is therefore estimated first. Each signal is then fitted by a sum of `N_HARMONICS`
 harmonics of f. Even harmonics repeat every step, odd ones distinguish left from right. Shares of harmonics do not
 change with step frequency or pace, and no feature depends on the attitude or handedness of the device.
 
@@ -98,7 +98,8 @@ _EVEN, _ODD = [0, *range(1, 2 * N_HARMONICS, 2)], [*range(2, 2 * N_HARMONICS + 1
 def _side_by_side(n: int, rate_hz: float) -> tuple[FloatArray, FloatArray]:
     """Return the even and odd columns of the first matrix of `_harmonics`, restricted to the later half of the samples.
 
-    They apply to a line plus or minus its mirror image. The columns of all stride frequencies are next to each other.
+    They apply to a signal plus or minus its mirror image in time. The columns of all stride frequencies are next to
+    each other.
     """
     later = _harmonics(n, rate_hz)[0][:, n // 2 :].copy()
     if n % 2:
@@ -122,7 +123,11 @@ def _all_stride_parts(lines: FloatArray, rate_hz: float) -> FloatArray:
 
 
 def features_of(windows: FloatArray, swing: SwingLines, rate_hz: float) -> FloatArray:
-    """Return the features (W, F) of a few windows of `invariant.SIGNALS` (W, 12, N) with computed swing."""
+    """Return the features (W, F) of a few windows of `invariant.SIGNALS`, (W, 12, N).
+
+    `swing` is the result of `invariant.swing_lines` for these windows. The caller computes it once for all feature
+    sets.
+    """
     n_windows, n = len(windows), windows.shape[2]
     yaw_rate = about_mean((windows[:, 3:6] * swing.mean_up[:, :, None]).sum(axis=1))
     vertical = about_mean(windows[:, 0])
@@ -161,7 +166,10 @@ def features_of(windows: FloatArray, swing: SwingLines, rate_hz: float) -> Float
 
 @cache
 def _factors() -> tuple[IntArray, IntArray]:
-    """Return the indices of the factors of each of P phases: complex units (P, 4) and shares (P, 3).
+    """Return the indices of the factors that `_phases` multiplies for each of `PHASES`: units (P, 4) and shares (P, 3).
+
+    A phase of `PHASES` is a product of complex harmonics, each raised to a power. A share is the amplitude of a
+    harmonic relative to all harmonics of its signal, 0 to 1.
 
     The units are the complex harmonics of all signals divided by their absolute values. They come signal by signal,
     followed by their conjugates and by 1. A harmonic with power p is repeated p times, and unused positions refer to
@@ -179,7 +187,10 @@ def _factors() -> tuple[IntArray, IntArray]:
 
 
 def _phases(coefficients: FloatArray, amplitude: FloatArray, share: FloatArray) -> FloatArray:
-    """Return the cosine and sine (W, 2 P) of the phases, each multiplied by the shares of its harmonics.
+    """Return the cosine and sine (W, 2 P) of the P phases named in `PHASES`, each multiplied by shares.
+
+    A phase is the angle of a product of complex harmonics. A share is the amplitude of a harmonic relative to all
+    harmonics of its signal, 0 to 1. Each cosine and sine is multiplied by the shares of all harmonics in its product.
 
     The shares make the phase of noise vanish.
     """

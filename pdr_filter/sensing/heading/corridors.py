@@ -187,7 +187,11 @@ class Corridors:
         return _moments(state, state.mean[:, _DRIFT].copy(), state.cov[:, _DRIFT, _DRIFT], self.leg_std_rad**2)
 
     def drift_in_time(self, state: CorridorState) -> tuple[float, float]:
-        """Return the part of the drift that is not due to the scale error, rad, and its variance."""
+        """Return the heading drift without the part due to the gyroscope's scale error, rad, and its variance, rad2.
+
+        The part due to the scale error is the total turn since the start times the relative scale error of the
+        gyroscope.
+        """
         h = np.array([1.0, 0.0, 0.0, -state.turned_rad])
         return _moments(state, state.mean @ h, state.cov @ h @ h, 0.0)
 

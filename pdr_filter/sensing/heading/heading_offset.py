@@ -36,10 +36,11 @@ _DEFINED_RAD2 = math.radians(1.0) ** 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Offset:
-    """Mean and covariance of the heading offset o, its zero g and the systematic error s, all in rad.
+    """Mean and covariance of the heading offset o, the reference angle g and the systematic error s, all in rad.
 
-    o is the walking heading minus the device heading. o + g is the same angle from the zero of the device heading, as
-    strides measure it.
+    o is the walking heading minus the device heading, in the frame of the track. It is 0 in the first place of the
+    phone by definition of that frame. g is the angle from the device to the walking direction in the first place.
+    Strides measure o + g + s, with the systematic error s of the strides in the present place.
 
     Attributes
     ----------

@@ -44,7 +44,11 @@ _SOLVE_SHARE = 0.05
 
 @dataclass(frozen=True, eq=False)
 class MagneticNorthState:
-    """Buffered readings, and the sums of the regression.
+    """Buffered readings of the magnetic field, and the sums of the regression.
+
+    The model of a reading f (3,) in the attitude frame is f = X (m, b) + e with X = [1 R], (3, 6). m is the field of
+    the Earth, and b the hard iron of the phone. R is the rotation from the sensor to the attitude frame, and e the
+    disturbance of the place. A reading adds the matrix [X f]' [X f], (7, 7), to the sums.
 
     Attributes
     ----------
@@ -55,9 +59,9 @@ class MagneticNorthState:
     n : float
         Effective number of readings used, with exponential forgetting.
     squares : FloatArray
-        Sum of [X f]' [X f] with X = [1 R], shape (7, 7).
+        Sum of [X f]' [X f] over all readings, with exponential forgetting, shape (7, 7).
     variance_ut2 : float
-        Estimated variance of e on each axis, uT2.
+        Estimated variance of the disturbance e on each axis, uT2.
     used_s : float
         Time of the last reading used, s.
     n_fresh : int
@@ -241,7 +245,7 @@ class MagneticNorth:
         return replace_unchecked(state, n=n, squares=squares, used_s=used_s, n_fresh=n_fresh)
 
     def _solved(self, state: MagneticNorthState) -> MagneticNorthState:
-        """Return the state with the regression solved, and the variance of e re-estimated from its residuals.
+        """Return the state with the regression solved, and the variance of the disturbance e estimated again.
 
         n correlated readings are worth n / c independent ones, with c = (1 + r) / (1 - r) and r = e^(-1 / correlation).
         For x = (m, b) and the variance v of e so far, P^-1 = diag(0, 1 / iron^2) + sum X' X / (c v), and P^-1 x = sum
@@ -273,10 +277,10 @@ class MagneticNorth:
 
 
 def _readings(samples: FloatArray, time_s: FloatArray) -> FloatArray:
-    """Return the times and the flattened matrices [X f]' [X f] (R, 50) of R complete readings.
+    """Return a row (50,) for each of R complete readings: its time, and its flattened matrix [X f]' [X f].
 
-    `samples` (R, size, 8) are their samples. The columns of X are the regressors and f the measured field, both
-    averaged over each reading.
+    `samples` (R, size, 8) are the samples of the readings. X = [1 R] and the measured field f are averaged over each
+    reading, with the rotation R from the sensor to the attitude frame.
     """
     to_frame = np.moveaxis(rotation_matrix(samples[:, :, _QUAT]), (-2, -1), (0, 1))
     Xf = np.empty((len(samples), 3, 7))

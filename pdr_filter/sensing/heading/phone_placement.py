@@ -56,11 +56,11 @@ class Placement:
     n_read : int
         Strides during which the phone may have been read.
     vectors : tuple of tuple of float
-        Sums of the three vectors of `Stride.vectors`.
+        Sums of the three horizontal vectors of `Stride.vectors`: at stride frequency, and two at step frequency.
     squares : tuple of float
         Sums of the squared lengths of these vectors.
     product : float
-        Sum of the inner products of the two vectors at step frequency.
+        Sum of the inner products of the two vectors at step frequency, the second and third of `Stride.vectors`.
     weight : float
         Effective number of strides in the sums.
     powers : tuple of float
@@ -82,14 +82,15 @@ class Placement:
 
 @dataclass(frozen=True)
 class StrideAgreement:
-    """Rules that update the statistics of a place by a stride, and derive a direction from them.
+    """Rules that update the statistics of a place of the phone by a stride, and derive the walking direction from them.
 
     Parameters
     ----------
     memory_s : float
         Time constant of the sums, in time of walking, s.
     max_phase_rad : float
-        Largest deviation of the phase of a person from the usual one, rad.
+        Largest deviation of a person's phase from the usual one, rad. The phase is that by which the vertical force at
+        step frequency is advanced to be in phase with the push forward (`Phases`).
     phase_strides : float
         Number of strides after which half of the largest deviation is allowed.
     swinging_mps2, swinging_lift, swinging_step_share, swinging_agreement : float
@@ -135,10 +136,11 @@ class StrideAgreement:
         )
 
     def mix(self, place: Placement) -> Vector:
-        """Return the coefficients of the three stride vectors whose combination points forward.
+        """Return the coefficients (3,) with which the sum of the three vectors of a stride points forward.
 
-        For a swinging hand it is the vector at stride frequency alone, otherwise a combination of the two at step
-        frequency.
+        The vectors are those of `Stride.vectors`: one of the motion at stride frequency, and two of the motion at step
+        frequency, which differ by 90 degrees in phase. For a swinging hand the result is (1, 0, 0), the vector at
+        stride frequency alone. Otherwise it is (0, cos x, sin x) with the phase x of this person minus the usual phase.
         """
         if self._swings(place):
             return (1.0, 0.0, 0.0)
@@ -146,7 +148,12 @@ class StrideAgreement:
         return (0.0, math.cos(ahead_rad), math.sin(ahead_rad))
 
     def agreement(self, place: Placement, mix: Vector) -> tuple[float, float]:
-        """Return the mean squared length of the combined vectors, and the share that they have in common, 0 to 1."""
+        """Return the mean squared length of the combined stride vectors in (m/s2)^2, and their agreement, 0 to 1.
+
+        The combined vector of a stride is the sum of its three vectors with the coefficients `mix`. Their agreement on
+        a direction is the squared length of the mean vector relative to the mean squared length. The part due to
+        chance, noise and sway is subtracted, and a prior is added as for two more strides.
+        """
         (a, b, c), (aa, bb, cc) = mix, place.squares
         (af, ar), (bf, br), (cf, cr) = place.vectors
         forward, right = (a * af + b * bf + c * cf) / place.weight, (a * ar + b * br + c * cr) / place.weight
@@ -173,7 +180,7 @@ class StrideAgreement:
         return not agree and lifts and step_power <= self.swinging_step_share**2 * stride_power
 
     def _phase_ahead(self, place: Placement) -> float:
-        """Return the phase of this person minus the usual phase, rad.
+        """Return the phase of the push forward relative to the vertical force, of this person minus the usual one, rad.
 
         It is the angle x that maximises |a cos x + b sin x|, where the complex numbers a and b are the sums of the two
         vectors at step frequency. The result is limited while strides are few.

@@ -46,7 +46,7 @@ class Shown(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Reported:
-    """Estimate of a filter that has used all reported measurements.
+    """Heading offset of a filter that has used all reported measurements, with its variance.
 
     Attributes
     ----------
@@ -55,13 +55,14 @@ class Reported:
     shown_rad : float
         Part of the offset that comes from strides and the axis of the phone, rad.
     shown_var_rad2 : float
-        Smallest variance of this part so far, rad2.
+        Smallest variance of `shown_rad` in the present place of the phone so far, rad2.
     error_rad : float
-        Error of the device heading in the last report, rad.
+        Error of the device heading (estimate minus truth) in the last report, rad.
     var_rad2 : float
         Variance of `offset_rad`, rad2. Infinite before the first report.
     lost_var_rad2 : float
-        Part of the variance that the device heading has lost, rad2.
+        Part of `var_rad2` due to the device heading itself: gaps, times without angular rate, and the uncertain
+        gyroscope bias, rad2. It only grows, up to 1 rad2, because measurements by strides cannot reduce it.
     time_s : float
         Time of the last step, s.
     """
@@ -75,7 +76,11 @@ class Reported:
     time_s: float = math.nan
 
     def after_loss(self, lost_var_rad2: float) -> Reported:
-        """Return the estimate after the device heading has lost this variance."""
+        """Return the estimate with a variance increased by `lost_var_rad2`.
+
+        This variance in rad2 makes the device heading itself less certain. The cause is a gap, a time without angular
+        rate, or the uncertain gyroscope bias.
+        """
         if lost_var_rad2 == 0.0 and (self.var_rad2 <= UNKNOWN_VAR_RAD2 or math.isinf(self.var_rad2)):
             return self
         lost = min(self.lost_var_rad2 + lost_var_rad2, _MAX_LOST_VAR_RAD2)
@@ -85,7 +90,10 @@ class Reported:
         )
 
     def at_step(self, step: Step, drift: HeadingDrift, yaw_bias_std_radps: float) -> Reported:
-        """Return the estimate predicted to a step with this standard deviation of the bias about the vertical."""
+        """Return the estimate predicted to the time of a step, with the variance increased by the drift of the heading.
+
+        `yaw_bias_std_radps` is the standard deviation of the gyroscope bias about the vertical.
+        """
         elapsed_s = step.duration_s if math.isnan(self.time_s) else step.time_s - self.time_s
         wandered_var, lost_var = drift.variances_rad2(elapsed_s, step.heading_unknown_s, yaw_bias_std_radps)
         drifted = replace_unchecked(self, var_rad2=self.var_rad2 + wandered_var, time_s=step.time_s)

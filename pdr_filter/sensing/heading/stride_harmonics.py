@@ -46,8 +46,10 @@ class Stride:
     runs : bool
         True if the pedestrian runs.
     vectors : tuple of complex
-        Horizontal vectors, forward + i right of the axis, m/s2: motion at stride frequency in phase with the vertical,
-        and motion at step frequency in phase with the advanced vertical and 90 degrees ahead of it.
+        Three horizontal vectors, forward + i right of the axis, m/s2: amplitudes of the horizontal specific force in
+        phase with the vertical specific force. The first is the part at stride frequency. The second is the part at
+        step frequency, in phase with the vertical force advanced by the phase of `Phases`. The third is the part at
+        step frequency, in phase with the vertical force advanced by another 90 degrees.
     powers : tuple of float
         Squared amplitudes, (m/s2)^2: horizontal at stride frequency, horizontal at step frequency, and vertical at
         stride frequency.

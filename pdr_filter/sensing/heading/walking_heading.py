@@ -176,7 +176,7 @@ class WalkingHeadingState:
     of_bias_var_rad2 : float
         Variance of `of_bias_rad`, rad2.
     lost_var_rad2 : float
-        Heading variance added by the uncertain gyroscope bias so far, rad2.
+        Heading variance that the uncertain gyroscope bias has added since the start, rad2.
     reported : Reported
         Information already passed to the filter.
     walking_rad : float
@@ -490,9 +490,8 @@ class WalkingHeading:
 
         The stride that the step ends updates the place of the phone and the heading offset. The new information is
         reported in the fields of the step. `stride` is None if the step ends no usable stride. The step then receives
-        only the change of the bias and the present offset. `bias_error` holds three quantities that follow from the
-        gyroscope bias: the error of the device heading at the contact, its variance, and the heading variance lost so
-        far.
+        only the heading error due to the gyroscope bias and the present offset. `bias_error` holds the three results of
+        `_bias_error`: the error of the device heading due to the gyroscope bias in rad, and two variances in rad2.
         """
         loss = self._bias_field(state, step, bias_error[2] - state.lost_var_rad2)
         reported = state.reported.at_step(step, self.drift, loss.get("yaw_bias_std_radps", step.yaw_bias_std_radps))
@@ -551,10 +550,11 @@ class WalkingHeading:
         return Shown(state.shown.offset_rad, state.shown.var_rad2, self.corridors.probability(state.corridors))
 
     def _bias_field(self, state: WalkingHeadingState, step: Step, lost_var_rad2: float) -> dict[str, float]:
-        """Return the bias field of a step, or nothing if no heading variance was lost since the last step.
+        """Return the field `yaw_bias_std_radps` of a step, or an empty dict if the bias added no heading variance.
 
-        The value is the standard deviation of the bias with which the filter of the track adds exactly the lost
-        variance.
+        `lost_var_rad2` is the heading variance that the uncertain gyroscope bias has added since the last step. The
+        value is the standard deviation of the bias about the vertical for which the filter of the track adds exactly
+        this variance.
         """
         if lost_var_rad2 <= 0:
             return {}
@@ -562,7 +562,10 @@ class WalkingHeading:
         return {"yaw_bias_std_radps": math.sqrt(lost_var_rad2 / (2.0 * self.drift.bias_correlation_s * since_s))}
 
     def _bias_error(self, state: WalkingHeadingState, contact_s: float, number: int) -> tuple[float, float, float]:
-        """Return the error of the device heading at a contact, its variance, and the heading variance lost so far.
+        """Return the error of the device heading due to the gyroscope bias at a contact, rad, and two variances, rad2.
+
+        The first is the variance of this error. The second is the heading variance that the uncertain bias has added
+        since the start (`GyroBiasState.heading_lost_var_rad2`).
 
         If the sample of the contact is no longer buffered, the values of the previous step are returned.
         """
@@ -697,7 +700,7 @@ class WalkingHeading:
         return offset, formers, place, UNKNOWN_STD_RAD
 
     def _known_place_at(self, time_s: float) -> KnownPlace | None:
-        """Return the place of the first pass at a time, or None without a first pass."""
+        """Return the place of the phone at a time, as estimated in the first pass, or None without a first pass."""
         i = bisect_right(self.known_places, time_s, key=attrgetter("start_s"))
         return self.known_places[i - 1] if i else None
 
@@ -723,9 +726,10 @@ class WalkingHeading:
         return (self.held_systematic_std_rad if has_large_error else self.systematic_std_rad) ** 2
 
     def _with_axis(self, place: Placement, offset: Offset, stride: Stride, trust: float) -> Offset:
-        """Return the offset updated with the axis of the phone if at least half of the strides at this place show it.
+        """Return the offset updated with the pointing axis of the phone, as for a phone that is read while walking.
 
-        The axis is not used if strides with high agreement contradict it.
+        The axis is used only if the phone may have been read during at least half of the strides in this place
+        (`Placement.n_read`). It is not used if strides with high agreement (`trust`) contradict it.
         """
         if 2 * place.n_read < place.n_strides:
             return offset

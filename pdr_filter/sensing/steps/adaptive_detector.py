@@ -5,11 +5,10 @@ the step frequency in Hz, and R the rms of |specific force| around the step in m
 recordings of ubicomp13, oxford and of runs of motionsense, each with the same weight.
 
 1. R(t) is the standard deviation of the low-passed |f| from `before_s` before to `after_s` after t. The frequency of
-the
-   wavelet is 1.37 R(t)^0.3. Soft running deviates from the law by a factor of 0.6. There |f| is nearly a sine, whose
-   frequency can be measured: with the rms values R, R' and R'' of |f| and its derivatives it is f_1 = R' / (2 pi R),
-   and for a sine it equals f_2 = R'' / (2 pi R'). Where f_2 < `sine_ratio` f_1 and f_1 < `max_sine_hz`, the frequency
-   of the wavelet is at least `sine_share` f_1.
+   the wavelet is 1.37 R(t)^0.3. Soft running deviates from the law by a factor of 0.6. There |f| is nearly a sine,
+   whose frequency can be measured: with the rms values R, R' and R'' of |f| and its derivatives it is
+   f_1 = R' / (2 pi R), and for a sine it equals f_2 = R'' / (2 pi R'). Where f_2 < `sine_ratio` f_1 and
+   f_1 < `max_sine_hz`, the frequency of the wavelet is at least `sine_share` f_1.
 2. The response is the transform of |f| with the Mexican hat wavelet of this frequency, interpolated between a bank of
    such wavelets. Each wavelet is low-passed, ends at `after_s` and has unit gain at its frequency.
 3. A local maximum is a step if it reaches `min_peak_mps2` and `relative_peak` times R, and follows the last step by at
@@ -172,9 +171,10 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
 
     @cached_property
     def _derivatives(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Low-pass kernel, and the same with one and two derivatives.
+        """Three filter kernels (L,): for the low-passed signal, its first derivative and its second derivative in time.
 
-        All three are as long as the low-pass before R, with zeros at the ends.
+        They have the length of `_power_low_pass`, the low-pass of |f| before its standard deviation R is computed, so
+        that all filtered signals have the same samples. The ends are filled with zeros.
         """
         slope = np.array([0.5, 0.0, -0.5]) * self.rate_hz
         smooth = low_pass_kernel(self.low_pass_hz, self.rate_hz, 0.25 - 4 / self.rate_hz)
