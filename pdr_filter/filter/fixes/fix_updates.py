@@ -16,7 +16,14 @@ from pdr_filter.filter.fixes.frame_rotation import (
     least_squares_error,
     variance_factor,
 )
-from pdr_filter.filter.fixes.gating import Result, gap_displacement_var_m2, gated, with_consider_path
+from pdr_filter.filter.fixes.gating import (
+    KalmanUpdate,
+    Result,
+    gap_displacement_var_m2,
+    gated,
+    joined_updates,
+    with_consider_path,
+)
 from pdr_filter.filter.fixes.measurement_updates import on_measurement
 from pdr_filter.filter.fixes.range_updates import on_range
 from pdr_filter.filter.fixes.relocation import Doubt
@@ -101,8 +108,8 @@ def _on_position(
     estimates, fixes = state.estimates, state.fixes
     cov = estimates.cov.copy()
     cov[:, :2, :2] += estimates.consider_cov_m2
-    results = arithmetic.update(estimates.mean, cov, z, H, R)
-    updated, outcome, nis = gated(arithmetic, with_consider_path(state, cov), results, model.fix_gate_nis)
+    update = KalmanUpdate(*arithmetic.update(estimates.mean, cov, z, H, R))
+    updated, outcome, nis = gated(arithmetic, with_consider_path(state, cov), update, model.fix_gate_nis)
     if outcome == "used":
         n_errors, squares = fixes.n_errors + 2, fixes.squares + nis
         # factor for all innovations so far; the covariance already contains the factor for the earlier ones
@@ -233,9 +240,8 @@ def _on_state(
     prior = state.estimates
     z = prior.mean[:, index] + innovation
     H, R = np.eye(N_STATES)[[index]], np.array([[variance]])
-    each = [arithmetic.update(prior.mean[[k]], prior.cov[[k]], z[[k]], H, R) for k in range(len(z))]
-    mean, cov, log_likelihood, nis = (np.concatenate([result[i] for result in each]) for i in range(4))
-    return gated(arithmetic, state, (mean, cov, log_likelihood, nis), model.scalar_gate_nis)
+    each = [KalmanUpdate(*arithmetic.update(prior.mean[[k]], prior.cov[[k]], z[[k]], H, R)) for k in range(len(z))]
+    return gated(arithmetic, state, joined_updates(each), model.scalar_gate_nis)
 
 
 def _on_first_positions(
