@@ -179,7 +179,7 @@ def _ancestors(events: Sequence[_Event]) -> Iterator[_Ancestors]:
 
 def _before_drawing(event: _Event, drawn: _Ancestors) -> _Ancestors:
     """Return the ancestors after an event that precedes the event at which the particles were first drawn."""
-    led_m = drawn.event.state.way[-1, 1:3] - event.state.way[-1, 1:3]  # in the direction of the device
+    led_m = drawn.event.state.reckoned[-1, 1:3] - event.state.reckoned[-1, 1:3]  # in the direction of the device
     particles = drawn.particles.copy()
     particles[:, :2] = earlier_positions(particles, led_m)
     return _Ancestors(event, particles, drawn.weight)

@@ -51,7 +51,7 @@ class ClockState:
         Rows after a possible gap, shape (C,) each, held until later rows confirm the gap.
     behind_s : float
         Time of the last row that lies behind the last accepted one, on the track clock, s.
-    moving : bool
+    is_running : bool
         True if the time of any of the `n_behind` rows is later than that of the row before it. False means that the
         clock stands still.
     n_behind : int
@@ -64,7 +64,7 @@ class ClockState:
     offset_s: float = 0.0
     held: tuple[FloatArray, ...] = field(default=())
     behind_s: float = -np.inf
-    moving: bool = False
+    is_running: bool = False
     n_behind: int = 0
     n_rejected_times: int = 0
 
@@ -150,7 +150,7 @@ def _accept_or_hold(clock: ClockState, row: FloatArray, max_gap_s: float) -> _De
     time_s = float(row[0])
     if time_s <= clock.last_s:
         return _behind(clock, time_s, max_gap_s)
-    clock = replace_unchecked(clock, behind_s=-np.inf, moving=False, n_behind=0)
+    clock = replace_unchecked(clock, behind_s=-np.inf, is_running=False, n_behind=0)
     n_glitches_dropped = 0
     if clock.held and time_s < clock.held[0][0]:
         # The clock continues from before the held rows, so the held rows were a glitch.
@@ -175,9 +175,12 @@ def _behind(clock: ClockState, time_s: float, max_gap_s: float) -> _Decision:
     After `CLOCK_RESET_SAMPLES` such rows whose times increase, the clock was set back, and the offset changes.
     """
     clock = replace_unchecked(
-        clock, behind_s=time_s, moving=clock.moving or time_s > clock.behind_s > -np.inf, n_behind=clock.n_behind + 1
+        clock,
+        behind_s=time_s,
+        is_running=clock.is_running or time_s > clock.behind_s > -np.inf,
+        n_behind=clock.n_behind + 1,
     )
-    if clock.n_behind < CLOCK_RESET_SAMPLES or not clock.moving:
+    if clock.n_behind < CLOCK_RESET_SAMPLES or not clock.is_running:
         return _Decision(clock, n_dropped=1)
     # The duration between the last accepted row and the next one is unknown, because rows were dropped. The offset adds
     # twice `max_gap_s`, so that the later stages see a gap.

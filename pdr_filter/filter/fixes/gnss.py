@@ -293,7 +293,7 @@ class Ride:
     ----------
     begin_s, end_s : float
         Times of the first and the last fix.
-    way_m : float
+    length_m : float
         Sum of the distances between consecutive fixes.
     first, last : PositionFix
         First and last fix.
@@ -301,14 +301,14 @@ class Ride:
 
     begin_s: float
     end_s: float
-    way_m: float
+    length_m: float
     first: PositionFix
     last: PositionFix
 
     @property
     def is_outlier(self) -> bool:
         """True if the fixes moved away and came back, as after a reflection of satellite signals."""
-        return float(np.linalg.norm(self.last.position_m - self.first.position_m)) < _OUTLIER_SHARE * self.way_m
+        return float(np.linalg.norm(self.last.position_m - self.first.position_m)) < _OUTLIER_SHARE * self.length_m
 
 
 @dataclass(frozen=True, slots=True)
@@ -340,16 +340,16 @@ class Rides:
         if previous is None or fix.time_s <= previous.time_s:
             return self if previous is not None else Rides((), fix)
         duration_s = fix.time_s - previous.time_s
-        way_m = float(np.linalg.norm(fix.position_m - previous.position_m))
+        length_m = float(np.linalg.norm(fix.position_m - previous.position_m))
         n_steps = np.count_nonzero((step_time_s > previous.time_s) & (step_time_s <= fix.time_s))
-        is_sure = way_m > 3 * math.sqrt(previous.var_m2 + fix.var_m2)
-        if not is_sure or way_m < _RIDE_MPS * duration_s or n_steps > _RIDE_STEPS_HZ * duration_s:
+        is_sure = length_m > 3 * math.sqrt(previous.var_m2 + fix.var_m2)
+        if not is_sure or length_m < _RIDE_MPS * duration_s or n_steps > _RIDE_STEPS_HZ * duration_s:
             return Rides(self.found, fix)
         if self.found and self.found[-1].end_s == previous.time_s:
             ride = self.found[-1]
-            ride = Ride(ride.begin_s, fix.time_s, ride.way_m + way_m, ride.first, fix)
+            ride = Ride(ride.begin_s, fix.time_s, ride.length_m + length_m, ride.first, fix)
             return Rides((*self.found[:-1], ride), fix)
-        return Rides((*self.found, Ride(previous.time_s, fix.time_s, way_m, previous, fix))[-_MAX_RIDES:], fix)
+        return Rides((*self.found, Ride(previous.time_s, fix.time_s, length_m, previous, fix))[-_MAX_RIDES:], fix)
 
 
 def _is_place(latitude_deg: float, longitude_deg: float) -> bool:

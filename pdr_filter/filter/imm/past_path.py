@@ -45,7 +45,7 @@ _MIN_SHARED = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class Back:
+class BackwardRelation:
     """Backward relation from the later state x' (4,) to an earlier state x (4,).
 
     x = mean + moved + gain (x' - mean') + error, where the error has the covariance `left`. mean and mean' are the
@@ -74,7 +74,7 @@ class Back:
         return float(self.moved[HEADING_OFFSET])
 
     @classmethod
-    def over_prediction(cls, before: FloatArray, cross: FloatArray, after: FloatArray) -> Back:
+    def over_prediction(cls, before: FloatArray, cross: FloatArray, after: FloatArray) -> BackwardRelation:
         """Return the backward relation over a prediction from state x to state x'.
 
         The arguments are the covariance of x, the cross-covariance of x and x', and the covariance of x', each (..., 4,
@@ -83,19 +83,19 @@ class Back:
         gain = cross @ np.linalg.inv(after + _MIN_COV)
         return cls(gain, before - gain @ cross.swapaxes(-1, -2), np.zeros(before.shape[:-1]))
 
-    def followed_by(self, later: Back) -> Back:
+    def followed_by(self, later: BackwardRelation) -> BackwardRelation:
         """Return the backward relation from the state after a later relation to the earlier state x of this one."""
         gain = self.gain
         left = later.scale * self.left + gain @ later.left @ gain.swapaxes(-1, -2)
         moved = self.moved + _times(gain, later.moved)
-        return Back(gain @ later.gain, left, moved, self.scale * later.scale)
+        return BackwardRelation(gain @ later.gain, left, moved, self.scale * later.scale)
 
-    def with_correction(self, moved: FloatArray) -> Back:
+    def with_correction(self, moved: FloatArray) -> BackwardRelation:
         """Return the relation after the estimate of the later state x' was corrected by (..., 4)."""
         return replace_unchecked(self, moved=self.moved + _times(self.gain, moved))
 
 
-_UNCHANGED = Back(np.eye(N_STATES), np.zeros((N_STATES, N_STATES)), np.zeros(N_STATES))
+_UNCHANGED = BackwardRelation(np.eye(N_STATES), np.zeros((N_STATES, N_STATES)), np.zeros(N_STATES))
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +154,7 @@ class WalkedStep:
         return cls(time_s, updated_mean, *before, ahead.mean, ahead.cov, ahead.by_state)
 
 
-def _relations_over_steps(steps: Sequence[WalkedStep]) -> list[Back]:
+def _relations_over_steps(steps: Sequence[WalkedStep]) -> list[BackwardRelation]:
     """Return the relation of the combined states before and after each step."""
     (_, updated, prob, mean, cov, drifted_cov, turned_mean, turned_cov, ahead_mean, ahead_cov, by_state) = (
         np.array([getattr(step, name) for step in steps]) for name in WalkedStep.__dataclass_fields__
@@ -166,9 +166,10 @@ def _relations_over_steps(steps: Sequence[WalkedStep]) -> list[Back]:
     cross = (weights * (turned_cov @ by_state.swapaxes(-1, -2))).sum(axis=1)
     spread = (turned_mean - turned_x[:, None]) * prob[..., None]
     cross += spread.swapaxes(-1, -2) @ (ahead_mean - ahead_x[:, None])
-    drift = Back.over_prediction(P, P, imm.combine(mean, drifted_cov, prob)[1]).with_correction(turned_x - x)
-    back = drift.followed_by(Back.over_prediction(turned_P, cross, ahead_P).with_correction(updated - ahead_x))
-    return [Back(*each) for each in zip(back.gain, back.left, back.moved, strict=True)]
+    drift = BackwardRelation.over_prediction(P, P, imm.combine(mean, drifted_cov, prob)[1])
+    step = BackwardRelation.over_prediction(turned_P, cross, ahead_P)
+    back = drift.with_correction(turned_x - x).followed_by(step.with_correction(updated - ahead_x))
+    return [BackwardRelation(*each) for each in zip(back.gain, back.left, back.moved, strict=True)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +224,7 @@ class PastSteps:
         place_m[NORTH] -= versine * lever_m[EAST]
         return place_m
 
-    def rebased(self, back: Back) -> PastSteps:
+    def rebased(self, back: BackwardRelation) -> PastSteps:
         """Return the steps related to the state after a backward relation."""
         own_cov_m2 = back.scale * self.own_cov_m2 + _propagated(self.by_state, back.left)
         return PastSteps(self.time_s, self.moved_m(back.moved), back.gain.T @ self.by_state, own_cov_m2)
@@ -250,7 +251,7 @@ class PastPath:
     ----------
     earlier : PastSteps
         Steps related to the state before `events`.
-    events : tuple of WalkedStep or Back
+    events : tuple of WalkedStep or BackwardRelation
         Last events, not yet applied to `earlier`.
     since_s : float
         Steps until this time are in the frame of the fixes. A change of the present frame does not move them.
@@ -261,12 +262,12 @@ class PastPath:
     """
 
     earlier: PastSteps = NO_STEPS
-    events: tuple[WalkedStep | Back, ...] = ()
+    events: tuple[WalkedStep | BackwardRelation, ...] = ()
     since_s: float = -math.inf
     shared_from_m: FloatArray = field(default_factory=lambda: np.zeros(2))
     shared_from_s: float = -math.inf
 
-    def with_event(self, event: WalkedStep | Back) -> PastPath:
+    def with_event(self, event: WalkedStep | BackwardRelation) -> PastPath:
         """Return the path after one more event."""
         if abs(event.turned_rad) > _LARGE_TURN_RAD:
             return replace_unchecked(self.rebased(), events=(event,)).rebased()
@@ -275,7 +276,7 @@ class PastPath:
 
     def predicted(self, before: FloatArray, after: FloatArray) -> PastPath:
         """Return the path after the covariance (4, 4) of the present state has grown."""
-        return self.with_event(Back.over_prediction(before, before, after))
+        return self.with_event(BackwardRelation.over_prediction(before, before, after))
 
     def corrected(self, moved: FloatArray, scale: float) -> PastPath:
         """Return the path after a correction (4,) of the present state.
@@ -291,12 +292,12 @@ class PastPath:
         back, last = self._last()
         return replace_unchecked(self, earlier=self.earlier.rebased(back).joined(last), events=())
 
-    def _last(self) -> tuple[Back, PastSteps]:
+    def _last(self) -> tuple[BackwardRelation, PastSteps]:
         """Return the relation over the stored events, and the steps among them related to the present state."""
         steps = [event for event in self.events if isinstance(event, WalkedStep)]
         over_steps = iter(_relations_over_steps(steps) if steps else ())
         backs = [next(over_steps) if isinstance(event, WalkedStep) else event for event in self.events]
-        back, after_steps = _UNCHANGED, list[Back]()
+        back, after_steps = _UNCHANGED, list[BackwardRelation]()
         for event, over in zip(reversed(self.events), reversed(backs), strict=True):
             if isinstance(event, WalkedStep):
                 after_steps.append(back)
@@ -416,7 +417,7 @@ def turned(alignment: Alignment, place_m: FloatArray, cov_m2: FloatArray) -> tup
     )
 
 
-def _related_steps(steps: Sequence[WalkedStep], backs: Sequence[Back]) -> PastSteps:
+def _related_steps(steps: Sequence[WalkedStep], backs: Sequence[BackwardRelation]) -> PastSteps:
     """Return steps related to the present state, given the relation of the state after each step to it."""
     pairs = zip(steps, backs, strict=True)
     place_m = np.stack([step.updated_mean[:2] + back.moved[:2] for step, back in pairs], axis=-1)
