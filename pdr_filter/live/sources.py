@@ -45,7 +45,10 @@ _AT_ONCE = 64
 
 
 def told(take: Taker, name: str, say: Callable[[str], None]) -> Taker:
-    """Return a taker that waits for a busy server, and tells the user each new reason of a refusal."""
+    """Return a function that passes messages to `take`, repeats them while the server is busy, and reports refusals.
+
+    `say` receives each new reason of a refusal, after the `name` of the source.
+    """
     reason = ""
 
     async def taken(body: bytes, **named: str) -> Answer:

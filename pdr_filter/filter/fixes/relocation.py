@@ -135,7 +135,7 @@ class RelocationEvidence:
 
 
 def _thinned(pairs: tuple[PairedPoint, ...]) -> tuple[PairedPoint, ...]:
-    """Return at most `MAX_REJECTED` pairs over the last relevant time, evenly spaced and including the last one."""
+    """Return at most `MAX_REJECTED` evenly spaced pairs, with the last one, over about twice `PATIENCE_S`."""
     times_s = [pair.time_s for pair in pairs]
     while len(pairs) > _MIN_REJECTED and times_s[-1] - times_s[1] >= 2.0 * PATIENCE_S:
         pairs, times_s = pairs[1:], times_s[1:]

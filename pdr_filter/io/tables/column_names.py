@@ -333,7 +333,10 @@ def column_of(place: int, name: str) -> Column:
 
 
 def _axes_of(words: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
-    """Yield the axis and the remaining words, with the axis after or before them."""
+    """Yield each axis that the words of a column name may state, with the other words.
+
+    The axis is the end of the last word, or the first letter of the first word.
+    """
     if not words:
         return
     first, last = words[0], words[-1]

@@ -118,7 +118,11 @@ class TextRows:
 
 
 def by_text(sheet: Sheet, column: int) -> list[Sheet]:
-    """Sheets of a text, one for each text of a column and called like it; none if there are too many."""
+    """Split a table with the samples of several sensors by the sensor that one column names.
+
+    Return one table for each name in that column, with this name and only its rows. Return no tables if there are more
+    names than a phone has sensors.
+    """
     if not isinstance(rows := sheet.parse, TextRows):
         return []
     return [replace(sheet, name=name, parse=replace(rows, only=(column, name))) for name in rows.texts_of(column)]

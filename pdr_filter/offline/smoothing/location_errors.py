@@ -68,9 +68,10 @@ def independent_share(fix: PositionFix, is_location: bool) -> float:
 
 
 def errors_of(fixes: Sequence[PositionFix], is_location: BoolArray, node: IntArray) -> Errors:
-    """Return the error states of the correlated fixes among fixes (F,) in order of time, with their anchors `node`.
+    """Return the error states of those of F fixes, in order of time, whose errors are correlated.
 
-    The error of a location has all parts. The error of another fix has the varying part only.
+    `node` (F,) is the number of the anchor of each fix in the smoother. The error of a location has all parts: varying,
+    constant, shrunk and late. The error of another fix has the varying part only.
     """
     position = np.flatnonzero([f.correlation_s > 0 for f in fixes])
     if not len(position):

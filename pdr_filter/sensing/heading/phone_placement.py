@@ -146,7 +146,11 @@ class StrideAgreement:
         return (0.0, math.cos(ahead_rad), math.sin(ahead_rad))
 
     def agreement(self, place: Placement, mix: Vector) -> tuple[float, float]:
-        """Return the mean squared length of the combined vectors, and the share that they have in common, 0 to 1."""
+        """Return the mean squared length of the forward vectors of the strides, and their agreement on a direction.
+
+        The forward vector of a stride is the sum of its three vectors with the coefficients `mix`. The agreement, 0 to
+        1, is the share of the squared length that all strides have in common.
+        """
         (a, b, c), (aa, bb, cc) = mix, place.squares
         (af, ar), (bf, br), (cf, cr) = place.vectors
         forward, right = (a * af + b * bf + c * cf) / place.weight, (a * ar + b * br + c * cr) / place.weight
