@@ -156,17 +156,9 @@ def _rmse_m(known: Table, track: Track) -> float:
 
 def _print(compared: Sequence[Compared]) -> None:
     has_truth = any(found.rmse_m for found in compared)
-    columns = [
-        "recording",
-        "track",
-        "steps",
-        "distance",
-        "difference to the last",
-        "end east",
-        "end north",
-        "± at the end",
-    ]
-    table = console.new_table(*columns, "end to last end", *(["error (RMSE)"] if has_truth else []), n_keys=2)
+    columns = ["recording", "track", "steps", "distance", "difference to the last", "end east", "end north"]
+    columns += ["± at the end", "end to last end", *(["error (RMSE)"] if has_truth else [])]
+    table = console.new_table(*columns, n_keys=2)
     for found in compared:
         *_, reference = found.tracks.values()
         reference_end = reference.summary()
