@@ -134,7 +134,7 @@ def _in_order(clock: ClockState, rows: FloatArray, max_gap_s: float) -> tuple[Cl
 
 
 class _Decision(NamedTuple):
-    """What one row leads to: the new state, and the rows that are accepted or dropped now."""
+    """Decision on one row: the new state, and the rows that are accepted or dropped with it."""
 
     clock: ClockState
     accepted: tuple[FloatArray, ...] = ()

@@ -132,11 +132,11 @@ class _Observation:
 
 
 class _FilterUpdate(NamedTuple):
-    """Update of one filter, the probability that the measurement is no outlier, and its number of components."""
+    """Update of one filter by a measurement."""
 
     update: KalmanUpdate
-    regular_prob: float
-    n_dimensions: int
+    regular_prob: float  # probability that the measurement is no outlier
+    n_dimensions: int  # number of components of the measurement
 
 
 def _filter_update(
