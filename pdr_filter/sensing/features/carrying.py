@@ -82,9 +82,6 @@ _SWING_HZ = (0.5, 1.8)  # swing of a limb up to the fastest stride, without the 
 _FAST_HZ = (4.0, 12.0)  # rocking of a loose phone
 _BANDS_HZ = (*_IMPACTS_HZ, _ANGLE_HZ, _STRIDE_HZ, _SWING_HZ, _FAST_HZ, (0.0, np.inf))
 _IMPACTS, _ANGLE, _STRIDE, _SWING, _FAST, _ALL = slice(0, 3), 3, 4, 5, 6, 7
-# Spectra of which the bands are summed: vertical and horizontal specific force, tilt rate, tilt angle and yaw angle.
-_VERTICAL, _HORIZONTAL, _TILT_RATE, _TILT, _YAW = range(5)
-_FORCES = slice(_VERTICAL, _HORIZONTAL + 1)
 # Band that contains the step frequency from slow walking to running, Hz. The strongest vertical frequency in it is
 # taken as the step frequency.
 _STEP_HZ = (1.25, 3.3)
@@ -110,7 +107,7 @@ def features_of(windows: FloatArray, rate_hz: float) -> FloatArray:
     tilt_rate = rate - up * yaw_rate[:, None]
     centred = about_mean(np.concatenate([force, tilt_rate, yaw_rate[:, None]], axis=1))
     spectrum = np.fft.rfft(centred * hann_taper(n))
-    # Power spectra, each of which sums to a variance, in the order of `_VERTICAL` to `_YAW`.
+    # Power spectra, each of which sums to a variance: vertical, horizontal, tilt rate, tilt angle, yaw angle.
     axis_power = (spectrum.real**2 + spectrum.imag**2) * (2.0 / n**2)
     tilt, squared_omega = axis_power[:, 3] + axis_power[:, 4] + axis_power[:, 5], _omega(n, rate_hz) ** 2
     horizontal, yaw = axis_power[:, 1] + axis_power[:, 2], axis_power[:, 6]
@@ -158,9 +155,9 @@ def _force_features(force: FloatArray, bands: FloatArray, stride: FloatArray, st
     force, so that they do not depend on how hard the person steps.
     """
     vertical, east, north = force[:, 0], force[:, 1], force[:, 2]
-    size = _log_rms(bands[:, _FORCES, _ALL], _FLOOR_MPS2)
-    impacts = _log_rms(bands[:, _FORCES, _IMPACTS], _FLOOR_MPS2) - size[:, :1, None]
-    stride_size, step_size = _log_rms(stride[:, _FORCES], _FLOOR_MPS2), _log_rms(step[:, _FORCES], _FLOOR_MPS2)
+    size = _log_rms(bands[:, :2, _ALL], _FLOOR_MPS2)
+    impacts = _log_rms(bands[:, :2, _IMPACTS], _FLOOR_MPS2) - size[:, :1, None]
+    stride_size, step_size = _log_rms(stride[:, :2], _FLOOR_MPS2), _log_rms(step[:, :2], _FLOOR_MPS2)
     scaled = vertical / (np.sqrt(mean_square(vertical)) + _FLOOR_MPS2)[:, None]
     squared = scaled * scaled
     # (a - b) / (a + b) with the variances a and b along the main horizontal axis and across it
@@ -168,12 +165,12 @@ def _force_features(force: FloatArray, bands: FloatArray, stride: FloatArray, st
     total = (east * east + north * north).mean(axis=1)
     return columns(
         [
-            size[:, _VERTICAL],
-            size[:, _HORIZONTAL] - size[:, _VERTICAL],
+            size[:, 0],
+            size[:, 1] - size[:, 0],
             impacts.transpose(0, 2, 1).reshape(len(force), -1),
-            stride_size[:, _VERTICAL] - step_size[:, _VERTICAL],
-            stride_size[:, _HORIZONTAL] - step_size[:, _VERTICAL],
-            step_size[:, _HORIZONTAL] - step_size[:, _VERTICAL],
+            stride_size[:, 0] - step_size[:, 0],
+            stride_size[:, 1] - step_size[:, 0],
+            step_size[:, 1] - step_size[:, 0],
             (squared * scaled).mean(axis=1),
             np.log(mean_square(squared) + 0.5),
             np.sqrt(difference * difference + mixed * mixed) / (total + _FLOOR_MPS2**2),
@@ -192,9 +189,9 @@ def _rotation_features(
     """Return the features of the rotation (W, 12): `_TURNING_NAMES` without the last three."""
     n = tilt_rate.shape[2]
     variance, axes = np.linalg.eigh(tilt_rate @ tilt_rate.transpose(0, 2, 1) / n)
-    size = _log_rms(bands[:, _VERTICAL, _ALL], _FLOOR_MPS2)
-    tilt, yaw = _log_rms(bands[:, _TILT, _ANGLE], _FLOOR_RAD), _log_rms(bands[:, _YAW, _ANGLE], _FLOOR_RAD)
-    tilt_rate_size = _log_rms(bands[:, _TILT_RATE, _ALL], _FLOOR_RADPS)
+    size = _log_rms(bands[:, 0, _ALL], _FLOOR_MPS2)
+    tilt, yaw = _log_rms(bands[:, 3, _ANGLE], _FLOOR_RAD), _log_rms(bands[:, 4, _ANGLE], _FLOOR_RAD)
+    tilt_rate_size = _log_rms(bands[:, 2, _ALL], _FLOOR_RADPS)
     swing = slice(*_bins(_SWING_HZ, n, rate_hz))
     main_rate = (axes[:, :, 2][:, :, None] * spectrum[:, 3:6, swing]).sum(axis=1)
     lever, coherence = _lever(main_rate * _omega(n, rate_hz)[swing], spectrum[:, 1:3, swing], n)
@@ -202,19 +199,19 @@ def _rotation_features(
         [
             tilt,
             yaw,
-            _log_rms(bands[:, _TILT, _STRIDE], _FLOOR_RAD),
-            _log_rms(stride[:, _TILT], _FLOOR_RAD) - _log_rms(step[:, _TILT], _FLOOR_RAD),
+            _log_rms(bands[:, 3, _STRIDE], _FLOOR_RAD),
+            _log_rms(stride[:, 3], _FLOOR_RAD) - _log_rms(step[:, 3], _FLOOR_RAD),
             tilt - size,
             tilt - yaw,
             tilt_rate_size,
-            _log_rms(bands[:, _TILT_RATE, _FAST], _FLOOR_RADPS) - tilt_rate_size,
+            _log_rms(bands[:, 2, _FAST], _FLOOR_RADPS) - tilt_rate_size,
             (variance[:, 2] - variance[:, 1]) / (variance.sum(axis=1) + _FLOOR_RADPS**2),
             np.log(lever + _FLOOR_M),
             coherence,
             # A phone that only tilts has a horizontal force of gravity times the tilt angle, so this log ratio is 0.
-            _log_rms(bands[:, _HORIZONTAL, _SWING], _FLOOR_MPS2)
+            _log_rms(bands[:, 1, _SWING], _FLOOR_MPS2)
             - np.log(STANDARD_GRAVITY_MPS2)
-            - _log_rms(bands[:, _TILT, _SWING], _FLOOR_RAD),
+            - _log_rms(bands[:, 3, _SWING], _FLOOR_RAD),
         ]
     )
 
@@ -242,7 +239,7 @@ def _stride_and_step(power: FloatArray, n: int, rate_hz: float) -> tuple[FloatAr
     The step frequency is that of the strongest vertical motion.
     """
     first, last = _bins(_STEP_HZ, n, rate_hz)
-    step = first + power[:, _VERTICAL, first:last].argmax(axis=1)
+    step = first + power[:, 0, first:last].argmax(axis=1)
     stride = np.maximum(step // 2, 1)
     window = np.arange(len(power))
     # For a step at an odd bin, the stride frequency lies between two bins.
