@@ -244,7 +244,9 @@ def _whole(state: Assembly, force: Samples) -> Streams:
 def _kind_of(state: Assembly) -> Kind:
     """Return the kind of acceleration that was found in the first samples of the session."""
     if state.kind is None:
-        raise ValueError("no samples are assembled before the kind of the acceleration is known")
+        raise ValueError(
+            "the units and the sign of the acceleration are unknown: wait for the first seconds of samples"
+        )
     return state.kind
 
 
