@@ -244,9 +244,7 @@ def _whole(state: Assembly, force: Samples) -> Streams:
 def _kind_of(state: Assembly) -> Kind:
     """Return the kind of acceleration that was found in the first samples of the session."""
     if state.kind is None:
-        raise ValueError(
-            "the units and the sign of the acceleration are unknown: wait for the first seconds of samples"
-        )
+        raise ValueError("units and sign of the acceleration are unknown: wait for the first seconds of samples")
     return state.kind
 
 

@@ -201,9 +201,7 @@ class DeviceSession:
         """Return the configuration for the sensors that the first seconds contain."""
         kind = self.assembly.kind
         if kind is None:
-            raise ValueError(
-                "the units and the sign of the acceleration are unknown: wait for the first seconds of samples"
-            )
+            raise ValueError("units and sign of the acceleration are unknown: wait for the first seconds of samples")
         meta: dict[str, Any] = {"name": f"{self.device} {self.session}".strip()[: limits.MAX_NAME_CHARS] or self.id}
         meta["name"] = file_name(meta["name"])
         meta |= {"source": "pdr-filter live", "accelerometer": f"{kind.force}, {kind.how}"}
