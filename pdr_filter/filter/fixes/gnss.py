@@ -50,9 +50,9 @@ class LocationState:
         Time of the last fix, or minus infinity.
     n : int
         Number of locations.
-    n_nowhere : int
+    n_without_place : int
         Number of locations whose coordinates are not a place on Earth.
-    n_vague : int
+    n_without_accuracy : int
         Number of locations without an accuracy.
     n_backward : int
         Number of locations whose time is not after that of the last fix.
@@ -62,21 +62,21 @@ class LocationState:
     >>> import numpy as np
     >>> from pdr_filter.filter.fixes.gnss import LocationState, position_fixes
     >>> state, fixes = position_fixes(LocationState(), np.zeros(1), np.array([48.1]), np.array([11.6]), np.zeros(1))
-    >>> state.n, state.n_vague, state.n_unusable
+    >>> state.n, state.n_without_accuracy, state.n_unusable
     (1, 1, 1)
     """
 
     origin: Origin | None = None
     last_s: float = -math.inf
     n: int = 0
-    n_nowhere: int = 0
-    n_vague: int = 0
+    n_without_place: int = 0
+    n_without_accuracy: int = 0
     n_backward: int = 0
 
     @property
     def n_unusable(self) -> int:
         """Number of locations that are not used."""
-        return self.n_nowhere + self.n_vague + self.n_backward
+        return self.n_without_place + self.n_without_accuracy + self.n_backward
 
     def reasons(self) -> str:
         """Return the reasons why locations are not used.
@@ -87,8 +87,10 @@ class LocationState:
             Number of locations for each reason, with its remedy. Empty if all locations are usable.
         """
         causes = {
-            "coordinates that are not a place on Earth (give latitude and longitude in degrees)": self.n_nowhere,
-            "no horizontal accuracy above 0 (export the accuracy, or pass the positions as fixes)": self.n_vague,
+            "coordinates that are not a place on Earth (give latitude and longitude in degrees)": self.n_without_place,
+            "no horizontal accuracy above 0 (export the accuracy, or pass the positions as fixes)": (
+                self.n_without_accuracy
+            ),
             "a time that is not after the previous one (sort the locations by time)": self.n_backward,
         }
         return ", ".join(f"{n} with {words}" for words, n in causes.items() if n)
@@ -160,15 +162,15 @@ def position_fixes(
     """
     fixes: list[PositionFix] = []
     origin, last_s = state.origin, state.last_s
-    n_nowhere, n_vague, n_backward = state.n_nowhere, state.n_vague, state.n_backward
+    n_without_place, n_without_accuracy, n_backward = state.n_without_place, state.n_without_accuracy, state.n_backward
     # one location at a time: the bits of a vectorised sine depend on the length of the array
     altitude_m = np.full(len(time_s), np.nan) if altitude_m is None else altitude_m
     rows = np.column_stack([time_s, latitude_deg, longitude_deg, accuracy_m, altitude_m]).tolist()
     for t, latitude, longitude, accuracy, altitude in rows:
         if not _is_place(latitude, longitude):
-            n_nowhere += 1
+            n_without_place += 1
         elif not _is_accuracy(accuracy):
-            n_vague += 1
+            n_without_accuracy += 1
         elif not last_s < t < math.inf:
             n_backward += 1
         elif t >= last_s + interval_s:
@@ -179,7 +181,8 @@ def position_fixes(
             if math.isfinite(altitude) and altitude != 0.0:
                 fix = replace(fix, altitude_m=altitude, altitude_std_m=_VERTICAL_RATIO * std_m)
             fixes.append(fix)
-    return LocationState(origin, last_s, state.n + len(rows), n_nowhere, n_vague, n_backward), tuple(fixes)
+    n = state.n + len(rows)
+    return LocationState(origin, last_s, n, n_without_place, n_without_accuracy, n_backward), tuple(fixes)
 
 
 # Largest accuracy radius at which displacements of some metres are visible.

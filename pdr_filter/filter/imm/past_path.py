@@ -48,30 +48,30 @@ _MIN_SHARED = 0.01
 class BackwardRelation:
     """Backward relation from the later state x' (4,) to an earlier state x (4,).
 
-    x = mean + moved + gain (x' - mean') + error, where the error has the covariance `left`. mean and mean' are the
-    estimates of x and x'.
+    x = mean + correction + gain (x' - mean') + error, where the error has the covariance `error_cov`. The estimates of x
+    and x' are mean and mean'.
 
     Attributes
     ----------
     gain : (..., 4, 4) array
         Smoother gain G.
-    left : (..., 4, 4) array
+    error_cov : (..., 4, 4) array
         Covariance P - G P' G' of the error.
-    moved : (..., 4) array
+    correction : (..., 4) array
         Correction of x between the two times.
     scale : float, default 1.0
         Factor by which the event scales the variance of all earlier errors.
     """
 
     gain: FloatArray
-    left: FloatArray
-    moved: FloatArray
+    error_cov: FloatArray
+    correction: FloatArray
     scale: float = 1.0
 
     @property
     def turned_rad(self) -> float:
         """Correction of the heading offset in the earlier state x between the two times, rad."""
-        return float(self.moved[HEADING_OFFSET])
+        return float(self.correction[HEADING_OFFSET])
 
     @classmethod
     def over_prediction(cls, before: FloatArray, cross: FloatArray, after: FloatArray) -> BackwardRelation:
@@ -86,13 +86,13 @@ class BackwardRelation:
     def followed_by(self, later: BackwardRelation) -> BackwardRelation:
         """Return the backward relation from the state after a later relation to the earlier state x of this one."""
         gain = self.gain
-        left = later.scale * self.left + gain @ later.left @ gain.swapaxes(-1, -2)
-        moved = self.moved + _times(gain, later.moved)
-        return BackwardRelation(gain @ later.gain, left, moved, self.scale * later.scale)
+        error_cov = later.scale * self.error_cov + gain @ later.error_cov @ gain.swapaxes(-1, -2)
+        correction = self.correction + _times(gain, later.correction)
+        return BackwardRelation(gain @ later.gain, error_cov, correction, self.scale * later.scale)
 
-    def with_correction(self, moved: FloatArray) -> BackwardRelation:
+    def with_correction(self, correction: FloatArray) -> BackwardRelation:
         """Return the relation after the estimate of the later state x' was corrected by (..., 4)."""
-        return replace_unchecked(self, moved=self.moved + _times(self.gain, moved))
+        return replace_unchecked(self, correction=self.correction + _times(self.gain, correction))
 
 
 _UNCHANGED = BackwardRelation(np.eye(N_STATES), np.zeros((N_STATES, N_STATES)), np.zeros(N_STATES))
@@ -169,7 +169,7 @@ def _relations_over_steps(steps: Sequence[WalkedStep]) -> list[BackwardRelation]
     drift = BackwardRelation.over_prediction(P, P, imm.combine(mean, drifted_cov, prob)[1])
     step = BackwardRelation.over_prediction(turned_P, cross, ahead_P)
     back = drift.with_correction(turned_x - x).followed_by(step.with_correction(updated - ahead_x))
-    return [BackwardRelation(*each) for each in zip(back.gain, back.left, back.moved, strict=True)]
+    return [BackwardRelation(*each) for each in zip(back.gain, back.error_cov, back.correction, strict=True)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,8 +226,8 @@ class PastSteps:
 
     def rebased(self, back: BackwardRelation) -> PastSteps:
         """Return the steps related to the state after a backward relation."""
-        own_cov_m2 = back.scale * self.own_cov_m2 + _propagated(self.by_state, back.left)
-        return PastSteps(self.time_s, self.moved_m(back.moved), back.gain.T @ self.by_state, own_cov_m2)
+        own_cov_m2 = back.scale * self.own_cov_m2 + _propagated(self.by_state, back.error_cov)
+        return PastSteps(self.time_s, self.moved_m(back.correction), back.gain.T @ self.by_state, own_cov_m2)
 
     def with_moments(
         self, place_m: FloatArray, cov_m2: FloatArray, cross: FloatArray, state_cov: FloatArray
@@ -283,7 +283,7 @@ class PastPath:
 
         `scale` multiplies the variances of all errors.
         """
-        return self.with_event(replace_unchecked(_UNCHANGED, moved=moved, scale=scale))
+        return self.with_event(replace_unchecked(_UNCHANGED, correction=moved, scale=scale))
 
     def rebased(self) -> PastPath:
         """Return the path with all steps related to the present state."""
@@ -372,9 +372,9 @@ class PastPath:
         """
         (back, last), earlier = self._last(), self.earlier
         cov_m2 = back.scale * earlier.own_cov_m2
-        cov_m2 += _propagated(earlier.by_state, back.left + back.gain @ cov @ back.gain.T)
+        cov_m2 += _propagated(earlier.by_state, back.error_cov + back.gain @ cov @ back.gain.T)
         time_s = np.concatenate([earlier.time_s, last.time_s])
-        place_m = np.concatenate([earlier.moved_m(back.moved), last.place_m], axis=-1)
+        place_m = np.concatenate([earlier.moved_m(back.correction), last.place_m], axis=-1)
         cov_m2 = np.concatenate([cov_m2, last.cov_m2(cov)], axis=-1)
         shared_m2 = self._share(shared_m2, present_m) * _squares(self._since_shared_m(time_s, place_m))
         return time_s, place_m, cov_m2 + shared_m2
@@ -420,10 +420,10 @@ def turned(alignment: Alignment, place_m: FloatArray, cov_m2: FloatArray) -> tup
 def _related_steps(steps: Sequence[WalkedStep], backs: Sequence[BackwardRelation]) -> PastSteps:
     """Return steps related to the present state, given the relation of the state after each step to it."""
     pairs = zip(steps, backs, strict=True)
-    place_m = np.stack([step.updated_mean[:2] + back.moved[:2] for step, back in pairs], axis=-1)
+    place_m = np.stack([step.updated_mean[:2] + back.correction[:2] for step, back in pairs], axis=-1)
     by_state = np.stack([back.gain[:2] for back in backs], axis=-1)
-    left = np.stack([back.left for back in backs], axis=-1)
-    own_cov_m2 = np.stack([left[EAST, EAST], left[EAST, NORTH], left[NORTH, NORTH]])
+    cov = np.stack([back.error_cov for back in backs], axis=-1)
+    own_cov_m2 = np.stack([cov[EAST, EAST], cov[EAST, NORTH], cov[NORTH, NORTH]])
     return PastSteps(np.array([step.time_s for step in steps]), place_m, by_state, own_cov_m2)
 
 

@@ -167,14 +167,14 @@ class WalkingHeadingState:
         Agreement of the strides in this place, 0 to 1.
     corridors : CorridorState
         State of the estimation of drift from the axes of a building.
-    error_rad : float
+    error_at_restart_rad : float
         Error of the device heading when the search for axes last restarted, rad.
-    error_of_bias_rad : float
+    bias_error_at_restart_rad : float
         Error of the device heading according to the gyroscope bias at that time, rad.
-    of_bias_rad : float
+    bias_error_rad : float
         Present error of the device heading according to the gyroscope bias, rad.
-    of_bias_var_rad2 : float
-        Variance of `of_bias_rad`, rad2.
+    bias_error_var_rad2 : float
+        Variance of `bias_error_rad`, rad2.
     lost_var_rad2 : float
         Heading variance added by the uncertain gyroscope bias so far, rad2.
     reported : Reported
@@ -202,10 +202,10 @@ class WalkingHeadingState:
     shown: Offset
     trust: float
     corridors: CorridorState
-    error_rad: float
-    error_of_bias_rad: float
-    of_bias_rad: float
-    of_bias_var_rad2: float
+    error_at_restart_rad: float
+    bias_error_at_restart_rad: float
+    bias_error_rad: float
+    bias_error_var_rad2: float
     lost_var_rad2: float
     reported: Reported
     walking_rad: float
@@ -341,10 +341,10 @@ class WalkingHeading:
             shown=Offset(),
             trust=0.0,
             corridors=self.corridors.init(),
-            error_rad=0.0,
-            error_of_bias_rad=0.0,
-            of_bias_rad=0.0,
-            of_bias_var_rad2=0.0,
+            error_at_restart_rad=0.0,
+            bias_error_at_restart_rad=0.0,
+            bias_error_rad=0.0,
+            bias_error_var_rad2=0.0,
             lost_var_rad2=0.0,
             reported=Reported(),
             walking_rad=math.nan,
@@ -502,9 +502,9 @@ class WalkingHeading:
         """
         loss = self._bias_field(state, step, bias_error[2] - state.lost_var_rad2)
         reported = state.reported.at_step(step, self.drift, loss.get("yaw_bias_std_radps", step.yaw_bias_std_radps))
-        of_bias_rad, of_bias_var_rad2, lost_var_rad2 = bias_error
+        bias_error_rad, bias_error_var_rad2, lost_var_rad2 = bias_error
         state = replace_unchecked(
-            state, of_bias_rad=of_bias_rad, of_bias_var_rad2=of_bias_var_rad2, lost_var_rad2=lost_var_rad2
+            state, bias_error_rad=bias_error_rad, bias_error_var_rad2=bias_error_var_rad2, lost_var_rad2=lost_var_rad2
         )
         if stride is None and state.place is None:
             return replace_unchecked(state, reported=reported), loss
@@ -513,7 +513,7 @@ class WalkingHeading:
             # complete stride.
             report = dict[str, float]()
             if step.heading_unknown_s == 0:
-                error_rad, var_rad2 = self._error(state, state.shown.var_rad2 + of_bias_var_rad2)
+                error_rad, var_rad2 = self._error(state, state.shown.var_rad2 + bias_error_var_rad2)
                 reported, report = reported.with_report(step, self._reportable(state), error_rad, var_rad2, 0.0)
             return replace_unchecked(state, reported=reported), loss | report | _shown_fields(state)
         stride = stride.about(stride.axis if state.up is None else carry_axis(state.axis, state.up, stride.up))
@@ -547,7 +547,7 @@ class WalkingHeading:
             direction_up=stride.up,
             corridors=self.corridors.update(state.corridors, step.time_s, walking_rad),
         )
-        error_rad, var_rad2 = self._error(state, shown.var_rad2 + of_bias_var_rad2)
+        error_rad, var_rad2 = self._error(state, shown.var_rad2 + bias_error_var_rad2)
         reported, report = reported.with_report(step, self._reportable(state), error_rad, var_rad2, change_std_rad)
         shown_fields = _shown_fields(state, on_axes=self.corridors.is_sure(state.corridors))
         return replace_unchecked(state, reported=reported), loss | report | shown_fields
@@ -574,7 +574,7 @@ class WalkingHeading:
         """
         index = round((contact_s - state.start_s) * self.rate_hz) - 1
         if not max(number + 1 - self._n_kept, 0) <= index <= number:
-            return state.of_bias_rad, state.of_bias_var_rad2, state.lost_var_rad2
+            return state.bias_error_rad, state.bias_error_var_rad2, state.lost_var_rad2
         error_rad, var_rad2, lost_var_rad2 = state.signals[_ERROR:, index - state.n_samples].tolist()
         return error_rad, var_rad2, lost_var_rad2
 
@@ -596,7 +596,7 @@ class WalkingHeading:
         if not self.corridors.is_sure(state.corridors):
             return 0.0, math.inf
         shown_rad, var_rad2 = self.corridors.drift_in_time(state.corridors)
-        return state.error_rad + shown_rad, var_rad2
+        return state.error_at_restart_rad + shown_rad, var_rad2
 
     def _error(self, state: WalkingHeadingState, free_var_rad2: float) -> tuple[float, float]:
         """Return the error of the device heading, and the variance of the walking heading corrected by it.
@@ -604,9 +604,9 @@ class WalkingHeading:
         The axes of a building measure the walking heading itself. Without axes, the error follows from the gyroscope
         bias, and the variance is `free_var_rad2`. The result is the mixture of both cases.
         """
-        free_rad = state.of_bias_rad - state.error_of_bias_rad
+        free_rad = state.bias_error_rad - state.bias_error_at_restart_rad
         drift_rad, var_rad2 = self.corridors.mixed(state.corridors, free_rad, free_var_rad2)
-        return state.error_rad + drift_rad, var_rad2
+        return state.error_at_restart_rad + drift_rad, var_rad2
 
     def _without_axes(self, state: WalkingHeadingState) -> WalkingHeadingState:
         """Return the state with the search for axes restarted, after a break in the headings.
@@ -616,8 +616,8 @@ class WalkingHeading:
         return replace_unchecked(
             state,
             corridors=self.corridors.restart(state.corridors),
-            error_rad=self._error(state, 0.0)[0],
-            error_of_bias_rad=state.of_bias_rad,
+            error_at_restart_rad=self._error(state, 0.0)[0],
+            bias_error_at_restart_rad=state.bias_error_rad,
         )
 
     def _stride_samples(
