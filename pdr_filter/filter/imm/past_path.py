@@ -48,8 +48,8 @@ _MIN_SHARED = 0.01
 class BackwardRelation:
     """Backward relation from the later state x' (4,) to an earlier state x (4,).
 
-    x = mean + correction + gain (x' - mean') + error, where the error has the covariance `error_cov`. The estimates of x
-    and x' are mean and mean'.
+    x = mean + correction + gain (x' - mean') + error, where the error has the covariance `error_cov`. The estimates
+    of x and x' are mean and mean'.
 
     Attributes
     ----------
