@@ -18,7 +18,6 @@ import pymap3d
 import pytest
 import typer.main
 from heard import heard_along
-from helpers import cut_randomly
 from typer.testing import CliRunner
 
 import pdr_filter as pdr
@@ -69,19 +68,13 @@ def recording() -> pdr.Recording:
 
 
 @pytest.mark.parametrize("page", WITH_CODE)
-def test_the_code_of_a_page_runs_from_top_to_bottom(
+def test_the_code_of_a_page_runs_from_top_to_bottom_and_needs_no_other_names(
     page: str, recording: pdr.Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    path = recording.save("walk.zip")
+    recording.save("walk.zip")
     Path("building.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": BUILDING}), "utf-8")
-    # What pages take for granted: the reader's recording, and the samples of an app.
-    names: dict[str, Any] = {
-        "pdr": pdr,
-        "recording": recording,
-        "paths": [path],
-        "blocks": cut_randomly(pdr.merge_streams(recording), seed=0),
-    }
+    names: dict[str, Any] = {}
     for code in CODE.findall(PAGES[page]):
         exec(compile(code, page, "exec"), names)
 
@@ -93,8 +86,8 @@ def test_the_loop_of_the_page_about_apps_gives_the_bits_of_the_track_with_a_baro
     early = {n: Samples(s.time_s - (0.004 if n != "accelerometer" else 0.0), s.values) for n, s in walk.streams.items()}
     walk = replace(walk, **early)
     (loop,) = (code for code in CODE.findall(PAGES["docs/online.md"]) if "push_pressure" in code)
-    names: dict[str, Any] = {"pdr": pdr, "recording": walk}
-    exec(compile(loop, "docs/online.md", "exec"), names)
+    names: dict[str, Any] = {"walk": walk}
+    exec(compile(loop.replace("pdr.simulate.demo_walk()", "walk"), "docs/online.md", "exec"), names)
     final = [update for update in names["updates"] if update.is_final]
     track = pdr.track(walk)
     np.testing.assert_array_equal([u.position_m for u in final], track.position_m)

@@ -94,7 +94,7 @@ ATTITUDE_OF_CONFIG = ("value", "dict", "config", "fields", "sensing", "fields", 
         ((*SENSING, "processed_s"), 1e31, "processed_s of SensingState must be"),
         ((*SENSING, "n_samples"), 2**70, "n_samples of SensingState must be"),
         ((*STATE, "n_climbs_used"), -1, "n_climbs_used of State must be a non-negative count, got -1"),
-        ((*SENSING, "rattle", "fields", "extra"), 1.0, "RattleState has no field extra"),
+        ((*SENSING, "vibration", "fields", "extra"), 1.0, "VehicleVibrationState has no field extra"),
     ],
 )
 def test_a_saved_filter_of_which_one_value_cannot_be_is_refused_by_its_name(
@@ -131,7 +131,7 @@ def test_a_filter_that_is_finished_or_has_seen_nothing_or_no_gyroscope_can_be_lo
 
 @pytest.mark.parametrize("part", [b"[],", b"{},", b"1.5,", b'{"a":[]},'], ids=str)
 def test_a_small_file_of_many_values_does_not_fill_the_memory(part: bytes) -> None:
-    content = b'{"format":6,"value":[' + part * (12_000_000 // len(part)) + b"0]}"
+    content = b'{"format":7,"value":[' + part * (12_000_000 // len(part)) + b"0]}"
     blob = zlib.compress(content)
     assert len(blob) < 60_000
     tracemalloc.start()

@@ -277,7 +277,7 @@ class ContextModel:
         if values.ndim != 2 or values.shape[1] != len(self.feature_names):
             raise ValueError(
                 f"model {self.name!r} needs {len(self.feature_names)} features of each window, got shape "
-                f"{values.shape[1:]}"
+                f"{values.shape[1:]}: compute them with the feature set of the model, in the order of its feature_names"
             )
         finite = np.isfinite(values)
         if not finite.all():

@@ -13,7 +13,7 @@ posterior is the Laplace approximation for any log-concave likelihood. The class
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy.linalg import cho_solve, cholesky, solve_triangular
@@ -117,16 +117,29 @@ class Trained:
     out_of_basis: bool  # stopped by the limit of functions, though more would raise the evidence
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Proposal:
+class Additions(NamedTuple):
+    """Functions to add in a pass."""
+
+    functions: IntArray  # (P,) in descending order of their evidence gain
+    alpha: FloatArray  # (P,)
+    gain: float  # expected evidence gain of all of them, nats
+
+
+class Proposal(NamedTuple):
     """Changes proposed for a pass: new alphas (prior precisions), functions to delete, and functions to add."""
 
-    alpha: FloatArray  # (M,) new prior precisions of the functions in the model
-    delete: BoolArray  # (M,) functions to delete
-    added: IntArray  # (P,) in descending order of their evidence gain
-    added_alpha: FloatArray  # (P,) prior precisions of the added functions
-    gain: float  # expected evidence gain of the additions, nats
+    alpha: FloatArray  # (M,)
+    delete: BoolArray  # (M,)
+    added: Additions
     has_postponed_deletions: bool  # more deletions are due than one pass may do
+
+
+class _Pass(NamedTuple):
+    """Result of a pass, whose proposal was tried with smaller and smaller steps until the evidence rose."""
+
+    posterior: Posterior | None  # None if no try raised the evidence
+    step_size: float
+    n_tries: int
 
 
 def spread_start(likelihood: Likelihood, functions: FloatArray, n_functions: int) -> Posterior:
@@ -162,26 +175,21 @@ def train(
     else:
         now = posterior(likelihood, functions, start.basis, start.alpha, start.mean, start.logit)
     evidence = [now.log_evidence]
-    step_size, n_passes, settled = 1.0, 0, 0
+    step_size, n_passes, n_small_gains = 1.0, 0, 0
     while n_passes < max_passes:
         proposal = propose(likelihood, functions, now)
-        refreshed, step_size, tried = _raise_evidence(
-            likelihood, functions, now, proposal, step_size, max_basis, max_passes - n_passes
-        )
-        n_passes += tried
-        full = proposal.gain >= tol and len(now.basis) >= max_basis and not proposal.delete.any()
-        if refreshed is None:
-            return Trained(now, n_passes, tuple(evidence), step_size >= _MIN_STEP_SIZE, full)
-        settled = (
-            settled + 1
-            if refreshed.log_evidence - now.log_evidence < 0.5 * tol and not proposal.has_postponed_deletions
-            else 0
-        )
-        now = refreshed
+        done = _raise_evidence(likelihood, functions, now, proposal, step_size, max_basis, max_passes - n_passes)
+        n_passes += done.n_tries
+        is_full = proposal.added.gain >= tol and len(now.basis) >= max_basis and not proposal.delete.any()
+        if done.posterior is None:  # steps became too small, or the tries ran out
+            return Trained(now, n_passes, tuple(evidence), done.step_size >= _MIN_STEP_SIZE, is_full)
+        is_small = done.posterior.log_evidence - now.log_evidence < 0.5 * tol and not proposal.has_postponed_deletions
+        n_small_gains = n_small_gains + 1 if is_small else 0
+        now = done.posterior
         evidence.append(now.log_evidence)
-        if settled == 2:
-            return Trained(now, n_passes, tuple(evidence), False, full)
-        step_size = min(1.0, 2.0 * step_size)
+        if n_small_gains == 2:
+            return Trained(now, n_passes, tuple(evidence), False, is_full)
+        step_size = min(1.0, 2.0 * done.step_size)
     return Trained(now, n_passes, tuple(evidence), True, len(now.basis) >= max_basis)
 
 
@@ -193,19 +201,16 @@ def _raise_evidence(
     step_size: float,
     max_basis: int,
     max_tries: int,
-) -> tuple[Posterior | None, float, int]:
-    """Return a posterior with higher evidence, the step size, and the number of tries.
-
-    The posterior is None if all tries fail.
-    """
-    for tried in range(1, max_tries + 1):
-        refreshed = apply(likelihood, functions, now, proposal, step_size, max_basis - len(now.basis))
-        if refreshed.log_evidence > now.log_evidence:
-            return refreshed, step_size, tried
-        step_size *= 0.5  # discard the result and try a smaller step
+) -> _Pass:
+    """Return the result of a pass. Each try that does not raise the evidence halves the step size."""
+    for n_tries in range(1, max_tries + 1):
+        changed = apply(likelihood, functions, now, proposal, step_size, max_basis - len(now.basis))
+        if changed.log_evidence > now.log_evidence:
+            return _Pass(changed, step_size, n_tries)
+        step_size *= 0.5
         if step_size < _MIN_STEP_SIZE:
-            return None, step_size, tried
-    return None, step_size, max_tries
+            return _Pass(None, step_size, n_tries)
+    return _Pass(None, step_size, max_tries)
 
 
 def propose(likelihood: Likelihood, functions: FloatArray, now: Posterior) -> Proposal:
@@ -224,8 +229,7 @@ def propose(likelihood: Likelihood, functions: FloatArray, now: Posterior) -> Pr
         delete = np.isin(np.arange(len(delete)), order[:allowed])
     # Functions are also added while deletions are postponed, because the new ones replace some of the old ones. The
     # result is much better than with deletions first.
-    added, added_alpha, gain = additions(likelihood, functions, now)
-    return Proposal(alpha, delete, added, added_alpha, gain, has_postponed_deletions)
+    return Proposal(alpha, delete, additions(likelihood, functions, now), has_postponed_deletions)
 
 
 def apply(
@@ -239,10 +243,11 @@ def apply(
     deleted = np.flatnonzero(proposal.delete)
     deleted = deleted[: int(np.ceil(step_size * len(deleted)))]
     keep = np.isin(np.arange(len(alpha)), deleted, invert=True)
-    n_added = min(int(np.ceil(step_size * len(proposal.added))), room + len(deleted))
-    basis = np.concatenate([now.basis[keep], proposal.added[:n_added]])
+    added = proposal.added
+    n_added = min(int(np.ceil(step_size * len(added.functions))), room + len(deleted))
+    basis = np.concatenate([now.basis[keep], added.functions[:n_added]])
     order = np.argsort(basis)
-    alpha = np.concatenate([alpha[keep], proposal.added_alpha[:n_added]])[order]
+    alpha = np.concatenate([alpha[keep], added.alpha[:n_added]])[order]
     mean = np.concatenate([now.mean[keep], np.zeros(n_added)])[order]
     return posterior(likelihood, functions, basis[order], alpha, mean, now.logit)
 
@@ -292,8 +297,8 @@ def outside_factors(likelihood: Likelihood, functions: FloatArray, now: Posterio
     return sparsity, functions @ slope
 
 
-def additions(likelihood: Likelihood, functions: FloatArray, now: Posterior) -> tuple[IntArray, FloatArray, float]:
-    """Return the functions to add (P,), best first, their alphas (P,), and the sum of their evidence gains in nats.
+def additions(likelihood: Likelihood, functions: FloatArray, now: Posterior) -> Additions:
+    """Return the functions to add, chosen one by one.
 
     The shortlist are the candidates with the largest evidence gains, if each were added alone. The best function of the
     shortlist is added, S and Q of the others are updated for its presence, and so on.
@@ -326,7 +331,7 @@ def additions(likelihood: Likelihood, functions: FloatArray, now: Posterior) -> 
         change = mutual[:, best] / (alpha + mutual[best, best])
         quality = quality - change * quality[best]
         mutual = mutual - np.outer(change, mutual[best])
-    return short[chosen], np.array(alphas), gain
+    return Additions(short[chosen], np.array(alphas), gain)
 
 
 def posterior(

@@ -164,8 +164,9 @@ def _rmse_m(known: Table, track: Track) -> float:
 
 def _print(compared: Sequence[Compared]) -> None:
     has_truth = any(found.rmse_m for found in compared)
-    columns = ["recording", "track", "steps", "distance", "less the last", "end east", "end north", "± at the end"]
-    table = console.new_table(*columns, "end to last end", *(["error (RMSE)"] if has_truth else []), n_keys=2)
+    columns = ["recording", "track", "steps", "distance", "difference to the last", "end east", "end north"]
+    columns += ["± at the end", "end to last end", *(["error (RMSE)"] if has_truth else [])]
+    table = console.new_table(*columns, n_keys=2)
     for found in compared:
         *_, reference = found.tracks.values()
         reference_end = reference.summary()
@@ -229,19 +230,26 @@ def _write(study: Table, compared: Sequence[Compared], out: Path) -> list[Path]:
 
 
 def _print_study(study: Table) -> None:
-    columns = ["error", "track", "recordings", "persons", "bias", "mean size", "95 % of the mean", "less the last"]
-    shown = console.new_table(*columns, n_keys=2)
+    """Print mean errors. The column of intervals is omitted for a single person, because an interval needs several."""
+    has_interval = bool((study["low"] == study["low"]).any())  # NaN differs from itself
+    columns = ["error", "track", "recordings", "persons", "bias", "mean absolute"]
+    columns += ["95 % interval of the mean"] if has_interval else []
+    shown = console.new_table(*columns, "difference to the last", n_keys=2)
     for row in study:
         difference = "" if row["difference"] != row["difference"] else _with_interval(row, "difference")
         counts = str(row["n_recordings"]), str(row["n_people"])
-        numbers = f"{row['bias']:+.2f}", f"{row['mean']:.2f}", _range(row["low"], row["high"]), difference
+        interval = (_range(row["low"], row["high"]),) if has_interval else ()
+        numbers = f"{row['bias']:+.2f}", f"{row['mean']:.2f}", *interval, difference
         shown.add_row(str(row["measure"]), str(row["name"]), *counts, *numbers)
     console.print_table(shown)
 
 
 def _with_interval(row: Any, name: str) -> str:
-    return f"{row[name]:+.2f} ({_range(row[f'{name}_low'], row[f'{name}_high'])})"
+    """Return a value, followed by its interval in brackets if it is known."""
+    interval = _range(row[f"{name}_low"], row[f"{name}_high"])
+    return f"{row[name]:+.2f}" + (f" ({interval})" if interval else "")
 
 
 def _range(low: float, high: float) -> str:
+    """Return an interval as text, or an empty string if it is unknown (NaN)."""
     return "" if low != low else f"{low:.2f} to {high:.2f}"

@@ -72,7 +72,7 @@ class Parsed:
         )
 
     def _move_epoch(self, by_s: float) -> None:
-        """Move the Unix time of time zero when time zero moves by `by_s` seconds."""
+        """Add `by_s` seconds to the Unix time of time zero, because time zero moves by that much."""
         if by_s:
             for name, per_s in (("epoch_s", 1.0), ("epoch_ns", 1e9)):
                 if name in self.meta:

@@ -244,10 +244,7 @@ def _whole(state: Assembly, force: Samples) -> Streams:
 def _kind_of(state: Assembly) -> Kind:
     """Return the kind of acceleration that was found in the first samples of the session."""
     if state.kind is None:
-        raise ValueError(
-            "it is not known yet whether this session sends specific force or acceleration without gravity: assemble "
-            "its samples only after the kind of the acceleration was found"
-        )
+        raise ValueError("units and sign of the acceleration are unknown: wait for the first seconds of samples")
     return state.kind
 
 

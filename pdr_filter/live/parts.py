@@ -18,7 +18,7 @@ from pdr_filter.live.settings import BusyError, Event, FixError, Settings
 
 @dataclass(frozen=True, slots=True)
 class Take:
-    """Request to process the messages of one body, all of one device, with the time at which it was received."""
+    """Request to process the messages that one device sent in one HTTP body, received at `received_s`."""
 
     device: str
     messages: Sequence[Message]

@@ -24,7 +24,7 @@ from pdr_filter.live.messages import FORCE, Message, parse
 from pdr_filter.live.recorder import Recorder
 from pdr_filter.live.settings import Event, FixError, Settings
 from pdr_filter.recipes.config import Config
-from pdr_filter.sensing.clock import moved
+from pdr_filter.sensing.clock import on_track_clock
 from pdr_filter.sensing.stream_merging import Sensor
 from pdr_filter.tracking.georeferencing import live_config
 from pdr_filter.tracking.online import OnlineFilter
@@ -201,7 +201,7 @@ class DeviceSession:
         """Return the configuration for the sensors that the first seconds contain."""
         kind = self.assembly.kind
         if kind is None:
-            raise ValueError("no filter begins before the kind of the acceleration is known")
+            raise ValueError("units and sign of the acceleration are unknown: wait for the first seconds of samples")
         meta: dict[str, Any] = {"name": f"{self.device} {self.session}".strip()[: limits.MAX_NAME_CHARS] or self.id}
         meta["name"] = file_name(meta["name"])
         meta |= {"source": "pdr-filter live", "accelerometer": f"{kind.force}, {kind.how}"}
@@ -249,7 +249,7 @@ class DeviceSession:
             online.add_fix(fix)
         except (KeyError, TypeError, ValueError) as error:
             raise error if isinstance(error, FixError) else FixError(str(error)) from None
-        result = FixResult.of(moved(fix, online.state.clock_offset_s), math.nan, "waiting")
+        result = FixResult.of(on_track_clock(fix, online.state.clock_offset_s), math.nan, "waiting")
         event = {**self._outcome(result), "east_m": east_m, "north_m": north_m, "std_m": std_m}
         if range_m is None:
             self.recorder.fix(time_s, east_m, north_m, std_m)

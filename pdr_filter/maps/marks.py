@@ -69,7 +69,7 @@ class Marks:
         return (self.folder / self.walk["plan"]).resolve() if self.walk.get("plan") else None
 
     def recording(self, recording: Recording) -> Recording:
-        """Return the recording of a person of the marked height."""
+        """Return the recording with the height of the person from the marks, if they state one."""
         height_m = self.walk.get("height_m")
         return recording if height_m is None else recording.of_height(height_m)
 

@@ -21,7 +21,7 @@ not use the plan. A wrong plan therefore cannot lead the track away permanently.
 
 Lost walks: from an unknown start, the particles may be too few to cover all positions, and the true position can be
 lost. The remaining particles then pay more for the plan than a random walk would. That excess is accumulated in
-`ParticleState.doubt`, the log odds that no particle is at the true position.
+`ParticleState.lost_log_odds`, the log odds that no particle is at the true position.
 
 References
 ----------
@@ -107,7 +107,7 @@ _MIN_SAMPLE_SHARE = 0.9
 # initial value is one to a hundred. It never falls below that, because plans have errors. At a hundred to one, no
 # particle fits the steps, and they are drawn again. Upper limits of 2.3 to 9.2 gave the same medians on storey F1 of
 # the mall within 0.1 m.
-_DOUBT_OF_AREA, _LEAST_DOUBT, _MOST_DOUBT = 0.0, -4.6, 4.6
+_LOST_IN_AREA_LOG_ODDS, _LEAST_LOST_LOG_ODDS, _MOST_LOST_LOG_ODDS = 0.0, -4.6, 4.6
 # Forgetting factor per step of the crossing cost of a particle. Particles that crossed a wall are few at first. It
 # takes some steps until the particles that did not cross have lost their weight.
 _THROUGH_MEMORY = 0.95
@@ -153,7 +153,7 @@ class ParticleState:
         Weights, which sum to one.
     parent : array (N,)
         Index of the ancestor in the previous state. Empty if the particles were newly drawn.
-    way : array (R, 4)
+    reckoned : array (R, 4)
         Time, east, north and device heading after each of the last R steps. The step lengths are means over the modes,
         and the steps point in the direction of the device.
     heading_rad : float
@@ -166,7 +166,7 @@ class ParticleState:
         Time of the last position fix.
     last_grid_s : float
         Time of the last grid fix.
-    doubt : float
+    lost_log_odds : float
         Log odds that no particle is at the true position.
     n_draws : int
         Number of random draws so far. The next random numbers depend only on the seed and this number.
@@ -179,13 +179,13 @@ class ParticleState:
     particles: FloatArray = field(default_factory=lambda: np.empty((0, N_COLUMNS)))
     weight: FloatArray = field(default_factory=lambda: np.empty(0))
     parent: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
-    way: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
+    reckoned: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
     heading_rad: float = 0.0
     turned_rad: float = 0.0
     compass: Compass | None = None
     last_fix_s: float = -math.inf
     last_grid_s: float = -math.inf
-    doubt: float = 0.0
+    lost_log_odds: float = 0.0
     n_draws: int = 0
     events: tuple[PlanEvent, ...] = ()
     n_lost: int = 0
@@ -193,7 +193,7 @@ class ParticleState:
     @property
     def elsewhere(self) -> float:
         """Probability that no particle is at the true position."""
-        return 1.0 / (1.0 + math.exp(-self.doubt))
+        return 1.0 / (1.0 + math.exp(-self.lost_log_odds))
 
 
 @dataclass(frozen=True, eq=False)
@@ -361,11 +361,13 @@ class ParticleFilter:
         mean_m = float(update.mode_prob @ length_m)
         # the error of the step-length parameters is one draw per person, as that of the scale, not one per step
         scale_std = float(update.mode_prob @ parameter_std_m) / mean_m if mean_m > 0 else 0.0
-        is_first = len(state.way) == 0 or update.gap_before_s > 0
-        since_s = step.duration_s if is_first else step.time_s - state.way[-1, 0]
+        is_first = len(state.reckoned) == 0 or update.gap_before_s > 0
+        since_s = step.duration_s if is_first else step.time_s - state.reckoned[-1, 0]
         state = _in_turned_frame(state, pedestrian)
-        is_placed = pedestrian.frame.is_joined or pedestrian.frame.turn is not None
-        state = replace(state, way=extended_path(state.way, step, mean_m), heading_rad=step.device_heading_rad)
+        is_placed = pedestrian.frame.is_joined or pedestrian.frame.rotation is not None
+        state = replace(
+            state, reckoned=extended_path(state.reckoned, step, mean_m), heading_rad=step.device_heading_rad
+        )
         if len(state.weight) == 0:
             if self.start is not None:
                 return self._from_start(state, self.start, pedestrian, model, rng, scale_std)
@@ -394,10 +396,10 @@ class ParticleFilter:
             x[:, CROSSED] = _THROUGH_MEMORY * x[:, CROSSED] + through
             # particles that pay more for the plan than a random walk on this storey are probably at a wrong position
             log_share = math.log(float(state.weight @ np.exp(-cost)))
-            doubt = max(state.doubt - log_share - mean_m * ground.mean_cost_per_m, _LEAST_DOUBT)
+            lost_log_odds = max(state.lost_log_odds - log_share - mean_m * ground.mean_cost_per_m, _LEAST_LOST_LOG_ODDS)
             state, _ = _reweighted(state, ground.choice_cost(from_m, mean_m) - cost)
-            state = self._with_contradiction(replace(state, doubt=doubt), step.time_s, ground)
-        if state.doubt > _MOST_DOUBT or _n_effective(state) < _LEAST_EFFECTIVE:
+            state = self._with_contradiction(replace(state, lost_log_odds=lost_log_odds), step.time_s, ground)
+        if state.lost_log_odds > _MOST_LOST_LOG_ODDS or _n_effective(state) < _LEAST_EFFECTIVE:
             return self._drawn_again(state, pedestrian, model, ground, rng, scale_std, step.time_s)
         return self._resampled(state, rng, must_count=update.index % _COUNT_STEPS == 0)
 
@@ -465,11 +467,11 @@ class ParticleFilter:
         ParticleState
             State after the fix.
         """
-        if len(state.way) == 0 or isinstance(fix, SpeedFix | Standstill):
+        if len(state.reckoned) == 0 or isinstance(fix, SpeedFix | Standstill):
             return state
         is_own = isinstance(fix, PositionFix | HeadingFix)
         if not is_own and outcome not in ("placed", "moved"):
-            if len(state.weight) == 0 or fix.time_s < state.way[0, 0]:
+            if len(state.weight) == 0 or fix.time_s < state.reckoned[0, 0]:
                 return state
         elif outcome not in ("used", "placed", "turned", "moved"):
             return state
@@ -480,19 +482,19 @@ class ParticleFilter:
             return self._from_tracker(state, pedestrian, ground, rng, 0.0)
         if len(state.weight) == 0:
             return state
-        x, at_fix = state.particles, interpolated(fix.time_s, state.way[:, 0], state.way[:, 1:4])
+        x, at_fix = state.particles, interpolated(fix.time_s, state.reckoned[:, 0], state.reckoned[:, 1:4])
         if isinstance(fix, HeadingFix):
             error = wrap_angle(fix.walking_heading_rad - at_fix[2] - x[:, OFFSET])
             state, _ = _reweighted(state, -0.5 * (error / fix.std_rad) ** 2)
         elif isinstance(fix, GridFix):
-            log_likelihood = fix.log_likelihood_at(earlier_positions(x, state.way[-1, 1:3] - at_fix[:2]))
+            log_likelihood = fix.log_likelihood_at(earlier_positions(x, state.reckoned[-1, 1:3] - at_fix[:2]))
             state, _ = _reweighted(state, log_likelihood / repetition(fix, state.last_grid_s))
             state = replace(state, last_grid_s=fix.time_s)
         elif not isinstance(fix, PositionFix):
-            position_m = earlier_positions(x, state.way[-1, 1:3] - at_fix[:2])
+            position_m = earlier_positions(x, state.reckoned[-1, 1:3] - at_fix[:2])
             state, _ = _reweighted(state, _log_density(fix, position_m, at_fix[2] + x[:, OFFSET]))
         else:
-            error = earlier_positions(x, state.way[-1, 1:3] - at_fix[:2]) - fix.position_m
+            error = earlier_positions(x, state.reckoned[-1, 1:3] - at_fix[:2]) - fix.position_m
             cov = repetition(fix, state.last_fix_s) * fix.cov_m2
             state, _ = _reweighted(state, -0.5 * ((error @ np.linalg.inv(cov)) * error).sum(axis=1))
             state = replace(state, last_fix_s=fix.time_s)
@@ -529,11 +531,11 @@ class ParticleFilter:
             State on the new storey.
         """
         ground = self.ground(passage.to_floor)
-        if passage.how != "lift" or ground is None or len(state.weight) == 0 or len(state.way) == 0:
+        if passage.how != "lift" or ground is None or len(state.weight) == 0 or len(state.reckoned) == 0:
             return state
         rng, state = self._random(state)
-        then_m = interpolated(passage.end_s, state.way[:, 0], state.way[:, 1:3])
-        out_m = earlier_positions(state.particles, state.way[-1, 1:3] - then_m)
+        then_m = interpolated(passage.end_s, state.reckoned[:, 0], state.reckoned[:, 1:3])
+        out_m = earlier_positions(state.particles, state.reckoned[-1, 1:3] - then_m)
         state, _ = _reweighted(state, -ground.lift_costs(out_m))
         state = replace(state, parent=np.arange(len(state.weight)))
         if _n_effective(state) < _LEAST_EFFECTIVE:
@@ -615,17 +617,17 @@ class ParticleFilter:
         P = combined.copy()
         P[:2, :2] += pedestrian.estimates.consider_cov_m2
         P[LOG_SCALE, LOG_SCALE] += scale_std**2
-        open_turn = None if pedestrian.frame.is_joined else pedestrian.frame.turn
-        n = min((2 if open_turn is None else 5) * self.n_least, self.n_most)
+        rotation = None if pedestrian.frame.is_joined else pedestrian.frame.rotation
+        n = min((2 if rotation is None else 5) * self.n_least, self.n_most)
         particles = np.zeros((n, N_COLUMNS))
         # the small diagonal keeps the Cholesky factorisation valid where a variance is zero
         particles[:, :4] = x + rng.standard_normal((n, 4)) @ np.linalg.cholesky(P + 1e-12 * np.eye(4)).T
-        if open_turn is not None:
-            open_turn = open_turn.with_compass(pedestrian.frame.compass)
-            angle_rad = open_turn.samples(rng, n)
-            from_centre_m = particles[:, :2] - open_turn.track_centre_m
-            particles[:, :2] = rotated(from_centre_m, angle_rad) + open_turn.world_centre_m
-            particles[:, :2] += math.sqrt(open_turn.centre_var_m2) * rng.standard_normal((n, 2))
+        if rotation is not None:
+            rotation = rotation.with_compass(pedestrian.frame.compass)
+            angle_rad = rotation.samples(rng, n)
+            from_centre_m = particles[:, :2] - rotation.track_centre_m
+            particles[:, :2] = rotated(from_centre_m, angle_rad) + rotation.world_centre_m
+            particles[:, :2] += math.sqrt(rotation.centre_var_m2) * rng.standard_normal((n, 2))
             particles[:, OFFSET] += angle_rad
             particles[:, TURN] = angle_rad
         return self._with_particles(state, particles, pedestrian, ground)
@@ -657,7 +659,7 @@ class ParticleFilter:
         scale_std = math.hypot(scale_std, model.noise.log_scale_std)
         particles[:, SCALE] = scale_std * rng.standard_normal(n)
         state = self._with_particles(
-            state, particles, pedestrian, None, _DOUBT_OF_AREA if len(start.cells) else _LEAST_DOUBT
+            state, particles, pedestrian, None, _LOST_IN_AREA_LOG_ODDS if len(start.cells) else _LEAST_LOST_LOG_ODDS
         )
         if pedestrian.frame.north is None and pedestrian.frame.compass is not None:
             state, log_weight = _with_compass(replace(state, compass=None), pedestrian)
@@ -670,7 +672,7 @@ class ParticleFilter:
         particles: FloatArray,
         pedestrian: PedestrianState,
         ground: Ground | None,
-        doubt: float = _LEAST_DOUBT,
+        lost_log_odds: float = _LEAST_LOST_LOG_ODDS,
     ) -> ParticleState:
         """Return the state with new particles of equal weight. Costs of `ground`, if given, then change the weights."""
         n = len(particles)
@@ -681,7 +683,7 @@ class ParticleFilter:
             parent=np.empty(0, dtype=np.int64),
             turned_rad=_turned_rad(pedestrian),
             compass=pedestrian.frame.compass,
-            doubt=doubt,
+            lost_log_odds=lost_log_odds,
         )
         return state if ground is None else _reweighted(state, -ground.heights(particles[:, :2]))[0]
 
@@ -702,7 +704,7 @@ class ParticleFilter:
         """
         events = (*state.events, PlanEvent(time_s, "lost", ""))[-_MAX_EVENTS:]
         state = replace(state, events=events, n_lost=state.n_lost + 1)
-        if pedestrian.frame.is_joined or pedestrian.frame.turn is not None or ground is None:
+        if pedestrian.frame.is_joined or pedestrian.frame.rotation is not None or ground is None:
             return self._from_tracker(state, pedestrian, ground, rng, scale_std)
         anywhere = start_of(FloorPlan("", (ground.storey,)), ANYWHERE)
         return self._from_start(state, anywhere, pedestrian, model, rng, scale_std)
@@ -762,7 +764,7 @@ def _in_turned_frame(state: ParticleState, pedestrian: PedestrianState) -> Parti
 def _with_compass(state: ParticleState, pedestrian: PedestrianState) -> tuple[ParticleState, FloatArray]:
     """Return the state updated by magnetic north, and the change of the log weights, shape (N,) for N particles."""
     new, old = pedestrian.frame.compass, state.compass
-    if pedestrian.frame.is_joined or new is None or new is old or pedestrian.frame.turn is not None:
+    if pedestrian.frame.is_joined or new is None or new is old or pedestrian.frame.rotation is not None:
         return state, np.zeros(len(state.weight))
     turn_rad = state.particles[:, TURN]
     log_weight = np.log(new.density(turn_rad)) - (0.0 if old is None else np.log(old.density(turn_rad)))

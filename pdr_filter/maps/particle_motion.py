@@ -19,15 +19,15 @@ EAST, NORTH, OFFSET, SCALE, TURN, CROSSED = range(6)
 N_COLUMNS = 6
 
 
-def extended_path(way: FloatArray, step: Step, length_m: float) -> FloatArray:
+def extended_path(path: FloatArray, step: Step, length_m: float) -> FloatArray:
     """Return the path (R, 4) extended by one step of `length_m` in the direction of the device.
 
     Rows are time, east, north and device heading. Only the last `TRAIL_STEPS` rows are kept.
     """
     heading_rad = step.device_heading_rad
-    last = way[-1, 1:3] if len(way) else np.zeros(2)
+    last = path[-1, 1:3] if len(path) else np.zeros(2)
     to = last + length_m * np.array([math.sin(heading_rad), math.cos(heading_rad)])
-    return np.concatenate([way, [[step.time_s, *to, heading_rad]]])[-TRAIL_STEPS:]
+    return np.concatenate([path, [[step.time_s, *to, heading_rad]]])[-TRAIL_STEPS:]
 
 
 def earlier_positions(particles: FloatArray, since_m: FloatArray) -> FloatArray:

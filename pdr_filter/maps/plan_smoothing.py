@@ -18,8 +18,9 @@ ms_indoor), and of 16,000 only 1.4. Four times as many paths had the same errors
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,8 +31,9 @@ from pdr_filter.maps.particle_filter import ParticleFilter, ParticleState
 from pdr_filter.maps.particle_motion import EAST, NORTH, OFFSET, SCALE, earlier_positions
 from pdr_filter.offline.smoothing.plan_result import SmoothedOnPlan
 from pdr_filter.recipes.config import Config
+from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.whole_recording import collected, outputs, position_before
-from pdr_filter.values import Cluster, Fix, FixOutcome, FloatArray, FloorPassage, read_only, wrap_angle
+from pdr_filter.values import Cluster, Fix, FixOutcome, FloatArray, FloorPassage, Origin, read_only, wrap_angle
 from pdr_filter.values.recording import Recording
 
 # Factor on the smallest number of particles of the online filter: paths share fewer of their early steps.
@@ -40,36 +42,45 @@ _PARTICLE_FACTOR = 4
 _PLAN_STD_M = 0.2
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Event:
+class _Reckoned(NamedTuple):
+    """Dead-reckoned position (2,) in m after a step, and its covariance (2, 2) in m^2."""
+
+    position_m: FloatArray
+    cov_m2: FloatArray
+
+
+class _Event(NamedTuple):
     """State of the particles after one event.
 
-    `is_restart` is True if the particles do not descend from those before the event. `reckoned` is the dead-reckoned
-    position and its covariance after a step, None for other events.
+    `reckoned` is the dead-reckoned position after a step, and None for other events. `is_restart` is True if the
+    particles do not descend from those before the event.
     """
 
     state: ParticleState
+    reckoned: _Reckoned | None
     is_restart: bool
-    reckoned: tuple[FloatArray, FloatArray] | None
 
 
-@dataclass(frozen=True, eq=False)
-class _RecordingFilter(ParticleFilter):
-    """Particle filter that records all its states for the smoother.
+class _Recorder:
+    """Plan stage that passes all events to a particle filter and records its states in `events`.
 
-    It needs many times the memory of the online filter.
+    The record needs many times the memory of the online filter.
     """
 
-    events: list[_Event] = field(default_factory=list[_Event])
+    def __init__(self, particle_filter: ParticleFilter) -> None:
+        self.events: list[_Event] = []
+        self.plan, self.start = particle_filter.plan, particle_filter.start
+        self.init, self.place, self.notes = particle_filter.init, particle_filter.place, particle_filter.notes
+        self._filter = particle_filter
 
     def on_step(
         self, state: ParticleState, update: StepUpdate, pedestrian: PedestrianState, model: PedestrianModel
     ) -> ParticleState:
-        reckoned = update.position_m, update.position_cov_m2
-        return self._recorded(super().on_step(state, update, pedestrian, model), state, reckoned=reckoned)
+        after = self._filter.on_step(state, update, pedestrian, model)
+        return self._recorded(state, after, reckoned=_Reckoned(update.position_m, update.position_cov_m2))
 
     def on_gap(self, state: ParticleState, gap_s: float, model: PedestrianModel) -> ParticleState:
-        return self._recorded(super().on_gap(state, gap_s, model), state)
+        return self._recorded(state, self._filter.on_gap(state, gap_s, model))
 
     def on_fix(
         self,
@@ -80,30 +91,25 @@ class _RecordingFilter(ParticleFilter):
         model: PedestrianModel,
         floor: int,
     ) -> ParticleState:
-        updated = super().on_fix(state, fix, outcome, pedestrian, model, floor)
-        return self._recorded(updated, state, is_moved=outcome == "moved")
+        after = self._filter.on_fix(state, fix, outcome, pedestrian, model, floor)
+        return self._recorded(state, after, is_moved=outcome == "moved")
 
     def on_passage(
         self, state: ParticleState, passage: FloorPassage, pedestrian: PedestrianState, model: PedestrianModel
     ) -> ParticleState:
-        return self._recorded(super().on_passage(state, passage, pedestrian, model), state)
+        return self._recorded(state, self._filter.on_passage(state, passage, pedestrian, model))
 
     def _recorded(
-        self,
-        after: ParticleState,
-        before: ParticleState,
-        is_moved: bool = False,
-        reckoned: tuple[FloatArray, FloatArray] | None = None,
+        self, before: ParticleState, after: ParticleState, reckoned: _Reckoned | None = None, is_moved: bool = False
     ) -> ParticleState:
         """Append the state after an event to `events`, and return this state.
 
-        Each step is recorded, other events only if they changed the weights of the particles. `reckoned` is the
-        dead-reckoned position and its covariance after a step, and None for other events. `is_moved` is True if a fix
-        shifted the track.
+        Each step is recorded, other events only if they changed the weights of the particles. `is_moved` is True if a
+        fix shifted the track.
         """
-        is_lost = after.n_lost > before.n_lost
         if after.weight is not before.weight or reckoned is not None:
-            self.events.append(_Event(after, (is_lost or is_moved) and len(before.weight) > 0, reckoned))
+            is_new = is_moved or after.n_lost > before.n_lost
+            self.events.append(_Event(after, reckoned, is_restart=is_new and len(before.weight) > 0))
         return after
 
 
@@ -125,20 +131,99 @@ def smooth_on_plan(
             f"smoothing on a plan needs a configuration with a particle filter, got {online!r}: use Config.with_plan"
         )
     n_least = _PARTICLE_FACTOR * online.n_least
-    on_plan = _RecordingFilter(
-        online.plan, online.start, online.terrain, n_least, max(n_least, online.n_most), seed=online.seed
-    )
-    config = replace(config.in_hindsight(), on_plan=on_plan)
+    recorder = _Recorder(replace(online, n_least=n_least, n_most=max(n_least, online.n_most)))
+    config = replace(config.in_hindsight(), on_plan=recorder)
     track = collected(recording, config, outputs(recording, config, fixes, progress, with_location))
     if not any(track.clusters):
         raise ValueError(
             "the position of the walk on the plan is unknown: give fixes, or start, such as the name of an area"
         )
-    rows = _ancestral_rows(on_plan.events, includes_reckoned=online.start is None)
+    events = recorder.events
+    rows = [
+        _row(ancestors, events[-1].state.elsewhere, includes_reckoned=online.start is None)
+        for ancestors in _ancestors(events)
+        if ancestors.event.reckoned is not None
+    ]
+    return _with_rows(track, rows[::-1], online.plan.origin)
+
+
+class _Ancestors(NamedTuple):
+    """Ancestors (N, 6) of the final particles after one event, and the weights (N,) of their paths."""
+
+    event: _Event
+    particles: FloatArray
+    weight: FloatArray
+
+
+def _ancestors(events: Sequence[_Event]) -> Iterator[_Ancestors]:
+    """Yield the ancestors of the final particles after each event, from the last event to the first.
+
+    Before a restart the weights are those of the particles that the restart replaced. Before the particles were first
+    drawn, the earlier positions follow from their heading offsets and scales, which are then constant.
+    """
+    weight = events[-1].state.weight
+    index = np.arange(len(weight))
+    for n_before in reversed(range(len(events))):
+        event = events[n_before]
+        drawn = _Ancestors(event, event.state.particles[index], weight)
+        yield drawn
+        if len(event.state.parent):
+            index = event.state.parent[index]
+        elif event.is_restart:
+            weight = events[n_before - 1].state.weight
+            index = np.arange(len(weight))
+        else:
+            yield from (_before_drawing(event, drawn) for event in reversed(events[:n_before]))
+            return
+
+
+def _before_drawing(event: _Event, drawn: _Ancestors) -> _Ancestors:
+    """Return the ancestors after an event that precedes the event at which the particles were first drawn."""
+    led_m = drawn.event.state.reckoned[-1, 1:3] - event.state.reckoned[-1, 1:3]  # in the direction of the device
+    particles = drawn.particles.copy()
+    particles[:, :2] = earlier_positions(particles, led_m)
+    return _Ancestors(event, particles, drawn.weight)
+
+
+class _Row(NamedTuple):
+    """Smoothed estimate of one step: position, and means and standard deviations of heading offset and log scale."""
+
+    cluster: Cluster
+    offset: float  # rad
+    offset_std: float  # rad
+    log_scale: float
+    log_scale_std: float
+
+
+def _row(ancestors: _Ancestors, elsewhere: float, includes_reckoned: bool) -> _Row:
+    """Return the smoothed estimate of one step.
+
+    `elsewhere` is the final probability that no particle is at the true position. `includes_reckoned` inflates the
+    covariance up to dead reckoning with this probability.
+    """
+    event, particles, weight = ancestors
+    position_m, cov_m2 = moments(particles[:, [EAST, NORTH]], weight)
+    cov_m2 = inflated_cov(position_m, cov_m2, elsewhere, event.reckoned if includes_reckoned else None)
+    # headings are circular: average the differences from the first particle's
+    first_offset = particles[0, OFFSET]
+    turned, offset_std = _mean_and_std(wrap_angle(particles[:, OFFSET] - first_offset), weight)
+    log_scale, log_scale_std = _mean_and_std(particles[:, SCALE], weight)
+    cluster = Cluster(1.0 - elsewhere, position_m, read_only(cov_m2 + _PLAN_STD_M**2 * np.eye(2)))
+    return _Row(cluster, float(first_offset + turned), offset_std, log_scale, log_scale_std)
+
+
+def _mean_and_std(values: FloatArray, weight: FloatArray) -> tuple[float, float]:
+    """Return the weighted mean and standard deviation of values (N,)."""
+    mean = float(weight @ values)
+    return mean, float(np.sqrt(weight @ (values - mean) ** 2))
+
+
+def _with_rows(track: Track, rows: Sequence[_Row], origin: Origin | None) -> SmoothedOnPlan:
+    """Return a track with the positions, headings and step lengths of the smoothed rows."""
     position = np.array([row.cluster.position_m for row in rows])
     moved = np.diff(position, axis=0, prepend=position[:1])
-    offset, scale = np.array([row.offset for row in rows]), np.array([row.scale for row in rows])
-    heading = np.asarray(track.steps.device_heading_rad) + offset[:, 0]
+    offset = np.array([row.offset for row in rows])
+    heading = np.asarray(track.steps.device_heading_rad) + offset
     length = track.step_length_m.copy()
     length[1:] = np.hypot(*moved[1:].T)
     smoothed = replace(
@@ -152,73 +237,13 @@ def smooth_on_plan(
         clusters=tuple((row.cluster,) for row in rows),
         start_position_m=read_only(position_before(position[0], length[0], heading[0])),
         frame="plan",
-        origin=online.plan.origin,
+        origin=origin,
         is_smoothed=True,
     )
-    return SmoothedOnPlan(smoothed, *(read_only(column) for column in (*offset.T, *scale.T)))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Row:
-    """Smoothed estimate of one step.
-
-    `offset` (rad) and `scale` (log) are each a mean and a standard deviation.
-    """
-
-    cluster: Cluster
-    offset: tuple[float, float]
-    scale: tuple[float, float]
-
-
-def _ancestral_rows(events: list[_Event], includes_reckoned: bool) -> list[_Row]:
-    """Return the smoothed rows of all steps, in order, by following the ancestors backwards from the last event.
-
-    `includes_reckoned` inflates the covariances up to dead reckoning, with the final probability that no particle is at
-    the true position.
-    """
-    rows: list[_Row] = []
-    led_m = [s.state.way[-1, 1:3] for s in events]  # dead-reckoned positions in the direction of the device
-    last = events[-1].state
-    particles, weight, chosen = last.particles, last.weight, np.arange(len(last.weight))
-    # event at which the particles were drawn; earlier positions follow from its offsets and scales alone
-    anchor: int | None = None
-    for i in range(len(events) - 1, -1, -1):
-        s = events[i]
-        if anchor is None:
-            particles = s.state.particles[chosen]
-        if s.reckoned is not None:
-            at = particles
-            if anchor is not None:
-                at = particles.copy()
-                at[:, :2] = earlier_positions(particles, led_m[anchor] - led_m[i])
-            rows.append(_row(at, weight, last.elsewhere, s.reckoned if includes_reckoned else None))
-        if anchor is not None:
-            continue
-        if len(s.state.parent):
-            chosen = s.state.parent[chosen]
-        elif s.is_restart:
-            weight = events[i - 1].state.weight
-            chosen = np.arange(len(weight))
-        else:
-            anchor = i
-    return rows[::-1]
-
-
-def _row(
-    particles: FloatArray, weight: FloatArray, elsewhere: float, alternative: tuple[FloatArray, FloatArray] | None
-) -> _Row:
-    """Return the smoothed row of one step from its weighted particles (N, 6)."""
-    position_m, cov_m2 = moments(particles[:, [EAST, NORTH]], weight)
-    cov_m2 = inflated_cov(position_m, cov_m2, elsewhere, alternative)
-    # headings are circular: average the differences from the first particle's
-    about = particles[0, OFFSET]
-    turned = wrap_angle(particles[:, OFFSET] - about)
-    (offset, offset_std), (scale, scale_std) = (_mean_and_std(v, weight) for v in (turned, particles[:, SCALE]))
-    cluster = Cluster(1.0 - elsewhere, position_m, read_only(cov_m2 + _PLAN_STD_M**2 * np.eye(2)))
-    return _Row(cluster, (float(about + offset), offset_std), (scale, scale_std))
-
-
-def _mean_and_std(values: FloatArray, weight: FloatArray) -> tuple[float, float]:
-    """Return the weighted mean and standard deviation of values (N,)."""
-    mean = float(weight @ values)
-    return mean, float(np.sqrt(weight @ (values - mean) ** 2))
+    return SmoothedOnPlan(
+        smoothed,
+        heading_offset_rad=read_only(offset),
+        heading_offset_std_rad=read_only(np.array([row.offset_std for row in rows])),
+        log_scale=read_only(np.array([row.log_scale for row in rows])),
+        log_scale_std=read_only(np.array([row.log_scale_std for row in rows])),
+    )

@@ -33,7 +33,7 @@ from pdr_filter.sensing.contexts.learned_contexts import attitude_free_contexts 
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading
 from pdr_filter.sensing.steps.adaptive_detector import AdaptiveStepDetector
-from pdr_filter.sensing.steps.contact_time_smoothing import EvenSteps
+from pdr_filter.sensing.steps.contact_time_smoothing import ContactTimeSmoothing
 from pdr_filter.sensing.steps.step_gate import StepGate
 from pdr_filter.values import HeadingDrift
 from pdr_filter.values.recording import Recording, Subject, check_height
@@ -94,7 +94,7 @@ def _for_height(height_m: float | None) -> Config:
         sensing=Sensing(
             steps=AdaptiveStepDetector(),
             gate=StepGate(),
-            even=EvenSteps(),
+            contact_smoothing=ContactTimeSmoothing(),
             contexts=attitude_free_contexts(),
             heading=WalkingHeading(drift=drift),
         ),

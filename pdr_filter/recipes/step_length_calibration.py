@@ -541,7 +541,10 @@ def _check_numbers(calibration: Calibration) -> None:
             for of_context in cov.reshape(-1, *cov.shape[-2:])[:, part, part]:
                 check_cov(of_context, name)
     if not (np.diagonal(calibration.between_cov) >= 0).all():
-        raise ValueError("between_cov must have variances, 0 or more, on its diagonal")
+        raise ValueError(
+            "between_cov must have variances, 0 or more, on its diagonal, got "
+            f"{np.diagonal(calibration.between_cov)}: use the covariance that pdr_filter.calibrate returns"
+        )
     heights_m, (least_m, largest_m) = calibration.heights_m, HEIGHT_RANGE_M
     if ((heights_m < least_m) | (heights_m > largest_m)).any():
         raise ValueError(f"heights_m must be {least_m} to {largest_m}, NaN where unknown, got {heights_m}")

@@ -285,10 +285,11 @@ class AttitudeEstimator:
         return self._follow_heading(state, rows, rate[0])
 
     def _follow_heading(self, state: AttitudeState, rows: FloatArray, first_rate_radps: FloatArray) -> AttitudeState:
-        """Return the state after consecutive attitudes; fill in the headings of the rows in place.
+        """Return the state after consecutive attitudes, and write the device headings into `rows`.
 
-        Without a reference, the first attitude becomes the reference, and its heading change is taken from its angular
-        rate `first_rate_radps` (3,).
+        The change of the heading is the twist of the attitude relative to a reference attitude. In a state without a
+        reference, the first attitude becomes the reference. Its heading change then follows from its angular rate
+        `first_rate_radps` (3,).
         """
         quat, turned, start = rows[:, _QUAT], np.empty(len(rows)), 0
         reference, twist_rad = state.reference_quat, state.twist_rad

@@ -25,6 +25,8 @@ import numpy as np
 from pdr_filter.values import Fix, FloatArray, IntArray, Samples, Standstill, replace_unchecked
 from pdr_filter.values.recording import Recording
 
+# Longest time between two samples that is interpolated, in s. Longer times are gaps.
+MAX_GAP_S = 0.3
 # Rows in a row that must contradict the clock before the clock is taken to be set back, or far ahead.
 CLOCK_RESET_SAMPLES = 50
 # Longest gap that a second sample confirms, in s. Phones sleep for seconds. Longer gaps are rare, whereas glitches of
@@ -49,12 +51,12 @@ class ClockState:
         Rows after a possible gap, shape (C,) each, held until later rows confirm the gap.
     behind_s : float
         Time of the last row that lies behind the last accepted one, on the track clock, s.
-    moving : bool
+    is_running : bool
         True if the time of any of the `n_behind` rows is later than that of the row before it. False means that the
         clock stands still.
     n_behind : int
         Consecutive rows that lie behind the last accepted one.
-    n_deaf : int
+    n_rejected_times : int
         Rows received since the last accepted one.
     """
 
@@ -62,18 +64,42 @@ class ClockState:
     offset_s: float = 0.0
     held: tuple[FloatArray, ...] = field(default=())
     behind_s: float = -np.inf
-    moving: bool = False
+    is_running: bool = False
     n_behind: int = 0
-    n_deaf: int = 0
+    n_rejected_times: int = 0
 
 
-def accept_rows(clock: ClockState, rows: FloatArray, max_gap_s: float) -> tuple[ClockState, FloatArray, int, int]:
-    """Return the new state, the accepted rows (N, C), and the numbers of dropped rows and clock jumps.
+class AcceptedRows(NamedTuple):
+    """Result of the check of times.
 
-    The first column is the time: on the sample clock in the input, on the track clock and increasing in the result.
+    Attributes
+    ----------
+    clock : ClockState
+        New state.
+    rows : FloatArray
+        Accepted rows, shape (N, C), with increasing times on the track clock.
+    n_dropped : int
+        Dropped rows.
+    n_set_backs : int
+        Backward clock jumps.
+    n_glitches : int
+        Stretches of rows that were dropped because their times were ahead of all later rows.
+    """
+
+    clock: ClockState
+    rows: FloatArray
+    n_dropped: int = 0
+    n_set_backs: int = 0
+    n_glitches: int = 0
+
+
+def accept_rows(clock: ClockState, rows: FloatArray, max_gap_s: float) -> AcceptedRows:
+    """Return the rows with usable times, converted to the track clock.
+
+    The first column of `rows` (N, C) is the time on the sample clock.
     """
     accepted: list[FloatArray] = [rows[:0]]
-    n_dropped = n_jumps = start = 0
+    n_dropped = n_set_backs = n_glitches = start = 0
     while start < len(rows):
         if not clock.held and clock.n_behind == 0:
             clock, in_order = _in_order(clock, rows[start : start + _RUN_ROWS], max_gap_s)
@@ -81,11 +107,16 @@ def accept_rows(clock: ClockState, rows: FloatArray, max_gap_s: float) -> tuple[
             start += len(in_order)
             if len(in_order) == _RUN_ROWS or start == len(rows):
                 continue
-        clock, out, dropped, jumps = _accept_or_hold(clock, rows[start], max_gap_s)
-        clock = replace_unchecked(clock, n_deaf=0 if out else clock.n_deaf + 1)
-        accepted += [row[None] for row in out]
-        n_dropped, n_jumps, start = n_dropped + dropped, n_jumps + jumps, start + 1
-    return clock, accepted[-1] if len(accepted) == 2 else np.concatenate(accepted), n_dropped, n_jumps
+        found = _accept_or_hold(clock, rows[start], max_gap_s)
+        n_rejected_times = 0 if found.accepted else clock.n_rejected_times + 1
+        clock = replace_unchecked(found.clock, n_rejected_times=n_rejected_times)
+        accepted += [row[None] for row in found.accepted]
+        n_dropped += found.n_dropped
+        n_set_backs += found.is_set_back
+        n_glitches += found.is_glitch
+        start += 1
+    joined = accepted[-1] if len(accepted) == 2 else np.concatenate(accepted)
+    return AcceptedRows(clock, joined, n_dropped, n_set_backs, n_glitches)
 
 
 def _in_order(clock: ClockState, rows: FloatArray, max_gap_s: float) -> tuple[ClockState, FloatArray]:
@@ -93,61 +124,68 @@ def _in_order(clock: ClockState, rows: FloatArray, max_gap_s: float) -> tuple[Cl
 
     No row may be held or behind in the given state.
     """
-    moved = rows.copy()
-    moved[:, 0] += clock.offset_s
-    steps_s = moved[:, 0] - np.concatenate([[clock.last_s], moved[:-1, 0]])
+    rows = rows.copy()
+    rows[:, 0] += clock.offset_s
+    steps_s = rows[:, 0] - np.concatenate([[clock.last_s], rows[:-1, 0]])
     # The first sample of all has no predecessor: its step is infinite and is accepted.
     (stops,) = (~((steps_s > 0) & ((steps_s <= max_gap_s) | np.isinf(steps_s)))).nonzero()
-    moved = moved[: stops[0]] if len(stops) else moved
-    return (replace_unchecked(clock, last_s=float(moved[-1, 0]), n_deaf=0) if len(moved) else clock), moved
+    rows = rows[: stops[0]] if len(stops) else rows
+    return (replace_unchecked(clock, last_s=float(rows[-1, 0]), n_rejected_times=0) if len(rows) else clock), rows
 
 
-def _accept_or_hold(
-    clock: ClockState, row: FloatArray, max_gap_s: float
-) -> tuple[ClockState, list[FloatArray], int, int]:
-    """Return the new state, the accepted rows, and the numbers of dropped rows and clock jumps, after one row.
+class _Decision(NamedTuple):
+    """Decision on one row: the new state, and the rows that are accepted or dropped with it."""
 
-    The row is accepted together with the held rows, held itself, or dropped.
-    """
-    moved = row.copy()
-    moved[0] += clock.offset_s
-    time_s = float(moved[0])
+    clock: ClockState
+    accepted: tuple[FloatArray, ...] = ()
+    n_dropped: int = 0
+    is_set_back: bool = False
+    is_glitch: bool = False
+
+
+def _accept_or_hold(clock: ClockState, row: FloatArray, max_gap_s: float) -> _Decision:
+    """Return the decision on a row: accept it together with the held rows, hold it, or drop it."""
+    row = row.copy()
+    row[0] += clock.offset_s
+    time_s = float(row[0])
     if time_s <= clock.last_s:
         return _behind(clock, time_s, max_gap_s)
-    clock = replace_unchecked(clock, behind_s=-np.inf, moving=False, n_behind=0)
-    if not clock.held:
-        if time_s - clock.last_s <= max_gap_s or np.isinf(clock.last_s):
-            return replace_unchecked(clock, last_s=time_s), [moved], 0, 0
-        return replace_unchecked(clock, held=(moved,)), [], 0, 0
-    first_s, latest_s = float(clock.held[0][0]), float(clock.held[-1][0])
-    if time_s < first_s:
+    clock = replace_unchecked(clock, behind_s=-np.inf, is_running=False, n_behind=0)
+    n_glitches_dropped = 0
+    if clock.held and time_s < clock.held[0][0]:
         # The clock continues from before the held rows, so the held rows were a glitch.
-        n_held = len(clock.held)
-        clock, out, dropped, jumps = _accept_or_hold(replace_unchecked(clock, held=()), row, max_gap_s)
-        return clock, out, dropped + n_held, jumps + 1
+        n_glitches_dropped, clock = len(clock.held), replace_unchecked(clock, held=())
+    if not clock.held:
+        is_next = time_s - clock.last_s <= max_gap_s or np.isinf(clock.last_s)
+        clock = replace_unchecked(clock, **{"last_s": time_s} if is_next else {"held": (row,)})
+        accepted = (row,) if is_next else ()
+        return _Decision(clock, accepted, n_glitches_dropped, is_glitch=n_glitches_dropped > 0)
+    first_s, latest_s = float(clock.held[0][0]), float(clock.held[-1][0])
     if time_s <= latest_s:
-        return clock, [], 1, 0
-    held = (*clock.held, moved)
+        return _Decision(clock, n_dropped=1)
+    held = (*clock.held, row)
     if first_s - clock.last_s > _SHORT_GAP_S and len(held) < CLOCK_RESET_SAMPLES:
-        return replace_unchecked(clock, held=held), [], 0, 0
-    return replace_unchecked(clock, held=(), last_s=time_s), list(held), 0, 0
+        return _Decision(replace_unchecked(clock, held=held))
+    return _Decision(replace_unchecked(clock, held=(), last_s=time_s), held)
 
 
-def _behind(clock: ClockState, time_s: float, max_gap_s: float) -> tuple[ClockState, list[FloatArray], int, int]:
-    """Return the new state, no rows, and the numbers of dropped rows and clock jumps, after a row that lies behind.
+def _behind(clock: ClockState, time_s: float, max_gap_s: float) -> _Decision:
+    """Return the decision on a row that lies behind the last accepted one: it is dropped.
 
-    The row is dropped. After `CLOCK_RESET_SAMPLES` such rows whose times increase, the clock was set back, and the
-    offset changes.
+    After `CLOCK_RESET_SAMPLES` such rows whose times increase, the clock was set back, and the offset changes.
     """
     clock = replace_unchecked(
-        clock, behind_s=time_s, moving=clock.moving or time_s > clock.behind_s > -np.inf, n_behind=clock.n_behind + 1
+        clock,
+        behind_s=time_s,
+        is_running=clock.is_running or time_s > clock.behind_s > -np.inf,
+        n_behind=clock.n_behind + 1,
     )
-    if clock.n_behind < CLOCK_RESET_SAMPLES or not clock.moving:
-        return clock, [], 1, 0
+    if clock.n_behind < CLOCK_RESET_SAMPLES or not clock.is_running:
+        return _Decision(clock, n_dropped=1)
     # The duration between the last accepted row and the next one is unknown, because rows were dropped. The offset adds
     # twice `max_gap_s`, so that the later stages see a gap.
     offset_s = clock.offset_s + clock.last_s - time_s + 2 * max_gap_s
-    return ClockState(clock.last_s, offset_s), [], 1 + len(clock.held), 1
+    return _Decision(ClockState(clock.last_s, offset_s), n_dropped=1 + len(clock.held), is_set_back=True)
 
 
 class _SetBack(NamedTuple):
@@ -162,7 +200,7 @@ class _SetBack(NamedTuple):
 AnyFix = TypeVar("AnyFix", bound=Fix)
 
 
-def moved(fix: AnyFix, offset_s: float) -> AnyFix:
+def on_track_clock(fix: AnyFix, offset_s: float) -> AnyFix:
     """Return a fix whose times are shifted by `offset_s`, in s, from the sample clock to the track clock.
 
     Raises ValueError for a foreign class whose times cannot be set.
@@ -212,16 +250,18 @@ def one_clock(recording: Recording, fixes: Iterable[AnyFix] = ()) -> tuple[Recor
     if wifi is not None:
         wifi = dataclasses.replace(wifi, time_s=wifi.time_s + offsets_s[_n_set_backs_before(wifi.time_s, set_backs)])
     unified = dataclasses.replace(recording, **streams, wifi=wifi, notes=notes)
-    return unified, tuple(moved(fix, float(offset_s)) for fix, offset_s in zip(fixes, fix_offsets_s, strict=True))
+    return unified, tuple(
+        on_track_clock(fix, float(offset_s)) for fix, offset_s in zip(fixes, fix_offsets_s, strict=True)
+    )
 
 
-def _set_backs(time_s: FloatArray, max_gap_s: float = 0.3) -> list[_SetBack]:
+def _set_backs(time_s: FloatArray) -> list[_SetBack]:
     """Return the backward clock jumps that `accept_rows` detects in times (N,), in order."""
     index = np.flatnonzero(np.isfinite(time_s))
     known_s = time_s[index]
     if (known_s < np.maximum.accumulate(known_s)).sum() < CLOCK_RESET_SAMPLES:
         return []
-    _, rows, _, _ = accept_rows(ClockState(), np.column_stack([known_s, np.arange(float(len(known_s)))]), max_gap_s)
+    rows = accept_rows(ClockState(), np.column_stack([known_s, np.arange(float(len(known_s)))]), MAX_GAP_S).rows
     at = rows[:, 1].astype(int)
     changes = np.flatnonzero(np.abs(np.diff(rows[:, 0] - known_s[at])) > 1e-6)
     spacing_s = float(np.median(np.diff(rows[:, 0])))

@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from pdr_filter.sensing.clock import ClockState, accept_rows, one_clock
+from pdr_filter.sensing.clock import MAX_GAP_S, ClockState, accept_rows, one_clock
 from pdr_filter.sensing.stuck_sensors import WatchdogState, init_watchdog, remove_stuck_values
 from pdr_filter.sensing.unit_check import UnitsState, check_units, init_units
 from pdr_filter.values import (
@@ -106,7 +106,9 @@ class IntakeReport:
     n_not_increasing : int
         Rows dropped because their time repeats an earlier one or lies before it.
     n_clock_jumps : int
-        Forward glitches of the clock, whose rows are dropped, plus backward clock jumps, which are followed.
+        Backward clock jumps. The track follows them.
+    n_clock_glitches : int
+        Times at which the clock was far ahead of all later samples. Samples with such times are dropped.
     n_dead_force : int
         Rows dropped because the accelerometer was stuck while the phone moved.
     n_dead_rate : int
@@ -123,7 +125,7 @@ class IntakeReport:
         Uniform samples emitted.
     n_without_rate : int
         Uniform samples with unknown angular rate.
-    n_deaf : int
+    n_rejected_times : int
         Rows rejected since the last accepted row, because their times contradict it.
     rate_hz : float
         Rate of the uniform samples, Hz.
@@ -138,6 +140,7 @@ class IntakeReport:
     n_implausible: int = 0
     n_not_increasing: int = 0
     n_clock_jumps: int = 0
+    n_clock_glitches: int = 0
     n_dead_force: int = 0
     n_dead_rate: int = 0
     n_wild_field: int = 0
@@ -146,7 +149,7 @@ class IntakeReport:
     lost_s: float = 0.0
     n_emitted: int = 0
     n_without_rate: int = 0
-    n_deaf: int = 0
+    n_rejected_times: int = 0
     rate_hz: float = 100.0
     first_time_s: float = np.nan
     last_time_s: float = np.nan
@@ -180,16 +183,22 @@ class IntakeReport:
             )
         if self.n_clock_jumps:
             found.append(
-                f"the clock jumped {how_often(self.n_clock_jumps)}; the track follows the samples, not the clock"
+                f"the clock jumped back {how_often(self.n_clock_jumps)}: the phone corrected its time; later times "
+                "continue from before the jump"
+            )
+        if self.n_clock_glitches:
+            found.append(
+                f"the clock jumped ahead and returned {how_often(self.n_clock_glitches)}: the samples between had "
+                "wrong times and were dropped"
             )
         if self.n_not_increasing:
             found.append(
                 f"{self.n_not_increasing} of {self.n_received} samples had a repeated or backward time and were dropped"
             )
-        if self.n_deaf >= _MIN_REJECTED_ROWS:
+        if self.n_rejected_times >= _MIN_REJECTED_ROWS:
             found.append(
-                f"no sample accepted since {self.last_time_s:.1f} s: the times of the last {self.n_deaf} samples are "
-                "constant or lie before it; check the clock of the app"
+                f"no sample accepted since {self.last_time_s:.1f} s: the times of the last {self.n_rejected_times} "
+                "samples are constant or lie before it; check the clock of the app"
             )
         if self.n_received >= _MIN_REJECTED_ROWS and self.n_emitted == 0:
             found.append(
@@ -292,7 +301,7 @@ class Conditioner:
     """
 
     rate_hz: float = 100.0
-    max_gap_s: float = 0.3
+    max_gap_s: float = MAX_GAP_S
     hop_samples: int = 20
 
     def __post_init__(self) -> None:
@@ -393,7 +402,8 @@ class Conditioner:
         raw[:, 0], raw[:, _FORCE] = block.time_s, block.specific_force_mps2
         raw[:, _RATE], raw[:, _FIELD] = block.angular_rate_radps, block.magnetic_field_ut
         usable, n_not_finite, n_implausible, n_wild_field = _usable(raw)
-        clock, timed, n_dropped, n_jumps = accept_rows(state.clock, usable, self.max_gap_s)
+        accepted = accept_rows(state.clock, usable, self.max_gap_s)
+        timed = accepted.rows
         measured, n_dead_force, n_dead_rate = timed[:, _MOTION], 0, 0
         watchdog, motion = remove_stuck_values(state.watchdog, timed[:, 0], measured)
         if motion is not measured:  # a sensor is stuck
@@ -411,9 +421,10 @@ class Conditioner:
             n_received=old.n_received + len(raw),
             n_not_finite=old.n_not_finite + n_not_finite,
             n_implausible=old.n_implausible + n_implausible,
-            n_not_increasing=old.n_not_increasing + n_dropped,
-            n_clock_jumps=old.n_clock_jumps + n_jumps,
-            n_deaf=clock.n_deaf,
+            n_not_increasing=old.n_not_increasing + accepted.n_dropped,
+            n_clock_jumps=old.n_clock_jumps + accepted.n_set_backs,
+            n_clock_glitches=old.n_clock_glitches + accepted.n_glitches,
+            n_rejected_times=accepted.clock.n_rejected_times,
             n_dead_force=old.n_dead_force + n_dead_force,
             n_dead_rate=old.n_dead_rate + n_dead_rate,
             n_wild_field=old.n_wild_field + n_wild_field,
@@ -422,7 +433,7 @@ class Conditioner:
             first = rows[0, 0] if np.isnan(old.first_time_s) else old.first_time_s
             report = replace_unchecked(report, first_time_s=float(first), last_time_s=float(rows[-1, 0]))
         units = check_units(state.units, timed[:, 0], timed[:, _MOTION])
-        checks = {"clock": clock, "watchdog": watchdog, "units": units, "report": report}
+        checks = {"clock": accepted.clock, "watchdog": watchdog, "units": units, "report": report}
         return replace_unchecked(state, last_rate=last_rate, last_field=last_field, **checks), rows
 
     def _start_segment(self, state: ConditionerState, part: FloatArray) -> ConditionerState:
@@ -568,7 +579,7 @@ def _interval_means(time_s: FloatArray, values: FloatArray, grid_s: FloatArray) 
     return np.add.reduceat(areas, first, axis=0) / (grid_s[1:] - grid_s[:-1])[:, None]
 
 
-def merge_streams(recording: Recording, max_gap_s: float = 0.3) -> ImuBlock:
+def merge_streams(recording: Recording, max_gap_s: float = MAX_GAP_S) -> ImuBlock:
     """Return all inertial sensors of a recording at the times of its accelerometer.
 
     Angular rate and magnetic field are interpolated linearly. Samples stay in recorded order. If the clock was set back

@@ -17,11 +17,11 @@ from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.feature_windows import FeatureWindow, FeatureWindows
 from pdr_filter.sensing.heading.heading_stage import HeadingStage, drift_in_time, with_shown_offsets
 from pdr_filter.sensing.heading.magnetic_north import MagneticNorth
-from pdr_filter.sensing.steps.contact_time_smoothing import EvenSteps
+from pdr_filter.sensing.steps.contact_time_smoothing import ContactTimeSmoothing
 from pdr_filter.sensing.steps.detector_protocol import StepDetector
 from pdr_filter.sensing.steps.step_detector import ContextBlock
 from pdr_filter.sensing.steps.step_gate import StepGate
-from pdr_filter.sensing.vehicle_vibration import Rattle, RattleState
+from pdr_filter.sensing.vehicle_vibration import VehicleVibration, VehicleVibrationState
 from pdr_filter.values import DEFAULT_CONTEXTS, ContextSet, FloatArray, ImuBlock, IntArray, Step, replace_unchecked
 
 
@@ -49,9 +49,9 @@ class SensingState:
         State of the conditioner.
     attitude : AttitudeState
         State of the attitude estimator.
-    contexts, steps, heading, gate, even, north : object
+    contexts, steps, heading, gate, contact_smoothing, north : object
         States of the stages with these names in `Sensing`. None for a missing stage.
-    rattle : RattleState
+    vibration : VehicleVibrationState
         State of the detection of motion without steps.
     cadence : tuple of (float, float)
         Times (s) and step frequencies (Hz) of the last steps of this segment.
@@ -72,9 +72,9 @@ class SensingState:
     steps: Any
     heading: Any
     gate: Any
-    even: Any
+    contact_smoothing: Any
     north: Any
-    rattle: RattleState
+    vibration: VehicleVibrationState
     cadence: tuple[tuple[float, float], ...]
     n_samples: int
     context: int
@@ -103,7 +103,7 @@ class Sensing:
         Estimation of the walking direction. Without it, the walking direction is the device heading.
     gate : StepGate, optional
         Rejection of false steps.
-    even : EvenSteps, optional
+    contact_smoothing : ContactTimeSmoothing, optional
         Smoothing of contact times between left and right. It runs last, so that the statistics of a step are those of
         the samples that the detector assigned to it.
     north : MagneticNorth, optional
@@ -137,7 +137,7 @@ class Sensing:
     contexts: ContextStage | None = None
     heading: HeadingStage | None = None
     gate: StepGate | None = None
-    even: EvenSteps | None = None
+    contact_smoothing: ContactTimeSmoothing | None = None
     north: MagneticNorth | None = None
     context_set: ContextSet = DEFAULT_CONTEXTS
 
@@ -161,9 +161,9 @@ class Sensing:
             )
 
     @cached_property
-    def _rattle(self) -> Rattle:
+    def _vibration(self) -> VehicleVibration:
         """Detection of motion without steps at the rate of the front end."""
-        return Rattle(self.conditioner.rate_hz)
+        return VehicleVibration(self.conditioner.rate_hz)
 
     @property
     def steps_only(self) -> Sensing:
@@ -196,9 +196,9 @@ class Sensing:
             steps=self.steps.init(),
             heading=self.heading.init() if self.heading else None,
             gate=self.gate.init() if self.gate else None,
-            even=self.even.init() if self.even else None,
+            contact_smoothing=self.contact_smoothing.init() if self.contact_smoothing else None,
             north=self.north.init() if self.north else None,
-            rattle=self._rattle.init(),
+            vibration=self._vibration.init(),
             cadence=(),
             n_samples=0,
             context=-1,
@@ -287,7 +287,7 @@ class Sensing:
         carrying_mode = _held(state.carrying_mode, [(i - n_before, _likely(w.carrying_prob)) for i, w in windows], n)
         contexts = ContextBlock.of(context, carrying_mode, self.context_set)
         step_state, steps = self.steps.update(state.steps, part, attitude, contexts)
-        heading_state, gate_state, even_state, north_state = None, None, None, None
+        heading_state, gate_state, smoothing_state, north_state = None, None, None, None
         if self.gate:
             gate_state, steps = self.gate.update(state.gate, part, attitude, steps)
         if self.heading:
@@ -295,8 +295,8 @@ class Sensing:
             steps = with_shown_offsets(self.heading, steps)
         if self.north:
             north_state, steps = self.north.update(state.north, part, attitude, steps)
-        if self.even:
-            even_state, steps = self.even.update(state.even, steps)
+        if self.contact_smoothing:
+            smoothing_state, steps = self.contact_smoothing.update(state.contact_smoothing, steps)
         # A window comes before a step revealed by the same sample, because its evidence also applies to that step.
         in_order, cadence = _with_cadences(
             state.cadence, sorted([*windows, *steps], key=lambda e: e[0]), self.context_set
@@ -308,9 +308,9 @@ class Sensing:
             steps=step_state,
             heading=heading_state,
             gate=gate_state,
-            even=even_state,
+            contact_smoothing=smoothing_state,
             north=north_state,
-            rattle=self._rattle.update(state.rattle, part, steps),
+            vibration=self._vibration.update(state.vibration, part, steps),
             cadence=cadence,
             n_samples=n_before + n,
             context=int(context[-1]),
@@ -332,9 +332,9 @@ class Sensing:
         if self.north:
             north, steps = self.north.finish(state.north, steps)
             state = replace_unchecked(state, north=north)
-        if self.even:
-            even, steps = self.even.update(state.even, steps)
-            state = replace_unchecked(state, even=even)
+        if self.contact_smoothing:
+            smoothing_state, steps = self.contact_smoothing.update(state.contact_smoothing, steps)
+            state = replace_unchecked(state, contact_smoothing=smoothing_state)
         return state, [(state.processed_s, step) for _, step in steps]
 
     def _after_gap(self, state: SensingState) -> SensingState:
@@ -344,7 +344,7 @@ class Sensing:
             attitude=self.attitude.after_gap(state.attitude),
             contexts=self.contexts.after_gap(state.contexts) if self.contexts else None,
             steps=self.steps.init(),
-            rattle=self._rattle.after_gap(state.rattle),
+            vibration=self._vibration.after_gap(state.vibration),
             heading=self.heading.after_gap(state.heading) if self.heading else None,
             north=self.north.init() if self.north else None,
             cadence=(),

@@ -23,6 +23,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
+from pdr_filter.sensing.clock import MAX_GAP_S
 from pdr_filter.sensing.conditioning import at_times
 from pdr_filter.values import FloatArray, ImuBlock, check_numbers, replace_unchecked
 from pdr_filter.values.limits import GAP_INTERVALS
@@ -154,7 +155,7 @@ class StreamMerger:
     wait_s: float = 5.0
     reorder_s: float = 0.1
     bunch_s: float = 0.05
-    max_gap_s: float = 0.3
+    max_gap_s: float = MAX_GAP_S
 
     def __post_init__(self) -> None:
         check_numbers(self, zero=("reorder_s", "bunch_s"))

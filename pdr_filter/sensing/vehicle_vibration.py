@@ -27,7 +27,7 @@ _STEP_S = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class RattleState:
+class VehicleVibrationState:
     """Seconds that are not judged yet, the current run of vibrating seconds, and the totals.
 
     Attributes
@@ -61,7 +61,7 @@ class RattleState:
 
 
 @dataclass(frozen=True, slots=True)
-class Rattle:
+class VehicleVibration:
     """Causal stage that counts the seconds in which the phone moves although the pedestrian does not walk.
 
     The default recipe uses the count for a warning about rides.
@@ -88,14 +88,14 @@ class Rattle:
 
     >>> import numpy as np
     >>> from pdr_filter.sensing.conditioning import Conditioner
-    >>> from pdr_filter.sensing.vehicle_vibration import Rattle
+    >>> from pdr_filter.sensing.vehicle_vibration import VehicleVibration
     >>> from pdr_filter.values import ImuBlock
     >>> time_s = np.arange(0.0, 60.0, 0.01)
     >>> force, unknown = np.zeros((6000, 3)), np.full((6000, 3), np.nan)
     >>> force[:, 2] = 9.81 + 2.0 * np.sin(2 * np.pi * 12.0 * time_s)
-    >>> conditioner, rattle = Conditioner(), Rattle()
+    >>> conditioner, vibration = Conditioner(), VehicleVibration()
     >>> _, (uniform,) = conditioner.update(conditioner.init(), ImuBlock(time_s, force, unknown, unknown))
-    >>> state = rattle.update(rattle.init(), uniform, steps=[])
+    >>> state = vibration.update(vibration.init(), uniform, steps=[])
     >>> state.moving_s, state.seen_s
     (54, 54)
     """
@@ -112,37 +112,39 @@ class Rattle:
                 "example to 100"
             )
 
-    def init(self) -> RattleState:
+    def init(self) -> VehicleVibrationState:
         """Return the state before the first sample.
 
         Returns
         -------
-        RattleState
+        VehicleVibrationState
             Initial state.
         """
-        return RattleState()
+        return VehicleVibrationState()
 
-    def after_gap(self, state: RattleState) -> RattleState:
+    def after_gap(self, state: VehicleVibrationState) -> VehicleVibrationState:
         """Return the state before the first sample after a gap, which keeps only the totals.
 
         Parameters
         ----------
-        state : RattleState
+        state : VehicleVibrationState
             State before the gap.
 
         Returns
         -------
-        RattleState
+        VehicleVibrationState
             State with the totals `moving_s` and `seen_s`.
         """
-        return RattleState(moving_s=state.moving_s, seen_s=state.seen_s)
+        return VehicleVibrationState(moving_s=state.moving_s, seen_s=state.seen_s)
 
-    def update(self, state: RattleState, block: UniformBlock, steps: Sequence[tuple[int, Step]]) -> RattleState:
+    def update(
+        self, state: VehicleVibrationState, block: UniformBlock, steps: Sequence[tuple[int, Step]]
+    ) -> VehicleVibrationState:
         """Return the state after a block and the steps detected in it.
 
         Parameters
         ----------
-        state : RattleState
+        state : VehicleVibrationState
             State after the previous block.
         block : UniformBlock
             Uniform samples that follow.
@@ -151,7 +153,7 @@ class Rattle:
 
         Returns
         -------
-        RattleState
+        VehicleVibrationState
             New state. `moving_s` and `seen_s` count up to five seconds before the end of the block.
         """
         x, y, z = block.specific_force_mps2.T
@@ -173,7 +175,7 @@ class Rattle:
             state, n_known = self._judge(state, first + second), until
         return replace_unchecked(state, steps=(*state.steps, *found[n_known:]))
 
-    def _judge(self, state: RattleState, second: int) -> RattleState:
+    def _judge(self, state: VehicleVibrationState, second: int) -> VehicleVibrationState:
         """Return the state after second number `second`, with the second `_WAIT_S` earlier judged.
 
         All steps of that earlier second are known now.

@@ -9,6 +9,7 @@ the body frame. Phase 0 is the maximum of the vertical force at step frequency.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from itertools import pairwise
@@ -66,12 +67,22 @@ class Strides:
     def scaled(self, factor: FloatArray) -> Strides:
         """Return the strides with all harmonics multiplied by a table (N_HARMONICS, N_CHANNELS)."""
         size = np.abs(factor)
+        return self._changed(lambda harmonics: factor * harmonics, lambda std: size * std)
+
+    def with_push_to_the_side(self) -> Strides:
+        """Return the strides of sideways walking, with the channels of forward and of sideways motion exchanged."""
+        return self._changed(lambda harmonics: harmonics[..., _ACROSS], lambda std: std[..., _ACROSS])
+
+    def _changed(
+        self, harmonics: Callable[[ComplexArray], ComplexArray], std: Callable[[FloatArray], FloatArray]
+    ) -> Strides:
+        """Return the strides after changes of all harmonics and of all standard deviations of harmonics."""
         return replace(
             self,
-            people=factor * self.people,
-            people_rest=size * self.people_rest,
-            ways=factor * self.ways,
-            ways_rest=size * self.ways_rest,
+            people=harmonics(self.people),
+            people_rest=std(self.people_rest),
+            ways=harmonics(self.ways),
+            ways_rest=std(self.ways_rest),
         )
 
     def person(self, rng: np.random.Generator | None, spread: float = PEOPLE_SPREAD) -> Strides:
@@ -137,21 +148,19 @@ def strides_in(place: str, context: str) -> Strides:
     measured = _measured()
     if (place, context) in measured:
         return measured[place, context]
-    here = measured[place, "walking"]
+    walking = measured[place, "walking"]
     if context == "sideways":
-        return replace(
-            here,
-            people=here.people[..., _ACROSS],
-            people_rest=here.people_rest[..., _ACROSS],
-            ways=here.ways[..., _ACROSS],
-            ways_rest=here.ways_rest[..., _ACROSS],
-        )
+        return walking.with_push_to_the_side()
     if context == "running" and place in ("texting", "calling"):
         return measured["swinging", context]
-    pocket_walking, pocket = measured["pocket", "walking"], measured["pocket", context]
+    return _as_in_pocket(walking, measured["pocket", "walking"], measured["pocket", context])
+
+
+def _as_in_pocket(walking: Strides, pocket_walking: Strides, pocket: Strides) -> Strides:
+    """Return the strides of a context in another place, from those in the pocket and the walking in both places."""
     ratio = np.empty((N_HARMONICS, N_CHANNELS))
     for subset in (_ODD, ~_ODD):
-        ratio[subset] = np.sqrt(_power(here, subset) / _power(pocket_walking, subset))
+        ratio[subset] = np.sqrt(_power(walking, subset) / _power(pocket_walking, subset))
     ratio[:, FORCE] /= ratio[1, 2]  # relative to the vertical force at step frequency
     return pocket.scaled(ratio)
 

@@ -22,10 +22,18 @@ from pdr_filter.values.uncertainty import worst_std_m
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProvisionalStep:
-    """Candidate step that has been detected but not accepted yet. It may still be rejected."""
+    """Candidate step that has been detected but not accepted yet. It may still be rejected.
 
-    time_s: float  # foot contact
-    position_m: FloatArray  # (2,) east, north, after the step
+    Attributes
+    ----------
+    time_s : float
+        Time of the foot contact, s.
+    position_m : ndarray, shape (2,)
+        East and north after the step, m.
+    """
+
+    time_s: float
+    position_m: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,12 +156,26 @@ _QUIET_MPS2, _QUIET_ROWS = 0.8, 13
 
 
 class Present(NamedTuple):
-    """Position at the time of the newest sample, in the frame of the filter's states."""
+    """Position at the time of the newest sample.
+
+    Attributes
+    ----------
+    time_s : float
+        Time of the newest sample on the clock of the track, s.
+    place : Place
+        Position and walking direction.
+    steps : tuple of ProvisionalStep
+        Candidate steps included in the position.
+    extrapolated_m : float
+        Distance from the last contact to the position, m.
+    speed_mps, speed_std_mps : float
+        Walking speed and its standard deviation, m/s. 0 and NaN while the pedestrian stands.
+    """
 
     time_s: float
     place: Place
-    steps: tuple[ProvisionalStep, ...]  # candidate steps included in the position
-    extrapolated_m: float  # distance since the last contact
+    steps: tuple[ProvisionalStep, ...]
+    extrapolated_m: float
     speed_mps: float
     speed_std_mps: float
 
@@ -167,63 +189,68 @@ def present_place(config: Config, state: State) -> Present:
     by half of the rotation of the phone since then. The extrapolation ends when the next contact is overdue or the
     phone is quiet. After `finish` the position has the first part only.
     """
-    sensing = state.sensing
-    tracker, last, steps = state.tracker, state.last_update, list[ProvisionalStep]()
-    for step in () if state.finished else _candidates(sensing.gate):
-        tracker, updates = config.tracker.on_step(tracker, step)
-        last = updates[-1]
-        step_place_m = last.position_m if last.of_start is None else last.of_start.position_m
-        steps.append(ProvisionalStep(step.time_s, step_place_m))
-    pedestrian = state.tracker.pedestrian
-    mean, _ = pedestrian.estimates.combined
-    device_rad = sensing.attitude.device_heading_rad
-    place = replace(track_place(pedestrian), heading_rad=device_rad + float(mean[HEADING_OFFSET]))
-    if last is not None and (steps or not last.is_final):
-        last_place = Place(last.position_m, last.position_cov_m2, last.walking_heading_rad, pedestrian.steps.n_final)
-        turned_rad = device_rad - last.step.device_heading_rad
-        place = last.of_start or last_place
-        place = replace(place, heading_rad=place.heading_rad + turned_rad)
+    last, steps = _with_candidates(config, state)
+    place = _place_after(state, last, bool(steps))
     speed_mps, speed_std_mps, extrapolated_m = 0.0, math.nan, 0.0
     if last is not None and not state.finished and _is_walking(config, state, last, bool(steps)):
         speed_mps, speed_std_mps = last.speed.smoothed_mps, last.speed.smoothed_std_mps
         extrapolated_m = speed_mps * max(_newest_accelerometer_s(state) - last.step.time_s, 0.0)
-        place = _extrapolated(place, extrapolated_m, device_rad - last.step.device_heading_rad)
-    return Present(_newest_s(state), place, tuple(steps), extrapolated_m, speed_mps, speed_std_mps)
+        place = _extrapolated(place, extrapolated_m, _turned_since(state, last))
+    return Present(_newest_s(state), place, steps, extrapolated_m, speed_mps, speed_std_mps)
+
+
+def _with_candidates(config: Config, state: State) -> tuple[StepUpdate | None, tuple[ProvisionalStep, ...]]:
+    """Return the last accepted or candidate step, and all candidate steps with their positions."""
+    tracker, last, steps = state.tracker, state.last_update, list[ProvisionalStep]()
+    for step in () if state.finished else _candidates(state.sensing.gate):
+        tracker, updates = config.tracker.on_step(tracker, step)
+        last = updates[-1]
+        steps.append(ProvisionalStep(step.time_s, (last.of_start or last).position_m))
+    return last, tuple(steps)
+
+
+def _place_after(state: State, last: StepUpdate | None, is_candidate: bool) -> Place:
+    """Return the position after the last step, with the present walking direction.
+
+    It is the present estimate of the tracker, unless the step is a candidate or provisional.
+    """
+    pedestrian = state.tracker.pedestrian
+    if last is None or (last.is_final and not is_candidate):
+        mean, _ = pedestrian.estimates.combined
+        heading_rad = state.sensing.attitude.device_heading_rad + float(mean[HEADING_OFFSET])
+        return replace(track_place(pedestrian), heading_rad=heading_rad)
+    place = last.of_start or Place(
+        last.position_m, last.position_cov_m2, last.walking_heading_rad, pedestrian.steps.n_final
+    )
+    return replace(place, heading_rad=place.heading_rad + _turned_since(state, last))
+
+
+def _turned_since(state: State, last: StepUpdate) -> float:
+    """Return the rotation of the phone about the vertical since a step, in rad."""
+    return state.sensing.attitude.device_heading_rad - last.step.device_heading_rad
 
 
 def now(config: Config, state: State) -> Now:
     """Return the estimate at the time of the newest sample, in the frame of the fixes or of the floor plan."""
-    sensing, pedestrian, present = state.sensing, state.tracker.pedestrian, present_place(config, state)
-    newest_s, steps, place, frame = present.time_s, present.steps, present.place, pedestrian.frame
-    mean, cov = pedestrian.estimates.combined
-    if not frame.is_joined:
-        n_steps = pedestrian.steps.n_final
-        places = (frame.world(Place(s.position_m, np.zeros((2, 2)), 0.0, n_steps)) for s in steps)
-        steps = tuple(replace(s, position_m=p.position_m) for s, p in zip(steps, places, strict=True))
-    place = place if frame.is_joined else frame.world(place)
-    reckoned = present_position(pedestrian)
-    on_plan = None if config.on_plan is None else config.on_plan.place(state.particles, reckoned)
-    if on_plan is not None and state.particles is not None:
-        base = replace(track_place(pedestrian), heading_rad=state.particles.heading_rad + float(mean[HEADING_OFFSET]))
-        base = base if frame.is_joined else frame.world(base)
-        step_positions_m = [_on_plan(replace(place, position_m=s.position_m), base, on_plan).position_m for s in steps]
-        steps = tuple(replace(s, position_m=at) for s, at in zip(steps, step_positions_m, strict=True))
-        place = _on_plan(place, base, on_plan)
+    sensing, pedestrian = state.sensing, state.tracker.pedestrian
+    present = _in_output_frame(config, state, present_place(config, state))
+    _, cov = pedestrian.estimates.combined
     window, report, height = state.window, sensing.conditioner.report, state.height.known
     contexts = config.model.contexts
     unknown = np.full(len(contexts), np.nan), np.full(len(CARRYING_MODES), np.nan)
     context_prob, carrying_prob = (window.prob, window.carrying_prob) if window else unknown
+    heading_var_rad2 = float(cov[HEADING_OFFSET, HEADING_OFFSET]) + pedestrian.frame.rotation_var_rad2
     return Now(
-        time_s=newest_s,
-        latency_s=newest_s - sensing.processed_s if math.isfinite(sensing.processed_s) else math.nan,
+        time_s=present.time_s,
+        latency_s=present.time_s - sensing.processed_s if math.isfinite(sensing.processed_s) else math.nan,
         n_steps=pedestrian.steps.n_final,
         distance_m=pedestrian.estimates.distance_m,
-        position_m=read_only(place.position_m),
-        position_cov_m2=read_only(place.cov_m2),
-        is_provisional=bool(steps) or present.extrapolated_m > 0,
-        provisional_steps=steps,
-        walking_heading_rad=place.heading_rad,
-        walking_heading_std_rad=math.sqrt(float(cov[HEADING_OFFSET, HEADING_OFFSET]) + frame.rotation_var_rad2),
+        position_m=read_only(present.place.position_m),
+        position_cov_m2=read_only(present.place.cov_m2),
+        is_provisional=bool(present.steps) or present.extrapolated_m > 0,
+        provisional_steps=present.steps,
+        walking_heading_rad=present.place.heading_rad,
+        walking_heading_std_rad=math.sqrt(heading_var_rad2),
         walking_speed_mps=present.speed_mps,
         walking_speed_std_mps=present.speed_std_mps,
         context_prob=read_only(context_prob),
@@ -238,6 +265,29 @@ def now(config: Config, state: State) -> Now:
         lost_s=report.lost_s,
         notes=tuple(note.text for note in notes_of(config, state)),
     )
+
+
+def _in_output_frame(config: Config, state: State, present: Present) -> Present:
+    """Return a position of the tracker in the frame of the fixes, or of the floor plan if there are particles."""
+    pedestrian, stage = state.tracker.pedestrian, config.on_plan
+    frame = pedestrian.frame
+    particles = None if stage is None else stage.place(state.particles, present_position(pedestrian))
+
+    def in_world(place: Place) -> Place:
+        return place if frame.is_joined else frame.world(place)
+
+    def converted(place: Place) -> Place:
+        if particles is None or state.particles is None:
+            return in_world(place)
+        mean, _ = pedestrian.estimates.combined
+        heading_rad = state.particles.heading_rad + float(mean[HEADING_OFFSET])
+        return _on_plan(in_world(place), in_world(replace(track_place(pedestrian), heading_rad=heading_rad)), particles)
+
+    places = (Place(step.position_m, np.zeros((2, 2)), 0.0, pedestrian.steps.n_final) for step in present.steps)
+    steps = (
+        replace(step, position_m=converted(place).position_m) for step, place in zip(present.steps, places, strict=True)
+    )
+    return present._replace(place=converted(present.place), steps=tuple(steps))
 
 
 def _extrapolated(place: Place, extrapolated_m: float, turned_rad: float) -> Place:

@@ -197,10 +197,10 @@ def _paired(reckoning: DeadReckoning, fix: PositionFix) -> PairedPoint:
 
 
 def _frame(pairs: tuple[PairedPoint, ...], n_steps: int) -> Frame:
-    agreeing, turn = consistent_pairs(pairs)
+    agreeing, rotation = consistent_pairs(pairs)
     alignment = align(agreeing, n_steps)
     if alignment is None:
-        return Frame(is_joined=False, pairs=pairs, agreeing=agreeing, turn=turn)
+        return Frame(is_joined=False, pairs=pairs, agreeing=agreeing, rotation=rotation)
     return Frame(is_joined=True, agreeing=agreeing, alignment=alignment)
 
 

@@ -13,7 +13,7 @@ from pdr_filter.filter.imm import pedestrian_state as pedestrian
 from pdr_filter.filter.imm.pedestrian_state import StepUpdate
 from pdr_filter.filter.step_length.person import Person
 from pdr_filter.recipes.config import Config, check_config
-from pdr_filter.sensing.clock import moved
+from pdr_filter.sensing.clock import on_track_clock
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.barometer import checked_pressure
 from pdr_filter.sensing.stream_merging import SENSORS, Sensor
@@ -439,7 +439,7 @@ class OnlineFilter:
         if self.state.finished:
             raise ValueError("the filter is finished: start a new one for further fixes")
         check_fix(fix, self.config.on_plan is not None)
-        fix, conditioner = moved(fix, self.state.clock_offset_s), self.state.sensing.conditioner
+        fix, conditioner = on_track_clock(fix, self.state.clock_offset_s), self.state.sensing.conditioner
         seen = conditioner.report
         # After a gap of over a minute, samples are held until later samples confirm their clock. A fix may belong to
         # the time before or after the gap.

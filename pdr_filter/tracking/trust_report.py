@@ -33,6 +33,15 @@ _JUMP_M = 3.0
 FARTHEST_M = 4e7
 # Effective number of modes above which the context is uncertain: two equally probable modes have 2.
 _DOUBTFUL_MODES = 1.9
+# Longer times without steps are reported as pauses.
+_LONG_PAUSE_S = 60.0
+_HELD_LOOSELY = (
+    "the phone is held at the ear or dangles in a bag: if it turns against the body about the vertical, the track "
+    "turns with it; give position or heading fixes"
+)
+_WITHOUT_ANGULAR_RATE = (
+    "there is no angular rate, so that the walking direction is unknown: record the gyroscope, or give heading fixes"
+)
 
 
 def doubts(track: TrackRows) -> list[str]:
@@ -59,54 +68,11 @@ def doubts(track: TrackRows) -> list[str]:
     >>> doubts(track)
     []
     """
-    windows = track.windows
-    sentences: list[str] = []
-    if len(windows):
-        moves = criteria.is_moving(windows.standing_prob)
-        stepless = moves & ~_has_step(track)
-        if track.n_steps == 0 and not moves.any():
-            sentences.append(f"The phone did not move: {criteria.NO_STEPS}.")
-        rides = [(a, b) for a, b in _stretches(windows.time_s, stepless) if b - a >= _MIN_RIDE_S]
-        sentences += _with_times(rides, criteria.STEPLESS)
-        handled = criteria.is_handled(windows.irregular_prob, windows.standing_prob)
-        sentences += _with_times(_long_stretches(windows.time_s, handled), criteria.HANDLED)
-        unfamiliar = criteria.is_unfamiliar(windows.unknown_share)
-        sentences += _with_times(_long_stretches(windows.time_s, unfamiliar), criteria.UNFAMILIAR)
-    if track.n_steps:
-        undecided = track.effective_modes > _DOUBTFUL_MODES
-        sentences += [
-            f"From {a:.0f} to {b:.0f} s the filter cannot decide between {_top_modes(track, a, b)}, whose step lengths "
-            "differ: the distance is uncertain there."
-            for a, b in _long_stretches(track.time_s, undecided)
-        ]
-        without_direction = criteria.is_without_direction(track.steps.shown_offset_std_rad, track.direction_trust)
-        sentences += _with_times(_long_stretches(track.time_s, without_direction), criteria.NO_DIRECTION)
-        sentences += _with_times(_long_stretches(track.time_s, track.is_quick_and_soft), criteria.QUICK_AND_SOFT)
-        sentences += _with_times(
-            _long_stretches(windows.time_s, is_held_loosely(track)),
-            "the phone is held at the ear or dangles in a bag: if it turns against the body about the vertical, the "
-            "track turns with it; give position or heading fixes",
-        )
-        blind = np.asarray(track.steps.heading_unknown_s) > 0.5 * np.asarray(track.steps.duration_s)
-        sentences += _with_times(
-            _long_stretches(track.time_s, blind),
-            "there is no angular rate, so that the walking direction is unknown: record the gyroscope, or give heading "
-            "fixes",
-        )
-        sentences += [
-            f"Between {a:.0f} and {b:.0f} s there are no steps for {b - a:.0f} s (a rest, or a gap in the samples): "
-            "the track continues at the same position."
-            for a, b in zip(track.time_s[:-1], track.time_s[1:], strict=True)
-            if b - a > 60.0
-        ]
-        sentences += _jumps(track)
-    rejected = [fix for fix in track.fixes if fix.outcome == "rejected"]
-    if rejected:
-        times = ", ".join(f"{fix.time_s:.0f}" for fix in rejected[:_MAX_TIMES])
-        times += ", ..." if len(rejected) > _MAX_TIMES else ""
-        share = f"{len(rejected)} of {len(track.fixes)} fixes do"
-        sentences.append(f"{share} {criteria.REJECTED} and were not used: at {times} s.")
-    return sentences
+    return [
+        *_doubts_about_windows(track),
+        *(_doubts_about_steps(track) if track.n_steps else ()),
+        *_rejected_fixes(track),
+    ]
 
 
 def problems(track: TrackRows) -> list[str]:
@@ -178,6 +144,70 @@ def is_held_loosely(track: TrackRows) -> BoolArray:
         return np.zeros(0, dtype=bool)
     moves = criteria.is_moving(windows.standing_prob)
     return moves & (windows.carrying_prob[:, _LOOSE].sum(axis=1) > 0.5)
+
+
+def _doubts_about_windows(track: TrackRows) -> list[str]:
+    """Return sentences about motion that the windows show, such as rides and a handled phone."""
+    windows = track.windows
+    if not len(windows):
+        return []
+    moves = criteria.is_moving(windows.standing_prob)
+    rides = [(a, b) for a, b in _stretches(windows.time_s, moves & ~_has_step(track)) if b - a >= _MIN_RIDE_S]
+    handled = criteria.is_handled(windows.irregular_prob, windows.standing_prob)
+    unfamiliar = criteria.is_unfamiliar(windows.unknown_share)
+    return [
+        *([f"The phone did not move: {criteria.NO_STEPS}."] if track.n_steps == 0 and not moves.any() else ()),
+        *_with_times(rides, criteria.STEPLESS),
+        *_with_times(_long_stretches(windows.time_s, handled), criteria.HANDLED),
+        *_with_times(_long_stretches(windows.time_s, unfamiliar), criteria.UNFAMILIAR),
+    ]
+
+
+def _doubts_about_steps(track: TrackRows) -> list[str]:
+    """Return sentences about steps with an uncertain length or direction, and about pauses and jumps."""
+    steps = track.steps
+    undirected = criteria.is_without_direction(steps.shown_offset_std_rad, track.direction_trust)
+    without_rate = np.asarray(steps.heading_unknown_s) > 0.5 * np.asarray(steps.duration_s)
+    return [
+        *_undecided_modes(track),
+        *_with_times(_long_stretches(track.time_s, undirected), criteria.NO_DIRECTION),
+        *_with_times(_long_stretches(track.time_s, track.is_quick_and_soft), criteria.QUICK_AND_SOFT),
+        *_with_times(_long_stretches(track.windows.time_s, is_held_loosely(track)), _HELD_LOOSELY),
+        *_with_times(_long_stretches(track.time_s, without_rate), _WITHOUT_ANGULAR_RATE),
+        *_pauses(track),
+        *_jumps(track),
+    ]
+
+
+def _undecided_modes(track: TrackRows) -> list[str]:
+    """Return one sentence for each stretch with two or more probable modes."""
+    return [
+        f"From {a:.0f} to {b:.0f} s the filter cannot decide between {_top_modes(track, a, b)}, whose step lengths "
+        "differ: the distance is uncertain there."
+        for a, b in _long_stretches(track.time_s, track.effective_modes > _DOUBTFUL_MODES)
+    ]
+
+
+def _pauses(track: TrackRows) -> list[str]:
+    """Return one sentence for each long time without steps."""
+    return [
+        f"Between {a:.0f} and {b:.0f} s there are no steps for {b - a:.0f} s (a rest, or a gap in the samples): "
+        "the track continues at the same position."
+        for a, b in zip(track.time_s[:-1], track.time_s[1:], strict=True)
+        if b - a > _LONG_PAUSE_S
+    ]
+
+
+def _rejected_fixes(track: TrackRows) -> list[str]:
+    """Return one sentence with the times of the rejected fixes, of which the first `_MAX_TIMES` are listed."""
+    rejected = [fix for fix in track.fixes if fix.outcome == "rejected"]
+    if not rejected:
+        return []
+    times = [f"{fix.time_s:.0f}" for fix in rejected[:_MAX_TIMES]]
+    if len(rejected) > _MAX_TIMES:
+        times.append("...")
+    share = f"{len(rejected)} of {len(track.fixes)} fixes do"
+    return [f"{share} {criteria.REJECTED} and were not used: at {', '.join(times)} s."]
 
 
 def _has_step(track: TrackRows) -> BoolArray:

@@ -41,7 +41,7 @@ def notes_of(config: Config, state: State, vertices: FloatArray | None = None) -
 
 
 def _sensor_notes(config: Config, state: State) -> Iterator[Note]:
-    moving_s, seen_s = state.sensing.rattle.moving_s, state.sensing.rattle.seen_s
+    moving_s, seen_s = state.sensing.vibration.moving_s, state.sensing.vibration.seen_s
     if moving_s:
         yield Note("steps", f"for {moving_s} s, {100 * moving_s / seen_s:.0f} % of the time, {criteria.STEPLESS}")
     for sensor, last_s in config.merger.silent(state.merger):
@@ -125,8 +125,8 @@ def notes_of_rides(rides: Rides, vertices: FloatArray | None) -> Iterator[Note]:
             _, east_m, north_m = vertices[max(np.searchsorted(vertices[:, 0], ride.begin_s, side="right") - 1, 0)]
             place = f" at {east_m:z.1f} m east, {north_m:z.1f} m north"
         words = (
-            f"the position fixes move {ride.way_m:.0f} m without steps from {ride.begin_s:.0f} to {ride.end_s:.0f} s, "
-            f"as in a vehicle: the track does not follow them and stops{place}; "
+            f"the position fixes move {ride.length_m:.0f} m without steps from {ride.begin_s:.0f} to {ride.end_s:.0f} "
+            f"s, as in a vehicle: the track does not follow them and stops{place}; "
         )
         yield Note("fixes", words + "track the walks before and after the ride separately, each with a new filter")
 

@@ -44,11 +44,13 @@ def check_whole(value: Any) -> None:
 
 @cache
 def _declared(cls: type[Any]) -> Mapping[str, Any]:
+    """Return the declared type of each field that the constructor takes."""
     hints = get_type_hints(cls)
     return {f.name: hints[f.name] for f in fields(cls) if f.init}
 
 
 def _is_a(value: Any, declared: Any) -> bool:
+    """Return True if a value is of a declared type, such as `tuple[float, ...]` or `FloatArray | None`."""
     if declared is Any or isinstance(declared, TypeVar):
         return True
     kind, parts = get_origin(declared) or declared, get_args(declared)
@@ -56,33 +58,54 @@ def _is_a(value: Any, declared: Any) -> bool:
         return any(_is_a(value, part) for part in parts)
     if kind is Literal:
         return isinstance(value, str) and value in parts
-    if kind in (bool, str, NoneType):
-        return type(value) is kind
+    if kind in (bool, str, int, float, NoneType):
+        return _is_plain(value, kind)
+    if kind is np.ndarray:
+        _, dtype = parts  # shape and dtype[...]
+        return isinstance(value, np.ndarray) and _is_array(cast(Any, value), get_args(dtype)[0])
+    if kind in (tuple, list) or (isinstance(kind, type) and issubclass(kind, Mapping)):
+        return _is_collection(value, kind, parts)
+    if getattr(kind, "_is_protocol", False):
+        return _is_part(value, kind)
+    return isinstance(value, kind)
+
+
+def _is_plain(value: Any, kind: type) -> bool:
+    """Return True if a value is of exactly this type. A float may be an exact whole number; extreme numbers are not."""
     if kind is int:
         return type(value) is int and abs(value) <= _LARGEST_WHOLE
     if kind is float:
-        whole = type(value) is int and abs(value) <= _LARGEST_EXACT
-        return whole or (type(value) is float and (not isfinite(value) or abs(value) <= _LARGEST))
-    if kind is tuple:
-        values = cast(tuple[Any, ...], value)
-        if not isinstance(value, tuple) or (parts[-1] is not Ellipsis and len(values) != len(parts)):
-            return False
-        return all(map(_is_a, values, parts if parts[-1] is not Ellipsis else (parts[0],) * len(values)))
+        is_whole = type(value) is int and abs(value) <= _LARGEST_EXACT
+        return is_whole or (type(value) is float and (not isfinite(value) or abs(value) <= _LARGEST))
+    return type(value) is kind
+
+
+def _is_collection(value: Any, kind: type, parts: tuple[Any, ...]) -> bool:
+    """Return True if a value is a tuple, list or dictionary with items of the declared types `parts`."""
     if kind is list:
-        return isinstance(value, list) and all(_is_a(v, parts[0]) for v in cast(list[Any], value))
-    if isinstance(kind, type) and issubclass(kind, Mapping):
-        mapping = cast(Mapping[Any, Any], value)
-        return isinstance(value, dict) and all(_is_a(k, parts[0]) and _is_a(v, parts[1]) for k, v in mapping.items())
-    if kind is np.ndarray:
-        return isinstance(value, np.ndarray) and _is_array(cast(Any, value), get_args(parts[1])[0])
-    if getattr(kind, "_is_protocol", False):  # a part that a recipe chooses
-        # Files cannot contain classes of other packages, so that such a part comes from a caller.
-        if type(value).__module__.split(".")[0] not in ("builtins", "numpy", "pdr_filter"):
-            return not missing_members(value, kind)
-        return is_dataclass(value) and all(
-            hasattr(type(value), name) or name in type(value).__dataclass_fields__ for name in _members(kind)
-        )
-    return isinstance(value, kind)
+        return isinstance(value, list) and all(_is_a(item, parts[0]) for item in cast(list[Any], value))
+    if kind is not tuple:
+        key, content = parts
+        items = cast(Mapping[Any, Any], value).items() if isinstance(value, dict) else ()
+        return isinstance(value, dict) and all(_is_a(k, key) and _is_a(v, content) for k, v in items)
+    if not isinstance(value, tuple):
+        return False
+    values = cast(tuple[Any, ...], value)
+    if parts[-1] is Ellipsis:
+        return all(_is_a(item, parts[0]) for item in values)
+    return len(values) == len(parts) and all(map(_is_a, values, parts))
+
+
+def _is_part(value: Any, protocol: type) -> bool:
+    """Return True if a value is a part of a recipe with all members of a protocol.
+
+    Files cannot contain classes of other packages, so that a part of another package comes from a caller.
+    """
+    if type(value).__module__.split(".")[0] not in ("builtins", "numpy", "pdr_filter"):
+        return not missing_members(value, protocol)
+    return is_dataclass(value) and all(
+        hasattr(type(value), name) or name in type(value).__dataclass_fields__ for name in _members(protocol)
+    )
 
 
 def check_members(name: str, part: object, protocol: type) -> None:
@@ -102,6 +125,7 @@ def missing_members(part: object, protocol: type) -> list[str]:
 
 
 def _is_array(value: np.ndarray[Any, Any], of: Any) -> bool:
+    """Return True if an array has the data type `of` and no extremely large number."""
     if of is not Any and value.dtype != np.dtype(of):
         return False
     return value.dtype.kind != "f" or not (np.isfinite(value) & (np.abs(value) > _LARGEST)).any()
@@ -109,4 +133,5 @@ def _is_array(value: np.ndarray[Any, Any], of: Any) -> bool:
 
 @cache
 def _members(protocol: type) -> frozenset[str]:
+    """Return the public methods, properties and attributes of a protocol."""
     return frozenset(name for name in (*dir(protocol), *protocol.__annotations__) if not name.startswith("_"))

@@ -23,8 +23,9 @@ import numpy as np
 from pdr_filter.values import check_declared
 
 _PACKAGE = "pdr_filter"
-# Formats 2 to 5: 2 has modules of an older layout, 3 a flat state of the tracker, 4 no checksum, 5 modes by name.
-_FORMAT = 6
+# Formats 2 to 6: 2 has modules of an older layout, 3 a flat state of the tracker, 4 no checksum, 5 modes by name, and 6
+# other names of classes and fields.
+_FORMAT = 7
 _VALUE = ', "value": '  # separates the header from the text of the checksum
 # A filter with its models has some MB, nearly all of it arrays, and some thousand values.
 _MAX_BYTES = 64 << 20
@@ -119,7 +120,8 @@ def from_bytes(blob: object) -> Any:
         return _decode(content["value"])
     except Exception as error:  # damaged bytes can raise any exception
         raise ValueError(
-            f"these {len(blob)} bytes are not a saved filter of this version of {_PACKAGE} ({error}): save it again"
+            f"these {len(blob)} bytes are not a saved filter of this version of {_PACKAGE} ({error}): process the "
+            "samples again, or load the bytes with the version that saved them"
         ) from error
 
 

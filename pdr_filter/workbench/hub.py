@@ -169,7 +169,7 @@ class Workbench:
             reader.put(text)
 
     def end_readers(self) -> None:
-        """End the events of all pages."""
+        """Close the event streams of all open pages."""
         self._is_ending = True
         for reader in self._readers:
             reader.put("")

@@ -66,7 +66,7 @@ def _opened(content: bytes) -> Any:
     try:
         picture = Image.open(io.BytesIO(content), formats=("PNG", "JPEG"))
         if picture.width * picture.height > _MAX_PIXELS:
-            raise ValueError(f"{picture.width} x {picture.height} pixels are more than {_MAX_PIXELS}")
+            raise ValueError(f"{picture.width} x {picture.height} pixels are more than {_MAX_PIXELS}: reduce it")
         picture.draft("RGB", (_MAX_SIDE, _MAX_SIDE))
         return ImageOps.exif_transpose(picture).convert("RGB")
     except Exception as error:  # Pillow raises many kinds for damaged files

@@ -64,7 +64,7 @@ class Plans:
         """Return a plan in metres as the editor knows it: version, features, storeys, georeference and problems."""
         path = self.path(name)
         if path is None:
-            raise ValueError(f"there is no floor plan {name[:80]!r}")
+            raise ValueError(f"there is no floor plan {name[:80]!r}: it was deleted or renamed; load the page again")
         content = read_json(path, limits.MAX_PLAN_BYTES)
         properties = content.get("properties") or {}
         features = [_plain(feature) for feature in content.get("features", [])]
@@ -90,7 +90,7 @@ class Plans:
         """Replace a plan and return it; ConflictError if it has another version, ValueError if it is invalid."""
         path = self.path(name)
         if path is None:
-            raise ValueError(f"there is no floor plan {name[:80]!r}")
+            raise ValueError(f"there is no floor plan {name[:80]!r}: it was deleted or renamed; load the page again")
         features = [_plain(feature) for feature in content["features"]]
         reference = content.get("georeference")
         properties = {"storeys": dict(content["storeys"]), "georeference": reference}

@@ -137,7 +137,7 @@ class Worker:
         return {"key": key}
 
     def export(self, path: str, kind: str) -> tuple[str, bytes]:
-        """Return the name and content of an exported file of a walk. `kind` is one of `EXPORTS`."""
+        """Return the name and content of an exported file of a walk, of the kind "csv", "gpx", "zip" or another one."""
         opened = self._open(path, checksum_of(Path(path)))
         if kind == "zip":
             return f"{opened.recording.name}.zip", _zipped(Path(path))

@@ -41,7 +41,7 @@ from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.sensing.steps.adaptive_detector import AdaptiveStepDetector
-from pdr_filter.sensing.steps.contact_time_smoothing import EvenSteps
+from pdr_filter.sensing.steps.contact_time_smoothing import ContactTimeSmoothing
 from pdr_filter.sensing.steps.step_detector import unknown_contexts
 from pdr_filter.sensing.steps.step_gate import StepGate
 from pdr_filter.sensing.steps.walking_evidence import EVIDENCE, WalkEvidence
@@ -52,7 +52,7 @@ FloatArray = NDArray[np.float64]
 
 DETECTOR = AdaptiveStepDetector()
 TOLERANCES_S = (0.25, 0.1, 0.06)
-DEFAULT = Sensing(steps=DETECTOR, gate=StepGate(), even=EvenSteps())
+DEFAULT = Sensing(steps=DETECTOR, gate=StepGate(), contact_smoothing=ContactTimeSmoothing())
 PIPELINES = {
     "one or two scales (Martinelli et al.)": Sensing(steps=WaveletStepDetector()),
     "default detector": Sensing(steps=DETECTOR),

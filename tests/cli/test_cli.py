@@ -184,6 +184,7 @@ def test_compare_has_recipes_the_truth_a_page_of_all_and_json(walk: Path, tmp_pa
     assert "replaced" in again.stderr and "error (RMSE)" not in again.stdout
     table = run("compare", walk, *recipes, "--truth")
     assert f"{found['tracks'][0]['rmse_m']:.1f} m" in table.stdout
+    assert "()" not in table.stdout and "interval" not in table.stdout  # which needs two people
 
 
 def test_compare_of_a_file_without_truth_has_no_error_and_says_so(walk: Path, tmp_path: Path) -> None:

@@ -199,7 +199,7 @@ def test_negative_seconds_elapsed_change_nothing_but_a_remembered_value_is_left_
     recording = read(write_folder(tmp_path / "w", files))
     assert len(recording.accelerometer) == len(WALK.accelerometer) + 1
     assert recording.accelerometer.time_s[1] == pytest.approx(0.3 + WALK.accelerometer.time_s[0], abs=1e-6)
-    assert any("1 values remembered from before" in note for note in recording.notes)
+    assert any("1 values that the phone had stored before" in note for note in recording.notes)
 
 
 def test_half_the_requested_rate_is_reported(tmp_path: Path) -> None:

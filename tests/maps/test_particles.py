@@ -146,7 +146,7 @@ def test_a_grid_weights_particles_by_their_cell_at_its_time_and_less_if_errors_a
     # a step ago each was 0.7 m further south, in the southern row of cells
     particles[:, 1] = 0.3
     way = np.array([[20.0, 0, 0, 0], [20.5, 0, 0.7, 0]])
-    before = replace(on_plan.init(), particles=particles, weight=np.full(4000, 1 / 4000), way=way)
+    before = replace(on_plan.init(), particles=particles, weight=np.full(4000, 1 / 4000), reckoned=way)
     grid = pdr.GridFix(20.0, (5.0, -10.0), 10.0, np.log([[0.8, 0.2], [0.1, 0.9]]), correlation_s=6.0)
     west = particles[:, 0] == 10.0
 
@@ -171,7 +171,7 @@ def test_after_a_ride_in_a_lift_particles_that_were_in_a_lift_have_most_weight(t
     particles = np.zeros((4000, 6))
     particles[:, :2] = np.repeat([[10, 1.4], [30, 1.4], [20, 1.4], [5, 1.4]], 1000, axis=0)
     way = np.array([[20.0, 0, 0, 0], [20.5, 0, 0.7, 0], [21.0, 0, 1.4, 0]])
-    before = replace(on_plan.init(), particles=particles, weight=np.full(4000, 1 / 4000), way=way)
+    before = replace(on_plan.init(), particles=particles, weight=np.full(4000, 1 / 4000), reckoned=way)
     by_lift = FloorPassage(5.0, 20.0, 0, 1, "lift")
     after = on_plan.on_passage(before, by_lift, known, config.model)
     in_lift = np.isin(after.particles[:, 0], [10, 30])
@@ -187,7 +187,7 @@ def test_particles_spread_over_the_angle_turned_within_a_step(tmp_path: Path) ->
     on_plan = config.on_plan
     assert on_plan is not None
     before = replace(
-        on_plan.init(), particles=np.zeros((n, 6)), weight=np.full(n, 1 / n), way=np.array([[0.5, 0.0, 0.0, 0.0]])
+        on_plan.init(), particles=np.zeros((n, 6)), weight=np.full(n, 1 / n), reckoned=np.array([[0.5, 0.0, 0.0, 0.0]])
     )
     across = []
     for turn_rate_radps in (0.0, 1.0):

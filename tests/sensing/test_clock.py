@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import pdr_filter as pdr
-from pdr_filter.sensing.clock import CLOCK_RESET_SAMPLES, ClockState, accept_rows, one_clock
+from pdr_filter.sensing.clock import CLOCK_RESET_SAMPLES, MAX_GAP_S, AcceptedRows, ClockState, accept_rows, one_clock
 from pdr_filter.sensing.conditioning import Conditioner
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import HeadingFix, ImuBlock, PositionFix, Samples, Standstill, Wifi
@@ -21,13 +21,12 @@ YEAR_S = 3.2e7
 
 
 def followed(time_s: np.ndarray, *more: np.ndarray) -> tuple[ClockState, np.ndarray, int]:
-    """State, accepted times and jumps of a clock."""
-    clock, accepted, n_jumps = ClockState(), list[np.ndarray](), 0
+    """State, accepted times and backward jumps of a clock."""
+    clock, parts = ClockState(), list[AcceptedRows]()
     for part in (time_s, *more):
-        clock, rows, _, jumps = accept_rows(clock, np.column_stack([part, part]), 0.3)
-        accepted.append(rows[:, 0])
-        n_jumps += jumps
-    return clock, np.concatenate(accepted), n_jumps
+        parts.append(accept_rows(clock, np.column_stack([part, part]), MAX_GAP_S))
+        clock = parts[-1].clock
+    return clock, np.concatenate([part.rows[:, 0] for part in parts]), sum(part.n_set_backs for part in parts)
 
 
 # --- sample by sample -------------------------------------------------------------------------------------------------
@@ -58,13 +57,13 @@ def test_late_samples_neither_cause_nor_prevent_a_backward_clock_jump() -> None:
 
 
 @pytest.mark.parametrize("n_wrong", [1, 2, 20, CLOCK_RESET_SAMPLES - 1])
-def test_a_few_samples_years_ahead_are_not_a_gap(n_wrong: int) -> None:
+def test_a_few_samples_years_ahead_are_a_glitch_and_neither_a_gap_nor_a_backward_jump(n_wrong: int) -> None:
     time_s = np.arange(1000) / 100
     time_s[400 : 400 + n_wrong] += YEAR_S
-    clock, accepted_s, n_jumps = followed(time_s)
-    assert len(accepted_s) == 1000 - n_wrong
-    assert accepted_s[-1] == time_s[-1]
-    assert (n_jumps, clock.offset_s) == (1, 0.0)
+    found = accept_rows(ClockState(), time_s[:, None], MAX_GAP_S)
+    assert len(found.rows) == 1000 - n_wrong
+    assert found.rows[-1] == time_s[-1]
+    assert (found.n_dropped, found.n_glitches, found.n_set_backs, found.clock.offset_s) == (n_wrong, 1, 0, 0.0)
 
 
 def test_a_night_without_samples_is_a_gap_and_no_sample_is_lost() -> None:
@@ -78,7 +77,7 @@ def test_a_clock_that_stands_still_gives_a_note() -> None:
     time_s = np.concatenate([np.arange(500) / 100, np.full(400, 4.99)])
     clock, accepted_s, n_jumps = followed(time_s)
     assert (len(accepted_s), n_jumps) == (500, 0)
-    assert clock.n_deaf == 400
+    assert clock.n_rejected_times == 400
     report = condition(Conditioner(), [imu(time_s)])[0].report
     assert any("no sample accepted since 5.0 s" in note for note in report.notes())
 
@@ -111,7 +110,8 @@ def test_the_handling_of_clocks_does_not_depend_on_blocks(seed: int, cuts: list[
     pieces = np.split(time_s, sorted(cuts))
     clock, in_pieces_s, n_in_pieces = followed(pieces[0], *pieces[1:])
     np.testing.assert_array_equal(in_pieces_s, accepted_s)
-    assert (n_in_pieces, clock.offset_s, clock.n_deaf) == (n_jumps, whole.offset_s, whole.n_deaf)
+    assert (n_in_pieces, clock.offset_s) == (n_jumps, whole.offset_s)
+    assert clock.n_rejected_times == whole.n_rejected_times
 
 
 # --- recordings, fixes ------------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from pdr_filter.values import how_many, how_often
 @pytest.mark.parametrize(("n", "words"), [(1, "once"), (2, "twice"), (3, "3 times"), (1200, "1,200 times")])
 def test_once_and_twice_are_written_as_words(n: int, words: str) -> None:
     assert how_often(n) == words
-    assert f"jumped {words};" in IntakeReport(n_clock_jumps=n).notes()[0]
+    assert f"jumped back {words}:" in IntakeReport(n_clock_jumps=n).notes()[0]
 
 
 def test_one_has_the_singular() -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from pdr_filter.filter.fixes.range_placement import PairedRange
-from pdr_filter.filter.fixes.relocation import Doubt
+from pdr_filter.filter.fixes.relocation import RelocationEvidence
 from pdr_filter.filter.fixes.repeated_fixes import SeenPlace
 from pdr_filter.values import N_BEFORE, FloatArray, PositionFix, Standstill, read_only, replace_unchecked
 
@@ -36,7 +36,7 @@ class FixHistory:
 
     Attributes
     ----------
-    doubt : Doubt
+    relocation : RelocationEvidence
         Rejected position fixes that contradict the track.
     used : tuple of UsedFix
         Last used fixes whose errors are correlated with the next one.
@@ -56,7 +56,7 @@ class FixHistory:
         Time of the last search for positions that fit the ranges.
     """
 
-    doubt: Doubt = field(default_factory=Doubt)
+    relocation: RelocationEvidence = field(default_factory=RelocationEvidence)
     used: tuple[UsedFix, ...] = ()
     seen: SeenPlace | None = None
     n_errors: int = 0
@@ -92,8 +92,8 @@ class FixHistory:
         seen = (
             None if self.seen is None else replace_unchecked(self.seen, track_m=read_only(positions(self.seen.track_m)))
         )
-        doubt, ranges = self.doubt.moved(positions), tuple(pair.moved(positions) for pair in self.ranges)
-        return replace_unchecked(self, doubt=doubt, used=tuple(used), seen=seen, ranges=ranges)
+        relocation, ranges = self.relocation.moved(positions), tuple(pair.moved(positions) for pair in self.ranges)
+        return replace_unchecked(self, relocation=relocation, used=tuple(used), seen=seen, ranges=ranges)
 
     def after_gap(self) -> FixHistory:
         """Return the history after a gap, in which the pedestrian may have gone anywhere."""

@@ -16,10 +16,17 @@ from pdr_filter.filter.fixes.frame_rotation import (
     least_squares_error,
     variance_factor,
 )
-from pdr_filter.filter.fixes.gating import Result, gap_displacement_var_m2, gated, with_consider_path
+from pdr_filter.filter.fixes.gating import (
+    KalmanUpdate,
+    Result,
+    gap_displacement_var_m2,
+    gated,
+    joined_updates,
+    with_consider_path,
+)
 from pdr_filter.filter.fixes.measurement_updates import on_measurement
 from pdr_filter.filter.fixes.range_updates import on_range
-from pdr_filter.filter.fixes.relocation import Doubt
+from pdr_filter.filter.fixes.relocation import RelocationEvidence
 from pdr_filter.filter.fixes.repeated_fixes import seen_after
 from pdr_filter.filter.imm.imm import ImmArithmetic
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, N_STATES, expect_first_direction
@@ -101,8 +108,8 @@ def _on_position(
     estimates, fixes = state.estimates, state.fixes
     cov = estimates.cov.copy()
     cov[:, :2, :2] += estimates.consider_cov_m2
-    results = arithmetic.update(estimates.mean, cov, z, H, R)
-    updated, outcome, nis = gated(arithmetic, with_consider_path(state, cov), results, model.fix_gate_nis)
+    update = KalmanUpdate(*arithmetic.update(estimates.mean, cov, z, H, R))
+    updated, outcome, nis = gated(arithmetic, with_consider_path(state, cov), update, model.fix_gate_nis)
     if outcome == "used":
         n_errors, squares = fixes.n_errors + 2, fixes.squares + nis
         # factor for all innovations so far; the covariance already contains the factor for the earlier ones
@@ -110,7 +117,7 @@ def _on_position(
         no_error_m = np.zeros_like(estimates.consider_error_m)
         estimates = replace(updated.estimates, cov=larger * updated.estimates.cov, consider_error_m=no_error_m)
         fixes = updated.fixes.with_used(fix, _track_m(updated, fix.time_s))
-        fixes = replace(fixes, doubt=fixes.doubt.with_used(), n_errors=n_errors, squares=squares)
+        fixes = replace(fixes, relocation=fixes.relocation.with_used(), n_errors=n_errors, squares=squares)
         updated = replace(updated, estimates=estimates, fixes=fixes)
         path = updated.path.corrected(np.zeros(N_STATES), larger)
         updated = replace(updated, path=path)
@@ -164,19 +171,19 @@ def _on_known_frame(
     if outcome == "used":
         return updated, outcome, nis
     pair, heading_var = _paired(state, fix, track_m)
-    doubt, can_turn = state.fixes.doubt.with_rejected(pair), state.frame.alignment is not None
-    state = replace(state, fixes=replace(state.fixes, doubt=doubt))
-    alignment = doubt.alignment(pair, heading_var, state.steps.n_final, can_turn)
+    relocation, can_turn = state.fixes.relocation.with_rejected(pair), state.frame.alignment is not None
+    state = replace(state, fixes=replace(state.fixes, relocation=relocation))
+    alignment = relocation.alignment(pair, heading_var, state.steps.n_final, can_turn)
     if alignment is None:
         return state, outcome, nis
     state = with_detached_path(state)
     # the alignment already contains the prior of the heading
     cov = expect_first_direction(state.estimates.cov, 0.0)
-    fixes = replace(state.fixes, doubt=Doubt())
+    fixes = replace(state.fixes, relocation=RelocationEvidence())
     state = in_other_frame(replace(state, estimates=replace(state.estimates, cov=cov), fixes=fixes), alignment)
     moved = replace(alignment, since=alignment.n_steps)
     state = replace(state, frame=replace(state.frame, later=(*state.frame.later, moved)))
-    pairs = [pair.moved(alignment.positions) for pair in doubt.pairs]
+    pairs = [pair.moved(alignment.positions) for pair in relocation.pairs]
     state, nis = _with_second_half(model, arithmetic, state, fix, alignment.positions(track_m), pairs)
     return state, "moved", nis
 
@@ -237,9 +244,8 @@ def _on_state(
     prior = state.estimates
     z = prior.mean[:, index] + innovation
     H, R = np.eye(N_STATES)[[index]], np.array([[variance]])
-    each = [arithmetic.update(prior.mean[[k]], prior.cov[[k]], z[[k]], H, R) for k in range(len(z))]
-    mean, cov, log_likelihood, nis = (np.concatenate([result[i] for result in each]) for i in range(4))
-    return gated(arithmetic, state, (mean, cov, log_likelihood, nis), model.scalar_gate_nis)
+    each = [KalmanUpdate(*arithmetic.update(prior.mean[[k]], prior.cov[[k]], z[[k]], H, R)) for k in range(len(z))]
+    return gated(arithmetic, state, joined_updates(each), model.scalar_gate_nis)
 
 
 def _on_first_positions(
@@ -253,11 +259,11 @@ def _on_first_positions(
     pair, _ = _paired(state, fix, track_m)
     frame = state.frame.with_pair(pair)
     agreeing = frame.agreeing
-    if state.fixes.doubt.explains(pair):  # one fix alone fits for some rotation, so the rejected ones count as well
+    if state.fixes.relocation.explains(pair):  # one fix alone fits for some rotation, so rejected ones count as well
         return _on_contradicting_fix(state, pair)
     if agreeing[-1] is not pair:
         return _on_contradicting_fix(replace(state, frame=frame), pair)
-    fixes = replace(state.fixes, doubt=state.fixes.doubt.with_used())
+    fixes = replace(state.fixes, relocation=state.fixes.relocation.with_used())
     state = replace(state, fixes=fixes)
     half = (*agreeing[:-1], replace(pair, var_m2=2.0 * pair.var_m2))
     alignment = (
@@ -281,15 +287,15 @@ def _on_contradicting_fix(state: PedestrianState, pair: PairedPoint) -> Result:
     relocated to them, with an unknown rotation. After a lost heading, the track position at the loss counts as one of
     the other fixes.
     """
-    doubt, n_steps = state.fixes.doubt.with_rejected(pair), state.steps.n_final
-    state = replace(state, fixes=replace(state.fixes, doubt=doubt))
-    if not doubt.contradicts(pair):
+    relocation, n_steps = state.fixes.relocation.with_rejected(pair), state.steps.n_final
+    state = replace(state, fixes=replace(state.fixes, relocation=relocation))
+    if not relocation.contradicts(pair):
         return state, "rejected", np.inf
     turn, (from_m, _) = state.frame.most_probable(n_steps), present_position(state)
     joined = state.frame.joined(turn)
     state = with_detached_path(in_other_frame(state, turn))
-    opened = joined.reopened(state.fixes.doubt.pairs, np.inf, n_steps)
-    state = replace(state, frame=opened, fixes=replace(state.fixes, doubt=Doubt()))
+    opened = joined.reopened(state.fixes.relocation.pairs, np.inf, n_steps)
+    state = replace(state, frame=opened, fixes=replace(state.fixes, relocation=RelocationEvidence()))
     moved = Alignment(0.0, 0.0, from_m, present_position(state)[0], 0.0, n_steps, since=n_steps)
     return replace(state, frame=replace(state.frame, later=(*joined.later, moved))), "moved", np.inf
 

@@ -13,8 +13,8 @@ from pdr_filter.filter.fixes.frame_rotation import (
     MAX_ANGLE_STD_RAD,
     MAX_PAIRS,
     Compass,
-    OpenTurn,
     PairedPoint,
+    RotationDensity,
     agreement_limit,
     align,
     consistent_pairs,
@@ -50,7 +50,7 @@ class Frame:
         a lost heading the first pair is the track position at the loss.
     agreeing : tuple of PairedPoint
         Members of `pairs` that are consistent with each other.
-    turn : OpenTurn or None
+    rotation : RotationDensity or None
         Density of the rotation from the present frame to the frame of the fixes, given the consistent pairs.
     compass : Compass or None
         Magnetic north, until the frame is joined.
@@ -70,7 +70,7 @@ class Frame:
     since: int = 0
     pairs: tuple[PairedPoint, ...] = ()
     agreeing: tuple[PairedPoint, ...] = ()
-    turn: OpenTurn | None = None
+    rotation: RotationDensity | None = None
     compass: Compass | None = None
     north_var_rad2: float = math.inf
     north_conflict: float = 0.0
@@ -81,7 +81,7 @@ class Frame:
     @property
     def relocations(self) -> tuple[Alignment, ...]:
         """Relocations of the track by fixes, each valid from its step on (see `relocation`)."""
-        return tuple(turn for turn in self.later if turn.since == turn.n_steps)
+        return tuple(each for each in self.later if each.since == each.n_steps)
 
     @property
     def rotation_var_rad2(self) -> float:
@@ -92,13 +92,13 @@ class Frame:
         """
         if self.is_joined:
             return 0.0
-        turn = self._provisional or self._density
-        return turn.angle_var_rad2 if turn else 0.0 if self.compass is None else self.compass.std_rad**2
+        rotation = self._provisional or self._density
+        return rotation.angle_var_rad2 if rotation else 0.0 if self.compass is None else self.compass.std_rad**2
 
     @property
     def is_known(self) -> bool:
         """True if positions are in the frame of the fixes, even if the rotation is still uncertain."""
-        return self.turn is not None or self.alignment is not None
+        return self.rotation is not None or self.alignment is not None
 
     @property
     def name(self) -> str:
@@ -112,9 +112,9 @@ class Frame:
         return "start" if self.compass is None else "north"
 
     @cached_property
-    def _density(self) -> OpenTurn | None:
+    def _density(self) -> RotationDensity | None:
         """Density of the rotation given fixes and compass, or None before the first fix and in a joined frame."""
-        return None if self.turn is None else self.turn.with_compass(self.compass)
+        return None if self.rotation is None else self.rotation.with_compass(self.compass)
 
     @property
     def is_north_wrong(self) -> bool:
@@ -149,8 +149,8 @@ class Frame:
                 place = alignment.world(place)
         if self.is_joined or place.n_steps < self.since:
             return place
-        turn = self._provisional or self._density or self.present_alignment
-        return place if turn is None else turn.world(place)
+        rotation = self._provisional or self._density or self.present_alignment
+        return place if rotation is None else rotation.world(place)
 
     def origin(self, place: Origin) -> Origin:
         """Return the geographic origin of the fixes, with the estimated rotation and the errors of the start frame.
@@ -160,14 +160,14 @@ class Frame:
         deviation of the shift along each axis. Without any estimate the origin is returned unchanged.
         """
         before_rad = 0.0 if self.north is None else self.north.angle_rad
-        turn = self.alignment or self._provisional or self._density
-        if turn is None:
+        rotation = self.alignment or self._provisional or self._density
+        if rotation is None:
             return place
         return replace(
             place,
-            turn_rad=float(wrap_angle(before_rad + turn.angle_rad)),
-            turn_std_rad=math.sqrt(turn.angle_var_rad2),
-            position_std_m=math.sqrt(turn.centre_var_m2),
+            turn_rad=float(wrap_angle(before_rad + rotation.angle_rad)),
+            turn_std_rad=math.sqrt(rotation.angle_var_rad2),
+            position_std_m=math.sqrt(rotation.centre_var_m2),
         )
 
     def at_most_probable_rotation(self) -> Frame:
@@ -177,7 +177,7 @@ class Frame:
         """
         if self._density is None or self._provisional is not None:
             return self
-        return replace(self, turn=self._density.most_probable(), compass=None)
+        return replace(self, rotation=self._density.most_probable(), compass=None)
 
     def with_pair(self, pair: PairedPoint) -> Frame:
         """Return the frame with one more point pair."""
@@ -189,14 +189,14 @@ class Frame:
             return self
         # the position at a lost heading is kept; `relocation` handles the case that it is wrong
         n_sure = 1 if self.since else 0
-        agreeing, turn = consistent_pairs(self.pairs, self.north_var_rad2, n_sure)
-        turned = replace(self, agreeing=agreeing, turn=turn, north_conflict=0.0)
+        agreeing, rotation = consistent_pairs(self.pairs, self.north_var_rad2, n_sure)
+        turned = replace(self, agreeing=agreeing, rotation=rotation, north_conflict=0.0)
         if self.is_open:
             return turned
-        free_agreeing, free_turn = consistent_pairs(self.pairs, math.inf, n_sure)  # without the prior of north
+        free_agreeing, free_rotation = consistent_pairs(self.pairs, math.inf, n_sure)  # without the prior of north
         with_prior = disagreement(self.pairs, agreeing, self.north_var_rad2)
         turned = replace(turned, north_conflict=with_prior - disagreement(self.pairs, free_agreeing, math.inf))
-        return replace(turned, agreeing=free_agreeing, turn=free_turn) if turned.is_north_wrong else turned
+        return replace(turned, agreeing=free_agreeing, rotation=free_rotation) if turned.is_north_wrong else turned
 
     def with_north(self, north: Alignment) -> Frame:
         """Return the frame after a heading fix has rotated it.
@@ -219,12 +219,12 @@ class Frame:
         The track must be as uncertain as its fixes, and the rotation known well enough. The rotation may be determined
         by positions, by the compass, and by an earlier heading fix.
         """
-        turn = self._density if self._is_track_uncertain else None
-        if turn is not None and self.rotation_prior_var_rad2 <= MAX_ANGLE_STD_RAD**2:
+        rotation = self._density if self._is_track_uncertain else None
+        if rotation is not None and self.rotation_prior_var_rad2 <= MAX_ANGLE_STD_RAD**2:
             if self.north_conflict > _UNSURE:
                 return False
-            turn = rotation_density(self.agreeing).with_compass(self.compass)
-        return turn is not None and turn.is_narrow
+            rotation = rotation_density(self.agreeing).with_compass(self.compass)
+        return rotation is not None and rotation.is_narrow
 
     @property
     def _is_track_uncertain(self) -> bool:

@@ -147,7 +147,7 @@ class Compass:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class OpenTurn:
+class RotationDensity:
     """Density of the unknown rotation from the start frame to the frame of the fixes, and the centre of rotation.
 
     Attributes
@@ -181,14 +181,14 @@ class OpenTurn:
         """Mean of e^(i angle), whose modulus is 1 for a known angle and 0 for a uniform density."""
         return complex(self.prob @ _UNIT_VECTORS)
 
-    def with_compass(self, compass: Compass | None) -> OpenTurn:
+    def with_compass(self, compass: Compass | None) -> RotationDensity:
         """Return the density combined with that of a compass."""
         if compass is None:
             return self
         density = compass.density(_ANGLES_RAD)
         prob, normal_prob = _normalised(self.prob * density), _normalised(self.normal_prob * density)
         centres_m = self.track_centre_m, self.world_centre_m
-        return OpenTurn(prob, normal_prob, *centres_m, self.centre_var_m2, self.drawn)
+        return RotationDensity(prob, normal_prob, *centres_m, self.centre_var_m2, self.drawn)
 
     @property
     def is_narrow(self) -> bool:
@@ -214,7 +214,7 @@ class OpenTurn:
         """
         return int(np.argmax(self.prob - 1e-9 * np.abs(_ANGLES_RAD)))
 
-    def most_probable(self) -> OpenTurn:
+    def most_probable(self) -> RotationDensity:
         """Return the density with positions reported at the most probable angle."""
         return replace(self, drawn=self._best)
 
@@ -308,12 +308,12 @@ def _fix_cov(pairs: Sequence[PairedPoint]) -> FloatArray:
     return std_m[:, None] * std_m * error_correlation(times_s, correlation_s, var_m2)
 
 
-def rotation_density(pairs: Sequence[PairedPoint], north_var_rad2: float = math.inf) -> OpenTurn:
+def rotation_density(pairs: Sequence[PairedPoint], north_var_rad2: float = math.inf) -> RotationDensity:
     """Return the density of the rotation for one or more point pairs."""
     return _density_of_fit(_fitted(pairs, north_var_rad2))
 
 
-def _density_of_fit(fit: _Fit) -> OpenTurn:
+def _density_of_fit(fit: _Fit) -> RotationDensity:
     """Return the density of the rotation for a fit, for fix errors with a Student's t distribution.
 
     The probability of an angle is proportional to its prior times (f + s)^(-(f + 2 n - 2) / 2). s is the sum of the
@@ -327,7 +327,7 @@ def _density_of_fit(fit: _Fit) -> OpenTurn:
     deficit = max(degrees_of_freedom(fit.pairs) - least, 0.0)  # errors are at least as large as stated
     prob = softmax(-0.5 * fit.prior_squares - power * np.log(_STUDENT_DOF + deficit + pair_squares))
     normal_prob = softmax(-0.5 * fit.squares)
-    return OpenTurn(
+    return RotationDensity(
         prob, normal_prob, *_centres(fit), variance_factor(least, degrees_of_freedom(fit.pairs)) * fit.shift_var_m2
     )
 
@@ -419,7 +419,7 @@ def agreement_limit(dof: int) -> float:
 
 def consistent_pairs(
     pairs: tuple[PairedPoint, ...], north_var_rad2: float = math.inf, n_sure: int = 0
-) -> tuple[tuple[PairedPoint, ...], OpenTurn]:
+) -> tuple[tuple[PairedPoint, ...], RotationDensity]:
     """Return the pairs that can all be correct, and the density of the rotation that follows from them.
 
     While the pairs are inconsistent, the pair whose removal reduces the error most is removed. Two or three pairs have

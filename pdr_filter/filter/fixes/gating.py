@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
 
 from pdr_filter.filter.imm.imm import ImmArithmetic
 from pdr_filter.filter.imm.motion_model import EAST, NORTH
@@ -14,20 +18,28 @@ from pdr_filter.values import FixOutcome, FloatArray
 Result = tuple[PedestrianState, FixOutcome, float]
 
 
-def gated(
-    arithmetic: ImmArithmetic,
-    state: PedestrianState,
-    updated: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
-    gate_nis: float,
-) -> Result:
+class KalmanUpdate(NamedTuple):
+    """Estimates of F filters after a measurement, as returned by `ImmArithmetic.update`."""
+
+    mean: FloatArray  # (F, 4)
+    cov: FloatArray  # (F, 4, 4)
+    log_likelihood: FloatArray  # (F,)
+    nis: FloatArray  # normalised innovation squared (F,)
+
+
+def joined_updates(updates: Sequence[KalmanUpdate]) -> KalmanUpdate:
+    """Return the updates of single filters as one update of all filters."""
+    return KalmanUpdate(*(np.concatenate(arrays) for arrays in zip(*updates, strict=True)))
+
+
+def gated(arithmetic: ImmArithmetic, state: PedestrianState, update: KalmanUpdate, gate_nis: float) -> Result:
     """Return the state after an update, or the unchanged state if the NIS exceeds the gate in all filters."""
-    mean, cov, log_likelihood, nis = updated
-    best_nis = float(nis.min())
+    best_nis = float(update.nis.min())
     if not best_nis <= gate_nis:
         return state, "rejected", best_nis
     prior_x, _ = state.estimates.combined
-    prob = arithmetic.update_mode_prob(state.estimates.prob, log_likelihood)
-    state = replace(state, estimates=replace(state.estimates, mean=mean, cov=cov, prob=prob))
+    prob = arithmetic.update_mode_prob(state.estimates.prob, update.log_likelihood)
+    state = replace(state, estimates=replace(state.estimates, mean=update.mean, cov=update.cov, prob=prob))
     moved = state.estimates.combined[0] - prior_x
     state, shift_m = replace(state, path=state.path.corrected(moved, 1.0)), moved[[EAST, NORTH]]
     return with_moved_past(state, lambda position_m: position_m + shift_m), "used", best_nis

@@ -50,9 +50,9 @@ class LocationState:
         Time of the last fix, or minus infinity.
     n : int
         Number of locations.
-    n_nowhere : int
+    n_without_place : int
         Number of locations whose coordinates are not a place on Earth.
-    n_vague : int
+    n_without_accuracy : int
         Number of locations without an accuracy.
     n_backward : int
         Number of locations whose time is not after that of the last fix.
@@ -62,21 +62,21 @@ class LocationState:
     >>> import numpy as np
     >>> from pdr_filter.filter.fixes.gnss import LocationState, position_fixes
     >>> state, fixes = position_fixes(LocationState(), np.zeros(1), np.array([48.1]), np.array([11.6]), np.zeros(1))
-    >>> state.n, state.n_vague, state.n_unusable
+    >>> state.n, state.n_without_accuracy, state.n_unusable
     (1, 1, 1)
     """
 
     origin: Origin | None = None
     last_s: float = -math.inf
     n: int = 0
-    n_nowhere: int = 0
-    n_vague: int = 0
+    n_without_place: int = 0
+    n_without_accuracy: int = 0
     n_backward: int = 0
 
     @property
     def n_unusable(self) -> int:
         """Number of locations that are not used."""
-        return self.n_nowhere + self.n_vague + self.n_backward
+        return self.n_without_place + self.n_without_accuracy + self.n_backward
 
     def reasons(self) -> str:
         """Return the reasons why locations are not used.
@@ -87,8 +87,10 @@ class LocationState:
             Number of locations for each reason, with its remedy. Empty if all locations are usable.
         """
         causes = {
-            "coordinates that are not a place on Earth (give latitude and longitude in degrees)": self.n_nowhere,
-            "no horizontal accuracy above 0 (export the accuracy, or pass the positions as fixes)": self.n_vague,
+            "coordinates that are not a place on Earth (give latitude and longitude in degrees)": self.n_without_place,
+            "no horizontal accuracy above 0 (export the accuracy, or pass the positions as fixes)": (
+                self.n_without_accuracy
+            ),
             "a time that is not after the previous one (sort the locations by time)": self.n_backward,
         }
         return ", ".join(f"{n} with {words}" for words, n in causes.items() if n)
@@ -160,15 +162,15 @@ def position_fixes(
     """
     fixes: list[PositionFix] = []
     origin, last_s = state.origin, state.last_s
-    n_nowhere, n_vague, n_backward = state.n_nowhere, state.n_vague, state.n_backward
+    n_without_place, n_without_accuracy, n_backward = state.n_without_place, state.n_without_accuracy, state.n_backward
     # one location at a time: the bits of a vectorised sine depend on the length of the array
     altitude_m = np.full(len(time_s), np.nan) if altitude_m is None else altitude_m
     rows = np.column_stack([time_s, latitude_deg, longitude_deg, accuracy_m, altitude_m]).tolist()
     for t, latitude, longitude, accuracy, altitude in rows:
         if not _is_place(latitude, longitude):
-            n_nowhere += 1
+            n_without_place += 1
         elif not _is_accuracy(accuracy):
-            n_vague += 1
+            n_without_accuracy += 1
         elif not last_s < t < math.inf:
             n_backward += 1
         elif t >= last_s + interval_s:
@@ -179,7 +181,8 @@ def position_fixes(
             if math.isfinite(altitude) and altitude != 0.0:
                 fix = replace(fix, altitude_m=altitude, altitude_std_m=_VERTICAL_RATIO * std_m)
             fixes.append(fix)
-    return LocationState(origin, last_s, state.n + len(rows), n_nowhere, n_vague, n_backward), tuple(fixes)
+    n = state.n + len(rows)
+    return LocationState(origin, last_s, n, n_without_place, n_without_accuracy, n_backward), tuple(fixes)
 
 
 # Largest accuracy radius at which displacements of some metres are visible.
@@ -294,7 +297,7 @@ class Ride:
     ----------
     begin_s, end_s : float
         Times of the first and the last fix.
-    way_m : float
+    length_m : float
         Sum of the distances between consecutive fixes.
     first, last : PositionFix
         First and last fix.
@@ -302,14 +305,14 @@ class Ride:
 
     begin_s: float
     end_s: float
-    way_m: float
+    length_m: float
     first: PositionFix
     last: PositionFix
 
     @property
     def is_outlier(self) -> bool:
         """True if the fixes moved away and came back, as after a reflection of satellite signals."""
-        return float(np.linalg.norm(self.last.position_m - self.first.position_m)) < _OUTLIER_SHARE * self.way_m
+        return float(np.linalg.norm(self.last.position_m - self.first.position_m)) < _OUTLIER_SHARE * self.length_m
 
 
 @dataclass(frozen=True, slots=True)
@@ -341,16 +344,16 @@ class Rides:
         if previous is None or fix.time_s <= previous.time_s:
             return self if previous is not None else Rides((), fix)
         duration_s = fix.time_s - previous.time_s
-        way_m = float(np.linalg.norm(fix.position_m - previous.position_m))
+        length_m = float(np.linalg.norm(fix.position_m - previous.position_m))
         n_steps = np.count_nonzero((step_time_s > previous.time_s) & (step_time_s <= fix.time_s))
-        is_sure = way_m > 3 * math.sqrt(previous.var_m2 + fix.var_m2)
-        if not is_sure or way_m < _RIDE_MPS * duration_s or n_steps > _RIDE_STEPS_HZ * duration_s:
+        is_sure = length_m > 3 * math.sqrt(previous.var_m2 + fix.var_m2)
+        if not is_sure or length_m < _RIDE_MPS * duration_s or n_steps > _RIDE_STEPS_HZ * duration_s:
             return Rides(self.found, fix)
         if self.found and self.found[-1].end_s == previous.time_s:
             ride = self.found[-1]
-            ride = Ride(ride.begin_s, fix.time_s, ride.way_m + way_m, ride.first, fix)
+            ride = Ride(ride.begin_s, fix.time_s, ride.length_m + length_m, ride.first, fix)
             return Rides((*self.found[:-1], ride), fix)
-        return Rides((*self.found, Ride(previous.time_s, fix.time_s, way_m, previous, fix))[-_MAX_RIDES:], fix)
+        return Rides((*self.found, Ride(previous.time_s, fix.time_s, length_m, previous, fix))[-_MAX_RIDES:], fix)
 
 
 def _is_place(latitude_deg: float, longitude_deg: float) -> bool:

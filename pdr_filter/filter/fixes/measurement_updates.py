@@ -4,11 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from pdr_filter.filter.fixes.gating import Result, gap_displacement_var_m2, gated, with_consider_path
+from pdr_filter.filter.fixes.gating import (
+    KalmanUpdate,
+    Result,
+    gap_displacement_var_m2,
+    gated,
+    joined_updates,
+    with_consider_path,
+)
 from pdr_filter.filter.imm.imm import ImmArithmetic
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
@@ -53,8 +61,7 @@ def on_measurement(
     variance of the residual.
 
     Each filter is updated by an iterated extended Kalman filter (B. M. Bell and F. W. Cathey, "The iterated Kalman
-    filter update as a Gauss-Newton method", IEEE Trans. Automatic Control 38, 1993). With probability w of a regular
-    measurement the estimate moves by w times its correction, and the covariance includes the spread between both cases.
+    filter update as a Gauss-Newton method", IEEE Trans. Automatic Control 38, 1993).
     """
     if not state.frame.is_joined or (len(state.steps.trail) == 0 and _needs_heading(fix, earlier)):
         return state, "nothing to compare", np.nan
@@ -65,18 +72,22 @@ def on_measurement(
     # changed the displacement since then.
     east_m, north_m = (track_place(state).position_m - earlier[:2]).tolist()
     by_state = np.array([[1.0, 0.0, -north_m, -east_m], [0.0, 1.0, east_m, -north_m]])
-    moved_m = earlier[:2] - by_state @ estimates.combined[0]
+    shift_m = earlier[:2] - by_state @ estimates.combined[0]
     gap_var_m2 = gap_displacement_var_m2(model, state, fix.time_s)
     each = [
-        _iterated(arithmetic, mean, P, fix, (by_state, moved_m), float(earlier[2]) + own_rad, gap_var_m2, regular_prob)
+        _filter_update(
+            arithmetic,
+            (mean[None], P[None]),
+            _Observation(fix, by_state, shift_m, float(earlier[2]) + own_rad, gap_var_m2),
+            regular_prob,
+        )
         for mean, P, own_rad in zip(estimates.mean, cov, offset_rad.tolist(), strict=True)
     ]
-    mean, cov_after, log_likelihood, nis = (np.concatenate([result[i] for result in each]) for i in range(4))
-    likely, n_dimensions = max(result[4] for result in each), each[0][5]
-    if likely < _MIN_REGULAR_PROB:
-        return state, "rejected", float(nis.min())
-    updated = mean, cov_after, log_likelihood, nis
-    after, outcome, best_nis = gated(arithmetic, with_consider_path(state, cov), updated, gate_of(model, n_dimensions))
+    update = joined_updates([result.update for result in each])
+    if max(result.regular_prob for result in each) < _MIN_REGULAR_PROB:
+        return state, "rejected", float(update.nis.min())
+    gate_nis = gate_of(model, each[0].n_dimensions)
+    after, outcome, best_nis = gated(arithmetic, with_consider_path(state, cov), update, gate_nis)
     if outcome != "used":
         return state, outcome, best_nis
     no_error_m = np.zeros_like(estimates.consider_error_m)
@@ -88,54 +99,90 @@ def _needs_heading(fix: Measurement, earlier: FloatArray) -> bool:
     return bool(np.any(measured(fix, earlier[:2], float(earlier[2]))[1][:, 2]))
 
 
-def _iterated(
-    arithmetic: ImmArithmetic,
-    mean: FloatArray,
-    cov: FloatArray,
-    fix: Measurement,
-    relation: tuple[FloatArray, FloatArray],
-    heading_rad: float,
-    gap_var_m2: float,
-    regular_prob: Callable[[float, float], float] | None,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float, int]:
-    """Return the update of one filter by a nonlinear measurement, iterated until its linearisation settles.
+class _LinearMeasurement(NamedTuple):
+    """Measurement equation z = H x + noise of covariance R, with k components."""
 
-    The results are the mean (1, 4), covariance (1, 4, 4), log likelihood (1,), normalised innovation squared (1,), the
-    probability that the measurement is not an outlier, and the number of components of the measurement. The position at
-    the time of the measurement is B x + b with the present state x (4,) and `relation` = (B, b).
+    z: FloatArray  # (k,)
+    H: FloatArray  # (k, 4)
+    R: FloatArray  # (k, k)
+
+
+@dataclass(frozen=True, slots=True)
+class _Observation:
+    """A measurement as a function of the present state x (4,) of one filter.
+
+    At the time of the measurement the position was `by_state` x + `shift_m`, and the heading was `heading_rad` plus the
+    heading offset in x. `gap_var_m2` is the additional variance of that position along each axis.
     """
-    prior_mean, prior_cov, x = mean[None], cov[None], mean
-    linear = _linearised(fix, x, relation, heading_rad, gap_var_m2)
-    updated = arithmetic.update(prior_mean, prior_cov, *linear)
+
+    fix: Measurement
+    by_state: FloatArray
+    shift_m: FloatArray
+    heading_rad: float
+    gap_var_m2: float
+
+    def linearised(self, x: FloatArray) -> _LinearMeasurement:
+        """Return the measurement linearised at a state x (4,)."""
+        heading_rad = self.heading_rad + float(x[HEADING_OFFSET])
+        residual, by_pose, cov = measured(self.fix, self.by_state @ x + self.shift_m, heading_rad)
+        by_place = by_pose[:, :2]
+        H = by_place @ self.by_state
+        H[:, HEADING_OFFSET] += by_pose[:, 2]
+        return _LinearMeasurement(H @ x - residual, H, cov + self.gap_var_m2 * by_place @ by_place.T)
+
+
+class _FilterUpdate(NamedTuple):
+    """Update of one filter by a measurement."""
+
+    update: KalmanUpdate
+    regular_prob: float  # probability that the measurement is no outlier
+    n_dimensions: int  # number of components of the measurement
+
+
+def _filter_update(
+    arithmetic: ImmArithmetic,
+    prior: tuple[FloatArray, FloatArray],
+    observation: _Observation,
+    regular_prob: Callable[[float, float], float] | None,
+) -> _FilterUpdate:
+    """Return the update of one filter, from its prior mean (1, 4) and covariance (1, 4, 4)."""
+    update, linear = _iterated(arithmetic, prior, observation)
+    if regular_prob is None:
+        return _FilterUpdate(update, 1.0, len(linear.z))
+    (mean,), (cov,) = prior
+    innovation_var = linear.H @ cov @ linear.H.T + linear.R
+    prob = regular_prob(float((linear.H @ mean - linear.z)[0]), float(innovation_var[0, 0]))
+    return _FilterUpdate(_mixed(prior, update, prob), prob, len(linear.z))
+
+
+def _iterated(
+    arithmetic: ImmArithmetic, prior: tuple[FloatArray, FloatArray], observation: _Observation
+) -> tuple[KalmanUpdate, _LinearMeasurement]:
+    """Return the update by a nonlinear measurement, and the linearisation at which the iterations converged."""
+    x = prior[0][0]
+    linear = observation.linearised(x)
+    update = KalmanUpdate(*arithmetic.update(*prior, *linear))
     for _ in range(_MAX_ITERATIONS - 1):
-        moved_m = updated[0][0, :2] - x[:2]
+        moved_m = update.mean[0, :2] - x[:2]
         if float(np.abs(moved_m).max()) < _CONVERGED_M:
             break
-        x = updated[0][0]
-        linear = _linearised(fix, x, relation, heading_rad, gap_var_m2)
-        updated = arithmetic.update(prior_mean, prior_cov, *linear)
-    z, H, R = linear
-    after_mean, after_cov, log_likelihood, nis = updated
-    if regular_prob is None:
-        return after_mean, after_cov, log_likelihood, nis, 1.0, len(z)
-    prob = regular_prob(float((H @ mean - z)[0]), float((H @ cov @ H.T + R)[0, 0]))
-    moved = prob * (after_mean - prior_mean)
-    spread = (1.0 - prob) / max(prob, 1e-12) * moved[:, :, None] * moved[:, None, :]
-    mixed_cov = prob * after_cov + (1.0 - prob) * prior_cov + spread
-    mixed_likelihood = np.asarray(log_likelihood - math.log(max(prob, 1e-300)), dtype=float)
-    return prior_mean + moved, mixed_cov, mixed_likelihood, nis, prob, len(z)
+        x = update.mean[0]
+        linear = observation.linearised(x)
+        update = KalmanUpdate(*arithmetic.update(*prior, *linear))
+    return update, linear
 
 
-def _linearised(
-    fix: Measurement, x: FloatArray, relation: tuple[FloatArray, FloatArray], heading_rad: float, gap_var_m2: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return a measurement z (k,), its matrix H (k, 4) and its noise covariance R (k, k), linearised at a state x (4,).
+def _mixed(prior: tuple[FloatArray, FloatArray], regular: KalmanUpdate, prob: float) -> KalmanUpdate:
+    """Return the moments of a mixture: the regular update with the probability p, and the prior for an outlier.
 
-    The linear measurement equation is z = H x + noise of covariance R.
+    The means of the two components differ by the correction d of the regular update. The mixture has the mean
+    m + p d and the covariance p P_regular + (1 - p) P_prior + p (1 - p) d d^T. The last term is the spread of the two
+    means about the mean of the mixture. By Bayes' rule, the likelihood of the mixture is that of the regular update
+    divided by p, up to a constant factor.
     """
-    by_state, shift_m = relation
-    residual, by_pose, cov = measured(fix, by_state @ x + shift_m, heading_rad + float(x[HEADING_OFFSET]))
-    by_place = by_pose[:, :2]
-    H = by_place @ by_state
-    H[:, HEADING_OFFSET] += by_pose[:, 2]
-    return H @ x - residual, H, cov + gap_var_m2 * by_place @ by_place.T
+    prior_mean, prior_cov = prior
+    moved = prob * (regular.mean - prior_mean)  # p d
+    spread = (1.0 - prob) / max(prob, 1e-12) * moved[:, :, None] * moved[:, None, :]
+    cov = prob * regular.cov + (1.0 - prob) * prior_cov + spread
+    log_likelihood = np.asarray(regular.log_likelihood - math.log(max(prob, 1e-300)), dtype=float)
+    return KalmanUpdate(prior_mean + moved, cov, log_likelihood, regular.nis)

@@ -171,9 +171,10 @@ def _prior(state: PedestrianState) -> PriorPose | None:
 
 
 def _placed(state: PedestrianState, solution: PlacedTrack) -> PedestrianState:
-    """Return the state transformed by a solution, which contains all information about position and heading.
+    """Return the state at the pose of a solution, which is a position and rotation that fit the last ranges.
 
-    Earlier steps are not changed.
+    The solution replaces the estimates of position and heading, because it contains all information about them. Earlier
+    steps are not changed.
     """
     n_steps, is_joined = state.steps.n_final, state.frame.is_joined
     alignment = solution.alignment(n_steps, n_steps if is_joined else state.frame.since)

@@ -36,7 +36,7 @@ _MIN_REJECTED = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Doubt:
+class RelocationEvidence:
     """Rejected position fixes that are consistent with each other.
 
     Attributes
@@ -53,30 +53,30 @@ class Doubt:
     rival: tuple[PairedPoint, ...] = ()
     is_used_last: bool = False
 
-    def moved(self, positions: Callable[[FloatArray], FloatArray]) -> Doubt:
-        """Return the doubt with the track positions of its fixes transformed by a function of positions (..., 2)."""
+    def moved(self, positions: Callable[[FloatArray], FloatArray]) -> RelocationEvidence:
+        """Return the evidence with the track positions of its fixes transformed by a function of positions (..., 2)."""
         return replace(
             self,
             pairs=tuple(pair.moved(positions) for pair in self.pairs),
             rival=tuple(pair.moved(positions) for pair in self.rival),
         )
 
-    def with_rejected(self, pair: PairedPoint) -> Doubt:
+    def with_rejected(self, pair: PairedPoint) -> RelocationEvidence:
         """Return the stored rejected fixes after one more rejected fix.
 
         The fix joins `pairs` if it is consistent with them, else `rival`, else it starts a new rival. A rival of three
         fixes becomes `pairs`, and the former pairs become the rival. A single outlier therefore never removes the
         pairs.
         """
-        doubt = replace(self, is_used_last=False)
+        evidence = replace(self, is_used_last=False)
         if _agree((*self.pairs, pair)):
-            return replace(doubt, pairs=_thinned((*self.pairs, pair)))
+            return replace(evidence, pairs=_thinned((*self.pairs, pair)))
         rival = _thinned((*self.rival, pair)) if _agree((*self.rival, pair)) else (pair,)
         if len(rival) < _MIN_REJECTED:
-            return replace(doubt, rival=rival)
-        return replace(doubt, pairs=rival, rival=self.pairs)
+            return replace(evidence, rival=rival)
+        return replace(evidence, pairs=rival, rival=self.pairs)
 
-    def with_used(self) -> Doubt:
+    def with_used(self) -> RelocationEvidence:
         """Return the stored rejected fixes after a used fix.
 
         The result is empty if two fixes in a row were used, or if fewer than three were rejected. Two sources that
@@ -84,7 +84,7 @@ class Doubt:
         or more rejected ones.
         """
         if len(self.pairs) < _MIN_REJECTED or self.is_used_last:
-            return Doubt()
+            return RelocationEvidence()
         return replace(self, is_used_last=True)
 
     def explains(self, pair: PairedPoint) -> bool:
@@ -136,7 +136,7 @@ class Doubt:
 
 
 def _thinned(pairs: tuple[PairedPoint, ...]) -> tuple[PairedPoint, ...]:
-    """Return at most `MAX_REJECTED` pairs over the last relevant time, evenly spaced and including the last one."""
+    """Return at most `MAX_REJECTED` evenly spaced pairs, with the last one, over about twice `PATIENCE_S`."""
     times_s = [pair.time_s for pair in pairs]
     while len(pairs) > _MIN_REJECTED and times_s[-1] - times_s[1] >= 2.0 * PATIENCE_S:
         pairs, times_s = pairs[1:], times_s[1:]

@@ -113,7 +113,7 @@ class Altitude:
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class HeightEstimate:
     """Height estimate at one time.
 
     The air state is the part of the pressure height that changes by weather and draughts and not by motion.
@@ -161,12 +161,12 @@ class Known:
 
 
 @dataclass(frozen=True, eq=False)
-class Second:
+class PressureSecond:
     """One second of the barometer, and the estimate before it.
 
     Attributes
     ----------
-    before : Known
+    before : HeightEstimate
         Estimate before this second.
     climb : Climb
         Pressure height and climb rate.
@@ -178,7 +178,7 @@ class Second:
         Position of an accurate location in this second.
     """
 
-    before: Known
+    before: HeightEstimate
     climb: Climb
     log_evidence: FloatArray
     n_steps: int
@@ -191,9 +191,9 @@ class HeightState:
 
     Attributes
     ----------
-    known : Known
+    known : HeightEstimate
         Present estimate.
-    recent : tuple of Second
+    recent : tuple of PressureSecond
         Last seconds, oldest first, which late steps can still change.
     log_evidence : (7,) array
         Log evidence of windows since the last second.
@@ -207,8 +207,8 @@ class HeightState:
         Altitude of the start.
     """
 
-    known: Known
-    recent: tuple[Second, ...] = ()
+    known: HeightEstimate
+    recent: tuple[PressureSecond, ...] = ()
     log_evidence: FloatArray = field(default_factory=lambda: np.zeros(N_MODES))
     n_steps: int = 0
     step_s: float = np.nan
@@ -218,7 +218,7 @@ class HeightState:
 
 def initial_height() -> HeightState:
     """Return the state at the start, where the height is zero."""
-    return HeightState(Known(vertical.initial()))
+    return HeightState(HeightEstimate(vertical.initial()))
 
 
 def window_log_evidence(windows: Sequence[WindowContext], model: PedestrianModel) -> FloatArray:
@@ -272,7 +272,7 @@ def on_pressure(
 
     `place` is an accurate location in that second, or None.
     """
-    second = Second(state.known, climb, state.log_evidence, state.n_steps, place)
+    second = PressureSecond(state.known, climb, state.log_evidence, state.n_steps, place)
     height = _after_pressure(second, model)
     recent = (*state.recent, second)
     n_final = sum(s.climb.time_s < climb.time_s - LATE_S for s in state.recent)
@@ -289,7 +289,7 @@ def on_step(
     down_prob: float,
     model: PedestrianModel,
     place: Place | None = None,
-) -> tuple[HeightState, Known, tuple[FloorPassage, ...]]:
+) -> tuple[HeightState, HeightEstimate, tuple[FloorPassage, ...]]:
     """Return the state after a step, the estimate at the step, and completed floor passages.
 
     The step was made at `step_s` and detected at `now_s`. With a barometer it counts in the second in which it was
@@ -329,7 +329,7 @@ def with_fix(state: HeightState, fix: PositionFix | GridFix) -> HeightState:
 def with_floor(state: HeightState, floor: int) -> HeightState:
     """Return the state with all storeys renumbered so that the present one has the given number."""
 
-    def renamed(height: Known) -> Known:
+    def renamed(height: HeightEstimate) -> HeightEstimate:
         """Return the estimate with renumbered storeys."""
         return replace_unchecked(height, floors=renumbered(height.floors, floor - state.known.floors.floor))
 
@@ -359,7 +359,7 @@ def notes(state: HeightState) -> list[Note]:
     return [Note("height", change + "heights and floors ignore this change")]
 
 
-def _after_pressure(second: Second, model: PedestrianModel) -> Known:
+def _after_pressure(second: PressureSecond, model: PedestrianModel) -> HeightEstimate:
     """Return the estimate after one second of the barometer."""
     previous, climb, n_steps = second.before, second.climb, second.n_steps
     if previous.calm_in_s > 0:
@@ -396,7 +396,7 @@ def _after_pressure(second: Second, model: PedestrianModel) -> Known:
     else:
         floors = with_new_level(floors, climb.time_s, now.climbed_m, _std(now.climbed_var_m2))
     first_air_m = now.air_m if math.isnan(previous.first_air_m) else previous.first_air_m
-    return Known(
+    return HeightEstimate(
         moments=moments,
         climbed_m=now.climbed_m,
         height_m=now.height_m,
@@ -410,14 +410,14 @@ def _after_pressure(second: Second, model: PedestrianModel) -> Known:
 
 
 def _after_unmeasured_step(
-    previous: Known,
+    previous: HeightEstimate,
     step_s: float,
     elapsed_s: float,
     up_prob: float,
     down_prob: float,
     unmeasured_var: float,
     place: Place | None,
-) -> Known:
+) -> HeightEstimate:
     """Return the estimate after a step without a barometer."""
     rise_m, on_stairs = RISER_M * (up_prob - down_prob), up_prob + down_prob
     stairs_var = on_stairs * (RISER_M**2 + _RISER_STD_M**2) - rise_m**2
@@ -438,7 +438,7 @@ def _after_unmeasured_step(
     )
 
 
-def _in_vehicle(previous: Known, now_s: float, moments: FloatArray, before_m: float) -> Known:
+def _in_vehicle(previous: HeightEstimate, now_s: float, moments: FloatArray, before_m: float) -> HeightEstimate:
     """Return the estimate after a ride that was too long for a lift or an escalator.
 
     The height is reset to that before the ride, and the state of the air is unknown.

@@ -45,38 +45,38 @@ _MIN_SHARED = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class Back:
+class BackwardRelation:
     """Backward relation from the later state x' (4,) to an earlier state x (4,).
 
-    x = mean + moved + gain (x' - mean') + error, where the error has the covariance `left`. mean is the estimate of x
-    when x was the present state. mean' is the estimate of x' when x' was the present state.
+    x = mean + correction + gain (x' - mean') + error, where the error has the covariance `error_cov`. mean is the
+    estimate of x when x was the present state. mean' is the estimate of x' when x' was the present state.
 
     Attributes
     ----------
     gain : (..., 4, 4) array
         Smoother gain G.
-    left : (..., 4, 4) array
+    error_cov : (..., 4, 4) array
         Covariance P - G P' G' of the error.
-    moved : (..., 4) array
+    correction : (..., 4) array
         Correction of the estimate of x by the measurements between the two times. The correction is not part of mean,
-        so that mean + moved is the smoothed estimate of x.
+        so that mean + correction is the smoothed estimate of x.
     scale : float, default 1.0
         Factor by which the covariances of all errors before x' are multiplied, as after a position fix that deviates
         more than expected.
     """
 
     gain: FloatArray
-    left: FloatArray
-    moved: FloatArray
+    error_cov: FloatArray
+    correction: FloatArray
     scale: float = 1.0
 
     @property
     def turned_rad(self) -> float:
         """Correction of the heading offset in the earlier state x between the two times, rad."""
-        return float(self.moved[HEADING_OFFSET])
+        return float(self.correction[HEADING_OFFSET])
 
     @classmethod
-    def over_prediction(cls, before: FloatArray, cross: FloatArray, after: FloatArray) -> Back:
+    def over_prediction(cls, before: FloatArray, cross: FloatArray, after: FloatArray) -> BackwardRelation:
         """Return the backward relation over a prediction from state x to state x'.
 
         The arguments are the covariance of x, the cross-covariance of x and x', and the covariance of x', each (..., 4,
@@ -85,23 +85,23 @@ class Back:
         gain = cross @ np.linalg.inv(after + _MIN_COV)
         return cls(gain, before - gain @ cross.swapaxes(-1, -2), np.zeros(before.shape[:-1]))
 
-    def followed_by(self, later: Back) -> Back:
+    def followed_by(self, later: BackwardRelation) -> BackwardRelation:
         """Return the backward relation over this interval and the following one.
 
         This relation leads from the state x' back to x. `later` leads from a later state x'' back to x'. The result
         leads from x'' back to x.
         """
         gain = self.gain
-        left = later.scale * self.left + gain @ later.left @ gain.swapaxes(-1, -2)
-        moved = self.moved + _times(gain, later.moved)
-        return Back(gain @ later.gain, left, moved, self.scale * later.scale)
+        error_cov = later.scale * self.error_cov + gain @ later.error_cov @ gain.swapaxes(-1, -2)
+        correction = self.correction + _times(gain, later.correction)
+        return BackwardRelation(gain @ later.gain, error_cov, correction, self.scale * later.scale)
 
-    def with_correction(self, moved: FloatArray) -> Back:
-        """Return the relation after the estimate of the later state x' was corrected by `moved` (..., 4)."""
-        return replace_unchecked(self, moved=self.moved + _times(self.gain, moved))
+    def with_correction(self, correction: FloatArray) -> BackwardRelation:
+        """Return the relation after the estimate of the later state x' was corrected by `correction` (..., 4)."""
+        return replace_unchecked(self, correction=self.correction + _times(self.gain, correction))
 
 
-_UNCHANGED = Back(np.eye(N_STATES), np.zeros((N_STATES, N_STATES)), np.zeros(N_STATES))
+_UNCHANGED = BackwardRelation(np.eye(N_STATES), np.zeros((N_STATES, N_STATES)), np.zeros(N_STATES))
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +160,7 @@ class WalkedStep:
         return cls(time_s, updated_mean, *before, ahead.mean, ahead.cov, ahead.by_state)
 
 
-def _relations_over_steps(steps: Sequence[WalkedStep]) -> list[Back]:
+def _relations_over_steps(steps: Sequence[WalkedStep]) -> list[BackwardRelation]:
     """Return the backward relation over each step, from the combined state after the step to that before it."""
     (_, updated, prob, mean, cov, drifted_cov, turned_mean, turned_cov, ahead_mean, ahead_cov, by_state) = (
         np.array([getattr(step, name) for step in steps]) for name in WalkedStep.__dataclass_fields__
@@ -172,9 +172,10 @@ def _relations_over_steps(steps: Sequence[WalkedStep]) -> list[Back]:
     cross = (weights * (turned_cov @ by_state.swapaxes(-1, -2))).sum(axis=1)
     spread = (turned_mean - turned_x[:, None]) * prob[..., None]
     cross += spread.swapaxes(-1, -2) @ (ahead_mean - ahead_x[:, None])
-    drift = Back.over_prediction(P, P, imm.combine(mean, drifted_cov, prob)[1]).with_correction(turned_x - x)
-    back = drift.followed_by(Back.over_prediction(turned_P, cross, ahead_P).with_correction(updated - ahead_x))
-    return [Back(*each) for each in zip(back.gain, back.left, back.moved, strict=True)]
+    drift = BackwardRelation.over_prediction(P, P, imm.combine(mean, drifted_cov, prob)[1])
+    step = BackwardRelation.over_prediction(turned_P, cross, ahead_P)
+    back = drift.with_correction(turned_x - x).followed_by(step.with_correction(updated - ahead_x))
+    return [BackwardRelation(*each) for each in zip(back.gain, back.error_cov, back.correction, strict=True)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,13 +233,13 @@ class PastSteps:
         place_m[NORTH] -= versine * lever_m[EAST]
         return place_m
 
-    def rebased(self, back: Back) -> PastSteps:
+    def rebased(self, back: BackwardRelation) -> PastSteps:
         """Return the steps related to a later state x' instead of the state x.
 
         `back` is the backward relation from x' to x.
         """
-        own_cov_m2 = back.scale * self.own_cov_m2 + _propagated(self.by_state, back.left)
-        return PastSteps(self.time_s, self.moved_m(back.moved), back.gain.T @ self.by_state, own_cov_m2)
+        own_cov_m2 = back.scale * self.own_cov_m2 + _propagated(self.by_state, back.error_cov)
+        return PastSteps(self.time_s, self.moved_m(back.correction), back.gain.T @ self.by_state, own_cov_m2)
 
     def with_moments(
         self, place_m: FloatArray, cov_m2: FloatArray, cross: FloatArray, state_cov: FloatArray
@@ -264,7 +265,7 @@ class PastPath:
     ----------
     earlier : PastSteps
         Steps related to the state before `events`.
-    events : tuple of WalkedStep or Back
+    events : tuple of WalkedStep or BackwardRelation
         Last events, not yet applied to `earlier`.
     since_s : float
         Time until which steps are already in the frame of the fixes. A change of the present frame does not move these
@@ -277,12 +278,12 @@ class PastPath:
     """
 
     earlier: PastSteps = NO_STEPS
-    events: tuple[WalkedStep | Back, ...] = ()
+    events: tuple[WalkedStep | BackwardRelation, ...] = ()
     since_s: float = -math.inf
     shared_from_m: FloatArray = field(default_factory=lambda: np.zeros(2))
     shared_from_s: float = -math.inf
 
-    def with_event(self, event: WalkedStep | Back) -> PastPath:
+    def with_event(self, event: WalkedStep | BackwardRelation) -> PastPath:
         """Return the path after one more event: a step, or a backward relation over a change of the state."""
         if abs(event.turned_rad) > _LARGE_TURN_RAD:
             return replace_unchecked(self.rebased(), events=(event,)).rebased()
@@ -291,14 +292,14 @@ class PastPath:
 
     def predicted(self, before: FloatArray, after: FloatArray) -> PastPath:
         """Return the path after the covariance (4, 4) of the present state has grown from `before` to `after`."""
-        return self.with_event(Back.over_prediction(before, before, after))
+        return self.with_event(BackwardRelation.over_prediction(before, before, after))
 
     def corrected(self, moved: FloatArray, scale: float) -> PastPath:
         """Return the path after a correction (4,) of the present state.
 
         `scale` is the factor by which the covariances of all errors so far are multiplied.
         """
-        return self.with_event(replace_unchecked(_UNCHANGED, moved=moved, scale=scale))
+        return self.with_event(replace_unchecked(_UNCHANGED, correction=moved, scale=scale))
 
     def rebased(self) -> PastPath:
         """Return the path with all steps related to the present state."""
@@ -307,12 +308,12 @@ class PastPath:
         back, last = self._last()
         return replace_unchecked(self, earlier=self.earlier.rebased(back).joined(last), events=())
 
-    def _last(self) -> tuple[Back, PastSteps]:
+    def _last(self) -> tuple[BackwardRelation, PastSteps]:
         """Return the backward relation over all stored events, and the stored steps related to the present state."""
         steps = [event for event in self.events if isinstance(event, WalkedStep)]
         over_steps = iter(_relations_over_steps(steps) if steps else ())
         backs = [next(over_steps) if isinstance(event, WalkedStep) else event for event in self.events]
-        back, after_steps = _UNCHANGED, list[Back]()
+        back, after_steps = _UNCHANGED, list[BackwardRelation]()
         for event, over in zip(reversed(self.events), reversed(backs), strict=True):
             if isinstance(event, WalkedStep):
                 after_steps.append(back)
@@ -389,9 +390,9 @@ class PastPath:
         """
         (back, last), earlier = self._last(), self.earlier
         cov_m2 = back.scale * earlier.own_cov_m2
-        cov_m2 += _propagated(earlier.by_state, back.left + back.gain @ cov @ back.gain.T)
+        cov_m2 += _propagated(earlier.by_state, back.error_cov + back.gain @ cov @ back.gain.T)
         time_s = np.concatenate([earlier.time_s, last.time_s])
-        place_m = np.concatenate([earlier.moved_m(back.moved), last.place_m], axis=-1)
+        place_m = np.concatenate([earlier.moved_m(back.correction), last.place_m], axis=-1)
         cov_m2 = np.concatenate([cov_m2, last.cov_m2(cov)], axis=-1)
         shared_m2 = self._share(shared_m2, present_m) * _squares(self._since_shared_m(time_s, place_m))
         return time_s, place_m, cov_m2 + shared_m2
@@ -436,13 +437,13 @@ def turned(alignment: Alignment, place_m: FloatArray, cov_m2: FloatArray) -> tup
     )
 
 
-def _related_steps(steps: Sequence[WalkedStep], backs: Sequence[Back]) -> PastSteps:
+def _related_steps(steps: Sequence[WalkedStep], backs: Sequence[BackwardRelation]) -> PastSteps:
     """Return steps related to the present state, from the backward relations to the state after each step."""
     pairs = zip(steps, backs, strict=True)
-    place_m = np.stack([step.updated_mean[:2] + back.moved[:2] for step, back in pairs], axis=-1)
+    place_m = np.stack([step.updated_mean[:2] + back.correction[:2] for step, back in pairs], axis=-1)
     by_state = np.stack([back.gain[:2] for back in backs], axis=-1)
-    left = np.stack([back.left for back in backs], axis=-1)
-    own_cov_m2 = np.stack([left[EAST, EAST], left[EAST, NORTH], left[NORTH, NORTH]])
+    cov = np.stack([back.error_cov for back in backs], axis=-1)
+    own_cov_m2 = np.stack([cov[EAST, EAST], cov[EAST, NORTH], cov[NORTH, NORTH]])
     return PastSteps(np.array([step.time_s for step in steps]), place_m, by_state, own_cov_m2)
 
 

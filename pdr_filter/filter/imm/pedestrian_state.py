@@ -13,7 +13,7 @@ from pdr_filter.filter.fixes.alignment import Alignment, Place, moved
 from pdr_filter.filter.fixes.fix_history import FixHistory
 from pdr_filter.filter.fixes.frame import Frame
 from pdr_filter.filter.fixes.frame_rotation import Compass, PairedPoint
-from pdr_filter.filter.fixes.relocation import Doubt
+from pdr_filter.filter.fixes.relocation import RelocationEvidence
 from pdr_filter.filter.imm.estimates import ALONG_AND_ACROSS, LENGTH_PARAMETERS, Estimates, position_cov
 from pdr_filter.filter.imm.motion_model import (
     EAST,
@@ -361,7 +361,7 @@ def with_reopened_rotation(state: PedestrianState) -> PedestrianState:
         state,
         estimates=replace_unchecked(estimates, mean=mean, cov=cov, consider_error_m=no_error_m),
         frame=frame.reopened((turning_point,), float(P[HEADING_OFFSET, HEADING_OFFSET]), steps.n_final),
-        fixes=replace_unchecked(state.fixes, doubt=Doubt(), used=(), ranges=()),
+        fixes=replace_unchecked(state.fixes, relocation=RelocationEvidence(), used=(), ranges=()),
         path=state.path.detached(P, time_s, x[:2].copy()),
     )
 

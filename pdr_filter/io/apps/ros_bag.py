@@ -240,7 +240,9 @@ def _unpacked(compression: str, data: bytes, claimed: int, most: int, where: str
     if not compression:
         return data
     if claimed > most:
-        raise RecordingError(f"{where}: claims to unpack to more than sensor data can; record it again")
+        raise RecordingError(
+            f"{where}: a compressed part states {claimed} bytes, more than {most}; the file is damaged, record it again"
+        )
     try:
         unpack = _UNPACK[compression]
     except KeyError:

@@ -380,7 +380,7 @@ def _without_stale(sensor: NumberTable, begun_ns: int | None, name: str, notes: 
     kept = sensor.whole.astype(np.float64) >= begun_ns - STALE_S * 1e9
     if kept.all():
         return sensor
-    notes.append(f"{name}: {int((~kept).sum())} values remembered from before the recording left out")
+    notes.append(f"{name}: {int((~kept).sum())} values that the phone had stored before the recording were dropped")
     return NumberTable(sensor.whole[kept], sensor.values[kept])
 
 

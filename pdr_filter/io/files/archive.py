@@ -96,7 +96,9 @@ class Members:
         """
         names = [name for name in self.names if name.lower().endswith((".txt", ".log", ".csv"))] or list(self.names)
         if len(names) != 1:
-            raise RecordingError(f"{self.path}: {len(names)} texts ({', '.join(names[:4])}); give one of them")
+            raise RecordingError(
+                f"{self.path}: {len(names)} files may be the log or table ({', '.join(names[:4])}); give one of them"
+            )
         return names[0]
 
     def head(self, name: str, most: int = limits.HEAD_BYTES) -> bytes:
@@ -156,7 +158,8 @@ class Members:
             block, rest = (rest + part[:cut], part[cut:]) if cut else (b"", rest + part)
             if len(rest) > limits.MAX_LINE_BYTES:
                 raise RecordingError(
-                    f"{self.where(name)}: a line of more than {limits.MAX_LINE_BYTES} bytes, so no table; give one"
+                    f"{self.where(name)}: a line has more than {limits.MAX_LINE_BYTES} bytes, so the file is no table; "
+                    "give a table of samples"
                 )
             if block:
                 yield block

@@ -1,10 +1,11 @@
-"""Columns of tables that belong together: the axes of a sensor, a location, with the column of their times."""
+"""Groups of columns that belong together: the axes of a sensor or a location, with the column of their times."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from pdr_filter.io.files.errors import RecordingError
 from pdr_filter.io.tables.column_names import (
@@ -33,132 +34,195 @@ _ANGLES = ("roll", "pitch", "yaw")
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Columns of one sensor."""
+    """Columns of one sensor.
 
-    sheet: int  # which of several
-    quantity: str  # of `columns`, or "location"
-    places: tuple[int, ...]  # -1 of a value that is not there
-    time: int | None  # column of its times
-    time_unit: str  # as its name says; empty if it does not
-    unit: str  # as the names say, as in `UNITS`; empty if they do not
-    name: str  # for people
-    preference: int = 1  # 2 of values that are called calibrated, 0 of those that are not
+    Attributes
+    ----------
+    sheet : int
+        Number of the table.
+    quantity : str
+        Quantity as in `column_names`, or "location".
+    places : tuple of int
+        Number of the column of each value, or -1 for a missing value.
+    time : int or None
+        Number of the column of times, or None if there is none.
+    time_unit : str
+        Unit that the name of the column of times states, or an empty string.
+    unit : str
+        Unit that the names of the columns state, as in `UNITS`, or an empty string.
+    name : str
+        Names of the columns, for messages.
+    preference : int
+        2 if the names state calibrated values, 0 for uncalibrated ones, 1 otherwise.
+    """
+
+    sheet: int
+    quantity: str
+    places: tuple[int, ...]
+    time: int | None
+    time_unit: str
+    unit: str
+    name: str
+    preference: int = 1
 
 
 def groups_of(sheet: Sheet, at: int) -> list[Group]:
-    """Return the columns of a table grouped by sensor."""
+    """Return the columns of table number `at`, grouped by sensor."""
     is_named = not all(name.startswith("column ") for name in sheet.fields)
-    columns = [column_of(i, name) for i, name in enumerate(sheet.fields)]
-    numbered = [i for i, name in enumerate(sheet.fields) if re.fullmatch(r"(?i)v(al(ue)?s?)?[\W_]*[0-3]\W*", name)]
-    if len(numbered) == len(_AXES):  # value1, value2, value3
-        for i, axis in zip(numbered, _AXES, strict=True):
-            columns[i] = Column(i, sheet.fields[i], "", axis)
-    times = [i for i, name in enumerate(sheet.fields) if i in sheet.dates or (is_named and is_time(name))]
-    nanoseconds = {nanoseconds_of(sheet.fields, i) for i in times}
-    times = [i for i in times if i not in nanoseconds]
-    times = times or [i for i, name in enumerate(sheet.fields) if has_time_unit(name)][:1]
-    if not is_named:
-        columns, times = _without_names(sheet, times)
+    times = _times(sheet, is_named)
+    if is_named:
+        columns = _named_columns(sheet)
+    else:
+        times = times or _numbers(sheet)[:1]
+        columns = _without_names(sheet, times)
     columns = [column for column in columns if column.place not in times]
+
+    def group(quantity: str, places: Sequence[int], unit: str, preference: int = 1) -> Group:
+        time = _time_of(sheet, quantity, places, times)
+        name = ", ".join(sheet.fields[place] for place in places if place >= 0)
+        name += f" of {sheet.name}" if quantity_of_file(sheet.name)[0] else ""
+        time_unit = "" if time is None else time_unit_of(sheet.fields[time])
+        return Group(at, quantity, tuple(places), time, time_unit, unit, name, preference)
+
     groups: list[Group] = []
-    for quantity, axes, preference in _triples(sheet, columns, times):
-        unit = next((column.unit for column in axes if column.unit), "")
-        if unit and unit not in UNITS[quantity]:
-            raise RecordingError(
-                f"{sheet.where}: column {axes[0].name!r}: unit {unit!r} is not known for the {quantity}; write one of "
-                f"{', '.join(UNITS[quantity])}, or give the unit in a file with pdr-filter convert FILE --map MAP.toml"
-            )
-        places = tuple(column.place for column in axes)
-        groups.append(_group(sheet, at, quantity, places, times, unit, preference))
+    for quantity, axes, preference in _vectors(sheet, columns, times):
+        groups.append(group(quantity, [axis.place for axis in axes], _unit(sheet, quantity, axes), preference))
     angles = [column for name in _ANGLES for column in columns if column.quantity == ANGLES and column.axis == name]
     if len(angles) == len(_ANGLES):
-        places = tuple(column.place for column in angles)
-        groups.append(_group(sheet, at, ANGLES, places, times, angles[0].unit, 1))
-    groups += _scalars(sheet, at, columns, times)
+        groups.append(group(ANGLES, [angle.place for angle in angles], angles[0].unit))
+    values = _single_values(sheet, columns)
+    for quantity, column in values.items():
+        if quantity in SCALARS:
+            groups.append(group(quantity, [column.place], column.unit if column.unit in UNITS[quantity] else ""))
+    if "latitude" in values and "longitude" in values:
+        groups.append(group("location", [values[name].place if name in values else -1 for name in LOCATION], ""))
     return groups
 
 
-def _group(
-    sheet: Sheet, at: int, quantity: str, places: tuple[int, ...], times: Sequence[int], unit: str, preference: int
-) -> Group:
-    time = _time_of(sheet, quantity, places, times)
-    known = [sheet.fields[p] for p in places if p >= 0]
-    name = ", ".join(known) + (f" of {sheet.name}" if quantity_of_file(sheet.name)[0] else "")
-    unit_of_time = "" if time is None else time_unit_of(sheet.fields[time])
-    return Group(at, quantity, places, time, unit_of_time, unit, name, preference)
+def _times(sheet: Sheet, is_named: bool) -> list[int]:
+    """Return the columns of times, without columns of their nanoseconds."""
+    times = [i for i, name in enumerate(sheet.fields) if i in sheet.dates or (is_named and is_time(name))]
+    nanoseconds = {nanoseconds_of(sheet.fields, i) for i in times}
+    times = [i for i in times if i not in nanoseconds]
+    return times or [i for i, name in enumerate(sheet.fields) if has_time_unit(name)][:1]
 
 
-def _without_names(sheet: Sheet, times: list[int]) -> tuple[list[Column], list[int]]:
-    """Return columns in the order of a table without column names.
+def _named_columns(sheet: Sheet) -> list[Column]:
+    """Return the columns of a table with names. Three columns such as value1, value2, value3 are the axes."""
+    columns = [column_of(i, name) for i, name in enumerate(sheet.fields)]
+    numbered = [i for i, name in enumerate(sheet.fields) if re.fullmatch(r"(?i)v(al(ue)?s?)?[\W_]*[0-3]\W*", name)]
+    if len(numbered) == len(_AXES):
+        for i, axis in zip(numbered, _AXES, strict=True):
+            columns[i] = Column(i, sheet.fields[i], "", axis)
+    return columns
 
-    The first is the time. The others are the axes of the sensor that the file name states.
+
+def _numbers(sheet: Sheet) -> list[int]:
+    """Return the columns that hold numbers."""
+    return [i for i in range(len(sheet.fields)) if i not in sheet.texts]
+
+
+def _without_names(sheet: Sheet, times: Sequence[int]) -> list[Column]:
+    """Return the columns of a table without names, or no columns if the name of the file states no sensor.
+
+    The axes of the sensor follow the first column of times.
     """
     quantity, _ = quantity_of_file(sheet.name)
-    numbers = [i for i in range(len(sheet.fields)) if i not in sheet.texts]
-    times = times or numbers[:1]
     axes = _AXES if quantity in VECTORS else ("",)
-    after = [i for i in numbers if i > times[0]][: len(axes)] if times else []
+    after = [i for i in _numbers(sheet) if i > times[0]][: len(axes)] if times else []
     if not quantity or len(after) < len(axes):
-        return [], times
+        return []
     bare = "" if quantity in VECTORS else quantity
-    return [Column(i, sheet.fields[i], bare, axis) for i, axis in zip(after, axes, strict=True)], times
+    return [Column(i, sheet.fields[i], bare, axis) for i, axis in zip(after, axes, strict=True)]
 
 
-def _triples(sheet: Sheet, columns: Sequence[Column], times: Sequence[int]) -> list[tuple[str, list[Column], int]]:
-    """Return the quantity and the columns of the three axes of each sensor, in the order of the table."""
-    of_file, of_file_preference = quantity_of_file(sheet.name)
-    # Sensors that differ, as in ax and wx or in ax and gyro_x, say more than the name of a file.
-    differ = len({column.quantity for column in columns if column.quantity in VECTORS}) > 1
-    found: dict[tuple[str, str, int], dict[str, Column]] = {}
+def _unit(sheet: Sheet, quantity: str, axes: Sequence[Column]) -> str:
+    """Return the unit that the names of the axes state, or an empty string. RecordingError if it is unknown."""
+    unit = next((axis.unit for axis in axes if axis.unit), "")
+    if unit and unit not in UNITS[quantity]:
+        raise RecordingError(
+            f"{sheet.where}: column {axes[0].name!r}: unit {unit!r} is not known for the {quantity}; write one of "
+            f"{', '.join(UNITS[quantity])}, or give the unit in a file with pdr-filter convert FILE --map MAP.toml"
+        )
+    return unit
+
+
+class _Vector(NamedTuple):
+    """The three axes of a sensor, and the preference of the sensor (see `Group`)."""
+
+    quantity: str
+    axes: list[Column]
+    preference: int
+
+
+class _Sensor(NamedTuple):
+    """Sensor to which an axis belongs. `number` counts sensors whose columns have the same names."""
+
+    quantity: str
+    stem: str
+    number: int
+
+
+def _vectors(sheet: Sheet, columns: Sequence[Column], times: Sequence[int]) -> list[_Vector]:
+    """Return the sensors with three axes, in the order of the table. RecordingError if an accelerometer lacks an axis.
+
+    Axes whose names state no sensor may appear again, for the next sensor.
+    """
+    # Names such as ax and wx, which distinguish sensors, state more than the name of the file.
+    is_distinct = len({column.quantity for column in columns if column.quantity in VECTORS}) > 1
+    found: dict[_Sensor, dict[str, Column]] = {}
     for column in columns:
-        quantity = column.quantity
-        says_little = not quantity or (len(column.stem) == 1 and not differ)
-        if column.axis not in _AXES or (says_little and of_file and of_file not in VECTORS):
+        is_vague = not column.quantity or (len(column.stem) == 1 and not is_distinct)
+        quantity = _quantity_of_vague_axis(sheet, column, times) if is_vague else column.quantity
+        if column.axis not in _AXES or not quantity:
             continue
-        if says_little:
-            before = max((t for t in times if t < column.place), default=-1)
-            of_time = quantity_of_file(sheet.fields[before])[0] if before >= 0 else ""
-            by_name = [q for q in (of_time, of_file) if q in VECTORS]
-            quantity = (by_name or [quantity or OF_UNIT.get(column.unit, ACCELERATION)])[0]
-        n = 0  # axes without a word may be there again, for the next sensor
-        while column.axis in found.get((quantity, column.stem, n), {}):
-            n += 1
-        found.setdefault((quantity, column.stem, n), {})[column.axis] = column
-    triples: list[tuple[str, list[Column], int]] = []
-    for (quantity, stem, _), axes in found.items():
-        named = any(axis.quantity for axis in axes.values())
-        if all(axis in axes for axis in _AXES):
-            preference = min(axes[axis].preference for axis in _AXES) if named else of_file_preference
-            triples.append((quantity, [axes[axis] for axis in _AXES], preference))
-        elif quantity in (ACCELERATION, LINEAR) and stem:
-            missing = ", ".join(axis for axis in _AXES if axis not in axes)
+        number = 0
+        while column.axis in found.get(_Sensor(quantity, column.stem, number), {}):
+            number += 1
+        found.setdefault(_Sensor(quantity, column.stem, number), {})[column.axis] = column
+    vectors: list[_Vector] = []
+    for sensor, by_axis in found.items():
+        missing = [axis for axis in _AXES if axis not in by_axis]
+        if not missing:
+            axes = [by_axis[axis] for axis in _AXES]
+            is_named = any(axis.quantity for axis in axes)
+            preference = min(axis.preference for axis in axes) if is_named else quantity_of_file(sheet.name)[1]
+            vectors.append(_Vector(sensor.quantity, axes, preference))
+        elif sensor.quantity in (ACCELERATION, LINEAR) and sensor.stem:
             raise RecordingError(
-                f"{sheet.where}: {next(iter(axes.values())).name!r} is one axis of the accelerometer, and there is no "
-                f"column for {missing}; export all three axes"
+                f"{sheet.where}: {next(iter(by_axis.values())).name!r} is one axis of the accelerometer, and there is "
+                f"no column for {', '.join(missing)}; export all three axes"
             )
-    return triples
+    return vectors
 
 
-def _scalars(sheet: Sheet, at: int, columns: Sequence[Column], times: Sequence[int]) -> list[Group]:
-    """Return the groups of quantities with one value (pressure, light, distance), and the location."""
+def _quantity_of_vague_axis(sheet: Sheet, column: Column, times: Sequence[int]) -> str:
+    """Return the quantity of an axis whose own name states it not at all, or with one letter.
+
+    The name of the column of times before the axis decides, then the name of the file, the name of the axis, and its
+    unit. An empty string means that the file has another sensor, without axes.
+    """
     of_file, _ = quantity_of_file(sheet.name)
-    first: dict[str, Column] = {}
+    if of_file and of_file not in VECTORS:
+        return ""
+    before = max((time for time in times if time < column.place), default=None)
+    of_time = "" if before is None else quantity_of_file(sheet.fields[before])[0]
+    by_name = [quantity for quantity in (of_time, of_file) if quantity in VECTORS]
+    return by_name[0] if by_name else column.quantity or OF_UNIT.get(column.unit, ACCELERATION)
+
+
+def _single_values(sheet: Sheet, columns: Sequence[Column]) -> dict[str, Column]:
+    """Return the preferred column of each quantity with one value: pressure, light, distance, parts of a location."""
+    of_file, _ = quantity_of_file(sheet.name)
+    found: dict[str, Column] = {}
     for column in columns:
         quantity = column.quantity
         if not quantity and of_file in SCALARS and (column.axis == "x" or len(columns) == 1):
             quantity = of_file
-        best = first.get(quantity)
+        best = found.get(quantity)
         if quantity and quantity not in (*VECTORS, ANGLES) and (best is None or column.preference > best.preference):
-            first[quantity] = column
-    groups = [
-        _group(sheet, at, q, (c.place,), times, c.unit if c.unit in UNITS[q] else "", 1)
-        for q, c in first.items()
-        if q in SCALARS
-    ]
-    if "latitude" in first and "longitude" in first:
-        places = tuple(first[name].place if name in first else -1 for name in LOCATION)
-        groups.append(_group(sheet, at, "location", places, times, "", 1))
-    return groups
+            found[quantity] = column
+    return found
 
 
 def _time_of(sheet: Sheet, quantity: str, places: Sequence[int], times: Sequence[int]) -> int | None:

@@ -118,7 +118,9 @@ class _File:
         names, columns = content["varNames"], content["data"]
         times: Any = content["rowTimes"]
         if not _is_object(times):
-            raise RecordingError(f"{where}: times that are a rate and no column; save it with its times, or export CSV")
+            raise RecordingError(
+                f"{where}: the timetable has a rate instead of times; save it with a time for each row, or export CSV"
+            )
         times = self._properties(_object_number(times))["data"]
         # Milliseconds since 1970; what a float cannot hold of them is in the imaginary part.
         ms = np.real(times).ravel()

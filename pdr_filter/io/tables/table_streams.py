@@ -1,8 +1,9 @@
-"""The columns of tables as streams: parsed once, made into one time base, units and signs as a mapping says."""
+"""Streams from the columns of tables, on one time base, with the units and signs that a mapping states."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,8 +15,42 @@ from pdr_filter.io.tables.sheet import Sheet
 from pdr_filter.values import BoolArray, FloatArray, IntArray, interpolated_near, limits
 
 
+class _Stream(NamedTuple):
+    """Values (N, d) of a stream at times (N,) that are counted in ticks of `unit_s` seconds.
+
+    Integer ticks keep all digits of long times, such as nanoseconds since 1970.
+    """
+
+    ticks: IntArray | FloatArray
+    unit_s: float
+    values: FloatArray
+
+
+class _Zero(NamedTuple):
+    """Origin of the times in s: a tick of `unit_s` seconds."""
+
+    tick: float = 0
+    unit_s: float = 1.0
+
+
 def fill(parsed: Parsed, mapping: Mapping, sheets: Sequence[Sheet]) -> None:
     """Fill `parsed` with the streams of a mapping and with the properties of their times."""
+    _describe_clock(parsed, mapping)
+    found = {stream.stream: _read(stream, mapping, sheets) for stream in mapping.streams}
+    streams = _combined(found)
+    first = streams.get("accelerometer")
+    zero = _Zero()
+    if first is not None and len(first.ticks):
+        if any(_has_whole_ticks(stream) for stream in found.values()):
+            zero = _Zero(first.ticks[0].item(), first.unit_s)
+        if _has_whole_ticks(first) and (epoch_s := float(first.ticks[0]) * first.unit_s) > 1e9:
+            parsed.meta["epoch_s"] = epoch_s
+    for name, stream in streams.items():
+        parsed.streams[name] = (_seconds(stream, zero), stream.values)
+
+
+def _describe_clock(parsed: Parsed, mapping: Mapping) -> None:
+    """Store the columns of times and the rate that the mapping states."""
     times = sorted(
         {f"{stream.time.removeprefix('column ')} ({stream.time_unit})" for stream in mapping.streams if stream.time}
     )
@@ -24,32 +59,37 @@ def fill(parsed: Parsed, mapping: Mapping, sheets: Sequence[Sheet]) -> None:
     parsed.rate_hz = mapping.rate_hz if times else 0.0
     if mapping.rate_hz and not times:
         parsed.requested_hz = {"accelerometer": mapping.rate_hz}
-    found: dict[str, tuple[IntArray | FloatArray, float, FloatArray]] = {}
-    for stream in mapping.streams:
-        sheet = _sheet_of(stream, mapping, sheets)
-        time = _place(stream.time, sheet, mapping) if stream.time else None
-        places = [_place(name, sheet, mapping) if name else -1 for name in stream.columns]
-        ticks, values = sheet.stream(places, time)
-        if stream.stream == "location":
-            is_new = is_new_place(values)
-            ticks, values = ticks[is_new], values[is_new]
-            values[values[:, 3] < 0, 3] = np.nan  # apps write -1 for unknown
-        unit_s = 1 / mapping.rate_hz if time is None else TIME_UNITS.get(stream.time_unit, 1e-9)
-        found[stream.stream] = (ticks, unit_s, values * stream.factor)
+
+
+def _read(stream: StreamMap, mapping: Mapping, sheets: Sequence[Sheet]) -> _Stream:
+    """Return a stream of a mapping from its table."""
+    sheet = _sheet_of(stream, mapping, sheets)
+    time = _place(stream.time, sheet, mapping) if stream.time else None
+    ticks, values = sheet.stream([_place(name, sheet, mapping) if name else -1 for name in stream.columns], time)
+    if stream.stream == "location":
+        is_new = is_new_place(values)
+        ticks, values = ticks[is_new], values[is_new]
+        values[values[:, 3] < 0, 3] = np.nan  # apps write -1 for unknown
+    unit_s = 1 / mapping.rate_hz if time is None else TIME_UNITS.get(stream.time_unit, 1e-9)
+    return _Stream(ticks, unit_s, values * stream.factor)
+
+
+def _combined(found: dict[str, _Stream]) -> dict[str, _Stream]:
+    """Return the streams of a recording.
+
+    The acceleration is the sum of linear acceleration and gravity if it is missing, and angles become quaternions.
+    """
+    streams = {name: stream for name, stream in found.items() if name not in (GRAVITY, LINEAR, ANGLES)}
     if GRAVITY in found and LINEAR in found and "accelerometer" not in found:
-        found["accelerometer"] = _summed(found[LINEAR], found[GRAVITY])
+        streams["accelerometer"] = _summed(found[LINEAR], found[GRAVITY])
     if ANGLES in found:
-        ticks, unit_s, angles = found.pop(ANGLES)
-        found["attitude"] = ticks, unit_s, quaternion_of(*angles.T)
-    first = found.get("accelerometer", (np.empty(0), 1.0, np.empty(0)))
-    whole = [ticks for ticks, _, _ in found.values() if ticks.dtype.kind == "i"]
-    # Differences of whole numbers keep all digits, so they are taken before the conversion to seconds.
-    zero, zero_unit_s = (0, 1.0) if not whole or not len(first[0]) else (first[0][0].item(), first[1])
-    for name, (ticks, unit_s, values) in found.items():
-        if name not in (GRAVITY, LINEAR):
-            parsed.streams[name] = (_seconds(ticks, unit_s, zero, zero_unit_s), values)
-    if whole and len(first[0]) and first[0].dtype.kind == "i" and first[0][0] * first[1] > 1e9:
-        parsed.meta["epoch_s"] = float(first[0][0]) * first[1]
+        angles = found[ANGLES]
+        streams["attitude"] = angles._replace(values=quaternion_of(*angles.values.T))
+    return streams
+
+
+def _has_whole_ticks(stream: _Stream) -> bool:
+    return stream.ticks.dtype.kind == "i"
 
 
 def quaternion_of(roll_rad: FloatArray, pitch_rad: FloatArray, yaw_rad: FloatArray) -> FloatArray:
@@ -74,28 +114,25 @@ def is_new_place(values: FloatArray) -> BoolArray:
     return changes & ~np.isnan(values[:, :2]).any(axis=1) & (values[:, :2] != 0).any(axis=1)
 
 
-def _summed(
-    linear: tuple[IntArray | FloatArray, float, FloatArray], gravity: tuple[IntArray | FloatArray, float, FloatArray]
-) -> tuple[IntArray | FloatArray, float, FloatArray]:
+def _summed(linear: _Stream, gravity: _Stream) -> _Stream:
     """Return the sum of linear acceleration and gravity, which may have different times."""
-    zero = linear[0][0].item() if len(linear[0]) else 0
-    at_s = _seconds(linear[0], linear[1], zero, linear[1])
-    known_s = _seconds(gravity[0], gravity[1], zero, linear[1])
+    zero = _Zero(linear.ticks[0].item() if len(linear.ticks) else 0, linear.unit_s)
+    at_s, known_s = _seconds(linear, zero), _seconds(gravity, zero)
     if np.array_equal(at_s, known_s):
-        return linear[0], linear[1], linear[2] + gravity[2]
+        return linear._replace(values=linear.values + gravity.values)
     known = ~np.isnan(known_s)
-    gravity_there = interpolated_near(at_s, known_s[known], gravity[2][known], limits.GRAVITY_GAP_S)
-    return linear[0], linear[1], linear[2] + gravity_there
+    at_linear = interpolated_near(at_s, known_s[known], gravity.values[known], limits.GRAVITY_GAP_S)
+    return linear._replace(values=linear.values + at_linear)
 
 
-def _seconds(ticks: IntArray | FloatArray, unit_s: float, zero: float, zero_unit_s: float) -> FloatArray:
-    """Return times in s since `zero` from ticks of `unit_s` seconds.
+def _seconds(stream: _Stream, zero: _Zero) -> FloatArray:
+    """Return the times of a stream since `zero`, in s.
 
-    `zero` is in ticks of `zero_unit_s` seconds. Integer ticks keep their full precision.
+    Differences of whole numbers keep all digits, so they are taken before the conversion to seconds.
     """
-    if unit_s == zero_unit_s or zero == 0:
-        return np.asarray(ticks - zero, dtype=np.float64) * unit_s
-    return ticks.astype(np.float64) * unit_s - float(zero) * zero_unit_s
+    if stream.unit_s == zero.unit_s or zero.tick == 0:
+        return np.asarray(stream.ticks - zero.tick, dtype=np.float64) * stream.unit_s
+    return stream.ticks.astype(np.float64) * stream.unit_s - float(zero.tick) * zero.unit_s
 
 
 def _sheet_of(stream: StreamMap, mapping: Mapping, sheets: Sequence[Sheet]) -> Sheet:

@@ -208,7 +208,11 @@ def population_without_each(
 
 
 def _parts(conditional: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return R, S and d of a Gaussian conditional R t + S y = d of GTSAM, with t the variables that were eliminated."""
+    """Return R, S and d of a Gaussian conditional density of GTSAM.
+
+    The density is that of R t + S y - d with unit covariance. The vector t holds the eliminated variables, and y the
+    variables on which they depend.
+    """
     return np.asarray(conditional.R()), np.asarray(conditional.S()), np.asarray(conditional.d())
 
 

@@ -156,7 +156,10 @@ def increments(
 
 
 def _elapsed_s(steps: Table, gap_before_s: FloatArray) -> FloatArray:
-    """Return the time (K,) since the previous step. At the start and after a gap it is the duration of the step."""
+    """Return the time since the previous step, for each of K steps, in s.
+
+    The first step, and the first step after a gap, have their own duration.
+    """
     time_s, duration_s = np.asarray(steps.time_s), np.asarray(steps.duration_s)
     elapsed_s = np.concatenate([duration_s[:1], np.diff(time_s)])
     return np.maximum(np.where(gap_before_s > 0, duration_s, elapsed_s), 0.0)

@@ -238,7 +238,10 @@ class Problem:
 
     @property
     def _limits_of_measurements(self) -> FloatArray:
-        """Gates (X,) of the measurements, by their dimensions."""
+        """Largest accepted normalised innovation squared of each of the X measurements, shape (X,).
+
+        It depends on the number of components of the measurement.
+        """
         of = {1: _DIRECTION_NIS, 2: _POSITION_NIS}
         guesses = zip(self.measurements.fixes, self.measurements.guess_m, strict=True)
         sizes = [len(measured(fix, guess_m, 0.0)[0]) for fix, guess_m in guesses]
@@ -341,10 +344,9 @@ _Contact = tuple[int, FloatArray, float]
 
 
 class _Contacts(NamedTuple):
-    """Nearest contacts (`nearest_contact`) of fixes, loop closures (two each) and known headings (two each).
+    """Foot contacts nearest to the times of all observations (see `nearest_contact`).
 
-    For a known heading, only the numbers of steps before its two contacts are stored, without displacement and
-    variance.
+    A known heading has only the step numbers of the contacts at its start and end.
     """
 
     fixes: list[_Contact]
@@ -352,7 +354,7 @@ class _Contacts(NamedTuple):
     headings: list[tuple[int, int]]
 
     def steps(self) -> list[int]:
-        """Return the numbers of steps at which an anchor is needed."""
+        """Return the numbers of the steps that an observation needs as an anchor, that is, a state of the smoother."""
         single = [*self.fixes, *(contact for pair in self.loops for contact in pair)]
         return [i for i, _, _ in single] + [i for pair in self.headings for i in pair]
 

@@ -116,7 +116,10 @@ class MotionLevel:
         return MotionLevelState(0, np.zeros((6, self.window_samples - 1)))
 
     def update(self, state: MotionLevelState, block: UniformBlock) -> tuple[MotionLevelState, FloatArray, BoolArray]:
-        """Return the new state, the level (N,), and whether the angular rate is known in each window (N,)."""
+        """Return the new state, the levels of motion, and whether the angular rate is known.
+
+        Both arrays (N,) have one value for the window that ends at each sample.
+        """
         x, y, z = block.specific_force_mps2.T
         u, v, w = block.angular_rate_radps.T
         known = block.angular_rate_known

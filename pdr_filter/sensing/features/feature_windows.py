@@ -81,9 +81,10 @@ class WindowState:
     Attributes
     ----------
     zi : FloatArray or None
-        State of the low-pass, shape (1, 1, 2). None before the first sample, and for feature sets without low-pass.
+        Memory of the low-pass filter, shape (1, 1, 2). None before the first sample, and for feature sets without
+        low-pass.
     buffer : WindowBuffer
-        Buffered signals: one that tells whether the angular rate is known, and `N_SIGNALS` more.
+        Buffered signals: 1 or 0 for a known or unknown angular rate, followed by the `N_SIGNALS` signals.
     """
 
     zi: FloatArray | None

@@ -196,7 +196,7 @@ class Corridors:
         return _moments(state, state.mean @ h, state.cov @ h @ h, 0.0)
 
     def mixed(self, state: CorridorState, free_rad: float, free_var_rad2: float) -> tuple[float, float]:
-        """Return the mean and variance of the drift over both hypotheses.
+        """Return the mean and variance of the drift, with and without the hypothesis that the walk follows axes.
 
         Without axes the drift is `free_rad` with variance `free_var_rad2`. Improbable axes whose drift differs much
         from `free_rad` increase the variance more than they reduce it.

@@ -118,7 +118,7 @@ def known_places(steps: Table) -> tuple[KnownPlace, ...]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Former:
+class PreviousPlacement:
     """A previous place of the phone, to which it may return.
 
     Attributes
@@ -167,14 +167,14 @@ class WalkingHeadingState:
         Agreement of the strides in this place, 0 to 1.
     corridors : CorridorState
         State of the estimation of drift from the axes of a building.
-    error_rad : float
+    error_at_restart_rad : float
         Error of the device heading when the search for axes last restarted, rad.
-    error_of_bias_rad : float
+    bias_error_at_restart_rad : float
         Error of the device heading according to the gyroscope bias at that time, rad.
-    of_bias_rad : float
+    bias_error_rad : float
         Present error of the device heading according to the gyroscope bias, rad.
-    of_bias_var_rad2 : float
-        Variance of `of_bias_rad`, rad2.
+    bias_error_var_rad2 : float
+        Variance of `bias_error_rad`, rad2.
     lost_var_rad2 : float
         Heading variance that the uncertain gyroscope bias has added since the start, rad2.
     reported : Reported
@@ -187,7 +187,7 @@ class WalkingHeadingState:
         Last walking direction, a unit vector perpendicular to `direction_up`, sensor frame.
     direction_up : tuple of float
         Mean unit vector up of that stride, sensor frame.
-    formers : tuple of Former
+    previous_places : tuple of PreviousPlacement
         Up to three previous places of the phone.
     """
 
@@ -202,17 +202,17 @@ class WalkingHeadingState:
     shown: Offset
     trust: float
     corridors: CorridorState
-    error_rad: float
-    error_of_bias_rad: float
-    of_bias_rad: float
-    of_bias_var_rad2: float
+    error_at_restart_rad: float
+    bias_error_at_restart_rad: float
+    bias_error_rad: float
+    bias_error_var_rad2: float
     lost_var_rad2: float
     reported: Reported
     walking_rad: float
     walking_s: float
     direction: Vector
     direction_up: Vector
-    formers: tuple[Former, ...]
+    previous_places: tuple[PreviousPlacement, ...]
 
 
 @dataclass(frozen=True)
@@ -341,17 +341,17 @@ class WalkingHeading:
             shown=Offset(),
             trust=0.0,
             corridors=self.corridors.init(),
-            error_rad=0.0,
-            error_of_bias_rad=0.0,
-            of_bias_rad=0.0,
-            of_bias_var_rad2=0.0,
+            error_at_restart_rad=0.0,
+            bias_error_at_restart_rad=0.0,
+            bias_error_rad=0.0,
+            bias_error_var_rad2=0.0,
             lost_var_rad2=0.0,
             reported=Reported(),
             walking_rad=math.nan,
             walking_s=math.nan,
             direction=_NO_DIRECTION,
             direction_up=_NO_DIRECTION,
-            formers=(),
+            previous_places=(),
         )
 
     def after_gap(self, state: WalkingHeadingState) -> WalkingHeadingState:
@@ -372,7 +372,13 @@ class WalkingHeading:
         signals = np.empty((_N_ROWS, 0))
         state = self._without_axes(state)
         return replace_unchecked(
-            state, n_samples=0, signals=signals, contacts_s=(), walking_rad=math.nan, walking_s=math.nan, formers=()
+            state,
+            n_samples=0,
+            signals=signals,
+            contacts_s=(),
+            walking_rad=math.nan,
+            walking_s=math.nan,
+            previous_places=(),
         )
 
     def update(
@@ -495,9 +501,9 @@ class WalkingHeading:
         """
         loss = self._bias_field(state, step, bias_error[2] - state.lost_var_rad2)
         reported = state.reported.at_step(step, self.drift, loss.get("yaw_bias_std_radps", step.yaw_bias_std_radps))
-        of_bias_rad, of_bias_var_rad2, lost_var_rad2 = bias_error
+        bias_error_rad, bias_error_var_rad2, lost_var_rad2 = bias_error
         state = replace_unchecked(
-            state, of_bias_rad=of_bias_rad, of_bias_var_rad2=of_bias_var_rad2, lost_var_rad2=lost_var_rad2
+            state, bias_error_rad=bias_error_rad, bias_error_var_rad2=bias_error_var_rad2, lost_var_rad2=lost_var_rad2
         )
         if stride is None and state.place is None:
             return replace_unchecked(state, reported=reported), loss
@@ -506,11 +512,11 @@ class WalkingHeading:
             # complete stride.
             report = dict[str, float]()
             if step.heading_unknown_s == 0:
-                error_rad, var_rad2 = self._error(state, state.shown.var_rad2 + of_bias_var_rad2)
+                error_rad, var_rad2 = self._error(state, state.shown.var_rad2 + bias_error_var_rad2)
                 reported, report = reported.with_report(step, self._reportable(state), error_rad, var_rad2, 0.0)
             return replace_unchecked(state, reported=reported), loss | report | _shown_fields(state)
         stride = stride.about(stride.axis if state.up is None else carry_axis(state.axis, state.up, stride.up))
-        offset, formers, place, change_std_rad = self._update_place(state, stride, step.time_s, carrying_mode)
+        offset, previous_places, place, change_std_rad = self._update_place(state, stride, step.time_s, carrying_mode)
         known_place = self._known_place_at(step.time_s)
         if known_place is not None and (change_std_rad > 0 or state.place is None):
             known_direction = cmath.rect(1.0, known_place.shown_rad)
@@ -529,7 +535,7 @@ class WalkingHeading:
             state,
             up=stride.up,
             axis=stride.axis,
-            formers=formers,
+            previous_places=previous_places,
             place=place,
             offset=offset,
             shown=shown,
@@ -540,7 +546,7 @@ class WalkingHeading:
             direction_up=stride.up,
             corridors=self.corridors.update(state.corridors, step.time_s, walking_rad),
         )
-        error_rad, var_rad2 = self._error(state, shown.var_rad2 + of_bias_var_rad2)
+        error_rad, var_rad2 = self._error(state, shown.var_rad2 + bias_error_var_rad2)
         reported, report = reported.with_report(step, self._reportable(state), error_rad, var_rad2, change_std_rad)
         shown_fields = _shown_fields(state, on_axes=self.corridors.is_sure(state.corridors))
         return replace_unchecked(state, reported=reported), loss | report | shown_fields
@@ -571,7 +577,7 @@ class WalkingHeading:
         """
         index = round((contact_s - state.start_s) * self.rate_hz) - 1
         if not max(number + 1 - self._n_kept, 0) <= index <= number:
-            return state.of_bias_rad, state.of_bias_var_rad2, state.lost_var_rad2
+            return state.bias_error_rad, state.bias_error_var_rad2, state.lost_var_rad2
         error_rad, var_rad2, lost_var_rad2 = state.signals[_ERROR:, index - state.n_samples].tolist()
         return error_rad, var_rad2, lost_var_rad2
 
@@ -593,7 +599,7 @@ class WalkingHeading:
         if not self.corridors.is_sure(state.corridors):
             return 0.0, math.inf
         shown_rad, var_rad2 = self.corridors.drift_in_time(state.corridors)
-        return state.error_rad + shown_rad, var_rad2
+        return state.error_at_restart_rad + shown_rad, var_rad2
 
     def _error(self, state: WalkingHeadingState, free_var_rad2: float) -> tuple[float, float]:
         """Return the error of the device heading, and the variance of the walking heading corrected by it.
@@ -601,9 +607,9 @@ class WalkingHeading:
         The axes of a building measure the walking heading itself. Without axes, the error follows from the gyroscope
         bias, and the variance is `free_var_rad2`. The result is the mixture of both cases.
         """
-        free_rad = state.of_bias_rad - state.error_of_bias_rad
+        free_rad = state.bias_error_rad - state.bias_error_at_restart_rad
         drift_rad, var_rad2 = self.corridors.mixed(state.corridors, free_rad, free_var_rad2)
-        return state.error_rad + drift_rad, var_rad2
+        return state.error_at_restart_rad + drift_rad, var_rad2
 
     def _without_axes(self, state: WalkingHeadingState) -> WalkingHeadingState:
         """Return the state with the search for axes restarted, after a break in the headings.
@@ -613,8 +619,8 @@ class WalkingHeading:
         return replace_unchecked(
             state,
             corridors=self.corridors.restart(state.corridors),
-            error_rad=self._error(state, 0.0)[0],
-            error_of_bias_rad=state.of_bias_rad,
+            error_at_restart_rad=self._error(state, 0.0)[0],
+            bias_error_at_restart_rad=state.bias_error_rad,
         )
 
     def _stride_samples(
@@ -665,23 +671,23 @@ class WalkingHeading:
 
     def _update_place(
         self, state: WalkingHeadingState, stride: Stride, time_s: float, carrying_mode: int
-    ) -> tuple[Offset, tuple[Former, ...], Placement, float]:
+    ) -> tuple[Offset, tuple[PreviousPlacement, ...], Placement, float]:
         """Return the offset, the previous places, the place of a stride, and the change of the offset.
 
         The phone was moved if the mean up direction of the stride is too far from that of the place. A new place then
         begins. Its offset follows from the last walking direction, and from a previous place with the same tilt if
         there is one. The change of the offset is a standard deviation in rad, and zero unless the phone was moved.
         """
-        place_before, formers = state.place, state.formers
+        place_before, previous_places = state.place, state.previous_places
         if place_before is None:
             offset = state.offset.moved(0.0, 0.0, self._systematic_rad2(stride))
-            return offset, formers, Placement(time_s, carrying_mode, -1, stride.up), 0.0
+            return offset, previous_places, Placement(time_s, carrying_mode, -1, stride.up), 0.0
         is_moved = math.acos(min(max(dot(place_before.up, stride.up), -1.0), 1.0)) > self.max_tilt_rad
         is_old = carrying_mode == place_before.old_mode and time_s - place_before.start_s < _LABEL_LAG_S
         label = place_before.carrying_mode if is_old or carrying_mode < 0 else carrying_mode
         if not is_moved:
             up = unit(combined(1.0 - 1.0 / _UP_STRIDES, place_before.up, 1.0 / _UP_STRIDES, stride.up))
-            return state.offset, formers, replace_unchecked(place_before, up=up, carrying_mode=label), 0.0
+            return state.offset, previous_places, replace_unchecked(place_before, up=up, carrying_mode=label), 0.0
         # The reported carrying mode comes from windows that ended before the phone was moved, so it is the old one.
         place = Placement(time_s, -1, carrying_mode, stride.up)
         offset = state.shown
@@ -690,32 +696,36 @@ class WalkingHeading:
             turned_var = self.change_std_rad**2 + _TURN_VAR_RAD2_PER_S * (time_s - state.walking_s)
             moved_rad = state.walking_rad - stride.device_heading_rad
         offset = offset.moved(moved_rad, turned_var, self._systematic_rad2(stride))
-        previous_rad = self._previous_direction(state.formers, stride, time_s)
+        previous_rad = self._previous_direction(state.previous_places, stride, time_s)
         if previous_rad is not None:
             shown_rad = stride.axis_offset_rad + previous_rad
             offset = offset.updated(STRIDE_MEASUREMENT, cmath.rect(1.0, shown_rad), self.return_std_rad**2)
         if place_before.n_strides >= _SETTLED_STRIDES:
-            previous = Former(time_s, place_before.n_strides, state.direction_up, state.direction)
-            formers = (*formers, previous)[-_N_PREVIOUS_PLACES:]
-        return offset, formers, place, UNKNOWN_STD_RAD
+            previous = PreviousPlacement(time_s, place_before.n_strides, state.direction_up, state.direction)
+            previous_places = (*previous_places, previous)[-_N_PREVIOUS_PLACES:]
+        return offset, previous_places, place, UNKNOWN_STD_RAD
 
     def _known_place_at(self, time_s: float) -> KnownPlace | None:
         """Return the place of the phone at a time, as estimated in the first pass, or None without a first pass."""
         i = bisect_right(self.known_places, time_s, key=attrgetter("start_s"))
         return self.known_places[i - 1] if i else None
 
-    def _previous_direction(self, formers: tuple[Former, ...], stride: Stride, time_s: float) -> float | None:
+    def _previous_direction(
+        self, previous_places: tuple[PreviousPlacement, ...], stride: Stride, time_s: float
+    ) -> float | None:
         """Return the walking direction in a previous place with the tilt of this stride, or None if there is none.
 
         The direction is clockwise from the reference axis of the stride, in rad. It helps when a hand lifts the phone
         for a look and then swings on.
         """
         matching = [
-            f for f in formers if time_s - f.left_s < self.away_s and dot(f.up, stride.up) > math.cos(self.max_tilt_rad)
+            place
+            for place in previous_places
+            if time_s - place.left_s < self.away_s and dot(place.up, stride.up) > math.cos(self.max_tilt_rad)
         ]
         if not matching:
             return None
-        previous = max(matching, key=lambda f: f.n_strides)
+        previous = max(matching, key=lambda place: place.n_strides)
         direction = carry_axis(previous.direction, previous.up, stride.up)
         right = cross(stride.axis, stride.up)
         return math.atan2(dot(direction, right), dot(direction, stride.axis))

@@ -34,7 +34,7 @@ _PRIOR_STEPS = 0.5
 
 
 @dataclass(frozen=True)
-class EvenStepsState:
+class ContactTimeSmoothingState:
     """Last detected contacts, and the estimate of the alternating error.
 
     Attributes
@@ -56,7 +56,7 @@ class EvenStepsState:
 
 
 @dataclass(frozen=True, slots=True)
-class EvenSteps:
+class ContactTimeSmoothing:
     """Causal stage that moves contacts to equal intervals of left and right, as far as past steps show their error.
 
     It has no parameters and no delay. It also splits steps that span two steps because a contact was missed.
@@ -68,43 +68,43 @@ class EvenSteps:
     >>> from dataclasses import replace
     >>> import numpy as np
     >>> import pdr_filter as pdr
-    >>> from pdr_filter.sensing.steps.contact_time_smoothing import EvenSteps
+    >>> from pdr_filter.sensing.steps.contact_time_smoothing import ContactTimeSmoothing
     >>> step = pdr.Step(0.0, 0.0, 0.5, 2.0, 4.0, 2.0, -2.0, 12.0, 8.0, 1.0, 0.0, 0.0)
     >>> contacts_s = 0.5 * np.arange(20) + 0.05 * (np.arange(20) % 2)
     >>> durations_s = np.diff([-0.45, *contacts_s])
     >>> durations_s[-3:].round(2)
     array([0.55, 0.45, 0.55])
     >>> steps = [(k, replace(step, time_s=contacts_s[k], duration_s=durations_s[k])) for k in range(20)]
-    >>> state, moved = EvenSteps().update(EvenSteps().init(), steps)
+    >>> state, moved = ContactTimeSmoothing().update(ContactTimeSmoothing().init(), steps)
     >>> np.array([step.duration_s for _, step in moved[-3:]]).round(3)
     array([0.505, 0.495, 0.505])
     """
 
-    def init(self) -> EvenStepsState:
+    def init(self) -> ContactTimeSmoothingState:
         """Return the state before the first step.
 
         Returns
         -------
-        EvenStepsState
+        ContactTimeSmoothingState
             Initial state.
         """
-        return EvenStepsState()
+        return ContactTimeSmoothingState()
 
     def update(
-        self, state: EvenStepsState, steps: Sequence[tuple[int, Step]]
-    ) -> tuple[EvenStepsState, list[tuple[int, Step]]]:
+        self, state: ContactTimeSmoothingState, steps: Sequence[tuple[int, Step]]
+    ) -> tuple[ContactTimeSmoothingState, list[tuple[int, Step]]]:
         """Return the new state and the steps with corrected times, durations and frequencies.
 
         Parameters
         ----------
-        state : EvenStepsState
+        state : ContactTimeSmoothingState
             State after the previous steps.
         steps : sequence of (int, Step)
             Steps in order, each with the number of the sample that revealed it.
 
         Returns
         -------
-        state : EvenStepsState
+        state : ContactTimeSmoothingState
             New state.
         steps : list of (int, Step)
             Corrected steps with the same numbers. A step that spans two steps becomes two.
@@ -149,23 +149,23 @@ def _halves(step: Step) -> tuple[Step, Step]:
     return first, second
 
 
-def _with_contact(state: EvenStepsState, contact_s: float) -> EvenStepsState:
+def _with_contact(state: ContactTimeSmoothingState, contact_s: float) -> ContactTimeSmoothingState:
     """Return the state after a detected contact."""
     contacts_s = (*state.contacts_s[-2:], contact_s)
     if len(contacts_s) < 3:
-        return EvenStepsState(contacts_s)
+        return ContactTimeSmoothingState(contacts_s)
     earlier_s, later_s = contacts_s[1] - contacts_s[0], contacts_s[2] - contacts_s[1]
     if max(earlier_s, later_s) > _MAX_RATIO * min(earlier_s, later_s):
-        return EvenStepsState(contacts_s[1:])
+        return ContactTimeSmoothingState(contacts_s[1:])
     # The estimate d / 2 of the middle contact is (earlier - later) / 4. The last contact is of the other foot, so its
     # delay has the opposite sign.
     n = _DECAY * state.n + 1.0
     late_s = -_DECAY * state.late_s - (earlier_s - later_s) / 4
     limit_s = min(_MAX_SHIFT_S, _MAX_SHARE * later_s)
-    return EvenStepsState(contacts_s, min(max(-late_s / (n + _PRIOR_STEPS), -limit_s), limit_s), n, late_s)
+    return ContactTimeSmoothingState(contacts_s, min(max(-late_s / (n + _PRIOR_STEPS), -limit_s), limit_s), n, late_s)
 
 
-def _shifted(step: Step, before: EvenStepsState, shift_s: float) -> Step:
+def _shifted(step: Step, before: ContactTimeSmoothingState, shift_s: float) -> Step:
     """Return a step with corrected contact times.
 
     Its start is corrected like the contact before it, if it starts at that contact.

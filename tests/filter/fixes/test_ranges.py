@@ -23,7 +23,7 @@ from pdr_filter.filter.fixes.range_placement import (
 from pdr_filter.filter.fixes.range_updates import _is_wide
 from pdr_filter.filter.imm.imm_tracker import ImmTracker
 from pdr_filter.filter.imm.pedestrian_state import initial_state
-from pdr_filter.sensing.clock import moved
+from pdr_filter.sensing.clock import on_track_clock
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import Fix, FloatArray, Measurement
 from tests.benchmarks.consistency import own_model, simulated_walk
@@ -434,6 +434,6 @@ class WithClassAttribute:
 
 
 def test_fixes_of_other_classes_follow_a_backward_clock_jump_or_are_refused() -> None:
-    assert moved(WithClassAttribute(12.0), 10.0).time_s == 22.0
+    assert on_track_clock(WithClassAttribute(12.0), 10.0).time_s == 22.0
     with pytest.raises(ValueError, match="time_s of WithProperties cannot be set"):
-        moved(WithProperties(), 10.0)
+        on_track_clock(WithProperties(), 10.0)

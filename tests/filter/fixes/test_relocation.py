@@ -13,7 +13,7 @@ from scipy.stats import chi2
 import pdr_filter as pdr
 from pdr_filter import recipes
 from pdr_filter.filter.fixes.frame_rotation import PairedPoint
-from pdr_filter.filter.fixes.relocation import EPISODE_S, PRIOR_LOG_ODDS, Doubt
+from pdr_filter.filter.fixes.relocation import EPISODE_S, PRIOR_LOG_ODDS, RelocationEvidence
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import PositionFix
 from pdr_filter.values.recording import Recording
@@ -146,12 +146,12 @@ def test_static_fixes_do_not_relocate_a_walking_pedestrian(walk: Recording) -> N
 
 
 def test_static_fixes_do_not_relocate_a_standing_pedestrian() -> None:
-    doubt = Doubt()
+    evidence = RelocationEvidence()
     for t in np.arange(0.0, 600.0, 10.0):
         last = PairedPoint(np.zeros(2), FAR_M, 9.0, 0.0, t)
-        doubt = doubt.with_rejected(last)
-        assert doubt.alignment(last, 0.01, 0, True) is None
-    walked = Doubt()
+        evidence = evidence.with_rejected(last)
+        assert evidence.alignment(last, 0.01, 0, True) is None
+    walked = RelocationEvidence()
     for t in np.arange(0.0, 100.0, 10.0):
         place = np.array([0.0, t])
         last = PairedPoint(place, place + FAR_M, 9.0, 0.0, t)

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 import pdr_filter as pdr
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.vehicle_vibration import Rattle, RattleState
+from pdr_filter.sensing.vehicle_vibration import VehicleVibration, VehicleVibrationState
 from pdr_filter.values import Step
 
-RATTLE = Rattle()
+VIBRATION = VehicleVibration()
 
 
 def shaking(duration_s: int, jitter_mps2: float = 0.5, seed: int = 0) -> UniformBlock:
@@ -23,8 +23,8 @@ def shaking(duration_s: int, jitter_mps2: float = 0.5, seed: int = 0) -> Uniform
     return uniform_block(9.8 + noise)
 
 
-def after(block: UniformBlock, steps: list[tuple[int, Step]] | None = None) -> RattleState:
-    return RATTLE.update(RATTLE.init(), block, steps or [])
+def after(block: UniformBlock, steps: list[tuple[int, Step]] | None = None) -> VehicleVibrationState:
+    return VIBRATION.update(VIBRATION.init(), block, steps or [])
 
 
 def known_steps(times_s: Sequence[float], late_s: float = 1.0) -> list[tuple[int, Step]]:
@@ -52,9 +52,9 @@ def test_walking_does_not_count_as_moving_without_steps(late_s: float) -> None:
 
 
 def test_a_gap_ends_the_run_and_keeps_the_totals() -> None:
-    state = RATTLE.after_gap(after(shaking(65)))
-    assert RATTLE.update(state, shaking(20), []).moving_s == 60
-    assert RATTLE.update(state, shaking(30), []).moving_s == 85
+    state = VIBRATION.after_gap(after(shaking(65)))
+    assert VIBRATION.update(state, shaking(20), []).moving_s == 60
+    assert VIBRATION.update(state, shaking(30), []).moving_s == 85
 
 
 @settings(deadline=None, max_examples=30)
@@ -63,9 +63,9 @@ def test_the_state_is_the_same_however_the_samples_are_cut(seed: int, edges: lis
     rng = np.random.default_rng(seed)
     block = shaking(70, seed=seed)
     steps = known_steps(sorted(rng.uniform(5.0, 45.0, 3)), late_s=float(rng.uniform(0.9, 9.0)))
-    whole, cut, n = after(block, steps), RATTLE.init(), 0
+    whole, cut, n = after(block, steps), VIBRATION.init(), 0
     for part in cut_uniform(block, sorted({*edges, *range(100, 7000, 100)})):
-        cut = RATTLE.update(cut, part, [s for s in steps if n <= s[0] < n + len(part.time_s)])
+        cut = VIBRATION.update(cut, part, [s for s in steps if n <= s[0] < n + len(part.time_s)])
         n += len(part.time_s)
     assert (cut.moving_s, cut.seen_s, cut.run_s) == (whole.moving_s, whole.seen_s, whole.run_s)
     assert len(cut.steps) <= 30
@@ -82,4 +82,4 @@ def test_a_trolley_counts_as_moving_and_a_sitting_person_does_not(data_dir: Path
 @pytest.mark.parametrize("rate_hz", [0.0, 60.0])
 def test_a_rate_that_is_not_a_multiple_of_50_hz_is_refused(rate_hz: float) -> None:
     with pytest.raises(ValueError, match="rate_hz"):
-        Rattle(rate_hz)
+        VehicleVibration(rate_hz)
