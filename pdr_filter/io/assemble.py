@@ -38,7 +38,7 @@ class Parsed:
     notes: list[str] = field(default_factory=list[str])
 
     def set_device(self, *words: str | None) -> None:
-        """Store the phone model, if the file names it."""
+        """Store the words, joined by spaces, as phone model in `meta`, unless all are empty or None."""
         if device := " ".join(word for word in words if word).strip():
             self.meta["device"] = device[: limits.MAX_NAME_CHARS]
 
@@ -81,7 +81,8 @@ class Parsed:
     def _check_up(self, streams: Mapping[str, Samples], where: str) -> None:
         """Raise RecordingError if the sign of the accelerometer contradicts the phone's own attitude.
 
-        The attitude shows the direction of the vertical.
+        The attitude shows the direction of the vertical. A weak agreement gives a note. Without an attitude nothing is
+        checked.
         """
         cosine = up_cosine(streams["accelerometer"], streams["attitude"]) if "attitude" in streams else np.nan
         if np.isnan(cosine):

@@ -82,7 +82,7 @@ class StreamDescription:
 
     @property
     def is_slow(self) -> bool:
-        """Whether the delivered rate is clearly below the requested rate."""
+        """Whether the mean delivered rate is below 90 % of the requested rate. False if one of them is unknown."""
         delivered_hz, asked_hz = self.mean_rate_hz, self.requested_hz
         return delivered_hz is not None and asked_hz is not None and delivered_hz < DELIVERED_ENOUGH * asked_hz
 

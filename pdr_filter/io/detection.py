@@ -23,9 +23,10 @@ BINARIES = (".sqlite", ".db", ".mat")  # files in a zip or folder whose content 
 
 
 def detect(path: Path) -> str:
-    """Return the format of a file or folder.
+    """Return the name of the format of a file or folder, such as "sensor_logger" or "table".
 
-    The default is the project's own format, whose reader explains the error.
+    It is "own" for missing files and unknown contents, because the reader of the project's own format explains the
+    error. RecordingError if the file cannot be opened.
     """
     try:
         with open_members(path) as members:
@@ -75,7 +76,10 @@ def _is_unknown_table(members: Members, name: str) -> bool:
 
 
 def _detect_alone(members: Members) -> str:
-    """Return the format of a single file."""
+    """Return the format of a single file.
+
+    It is "generic_csv" if a column mapping lies beside the file, except for formats that have their own TOML file.
+    """
     path, name = members.path, members.names[0]
     found = detect_file(members, name)
     if mapping_beside(path).is_file() and mapping_beside(path) != path:
@@ -91,7 +95,10 @@ def _detect_alone(members: Members) -> str:
 
 
 def detect_file(members: Members, name: str) -> str:
-    """Return the format that the first bytes of a file show, or ""."""
+    """Return the format that the first bytes of a file show.
+
+    The result is "" for files of the project's own format and for unknown contents.
+    """
     head = members.head(name)
     if head.startswith(SIGNATURE):
         return "ronin"

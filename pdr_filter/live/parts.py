@@ -32,7 +32,7 @@ class Whole:
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """Request to save changed sessions and to forget silent phones."""
+    """Request, about once per second, to filter what waits, to save changed sessions and to forget silent phones."""
 
 
 @dataclass(frozen=True, slots=True)

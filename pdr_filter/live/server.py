@@ -160,9 +160,9 @@ def app(live: Live, token: str = "", tiles: str = "") -> Starlette:
 
 
 class AccessMiddleware:
-    """Middleware that refuses requests without the access token.
+    """Middleware that refuses requests from pages of other sites, and requests without the access token.
 
-    Without a token, it refuses requests from other computers and from pages of other sites.
+    If the server has no token, it refuses requests from other computers instead.
     """
 
     def __init__(self, inner: ASGIApp, token: str) -> None:
@@ -195,7 +195,10 @@ class AccessMiddleware:
         return 401, "wrong token, or none; use the whole address that the server printed"
 
     def _with_cookie(self, asked: HTTPConnection, send: Send) -> Send:
-        """Set a cookie, so that a page that was opened with the token can load the rest without it."""
+        """Return `send`, extended to set a cookie with the token if the address of an HTTP request has it.
+
+        A page that was opened with the token can then load the rest without it.
+        """
         if not self.token or "token" not in asked.query_params or asked.scope["type"] != "http":
             return send
         secure = "; Secure" if asked.url.scheme == "https" else ""

@@ -113,7 +113,10 @@ def _check_columns(header: list[str], where: str) -> None:
 
 
 def _clock_offset_s(values: FloatArray, tag: str, where: str, notes: list[str]) -> float:
-    """Return the median of app time minus sensor time, s, or NaN if the sensor time cannot be used."""
+    """Return the median of app time minus sensor time, s.
+
+    NaN with fewer than two rows, or if the sensor time is constant. `values` (N, d) begin with app time and sensor time. RecordingError if the rates of the two clocks differ.
+    """
     known = np.isfinite(values[:, :2]).all(axis=1)
     app_s, sensor_s = values[known, 0], values[known, 1]
     if len(app_s) < 2:

@@ -90,9 +90,9 @@ class Members:
         return f"{self.path}" if self.path.name == name else f"{self.path}: {name}"
 
     def only_text(self) -> str:
-        """Path of the only file that can be a log or a table.
+        """Return the name of the only file that can be a log or a table.
 
-        It is the path itself, or the only text in a zip file or folder.
+        It is the file itself, or the only text in a zip file or folder. RecordingError if there are several or none.
         """
         names = [name for name in self.names if name.lower().endswith((".txt", ".log", ".csv"))] or list(self.names)
         if len(names) != 1:
@@ -306,7 +306,7 @@ def _trial_path(name: str) -> str:
 
 
 def json_object(content: bytes, where: str) -> dict[str, Any]:
-    """Return the object in a small JSON file."""
+    """Return the object in the content of a small JSON file. RecordingError if it is not JSON or not an object."""
     try:
         value: Any = json.loads(content.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
@@ -317,7 +317,7 @@ def json_object(content: bytes, where: str) -> dict[str, Any]:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Return the content of a small TOML file."""
+    """Return the content of a small TOML file. RecordingError if it cannot be read or is not TOML."""
     content = read_small(path, limits.MAX_TOML_BYTES)
     try:
         return tomllib.loads(content.decode("utf-8-sig"))

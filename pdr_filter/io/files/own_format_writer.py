@@ -109,7 +109,7 @@ def _number_format(column: str) -> str:
 
 
 def _plain(value: object) -> object:
-    """Return a value that json can write for one that it cannot."""
+    """Return a mapping, dataclass or NumPy value as plain Python values that json can write. TypeError for others."""
     if isinstance(value, Mapping):
         return dict(cast("Mapping[str, object]", value))
     if is_dataclass(value) and not isinstance(value, type):
