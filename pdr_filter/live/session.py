@@ -111,9 +111,9 @@ class DeviceSession:
     # --- messages ---
 
     def take(self, message: Message, received_s: float) -> list[Event]:
-        """Take and record a message, which `advance` filters; FixError or LateError if it cannot be used.
+        """Take and record a message, which `advance` filters, and return the events that it causes.
 
-        A message of a session that cannot be tracked is recorded, and `refused` holds the reason. SessionError if the
+        FixError or LateError if the message cannot be used. A message of a session that cannot be tracked is recorded, and `refused` holds the reason. SessionError if the
         session has ended.
         """
         if self.has_ended:
@@ -139,7 +139,7 @@ class DeviceSession:
         return self.finish() if message.is_end else []
 
     def _record(self, ready: Sequence[assembly.Streams]) -> None:
-        """Append samples to the recording, and keep them for the filter."""
+        """Append samples to the recording, and keep them for the filter, which is created at the first samples."""
         if ready and self.online is None:
             self.online = OnlineFilter(self._begun(_joined(ready)))
         for samples in ready:
@@ -156,7 +156,10 @@ class DeviceSession:
         return self._ready_s >= wait_s or time.monotonic() - self._advanced_at >= 2 * wait_s
 
     def advance(self) -> list[Event]:
-        """Filter the samples of all messages that `take` received. Afterwards `refused` may hold a reason."""
+        """Filter the samples of all messages that `take` received, and return the events.
+
+        Afterwards `refused` may hold the reason why the session cannot be tracked.
+        """
         ready, self._ready, self._ready_s, self._advanced_at = self._ready, [], 0.0, time.monotonic()
         if self.refused:
             return []
@@ -170,13 +173,13 @@ class DeviceSession:
         return self._about_changed()
 
     def release(self) -> list[Event]:
-        """Filter the messages that wait for a missing one, after a long silence of the phone."""
+        """Filter the messages that wait for a missing one, after a long silence of the phone, and return the events."""
         self.assembly, self.held, ready = assembly.release(self.assembly, self.held)
         self._record(ready)
         return self.advance()
 
     def finish(self) -> list[Event]:
-        """Filter the last steps, when no further message can arrive."""
+        """Filter the last steps, when no further message can arrive, and return the events. The session then ends."""
         try:
             self.assembly, self.held, ready = assembly.finish(self.assembly, self.held, self.settings.platform)
             self._record(ready)
@@ -220,7 +223,8 @@ class DeviceSession:
     def _fixed(self, content: Any) -> Event:
         """Add a fix of a user, in the frame of the track or as latitude and longitude; return its `fix` event.
 
-        One with `range_m` is a range to an anchor there (`east_m` and `north_m`, or latitude and longitude).
+        One with `range_m` is a range to an anchor there (`east_m` and `north_m`, or latitude and longitude). Without
+        `time_s`, the fix is of the present time. FixError if it cannot be used.
         """
         online = self.online
         if online is None:
@@ -282,7 +286,7 @@ class DeviceSession:
         }
 
     def _about_changed(self) -> list[Event]:
-        """Return the `session` event if it has changed."""
+        """Return a list with the `session` event if it has changed since the last call, otherwise an empty list."""
         about = self.about()
         if about == self._told:
             return []
@@ -388,12 +392,13 @@ class DeviceSession:
 
     @property
     def unsaved_s(self) -> float:
-        """Time since the first change that was not saved, s."""
+        """Time since the first change that was not saved, s. 0 if all are saved."""
         return max(time.monotonic() - self._unsaved_at, 0.0)
 
     def save(self) -> list[Event]:
-        """Filter what waits, and write the state of a session that is tracked; any other one goes on from its journal.
+        """Filter what waits, write the state of a session that is tracked, and return the events.
 
+        A session that is not tracked goes on from its journal.
         A saved state ends the journal, so that samples which it does not know would be missing in the track.
         """
         events = self.advance()

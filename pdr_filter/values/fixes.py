@@ -233,11 +233,11 @@ class GridFix:
 
 
 def repetition(fix: PositionFix | GridFix, last_s: float) -> float:
-    """Return the factor on the variance with which a fix counts as independent of the previous one.
+    """Return the factor on the variance with which a fix counts as independent of the previous one, at `last_s`.
 
     The mean of correlated fixes at intervals t has (1 + r) / (1 - r) = coth(t / 2T) times the variance of independent
     fixes, with r = exp(-t / T). Any number of fixes within a time T therefore has the weight of one. The factor is 1
-    without a previous fix.
+    without a previous fix (`last_s` is -inf), and for a fix with independent errors.
     """
     if fix.correlation_s == 0 or math.isinf(last_s):
         return 1.0
@@ -579,7 +579,7 @@ _MAY_BE_UNKNOWN = ("received_time_s", "floor", "altitude_m", "altitude_std_m")
 
 
 def _take_numbers(fix: object, *names: str) -> None:
-    """Convert fields to floats. ValueError for a value that is not a number."""
+    """Convert fields of a fix to floats. ValueError for a value that is not a number, or None in a required field."""
     for name in names:
         value = getattr(fix, name)
         if value is not None or name not in _MAY_BE_UNKNOWN:
@@ -638,7 +638,10 @@ def all_fixes(fixes: Iterable[AnyFix]) -> tuple[AnyFix, ...]:
 
 
 def check_fix(fix: object, has_plan: bool) -> None:
-    """Raise ValueError unless the filter can use an object as a fix."""
+    """Raise ValueError unless the filter can use an object as a fix.
+
+    `has_plan` is True for a particle filter on a floor plan, without which a GridFix cannot be used.
+    """
     if not isinstance(fix, OWN_FIXES):
         _check_measurement(fix)
     if isinstance(fix, GridFix) and not has_plan:

@@ -97,7 +97,7 @@ class Walk:
         self._back(version, self._undo, self._redo)
 
     def redo(self, version: str) -> None:
-        """Redo the edit that was undone last."""
+        """Redo the edit that was undone last. ConflictError if there is none of this version."""
         self._back(version, self._redo, self._undo)
 
     def _back(self, version: str, source: list[tuple[Files, str]], target: list[tuple[Files, str]]) -> None:
@@ -129,7 +129,7 @@ class Walks:
         self.by_id: dict[str, Walk] = {}
 
     def scan(self) -> list[Walk]:
-        """Look for recordings, and return the walks that are new or have changed."""
+        """Look for recordings, and return the walks that are new or have changed. Deleted ones are forgotten."""
         found: dict[str, Walk] = {}
         changed: list[Walk] = []
         for path in recordings_in(self.folder):
@@ -152,7 +152,10 @@ class Walks:
 
 
 def _shown(name: Path) -> str:
-    """Return the name of a walk in the list, without the folder if the folder holds only this walk."""
+    """Return the name of a walk in the list: its path in the folder of the workbench.
+
+    A file in a folder of its own name, such as walk/walk.csv, has the name of that folder.
+    """
     return str(name.parent) if name.parent.name == name.stem else str(name)
 
 

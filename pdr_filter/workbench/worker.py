@@ -58,7 +58,10 @@ class Request:
 
 
 def make_worker(cache: str) -> Callable[[Request], Any]:
-    """Return the function that answers requests; it is called in the worker process."""
+    """Return the function that answers requests; it is called in the worker process.
+
+    The answer to a request that fails is {"error": reason}, with "errno" for an OSError.
+    """
     worker = Worker(Path(cache))
 
     def answer(request: Request) -> Any:
@@ -137,7 +140,11 @@ class Worker:
         return {"key": key}
 
     def export(self, path: str, kind: str) -> tuple[str, bytes]:
-        """Return the name and content of an exported file of a walk, of the kind "csv", "gpx", "zip" or another one."""
+        """Return the name and content of an exported file of a walk.
+
+        The kind "zip" is the recording with its marks. "csv", "geojson", "gpx" and "kml" are the smoothed track.
+        ValueError for "gpx" and "kml" if the track has no place on Earth.
+        """
         opened = self._open(path, checksum_of(Path(path)))
         if kind == "zip":
             return f"{opened.recording.name}.zip", _zipped(Path(path))
@@ -184,7 +191,7 @@ class Worker:
         return convert(Path(source), page, Path(target))
 
     def rectify(self, path: str, corners: Sequence[Sequence[float]]) -> dict[str, Any]:
-        """Turn four corners of a photograph into a rectangle and return its size."""
+        """Turn the quadrilateral of four corners in a picture into a whole picture and return its size."""
         return rectify(Path(path), corners)
 
     # --- parts ---
@@ -207,10 +214,10 @@ class Worker:
     def _smoothed(
         self, opened: _Opened, progress: Callable[[float], None] | None, **options: Any
     ) -> tuple[Track, FloorPlan | None]:
-        """Return the smoothed track of a walk, and the floor plan to draw below it, or None without one.
+        """Return the smoothed track of a walk, and the floor plan to draw below it.
 
-        The marks, which the user has set in the workbench (known points, headings, floor changes), are passed to the
-        smoother.
+        The plan is None if the walk has none, or if the track itself holds it. The marks of the walk (fixes, loop
+        closures, person and settings that the user has set in the workbench) are passed to the smoother.
         """
         marks = marks_in(marks_folder(Path(opened.path)))
         recording = marks.recording(opened.recording)
@@ -255,7 +262,7 @@ class Worker:
 
 
 def progress_of(cache: Path, path: str) -> float:
-    """Return the fraction of the work on a walk that is done, as its worker last wrote it to a file."""
+    """Return the fraction of the work on a walk that is done, as its worker last wrote it to a file, or 0."""
     with suppress(OSError, ValueError):
         return float((cache / f"{_name_of(path)}.progress").read_text())
     return 0.0
@@ -281,9 +288,10 @@ def checksum_of(recording: Path) -> str:
 
 
 def _summary(track: Track, recording: Recording) -> dict[str, Any]:
-    """Return the entry of a walk in the list of walks: duration, number of steps, distance, notes and a thumbnail.
+    """Return the entry of a walk in the list of walks, as JSON values by name.
 
-    The thumbnail `path` has at most `_N_POINTS` positions of the track in m.
+    It has the unix time of its begin, duration, number of steps, distance, notes, frame and origin of the track. The
+    thumbnail `path` has at most `_N_POINTS` positions of the track in m.
     """
     points = np.vstack([track.start_position_m, track.position_m])
     points = points[np.isfinite(points).all(axis=1)]
