@@ -76,7 +76,7 @@ class PlacementOptions:
     ] = None
 
     def given(self) -> dict[str, Any]:
-        """Return the options that were given, by name."""
+        """Return the values of the options that were given, by name such as "--origin"."""
         return {f"--{f.name}": value for f in fields(self) if (value := getattr(self, f.name)) is not None}
 
     def arguments(self) -> dict[str, Any]:
@@ -102,7 +102,10 @@ def _plan(path: Path) -> Plan:
 
 
 def _place(start: str | None) -> Any:
-    """Return a position fix for EAST,NORTH. Return any other text unchanged, because it names an area of the plan."""
+    """Return a position fix with a standard deviation of 1 m for the text EAST,NORTH in m.
+
+    Any other text is returned unchanged, because it names an area of the plan. None stays None.
+    """
     import numpy as np
 
     from pdr_filter.values import PositionFix

@@ -154,7 +154,8 @@ class OutputOptions:
     def write(self, tracks: Sequence[Track], recording: Recording, name: str) -> list[Path]:
         """Write the files of one recording, and return the existing files that were replaced.
 
-        The first track is written to all files. Further tracks appear only in the report.
+        The first track is written to all files. Further tracks appear only in the report. ValueError for GPX or KML of
+        a track without a geographic position.
         """
         result = tracks[0]
         folder, kinds = self.out or Path(), self.kinds
