@@ -286,7 +286,7 @@ _SMOOTHED = "smoothed from the whole recording; --online shows the estimates ava
 
 
 def in_m(value: float, spec: str = "z.1f") -> str:
-    """Return a length in metres as text."""
+    """Return a length in metres as text with its unit, such as "1.2 m". `spec` is the format of the number."""
     return f"{value:{spec}} m"
 
 

@@ -223,7 +223,8 @@ def track(
     ± at the end is one standard deviation in the worst direction.
 
     A folder is replaced by all recordings in it. With --out, table, picture and report of each recording are written,
-    and index.html lists them. Without --out, nothing is written.
+    and index.html lists them. Without --out, only the files of --export, --report and --parquet are written, to the
+    current folder.
 
     --jobs and --scheduler write one table for all recordings, tracks.csv in the folder of --out, with online tracks.
     The table grows as recordings finish, and an interrupted run resumes from it.

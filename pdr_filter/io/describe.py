@@ -289,7 +289,10 @@ def reading_report(recording: Recording) -> ReadingReport:
 
 
 def describe_stream(name: str, samples: Samples, requested_hz: Any = None) -> StreamDescription:
-    """Return rates, gaps and oddities of one stream without NaN times. An invalid `requested_hz` counts as unknown."""
+    """Return rates, gaps, and counts of repeated and backward times of one stream, whose times must not be NaN.
+
+    An invalid `requested_hz` counts as unknown.
+    """
     time_s = samples.time_s
     interval_s = np.diff(time_s)
     forward_s = interval_s[interval_s > 0]

@@ -38,7 +38,10 @@ def detect(path: Path) -> str:
 
 
 def _detect_among(members: Members) -> str:
-    """Return the format of a zip file or a folder."""
+    """Return the format of a zip file or a folder, from the names and first bytes of its files.
+
+    The format of an app is preferred to "table". The result is "own" if no file shows a format.
+    """
     by_name = {PurePosixPath(name).name: name for name in members.names}
     if is_spreadsheet(members):
         return "table"

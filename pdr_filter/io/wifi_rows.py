@@ -25,13 +25,15 @@ CLOCKS_AGREE_S = 1.0  # times that apps write jitter by some tenths of a second
 
 
 def with_whole_addresses(blocks: Iterable[bytes]) -> Iterator[bytes]:
-    """Return the text with each address as a decimal number: its first 48 bits."""
+    """Yield the blocks of text with the address of each access point as a decimal number, of its first 48 bits."""
     for block in blocks:
         yield _ANY_ADDRESS.sub(_whole, block)
 
 
 def lines_of_log(pattern: bytes, separator: bytes, lines: bytes) -> bytes:
-    """Return the numbers in the log lines that match a pattern.
+    """Return the numbers in the log lines that match a pattern, as lines of text with `separator` between numbers.
+
+    Addresses become decimal numbers. Other lines are left out.
 
     The names of networks may contain separators and quotes. `pattern` has a group for each number, and ADDRESS in place
     of the address of the access point.

@@ -346,7 +346,7 @@ def _appended(time_s: FloatArray, values: FloatArray, rows: Samples | None) -> t
 def seconds(rows: SensorRows, zero_ns: int) -> FloatArray:
     """Return the times of a sensor in seconds.
 
-    Nanoseconds are counted from time zero, as when the files of the same apps are read. Seconds are unchanged.
+    Nanoseconds are counted from `zero_ns`, as when the files of the same apps are read. Times in seconds are unchanged.
     """
     if rows.time.dtype.kind == "f":
         return rows.time.astype(np.float64)

@@ -44,7 +44,7 @@ class DaskCluster:
             self._client = await made
 
     async def start(self, part: int, n_parts: int) -> Actor:
-        """Start share number `part` of the sessions on one of the workers, which are chosen in turn.
+        """Start share number `part` of `n_parts` of the devices on one of the workers, which are chosen in turn.
 
         LostError if there is no worker or if it dies. ValueError if the worker does not see the folder.
         """

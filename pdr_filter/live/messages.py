@@ -106,7 +106,10 @@ _ONE_LINE = bytes.maketrans(b"\r\n", b"  ")
 
 
 def _items(body: bytes) -> list[Any]:
-    """Return the JSON objects of a body, which may be a single object or an array."""
+    """Return the items of the JSON array in a body, or a single other value as a list.
+
+    MessageError if the body is not JSON or has more than 1000 items.
+    """
     try:
         content: Any = json.loads(body)
     except (ValueError, RecursionError) as error:

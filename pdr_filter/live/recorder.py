@@ -42,7 +42,10 @@ class Recorder:
         folder.mkdir(parents=True, exist_ok=True)
 
     def describe(self, meta: Mapping[str, Any], config: bytes) -> None:
-        """Write the properties of the session; sessions of one configuration share its file."""
+        """Write the properties of the session (`meta`) and the bytes of its configuration.
+
+        Sessions with the same configuration share one file of it.
+        """
         replaced(self.folder / META, (json.dumps(dict(meta), indent=1) + "\n").encode())
         shared = self.folder.parent / CONFIGS / f"{hashlib.sha256(config).hexdigest()}.bin"
         if not shared.exists():

@@ -96,7 +96,7 @@ class Site:
                 await socket.send_text(json.dumps({"status": answer.status, **answer.content}))
 
     async def fix(self, request: Request) -> Response:
-        """Handle a position that a user has marked on the page."""
+        """Pass a fix that a user has marked on the page to the session in the address, and return the answer."""
         about = self.live.sessions.get(request.path_params["id"])
         if about is None:
             return JSONResponse({"error": "no such session"}, 404)
@@ -114,7 +114,7 @@ class Site:
         return JSONResponse({"sessions": list(self.live.sessions.values()), "tiles": self.tiles})
 
     async def track(self, request: Request) -> Response:
-        """Return the path as GeoJSON."""
+        """Return the path of the session in the address as a GeoJSON file, or status 404 if it does not exist."""
         key = request.path_params["id"]
         tracks = await self.live.tracks()
         if key not in tracks:
@@ -123,7 +123,7 @@ class Site:
         return Response(content, media_type="application/geo+json", headers=attachment(f"{key}.geojson"))
 
     async def recording(self, request: Request) -> Response:
-        """Return the recording as a zip file."""
+        """Return the recording of the session in the address as a zip file, or status 404 if it does not exist."""
         key = request.path_params["id"]
         if key not in self.live.sessions:  # otherwise a name from outside would become a path
             return JSONResponse({"error": "no such session"}, 404)

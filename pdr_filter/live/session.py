@@ -149,7 +149,7 @@ class DeviceSession:
         self._ready += ready
 
     def is_due(self, wait_s: float) -> bool:
-        """Return True if samples of this duration wait, or if any sample waits for twice as long.
+        """Return True if samples of `wait_s` seconds wait, or if the last call of `advance` was twice as long ago.
 
         A worker that is behind so filters more at once, and needs less time for it.
         """
@@ -336,7 +336,10 @@ class DeviceSession:
         return [{"event": "now", "id": self.id, "received_unix_s": sent, "silent_s": silent_s, **now}]
 
     def _turned(self, is_due: bool = False) -> list[Event]:
-        """Return a `track` event now and then while north is uncertain, because the whole path rotates with it."""
+        """Return a list with a `track` event now and then while north is uncertain, otherwise an empty list.
+
+        The whole path rotates with the estimate of north. The event is also sent once when north has become certain.
+        """
         online = self.online
         wait_s = _TURN_S + len(self.path) * _TURN_STEP_S
         if online is None or (time.monotonic() - self._turn_at < wait_s and not is_due):
@@ -355,7 +358,10 @@ class DeviceSession:
         return [self.track()]
 
     def _corrected(self, is_due: bool = False) -> list[Event]:
-        """Return a `path` event if later samples and fixes moved what the pages draw by more than a metre."""
+        """Return a list with a `path` event if later samples and fixes moved the drawn path by more than a metre.
+
+        The list is empty otherwise, and within two seconds of the last check unless `is_due`.
+        """
         if self.online is None or (time.monotonic() - self._drawn_at < _CORRECTED_S and not is_due):
             return []
         self._drawn_at = time.monotonic()
@@ -382,7 +388,10 @@ class DeviceSession:
         return {**self.about(), "event": "track", "silent_s": silent_s, "path": self.path}
 
     def rest(self) -> list[Event]:
-        """Return a `now` event for the last samples if they came too soon after the previous event."""
+        """Return a list with a `now` event for the last samples if they came too soon after the previous event.
+
+        The list is empty if there are no such samples.
+        """
         return self._now(is_due=True, is_live=False) if self._is_untold else []
 
     def whole(self) -> list[Event]:

@@ -223,7 +223,7 @@ class GridFix:
         Returns
         -------
         ndarray, shape (N,)
-            Log-likelihood of the cell of each position.
+            Log-likelihood of the cell of each position. Outside of the grid it is the smallest value of the grid.
         """
         column, row = np.floor((position_m - self.south_west_m) / self.cell_m).T
         n_rows, n_columns = self.log_likelihood.shape
@@ -395,7 +395,7 @@ class Measurement(Protocol):
         ...
 
     def measurement(self, position_m: FloatArray, heading_rad: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return residual, Jacobian and covariance of the measurement at a predicted pose.
+        """Return residual, Jacobian and covariance of the measurement at a predicted position and walking direction.
 
         The residual is predicted minus measured. The other convention, an innovation (measured minus predicted) with
         the derivative of the prediction, is recognised by a numerical check and gives the same result.

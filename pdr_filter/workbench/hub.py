@@ -92,7 +92,7 @@ class Workbench:
         self._tasks.append(asyncio.create_task(self._watch()))
 
     async def stop(self) -> None:
-        """End the worker processes."""
+        """Close the event streams, and end the background tasks and the worker processes."""
         self.end_readers()
         for task in self._tasks:
             task.cancel()

@@ -98,7 +98,10 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
 
 
 def read_generic_csv(path: str | Path) -> Recording:
-    """Return the recording in a table described by the TOML file of the same name; RecordingError without that file."""
+    """Return the recording in a table whose columns a TOML file of the same name in its folder describes.
+
+    RecordingError if there is no such file.
+    """
     path = Path(path)
     if not (mapping := mapping_beside(path)).is_file():
         raise RecordingError(
@@ -175,7 +178,7 @@ def _named_values(head: bytes) -> str:
 
 
 def _check_one_device(sheet: Sheet) -> None:
-    """Raise RecordingError if a column shows that the rows come from several devices."""
+    """Raise RecordingError if a column such as device or phone has several values, unless they name sensors."""
     for i, name in enumerate(sheet.fields):
         if letters(name) not in _DEVICES:
             continue

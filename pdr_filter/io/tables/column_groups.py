@@ -67,7 +67,11 @@ class Group:
 
 
 def groups_of(sheet: Sheet, at: int) -> list[Group]:
-    """Return the columns of table number `at`, grouped by sensor."""
+    """Return a `Group` of columns for each sensor, orientation and location that the columns of a table show.
+
+    `at` is the number of the table, which the groups store. RecordingError if an accelerometer lacks an axis, or if the
+    unit of a vector is unknown.
+    """
     is_named = not all(name.startswith("column ") for name in sheet.fields)
     times = _times(sheet, is_named)
     if is_named:
@@ -164,7 +168,10 @@ class _Vector(NamedTuple):
 
 
 class _Sensor(NamedTuple):
-    """Sensor to which an axis belongs. `number` counts sensors whose columns have the same names."""
+    """Sensor to which an axis belongs. `stem` is the name of its columns without the axis.
+
+    `number` counts from 0 the sensors whose columns have the same names.
+    """
 
     quantity: str
     stem: str

@@ -359,7 +359,11 @@ def _with_unit(s: _Stream, force: FloatArray, time_s: FloatArray, result: Guess)
 
 
 def _as_rate(s: _Stream, forces: Sequence[_Stream]) -> _Stream:
-    """Return a stream called rotation as a gyroscope if gravity turns with it; else unchanged, and not used."""
+    """Return a stream called rotation as that of a gyroscope if it holds an angular rate, and any other one unchanged.
+
+    It does so if gravity turns as far as it predicts, in rad/s or deg/s. Where gravity hardly turns, the constant part
+    of an angular rate is small. A rotation that is no angular rate is an orientation, and is not used.
+    """
     if s.group.quantity != ROTATION:
         return s
     factor = turning(forces[0].time_s, _force(forces), s.time_s, s.values)

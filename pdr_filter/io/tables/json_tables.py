@@ -64,7 +64,8 @@ def json_sheets(members: Members, name: str, notes: list[str] | None = None) -> 
 def json_fields(members: Members, name: str) -> list[Sheet]:
     """Return the tables in a JSON text with the names of their columns, but without values.
 
-    Only the objects in the first bytes of the text are read. If the first object is longer, the whole text is read.
+    Only the objects in the first bytes of the text are read. If the first object is longer, the whole text is read. A
+    text that is damaged gives the tables before the damage.
     """
     head, found = members.head(name), dict[str, dict[str, None]]()
     for pieces in ([head], members.pieces(name)):

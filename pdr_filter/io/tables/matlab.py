@@ -199,7 +199,7 @@ class _File:
     def _matrix(self, content: bytes, depth: int) -> tuple[str, Any] | None:
         """Return name and value of a matrix element, or None for a kind that no table needs.
 
-        The value is an array, a text, a list of cells, or the dict of a structure.
+        The value is an array, a text, a list of cells, the dict of a structure, or the `_Opaque` of an object.
         """
         if depth > _MAX_DEPTH:
             raise ValueError("too deep")

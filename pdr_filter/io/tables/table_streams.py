@@ -80,7 +80,8 @@ def _read(stream: StreamMap, mapping: Mapping, sheets: Sequence[Sheet]) -> _Stre
 def _combined(found: dict[str, _Stream]) -> dict[str, _Stream]:
     """Return the streams of a recording.
 
-    The acceleration is the sum of linear acceleration and gravity if it is missing, and angles become quaternions.
+    If there is no accelerometer, it is the sum of linear acceleration and gravity. Angles become the quaternions of the
+    stream "attitude".
     """
     streams = {name: stream for name, stream in found.items() if name not in (GRAVITY, LINEAR, ANGLES)}
     if GRAVITY in found and LINEAR in found and "accelerometer" not in found:

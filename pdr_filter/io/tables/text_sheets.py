@@ -265,7 +265,10 @@ def _n_known(text: str) -> int:
 
 
 def _layout(lines: list[str], separator: str) -> _Found | None:
-    """Return the start of the table if `separator` separates its fields, or None if the lines are no such table."""
+    """Return first row, header and decimal mark of the table in lines, if `separator` separates its fields.
+
+    None if the lines are no such table. RecordingError if its commas are both in numbers and between them.
+    """
     # Line ends that were converted twice leave a blank line after each.
     places = [*islice((i for i, line in enumerate(lines) if line.strip()), _LINES_TRIED + _LINES_COMPARED)]
     if separator != " " and not any(separator in lines[i] for i in places):

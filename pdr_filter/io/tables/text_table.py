@@ -144,8 +144,9 @@ def parse_blocks(
 ) -> NumberTable:
     """Parse the lines of all blocks, of which only the last may lack its final line feed.
 
-    Empty, infinite and absurd values become NaN. A last line that is cut off is left out with a note; any other with
-    too few fields or with text in a number column is refused with its number, counted from `first_line`.
+    Empty, infinite and absurd values become NaN. A last line that is cut off is left out with a note, and so are rows
+    without the whole number. RecordingError for any other line with too few fields, or with text in a number column. It
+    names the number of the line, counted from `first_line`.
     """
     parts: list[NumberTable] = []
     for block in blocks:
