@@ -217,7 +217,10 @@ def _append(file: IO[bytes], text: str) -> None:
 
 
 def _lock(file: IO[bytes], table: Path) -> None:
-    """Lock the table against other batches until the process ends. On Windows, which has no `fcntl`, do nothing."""
+    """Lock the table against other batches until the file is closed. ValueError if another batch has locked it.
+
+    On Windows, which has no `fcntl`, nothing is done.
+    """
     try:
         import fcntl
     except ImportError:

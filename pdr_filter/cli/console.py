@@ -148,8 +148,8 @@ def each(
 ) -> tuple[list[T], dict[Path, str]]:
     """Apply `work` to each file and return the results, and the error message of each file that failed.
 
-    `work` takes the file and a function that it calls with the fraction done. Error messages are printed on stderr, and as JSON objects on stdout if `as_json` is true. Ctrl+C ends the command
-    and prints the files that remain.
+    `work` takes the file and a function that it calls with the fraction done. Error messages are printed on stderr, and
+    as JSON objects on stdout if `as_json` is true. Ctrl+C ends the command and prints the files that remain.
     """
     results: list[T] = []
     failed: dict[Path, str] = {}

@@ -129,7 +129,10 @@ def ranges_of(ranges: Path | None, anchors: Path | None, origin: tuple[float, fl
 
 
 def _origin_deg(text: str | None) -> tuple[float, float] | None:
-    """Parse LAT,LON. Return latitude and longitude in degrees, or None if the option is not given."""
+    """Parse LAT,LON. Return latitude and longitude in degrees, or None if the option is not given.
+
+    ValueError for another text or coordinates out of range.
+    """
     from pdr_filter.values.origin import check_place
 
     if text is None:
@@ -143,7 +146,10 @@ def _origin_deg(text: str | None) -> tuple[float, float] | None:
 
 
 def _heading_rad(text: str | None) -> float | None:
-    """Parse a heading in degrees. Return it in radians, or None if the option is not given."""
+    """Parse a heading in degrees. Return it in radians, or None if the option is not given.
+
+    ValueError for another text or more than 360 degrees.
+    """
     if text is None:
         return None
     try:

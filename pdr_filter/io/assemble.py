@@ -43,7 +43,11 @@ class Parsed:
             self.meta["device"] = device[: limits.MAX_NAME_CHARS]
 
     def recording(self) -> Recording:
-        """Return the recording, with times from the first accelerometer sample. RecordingError if it is implausible."""
+        """Return the recording of the stored streams. Its time zero is the first accelerometer sample.
+
+        Rows in wrong order are sorted, and samples that share one time get individual times. RecordingError if there is
+        no accelerometer, or if its values, times or sign are implausible.
+        """
         where = str(self.path)
         if "accelerometer" not in self.streams:
             raise RecordingError(f"{where}: no accelerometer with gravity; record it and export again")

@@ -83,7 +83,8 @@ class Devices:
     def settle(self, is_all: bool = False) -> dict[str, Exception]:
         """Save all messages since the last call, and filter the sessions that are due.
 
-        The result holds the error of each session that failed.
+        A session is due if enough samples wait, or if `is_all`. The result has the error of each session that failed,
+        by the id of the session.
         """
         failed: dict[str, Exception] = {}
         wait_s = 0.0 if is_all else min(len(self.sessions) * _PASS_S, _LONGEST_WAIT_S)

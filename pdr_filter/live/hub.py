@@ -88,7 +88,10 @@ class Live:
         return await self.workers.take(Take(name, messages, time.time()))
 
     def _shown(self, text: str) -> None:
-        """Pass an event of a worker on to all pages and clients."""
+        """Pass an event of a worker, as JSON text, on to all pages and clients.
+
+        The last `session` event of each session is kept in `sessions`, until the session is gone.
+        """
         head = json.loads(text[: text.index(",")] + "}")["event"]
         if head in ("session", "gone"):
             event = json.loads(text)

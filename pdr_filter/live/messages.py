@@ -174,7 +174,10 @@ _SENSOR_LOGGER: Mapping[str, tuple[str, tuple[str, ...]]] = {
 
 
 def _sensor_logger_rows(payload: Any) -> dict[str, SensorRows]:
-    """Return the samples in a payload of Sensor Logger by sensor. Sensors that are not used are left out."""
+    """Return the samples in a payload of Sensor Logger by sensor. Sensors that are not used are left out.
+
+    MessageError if the payload is no array, or if a sample lacks its name, time or values.
+    """
     if not isinstance(payload, list):
         raise MessageError(f"payload must be an array of samples, got {printable(payload)[:40]!r}: see docs/live.md")
     times: dict[str, list[Any]] = {}
@@ -216,12 +219,15 @@ def _sensor_server_rows(item: Mapping[str, Any]) -> dict[str, SensorRows]:
     values: Any = item["values"]
     if not isinstance(values, list) or len(cast("list[Any]", values)) < N_VALUES[sensor]:
         raise MessageError(
-            f"{item['type']}: values are {printable(values)[:40]!r}, but must be {N_VALUES[sensor]} numbers"
+            f"{item['type']}: values are {printable(values)[:40]!r}, but must be {N_VALUES[sensor]} numbers: send the "
+            "event as Android delivers it"
         )
     try:
         time_ns = np.array([int(item["timestamp"])], dtype=np.int64)
     except (ValueError, TypeError, OverflowError) as error:
-        raise MessageError(f"timestamp must be whole nanoseconds ({printable(error)[:60]})") from None
+        raise MessageError(
+            f"timestamp must be whole nanoseconds ({printable(error)[:60]}): send the event as Android delivers it"
+        ) from None
     return {sensor: _plausible(time_ns, _floats([cast("list[Any]", values)[: N_VALUES[sensor]]]))}
 
 
@@ -229,7 +235,10 @@ def _sensor_server_rows(item: Mapping[str, Any]) -> dict[str, SensorRows]:
 
 
 def _own_rows(samples: Any) -> dict[str, SensorRows]:
-    """Return the samples of a message in the package's own layout by sensor: rows [time_s, value, ...]."""
+    """Return the samples of a message in the package's own layout by sensor.
+
+    `samples` has rows [time_s, value, ...] by sensor. MessageError for an unknown sensor or rows of another length.
+    """
     if not isinstance(samples, dict):
         raise MessageError(f"samples must be an object of sensors, got {printable(samples)[:40]!r}: see docs/live.md")
     found: dict[str, SensorRows] = {}
@@ -239,7 +248,8 @@ def _own_rows(samples: Any) -> dict[str, SensorRows]:
         table = _floats(rows)
         if table.size and (table.ndim != 2 or table.shape[1] != 1 + N_VALUES[name]):
             raise MessageError(
-                f"{name}: a sample must be [time_s and {N_VALUES[name]} numbers], got an array of shape {table.shape}"
+                f"{name}: a sample must be [time_s and {N_VALUES[name]} numbers], got an array of shape {table.shape}: "
+                "see docs/live.md"
             )
         if table.size:
             found[name] = _plausible(_own_times(table[:, 0]), table[:, 1:])
@@ -369,7 +379,7 @@ def _floats(values: Any) -> FloatArray:
     try:
         return np.array(values, dtype=np.float64)  # null becomes NaN
     except (ValueError, TypeError, OverflowError) as error:
-        raise MessageError(f"a value must be a number ({printable(error)[:60]})") from None
+        raise MessageError(f"a value must be a number ({printable(error)[:60]}): send null if it is unknown") from None
 
 
 def _plausible(time: Any, values: FloatArray) -> SensorRows:

@@ -113,8 +113,8 @@ class DeviceSession:
     def take(self, message: Message, received_s: float) -> list[Event]:
         """Take and record a message, which `advance` filters, and return the events that it causes.
 
-        FixError or LateError if the message cannot be used. A message of a session that cannot be tracked is recorded, and `refused` holds the reason. SessionError if the
-        session has ended.
+        FixError or LateError if the message cannot be used. A message of a session that cannot be tracked is recorded,
+        and `refused` holds the reason. SessionError if the session has ended.
         """
         if self.has_ended:
             raise SessionError("this session has ended; begin a new one")
@@ -201,7 +201,10 @@ class DeviceSession:
         return [*events, *self._outcomes(), *self._turned(), *self._corrected(), *self._now()]
 
     def _begun(self, samples: assembly.Streams) -> Config:
-        """Return the configuration for the sensors that the first seconds contain."""
+        """Return the configuration for the sensors in the first samples, and write it and metadata to the recording.
+
+        ValueError if unit and sign of the acceleration are unknown.
+        """
         kind = self.assembly.kind
         if kind is None:
             raise ValueError("units and sign of the acceleration are unknown: wait for the first seconds of samples")
@@ -264,7 +267,7 @@ class DeviceSession:
     # --- events ---
 
     def about(self) -> Event:
-        """Return the properties of the session, with the reason why it waits or cannot be tracked."""
+        """Return the `session` event: properties of the session, with the reason why it waits or cannot be tracked."""
         kind, origin = self.assembly.kind, None if self.online is None else self.online.origin
         waits = "" if self.refused else assembly.reason_to_wait(self.assembly, self.held, self.settings.platform)
         return {

@@ -120,7 +120,7 @@ class Phyphox:
         self._session, self._seen_s = "", dict[str, float]()
 
     async def run(self) -> None:
-        """Fetch samples until the connection breaks."""
+        """Fetch samples and pass them to `take`, until an error of the connection ends the method."""
         buffers = phyphox_buffers(await self._got("config"))
         if not self._session:
             await self._got("control?cmd=start")
@@ -232,7 +232,7 @@ class Mqtt:
             )
 
     async def run(self) -> None:
-        """Receive messages until the connection breaks."""
+        """Receive messages of the topic and pass them to `take`, until an error of the connection ends the method."""
         import aiomqtt
 
         parts = self._address

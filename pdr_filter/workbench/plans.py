@@ -107,9 +107,9 @@ class Plans:
         return self.load(name)
 
     def _checked(self, path: Path, features: list[dict[str, Any]]) -> dict[str, Any]:
-        """Return the problems of a drawn plan, and the error message of `FloorPlan.read`.
+        """Return the `problems` of a drawn plan, and as `reason` the error message of `FloorPlan.read`.
 
-        The message is empty if the plan is valid.
+        The message is empty if the plan is valid or has no features.
         """
         if not features:
             return {"problems": [], "reason": ""}

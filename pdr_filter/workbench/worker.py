@@ -273,7 +273,7 @@ def _name_of(path: str) -> str:
 
 
 def checksum_of(recording: Path) -> str:
-    """Return the checksum of the bytes of a recording, without its marks."""
+    """Return the checksum of the names and bytes of the files of a recording, without its marks and hidden files."""
     path, inside = outside(recording)
     found = hashlib.sha256(inside.encode())
     files = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file() and p.name not in NAMES)

@@ -72,7 +72,10 @@ class _Topic:
         self._rows: list[tuple[float, ...]] = []
 
     def add(self, received_ns: int, content: bytes, where: str) -> None:
-        """Add a message with its own time, or with the time of its arrival if it has none."""
+        """Add a message with its own time, or with the time of its arrival if it has none.
+
+        RecordingError if the message is damaged, if its time is absurd, or if there are too many messages.
+        """
         if len(self._ns) >= limits.MAX_ARRAY_ROWS:
             raise RecordingError(f"{where}: more than {limits.MAX_ARRAY_ROWS} messages; cut the bag")
         try:

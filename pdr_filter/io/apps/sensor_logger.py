@@ -250,7 +250,10 @@ def _at_times(sensor: NumberTable, time_ns: IntArray) -> FloatArray:
 
 
 def _requested_hz(export: _Export) -> dict[str, float]:
-    """Return the sampling rates in Hz that the user chose in the app, by sensor."""
+    """Return the sampling rates in Hz that the user chose in the app, by sensor.
+
+    Sensors that were to be read as fast as possible are not in the result.
+    """
     names = [name.replace(" ", "") for name in export.about("sensors").split("|")]
     periods = export.about("sampleRateMs").split("|")
     rates: dict[str, float] = {}
@@ -271,7 +274,7 @@ def _requested_hz(export: _Export) -> dict[str, float]:
 
 
 def _read_tables(members: Members) -> _Export:
-    """Read the CSV tables in a zip file or folder."""
+    """Return the export in the CSV tables of a zip file or folder. Empty tables are left out with a note."""
     export = _Export()
     tables = [name for name in members.names if PurePosixPath(name).suffix.lower() == ".csv"]
     # The last line of these two needs no line feed, and an annotation file may have no bytes at all.
@@ -333,7 +336,7 @@ def _member(names: Sequence[str], sensor: str, members: Members) -> str:
 
 
 def _read_json(members: Members, name: str) -> _Export:
-    """Read a JSON file, in which each object names its sensor and stores numbers as text."""
+    """Return the export in a JSON file, in which each object names its sensor and stores numbers as text."""
     export, where = _Export(), members.where(name)
     if not next(members.pieces(name), b"").lstrip().startswith(b"["):
         raise RecordingError(f"{where}: not an array of objects; export JSON from Sensor Logger again")

@@ -112,7 +112,10 @@ def read_generic_csv(path: str | Path) -> Recording:
 
 
 def read_mapped(path: Path, mapping: Mapping, source: str = "generic CSV") -> Recording:
-    """Read a recording from tables whose columns a mapping describes."""
+    """Read a recording from tables whose columns a mapping describes. `source` names the format in the report.
+
+    RecordingError if a column or table of the mapping is missing, or if the recording is implausible.
+    """
     parsed = Parsed(path, source)
     with open_members(path) as members:
         sheets = sheets_of(members, mapping.separator or None, parsed.notes)

@@ -228,7 +228,10 @@ def _quantity_of_vague_axis(sheet: Sheet, column: Column, times: Sequence[int]) 
 
 
 def _single_values(sheet: Sheet, columns: Sequence[Column]) -> dict[str, Column]:
-    """Return the preferred column of each quantity with one value: pressure, light, distance, parts of a location."""
+    """Return the preferred column of each quantity with one value, by quantity.
+
+    Such quantities are pressure, light, distance, and the parts of a location. Of equal columns, the first is taken.
+    """
     of_file, _ = quantity_of_file(sheet.name)
     found: dict[str, Column] = {}
     for column in columns:

@@ -275,7 +275,11 @@ def _filled(text: str, separator: str) -> str:
 
 
 def _parse_rows(text: str, layout: Layout, where: str, notes: list[str], line: int, is_whole: bool) -> NumberTable:
-    """Parse a block row by row, so that a note or an error message can name the line and the field."""
+    """Return the table in the text of a block, parsed row by row, so that a message can name the line and the field.
+
+    `line` is the number of the first line. `is_whole` is False if the last line may be cut off. RecordingError as in
+    `parse_blocks`.
+    """
     values: list[list[float]] = []
     whole: list[int] = []
     texts: list[list[str]] = []
