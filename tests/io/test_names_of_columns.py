@@ -12,6 +12,7 @@ from app_files import a_walk, assert_same_streams, axes, on_one_clock, refusal, 
 
 from pdr_filter.io.formats import read
 from pdr_filter.io.tables.any_table import read_guessed
+from pdr_filter.io.tables.text_sheets import unlike
 
 WALK = on_one_clock(a_walk(50.0))
 TIME_S, FORCE = WALK.accelerometer.time_s, WALK.accelerometer.values
@@ -201,3 +202,7 @@ def test_a_table_of_less_than_two_samples_is_refused_with_what_it_lacks(tmp_path
 def test_nothing_in_a_gz_is_called_empty(tmp_path: Path) -> None:
     (tmp_path / "walk.csv.gz").write_bytes(gzip.compress(b""))
     assert "the file in it is empty (0 bytes)" in refusal(tmp_path / "walk.csv.gz")
+
+
+def test_column_names_become_unique_although_a_name_already_ends_with_a_number() -> None:
+    assert unlike(["a #2", "a", "a", ""]) == ("a #2", "a", "a #3", "column 4")
