@@ -68,7 +68,7 @@ def recording() -> pdr.Recording:
 
 
 @pytest.mark.parametrize("page", WITH_CODE)
-def test_the_code_of_a_page_runs_from_top_to_bottom_and_needs_no_other_names(
+def test_the_code_of_a_page_runs_from_top_to_bottom(
     page: str, recording: pdr.Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
