@@ -18,8 +18,12 @@ _SHARED_WITH_NOTES = (
     criteria.LATE,
     criteria.REJECTED,
 )
-# Carrying modes in which the phone can rotate against the body: a head turns, and a bag dangles.
-_LOOSE = [CARRYING_MODES.index(mode) for mode in ("calling", "bag")]
+_CALLING = CARRYING_MODES.index("calling")
+# Rate of turn from which a phone at the ear is doubtful, rad/s, and the number of steps (ten seconds) over which it is
+# averaged. In a curve the head turns about a second ahead of the walking direction (R. Grasso et al., Neuroscience
+# Letters 253, 1998, doi:10.1016/S0304-3940(98)00625-9). 99 % of the steps of ipol, sisfall and ubicomp13 are below this
+# rate; there, sensors on the trunk are classified as phones at the ear.
+_CURVE_RADPS, _CURVE_STEPS = 0.4, 21
 # Minimum duration of a reported stretch: turns and doors cause shorter ones.
 _MIN_DOUBT_S = 5.0
 # Minimum duration of motion without steps that is reported as a ride: walking has a step at least every two seconds.
@@ -31,6 +35,8 @@ _MAX_TIMES = 8
 _JUMP_M = 3.0
 # Circumference of the Earth. Larger distances are errors, which would shrink everything else in a figure to a dot.
 FARTHEST_M = 4e7
+# Share of the windows without distinction of stairs above which the report says so.
+_NOTABLE_SHARE = 0.05
 # Effective number of modes above which the context is uncertain: two equally probable modes have 2.
 _DOUBTFUL_MODES = 1.9
 
@@ -73,19 +79,18 @@ def doubts(track: TrackRows) -> list[str]:
         unfamiliar = criteria.is_unfamiliar(windows.unknown_share)
         sentences += _with_times(_long_stretches(windows.time_s, unfamiliar), criteria.UNFAMILIAR)
     if track.n_steps:
-        undecided = track.effective_modes > _DOUBTFUL_MODES
         sentences += [
             f"From {a:.0f} to {b:.0f} s the filter cannot decide between {_top_modes(track, a, b)}, whose step lengths "
             "differ: the distance is uncertain there."
-            for a, b in _long_stretches(track.time_s, undecided)
+            for a, b in _long_stretches(track.time_s, is_undecided(track))
         ]
-        without_direction = criteria.is_without_direction(track.steps.shown_offset_std_rad, track.direction_trust)
-        sentences += _with_times(_long_stretches(track.time_s, without_direction), criteria.NO_DIRECTION)
-        sentences += _with_times(_long_stretches(track.time_s, track.is_quick_and_soft), criteria.QUICK_AND_SOFT)
+        sentences += _with_times(_long_stretches(track.time_s, is_without_direction(track)), criteria.NO_DIRECTION)
+        on_the_spot = criteria.is_on_the_spot(track.is_quick_and_soft, track.direction_trust)
+        sentences += _with_times(_long_stretches(track.time_s, on_the_spot), criteria.QUICK_AND_SOFT)
         sentences += _with_times(
-            _long_stretches(windows.time_s, is_held_loosely(track)),
-            "the phone is held at the ear or dangles in a bag: if it turns against the body about the vertical, the "
-            "track turns with it; give position or heading fixes",
+            _long_stretches(track.time_s, turns_at_the_ear(track)),
+            "the phone is held at the ear in curves: the head turns against the body, and the track turns with it; "
+            "give position or heading fixes",
         )
         blind = np.asarray(track.steps.heading_unknown_s) > 0.5 * np.asarray(track.steps.duration_s)
         sentences += _with_times(
@@ -150,6 +155,10 @@ def report(track: TrackRows) -> str:
     seconds = {name: s for name, s in every.items() if s >= 0.5}
     if seconds:
         lines.append("contexts: " + ", ".join(f"{name} {s:.0f} s" for name, s in seconds.items()))
+    without_stairs = _is_without_stairs(track)
+    if without_stairs.sum() > _NOTABLE_SHARE * len(without_stairs):
+        words = f"stairs: counted as level walking in {without_stairs.sum()} of {len(without_stairs)} windows, because "
+        lines.append(words + "there is no barometer and the phone is not in a trouser pocket; record pressure")
     used = [fix.nis for fix in track.fixes if fix.accepted and np.isfinite(fix.nis)]
     if used:
         fit = "about 2 if positions are consistent" if track.origin is None else "below 2 if locations are consistent"
@@ -171,13 +180,38 @@ def end(track: TrackRows) -> str:
     return f"{east_m:z.1f} m east, {north_m:z.1f} m north, {track.how_sure}"
 
 
-def is_held_loosely(track: TrackRows) -> BoolArray:
-    """True for windows (W,) in which the phone can rotate against the body without being detected."""
+def is_undecided(track: TrackRows) -> BoolArray:
+    """True for steps (K,) with an uncertain context, and therefore an uncertain length."""
+    return track.effective_modes > _DOUBTFUL_MODES
+
+
+def is_without_direction(track: TrackRows) -> BoolArray:
+    """True for steps (K,) whose strides disagree on the walking direction, after the phone was moved."""
+    since_s = np.asarray(track.steps.carried_since_s)
+    first_s = min(since_s[np.isfinite(since_s)], default=np.inf)
+    return criteria.is_without_direction(since_s, first_s, track.direction_trust)
+
+
+def turns_at_the_ear(track: TrackRows) -> BoolArray:
+    """True for steps (K,) in curves with the phone at the ear, where the head turns against the body."""
     windows = track.windows
-    if not len(windows):
-        return np.zeros(0, dtype=bool)
-    moves = criteria.is_moving(windows.standing_prob)
-    return moves & (windows.carrying_prob[:, _LOOSE].sum(axis=1) > 0.5)
+    if not len(windows) or not track.n_steps:
+        return np.zeros(track.n_steps, dtype=bool)
+    duration_s = np.asarray(track.steps.duration_s)
+    turned_rad = np.minimum(np.asarray(track.steps.turn_rate_radps) * duration_s, np.pi)
+    turned_rad, lasted_s = (
+        np.convolve(np.pad(each, _CURVE_STEPS // 2, mode="edge"), np.ones(_CURVE_STEPS), mode="valid")
+        for each in (turned_rad, duration_s)
+    )
+    is_calling = np.interp(track.time_s, windows.time_s, windows.carrying_prob[:, _CALLING]) > 0.5
+    return is_calling & (turned_rad > _CURVE_RADPS * lasted_s)
+
+
+def _is_without_stairs(track: TrackRows) -> BoolArray:
+    """True for windows (W,) with motion in which stairs could not be distinguished from walking."""
+    windows = track.windows
+    is_unknown = (windows.stairs_unknown_share > 0.5) & np.isnan(windows.climb_rate_mps)
+    return is_unknown & criteria.is_moving(windows.standing_prob)
 
 
 def _has_step(track: TrackRows) -> BoolArray:

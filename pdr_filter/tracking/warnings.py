@@ -69,17 +69,14 @@ def _window_notes(seen: WindowCounts) -> Iterator[Note]:
         )
     if seen.unknown > notable:
         yield Note("contexts", f"in {seen.unknown} {of_all} {criteria.UNFAMILIAR}")
-    if seen.stairs_unknown > notable:
-        words = f"stairs cannot be detected in {seen.stairs_unknown} {of_all}: the context model has only seen stairs "
-        yield Note("contexts", words + "with the phone in a trouser pocket, and there is no barometer; record pressure")
     if seen.irregular > notable:
         yield Note("steps", f"in {seen.irregular} {of_all} {criteria.HANDLED}")
 
 
 def _step_notes(walked: StepCounts) -> Iterator[Note]:
     notable = max(_UNTRUSTED_SHARE * walked.n, _UNTRUSTED_NUMBER)
-    if walked.quick_and_soft > notable:
-        yield Note("steps", f"{walked.quick_and_soft} of {walked.n} {criteria.QUICK_AND_SOFT}")
+    if walked.on_the_spot > notable:
+        yield Note("steps", f"{walked.on_the_spot} of {walked.n} {criteria.QUICK_AND_SOFT}")
     if walked.heading_unknown > _UNKNOWN_NUMBER:
         words = (
             f"the heading is uncertain by more than {UNKNOWN_HEADING_RAD} rad in {walked.heading_unknown} of "
