@@ -75,26 +75,26 @@ def doubts(track: TrackRows) -> list[str]:
         rides = [(a, b) for a, b in _stretches(windows.time_s, stepless) if b - a >= _MIN_RIDE_S]
         sentences += _with_times(rides, criteria.STEPLESS)
         handled = criteria.is_handled(windows.irregular_prob, windows.standing_prob)
-        sentences += _with_times(_long_stretches(windows.time_s, handled), criteria.HANDLED)
+        sentences += _with_times(long_stretches(windows.time_s, handled), criteria.HANDLED)
         unfamiliar = criteria.is_unfamiliar(windows.unknown_share)
-        sentences += _with_times(_long_stretches(windows.time_s, unfamiliar), criteria.UNFAMILIAR)
+        sentences += _with_times(long_stretches(windows.time_s, unfamiliar), criteria.UNFAMILIAR)
     if track.n_steps:
         sentences += [
             f"From {a:.0f} to {b:.0f} s the filter cannot decide between {_top_modes(track, a, b)}, whose step lengths "
             "differ: the distance is uncertain there."
-            for a, b in _long_stretches(track.time_s, is_undecided(track))
+            for a, b in long_stretches(track.time_s, is_undecided(track))
         ]
-        sentences += _with_times(_long_stretches(track.time_s, is_without_direction(track)), criteria.NO_DIRECTION)
+        sentences += _with_times(long_stretches(track.time_s, is_without_direction(track)), criteria.NO_DIRECTION)
         on_the_spot = criteria.is_on_the_spot(track.is_quick_and_soft, track.direction_trust)
-        sentences += _with_times(_long_stretches(track.time_s, on_the_spot), criteria.QUICK_AND_SOFT)
+        sentences += _with_times(long_stretches(track.time_s, on_the_spot), criteria.QUICK_AND_SOFT)
         sentences += _with_times(
-            _long_stretches(track.time_s, turns_at_the_ear(track)),
+            long_stretches(track.time_s, turns_at_the_ear(track)),
             "the phone is held at the ear in curves: the head turns against the body, and the track turns with it; "
             "give position or heading fixes",
         )
         blind = np.asarray(track.steps.heading_unknown_s) > 0.5 * np.asarray(track.steps.duration_s)
         sentences += _with_times(
-            _long_stretches(track.time_s, blind),
+            long_stretches(track.time_s, blind),
             "there is no angular rate, so that the walking direction is unknown: record the gyroscope, or give heading "
             "fixes",
         )
@@ -229,7 +229,8 @@ def _stretches(time_s: FloatArray, holds: BoolArray) -> list[tuple[float, float]
     return [(float(time_s[a]), float(time_s[b - 1])) for a, b in edges.reshape(-1, 2)]
 
 
-def _long_stretches(time_s: FloatArray, holds: BoolArray) -> list[tuple[float, float]]:
+def long_stretches(time_s: FloatArray, holds: BoolArray) -> list[tuple[float, float]]:
+    """Return begin and end, s, of the stretches of at least `_MIN_DOUBT_S` in which a condition holds."""
     return [(a, b) for a, b in _stretches(time_s, holds) if b - a >= _MIN_DOUBT_S]
 
 

@@ -49,8 +49,8 @@ from scipy.stats import chi2
 import pdr_filter as pdr
 from pdr_filter import evaluate
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading
-from pdr_filter.tracking import step_statistics as criteria
-from pdr_filter.tracking import trust_report
+from pdr_filter.tracking import trust_report as report
+from pdr_filter.tracking.step_statistics import is_handled, is_on_the_spot, is_unfamiliar
 from pdr_filter.values import BoolArray, FloatArray
 from tests.benchmarks.common import Tables, paths, recordings, run
 
@@ -209,13 +209,20 @@ def corridors(tables: Tables, arguments: argparse.Namespace) -> None:
 
 def marked(track: pdr.Track) -> BoolArray:
     """Steps (K,) in a stretch that the report names as one not to trust."""
-    windows, shift_s = track.windows, 1.0  # a window of two seconds ends at its time
-    of_windows = criteria.is_handled(windows.irregular_prob, windows.standing_prob)
-    of_windows = of_windows | criteria.is_unfamiliar(windows.unknown_share)
-    doubted = np.interp(track.time_s, windows.time_s - shift_s, of_windows.astype(float)) > 0.5
-    doubted |= trust_report.is_undecided(track) | trust_report.is_without_direction(track)
-    doubted |= criteria.is_on_the_spot(track.is_quick_and_soft, track.direction_trust)
-    return doubted | trust_report.turns_at_the_ear(track)
+    windows = track.windows
+    criteria = (
+        (windows.time_s, is_handled(windows.irregular_prob, windows.standing_prob)),
+        (windows.time_s, is_unfamiliar(windows.unknown_share)),
+        (track.time_s, report.is_undecided(track)),
+        (track.time_s, report.is_without_direction(track)),
+        (track.time_s, is_on_the_spot(track.is_quick_and_soft, track.direction_trust)),
+        (track.time_s, report.turns_at_the_ear(track)),
+    )
+    found = np.zeros(track.n_steps, dtype=bool)
+    for time_s, holds in criteria:
+        for begin_s, end_s in report.long_stretches(time_s, holds):
+            found |= (track.time_s >= begin_s) & (track.time_s <= end_s)
+    return found
 
 
 def alignment_cov_m2(true_m: FloatArray, used: BoolArray, std_m: float) -> FloatArray:
@@ -231,7 +238,7 @@ def percent(part: BoolArray, of: BoolArray) -> str:
 
 
 def trust(tables: Tables, arguments: argparse.Namespace) -> None:
-    """Share of the positions that are outside of their ellipse, and precision and recall of the warnings."""
+    """Share of the positions outside their ellipse, and precision and recall of the warnings."""
     level = chi2.ppf(0.95, 2)
     rows: list[tuple[str, tuple[float, ...]]] = []
     for walk in walks(arguments.data, ("oxiod", "humolire", "ms_indoor", "tyrex")):
