@@ -371,6 +371,54 @@ class GyroBias:
         bias, bias_cov = _mixture(bank)
         return Device(bias[_BIAS].copy(), bias_cov[_BIAS, _BIAS].copy())
 
+    def learnt_from_smoothed(
+        self,
+        state: GyroBiasState,
+        error_rad: float,
+        var_rad2: float,
+        other_var_rad2: float,
+        ago_s: float,
+        up_sensor: FloatArray,
+    ) -> Device:
+        """Return the bias and its covariance for the next recording, using the heading error of a smoothed walk.
+
+        Parameters
+        ----------
+        state : GyroBiasState
+            State at the end of the recording.
+        error_rad, var_rad2 : float
+            Smoothed error of the corrected heading at an earlier time, rad, and its variance.
+        other_var_rad2 : float
+            Variance of the part of the error that does not come from the bias, rad2.
+        ago_s : float
+            Time from the smoothed error to the end of the recording, s.
+        up_sensor : FloatArray
+            Unit vector up in the sensor frame during this time, shape (3,).
+
+        Returns
+        -------
+        Device
+            Bias and covariance.
+
+        Notes
+        -----
+        The smoothed error contains the information of this state, which must not count twice. With the error e of this
+        state and its variance P, the rest measures the error z with variance R: 1 / R = 1 / var - 1 / P and z / R =
+        error / var - e / P.
+        """
+        bank = state.mean, state.cov, state.log_weight
+        h = np.array([*(ago_s * up_sensor), 0.0, 1.0])
+        corrected_rad = ago_s * _dot(up_sensor, state.bias_radps)
+        mean, cov = _mixture(bank)
+        before_rad, before_var = float(mean @ h) - corrected_rad, float(h @ cov @ h) + other_var_rad2
+        if var_rad2 < before_var:
+            rest_var = 1.0 / (1.0 / var_rad2 - 1.0 / before_var)
+            rest_rad = rest_var * (error_rad / var_rad2 - before_rad / before_var)
+            innovation = rest_rad - (state.mean @ h - corrected_rad)
+            bank, _ = _update(bank, h, innovation, rest_var + other_var_rad2, 1e-9, 0.0)
+            mean, cov = _mixture(bank)
+        return Device(mean[_BIAS].copy(), cov[_BIAS, _BIAS].copy())
+
     def _update_still(self, bank: _Bank, n_still: int, window: BiasWindow) -> tuple[_Bank, int]:
         """Return the bank of filters, updated if the window is still, and the number of consecutive still windows."""
         is_still = (
