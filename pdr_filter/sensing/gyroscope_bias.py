@@ -359,6 +359,13 @@ class GyroBias:
             n_field_outliers=n_field_outliers,
         )
 
+    def device_fits(self, state: GyroBiasState) -> float:
+        """Return the probability that the bias of `device` holds in this recording; 1 without a device."""
+        if self.device is None:
+            return 1.0
+        weight = np.exp(state.log_weight)
+        return float(weight[0] / np.add.reduce(weight))
+
     def learnt(self, state: GyroBiasState, error_rad: float = 0.0, error_var_rad2: float = math.inf) -> Device:
         """Return the bias and its covariance for the next recording of the phone.
 
@@ -402,22 +409,18 @@ class GyroBias:
 
         Notes
         -----
-        The smoothed error contains the information of this state, which must not count twice. With the error e of this
-        state and its variance P, the rest measures the error z with variance R: 1 / R = 1 / var - 1 / P and z / R =
-        error / var - e / P.
+        The smoothed error contains the information of this state, which must not count twice. It is therefore used only
+        if its variance is below a quarter of the variance that the heading has in this state.
         """
         bank = state.mean, state.cov, state.log_weight
+        if var_rad2 > 0.25 * state.heading_error_var_rad2:
+            return self.learnt(state)
+        # h' x is the error at the earlier time, because the error has grown by up' (bias in use - bias) a second.
         h = np.array([*(ago_s * up_sensor), 0.0, 1.0])
-        corrected_rad = ago_s * _dot(up_sensor, state.bias_radps)
-        mean, cov = _mixture(bank)
-        before_rad, before_var = float(mean @ h) - corrected_rad, float(h @ cov @ h) + other_var_rad2
-        if var_rad2 < before_var:
-            rest_var = 1.0 / (1.0 / var_rad2 - 1.0 / before_var)
-            rest_rad = rest_var * (error_rad / var_rad2 - before_rad / before_var)
-            innovation = rest_rad - (state.mean @ h - corrected_rad)
-            bank, _ = _update(bank, h, innovation, rest_var + other_var_rad2, 1e-9, 0.0)
-            mean, cov = _mixture(bank)
-        return Device(mean[_BIAS].copy(), cov[_BIAS, _BIAS].copy())
+        innovation = error_rad + ago_s * _dot(up_sensor, state.bias_radps) - bank[0].dot(h)
+        bank, _ = _update(bank, h, innovation, var_rad2 + other_var_rad2, 1e-9, 0.0)
+        bias, bias_cov = _mixture(bank)
+        return Device(bias[_BIAS].copy(), bias_cov[_BIAS, _BIAS].copy())
 
     def _update_still(self, bank: _Bank, n_still: int, window: BiasWindow) -> tuple[_Bank, int]:
         """Return the bank of filters, updated if the window is still, and the number of consecutive still windows."""

@@ -1,6 +1,7 @@
 """Tracks on people, phones and placements that no model was trained on: recipes, axes, trust, speed.
 
-usage: python -m tests.benchmarks.placements [expected] [recipes] [corridors] [trust] [speed] [--data ../shared/data]
+usage: python -m tests.benchmarks.placements [expected] [recipes] [corridors] [trust] [phone] [speed]
+           [--data ../shared/data]
 
 Three scalars were seen on oxiod: the step length's k is fitted to five sites of which it is one, and the limits of soft
 running and of a field that jumps were looked at there.
@@ -25,6 +26,11 @@ unfamiliar motion, undecided contexts, a direction that strides do not show afte
 spot, and a phone at the ear in curves. The covariance of the reference is added to the ellipse: 0.7 m along each axis
 (humolire), 1 m (ms_indoor), 0.3 m (oxiod, tyrex), and the error of the rotation and shift that it causes. The limits
 of the warnings were chosen on ipol, sisfall and ubicomp13. The classifier of phones at the ear was trained on tyrex.
+
+phone: the same positions and ellipses without and with the device of another walk of the same group, a day later. The
+device is from the online track of that walk, or from its smoothed track with a fix of 0.5 m every twenty seconds
+(humolire: every fourth waypoint). The last column also uses the person of the smoothed track. No number was chosen on
+these walks.
 
 speed: mean smoothed speed of each leg of humolire against its length over its time (133 legs, one person). tyrex:
 smoothed speed at each step against the speed of the phone, its path low-passed at 0.5 Hz (one person; walking
@@ -233,6 +239,18 @@ def alignment_cov_m2(true_m: FloatArray, used: BoolArray, std_m: float) -> Float
     return std_m**2 / used.sum() * np.eye(2) + turn_var * across[:, :, None] * across[:, None, :]
 
 
+def errors_and_cov(walk: Walk, track: pdr.Track) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+    """Times, errors (N, 2) and covariances (N, 2, 2) of the positions after alignment, and those used for it."""
+    when, true_m, at_m = places(walk, track)
+    first = evaluate.first_of_path(true_m)
+    first[: max(3, int(first.sum()))] = True
+    turned_m = evaluate.fitted(true_m, at_m, first)
+    nearest = np.clip(np.searchsorted(track.time_s, when), 0, track.n_steps - 1)
+    std_m = REFERENCE_STD_M[walk.group.split()[0]]
+    cov = track.position_cov_m2[nearest] + std_m**2 * np.eye(2) + alignment_cov_m2(turned_m, first, std_m)
+    return when, at_m - turned_m, cov, first
+
+
 def percent(part: BoolArray, of: BoolArray) -> str:
     return f"{100 * part[of].mean():.0f} %" if of.any() else "-"
 
@@ -245,15 +263,9 @@ def trust(tables: Tables, arguments: argparse.Namespace) -> None:
         track = pdr.track(walk.recording)
         if track.n_steps < 10:
             continue
-        when, true_m, at_m = places(walk, track)
-        first = evaluate.first_of_path(true_m)
-        first[: max(3, int(first.sum()))] = True
-        turned_m = evaluate.fitted(true_m, at_m, first)
-        nearest = np.clip(np.searchsorted(track.time_s, when), 0, track.n_steps - 1)
-        std_m = REFERENCE_STD_M[walk.group.split()[0]]
-        cov = track.position_cov_m2[nearest] + std_m**2 * np.eye(2) + alignment_cov_m2(turned_m, first, std_m)
-        off = evaluate.nees(at_m - turned_m, cov) > level
-        doubted = marked(track)[nearest]
+        when, error_m, cov, first = errors_and_cov(walk, track)
+        off = evaluate.nees(error_m, cov) > level
+        doubted = marked(track)[np.clip(np.searchsorted(track.time_s, when), 0, track.n_steps - 1)]
         rows += [(walk.group, (float(o), float(d))) for o, d in zip(off[~first], doubted[~first], strict=True)]
     lines = []
     for group, found in grouped(rows).items():
@@ -263,6 +275,47 @@ def trust(tables: Tables, arguments: argparse.Namespace) -> None:
         lines.append([group, len(off), *shares, percent(off & ~doubted, every)])
     columns = ["walks of", "positions", "outside", "marked", "precision", "recall", "outside and not marked"]
     tables.write("trust", columns, lines)
+
+
+def with_fixes(walk: Walk) -> pdr.Track:
+    """Smoothed track of a walk with fixes from its reference."""
+    when = walk.time_s[1::4]
+    if len(walk.time_s) > 300:
+        when = np.arange(walk.time_s[0] + 1.0, walk.time_s[-1], 20.0)
+    at_m = np.column_stack([np.interp(when, walk.time_s, walk.position_m[:, k]) for k in (0, 1)])
+    fixes = [pdr.PositionFix(float(t), p, 0.25 * np.eye(2)) for t, p in zip(when, at_m, strict=True)]
+    return pdr.smooth(walk.recording, fixes).track
+
+
+def phone(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Ellipses without and with the device of another walk."""
+    groups: dict[str, list[Walk]] = {}
+    for walk in walks(arguments.data, ("oxiod", "humolire")):
+        if "trolley" not in walk.group:
+            groups.setdefault(walk.group, []).append(walk)
+    lines = []
+    for group, several in groups.items():
+        if len(several) < 2:
+            continue
+        found: list[list[FloatArray]] = [[] for _ in range(4)]
+        for walk, other in zip(several, [*several[1:], several[0]], strict=True):
+            online, smoothed = pdr.track(other.recording), with_fixes(other)
+            assert online.device is not None and smoothed.device is not None
+            known = {"device": smoothed.device.after(days=1.0)}
+            uses = ({}, {"device": online.device.after(days=1.0)}, known, known | {"person": smoothed.person})
+            for rows, use in zip(found, uses, strict=True):
+                _, error_m, cov, first = errors_and_cov(walk, pdr.track(walk.recording, **use))
+                inside = evaluate.nees(error_m, cov) < chi2.ppf(0.95, 2)
+                square_m2 = (error_m**2).sum(axis=1)
+                rows.append(np.column_stack([inside, np.trace(cov, axis1=1, axis2=2), square_m2])[~first])
+        cells = []
+        for rows in found:
+            inside, said_m2, square_m2 = np.concatenate(rows).mean(axis=0)
+            cells.append(f"{np.sqrt(said_m2 / square_m2):.2f}, {100 * inside:.0f} %, {np.sqrt(square_m2):.2f}")
+        lines.append([group, len(several), sum(len(rows) for rows in found[0]), *cells])
+    columns = ["walks of", "n", "positions", "no device", "device, online", "device, smoothed", "and person"]
+    about = "Standard deviation over error (RMS), share inside the 95 % ellipse, RMS error in m."
+    tables.write("known_phone", columns, lines, about)
 
 
 WALKING = ("texting", "phoning", "swinging", "frontpocket", "backpocket")
@@ -318,4 +371,4 @@ def speed(tables: Tables, arguments: argparse.Namespace) -> None:
 
 
 if __name__ == "__main__":
-    run(__doc__, expected, recipes, corridors, trust, speed)
+    run(__doc__, expected, recipes, corridors, trust, phone, speed)
