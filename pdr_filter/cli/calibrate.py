@@ -164,14 +164,15 @@ def smooth(
     import pdr_filter as pdr
     from pdr_filter.io.fix_files import fixes_of_file, loop_closures_of_file
     from pdr_filter.maps.marks import Marks, read_marks
-    from pdr_filter.offline.smoothing.observations import waypoint_fixes
     from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
 
     before: dict[Path, int] = {}
     with console.one_line_errors(), console.progress("smoothing"):
         marked = Marks(file) if no_marks else read_marks(file)
         recording = marked.recording(pdr.read(file, file_format))
-        known: dict[str, Any] = marked.arguments()
+        where = {name: value for name, value in placement.arguments().items() if value is not None}
+        is_given = any((fixes, loop_closures, radio, ranges, wifi_loops, loop, replace(placement, plan=None).given()))
+        known: dict[str, Any] = marked.arguments(recording, None if is_given else fix_std_m)
         closed = known.pop("loop_closures")
         if loop_closures is not None:
             closed = loop_closures_of_file(loop_closures)
@@ -179,17 +180,10 @@ def smooth(
         position_fixes: list[Any] = known.pop("fixes")
         if fixes is not None:
             position_fixes = list(fixes_of_file(fixes, fix_std_m))
-        where = {name: value for name, value in placement.arguments().items() if value is not None}
-        is_marked = bool(known or position_fixes or closed)
         if radio is not None:
             mapped = pdr.RadioMap.load(radio)
             position_fixes += [*mapped.fixes(recording), *(mapped.grids(recording) if placement.plan else [])]
         position_fixes += ranges_of(ranges, anchors, where.get("origin"))
-        is_given = is_marked or any(
-            (fixes, loop_closures, radio, ranges, wifi_loops, loop, replace(placement, plan=None).given())
-        )
-        if recording.truth.waypoints is not None and not is_given:
-            position_fixes = waypoint_fixes(recording, fix_std_m)
         options: dict[str, Any] = {**known, **where}
         if person is not None:
             options["person"] = person

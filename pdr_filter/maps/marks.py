@@ -20,11 +20,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pdr_filter.filter.fixes.gnss import origin_of
 from pdr_filter.io.files.archive import outside
 from pdr_filter.io.files.safe_files import read_json, read_small, whole_file
 from pdr_filter.io.fix_files import fixes_of_file, loop_closures_of_file
 from pdr_filter.io.folders import only_recording_in
 from pdr_filter.maps.floor_plan import FloorPlan
+from pdr_filter.offline.smoothing.observations import waypoint_fixes
 from pdr_filter.values import Origin, limits
 from pdr_filter.values.recording import Recording, check_height
 from pdr_filter.values.sanitise import file_name
@@ -71,8 +73,13 @@ class Marks:
         height_m = self.walk.get("height_m")
         return recording if height_m is None else recording.of_height(height_m)
 
-    def arguments(self) -> dict[str, Any]:
-        """Arguments of `pdr_filter.smooth`. A floor plan in degrees also gives the origin if `walk.json` has none."""
+    def arguments(self, recording: Recording, waypoint_std_m: float | None = 1.0) -> dict[str, Any]:
+        """Return the arguments of `pdr_filter.smooth` for a recording with these marks.
+
+        Positions that the recording itself has are used beside the marks if both are in one frame: waypoints unless the
+        marked points have an origin or a floor plan, and locations if the origin is the first of them. Without
+        `waypoint_std_m` neither is used. A floor plan in degrees also gives the origin if `walk.json` has none.
+        """
         found: dict[str, Any] = {"fixes": list(self.fixes), "loop_closures": list(self.loop_closures)}
         if self.person is not None:
             found["person"] = self.person
@@ -84,8 +91,13 @@ class Marks:
             origin = origin or plan.origin
             if self.walk.get("keep_on_plan"):
                 found["plan"] = plan
-        if origin is not None:
+        with_own = waypoint_std_m is not None
+        if with_own and self.fixes and origin is not None and origin == _first_location(recording):
+            found["gnss"] = "filter"
+        elif origin is not None:
             found["origin"] = origin
+        elif with_own and recording.truth.waypoints is not None and not (self.fixes and self.plan):
+            found["fixes"] += waypoint_fixes(recording, waypoint_std_m)
         return found
 
 
@@ -202,6 +214,11 @@ def table_bytes(name: str, rows: list[list[float | None]]) -> bytes:
         columns = columns[:4]
     lines = [",".join("" if v is None else repr(float(v)) for v in row[: len(columns)]) for row in rows]
     return ("\n".join([",".join(columns), *lines]) + "\n").encode()
+
+
+def _first_location(recording: Recording) -> Origin | None:
+    """Return the origin of the frame in which the locations of a recording are fixes, or None without locations."""
+    return None if recording.location is None else origin_of(recording.location)
 
 
 def _check_walk(walk: Any, path: Path) -> None:

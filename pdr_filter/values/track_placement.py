@@ -38,7 +38,8 @@ class TrackPlacement:
         (`Track.origin`) and true north. "align": the dead-reckoned track keeps its shape, and is rotated and shifted as
         a whole to fit all locations except outliers. "off": the locations are not used. The default is "filter" for a
         recording with locations, and "off" if `fixes` has positions or headings, which are in another frame, or if
-        `origin` or `heading_rad` is given.
+        `origin` or `heading_rad` is given. With "filter", positions in `fixes` must be in metres from the first usable
+        location, too.
     origin : Origin or (latitude_deg, longitude_deg), optional
         Geographic position of the origin of the track: the start of the walk, or the origin of the frame of `fixes`.
     heading_rad : float, optional
@@ -151,11 +152,10 @@ class TrackPlacement:
             )
         has_positions = any(has_frame(fix) and not isinstance(fix, HeadingFix) for fix in fixes)
         has_headings = any(isinstance(fix, HeadingFix) for fix in fixes)
-        if self.asks_for_locations and has_positions:
+        if self.gnss == "align" and has_positions:
             raise ValueError(
-                f'gnss="{self.gnss}" makes the first location of the recording the origin, but fixes has ranges or '
-                'positions in another frame: leave one of them out, or give gnss="off" and add the locations to the '
-                "fixes (see pdr_filter.filter.fixes.gnss.position_fixes)"
+                'gnss="align" determines position and rotation of the whole track, got ranges or positions in fixes: '
+                'leave one of them out, or give gnss="filter" and positions in metres from the first location'
             )
         if self.gnss == "align" and has_headings:
             raise ValueError('gnss="align" determines the rotation of the whole track, got a HeadingFix: leave one out')

@@ -27,7 +27,6 @@ from pdr_filter.io.folders import recordings_in
 from pdr_filter.io.formats import read
 from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.maps.marks import NAMES, mark_files, marks_folder, marks_in, version_of
-from pdr_filter.offline.smoothing.observations import waypoint_fixes
 from pdr_filter.offline.smoothing.smooth import SmoothingMemory, smooth
 from pdr_filter.recipes import for_recording
 from pdr_filter.report.html import html_report
@@ -200,9 +199,7 @@ class Worker:
             own = opened.memory.recording
             if own is not None and own.subject == recording.subject:
                 recording = own
-        known = marks.arguments()
-        if recording.truth.waypoints is not None and not any(known.values()):
-            known["fixes"] = waypoint_fixes(recording, 1.0)  # as `pdr-filter smooth` does
+        known = marks.arguments(recording)
         track = smooth(recording, progress=progress, memory=opened.memory, **(known | options)).track
         if marks.plan is None or track.plan is not None:
             return track, None

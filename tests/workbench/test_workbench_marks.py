@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from benches import Client, short_walk, with_bench
 import pdr_filter as pdr
 from pdr_filter.maps.marks import FIXES, WALK, mark_files, marks_folder, read_marks, table_bytes, write_mark_files
 from pdr_filter.offline.smoothing.smooth import SmoothingMemory
+from pdr_filter.values.recording import Recording, Truth
 from pdr_filter.workbench.worker import Worker, checksum_of
 
 FIRST, SECOND = [2.0, 0.0, 0.0, 0.5, None, None], [35.0, 3.0, 20.0, 0.5, None, None]
@@ -56,7 +58,7 @@ def test_a_heading_beside_a_fix_turns_the_walk(tmp_path: Path) -> None:
     east = [5.0, 100.0, 50.0, 0.5, 90.0, 3.0]
     write_mark_files(marks_folder(path), {FIXES: table_bytes(FIXES, [east])})
     marks = read_marks(path)
-    turned = pdr.smooth(pdr.read(path), **marks.arguments()).track
+    turned = pdr.smooth(pdr.read(path), **marks.arguments(pdr.read(path))).track
     row = int(np.searchsorted(start.time_s, 5.0))
     assert np.degrees(turned.walking_heading_rad[row]) == pytest.approx(90.0, abs=3.0)
     assert np.hypot(*(turned.position_m[row] - [100.0, 50.0])) < 2.0
@@ -93,6 +95,36 @@ def test_the_command_line_smooths_with_the_marks_to_the_same_bits_as_the_workben
     assert "fixes.csv" in said.stderr
     assert content == (tmp_path / name).read_bytes()
     assert b"latitude_deg" in content
+
+
+def with_locations(recording: Recording) -> Recording:
+    """Return the recording without waypoints, with a location of the true position in each second."""
+    truth = recording.truth.position
+    assert truth is not None
+    time_s = np.arange(1.3, truth.time_s[-1])
+    place_m = np.column_stack([np.interp(time_s, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
+    latitude_deg, longitude_deg = pdr.Origin(48.1, 11.5).latitude_longitude_deg(place_m)
+    values = np.column_stack([latitude_deg, longitude_deg, np.full((len(time_s), 2), [520.0, 6.0])])
+    return replace(recording, location=pdr.Samples(time_s, values), truth=Truth())
+
+
+@pytest.mark.parametrize("has_locations", [True, False])
+def test_a_mark_on_the_path_of_a_walk_with_own_positions_hardly_moves_it(tmp_path: Path, has_locations: bool) -> None:
+    recording = pdr.simulate.demo_walk()
+    path = (with_locations(recording) if has_locations else recording).save(tmp_path / "walk")
+    before = pdr.smooth(pdr.read(path), **read_marks(path).arguments(pdr.read(path))).track
+    row = before.n_steps // 2
+    mark = [float(before.time_s[row]), *before.position_m[row].tolist(), 1.0, None, None]
+    files = {FIXES: table_bytes(FIXES, [mark])}
+    if has_locations:  # as the page does with the first mark
+        assert before.origin is not None
+        files[WALK] = json.dumps({"origin": [before.origin.latitude_deg, before.origin.longitude_deg]}).encode()
+    write_mark_files(marks_folder(path), files)
+    found = read_marks(path).arguments(pdr.read(path))
+    assert len(found["fixes"]) == (1 if has_locations else 1 + len(recording.truth.waypoints))
+    after = pdr.smooth(pdr.read(path), **found).track
+    assert np.linalg.norm(after.position_m - before.position_m, axis=1).max() < (1.5 if has_locations else 0.5)
+    assert np.linalg.det(after.position_cov_m2[row]) < np.linalg.det(before.position_cov_m2[row])
 
 
 def test_results_are_kept_by_the_content_of_recording_and_marks(tmp_path: Path) -> None:
@@ -209,7 +241,7 @@ def test_the_step_length_of_a_person_is_used_by_other_walks_only(tmp_path: Path,
         await client.edit(second, walk={"person": name})
         (known,) = (tmp_path / "people").iterdir()
         assert (tmp_path / "b" / "person.json").read_bytes() == known.read_bytes()
-        assert read_marks(tmp_path / "b").arguments()["person"].name == "person.json"
+        assert read_marks(tmp_path / "b").arguments(pdr.read(tmp_path / "b"))["person"].name == "person.json"
         await client.edit(second, walk={})
         assert not (tmp_path / "b" / "person.json").exists()
 

@@ -342,13 +342,20 @@ def bias_warnings(rows: Any, recording_std: float) -> list[str]:
 
 
 def _notes(rows: Any, found: ParameterEstimate, priors: Mapping[str, StepLengthPrior]) -> list[str]:
-    """Return notes about convergence, segments with a large residual, and contexts without segments."""
+    """Return notes about convergence, outliers, and contexts without segments."""
     notes: list[str] = []
     if not found.converged:
         notes.append(
             f"the calibration did not converge: the variances still changed after {found.n_iterations} iterations"
         )
     outliers = rows[rows.distrusted]
+    if len(outliers) == len(rows):
+        notes.append(
+            f"WARNING: the step lengths are those of the prior, because all segments ({len(rows)}) contradict the "
+            "detected steps. Check that the known lengths are in metres and belong to these recordings, and that all "
+            "steps are detected; if both are right, allow steps to deviate more from the usual lengths (prior_std, "
+            "--prior)"
+        )
     for r in outliers[np.argsort(-np.abs(outliers.misfit))]:
         notes.append(
             f"distrusted: {r.recording} {r.start_s:.1f}-{r.end_s:.1f} s: {r.distance_m:.2f} m given, "

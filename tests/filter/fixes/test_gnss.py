@@ -414,11 +414,21 @@ def test_fixes_in_their_own_frame_disable_the_locations_and_exclude_gnss_options
     assert pdr.track(walk, fixes=[fix]).origin is None
     assert pdr.track(walk, fixes=[HeadingFix(20.0, 0.0, 0.1)]).origin is None
     assert pdr.track(walk, fixes=[SpeedFix(20.0, 1.3, 0.1)]).origin is not None
-    for asked in ("filter", "align"):
-        with pytest.raises(ValueError, match="positions in another frame: leave one of them out"):
-            pdr.track(walk, fixes=[fix], gnss=asked)
+    with pytest.raises(ValueError, match="position and rotation of the whole track, got ranges or positions"):
+        pdr.track(walk, fixes=[fix], gnss="align")
     with pytest.raises(ValueError, match="determines the rotation of the whole track, got a HeadingFix"):
         pdr.track(walk, fixes=[HeadingFix(20.0, 0.0, 0.1)], gnss="align")
+
+
+def test_fixes_in_metres_from_the_first_location_are_used_beside_the_locations(walk: Recording) -> None:
+    alone = pdr.track(walk)
+    row = int(np.searchsorted(alone.time_s, 60.0))
+    fix = PositionFix(float(alone.time_s[row]), alone.position_m[row] + [3.0, 0.0], 0.01 * np.eye(2))
+    both = pdr.track(walk, fixes=[fix], gnss="filter")
+    assert both.origin is not None
+    assert len(both.fixes) == len(alone.fixes) + 1
+    np.testing.assert_allclose(both.position_m[row + 3] - alone.position_m[row + 3], [3.0, 0.0], atol=0.2)
+    np.testing.assert_array_equal(both.position_m[: row - 1], alone.position_m[: row - 1])
 
 
 def test_a_wrong_gnss_option_or_a_missing_stream_is_refused(bare: Recording, walk: Recording) -> None:

@@ -329,6 +329,14 @@ def test_outlying_segments_are_named_and_hardly_change_the_parameters(loss: str)
     assert shift < 0.03 < 0.05 < abs(plain.subjects["anna"].k0 / clean.subjects["anna"].k0 - 1)
 
 
+def test_a_calibration_whose_segments_all_contradict_the_steps_says_that_nothing_was_learned() -> None:
+    good = segment(np.random.default_rng(15), BounceStepLength(), np.array([0.3]))
+    found = calibrate_segments([replace(good, distance_m=4 * good.distance_m)])
+    assert found.distrusted.size == 1
+    assert "the step lengths are those of the prior" in found.notes[0]
+    assert not any("those of the prior" in note for note in calibrate_segments([good]).notes)
+
+
 def test_segments_of_one_recording_count_less_than_independent_segments() -> None:
     rng, model, k = np.random.default_rng(15), BounceStepLength(), np.array([0.3])
     many = [segment(rng, model, k, error_m=float(rng.normal(0, 0.4)), recording=f"r{i}") for i in range(40)]
