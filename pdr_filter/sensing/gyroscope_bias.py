@@ -361,6 +361,13 @@ class GyroBias:
             n_field_outliers=n_field_outliers,
         )
 
+    def device_fits(self, state: GyroBiasState) -> float:
+        """Return the probability that the bias of `device` holds in this recording; 1 without a device."""
+        if self.device is None:
+            return 1.0
+        weight = np.exp(state.log_weight)
+        return float(weight[0] / np.add.reduce(weight))
+
     def learnt(self, state: GyroBiasState, error_rad: float = 0.0, error_var_rad2: float = math.inf) -> Device:
         """Return the bias and its covariance for the next recording of the phone.
 
@@ -370,6 +377,50 @@ class GyroBias:
         bank = state.mean, state.cov, state.log_weight
         if math.isfinite(error_var_rad2):
             bank, _ = _update(bank, _H_ERROR, error_rad - state.mean[:, _ERROR], error_var_rad2, 1e-9, 0.0)
+        bias, bias_cov = _mixture(bank)
+        return Device(bias[_BIAS].copy(), bias_cov[_BIAS, _BIAS].copy())
+
+    def learnt_from_smoothed(
+        self,
+        state: GyroBiasState,
+        error_rad: float,
+        var_rad2: float,
+        other_var_rad2: float,
+        ago_s: float,
+        up_sensor: FloatArray,
+    ) -> Device:
+        """Return the bias and its covariance for the next recording, using the heading error of a smoothed walk.
+
+        Parameters
+        ----------
+        state : GyroBiasState
+            State at the end of the recording.
+        error_rad, var_rad2 : float
+            Smoothed error of the corrected heading at an earlier time, rad, and its variance.
+        other_var_rad2 : float
+            Variance of the part of the error that does not come from the bias, rad2.
+        ago_s : float
+            Time from the smoothed error to the end of the recording, s.
+        up_sensor : FloatArray
+            Unit vector up in the sensor frame during this time, shape (3,).
+
+        Returns
+        -------
+        Device
+            Bias and covariance.
+
+        Notes
+        -----
+        The smoothed error contains the information of this state, which must not count twice. It is therefore used only
+        if its variance is below a quarter of the variance that the heading has in this state.
+        """
+        bank = state.mean, state.cov, state.log_weight
+        if var_rad2 > 0.25 * state.heading_error_var_rad2:
+            return self.learnt(state)
+        # h' x is the error at the earlier time, because the error has grown by up' (bias in use - bias) a second.
+        h = np.array([*(ago_s * up_sensor), 0.0, 1.0])
+        innovation = error_rad + ago_s * _dot(up_sensor, state.bias_radps) - bank[0].dot(h)
+        bank, _ = _update(bank, h, innovation, var_rad2 + other_var_rad2, 1e-9, 0.0)
         bias, bias_cov = _mixture(bank)
         return Device(bias[_BIAS].copy(), bias_cov[_BIAS, _BIAS].copy())
 

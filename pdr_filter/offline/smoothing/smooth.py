@@ -7,7 +7,7 @@ States are estimated at anchors only. The steps between two anchors are summed i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 from pathlib import Path
@@ -55,8 +55,10 @@ from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
 from pdr_filter.recipes.config import Config
 from pdr_filter.recipes.step_length_calibration import Calibration
 from pdr_filter.sensing.device import Device
+from pdr_filter.sensing.front_end import SensingState
 from pdr_filter.sensing.heading.heading_stage import after_first_pass
-from pdr_filter.tracking.filtering import init
+from pdr_filter.sensing.heading.walking_heading import WalkingHeadingState
+from pdr_filter.tracking.filtering import Output, State, init
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.walked_path import WalkedPath, walked_path
 from pdr_filter.tracking.whole_recording import collected, outputs, prepared_run, run_sensing
@@ -83,6 +85,11 @@ from pdr_filter.values.track_placement import GnssUse, NorthUse, TrackPlacement
 # Prior standard deviation of the start in the frame of the fixes: only the region is known.
 _REGION_STD_M = 1000.0
 _KNOWN_STD_RAD = 1e-3
+
+
+# Configuration, dead-reckoned track, and state of the sensing at its end. The state is None if the axes of a building
+# determine the gyroscope bias.
+_Reckoned = tuple[Config, Track, SensingState | None]
 
 
 @dataclass(slots=True, eq=False)
@@ -112,9 +119,9 @@ class SmoothingMemory:
 
     recording: Recording | None = None
     _key: bytes = b""
-    _found: tuple[Config, Track] | None = None
+    _found: _Reckoned | None = None
 
-    def of(self, recording: Recording, key: bytes, make: Callable[[], tuple[Config, Track]]) -> tuple[Config, Track]:
+    def of(self, recording: Recording, key: bytes, make: Callable[[], _Reckoned]) -> _Reckoned:
         """Return the dead-reckoned track of the last call, or of a new one if anything has changed.
 
         Parameters
@@ -124,12 +131,12 @@ class SmoothingMemory:
         key : bytes
             Configuration and options of this call, as bytes.
         make : callable
-            Function that computes the configuration and the track.
+            Function that computes the result.
 
         Returns
         -------
-        tuple of (Config, Track)
-            Configuration and dead-reckoned track.
+        tuple
+            Configuration, dead-reckoned track, and state of the sensing at its end.
         """
         if self._found is None or self.recording is not recording or self._key != key:
             self.recording, self._key, self._found = recording, key, make()
@@ -281,18 +288,27 @@ def smooth(
         return with_given_place(run, _on_plan(found, Observations(places)))
     stood = [fix for fix in run.fixes if isinstance(fix, Standstill)]
 
-    def reckoned() -> tuple[Config, Track]:
-        """Return the configuration and the dead-reckoned track of the recording, without fixes and locations."""
+    def reckoned() -> _Reckoned:
+        """Return the dead reckoning of the recording, without fixes and locations."""
         own, known_device = _with_first_pass(recording, asked, first_pass)
         own = own.in_hindsight().with_model(frame=START_FRAME)
-        found = collected(recording, own, outputs(recording, own, stood, second_pass, with_hills=run.with_location))
-        return own, with_arrivals(replace(found, device=known_device or found.device))
+        sensing: SensingState | None = None
+
+        def results() -> Iterator[tuple[State, Output]]:
+            nonlocal sensing
+            for state, output in outputs(recording, own, stood, second_pass, with_hills=run.with_location):
+                sensing = state.sensing
+                yield state, output
+
+        found = collected(recording, own, results())
+        track = with_arrivals(replace(found, device=known_device or found.device))
+        return own, track, sensing if known_device is None else None
 
     if memory is None:
-        config, track = reckoned()
+        config, track, sensing = reckoned()
     else:
         key = to_bytes((asked.with_model(frame=START_FRAME), stood, placement.north or "", run.with_location))
-        config, track = memory.of(given, key, reckoned)
+        config, track, sensing = memory.of(given, key, reckoned)
     modes = config.model.modes
     if track.weighting == "imm":
         prob = smoothed_mode_prob(track.mode_prob, config.model.transition_prob)
@@ -313,6 +329,9 @@ def smooth(
     smoothed, walked_var_m2 = _smooth_track(
         track, modes, config, observed, start_heading_std_rad, anchor_interval_s, guess
     )
+    if sensing is not None and (np.asarray(smoothed.observations.weight) > 0.5).any():
+        device = _observed_device(smoothed, config, sensing)
+        smoothed = replace(smoothed, track=replace(smoothed.track, device=device))
     if gnss == "align" and recording.location is not None:
         smoothed, where, locations = aligned_walk(smoothed, walked_var_m2, recording.location)
     return with_given_place(run, on_earth(smoothed, where, locations, observed))
@@ -377,6 +396,28 @@ def _with_first_pass(
         steps = [event for event in events if isinstance(event, Step)]
     heading = after_first_pass(config.sensing.heading, step_table(steps))
     return replace(config, sensing=replace(config.sensing, heading=heading)), known_device
+
+
+def _observed_device(smoothed: Smoothed, config: Config, sensing: SensingState) -> Device:
+    """Return the phone with the gyroscope bias that the observations of a smoothed walk determine.
+
+    During the walk the heading offset changes by minus the heading error of the gyroscope. The change is taken from the
+    first step to the step at which the resulting rate is known best. A phone that is moved adds the variance of an
+    unknown angle. `sensing` is the state at the end of the recording.
+    """
+    bias, heading = config.sensing.attitude.bias, sensing.heading
+    steps, turned_rad = smoothed.track.steps, np.unwrap(smoothed.heading_offset_rad)
+    if not isinstance(heading, WalkingHeadingState) or heading.place is None or len(steps) < 2:
+        return config.sensing.device(sensing)
+    lasted_s = np.asarray(steps.time_s)[1:] - float(steps.time_s[0])
+    var = smoothed.heading_offset_std_rad[1:] ** 2 + smoothed.heading_offset_std_rad[0] ** 2
+    moved_var = np.asarray(steps.offset_change_std_rad) ** 2 + np.asarray(steps.heading_unknown_s)
+    walk_var = config.model.noise.heading_drift.random_walk_rad_per_sqrt_s**2 * lasted_s
+    other_var = np.cumsum(moved_var[1:]) + walk_var
+    k = int(np.argmin((var + other_var) / lasted_s**2))
+    error_rad = float(turned_rad[0] - turned_rad[1 + k])
+    ago_s, up = sensing.processed_s - float(steps.time_s[1 + k]), np.array(heading.place.up)
+    return bias.learnt_from_smoothed(sensing.attitude.bias, error_rad, float(var[k]), float(other_var[k]), ago_s, up)
 
 
 def _on_plan(found: SmoothedOnPlan, observed: Observations) -> Smoothed:
