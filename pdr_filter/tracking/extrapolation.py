@@ -171,7 +171,7 @@ def present_place(config: Config, state: State) -> Present:
     tracker, last, steps = state.tracker, state.last_update, list[ProvisionalStep]()
     for step in () if state.finished else _candidates(sensing.gate):
         tracker, updates = config.tracker.on_step(tracker, step)
-        last = updates[-1]
+        last = config.tracker.provisional(tracker) or updates[-1]
         step_place_m = last.position_m if last.of_start is None else last.of_start.position_m
         steps.append(ProvisionalStep(step.time_s, step_place_m))
     pedestrian = state.tracker.pedestrian
