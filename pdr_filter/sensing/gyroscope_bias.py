@@ -325,7 +325,8 @@ class GyroBias:
         if not window.angular_rate_known:
             return self.after_gap(state)
         correction_rad = self.window_s * _dot(window.up_sensor, state.bias_radps)
-        bank = _predict(self, (state.mean, state.cov, state.log_weight), window.up_sensor, correction_rad)
+        last = state.mean, state.cov, state.log_weight
+        bank = predicted = _predict(self, last, window.up_sensor, correction_rad)
         # A positive angular rate about up decreases the clockwise heading, and so does a positive bias. Subtracting the
         # correction gives the uncorrected heading, at the middle of the window.
         measured_rad = window.heading_rad - (state.corrected_rad + 0.5 * correction_rad)
@@ -338,8 +339,10 @@ class GyroBias:
         estimate = self._measure_walk(bank, walk)
         state_mean, state_cov = _mixture(estimate)
         error_rad, error_var_rad2 = _direction(estimate)
-        before = self._measure_walk((state.mean, state.cov, state.log_weight), state.walk)
-        _, predicted_var_rad2 = _direction(_predict(self, before, window.up_sensor, correction_rad))
+        before = self._measure_walk(last, state.walk)
+        if before is not last:
+            predicted = _predict(self, before, window.up_sensor, correction_rad)
+        _, predicted_var_rad2 = _direction(predicted)
         lost_rad2 = max(predicted_var_rad2 - state.heading_error_var_rad2, 0.0)
         return replace_unchecked(
             state,
