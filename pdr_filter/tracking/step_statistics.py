@@ -7,12 +7,12 @@ times. Both use the criteria and texts of this module.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.values import HARDLY_AGREE, BoolArray, ContextSet, FloatArray, Step
+from pdr_filter.values import HARDLY_AGREE, BoolArray, ContextSet, FloatArray, Step, replace_unchecked
 
 # Standard deviation of the heading above which it counts as unknown. At an error of 0.5 rad a step advances by 12 %
 # less along the estimated direction than a linear filter assumes.
@@ -116,7 +116,7 @@ class WindowCounts:
         )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class StepCounts:
     """Number of steps, of those that are unreliable, and the times of the problems.
 
@@ -154,7 +154,7 @@ class StepCounts:
         position besides the step itself.
         """
         is_untrusted = bool(is_without_direction(step.shown_offset_std_rad, step.direction_trust))
-        counts = replace(
+        counts = replace_unchecked(
             self,
             n=self.n + 1,
             untrusted=self.untrusted + is_untrusted,
@@ -163,7 +163,7 @@ class StepCounts:
         if heading_std_rad > UNKNOWN_HEADING_RAD:
             since_s = self.unknown_from_s if self.heading_unknown else step.time_s
             n = self.heading_unknown + 1
-            counts = replace(counts, heading_unknown=n, unknown_from_s=since_s, unknown_until_s=step.time_s)
+            counts = replace_unchecked(counts, heading_unknown=n, unknown_from_s=since_s, unknown_until_s=step.time_s)
         if moved_m > max(self.largest_move_m, MOVE_M):
-            counts = replace(counts, largest_move_m=moved_m, largest_move_s=step.time_s)
+            counts = replace_unchecked(counts, largest_move_m=moved_m, largest_move_s=step.time_s)
         return counts
