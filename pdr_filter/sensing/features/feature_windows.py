@@ -182,7 +182,7 @@ class FeatureWindows(SlidingWindows[WindowState, FeatureWindow]):
         )
         if not windows:
             return WindowState(zi, buffer), []
-        samples = np.stack([w.samples for w in windows])
+        samples = np.array([w.samples for w in windows])
         features = self.features.describe(samples[:, 1:], self.rate_hz)
         has_gyroscope = samples[:, 0].min(axis=1) > 0
         found = [

@@ -112,7 +112,7 @@ def evidence_features(windows: Sequence[FloatArray], intervals_s: Sequence[Seque
     for (_, n_box, n_lags), found in same_size.items():
         for start in range(0, len(found), _MAX_GROUP):
             group = found[start : start + _MAX_GROUP]
-            force = np.stack([windows[i].T for i in group])
+            force = np.array([windows[i].T for i in group])
             features[group, 0], features[group, 2], features[group, 3] = _force_features(
                 force, n_box, n_lags, stretch[group]
             )
