@@ -633,9 +633,9 @@ def _direction(bank: _Bank) -> tuple[float, float]:
     """
     mean, cov, log_weight = bank
     errors_rad = mean[:, _ERROR].tolist()
-    weights, shrunk = np.exp([log_weight, log_weight - 0.5 * cov[:, _ERROR, _ERROR]]).tolist()
-    resultant = sum(cmath.rect(weight, error_rad) for weight, error_rad in zip(shrunk, errors_rad, strict=True))
-    length = abs(resultant) / sum(weights)
+    weights, shrunk = np.exp([log_weight, log_weight - 0.5 * cov[:, _ERROR, _ERROR]])
+    resultant = complex(np.add.reduce([cmath.rect(*polar) for polar in zip(shrunk.tolist(), errors_rad, strict=True)]))
+    length = abs(resultant) / float(np.add.reduce(weights))
     likely_rad = errors_rad[log_weight.argmax()]
     error_rad = likely_rad + cmath.phase(resultant * cmath.exp(-1j * likely_rad))
     return error_rad, min(-2.0 * math.log(max(length, 1e-9)), UNKNOWN_VAR_RAD2)
