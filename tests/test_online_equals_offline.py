@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 import pdr_filter as pdr
 from pdr_filter import recipes
+from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.tracking.filtering import MAX_CLIMBS
 from pdr_filter.tracking.track import Track
@@ -106,6 +107,25 @@ def test_the_simulated_walk_gives_the_same_bits_however_it_arrives(
     assert_updates_are_the_track(stream(online, blocks), track)
     assert online.notes == track.notes
     np.testing.assert_array_equal(online.position_m, track.position_m[-1])
+
+
+@pytest.mark.parametrize("weighting", ["wc", "hc"])
+def test_every_division_into_blocks_reports_the_same_provisional_steps(short_walk: Recording, weighting: str) -> None:
+    samples = pdr.merge_streams(short_walk)
+    several, single = (stream(online_filter(weighting), cut(samples, cuts)) for cuts in ([], list(range(0, 9999, 10))))
+    provisional = [[u for u in updates if not u.is_final] for updates in (several, single)]
+    assert_same_updates(provisional[0], provisional[1])
+    assert len(provisional[0]) > 20
+
+
+def test_a_whole_recording_computes_no_provisional_steps(
+    short_walk: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(tracker: object, state: object) -> None:
+        raise AssertionError("nobody asked for a provisional step")
+
+    monkeypatch.setattr(WeightedTracker, "provisional", refuse)
+    assert tracked(short_walk, weighting="wc").n_steps > 0
 
 
 @pytest.mark.recordings

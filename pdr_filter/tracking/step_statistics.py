@@ -7,12 +7,12 @@ times. Both use the criteria and texts of this module.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.values import HARDLY_AGREE, BoolArray, ContextSet, FloatArray, Step
+from pdr_filter.values import HARDLY_AGREE, BoolArray, ContextSet, FloatArray, Step, replace_unchecked
 
 # Standard deviation of the heading above which it counts as unknown. At an error of 0.5 rad a step advances by 12 %
 # less along the estimated direction than a linear filter assumes.
@@ -124,7 +124,7 @@ class WindowCounts:
         )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class StepCounts:
     """Number of steps, of those that are unreliable, and the times of the problems.
 
@@ -166,7 +166,7 @@ class StepCounts:
         """
         since_s, trust = step.carried_since_s, step.direction_trust
         first_s = min(self.first_carried_s, since_s) if math.isfinite(since_s) else self.first_carried_s
-        counts = replace(
+        counts = replace_unchecked(
             self,
             n=self.n + 1,
             untrusted=self.untrusted + bool(is_without_direction(since_s, first_s, trust)),
@@ -176,7 +176,7 @@ class StepCounts:
         if heading_std_rad > UNKNOWN_HEADING_RAD:
             since_s = self.unknown_from_s if self.heading_unknown else step.time_s
             n = self.heading_unknown + 1
-            counts = replace(counts, heading_unknown=n, unknown_from_s=since_s, unknown_until_s=step.time_s)
+            counts = replace_unchecked(counts, heading_unknown=n, unknown_from_s=since_s, unknown_until_s=step.time_s)
         if moved_m > max(self.largest_move_m, MOVE_M):
-            counts = replace(counts, largest_move_m=moved_m, largest_move_s=step.time_s)
+            counts = replace_unchecked(counts, largest_move_m=moved_m, largest_move_s=step.time_s)
         return counts

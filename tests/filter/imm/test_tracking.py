@@ -94,7 +94,8 @@ def run(filter_: Tracker, events: list[Event], state: State | None = None) -> tu
     for event in events:
         on_event = filter_.on_window if isinstance(event, WindowContext) else filter_.on_step
         state, found = updates_of(on_event(state, event))  # type: ignore[arg-type]
-        updates += found
+        provisional = filter_.provisional(state) if isinstance(event, Step) else None
+        updates += found if provisional is None else [*found, provisional]
     state, found = updates_of(filter_.finish(state))
     return state, [*updates, *found]
 
@@ -478,8 +479,11 @@ def test_the_imm_uses_each_window_once_for_steps_of_any_delay() -> None:
 def test_a_gap_makes_pending_steps_final_with_the_windows_of_their_segment(weighting: str) -> None:
     filter_ = tracker(weighting)
     state, _ = updates_of(filter_.on_window(filter_.init(), WindowContext(2.0, sure(WALKING), EVEN_PRIOR)))
-    state, [waiting] = updates_of(filter_.on_step(state, a_step(1.6)))
+    state, _ = updates_of(filter_.on_step(state, a_step(1.6)))
+    waiting = filter_.provisional(state)
+    assert waiting is not None
     state, updates = updates_of(filter_.on_gap(state, 5.0))
+    assert filter_.provisional(state) is None
     assert [(u.index, u.is_final) for u in updates] == [(waiting.index, True)]
     assert updates[0].mode_prob[WALKING] == 1.0
     state, late = updates_of(filter_.on_window(state, WindowContext(9.0, sure(RUNNING), EVEN_PRIOR)))
@@ -491,7 +495,9 @@ def test_after_a_gap_windows_of_the_segment_before_are_not_used(weighting: str) 
     filter_ = tracker(weighting)
     state, _ = updates_of(filter_.on_window(filter_.init(), WindowContext(2.0, sure(RUNNING), EVEN_PRIOR)))
     state, _ = updates_of(filter_.on_gap(state, 5.0))
-    state, [provisional] = updates_of(filter_.on_step(state, a_step(7.5)))
+    state, _ = updates_of(filter_.on_step(state, a_step(7.5)))
+    provisional = filter_.provisional(state)
+    assert provisional is not None
     assert provisional.context_prob[RUNNING] == pytest.approx(1 / 6)
     _, updates = run(filter_, [WindowContext(t, sure(WALKING), EVEN_PRIOR) for t in (9.0, 10.0)], state)
     assert [u.mode_prob[WALKING] for u in final(updates)] == [1.0]
