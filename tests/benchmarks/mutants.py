@@ -155,7 +155,7 @@ if REACHED_FILE in os.environ:
         return result
 
 
-def pytest_command(tree: Path, *arguments: str) -> dict[str, Any]:
+def fast_tests(tree: Path, *arguments: str) -> dict[str, Any]:
     """Arguments of `subprocess.run` for the fast tests of a tree, in one process."""
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:xdist", "-p", "no:cacheprovider", "-m", "not slow"]
     environment = {**os.environ, "PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
@@ -170,11 +170,13 @@ def record_reached(tree: Path, mutants: list[Mutant], out: Path) -> None:
         sources[path] = path.read_text()
         number_of = {mutant.number: k for k, mutant in enumerate(mutants) if mutant.module == module}
         path.write_text(with_records(sources[path], number_of))
-    run = pytest_command(tree, "-p", "tests.benchmarks.mutants")
+    run = fast_tests(tree, "-p", "tests.benchmarks.mutants")
     run["env"][REACHED_FILE] = str(out.resolve())
-    subprocess.run(**run)
+    ran = subprocess.run(**run)
     for path, source in sources.items():
         path.write_text(source)
+    if not out.exists():
+        raise RuntimeError(f"no test ran:\n{ran.stdout.decode()}")
 
 
 def reaching_tests(reached: Path, mutants: list[Mutant]) -> list[list[str]]:
@@ -219,7 +221,7 @@ def fate(tree: Path, mutant: Mutant, tests: list[str], limit_s: float) -> str:
     given = tree.parent / "tests.txt"  # more names than a command line holds
     given.write_text("\n".join(tests))
     try:
-        ran = subprocess.run(**pytest_command(tree, "-x", f"@{given}"), timeout=limit_s)
+        ran = subprocess.run(**fast_tests(tree, "-x", f"@{given}"), timeout=limit_s)
         failed = [line for line in ran.stdout.decode().splitlines() if line.startswith(("FAILED", "ERROR"))]
         return "alive" if ran.returncode in (0, 5) else f"killed by {failed[0].split(' ')[1]}" if failed else "killed"
     except subprocess.TimeoutExpired:
