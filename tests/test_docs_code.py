@@ -238,7 +238,7 @@ def test_every_page_is_in_the_table_of_contents() -> None:
     assert pages - {"index"} <= listed
 
 
-# --- tables and figures ----------------------------------------------------------------------------------------------
+# --- tables ------------------------------------------------------------------------------------------------------------
 
 
 def tables_of(text: str) -> list[str]:
@@ -288,37 +288,6 @@ def test_a_table_with_the_same_numbers_has_the_same_bytes_another_day(tmp_path: 
     assert "1.6" in path.read_text("utf-8")
     with pytest.raises(ValueError, match="2 cells"):
         tables.write("some", ["a", "b"], [["x"]])
-
-
-def figures(text: str) -> set[str]:
-    """Numbers in prose that may be results: decimals, and numbers of per cent, points and times; none of code."""
-    text = re.sub(r"^```.*?^```$|<!--.*?-->|\$\$.*?\$\$|\$[^$]*\$|`[^`]*`|^\|.*$", " ", text, flags=re.M | re.S)
-    text = re.sub(r"\]\([^)]*\)|doi:\S+", " ", text)
-    decimals = re.findall(r"(?<![\w.])\d+\.\d+(?![\w.]*\d)", text)
-    return {*decimals, *re.findall(r"(?<![\w.])(\d+)(?= (?:%|points|times)(?: |[.,:;)]|$))", text, re.MULTILINE)}
-
-
-def sections(text: str) -> list[str]:
-    """A page, cut at its headings."""
-    return re.split(r"^(?=#+ )", text, flags=re.MULTILINE)
-
-
-@pytest.mark.parametrize("page", [page for page, text in PAGES.items() if tables_of(text)])
-def test_figures_in_the_text_beside_a_table_stand_in_a_table_of_the_section(page: str) -> None:
-    for section in sections(PAGES[page]):
-        if tables_of(section):
-            known = set(re.findall(r"\d+(?:\.\d+)?", " ".join(TABLES[name] for name in tables_of(section))))
-            given = {
-                number for numbers in re.findall(r"<!-- given: ([\d. ]+) -->", section) for number in numbers.split()
-            }
-            assert figures(section) <= known | given, section.splitlines()[0]
-            assert given <= figures(section), f"{section.splitlines()[0]}: exempted and not there"
-
-
-def test_a_figure_is_found_in_prose_and_not_in_formulas_or_code() -> None:
-    assert figures(
-        "It has 1.03 %, 12 points and 0.48 a minute, 3 walks.\n| 9.9 % |\n$k = 0.5$ and `0.6` <!-- 7.7 % -->"
-    ) == {"1.03", "12", "0.48"}
 
 
 def test_the_places_of_the_equations_exist() -> None:
