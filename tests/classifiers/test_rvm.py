@@ -375,10 +375,10 @@ def test_limits_that_were_reached_are_reported() -> None:
 def test_a_hundred_thousand_rows_stay_within_the_budgets() -> None:
     X, y = make_classification(100_000, 10, n_informative=6, n_classes=3, n_clusters_per_class=1, random_state=0)
     classifier = RelevanceVectorClassifier(max_samples=60, max_basis=20, max_iter=15)
-    start = time.perf_counter()
+    start = time.process_time()
     with pytest.warns(ConvergenceWarning):
         classifier.fit(X, y)
-    assert time.perf_counter() - start < 30  # about 4 s on an idle core
+    assert time.process_time() - start < 30  # about 4 s
     assert classifier.machine_.weights.shape[1] <= 20
     assert classifier.n_iter_ <= 15
     assert classifier.score(X[:500], y[:500]) > 0.8
