@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,12 @@ REAL = (
 @pytest.fixture(scope="module")
 def demo() -> Recording:
     return from_hand_to_pocket()
+
+
+@pytest.fixture(scope="module")
+def tracked_demo(demo: Recording) -> Callable[[str], Track]:
+    """Track of the demo with each weighting."""
+    return cache(lambda weighting: tracked(demo, weighting=weighting))
 
 
 @pytest.fixture(scope="module")
@@ -98,9 +105,9 @@ def assert_same_updates(actual: Sequence[pdr.StepUpdate], expected: Sequence[pdr
 # The front end, where blocks matter most, is the same for all weightings: only one of them gets tiny blocks.
 @pytest.mark.parametrize(("weighting", "mean_length"), [("imm", 7), ("imm", 40), ("wc", 40), ("hc", 40)])
 def test_the_simulated_walk_gives_the_same_bits_however_it_arrives(
-    demo: Recording, weighting: str, mean_length: int
+    demo: Recording, tracked_demo: Callable[[str], Track], weighting: str, mean_length: int
 ) -> None:
-    track = tracked(demo, weighting=weighting)
+    track = tracked_demo(weighting)
     assert track.n_steps > 190
     blocks = cut_randomly(pdr.merge_streams(demo), seed=mean_length, mean_length=mean_length)
     online = online_filter(weighting)
@@ -366,8 +373,8 @@ def test_a_right_turn_of_the_walk_is_a_right_turn_of_the_track() -> None:
 
 
 @pytest.mark.parametrize("weighting", WEIGHTINGS)
-def test_a_track_is_whole_and_in_order(demo: Recording, weighting: str) -> None:
-    track = tracked(demo, weighting=weighting)
+def test_a_track_is_whole_and_in_order(demo: Recording, tracked_demo: Callable[[str], Track], weighting: str) -> None:
+    track = tracked_demo(weighting)
     assert (np.diff(track.time_s) > 0).all()
     assert (track.steps.detected_time_s >= track.time_s).all()
     # the gate lets the first steps of each bout go together
@@ -386,8 +393,8 @@ def test_a_track_is_whole_and_in_order(demo: Recording, weighting: str) -> None:
     assert track.n_steps == pytest.approx(len(demo.truth.steps), rel=0.03)
 
 
-def test_the_weightings_differ_and_share_their_steps(demo: Recording) -> None:
-    imm, wc, hc = (tracked(demo, weighting=w) for w in WEIGHTINGS)
+def test_the_weightings_differ_and_share_their_steps(demo: Recording, tracked_demo: Callable[[str], Track]) -> None:
+    imm, wc, hc = map(tracked_demo, WEIGHTINGS)
     np.testing.assert_array_equal(imm.time_s, hc.time_s)
     np.testing.assert_array_equal(wc.time_s, hc.time_s)
     assert len({t.distance_m for t in (imm, wc, hc)}) == 3

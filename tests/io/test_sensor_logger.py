@@ -346,6 +346,13 @@ def test_json_with_a_brace_in_a_text_is_read(tmp_path: Path) -> None:
     assert recording.meta["annotations"][0]["text"] == 'odd "},{" text'
 
 
+def test_json_of_an_unknown_sensor_is_no_annotation(tmp_path: Path) -> None:
+    objects = json.loads(sensor_logger_json(sensor_logger_files(WALK)))
+    objects.append({"sensor": "Future", "time": str(T0_NS), "seconds_elapsed": "0", "text": "near"})
+    (tmp_path / "w.json").write_text(json.dumps(objects, separators=(",", ":")))
+    assert "annotations" not in read(tmp_path / "w.json").meta
+
+
 def json_objects() -> list[dict[str, str]]:
     return json.loads(sensor_logger_json(sensor_logger_files(WALK)))
 
