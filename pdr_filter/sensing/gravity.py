@@ -21,16 +21,19 @@ Only whole recordings can be restored: the estimate uses windows before and afte
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from vqf import VQF
 
-from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Samples, interpolated
+from pdr_filter.sensing.conditioning import Conditioner, merge_streams
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Samples, interpolated, median
 from pdr_filter.values.quaternions import rotation_matrix
 from pdr_filter.values.recording import Recording
 
+_RATE_HZ = Conditioner().rate_hz
 _WINDOW_S, _HOP_S, _TURN_S = 8.0, 4.0, 4.0
 # Step frequencies of walking and running, Hz.
 _STEP_HZ = np.arange(1.3, 2.9, 0.02)
@@ -44,11 +47,14 @@ _LEAST_RMS_MPS2, _LEAST_CONTRAST = 0.7, 2.2
 _LEAST_WINDOWS = 2
 # Standard deviations of the weights of neighbouring windows. The axis drifts with the gyroscope; its sense does not.
 _AXIS_S, _SENSE_S = 20.0, 60.0
-# Weight of the angular rate, per (rad/s)2, relative to the share of the acceleration.
-_TURN_WEIGHT = 10.0
+# Weight of the direction of the angular rate, and the variance of the rate at which it has half of this weight. The
+# directions of acceleration and sideways motion have the weights 1 and -1.
+_TURN_WEIGHT, _TURN_VAR_RAD2PS2 = 2.0, 0.1
+# A window whose acceleration exceeds the median of the walked windows by this factor is shaken, and is not used.
+_SHAKEN = 2.5
 # Weights of the cues for the sense of the axis: pendulum, phase and screen; and the margin of a sure decision.
 _PENDULUM, _PHASE, _SCREEN = 1.5, 1.0, 0.75
-_SURE = 0.2
+_SURE = 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,10 +74,21 @@ class Restored:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Segment:
+    """Uniform samples without a gap, and their rotation (N, 3, 3) to the frame of the first one."""
+
+    time_s: FloatArray
+    acceleration: FloatArray
+    rate: FloatArray
+    turned: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Window:
     """Cues of one walked window, in the frame of the gyroscope."""
 
     time_s: float
+    rms_mps2: float
     axis: FloatArray  # (3, 3), largest along the vertical
     sense: FloatArray  # (3,), positive along up
 
@@ -99,38 +116,61 @@ def with_gravity(acceleration: Samples, gyroscope: Samples | None = None) -> Res
 
     Examples
     --------
+    A walk with the phone in the hand, whose tilt hardly changes, without its mean:
+
+    >>> import numpy as np
     >>> import pdr_filter as pdr
-    >>> walk = pdr.simulate.demo_walk()
+    >>> from pdr_filter.sensing.gravity import with_gravity
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=40.0)])
+    >>> force = walk.accelerometer
+    >>> linear = pdr.Samples(force.time_s, force.values - force.values.mean(axis=0))
+    >>> restored = with_gravity(linear, walk.gyroscope)
+    >>> error_mps2 = (restored.force.values - force.values).mean(axis=0)
+    >>> bool(np.linalg.norm(error_mps2) < 2.0), restored.is_sense_sure
+    (True, True)
     """
-    up_s, up, sense = _up(_uniform_blocks(acceleration, gyroscope))
+    up_s, up, sense = _up(_segments(acceleration, gyroscope))
     ups = interpolated(acceleration.time_s, up_s, up)
     ups /= np.linalg.norm(ups, axis=1, keepdims=True)
     force = Samples(acceleration.time_s, acceleration.values + STANDARD_GRAVITY_MPS2 * ups)
     return Restored(force, sense > _SURE)
 
 
-def _uniform_blocks(acceleration: Samples, gyroscope: Samples | None) -> list[UniformBlock]:
-    """Return uniform samples, one block for each segment between gaps."""
+def _segments(acceleration: Samples, gyroscope: Samples | None) -> list[_Segment]:
+    """Return the parts of a recording between gaps of a sensor. Without a gyroscope the angular rate is zero."""
     conditioner = Conditioner()
-    state, blocks = conditioner.update(
-        conditioner.init(), merge_streams(Recording("", acceleration, gyroscope=gyroscope))
-    )
-    return blocks
+    merged = merge_streams(Recording("", acceleration, gyroscope=gyroscope))
+    _, blocks = conditioner.update(conditioner.init(), merged)
+    is_known = any(block.angular_rate_known.any() for block in blocks)
+    found = list[_Segment]()
+    for block in blocks:
+        known = block.angular_rate_known if is_known else np.ones(len(block.time_s), dtype=bool)
+        ends = [0, *(np.flatnonzero(np.diff(known)) + 1), len(known)]
+        for rows in (slice(*pair) for pair in itertools.pairwise(ends) if known[pair[0]]):
+            rate = block.angular_rate_radps[rows] if is_known else np.zeros_like(block.angular_rate_radps[rows])
+            found.append(_Segment(block.time_s[rows], block.specific_force_mps2[rows], rate, _turned(rate)))
+    return found
 
 
-def _up(blocks: list[UniformBlock]) -> tuple[FloatArray, FloatArray, float]:
+def _turned(rate: FloatArray) -> FloatArray:
+    """Return rotation matrices (N, 3, 3) from the sensor to the frame of the first sample, from the gyroscope alone."""
+    vqf = VQF(1 / _RATE_HZ, motionBiasEstEnabled=False, restBiasEstEnabled=False)
+    return rotation_matrix(vqf.updateBatchFullState(np.ascontiguousarray(rate), np.zeros_like(rate))["gyrQuat"])
+
+
+def _up(segments: Sequence[_Segment]) -> tuple[FloatArray, FloatArray, float]:
     """Return times (K,), up in the sensor frame (K, 3), and the mean agreement of the cues for its sense."""
     times, ups, senses = list[FloatArray](), list[FloatArray](), list[FloatArray]()
-    for block in blocks:
-        turned = _attitude(block)
-        windows = _windows(block, turned)
+    walked = [_windows(segment) for segment in segments]
+    all_rms = np.array([w.rms_mps2 for windows in walked for w in windows])
+    for segment, walked_here in zip(segments, walked, strict=True):
+        windows = [w for w in walked_here if w.rms_mps2 < _SHAKEN * median(all_rms)]
         if not windows:
             continue
         at_s = np.array([w.time_s for w in windows])
         up, sense = _smoothed(at_s, np.array([w.axis for w in windows]), np.array([w.sense for w in windows]))
-        in_frame = interpolated(block.time_s, at_s, up)
-        times.append(block.time_s)
-        ups.append(np.einsum("nji,nj->ni", turned, in_frame))
+        times.append(segment.time_s)
+        ups.append(np.einsum("nji,nj->ni", segment.turned, interpolated(segment.time_s, at_s, up)))
         senses.append(sense)
     found = np.concatenate(senses) if senses else np.empty(0)
     if len(found) < _LEAST_WINDOWS:
@@ -141,24 +181,14 @@ def _up(blocks: list[UniformBlock]) -> tuple[FloatArray, FloatArray, float]:
     return np.concatenate(times), np.concatenate(ups), float(found.mean())
 
 
-def _attitude(block: UniformBlock) -> FloatArray:
-    """Return rotation matrices (N, 3, 3) from the sensor to the frame of the first sample, from the gyroscope alone."""
-    rate = np.where(block.angular_rate_known[:, None], block.angular_rate_radps, 0.0)
-    vqf = VQF(0.01, motionBiasEstEnabled=False, restBiasEstEnabled=False)
-    return rotation_matrix(vqf.updateBatchFullState(np.ascontiguousarray(rate), np.zeros_like(rate))["gyrQuat"])
-
-
-def _windows(block: UniformBlock, turned: FloatArray) -> list[_Window]:
+def _windows(segment: _Segment) -> list[_Window]:
     """Return the cues of the walked windows of a segment."""
-    rate_hz = 100.0
-    n, hop, n_turn = (round(s * rate_hz) for s in (_WINDOW_S, _HOP_S, _TURN_S))
-    accelerations = np.einsum("nij,nj->ni", turned, block.specific_force_mps2)
-    rate = np.where(block.angular_rate_known[:, None], block.angular_rate_radps, 0.0)
-    rates = np.einsum("nij,nj->ni", turned, rate)
+    n, hop, n_turn = (round(s * _RATE_HZ) for s in (_WINDOW_S, _HOP_S, _TURN_S))
+    accelerations, rates = (np.einsum("nij,nj->ni", segment.turned, x) for x in (segment.acceleration, segment.rate))
     hann, hann_turn = np.hanning(n), np.hanning(n_turn) / np.hanning(n_turn).sum()
     n_fft = 8 * n
-    steps = np.rint(np.outer(_HARMONICS, _STEP_HZ) / 2 * n_fft / rate_hz).astype(int)  # (6, F)
-    band = slice(*(round(hz * n_fft / rate_hz) for hz in _BAND_HZ))
+    steps = np.rint(np.outer(_HARMONICS, _STEP_HZ) / 2 * n_fft / _RATE_HZ).astype(int)  # (6, F)
+    band = slice(*(round(hz * n_fft / _RATE_HZ) for hz in _BAND_HZ))
     found = list[_Window]()
     for start in range(0, len(accelerations) - n + 1, hop):
         rows = slice(start, start + n)
@@ -175,15 +205,18 @@ def _windows(block: UniformBlock, turned: FloatArray) -> list[_Window]:
         turns = np.array([hann_turn @ w[k : k + n_turn] for k in range(0, n - n_turn + 1, n_turn // 4)])
         at_step = np.real(np.outer(force[1], force[1].conj()))
         sideways = np.linalg.eigh(at_step)[1][:, 0]
-        axis = a.T @ a / (n * power) - np.outer(sideways, sideways) + _TURN_WEIGHT * turns.T @ turns / len(turns)
+        turn = turns.T @ turns / len(turns)
+        axis = a.T @ a / (n * power) - np.outer(sideways, sideways)
+        axis += _TURN_WEIGHT * turn / (np.trace(turn) + _TURN_VAR_RAD2PS2)
         swung = float(np.linalg.norm(swing[0]))
-        screen = turned[rows][:, :, 2].mean(axis=0)
+        screen = segment.turned[rows, :, 2].mean(axis=0)
         sense = _SCREEN * screen
         if swung > 0:
-            pivot = np.imag(np.cross(swing[0].conj(), force[0])) / (swung * np.linalg.norm(force[0]))
-            phase = np.imag(force[1] * np.conj(swing[0] @ swing[0])) / (np.linalg.norm(force[1]) * swung**2)
+            half, full = (force[k] / max(float(np.linalg.norm(force[k])), 1e-12) for k in (0, 1))
+            pivot = np.imag(np.cross(swing[0].conj(), half)) / swung
+            phase = np.imag(full * np.conj(swing[0] @ swing[0])) / swung**2
             sense = sense + _PENDULUM * pivot + _PHASE * phase
-        found.append(_Window(float(block.time_s[start + n // 2]), axis, sense))
+        found.append(_Window(float(segment.time_s[start + n // 2]), power**0.5, axis, sense))
     return found
 
 

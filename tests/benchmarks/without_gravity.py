@@ -96,7 +96,14 @@ def pairs(arguments: argparse.Namespace) -> Iterator[Pair]:
             percent = 100 * (without.n_steps / with_it.n_steps - 1) if with_it.n_steps else np.nan
             shapes = shape_m(recording, without), shape_m(recording, with_it)
             if arguments.each:
-                print(recording.name[-40:], round(percent, 1), np.round(shapes, 2), is_mirrored, restored.is_sense_sure, flush=True)
+                print(
+                    recording.name[-40:],
+                    round(percent, 1),
+                    np.round(shapes, 2),
+                    is_mirrored,
+                    restored.is_sense_sure,
+                    flush=True,
+                )
             yield Pair(group, False, is_mirrored, restored.is_sense_sure, percent, shapes)
 
 
@@ -118,7 +125,9 @@ def tracks(tables: Tables, arguments: argparse.Namespace) -> None:
         n_mirrored = sum(pair.is_mirrored for pair in tracked)
         n_told = sum(pair.is_mirrored and not pair.is_sure for pair in tracked)
         n_unsure = sum(not pair.is_sure for pair in tracked)
-        rows.append([group, len(of_group), len(of_group) - len(tracked), *steps, *shape, f"{n_mirrored} ({n_told})", n_unsure])
+        rows.append(
+            [group, len(of_group), len(of_group) - len(tracked), *steps, *shape, f"{n_mirrored} ({n_told})", n_unsure]
+        )
     columns = [
         *("walks", "number", "refused", "steps %: median, worst", "shape m: without, with gravity", "median ratio"),
         *("mirrored (of these unsure)", "unsure"),

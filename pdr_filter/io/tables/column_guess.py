@@ -107,6 +107,7 @@ def guess(
     streams = [_as_rate(s, forces) for s in streams]
     chosen = [*forces]
     result.is_time_declared = forces[0].is_time_declared
+    is_linear = len(forces) == 1 and not _has_gravity(forces[0])
     time_s, force = forces[0].time_s, _force(forces)
     for quantity in (RATE, FIELD, *SCALARS, "location", ANGLES):
         fitting = [s for s in streams if s.group.quantity == quantity]
@@ -132,7 +133,7 @@ def guess(
     result.mapping = Mapping(
         tuple(
             StreamMap(
-                stream="accelerometer" if s in forces and len(forces) == 1 else s.group.quantity,
+                stream="accelerometer" if s in forces and not is_linear and len(forces) == 1 else s.group.quantity,
                 columns=tuple(s.sheet.fields[p] if p >= 0 else "" for p in s.group.places),
                 unit=_NAMES.get(s.unit, s.unit),
                 sign=sign if s in forces else 1,
@@ -268,6 +269,11 @@ def _forces(streams: Sequence[_Stream], dialect: Dialect | None, result: Guess, 
             f"accelerometer: {best.group.name} and {gravity.group.name} added; {_force_words(gravity)}"
         )
         return [best, gravity]
+    if known := [s for s in linear if s.unit]:
+        best = max(known, key=lambda s: (s.group.quantity == LINEAR, s.group.preference, len(s.values)))
+        best = replace(best, group=replace(best.group, quantity=LINEAR))
+        result.evidence.append(_force_words(best))
+        return [best]
     seen = (linear or found)[0]
     app = "this looks like a table" if dialect is None else f"this looks like {dialect.app}"
     instead = "the accelerometer itself" if dialect is None else dialect.instead

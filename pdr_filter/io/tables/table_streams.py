@@ -38,6 +38,9 @@ def fill(parsed: Parsed, mapping: Mapping, sheets: Sequence[Sheet]) -> None:
         found[stream.stream] = (ticks, unit_s, values * stream.factor)
     if GRAVITY in found and LINEAR in found and "accelerometer" not in found:
         found["accelerometer"] = _summed(found[LINEAR], found[GRAVITY])
+    elif LINEAR in found and "accelerometer" not in found:
+        found["accelerometer"] = found[LINEAR]
+        parsed.linear = ", ".join(name for s in mapping.streams if s.stream == LINEAR for name in s.columns)
     if ANGLES in found:
         ticks, unit_s, angles = found.pop(ANGLES)
         found["attitude"] = ticks, unit_s, quaternion_of(*angles.T)
