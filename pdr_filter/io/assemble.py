@@ -83,13 +83,15 @@ class Parsed:
         try:
             restored = with_gravity(Samples(*self.streams["accelerometer"]), gyroscope)
         except ValueError as error:
-            raise RecordingError(f"{where}: {name}, and {error}; export {self.instead} instead") from error
+            raise RecordingError(f"{where}: {self.linear}: {error}: export {self.instead}") from error
         self.streams["accelerometer"] = restored.force.time_s, restored.force.values
         self.found.append(f"accelerometer: {self.linear}, with gravity along the vertical of the walk")
         if gyroscope is None:
             words = f"{name}, and there is no gyroscope: only steps and distance can be trusted; record both"
         else:
-            words = f"{name}, so that the vertical was estimated from the gyroscope and the steps: turns and directions "
+            words = (
+                f"{name}, so that the vertical was estimated from the gyroscope and the steps: turns and directions "
+            )
             words += f"are less certain{'' if restored.is_sense_sure else ', and the path may be mirrored'}; next time "
             words += f"record {self.instead}"
         self.notes.insert(0, words)

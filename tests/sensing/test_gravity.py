@@ -49,8 +49,8 @@ def turning_walk(turns: Rotation) -> tuple[Samples, Samples, FloatArray]:
     """
     time_s = np.arange(0.0, 40.0, 0.01)
     phase, turn_radps = 2 * np.pi * 2.0 * time_s, 0.3
-    body = np.column_stack([0.0 * time_s, 1.5 * np.cos(phase), 3.0 * np.sin(phase)])
     noise = np.random.default_rng(0).normal(0.0, 1e-4, (len(time_s), 3))  # a constant axis would count as stuck
+    body = noise + np.column_stack([0.0 * time_s, 1.5 * np.cos(phase), 3.0 * np.sin(phase)])
     rate = noise + np.array([0.0, 0.0, turn_radps])
     up = np.tile(turns.inv().apply([0.0, 0.0, 1.0]), (len(time_s), 1))
     return Samples(time_s, turns.inv().apply(body)), Samples(time_s, turns.inv().apply(rate)), up
