@@ -41,6 +41,7 @@ class Pair:
     is_sure: bool = True
     steps_percent: float = np.nan
     shape_m: tuple[float, float] = (np.nan, np.nan)
+    bare_percent: float = np.nan  # steps without gyroscope
 
 
 def up_of_phone(recording: pdr.Recording) -> FloatArray:
@@ -98,7 +99,10 @@ def pairs(arguments: argparse.Namespace) -> Iterator[Pair]:
             shapes = shape_m(recording, without), shape_m(recording, with_it)
             if arguments.each:
                 print(recording.name, round(percent, 1), np.round(shapes, 2), is_mirrored, restored.is_sense_sure)
-            yield Pair(group, False, is_mirrored, restored.is_sense_sure, percent, shapes)
+            bare = pdr.detect_steps(replace(recording, accelerometer=with_gravity(linear).force, gyroscope=None))
+            n_bare = len(pdr.detect_steps(replace(recording, gyroscope=None)))
+            bare_percent = 100 * (len(bare) / n_bare - 1) if n_bare else np.nan
+            yield Pair(group, False, is_mirrored, restored.is_sense_sure, percent, shapes, bare_percent)
 
 
 def tracks(tables: Tables, arguments: argparse.Namespace) -> None:
@@ -115,15 +119,16 @@ def tracks(tables: Tables, arguments: argparse.Namespace) -> None:
         if known.any():
             medians = np.median(without[known]), np.median(with_it[known])
             shape = [f"{medians[0]:.2f}, {medians[1]:.2f}", f"{np.median(without[known] / with_it[known]):.2f}"]
-        steps = [f"{np.nanmedian(percent):.1f}, {np.nanmax(percent):.1f}" if len(percent) else ""]
+        bare_percent = np.abs([pair.bare_percent for pair in tracked])
+        steps = [f"{np.nanmedian(x):.1f}, {np.nanmax(x):.1f}" if len(x) else "" for x in (percent, bare_percent)]
         n_mirrored = sum(pair.is_mirrored for pair in tracked)
         n_told = sum(pair.is_mirrored and not pair.is_sure for pair in tracked)
         n_unsure = sum(not pair.is_sure for pair in tracked)
         mirrored = f"{n_mirrored} ({n_told})"
         rows.append([group, len(of_group), len(of_group) - len(tracked), *steps, *shape, mirrored, n_unsure])
     columns = [
-        *("walks", "number", "refused", "steps %: median, worst", "shape m: without, with gravity", "median ratio"),
-        *("mirrored (of these unsure)", "unsure"),
+        *("walks", "number", "refused", "steps %: median, worst", "the same without gyroscope"),
+        *("shape m: without, with gravity", "median ratio", "mirrored (of these unsure)", "unsure"),
     ]
     tables.write("without_gravity", columns, rows)
 

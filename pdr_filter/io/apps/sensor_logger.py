@@ -204,7 +204,7 @@ def _specific_force(export: _Export, parsed: Parsed) -> tuple[str, NumberTable]:
         parsed.found.append(f"accelerometer: AccelerometerUncalibrated, {unit} ({how})")
         return "AccelerometerUncalibrated", NumberTable(raw.whole, scale * raw.values)
     if linear is not None:
-        parsed.linear, parsed.instead = "Accelerometer", "Gravity or TotalAcceleration as well"
+        parsed.linear, parsed.instead = "Accelerometer", "Gravity or TotalAcceleration too"
         return "Accelerometer", NumberTable(linear.whole, -linear.values if ios_sign else linear.values)
     raise RecordingError(
         f"{path}: no accelerometer (found: {', '.join(sorted(sensors)) or 'no sensor'}); "
