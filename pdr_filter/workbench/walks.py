@@ -159,6 +159,8 @@ def _stamp(path: Path) -> tuple[int, int]:
     return sum(s.st_size for s in stats), max((s.st_mtime_ns for s in stats), default=0)
 
 
+# Names of fields as the pages show them.
+_FIELDS = {"height_m": "Height (m)", "origin": "Latitude of zero"}
 _MARKS = (FIXES, LOOP_CLOSURES, PERSON, WALK)
 
 
@@ -210,4 +212,7 @@ def _check(files: Files) -> None:
         try:
             marks_in(Path(folder))
         except ValueError as error:
-            raise ValueError(str(error).replace(f"{folder}/", "")) from None
+            words = str(error).replace(f"{folder}/", "").removesuffix("; correct this value in the file")
+            for name, field in _FIELDS.items():
+                words = words.replace(f"{WALK}: {name}", f"the field {field}")
+            raise ValueError(words) from None
