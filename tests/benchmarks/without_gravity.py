@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +24,7 @@ import pdr_filter as pdr
 from pdr_filter.sensing.gravity import with_gravity
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, interpolated
 from pdr_filter.values.quaternions import rotation_matrix
-from tests.benchmarks.common import Tables, recordings, run
+from tests.benchmarks.common import Tables, median_and, recordings, run
 from tests.benchmarks.smoothed_places import shape_error_m
 
 SITES = ["tyrex", "motionsense", "oxiod", "ms_indoor", "ipin2023"]
@@ -99,9 +100,11 @@ def pairs(arguments: argparse.Namespace) -> Iterator[Pair]:
             shapes = shape_m(recording, without), shape_m(recording, with_it)
             if arguments.each:
                 print(recording.name, round(percent, 1), np.round(shapes, 2), is_mirrored, restored.is_sense_sure)
-            bare = pdr.detect_steps(replace(recording, accelerometer=with_gravity(linear).force, gyroscope=None))
-            n_bare = len(pdr.detect_steps(replace(recording, gyroscope=None)))
-            bare_percent = 100 * (len(bare) / n_bare - 1) if n_bare else np.nan
+            bare_percent = np.nan
+            with suppress(ValueError):  # refused
+                bare = pdr.detect_steps(replace(recording, accelerometer=with_gravity(linear).force, gyroscope=None))
+                n_bare = len(pdr.detect_steps(replace(recording, gyroscope=None)))
+                bare_percent = 100 * (len(bare) / n_bare - 1) if n_bare else np.nan
             yield Pair(group, False, is_mirrored, restored.is_sense_sure, percent, shapes, bare_percent)
 
 
@@ -120,7 +123,7 @@ def tracks(tables: Tables, arguments: argparse.Namespace) -> None:
             medians = np.median(without[known]), np.median(with_it[known])
             shape = [f"{medians[0]:.2f}, {medians[1]:.2f}", f"{np.median(without[known] / with_it[known]):.2f}"]
         bare_percent = np.abs([pair.bare_percent for pair in tracked])
-        steps = [f"{np.nanmedian(x):.1f}, {np.nanmax(x):.1f}" if len(x) else "" for x in (percent, bare_percent)]
+        steps = [median_and(x[np.isfinite(x)], 100, 1) if np.isfinite(x).any() else "" for x in (percent, bare_percent)]
         n_mirrored = sum(pair.is_mirrored for pair in tracked)
         n_told = sum(pair.is_mirrored and not pair.is_sure for pair in tracked)
         n_unsure = sum(not pair.is_sure for pair in tracked)

@@ -281,3 +281,28 @@ def test_a_floor_plan_that_lies_elsewhere_is_named_with_its_distance(
     notes = Worker(tmp_path / "cache").walk(str(path))["notes"]
     assert any(note.startswith("the floor plan lies 2") for note in notes[:1]) == is_far
     assert not any("`" in note or " windows" in note for note in notes)
+
+
+def test_an_edit_can_be_taken_back_after_the_workbench_was_started_again(tmp_path: Path) -> None:
+    path = short_walk().save(tmp_path / "walk")
+
+    async def edit(client: Client) -> None:
+        await client.edit(await client.walk("walk"), fixes=[FIRST])
+        await client.edit(await client.walk("walk"), fixes=[FIRST, SECOND])
+
+    async def undo(client: Client) -> None:
+        address = await client.walk("walk")
+        state = await client.get(address)
+        assert (state["can_undo"], state["can_redo"]) == (True, False)
+        await client.post(f"{address}/undo", {"version": state["version"]})
+        assert [fix.time_s for fix in read_marks(path).fixes] == [FIRST[0]]
+
+    with_bench(tmp_path, edit)
+    with_bench(tmp_path, undo)
+    (history,) = (tmp_path / ".pdr_filter" / "undo").iterdir()
+    history.write_text("[[1], {}]")  # a damaged file is no hindrance
+
+    async def nothing(client: Client) -> None:
+        assert not (await client.get(await client.walk("walk")))["can_undo"]
+
+    with_bench(tmp_path, nothing)
