@@ -104,11 +104,13 @@ def guess(
     streams = [_stream(group, sheets[group.sheet], dialect, rate_hz) for group in groups]
     streams = [s for s in streams if len(s.values)]
     forces = _forces(streams, dialect, result, where)
-    streams = [_as_rate(s, forces) for s in streams]
-    chosen = [*forces]
-    result.is_time_declared = forces[0].is_time_declared
     is_linear = len(forces) == 1 and not _has_gravity(forces[0])
     time_s, force = forces[0].time_s, _force(forces)
+    if is_linear:  # without gravity nothing shows how the phone turns
+        time_s, force = time_s[:0], force[:0]
+    streams = [_as_rate(s, time_s, force) for s in streams]
+    chosen = [*forces]
+    result.is_time_declared = forces[0].is_time_declared
     for quantity in (RATE, FIELD, *SCALARS, "location", ANGLES):
         fitting = [s for s in streams if s.group.quantity == quantity]
         if fitting:
@@ -344,11 +346,11 @@ def _with_unit(s: _Stream, force: FloatArray, time_s: FloatArray, result: Guess)
     return s
 
 
-def _as_rate(s: _Stream, forces: Sequence[_Stream]) -> _Stream:
+def _as_rate(s: _Stream, time_s: FloatArray, force: FloatArray) -> _Stream:
     """Return a stream called rotation as a gyroscope if gravity turns with it; else unchanged, and not used."""
     if s.group.quantity != ROTATION:
         return s
-    factor = turning(forces[0].time_s, _force(forces), s.time_s, s.values)
+    factor = turning(time_s, force, s.time_s, s.values)
     if factor is None:
         is_rate = s.constant < _RATE_SHARE * median_norm(s.values)
     else:

@@ -282,7 +282,9 @@ function drawSigns(pen, box, frameOf, styleOf) {
     pen.textBaseline = "top";
     pen.font = `${style.fontWeight} ${style.fontSize} ${style.fontFamily}`;
     pen.fillText(sign.classList.contains("anchor") ? "\u25B2" : sign.textContent, x + width / 2, y);
-    if (sign.classList.contains("north")) pen.fillText("\u2191", x + width / 2, y + height / 2);
+    if (!sign.classList.contains("north")) continue;
+    pen.font = `20px ${style.fontFamily}`;
+    pen.fillText("\u2191", x + width / 2, y + height / 2 - 4);
   }
 }
 
@@ -293,7 +295,10 @@ async function png() {
   pen.scale(2, 2);
   pen.fillStyle = contentWindow.getComputedStyle(box).backgroundColor;
   pen.fillRect(0, 0, frameOf.width, frameOf.height);
-  for (const part of box.querySelectorAll("img.leaflet-tile, svg, canvas")) {
+  const parts = [...box.querySelectorAll("img.leaflet-tile, svg, canvas")], walker = box.querySelector(".walker svg");
+  for (const part of [...parts.filter(each => each !== walker), walker]) {
+    if (part === walker) drawSigns(pen, box, frameOf, each => contentWindow.getComputedStyle(each));
+    if (!part) break;
     const at = part.getBoundingClientRect();
     let picture = part;
     if (part.localName === "svg") {
@@ -312,7 +317,6 @@ async function png() {
     }
     pen.drawImage(picture, at.left - frameOf.left, at.top - frameOf.top, at.width, at.height);
   }
-  drawSigns(pen, box, frameOf, part => contentWindow.getComputedStyle(part));
   element("a", { href: made.toDataURL("image/png"), download: `${state.walk.name}.png` }).click();
 }
 
