@@ -206,7 +206,10 @@ def _windows(segment: _Segment) -> list[_Window]:
         at_step = np.real(np.outer(force[1], force[1].conj()))
         sideways = np.linalg.eigh(at_step)[1][:, 0]
         turn = turns.T @ turns / len(turns)
-        axis = a.T @ a / (n * power) - np.outer(sideways, sideways)
+        shaken = a.T @ a
+        if not rates.any():  # without gyroscope the swing of the phone, at odd harmonics, is not undone
+            shaken = np.real(force[1::2].T @ force[1::2].conj())
+        axis = shaken / np.trace(shaken) - np.outer(sideways, sideways)
         axis += _TURN_WEIGHT * turn / (np.trace(turn) + _TURN_VAR_RAD2PS2)
         swung = float(np.linalg.norm(swing[0]))
         screen = segment.turned[rows, :, 2].mean(axis=0)

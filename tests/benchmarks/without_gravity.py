@@ -1,6 +1,6 @@
 """Walks whose gravity was removed: steps and shape of the path against the same walks with gravity.
 
-usage: python -m tests.benchmarks.without_gravity [--data ../shared/data] [--sites tyrex oxiod] [--print]
+usage: python -m tests.benchmarks.without_gravity [tracks] [counted] [--data ../shared/data] [--sites tyrex] [--print]
 
 Gravity is removed as a phone does it, with the phone's own attitude, so that its errors stay in the acceleration. Steps
 is the difference of the count from the same walk with gravity. Shape is the root mean square distance from the
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -42,7 +42,6 @@ class Pair:
     is_sure: bool = True
     steps_percent: float = np.nan
     shape_m: tuple[float, float] = (np.nan, np.nan)
-    bare_percent: float = np.nan  # steps without gyroscope
 
 
 def up_of_phone(recording: pdr.Recording) -> FloatArray:
@@ -73,39 +72,50 @@ def group_of(name: str) -> str:
     return name.split("_anon")[0] if found is None else " ".join(word for word in found.groups() if word)
 
 
-def pairs(arguments: argparse.Namespace) -> Iterator[Pair]:
-    """Track each recording with a gyroscope and an attitude, as it is and with its gravity removed."""
-    for site in arguments.sites:
+def walks(arguments: argparse.Namespace, sites: Sequence[str]) -> Iterator[tuple[pdr.Recording, pdr.Samples, str]]:
+    """Recordings with gyroscope and attitude, which is left out; their acceleration without gravity; their groups."""
+    for site in sites:
         for recording in recordings(arguments.data, site):
             if recording.gyroscope is None or recording.attitude is None or _NOT_WALKED.search(recording.name):
                 continue
-            side = "chosen" if _CHOSEN.match(recording.name) else "held out"
-            group = f"{group_of(recording.name)}, {side}"
             if recording.duration_s < 20:
                 continue
-            up = up_of_phone(recording)
+            side = "chosen" if _CHOSEN.match(recording.name) else "held out"
             force = recording.accelerometer
-            linear = pdr.Samples(force.time_s, force.values - STANDARD_GRAVITY_MPS2 * up)
-            try:
-                restored = with_gravity(linear, recording.gyroscope)
-            except ValueError:
-                yield Pair(group, is_refused=True)
-                continue
-            back = (restored.force.values - linear.values) / STANDARD_GRAVITY_MPS2
-            is_mirrored = bool(np.nanmedian((back * up).sum(axis=1)) < 0)
-            recording = replace(recording, attitude=None)
-            with_it = pdr.track(recording, gnss="off")
-            without = pdr.track(replace(recording, accelerometer=restored.force), gnss="off")
-            percent = 100 * (without.n_steps / with_it.n_steps - 1) if with_it.n_steps else np.nan
-            shapes = shape_m(recording, without), shape_m(recording, with_it)
-            if arguments.each:
-                print(recording.name, round(percent, 1), np.round(shapes, 2), is_mirrored, restored.is_sense_sure)
-            bare_percent = np.nan
-            with suppress(ValueError):  # refused
-                bare = pdr.detect_steps(replace(recording, accelerometer=with_gravity(linear).force, gyroscope=None))
-                n_bare = len(pdr.detect_steps(replace(recording, gyroscope=None)))
-                bare_percent = 100 * (len(bare) / n_bare - 1) if n_bare else np.nan
-            yield Pair(group, False, is_mirrored, restored.is_sense_sure, percent, shapes, bare_percent)
+            linear = pdr.Samples(force.time_s, force.values - STANDARD_GRAVITY_MPS2 * up_of_phone(recording))
+            yield replace(recording, attitude=None), linear, f"{group_of(recording.name)}, {side}"
+
+
+def pairs(arguments: argparse.Namespace) -> Iterator[Pair]:
+    """Track each recording as it is and with its gravity removed."""
+    for recording, linear, group in walks(arguments, arguments.sites):
+        try:
+            restored = with_gravity(linear, recording.gyroscope)
+        except ValueError:
+            yield Pair(group, is_refused=True)
+            continue
+        added, true = (force.values - linear.values for force in (restored.force, recording.accelerometer))
+        is_mirrored = bool(np.nanmedian((added * true).sum(axis=1)) < 0)
+        with_it = pdr.track(recording, gnss="off")
+        without = pdr.track(replace(recording, accelerometer=restored.force), gnss="off")
+        percent = 100 * (without.n_steps / with_it.n_steps - 1) if with_it.n_steps else np.nan
+        shapes = shape_m(recording, without), shape_m(recording, with_it)
+        if arguments.each:
+            print(recording.name, round(percent, 1), np.round(shapes, 2), is_mirrored, restored.is_sense_sure)
+        yield Pair(group, False, is_mirrored, restored.is_sense_sure, percent, shapes)
+
+
+def counted(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Steps without gravity and without gyroscope."""
+    found = dict[str, list[float]]()
+    for recording, linear, group in walks(arguments, ["tyrex", "oxiod", "ipin2023"]):
+        with_it = len(pdr.detect_steps(replace(recording, gyroscope=None)))
+        with suppress(ValueError):  # refused
+            force = with_gravity(linear).force
+            without = len(pdr.detect_steps(replace(recording, accelerometer=force, gyroscope=None)))
+            found.setdefault(group, []).append(abs(100 * (without / with_it - 1)) if with_it else np.nan)
+    rows = [[group, len(percent), median_and(percent, 100, 1)] for group, percent in found.items()]
+    tables.write("without_gravity_counted", ["walks, no gyroscope", "number", "steps %: median, worst"], rows)
 
 
 def tracks(tables: Tables, arguments: argparse.Namespace) -> None:
@@ -122,19 +132,18 @@ def tracks(tables: Tables, arguments: argparse.Namespace) -> None:
         if known.any():
             medians = np.median(without[known]), np.median(with_it[known])
             shape = [f"{medians[0]:.2f}, {medians[1]:.2f}", f"{np.median(without[known] / with_it[known]):.2f}"]
-        bare_percent = np.abs([pair.bare_percent for pair in tracked])
-        steps = [median_and(x[np.isfinite(x)], 100, 1) if np.isfinite(x).any() else "" for x in (percent, bare_percent)]
+        steps = [median_and(percent[np.isfinite(percent)], 100, 1)] if np.isfinite(percent).any() else [""]
         n_mirrored = sum(pair.is_mirrored for pair in tracked)
         n_told = sum(pair.is_mirrored and not pair.is_sure for pair in tracked)
         n_unsure = sum(not pair.is_sure for pair in tracked)
         mirrored = f"{n_mirrored} ({n_told})"
         rows.append([group, len(of_group), len(of_group) - len(tracked), *steps, *shape, mirrored, n_unsure])
     columns = [
-        *("walks", "number", "refused", "steps %: median, worst", "the same without gyroscope"),
+        *("walks", "number", "refused", "steps %: median, worst"),
         *("shape m: without, with gravity", "median ratio", "mirrored (of these unsure)", "unsure"),
     ]
     tables.write("without_gravity", columns, rows)
 
 
 if __name__ == "__main__":
-    run(__doc__, tracks, sites=SITES, each=False)
+    run(__doc__, tracks, counted, sites=SITES, each=False)
