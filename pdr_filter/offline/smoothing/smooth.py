@@ -314,11 +314,12 @@ def smooth(
     return with_given_place(run, on_earth(smoothed, where, locations, observed))
 
 
-def chain_problem(recording: Recording, anchor_interval_s: float) -> tuple[Track, Problem]:
-    """Return the dead-reckoned track of a recording and its least-squares problem without fixes.
+def chain_problem(recording: Recording, anchor_interval_s: float) -> tuple[Track, FloatArray, Problem]:
+    """Return the dead-reckoned track of a recording, and its least-squares problem without fixes.
 
-    The track is in the frame of its start. North comes from the magnetometer if the recording has one. The problem is
-    the part of one walk in a problem of many walks. A track without steps has no problem, which raises ValueError.
+    The second value is the walking heading of each step minus its heading offset, (K,). North comes from the
+    magnetometer if the recording has one. The problem is the part of one walk in a problem of many walks. ValueError
+    for a recording without steps.
     """
     north: NorthUse | None = "magnetic" if "magnetometer" in recording.streams else None
     run = prepared_run(recording, None, (), TrackPlacement(gnss="off", north=north))
@@ -328,7 +329,8 @@ def chain_problem(recording: Recording, anchor_interval_s: float) -> tuple[Track
     track = _with_smoothed_modes(track, config)
     nothing = Observations()
     inside = nothing.fixes_inside(0.0, 0.0)
-    return track, _problem(track, config.model.modes, config, nothing, inside, None, anchor_interval_s, None)[2]
+    _, used, problem = _problem(track, config.model.modes, config, nothing, inside, None, anchor_interval_s, None)
+    return track, used.device_rad, problem
 
 
 def _dead_reckoned(
