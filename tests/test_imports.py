@@ -85,7 +85,7 @@ def test_an_app_that_only_filters_runs_where_gtsam_is_not_installed() -> None:
 # Three groups, in the order in which they may import: each package those before it.
 FRAMEWORK = ["values", "classifiers", "sensing", "filter", "recipes", "tracking", "simulate", "offline", "evaluate"]
 DATA = ["io", "datasets"]
-APPLICATIONS = ["maps", "report", "batch", "live", "workbench", "cli"]
+APPLICATIONS = ["maps", "report", "batch", "walk_map", "live", "workbench", "cli"]
 PACKAGES = [*FRAMEWORK, *DATA, *APPLICATIONS]
 PACKAGE = Path(__file__).resolve().parents[1] / "pdr_filter"
 

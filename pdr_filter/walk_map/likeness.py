@@ -39,8 +39,8 @@ _LOG_RATIO = np.array(
 )
 # Range of a pair of scans in m and its standard deviation, by cosine, and the smallest cosine of a pair with a range.
 _RANGE_COSINES = np.array([0.6, 0.7, 0.8, 0.9, 1.0])
-_RANGE_M = np.array([9.0, 6.0, 3.0, 1.0, 0.0])
-_RANGE_STD_M = np.array([12.0, 9.0, 7.0, 6.0, 5.0])
+_RANGE_M = np.array([15.0, 11.0, 7.0, 5.0, 4.0])
+_RANGE_STD_M = np.array([10.0, 8.0, 6.0, 5.0, 5.0])
 PAIR_COSINE = 0.65
 # Step of the distance in a lookup table, in m.
 _STEP_M = 2.0

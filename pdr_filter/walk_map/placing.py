@@ -36,7 +36,7 @@ _PAIR_WEIGHT = 0.4
 RECOGNISED = 0.5
 # Standard deviation of the direction of a walk by its magnetometer, of the common deviation of all magnetic fields in
 # a building, and of a rotation from a known heading.
-_NORTH_STD_RAD, _COMMON_STD_RAD = 0.2, 0.12
+_NORTH_STD_RAD, _COMMON_STD_RAD, _SEED_STD_RAD = 0.2, 0.12, 0.1
 # Number of places outside of the map, each as probable as a cell of it.
 _N_ELSEWHERE = 500
 _CELL_M, _MARGIN_M, _MOST_M = 4.0, 50.0, 400.0
@@ -374,6 +374,7 @@ def adjust(walks: Walks, group: Group, new: Sequence[int]) -> None:
     directed = np.array([walks.chains[i].knows_north for i in together])
     is_seed = np.array([i in group.seeds for i in together])
     turn = np.array([group.poses[i].turn_rad for i in together])
+    known_turn = turn.copy()
     shift = np.array([group.poses[i].shift_m for i in together])
     north, is_north_free = group.north_rad, n == len(group.poses)
     # unknowns: turns, shifts, and the deviation of north
@@ -401,13 +402,14 @@ def adjust(walks: Walks, group: Group, new: Sequence[int]) -> None:
             ),
             (size, size),
         ).tolil()
-        g = np.bincount(columns.ravel(), (weight * residual)[:, None].repeat(6, axis=1).ravel() * values.ravel(), size)
+        g = np.bincount(columns.ravel(), (weight * residual)[:, None].repeat(6, axis=1).ravel() * values.ravel(), size).astype(float)
         A, diagonal = A.tocsc(), np.full(size, 1e-6)
         of_north = np.where(directed, 1.0 / _NORTH_STD_RAD**2, 0.0)
-        diagonal[:n] += of_north + np.where(is_seed, 1e4, 0.0)
+        of_seed = np.where(is_seed, 1.0 / _SEED_STD_RAD**2, 0.0)
+        diagonal[:n] += of_north + of_seed
         diagonal[n : 3 * n] += np.repeat(np.where(is_seed, 1e4, 1e-4), 2)
         diagonal[3 * n] += of_north.sum() + (1.0 / _COMMON_STD_RAD**2 if is_north_free else 1e9)
-        g[:n] += of_north * (turn - north)
+        g[:n] += of_north * (turn - north) + of_seed * (turn - known_turn)
         g[3 * n] += (north / _COMMON_STD_RAD**2 if is_north_free else 0.0) - float(of_north @ (turn - north))
         k = np.arange(n)
         last = np.full(n, 3 * n)
