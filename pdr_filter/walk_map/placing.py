@@ -30,10 +30,12 @@ from pdr_filter.walk_map.likeness import (
 # All numbers were chosen on storey F1 of `ms_indoor`.
 # Share of the probability that one place of a walk must have, and the radius of a place.
 SURE, _PLACE_M = 0.8, 12.0
+# Smallest cosine of the loud parts of two fingerprints of walks that are compared.
+_PARTNER_COSINE = 0.4
 # Weight of a pair of scans, because the pairs of a scan share its errors.
-_PAIR_WEIGHT = 0.4
-# Smallest cosine of the best pair of a walk: it has visited a mapped place, or a neighbouring one.
-RECOGNISED = 0.5
+_PAIR_WEIGHT = 0.08
+# Smallest number of scans of a walk that are similar to mapped scans. Fewer do not hold the walk in its place.
+_MIN_SIMILAR = 3
 # Standard deviation of the direction of a walk by its magnetometer, of the common deviation of all magnetic fields in
 # a building, and of a rotation from a known heading.
 _NORTH_STD_RAD, _COMMON_STD_RAD, _SEED_STD_RAD = 0.2, 0.12, 0.1
@@ -148,7 +150,7 @@ def _partners(walks: Walks) -> list[set[int]]:
     transposed = index.T.tocsr()
     for start in range(0, index.shape[0], 500):
         near = (index[start : start + 500] @ transposed).tocoo()
-        good = near.data >= RECOGNISED * 0.8
+        good = near.data >= _PARTNER_COSINE
         a, b = walks.owner[near.row[good] + start], walks.owner[near.col[good]]
         for i, j in np.unique(np.column_stack([a, b]), axis=0).tolist():
             if i != j:
@@ -179,7 +181,8 @@ def locate(walks: Walks, group: Group, walk: int) -> Candidate | None:
     kept = _thinned(at_m, floor)
     others, at_m, floor = others[kept], at_m[kept], floor[kept]
     cosine = walks.cosines(rows, others)
-    if cosine.max(initial=0.0) < RECOGNISED:
+    n_similar = int((cosine.max(axis=1, initial=0.0) >= PAIR_COSINE).sum())
+    if n_similar < _MIN_SIMILAR:
         return None
     own_m, own_floor = walks.own_m[rows], walks.floor[rows]
     best: list[tuple[float, float, Candidate]] = []
@@ -267,7 +270,7 @@ def grow(walks: Walks, group: Group, free: set[int]) -> None:
         for i in sorted(free):
             n_near = len(walks.partners[i] & group.poses.keys())
             # a walk is tried again when its surroundings have grown
-            if n_refused.get(i, 0) > 1 or n_near < 1 or n_near < 1.2 * seen.get(i, 0):
+            if n_refused.get(i, 0) > 1 or n_near <= seen.get(i, 0):
                 continue
             candidate = locate(walks, group, i)
             if candidate is not None and candidate.prob >= SURE:
@@ -284,7 +287,7 @@ def grow(walks: Walks, group: Group, free: set[int]) -> None:
         for i in refused:
             del group.poses[i]
             n_refused[i] = n_refused.get(i, 0) + 1
-        free -= group.poses.keys()
+        free.difference_update(group.poses)
 
 
 def settle(walks: Walks, group: Group) -> list[int]:

@@ -17,6 +17,7 @@ from pdr_filter.maps.radio.radio_map import RadioMap
 from pdr_filter.values import FloatArray, HeadingFix, IntArray, PositionFix, limits, read_only
 from pdr_filter.values.recording import Recording
 from pdr_filter.values.serialisation import from_bytes, to_bytes
+from pdr_filter.values.uncertainty import worst_std_m
 from pdr_filter.version import __version__
 from pdr_filter.walk_map.chains import Chain, cached_chain, chain_of, content_of, key_of, without_times
 from pdr_filter.walk_map.joint import Known, States, solve_group, step_positions
@@ -25,6 +26,8 @@ from pdr_filter.walk_map.placing import MOST_TOGETHER, Group, Pose, Walks, adjus
 _FORMAT = 1
 # An access point has moved if walks that receive it this strongly are farther apart than this.
 _LOUD_DBM, _MOVED_M = -60.0, 60.0
+# Walks with a larger standard deviation are not joined.
+_MOST_STD_M = 15.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -568,7 +571,7 @@ def _mapped(
     walks = Walks.of(chains)
     reasons = {i: "no Wi-Fi scans: record Wi-Fi with the walk" for i, c in enumerate(chains) if not len(c.scans)}
     fixes = {i: known[c.name] for i, c in enumerate(chains) if c.name in known}
-    free = set(range(len(chains))) - reasons.keys()
+    free = {i for i in range(len(chains)) if i not in reasons}
     groups = [Group(dict(g.poses), g.seeds, g.north_rad) for g in before]
     fixed = [dict(g.states) for g in before]
     is_known = [g.is_known for g in before]
@@ -585,7 +588,7 @@ def _mapped(
         else:
             groups[home].poses.update(seeds)
             groups[home].seeds |= frozenset(seeds)
-        free -= seeds.keys()
+        free.difference_update(seeds)
     for group in groups:
         _extend(walks, group, free, reasons)
     todo = sorted(free, key=lambda i: (-len(walks.partners[i] & free), i))
@@ -610,6 +613,10 @@ def _mapped(
             some = {*states, *pending[start : start + MOST_TOGETHER]}
             part = Group({i: p for i, p in group.poses.items() if i in some}, group.seeds, group.north_rad)
             states = solve_group(walks, part, fixes, states)
+        vague = [i for i in states if i not in earlier and i not in group.seeds and _std_m(states[i]) > _MOST_STD_M]
+        for i in vague:
+            reasons[i] = "its place is uncertain by more than 15 m: walk longer, or through mapped places"
+            del states[i], group.poses[i]
         solved.append(_JoinedGroup(group.poses, states, group.seeds, group.north_rad, flag))
     solved.sort(key=lambda g: (not g.is_known, -len(g.states)))
     joined = {i for g in solved for i in g.states}
@@ -622,6 +629,11 @@ def _mapped(
             )
             apart = [*apart, (chain.name, why)]
     return _result(chains, solved, apart, known, salt)
+
+
+def _std_m(states: States) -> float:
+    """Return the median standard deviation of the knots of a walk in the worst direction, in m."""
+    return float(np.median(worst_std_m(states.joint_cov[:, :2, :2])))
 
 
 def _extend(walks: Walks, group: Group, free: set[int], reasons: dict[int, str]) -> None:

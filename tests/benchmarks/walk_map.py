@@ -58,11 +58,18 @@ def given(walks: Sequence[Walk]) -> tuple[Walk, list[object]]:
     """The given walk of a storey, and its first waypoint and direction."""
     partners = Walks.of([w.chain for w in walks]).partners
     walk = walks[int(np.argmax([len(p) for p in partners]))]
-    (t0, *start), (t1, *second) = walk.points[:2]
-    heading = np.arctan2(*(np.array(second) - start))
+    away_m = np.hypot(*(walk.points[:, 1:] - walk.points[0, 1:]).T)
+    (t0, *start), (t1, *second) = walk.points[[0, int(np.argmax(away_m > 10.0))]]
+    # the direction is that of the line to a waypoint 10 m away, which the walk may not follow at any moment
+    chain, steps = walk.chain, np.array([walk.chain.step_at(t) for t in (t0, t1)])
+    own = np.diff(chain.position_m(steps), axis=0)[0]
+    k = int(steps.mean())
+    node = int(chain.node_of(np.array([k]))[0][0])
+    beside = chain.device_rad[k] + chain.mean[node, 2] - np.arctan2(*own)
+    heading = float(np.arctan2(*(np.array(second) - start)) + beside)
     return walk, [
         pdr.PositionFix(t0, start, np.eye(2), floor=walk.floor),
-        pdr.HeadingFix(0.5 * (t0 + t1), heading, np.radians(8.0)),
+        pdr.HeadingFix(chain.time_s[k], heading, np.radians(8.0)),
     ]
 
 
