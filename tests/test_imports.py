@@ -142,7 +142,7 @@ def package_of(module: str) -> str:
 FOR_USERS = ["protocols", "testing", "__main__"]
 
 
-def test_there_are_seventeen_packages_and_beside_them_only_names_for_users() -> None:
+def test_there_are_eighteen_packages_and_beside_them_only_names_for_users() -> None:
     imports = imports_of_modules()
     assert {package_of(module) for module in imports} == {"", "version", *PACKAGES, *FOR_USERS}
     assert {path.stem for path in PACKAGE.glob("*.py")} == {"__init__", "version", *FOR_USERS}

@@ -18,7 +18,9 @@ def map_folder(
     salt: Annotated[
         str | None, typer.Option("--hash", metavar="SALT", help="Hash the addresses of access points with this text.")
     ] = None,
-    times: Annotated[bool, typer.Option("--times", help="Keep the names of the walks and the times of their steps.")] = False,
+    times: Annotated[
+        bool, typer.Option("--times", help="Keep the names of the walks and the times of their steps.")
+    ] = False,
     jobs: Annotated[int, typer.Option(help="Number of processes that track walks, or -1 for all cores.")] = 1,
     scheduler: Scheduler = None,
 ) -> None:
@@ -47,5 +49,7 @@ def map_folder(
     for name, why in found.apart:
         typer.echo(f"apart: {name}: {why}")
     if found.moved_access_points:
-        typer.echo(f"{len(found.moved_access_points)} access points were moved or move with people: not in the radio map")
+        typer.echo(
+            f"{len(found.moved_access_points)} access points were moved or move with people: not in the radio map"
+        )
     console.stderr().print(f"written: {escape(str(out))}")

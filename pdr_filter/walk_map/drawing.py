@@ -55,7 +55,10 @@ def plan_text(walks: Sequence[MappedWalk]) -> str:
     for walk in walks:
         ends = np.flatnonzero(np.diff(walk.floor)) + 1
         for at_m, cov_m2, floors in zip(
-            np.split(walk.position_m, ends), np.split(walk.position_cov_m2, ends), np.split(walk.floor, ends), strict=True
+            np.split(walk.position_m, ends),
+            np.split(walk.position_cov_m2, ends),
+            np.split(walk.floor, ends),
+            strict=True,
         ):
             std_m = min(float(np.median(worst_std_m(cov_m2))), _MOST_STD_M)
             path = shapely.LineString(at_m) if len(at_m) > 1 else shapely.Point(at_m[0])
@@ -107,7 +110,9 @@ def _drawing(walks: Sequence[MappedWalk], floor: int) -> str:
             points = " ".join(f"{scale * (e - low[0]):.1f},{height - scale * (n - low[1]):.1f}" for e, n in path)
             colour = _COLOURS[k % len(_COLOURS)]
             title = f"<title>{html.escape(walks[k].name)}</title>"
-            lines.append(f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="2">{title}</polyline>')
+            lines.append(
+                f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="2">{title}</polyline>'
+            )
     bar = f'<path d="M10 {height - 10:.0f}h{10 * scale:.0f}" stroke="#000" stroke-width="3"/>'
     text = f'<text x="10" y="{height - 16:.0f}" font-size="14">10 m</text>'
     return f'<svg viewBox="0 0 {_WIDTH_PX} {height:.0f}">{"".join(lines)}{bar}{text}</svg>'

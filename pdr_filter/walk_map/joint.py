@@ -17,7 +17,7 @@ from pdr_filter.offline.smoothing.linear_graph import Rows, cov_of, eliminated, 
 from pdr_filter.offline.smoothing.preintegration import TURN, scaled_rotation, step_states
 from pdr_filter.offline.smoothing.solve import linearised
 from pdr_filter.values import FloatArray, HeadingFix, IntArray, PositionFix, wrap_angle
-from pdr_filter.walk_map.placing import Group, Pairs, Walks, pairs_of, residuals, turned
+from pdr_filter.walk_map.placing import PlacedGroup, Pairs, ScannedWalks, pairs_of, residuals, turned
 
 Known = PositionFix | HeadingFix
 # Factor on the standard deviations of the ranges, so that the covariances are valid, because the scans of one place
@@ -48,8 +48,8 @@ class States:
 
 
 def solve_group(
-    walks: Walks,
-    group: Group,
+    walks: ScannedWalks,
+    group: PlacedGroup,
     known: Mapping[int, Sequence[Known]],
     fixed: Mapping[int, States] | None = None,
 ) -> dict[int, States]:
@@ -71,7 +71,9 @@ def solve_group(
         mean[:, HEADING_OFFSET] += pose.turn_rad
         state[i] = mean, chains[i].frame_rad + pose.turn_rad
     pairs = pairs_of(walks, group, free)
-    points = {i: chains[i].node_of(chains[i].scans.step) for i in {*walks.owner[pairs.first], *walks.owner[pairs.second]}}
+    points = {
+        i: chains[i].node_of(chains[i].scans.step) for i in {*walks.owner[pairs.first], *walks.owner[pairs.second]}
+    }
     rows: list[Rows] = []
     for _ in range(_ITERATIONS):
         rows = []
@@ -101,7 +103,7 @@ def solve_group(
     return found
 
 
-def step_positions(walks: Walks, walk: int, states: States) -> tuple[FloatArray, FloatArray]:
+def step_positions(walks: ScannedWalks, walk: int, states: States) -> tuple[FloatArray, FloatArray]:
     """Return the positions (K + 1, 2) of the start and all steps of a walk, and their covariances (K + 1, 2, 2)."""
     mean, cov = step_states(walks.chains[walk].problem.intervals, states.mean, states.joint_cov)
     return np.vstack([states.mean[:1, :2], mean[:, :2]]), np.concatenate([states.joint_cov[:1, :2, :2], cov[:, :2, :2]])
@@ -117,7 +119,7 @@ def _by_state(state: FloatArray, node: IntArray, ahead_m: FloatArray) -> tuple[F
     return at[:, :2] + moved, H
 
 
-def _known_rows(walks: Walks, walk: int, state: FloatArray, known: Sequence[Known], base: int) -> list[Rows]:
+def _known_rows(walks: ScannedWalks, walk: int, state: FloatArray, known: Sequence[Known], base: int) -> list[Rows]:
     """Return the equations of the known positions and headings of a walk."""
     chain, rows = walks.chains[walk], list[Rows]()
     for fix in known:
@@ -137,8 +139,8 @@ def _known_rows(walks: Walks, walk: int, state: FloatArray, known: Sequence[Know
 
 
 def _origin_rows(
-    walks: Walks,
-    group: Group,
+    walks: ScannedWalks,
+    group: PlacedGroup,
     free: Sequence[int],
     base: Mapping[int, int],
     state: Mapping[int, tuple[FloatArray, float]],
@@ -163,7 +165,7 @@ def _origin_rows(
 
 
 def _range_rows(
-    walks: Walks,
+    walks: ScannedWalks,
     pairs: Pairs,
     points: Mapping[int, tuple[IntArray, FloatArray]],
     state: Mapping[int, tuple[FloatArray, float]],

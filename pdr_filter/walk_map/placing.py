@@ -74,7 +74,7 @@ def turned(angle_rad: float) -> FloatArray:
 
 
 @dataclass(slots=True)
-class Group:
+class PlacedGroup:
     """Joined walks in one frame: their poses by index, and the deviation of the frame from magnetic north."""
 
     poses: dict[int, Pose]
@@ -83,7 +83,7 @@ class Group:
 
 
 @dataclass(slots=True)
-class Walks:
+class ScannedWalks:
     """Chains with all their scans in one list, and one fingerprint matrix.
 
     Attributes
@@ -109,7 +109,7 @@ class Walks:
     partners: list[set[int]] = field(default_factory=list)
 
     @classmethod
-    def of(cls, chains: Sequence[Chain]) -> Walks:
+    def of(cls, chains: Sequence[Chain]) -> ScannedWalks:
         """Return the walks of chains."""
         counts = [len(c.scans) for c in chains]
         own = [c.position_m(c.scans.step) for c in chains]
@@ -137,7 +137,7 @@ class Walks:
         return (self.heard[rows] @ self.heard[others].T).toarray()
 
 
-def _partners(walks: Walks) -> list[set[int]]:
+def _partners(walks: ScannedWalks) -> list[set[int]]:
     """Return for each walk the walks with a recognised place in common, from its scans' best pairs.
 
     Blocks of rows bound the memory of the sparse product.
@@ -168,7 +168,7 @@ class Candidate:
     centre_m: FloatArray
 
 
-def locate(walks: Walks, group: Group, walk: int) -> Candidate | None:
+def locate(walks: ScannedWalks, group: PlacedGroup, walk: int) -> Candidate | None:
     """Return the most probable pose of a walk in a group without this walk, or None if it recognises no place."""
     rows = walks.rows(walk)
     placed = [i for i in group.poses if i != walk and i in walks.partners[walk]]
@@ -246,7 +246,7 @@ def _peak(
     return log_max, mass, Candidate(of_place / mass, pose, centre_m)
 
 
-def _placed(walks: Walks, group: Group, rows: IntArray) -> tuple[FloatArray, IntArray]:
+def _placed(walks: ScannedWalks, group: PlacedGroup, rows: IntArray) -> tuple[FloatArray, IntArray]:
     """Return positions and storeys of scans of placed walks in the frame of the group."""
     at_m, floor = np.empty((len(rows), 2)), np.empty(len(rows), dtype=np.int64)
     owner = walks.owner[rows]
@@ -262,7 +262,7 @@ def _thinned(at_m: FloatArray, floor: IntArray) -> IntArray:
     return np.unique(squares, axis=0, return_index=True)[1]
 
 
-def grow(walks: Walks, group: Group, free: set[int]) -> None:
+def grow(walks: ScannedWalks, group: PlacedGroup, free: set[int]) -> None:
     """Join walks of `free` to a group, round by round, until no further walk has a sure place."""
     n_refused, seen = dict[int, int](), dict[int, int]()
     for _ in range(_MOST_ROUNDS):
@@ -290,7 +290,7 @@ def grow(walks: Walks, group: Group, free: set[int]) -> None:
         free.difference_update(group.poses)
 
 
-def settle(walks: Walks, group: Group) -> list[int]:
+def settle(walks: ScannedWalks, group: PlacedGroup) -> list[int]:
     """Remove the walks of a group that the others do not confirm, and return them."""
     removed: list[int] = []
     for _ in range(3):
@@ -304,7 +304,7 @@ def settle(walks: Walks, group: Group) -> list[int]:
     return removed
 
 
-def _is_confirmed(walks: Walks, group: Group, walk: int) -> bool:
+def _is_confirmed(walks: ScannedWalks, group: PlacedGroup, walk: int) -> bool:
     """True if all other walks of a group place a walk where it is."""
     again = locate(walks, group, walk)
     if again is None or again.prob < 0.8 * SURE:
@@ -324,7 +324,7 @@ class Pairs:
     std_m: FloatArray
 
 
-def pairs_of(walks: Walks, group: Group, free: Sequence[int]) -> Pairs:
+def pairs_of(walks: ScannedWalks, group: PlacedGroup, free: Sequence[int]) -> Pairs:
     """Return the pairs of the scans of walks with the most similar scans of other walks of their group.
 
     Only the most similar pairs count, at most one with each other walk. Less similar pairs are many, and their errors
@@ -366,7 +366,7 @@ def residuals(pairs: Pairs, apart_m: FloatArray) -> tuple[FloatArray, FloatArray
     return residual, apart_m / length[:, None], robust_weights(residual / pairs.std_m, "cauchy") / pairs.std_m**2
 
 
-def adjust(walks: Walks, group: Group, new: Sequence[int]) -> None:
+def adjust(walks: ScannedWalks, group: PlacedGroup, new: Sequence[int]) -> None:
     """Adjust the rigid poses of a group together: of all walks, or of the new ones only in a large group."""
     together = list(group.poses) if len(group.poses) <= MOST_TOGETHER else [i for i in new if i in group.poses]
     pairs = pairs_of(walks, group, together)
@@ -405,7 +405,9 @@ def adjust(walks: Walks, group: Group, new: Sequence[int]) -> None:
             ),
             (size, size),
         ).tolil()
-        g = np.bincount(columns.ravel(), (weight * residual)[:, None].repeat(6, axis=1).ravel() * values.ravel(), size).astype(float)
+        g = np.bincount(
+            columns.ravel(), (weight * residual)[:, None].repeat(6, axis=1).ravel() * values.ravel(), size
+        ).astype(float)
         A, diagonal = A.tocsc(), np.full(size, 1e-6)
         of_north = np.where(directed, 1.0 / _NORTH_STD_RAD**2, 0.0)
         of_seed = np.where(is_seed, 1.0 / _SEED_STD_RAD**2, 0.0)

@@ -21,7 +21,7 @@ from pdr_filter.values.uncertainty import worst_std_m
 from pdr_filter.version import __version__
 from pdr_filter.walk_map.chains import Chain, cached_chain, chain_of, content_of, key_of, without_times
 from pdr_filter.walk_map.joint import Known, States, solve_group, step_positions
-from pdr_filter.walk_map.placing import MOST_TOGETHER, Group, Pose, Walks, adjust, grow, settle, turned
+from pdr_filter.walk_map.placing import MOST_TOGETHER, PlacedGroup, Pose, ScannedWalks, adjust, grow, settle, turned
 
 _FORMAT = 1
 # An access point has moved if walks that receive it this strongly are farther apart than this.
@@ -568,11 +568,11 @@ def _mapped(
     before: Sequence[_JoinedGroup] = (),
 ) -> WalkMap:
     """Return the map of chains. Walks of the groups in `before` stay where they are."""
-    walks = Walks.of(chains)
+    walks = ScannedWalks.of(chains)
     reasons = {i: "no Wi-Fi scans: record Wi-Fi with the walk" for i, c in enumerate(chains) if not len(c.scans)}
     fixes = {i: known[c.name] for i, c in enumerate(chains) if c.name in known}
     free = {i for i in range(len(chains)) if i not in reasons}
-    groups = [Group(dict(g.poses), g.seeds, g.north_rad) for g in before]
+    groups = [PlacedGroup(dict(g.poses), g.seeds, g.north_rad) for g in before]
     fixed = [dict(g.states) for g in before]
     is_known = [g.is_known for g in before]
     free -= {i for g in groups for i in g.poses}
@@ -582,7 +582,7 @@ def _mapped(
         home = next((k for k, flag in enumerate(is_known) if flag), None)
         if home is None:
             north_rad = 0.5 * float(np.mean(turns)) if turns else 0.0
-            groups.insert(0, Group(seeds, frozenset(seeds), north_rad))
+            groups.insert(0, PlacedGroup(seeds, frozenset(seeds), north_rad))
             fixed.insert(0, {})
             is_known.insert(0, True)
         else:
@@ -595,7 +595,7 @@ def _mapped(
     for i in todo:
         if i not in free or not walks.partners[i] & free:
             continue
-        group = Group({i: Pose(0.0, np.zeros(2))}, frozenset([i]))
+        group = PlacedGroup({i: Pose(0.0, np.zeros(2))}, frozenset([i]))
         free.discard(i)
         _extend(walks, group, free, reasons)
         if len(group.poses) > 1:
@@ -611,7 +611,7 @@ def _mapped(
         # the first walks are solved together, and later ones fitted to them, so that the cost grows linearly
         for start in range(0, max(len(pending), 1), MOST_TOGETHER):
             some = {*states, *pending[start : start + MOST_TOGETHER]}
-            part = Group({i: p for i, p in group.poses.items() if i in some}, group.seeds, group.north_rad)
+            part = PlacedGroup({i: p for i, p in group.poses.items() if i in some}, group.seeds, group.north_rad)
             states = solve_group(walks, part, fixes, states)
         vague = [i for i in states if i not in earlier and i not in group.seeds and _std_m(states[i]) > _MOST_STD_M]
         for i in vague:
@@ -636,7 +636,7 @@ def _std_m(states: States) -> float:
     return float(np.median(worst_std_m(states.joint_cov[:, :2, :2])))
 
 
-def _extend(walks: Walks, group: Group, free: set[int], reasons: dict[int, str]) -> None:
+def _extend(walks: ScannedWalks, group: PlacedGroup, free: set[int], reasons: dict[int, str]) -> None:
     """Grow a group, and remove the walks that the others contradict."""
     if len(group.poses) > 1:
         adjust(walks, group, list(group.poses))
@@ -673,15 +673,13 @@ def _result(
     salt: str | None,
 ) -> WalkMap:
     """Return the map of solved groups."""
-    walks, found = Walks.of(chains), list[MappedWalk]()
+    walks, found = ScannedWalks.of(chains), list[MappedWalk]()
     for number, group in enumerate(groups):
         for i in sorted(group.states):
             position_m, cov_m2 = step_positions(walks, i, group.states[i])
             floor = chains[i].floor + group.poses[i].floor
             found.append(
-                MappedWalk(
-                    chains[i].name, number, chains[i].time_s, read_only(position_m), read_only(cov_m2), floor
-                )
+                MappedWalk(chains[i].name, number, chains[i].time_s, read_only(position_m), read_only(cov_m2), floor)
             )
     moved = _moved_access_points(chains, groups, found)
     return WalkMap(tuple(found), tuple(apart), moved, tuple(chains), tuple(groups), dict(known), salt)

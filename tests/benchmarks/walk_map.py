@@ -19,7 +19,7 @@ import numpy as np
 
 import pdr_filter as pdr
 from pdr_filter.walk_map.chains import Chain, chain_of
-from pdr_filter.walk_map.placing import Walks
+from pdr_filter.walk_map.placing import ScannedWalks
 from pdr_filter.walk_map.walk_map import _mapped
 from tests.benchmarks.common import Tables, paths, run
 
@@ -56,7 +56,7 @@ def walks_of(data: Path) -> list[Walk]:
 
 def given(walks: Sequence[Walk]) -> tuple[Walk, list[object]]:
     """The given walk of a storey, and its first waypoint and direction."""
-    partners = Walks.of([w.chain for w in walks]).partners
+    partners = ScannedWalks.of([w.chain for w in walks]).partners
     walk = walks[int(np.argmax([len(p) for p in partners]))]
     away_m = np.hypot(*(walk.points[:, 1:] - walk.points[0, 1:]).T)
     (t0, *start), (t1, *second) = walk.points[[0, int(np.argmax(away_m > 10.0))]]
@@ -115,7 +115,9 @@ COLUMNS = ["storey", "other walks", "joined", "of these wrong", "median", "90 %"
 
 def by_storey(walks: Sequence[Walk]) -> list[tuple[str, list[Walk]]]:
     names = sorted({w.storey for w in walks}, key=lambda s: (s != CHOSEN_ON, s))
-    return [(s.upper() + (" (chosen on)" if s == CHOSEN_ON else ""), [w for w in walks if w.storey == s]) for s in names]
+    return [
+        (s.upper() + (" (chosen on)" if s == CHOSEN_ON else ""), [w for w in walks if w.storey == s]) for s in names
+    ]
 
 
 def storeys(tables: Tables, arguments: argparse.Namespace) -> None:
@@ -134,7 +136,7 @@ def numbers(tables: Tables, arguments: argparse.Namespace) -> None:
             chosen = np.random.default_rng(seed).permutation(len(every))[:n]
             part = [every[i] for i in sorted(chosen)]
             rows.append(row(f"{len(part)} walks of F1, draw {seed + 1}", part, *mapped(part)))
-    tables.write("walk_map_numbers", COLUMNS, rows, "Walks drawn at random.")
+    tables.write("walk_map_numbers", COLUMNS, rows, "ScannedWalks drawn at random.")
 
 
 def all_storeys(tables: Tables, arguments: argparse.Namespace) -> None:

@@ -9,7 +9,7 @@ import pdr_filter as pdr
 from pdr_filter.walk_map.chains import Chain, Scans, chain_of
 from pdr_filter.walk_map.joint import _by_state, solve_group, step_positions
 from pdr_filter.walk_map.likeness import fingerprint_matrix, log_ratio, ranges
-from pdr_filter.walk_map.placing import Group, Pairs, Pose, Walks, residuals, turned
+from pdr_filter.walk_map.placing import PlacedGroup, Pairs, Pose, ScannedWalks, residuals, turned
 
 
 def test_similar_scans_are_more_probable_near_and_dissimilar_ones_far() -> None:
@@ -64,12 +64,10 @@ def test_points_of_a_chain_end_at_its_knots(chain: Chain) -> None:
 
 def test_a_known_start_and_end_of_one_walk_are_its_solution_with_their_covariances(chain: Chain) -> None:
     """A closed form: with exact ends, the walk is shifted, rotated and scaled onto them."""
-    walks = Walks.of([chain])
+    walks = ScannedWalks.of([chain])
     ends = np.array([[10.0, 20.0], [10.0, 46.0]])
-    known = [
-        pdr.PositionFix(t, p, 0.05**2 * np.eye(2)) for t, p in zip((0.0, chain.time_s[-1]), ends, strict=True)
-    ]
-    found = solve_group(walks, Group({0: Pose(0.3, np.zeros(2))}, frozenset([0])), {0: known})
+    known = [pdr.PositionFix(t, p, 0.05**2 * np.eye(2)) for t, p in zip((0.0, chain.time_s[-1]), ends, strict=True)]
+    found = solve_group(walks, PlacedGroup({0: Pose(0.3, np.zeros(2))}, frozenset([0])), {0: known})
     position_m, cov_m2 = step_positions(walks, 0, found[0])
     np.testing.assert_allclose(position_m[[0, -1]], ends, atol=0.15)
     np.testing.assert_allclose(cov_m2[[0, -1]], np.tile(0.05**2 * np.eye(2), (2, 1, 1)), rtol=0.2, atol=3e-4)
@@ -79,9 +77,9 @@ def test_a_known_start_and_end_of_one_walk_are_its_solution_with_their_covarianc
 
 
 def test_a_known_heading_rotates_a_walk(chain: Chain) -> None:
-    walks, half_s = Walks.of([chain]), float(chain.time_s[len(chain.time_s) // 2])
+    walks, half_s = ScannedWalks.of([chain]), float(chain.time_s[len(chain.time_s) // 2])
     known = [pdr.PositionFix(0.0, (0.0, 0.0), 0.01 * np.eye(2)), pdr.HeadingFix(half_s, np.pi / 2, 0.01)]
-    found = solve_group(walks, Group({0: Pose(1.2, np.zeros(2))}, frozenset([0])), {0: known})
+    found = solve_group(walks, PlacedGroup({0: Pose(1.2, np.zeros(2))}, frozenset([0])), {0: known})
     end_m = step_positions(walks, 0, found[0])[0][-1]
     assert end_m[0] == pytest.approx(25.0, rel=0.15) and abs(end_m[1]) < 3.0
 
