@@ -112,27 +112,20 @@ class Chain:
         return self.problem.n_nodes
 
     def node_of(self, step: IntArray) -> tuple[IntArray, FloatArray]:
-        """Return the knot before each point of the chain, and the displacement (n, 2) from the knot to the point.
+        """Return the knot at or before each point of the chain, and the displacement (n, 2) from the knot to the point.
 
         A point is given by the number of steps before it.
         """
         intervals = self.problem.intervals
-        node = np.clip(np.searchsorted(intervals.nodes, step, side="right") - 1, 0, len(intervals) - 1)
+        node = np.searchsorted(intervals.nodes, step, side="right") - 1
         inside = step > intervals.nodes[node]
         return node, np.where(inside[:, None], intervals.sum_m[np.maximum(step - 1, 0)], 0.0)
 
-    def position_m(self, step: IntArray, mean: FloatArray | None = None) -> FloatArray:
-        """Return the positions (n, 2) of points of the chain, for states (N, 4) of the knots or those of the chain.
-
-        A knot at the end of an interval also corrects the points before it, in proportion to the distance walked.
-        """
-        states = self.mean if mean is None else mean
+    def position_m(self, step: IntArray) -> FloatArray:
+        """Return the positions (n, 2) of points of the chain, in the frame of the walk alone."""
         node, ahead = self.node_of(step)
-        rotation = scaled_rotation(states[:, HEADING_OFFSET], states[:, LOG_SCALE])
-        intervals = self.problem.intervals
-        closing = states[1:, :2] - states[:-1, :2] - np.einsum("nab,nb->na", rotation[:-1], intervals.total_m)
-        share = (step - intervals.nodes[node]) / np.diff(intervals.nodes)[node]
-        return states[node, :2] + np.einsum("nab,nb->na", rotation[node], ahead) + share[:, None] * closing[node]
+        rotation = scaled_rotation(self.mean[node, HEADING_OFFSET], self.mean[node, LOG_SCALE])
+        return self.mean[node, :2] + np.einsum("nab,nb->na", rotation, ahead)
 
     def step_at(self, time_s: float) -> int:
         """Return the number of steps before a time."""

@@ -17,7 +17,7 @@ from pdr_filter.offline.smoothing.linear_graph import Rows, cov_of, eliminated, 
 from pdr_filter.offline.smoothing.preintegration import TURN, scaled_rotation, step_states
 from pdr_filter.offline.smoothing.solve import linearised
 from pdr_filter.values import FloatArray, HeadingFix, IntArray, PositionFix, wrap_angle
-from pdr_filter.walk_map.placing import PlacedGroup, Pairs, ScannedWalks, pairs_of, residuals, turned
+from pdr_filter.walk_map.placing import Pairs, PlacedGroup, ScannedWalks, pairs_of, residuals, turned
 
 Known = PositionFix | HeadingFix
 # Factor on the standard deviations of the ranges, so that the covariances are valid, because the scans of one place
@@ -113,10 +113,10 @@ def _by_state(state: FloatArray, node: IntArray, ahead_m: FloatArray) -> tuple[F
     """Return the positions (n, 2) of points ahead of knots, and their derivatives (n, 2, 4) by the states."""
     at = state[node]
     moved = np.einsum("nab,nb->na", scaled_rotation(at[:, HEADING_OFFSET], at[:, LOG_SCALE]), ahead_m)
-    H = np.zeros((len(node), 2, N_STATES))
-    H[:, 0, 0] = H[:, 1, 1] = 1.0
-    H[:, :, HEADING_OFFSET], H[:, :, LOG_SCALE] = moved @ TURN.T, moved
-    return at[:, :2] + moved, H
+    by_state = np.zeros((len(node), 2, N_STATES))
+    by_state[:, 0, 0] = by_state[:, 1, 1] = 1.0
+    by_state[:, :, HEADING_OFFSET], by_state[:, :, LOG_SCALE] = moved @ TURN.T, moved
+    return at[:, :2] + moved, by_state
 
 
 def _known_rows(walks: ScannedWalks, walk: int, state: FloatArray, known: Sequence[Known], base: int) -> list[Rows]:
@@ -128,13 +128,13 @@ def _known_rows(walks: ScannedWalks, walk: int, state: FloatArray, known: Sequen
         if isinstance(fix, HeadingFix):
             device_rad = chain.device_rad[min(step, len(chain.device_rad) - 1)]
             error = wrap_angle(state[node, HEADING_OFFSET] + device_rad - fix.walking_heading_rad)
-            H = np.zeros((1, N_STATES))
-            H[0, HEADING_OFFSET] = 1.0 / fix.std_rad
-            rows.append(Rows.of_one(base + int(node), H, -np.array([error / fix.std_rad])))
+            by_state = np.zeros((1, N_STATES))
+            by_state[0, HEADING_OFFSET] = 1.0 / fix.std_rad
+            rows.append(Rows.of_one(base + int(node), by_state, -np.array([error / fix.std_rad])))
         else:
-            (place,), (H,) = _by_state(state, np.array([node]), ahead)
+            (place,), (by_state,) = _by_state(state, np.array([node]), ahead)
             whiten = np.linalg.inv(np.linalg.cholesky(fix.cov_m2))
-            rows.append(Rows.of_one(base + int(node), whiten @ H, -(whiten @ (place - fix.position_m))))
+            rows.append(Rows.of_one(base + int(node), whiten @ by_state, -(whiten @ (place - fix.position_m))))
     return rows
 
 
@@ -154,13 +154,13 @@ def _origin_rows(
         return rows
     if not any(isinstance(fix, PositionFix) for fix in fixes):
         start_m = group.poses[seed].of(walks.chains[seed].mean[:1, :2])[0]
-        H = np.eye(2, N_STATES) / _ORIGIN_STD_M
-        rows.append(Rows.of_one(base[seed], H, (start_m - state[seed][0][0, :2]) / _ORIGIN_STD_M))
+        by_state = np.eye(2, N_STATES) / _ORIGIN_STD_M
+        rows.append(Rows.of_one(base[seed], by_state, (start_m - state[seed][0][0, :2]) / _ORIGIN_STD_M))
     if len(fixes) < 2 and not any(walks.chains[i].knows_north for i in free):
-        H = np.zeros((1, N_STATES))
-        H[0, HEADING_OFFSET] = 1.0 / _ORIGIN_STD_RAD
+        by_state = np.zeros((1, N_STATES))
+        by_state[0, HEADING_OFFSET] = 1.0 / _ORIGIN_STD_RAD
         error = state[seed][0][0, HEADING_OFFSET] - group.poses[seed].turn_rad
-        rows.append(Rows.of_one(base[seed], H, -np.array([error / _ORIGIN_STD_RAD])))
+        rows.append(Rows.of_one(base[seed], by_state, -np.array([error / _ORIGIN_STD_RAD])))
     return rows
 
 
@@ -176,24 +176,24 @@ def _range_rows(
     blocks: list[FloatArray] = []
     keys: list[IntArray] = []
     for scans in (pairs.first, pairs.second):
-        place, H, key = np.zeros((len(scans), 2)), np.zeros((len(scans), 2, N_STATES)), np.full(len(scans), -1)
+        place, by_state, key = np.zeros((len(scans), 2)), np.zeros((len(scans), 2, N_STATES)), np.full(len(scans), -1)
         owner = walks.owner[scans]
         for i in np.unique(owner).tolist():
             own = owner == i
             node, ahead = points[i]
             number = scans[own] - walks.first[i]
-            place[own], H[own] = _by_state(state[i][0], node[number], ahead[number])
+            place[own], by_state[own] = _by_state(state[i][0], node[number], ahead[number])
             if i in base:
                 key[own] = base[i] + node[number]
-        places, blocks, keys = [*places, place], [*blocks, H], [*keys, key]
+        places, blocks, keys = [*places, place], [*blocks, by_state], [*keys, key]
     if not len(pairs.first):
         return []
     residual, unit, weight = residuals(pairs, places[0] - places[1])
     root = np.sqrt(weight) / INFLATION
-    A, B = (np.einsum("na,nab->nb", root[:, None] * unit, H)[:, None, :] for H in blocks)
+    by_first, by_second = (np.einsum("na,nab->nb", root[:, None] * unit, block)[:, None, :] for block in blocks)
     rhs, both = (-root * residual)[:, None], keys[1] >= 0
     alone = np.full(int((~both).sum()), -1)
     return [
-        Rows(keys[0][both], A[both], rhs[both], keys[1][both], -B[both]),
-        Rows(keys[0][~both], A[~both], rhs[~both], alone, np.zeros((0, 0, 0))),
+        Rows(keys[0][both], by_first[both], rhs[both], keys[1][both], -by_second[both]),
+        Rows(keys[0][~both], by_first[~both], rhs[~both], alone, np.zeros((0, 0, 0))),
     ]

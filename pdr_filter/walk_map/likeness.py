@@ -1,7 +1,7 @@
 """Likelihood of the distance between two Wi-Fi scans, given the cosine of their fingerprints.
 
-The table has the logarithm of p(cosine | distance) / p(cosine | far away), measured with the pairs of scans of different
-walks on storey F1 of `ms_indoor`. A cosine of 0.7 means "within about 20 m" and no direction. Two walks are therefore
+The table has the logarithm of p(cosine | distance) / p(cosine | far away), measured with the scans of different walks
+on storey F1 of `ms_indoor`. A cosine of 0.7 means "within about 20 m" and no direction. Two walks are therefore
 placed relative to each other by many pairs of scans, dissimilar ones included.
 """
 
@@ -55,9 +55,9 @@ _TABLE = _lookup().astype(np.float32)
 
 
 def log_ratio(cosine: FloatArray, distance_m: FloatArray) -> FloatArray:
-    """Return the summed log ratios (S, G) of scans at G places, for mapped scans (M,) with weights in `cosine`'s columns.
+    """Return the log ratios (S, G) of scans at places, summed over M mapped scans.
 
-    `cosine` is (S, M) and `distance_m` (G, M).
+    `cosine` (S, M) has the cosines of both, and `distance_m` (G, M) the distances of the places from the mapped scans.
     """
     of_cosine = np.digitize(cosine, _COSINES) - 1
     of_distance = np.minimum(distance_m / _STEP_M + 0.5, _TABLE.shape[1] - 1).astype(np.int16)

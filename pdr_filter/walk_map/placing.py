@@ -379,7 +379,10 @@ def adjust(walks: ScannedWalks, group: PlacedGroup, new: Sequence[int]) -> None:
     turn = np.array([group.poses[i].turn_rad for i in together])
     known_turn = turn.copy()
     shift = np.array([group.poses[i].shift_m for i in together])
-    north, is_north_free = group.north_rad, n == len(group.poses)
+    # the common deviation of all magnetic fields is known in a group of which only a part is adjusted
+    is_whole = n == len(group.poses)
+    north, known_north = group.north_rad, 0.0 if is_whole else group.north_rad
+    north_weight = 1.0 / _COMMON_STD_RAD**2 if is_whole else 1e9
     # unknowns: turns, shifts, and the deviation of north
     size = 3 * n + 1
     for _ in range(20):
@@ -389,43 +392,30 @@ def adjust(walks: ScannedWalks, group: PlacedGroup, new: Sequence[int]) -> None:
         at_second, _ = _placed(walks, group, pairs.second)
         residual, unit, weight = residuals(pairs, at_first - at_second)
         weight = weight / _INFLATION**2
-        entries: list[tuple[IntArray, FloatArray]] = []
+        parts: list[tuple[IntArray, FloatArray]] = []
         for index, at_m, sign in ((a, at_first, 1.0), (b, at_second, -1.0)):
             lever = at_m - shift[index]
             by_turn = unit[:, 0] * lever[:, 1] - unit[:, 1] * lever[:, 0]
             columns = np.stack([index, n + 2 * index, n + 2 * index + 1], axis=1)
             values = sign * np.stack([by_turn, unit[:, 0], unit[:, 1]], axis=1)
-            entries.append((columns, np.where((index >= 0)[:, None], values, 0.0)))
-        columns = np.concatenate([np.maximum(e[0], 0) for e in entries], axis=1)
-        values = np.concatenate([e[1] for e in entries], axis=1)
-        A = coo_matrix(
-            (
-                (weight[:, None, None] * values[:, :, None] * values[:, None, :]).ravel(),
-                (np.repeat(columns, 6, axis=1).ravel(), np.tile(columns, (1, 6)).ravel()),
-            ),
-            (size, size),
-        ).tolil()
-        g = np.bincount(
-            columns.ravel(), (weight * residual)[:, None].repeat(6, axis=1).ravel() * values.ravel(), size
-        ).astype(float)
-        A, diagonal = A.tocsc(), np.full(size, 1e-6)
+            parts.append((columns, np.where((index >= 0)[:, None], values, 0.0)))
+        columns = np.concatenate([np.maximum(part[0], 0) for part in parts], axis=1)
+        values = np.concatenate([part[1] for part in parts], axis=1)
         of_north = np.where(directed, 1.0 / _NORTH_STD_RAD**2, 0.0)
         of_seed = np.where(is_seed, 1.0 / _SEED_STD_RAD**2, 0.0)
+        diagonal = np.full(size, 1e-6)
         diagonal[:n] += of_north + of_seed
         diagonal[n : 3 * n] += np.repeat(np.where(is_seed, 1e4, 1e-4), 2)
-        diagonal[3 * n] += of_north.sum() + (1.0 / _COMMON_STD_RAD**2 if is_north_free else 1e9)
-        g[:n] += of_north * (turn - north) + of_seed * (turn - known_turn)
-        g[3 * n] += (north / _COMMON_STD_RAD**2 if is_north_free else 0.0) - float(of_north @ (turn - north))
-        k = np.arange(n)
-        last = np.full(n, 3 * n)
-        sparse = coo_matrix(
-            (
-                np.concatenate([-of_north, -of_north, diagonal]),
-                (np.concatenate([k, last, np.arange(size)]), np.concatenate([last, k, np.arange(size)])),
-            ),
-            (size, size),
-        ).tocsc()
-        change = -splu(A + sparse).solve(g)
+        diagonal[3 * n] += of_north.sum() + north_weight
+        k, last, every = np.arange(n), np.full(n, 3 * n), np.arange(size)
+        squares = weight[:, None, None] * values[:, :, None] * values[:, None, :]
+        entries = np.concatenate([squares.ravel(), -of_north, -of_north, diagonal])
+        row = np.concatenate([np.repeat(columns, 6, axis=1).ravel(), k, last, every])
+        column = np.concatenate([np.tile(columns, (1, 6)).ravel(), last, k, every])
+        slope = np.bincount(columns.ravel(), ((weight * residual)[:, None] * values).ravel(), size).astype(float)
+        slope[:n] += of_north * (turn - north) + of_seed * (turn - known_turn)
+        slope[3 * n] += north_weight * (north - known_north) - float(of_north @ (turn - north))
+        change = -splu(coo_matrix((entries, (row, column)), (size, size)).tocsc()).solve(slope)
         largest = np.abs(change[:n]).max() / 0.5, np.abs(change[n : 3 * n]).max() / 30.0
         change *= 1.0 / max(1.0, *largest)
         turn, shift, north = turn + change[:n], shift + change[n : 3 * n].reshape(n, 2), north + float(change[3 * n])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -326,41 +327,26 @@ class WalkMap:
         folder = Path(folder)
         chains = list(self._chains) if times else without_times(self._chains)
         new_name = {old.name: new.name for old, new in zip(self._chains, chains, strict=True)}
-        known = {new_name[name]: tuple(fixes) for name, fixes in self._known.items() if times and name in new_name}
-        # keys are numbers in text, because the serialisation accepts text only
-        groups = [
-            replace(
-                g,
-                poses={str(i): p for i, p in g.poses.items()},
-                states={str(i): s for i, s in g.states.items()},
-                seeds=frozenset(),
-            )
-            for g in self._groups
-        ]
         content = {
             "groups": [
-                (g.poses, g.states, sorted(self._groups[k].seeds), g.north_rad, g.is_known)
-                for k, g in enumerate(groups)
+                (list(g.poses), list(g.poses.values()), list(g.states), list(g.states.values()), *_about(g))
+                for g in self._groups
             ],
-            "known": known,
+            "known": {name: tuple(fixes) for name, fixes in self._known.items()} if times else {},
         }
-        apart = [(new_name.get(name, f"walk apart {i + 1}"), why) for i, (name, why) in enumerate(self.apart)]
-        folder.mkdir(parents=True, exist_ok=True)
-        files = {folder / f"{i:05d}.walk": to_bytes(chain) for i, chain in enumerate(chains)}
-        files[folder / "groups.bin"] = to_bytes(content)
-        card: dict[str, Any] = {
+        # a failure has the name of its file
+        apart = [(new_name.get(name, f"recording {i + 1}"), why) for i, (name, why) in enumerate(self.apart)]
+        card = {
             "kind": "walk_map",
             "format_version": _FORMAT,
             "n_walks": len(chains),
-            "apart": apart if not times else self.apart,
-            "moved_access_points": self.moved_access_points,
-            "is_hashed": self._salt is not None,
+            "apart": list(self.apart) if times else apart,
             "version": __version__,
         }
-        import json
-
-        files[folder / "walk_map.json"] = (json.dumps(card, indent=2) + "\n").encode()
-        write_files(files)
+        folder.mkdir(parents=True, exist_ok=True)
+        files = {folder / f"{i:05d}.walk": to_bytes(chain) for i, chain in enumerate(chains)}
+        files[folder / "groups.bin"] = to_bytes(content)
+        write_files(files | {folder / "walk_map.json": (json.dumps(card, indent=2) + "\n").encode()})
         return folder
 
     @classmethod
@@ -393,8 +379,14 @@ class WalkMap:
             chains: tuple[Chain, ...] = tuple(from_bytes(read_small(w, limits.MAX_WHOLE_BYTES)) for w in walks)
             content: Any = from_bytes(read_small(folder / "groups.bin", limits.MAX_WHOLE_BYTES))
             groups = tuple(
-                _JoinedGroup(_by_number(poses), _by_number(states), frozenset(seeds), north_rad, is_known)
-                for poses, states, seeds, north_rad, is_known in content["groups"]
+                _JoinedGroup(
+                    dict(zip(of, poses, strict=True)),
+                    dict(zip(solved, states, strict=True)),
+                    frozenset(seeds),
+                    north_rad,
+                    is_known,
+                )
+                for of, poses, solved, states, seeds, north_rad, is_known in content["groups"]
             )
             apart = tuple((name, why) for name, why in card["apart"])
             return _result(chains, groups, apart, content["known"], salt)
@@ -414,8 +406,8 @@ class WalkMap:
         return [self._chains[i] for i in sorted(self._groups[group].states)]
 
 
-def _by_number(of_text: Mapping[str, Any]) -> dict[int, Any]:
-    return {int(key): value for key, value in of_text.items()}
+def _about(group: _JoinedGroup) -> tuple[list[int], float, bool]:
+    return sorted(group.seeds), group.north_rad, group.is_known
 
 
 def map_walks(

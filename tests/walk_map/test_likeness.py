@@ -9,7 +9,7 @@ import pdr_filter as pdr
 from pdr_filter.walk_map.chains import Chain, Scans, chain_of
 from pdr_filter.walk_map.joint import _by_state, solve_group, step_positions
 from pdr_filter.walk_map.likeness import fingerprint_matrix, log_ratio, ranges
-from pdr_filter.walk_map.placing import PlacedGroup, Pairs, Pose, ScannedWalks, residuals, turned
+from pdr_filter.walk_map.placing import Pairs, PlacedGroup, Pose, ScannedWalks, residuals, turned
 
 
 def test_similar_scans_are_more_probable_near_and_dissimilar_ones_far() -> None:
@@ -43,11 +43,13 @@ def test_the_residual_of_a_range_is_distance_minus_range_with_a_cauchy_weight() 
 
 def test_derivatives_of_points_are_those_of_differences() -> None:
     state, ahead = np.array([[3.0, -2.0, 0.4, 0.1]]), np.array([[5.0, 2.0]])
-    place, H = _by_state(state, np.array([0]), ahead)
+    place, by_state = _by_state(state, np.array([0]), ahead)
     for k in range(4):
         moved = state.copy()
         moved[0, k] += 1e-6
-        np.testing.assert_allclose((_by_state(moved, np.array([0]), ahead)[0] - place)[0] / 1e-6, H[0, :, k], atol=1e-5)
+        np.testing.assert_allclose(
+            (_by_state(moved, np.array([0]), ahead)[0] - place)[0] / 1e-6, by_state[0, :, k], atol=1e-5
+        )
 
 
 @pytest.fixture(scope="module")
@@ -58,8 +60,8 @@ def chain() -> Chain:
 def test_points_of_a_chain_end_at_its_knots(chain: Chain) -> None:
     nodes = chain.problem.intervals.nodes
     np.testing.assert_allclose(chain.position_m(nodes), chain.mean[:, :2], atol=1e-9)
-    moved = chain.mean + [3.0, 4.0, 0.0, 0.0]
-    np.testing.assert_allclose(chain.position_m(nodes, moved), moved[:, :2], atol=1e-9)
+    inside = chain.position_m(np.array([int(nodes[1]) - 1]))[0]
+    assert 0.2 < np.hypot(*(inside - chain.mean[1, :2])) < 1.5  # one step before the knot
 
 
 def test_a_known_start_and_end_of_one_walk_are_its_solution_with_their_covariances(chain: Chain) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heard import round_a_block, walk_with_wifi
+from heard import walk_with_wifi
 
 import pdr_filter as pdr
 from pdr_filter.simulate import Leg
