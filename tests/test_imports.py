@@ -86,7 +86,7 @@ def test_an_app_that_only_filters_runs_where_gtsam_is_not_installed() -> None:
 # Three groups, in the order in which they may import: each package those before it.
 FRAMEWORK = ["values", "classifiers", "sensing", "filter", "recipes", "tracking", "simulate", "offline", "evaluate"]
 DATA = ["io", "datasets"]
-APPLICATIONS = ["maps", "report", "batch", "live", "workbench", "cli"]
+APPLICATIONS = ["maps", "report", "batch", "walk_map", "live", "workbench", "cli"]
 PACKAGES = [*FRAMEWORK, *DATA, *APPLICATIONS]
 PACKAGE = Path(__file__).resolve().parents[1] / "pdr_filter"
 
@@ -154,7 +154,7 @@ def package_of(module: str) -> str:
 FOR_USERS = ["protocols", "testing", "__main__"]
 
 
-def test_there_are_seventeen_packages_and_beside_them_only_names_for_users() -> None:
+def test_there_are_eighteen_packages_and_beside_them_only_names_for_users() -> None:
     imports = imports_of_modules()
     assert {package_of(module) for module in imports} == {"", "version", *PACKAGES, *FOR_USERS}
     assert {path.stem for path in PACKAGE.glob("*.py")} == {"__init__", "version", *FOR_USERS}

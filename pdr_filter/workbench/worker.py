@@ -22,11 +22,11 @@ import numpy as np
 
 from pdr_filter.batch.worker_process import reason_of
 from pdr_filter.io.files.archive import outside
-from pdr_filter.io.files.safe_files import open_regular, read_small, write_text
+from pdr_filter.io.files.safe_files import read_small, write_text
 from pdr_filter.io.folders import recordings_in
 from pdr_filter.io.formats import read
 from pdr_filter.maps.floor_plan import FloorPlan
-from pdr_filter.maps.marks import NAMES, mark_files, marks_folder, marks_in, version_of
+from pdr_filter.maps.marks import NAMES, checksum_of, mark_files, marks_folder, marks_in, version_of
 from pdr_filter.offline.smoothing.smooth import SmoothingMemory, smooth
 from pdr_filter.recipes import for_recording
 from pdr_filter.report.html import html_report
@@ -266,21 +266,6 @@ def progress_of(cache: Path, path: str) -> float:
 
 def _name_of(path: str) -> str:
     return hashlib.sha256(path.encode("utf-8", "surrogateescape")).hexdigest()[:16]
-
-
-def checksum_of(recording: Path) -> str:
-    """Return the checksum of the bytes of a recording, without its marks."""
-    path, inside = outside(recording)
-    found = hashlib.sha256(inside.encode())
-    files = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file() and p.name not in NAMES)
-    for file in files:
-        if any(part.startswith(".") for part in file.relative_to(path).parts):
-            continue
-        found.update(f"\n{file.relative_to(path)}\n".encode("utf-8", "surrogateescape"))
-        with open_regular(file) as opened:
-            while block := opened.read(limits.BLOCK_BYTES):
-                found.update(block)
-    return found.hexdigest()
 
 
 def _for_page(track: Track, plan: FloorPlan | None) -> Track:

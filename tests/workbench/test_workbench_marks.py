@@ -16,10 +16,19 @@ import pytest
 from benches import Client, short_walk, with_bench
 
 import pdr_filter as pdr
-from pdr_filter.maps.marks import FIXES, WALK, mark_files, marks_folder, read_marks, table_bytes, write_mark_files
+from pdr_filter.maps.marks import (
+    FIXES,
+    WALK,
+    checksum_of,
+    mark_files,
+    marks_folder,
+    read_marks,
+    table_bytes,
+    write_mark_files,
+)
 from pdr_filter.offline.smoothing.smooth import SmoothingMemory
 from pdr_filter.values.recording import Recording, Truth
-from pdr_filter.workbench.worker import Worker, checksum_of
+from pdr_filter.workbench.worker import Worker
 
 FIRST, SECOND = [2.0, 0.0, 0.0, 0.5, None, None], [35.0, 3.0, 20.0, 0.5, None, None]
 

@@ -63,6 +63,7 @@ from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.walked_path import WalkedPath, walked_path
 from pdr_filter.tracking.whole_recording import collected, outputs, prepared_run, run_sensing
 from pdr_filter.values import (
+    BoolArray,
     Fix,
     FloatArray,
     GridFix,
@@ -290,19 +291,7 @@ def smooth(
 
     def reckoned() -> _Reckoned:
         """Return the dead reckoning of the recording, without fixes and locations."""
-        own, known_device = _with_first_pass(recording, asked, first_pass)
-        own = own.in_hindsight().with_model(frame=START_FRAME)
-        sensing: SensingState | None = None
-
-        def results() -> Iterator[tuple[State, Output]]:
-            nonlocal sensing
-            for state, output in outputs(recording, own, stood, second_pass, with_hills=run.with_location):
-                sensing = state.sensing
-                yield state, output
-
-        found = collected(recording, own, results())
-        track = with_arrivals(replace(found, device=known_device or found.device))
-        return own, track, sensing if known_device is None else None
+        return _dead_reckoned(recording, asked, stood, (first_pass, second_pass), run.with_location)
 
     if memory is None:
         config, track, sensing = reckoned()
@@ -310,9 +299,7 @@ def smooth(
         key = to_bytes((asked.with_model(frame=START_FRAME), stood, placement.north or "", run.with_location))
         config, track, sensing = memory.of(given, key, reckoned)
     modes = config.model.modes
-    if track.weighting == "imm":
-        prob = smoothed_mode_prob(track.mode_prob, config.model.transition_prob)
-        track = replace(track, mode_prob=read_only(prob))
+    track = _with_smoothed_modes(track, config)
     where, locations = LocationState(), ()
     if run.with_location and gnss != "align" and recording.location is not None:
         where, locations = locations_of(recording.location)
@@ -335,6 +322,59 @@ def smooth(
     if gnss == "align" and recording.location is not None:
         smoothed, where, locations = aligned_walk(smoothed, walked_var_m2, recording.location)
     return with_given_place(run, on_earth(smoothed, where, locations, observed))
+
+
+def chain_problem(recording: Recording, anchor_interval_s: float) -> tuple[Track, FloatArray, Problem]:
+    """Return the dead-reckoned track of a recording, and its least-squares problem without fixes.
+
+    The second value is the walking heading of each step minus its heading offset, (K,). North comes from the
+    magnetometer if the recording has one. The problem is the part of one walk in a problem of many walks. ValueError
+    for a recording without steps.
+    """
+    north: NorthUse | None = "magnetic" if "magnetometer" in recording.streams else None
+    run = prepared_run(recording, None, (), TrackPlacement(gnss="off", north=north))
+    config, track, _ = _dead_reckoned(run.recording, run.config, (), (None, None), with_hills=False)
+    if not track.n_steps:
+        raise ValueError(f"{recording.name or 'the recording'} has no steps: leave it out")
+    track = _with_smoothed_modes(track, config)
+    nothing = Observations()
+    inside = nothing.fixes_inside(0.0, 0.0)
+    _, used, problem = _problem(track, config.model.modes, config, nothing, inside, None, anchor_interval_s, None)
+    return track, used.device_rad, problem
+
+
+def _dead_reckoned(
+    recording: Recording,
+    config: Config,
+    stood: Sequence[Standstill],
+    progress: tuple[Callable[[float], None] | None, Callable[[float], None] | None],
+    with_hills: bool,
+) -> _Reckoned:
+    """Return the configuration after a first pass, the track without fixes and locations, and the state of the sensing.
+
+    `progress` has the callbacks of the first and the second pass.
+    """
+    own, known_device = _with_first_pass(recording, config, progress[0])
+    own = own.in_hindsight().with_model(frame=START_FRAME)
+    sensing: SensingState | None = None
+
+    def results() -> Iterator[tuple[State, Output]]:
+        nonlocal sensing
+        for state, output in outputs(recording, own, stood, progress[1], with_hills=with_hills):
+            sensing = state.sensing
+            yield state, output
+
+    found = collected(recording, own, results())
+    track = with_arrivals(replace(found, device=known_device or found.device))
+    return own, track, sensing if known_device is None else None
+
+
+def _with_smoothed_modes(track: Track, config: Config) -> Track:
+    """Return the track with mode probabilities from the whole recording."""
+    if track.weighting != "imm":
+        return track
+    prob = smoothed_mode_prob(track.mode_prob, config.model.transition_prob)
+    return replace(track, mode_prob=read_only(prob))
 
 
 def _online_path(recording: Recording, config: Config, fixes: Sequence[Fix]) -> WalkedPath | None:
@@ -457,7 +497,6 @@ def _smooth_track(
     (`filter.fixes.alignment.walked_var_m2`). `guess` is the path at which measurements are first linearised. The result
     includes the person's step scale if the fixes determine it.
     """
-    noise = config.model.noise
     start_s, end_s = track.start_time_s, track.start_time_s + track.duration_s
     if track.n_steps:
         start_s, end_s = min(start_s, float(track.time_s[0])), max(end_s, float(track.time_s[-1]))
@@ -466,6 +505,34 @@ def _smooth_track(
         places = compress((*observed.fixes, *observed.locations), inside)
         known = independent([f for f in places if isinstance(f, PositionFix)])
         return without_steps(track, observed, known), np.zeros(0)
+    steps, used, problem = _problem(
+        track, modes, config, observed, inside, start_heading_std_rad, anchor_interval_s, guess
+    )
+    smoothed, walked_var_m2 = _smoothed(track, steps, problem, solve(problem), observed, used)
+    n_fixes = sum(result.accepted for result in smoothed.track.fixes)
+    log_scale, var = float(smoothed.log_scale.mean()), float(np.mean(smoothed.log_scale_std**2))
+    session = session_of_scale(config.model, log_scale, var, n_fixes)
+    if session is None or not n_fixes:
+        return smoothed, walked_var_m2
+    person = (config.person or Person()).pooled(Person((session,)))
+    return replace(smoothed, track=replace(smoothed.track, person=person)), walked_var_m2
+
+
+def _problem(
+    track: Track,
+    modes: Sequence[Mode],
+    config: Config,
+    observed: Observations,
+    inside: BoolArray,
+    start_heading_std_rad: float | None,
+    anchor_interval_s: float,
+    guess: WalkedPath | None,
+) -> tuple[Increments, Used, Problem]:
+    """Return the increments of the steps, the used observations, and the least-squares problem of a track with steps.
+
+    `inside` is a mask of the fixes and locations within the recording.
+    """
+    noise = config.model.noise
     steps, shared_var = increments(track.steps, track.mode_prob, modes, noise, track.gap_before_s)
     used = usable(track, steps, modes, noise.log_scale_std, observed, inside)
     offsets = heading_offsets(track, steps, modes)
@@ -489,14 +556,7 @@ def _smooth_track(
         states=used.states,
         measurements=None if guess is None else _measurements_on_path(used, guess),
     )
-    smoothed, walked_var_m2 = _smoothed(track, steps, problem, solve(problem), observed, used)
-    n_fixes = sum(result.accepted for result in smoothed.track.fixes)
-    log_scale, var = float(smoothed.log_scale.mean()), float(np.mean(smoothed.log_scale_std**2))
-    session = session_of_scale(config.model, log_scale, var, n_fixes)
-    if session is None or not n_fixes:
-        return smoothed, walked_var_m2
-    person = (config.person or Person()).pooled(Person((session,)))
-    return replace(smoothed, track=replace(smoothed.track, person=person)), walked_var_m2
+    return steps, used, problem
 
 
 def _measurements_on_path(used: Used, guess: WalkedPath) -> Measurements:
