@@ -10,6 +10,7 @@ import ast
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from itertools import product
 from pathlib import Path
 
@@ -37,7 +38,14 @@ class Texts:
 
     def __init__(self, tree: ast.Module, constants: dict[str, ast.expr]) -> None:
         self.constants = constants | _assignments(tree.body)
-        self.functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
+        self.nodes = list(ast.walk(tree))
+        self.functions = [node for node in self.nodes if isinstance(node, ast.FunctionDef)]
+        self.assigned = [
+            (node.lineno, target, value)
+            for node in self.nodes
+            if isinstance(node, ast.Assign)
+            for target, value in _pairs(node)
+        ]
 
     def of(self, node: ast.expr, depth: int = 0) -> list[str]:
         """Texts that an expression may have; an ellipsis stands for a part that is known only at run time."""
@@ -68,13 +76,11 @@ class Texts:
     def _local(self, name: ast.Name) -> ast.expr | None:
         """Value that was assigned to a name last before its use, in the same function."""
         found = [
-            (node.lineno, value)
+            (line, value)
             for function in self.functions
             if function.lineno <= name.lineno <= (function.end_lineno or 0)
-            for node in ast.walk(function)
-            if isinstance(node, ast.Assign) and node.lineno < name.lineno
-            for target, value in _pairs(node)
-            if target == name.id
+            for line, target, value in self.assigned
+            if function.lineno <= line < name.lineno and target == name.id
         ]
         return max(found, key=lambda pair: pair[0])[1] if found else None
 
@@ -92,6 +98,7 @@ def _assignments(body: list[ast.stmt]) -> dict[str, ast.expr]:
     return {name: value for name, value in pairs if isinstance(value, kinds)}
 
 
+@cache
 def messages() -> tuple[list[Message], list[Message]]:
     """Notes and refusals of the package, in the order of its files, each text once."""
     trees = {path: ast.parse(path.read_text("utf-8")) for path in sorted(PACKAGE.rglob("*.py"))}
@@ -102,7 +109,7 @@ def messages() -> tuple[list[Message], list[Message]]:
     refusals: dict[str, Message] = {}
     for path, tree in trees.items():
         texts, module = Texts(tree, constants), path.relative_to(PACKAGE).with_suffix("").as_posix()
-        for node in ast.walk(tree):
+        for node in texts.nodes:
             for found, about, expression in _of_node(node, module, texts):
                 for text in map(_trimmed, texts.of(expression)):
                     if len(text.replace(ANY, "").split()) > 2:

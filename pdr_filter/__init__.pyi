@@ -50,5 +50,7 @@ from .values.samples import Samples as Samples
 from .values.step import Step as Step
 from .values.wifi import Wifi as Wifi
 from .values.windows import Windows as Windows
+from .walk_map.walk_map import WalkMap as WalkMap
+from .walk_map.walk_map import map_walks as map_walks
 
 __version__: str

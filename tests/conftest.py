@@ -19,7 +19,7 @@ if not (_TESTS / "benchmarks").is_dir():  # in the sdist, which has no experimen
         "test_soak.py",
     ]
 
-# Tests that `make test` leaves to `make test-all` and CI: all that took more than about a second of one core, and those
+# Tests that `make test` leaves to `make test-all` and CI: all that take more than two seconds of one core, and those
 # of studies, training and pages in a browser, which together take long.
 SLOW = frozenset((_TESTS / "slow_tests.txt").read_text().split())
 

@@ -13,10 +13,12 @@ import numpy as np
 
 import pdr_filter as pdr
 from pdr_filter.filter.imm.imm_tracker import ImmTracker
+from pdr_filter.filter.imm.motion_model import Mode
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.pedestrian_state import StepUpdate
 from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
 from pdr_filter.filter.imm.weighting import HC
+from pdr_filter.filter.step_length.models import FrequencyVarianceStepLength, StepLengthFit
 from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.recipes.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.sensing.attitude import AttitudeBlock
@@ -216,6 +218,22 @@ def windows_of(time_s: np.ndarray, context_prob: np.ndarray, contexts: tuple[str
     none = np.full(n, np.nan)
     return Windows(
         time_s, context_prob, contexts, np.full((n, 5), 0.2), CARRYING_MODES, *np.zeros((3, n)), none, ("",) * n
+    )
+
+
+def mode_of_each_context(sideways_rad: float = np.pi / 2) -> tuple[Mode, ...]:
+    """Return modes with different lengths that depend on the step."""
+    theta = np.array([[0, 0, 0], [0.3, 0.2, 0.01], [0.2, 0.05, 0], [0.3, 0.1, 0], [0.4, 0, 0], [0.2, 0.3, 0.02]])
+    return tuple(
+        Mode(
+            context,
+            context,
+            StepLengthFit(FrequencyVarianceStepLength(), t, np.eye(3) * 1e-4, 0.05),
+            heading_offset_rad=sideways_rad if context == "sideways" else 0.0,
+            moves=context != "stationary",
+            climbs={"upstairs": 1, "downstairs": -1}.get(context, 0),
+        )
+        for context, t in zip(CONTEXTS, theta, strict=True)
     )
 
 

@@ -6,6 +6,7 @@ import ast
 import importlib
 import subprocess
 import sys
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -85,7 +86,7 @@ def test_an_app_that_only_filters_runs_where_gtsam_is_not_installed() -> None:
 # Three groups, in the order in which they may import: each package those before it.
 FRAMEWORK = ["values", "classifiers", "sensing", "filter", "recipes", "tracking", "simulate", "offline", "evaluate"]
 DATA = ["io", "datasets"]
-APPLICATIONS = ["maps", "report", "batch", "live", "workbench", "cli"]
+APPLICATIONS = ["maps", "report", "batch", "walk_map", "live", "workbench", "cli"]
 PACKAGES = [*FRAMEWORK, *DATA, *APPLICATIONS]
 PACKAGE = Path(__file__).resolve().parents[1] / "pdr_filter"
 
@@ -105,25 +106,36 @@ WHEN_CALLED = {
 
 
 @cache
+def trees() -> dict[Path, ast.Module]:
+    """Syntax tree of each module of the package."""
+    return {path: ast.parse(path.read_text(encoding="utf-8")) for path in PACKAGE.rglob("*.py")}
+
+
+def statements(body: ast.AST, types: bool, only_at_import: bool) -> Iterator[ast.AST]:
+    """Statements of a module and those inside them."""
+    for node in ast.iter_child_nodes(body):
+        if not isinstance(node, ast.stmt | ast.ExceptHandler | ast.match_case):
+            continue
+        if not types and isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            continue
+        if only_at_import and isinstance(node, ast.FunctionDef):
+            continue
+        yield node
+        yield from statements(node, types, only_at_import)
+
+
+@cache
 def imports_of_modules(types: bool = False, only_at_import: bool = False) -> dict[str, set[str]]:
     """Modules that each module of the package imports, both named without the package.
 
     `types`: those for type checkers too. `only_at_import`: without those inside of functions.
     """
-    names = {path: ".".join(path.relative_to(PACKAGE).with_suffix("").parts) for path in PACKAGE.rglob("*.py")}
+    names = {path: ".".join(path.relative_to(PACKAGE).with_suffix("").parts) for path in trees()}
     names = {path: name.removesuffix("__init__").removesuffix(".") for path, name in names.items()}
     modules, found = set(names.values()), {}
     for path, name in names.items():
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        skipped = {
-            id(inner)
-            for node in ast.walk(tree)
-            if (not types and isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test))
-            or (only_at_import and isinstance(node, ast.FunctionDef))
-            for inner in ast.walk(node)
-        }
         targets: set[str] = set()
-        for node in (node for node in ast.walk(tree) if id(node) not in skipped):
+        for node in statements(trees()[path], types, only_at_import):
             if isinstance(node, ast.Import):
                 targets |= {alias.name for alias in node.names}
             elif isinstance(node, ast.ImportFrom):
@@ -142,7 +154,7 @@ def package_of(module: str) -> str:
 FOR_USERS = ["protocols", "testing", "__main__"]
 
 
-def test_there_are_seventeen_packages_and_beside_them_only_names_for_users() -> None:
+def test_there_are_eighteen_packages_and_beside_them_only_names_for_users() -> None:
     imports = imports_of_modules()
     assert {package_of(module) for module in imports} == {"", "version", *PACKAGES, *FOR_USERS}
     assert {path.stem for path in PACKAGE.glob("*.py")} == {"__init__", "version", *FOR_USERS}
@@ -187,8 +199,8 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
 def test_the_package_has_no_assert() -> None:
     asserts = [
         f"{path.relative_to(PACKAGE)}:{node.lineno}"
-        for path in PACKAGE.rglob("*.py")
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for path, tree in trees().items()
+        for node in statements(tree, types=True, only_at_import=False)
         if isinstance(node, ast.Assert)
     ]
     assert asserts == []
@@ -196,8 +208,8 @@ def test_the_package_has_no_assert() -> None:
 
 def test_no_public_class_has_the_name_of_another() -> None:
     homes: dict[str, list[str]] = {}
-    for path in PACKAGE.rglob("*.py"):
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+    for path, tree in trees().items():
+        for node in tree.body:
             if isinstance(node, ast.ClassDef):
                 homes.setdefault(node.name, []).append(str(path.relative_to(PACKAGE)))
     assert {name: files for name, files in homes.items() if len(files) > 1} == {}

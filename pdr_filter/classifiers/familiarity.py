@@ -41,10 +41,10 @@ class Familiarity(Stored):
 
     def distance(self, standardised: FloatArray) -> FloatArray:
         """Return the distance d of each window to the training windows, (...), from standardised features (..., F)."""
-        z = np.clip(standardised, -_FEATURE_LIMIT, _FEATURE_LIMIT)
+        z = np.minimum(np.maximum(standardised, -_FEATURE_LIMIT), _FEATURE_LIMIT)
         # One product per window, because products of a batch can differ in the last bits.
         along = z[..., None, :] @ self.axes.T
-        narrow = (z * z).sum(axis=-1) / _MIN_VARIANCE
+        narrow = np.add.reduce(z * z, axis=-1) / _MIN_VARIANCE
         wide = (along * along @ (1 / self.variance - 1 / _MIN_VARIANCE))[..., 0]
         return np.sqrt(np.maximum(narrow + wide, 0.0) / z.shape[-1])
 

@@ -15,6 +15,7 @@ from pdr_filter.cli.compare import compare
 from pdr_filter.cli.convert import convert
 from pdr_filter.cli.info import info
 from pdr_filter.cli.live import live
+from pdr_filter.cli.map import map_folder
 from pdr_filter.cli.options import in_groups
 from pdr_filter.cli.plan import plan
 from pdr_filter.cli.radio import radio
@@ -33,6 +34,7 @@ app = typer.Typer(
 )
 for command in (track, info, convert, plan, train, compare, calibrate, smooth, radio, simulate, demo, live, workbench):
     app.command()(in_groups(command))
+app.command("map")(in_groups(map_folder))
 
 
 def main() -> None:

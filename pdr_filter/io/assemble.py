@@ -15,6 +15,7 @@ from pdr_filter.io.files.errors import RecordingError
 from pdr_filter.io.files.own_format_writer import TIME_COLUMNS
 from pdr_filter.io.row_times import in_order, spread
 from pdr_filter.io.wifi_rows import wifi_of
+from pdr_filter.sensing.gravity import with_gravity
 from pdr_filter.values import FloatArray, Samples, limits, table
 from pdr_filter.values.recording import Recording, Truth
 
@@ -35,6 +36,8 @@ class Parsed:
     is_clock: bool = False  # times are dates or clock times
     rate_hz: float = 0.0  # of samples whose packs have one time; 0 if it is to be estimated
     requested_hz: dict[str, float] = field(default_factory=dict[str, float])
+    linear: str = ""  # name of the acceleration, if it lacks gravity
+    instead: str = "the accelerometer with gravity"  # sensor to record in place of it
     notes: list[str] = field(default_factory=list[str])
 
     def set_device(self, *words: str | None) -> None:
@@ -54,6 +57,8 @@ class Parsed:
         first_s = self.streams["accelerometer"][0][:1]
         self.streams = in_order(self.streams, "", self.notes)
         self.streams = spread(self.streams, self.is_clock, self.rate_hz, self.notes)
+        if self.linear:
+            self._restore_gravity(where)
         time_s = self.streams["accelerometer"][0]
         self._move_epoch(float((time_s[:1] - first_s).sum()))
         zero_s = float(next(iter(time_s[np.abs(time_s) <= limits.LARGEST_VALUE]), 0.0))
@@ -74,6 +79,26 @@ class Parsed:
             source=where,
             notes=tuple(self.notes),
         )
+
+    def _restore_gravity(self, where: str) -> None:
+        """Add gravity to an acceleration that lacks it, with a note. RecordingError if the vertical is unknown."""
+        name = f"the acceleration ({self.linear}) lacks gravity"
+        gyroscope = Samples(*self.streams["gyroscope"]) if "gyroscope" in self.streams else None
+        try:
+            restored = with_gravity(Samples(*self.streams["accelerometer"]), gyroscope)
+        except ValueError as error:
+            raise RecordingError(f"{where}: {self.linear}: {error}: export {self.instead}") from error
+        self.streams["accelerometer"] = restored.force.time_s, restored.force.values
+        self.found.append(f"accelerometer: {self.linear}, with gravity along the vertical of the walk")
+        if gyroscope is None:
+            words = f"{name}, and there is no gyroscope: only steps and distance can be trusted; record both"
+        else:
+            words = (
+                f"{name}, so that the vertical was estimated from the gyroscope and the steps: turns and directions "
+            )
+            words += f"are less certain{'' if restored.is_sense_sure else ', and the path may be mirrored'}; next time "
+            words += f"record {self.instead}"
+        self.notes.insert(0, words)
 
     def _move_epoch(self, by_s: float) -> None:
         """Add `by_s` seconds to the Unix time of time zero, because time zero moves by that much."""

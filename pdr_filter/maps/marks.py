@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 from pdr_filter.filter.fixes.gnss import origin_of
 from pdr_filter.io.files.archive import outside
-from pdr_filter.io.files.safe_files import read_json, read_small, whole_file
+from pdr_filter.io.files.safe_files import open_regular, read_json, read_small, whole_file
 from pdr_filter.io.fix_files import fixes_of_file, loop_closures_of_file
 from pdr_filter.io.folders import only_recording_in
 from pdr_filter.maps.floor_plan import FloorPlan
@@ -177,6 +177,21 @@ def mark_files(folder: Path) -> dict[str, bytes]:
     if (folder / _UNFINISHED).exists():
         _finish(folder)
     return {n: read_small(folder / n, limits.MAX_WHOLE_BYTES) for n in NAMES if (folder / n).exists()}
+
+
+def checksum_of(recording: Path) -> str:
+    """Return the checksum of the bytes of a recording, without its marks."""
+    path, inside = outside(recording)
+    found = hashlib.sha256(inside.encode())
+    files = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file() and p.name not in NAMES)
+    for file in files:
+        if any(part.startswith(".") for part in file.relative_to(path).parts):
+            continue
+        found.update(f"\n{file.relative_to(path)}\n".encode("utf-8", "surrogateescape"))
+        with open_regular(file) as opened:
+            while block := opened.read(limits.BLOCK_BYTES):
+                found.update(block)
+    return found.hexdigest()
 
 
 def version_of(files: Mapping[str, bytes]) -> str:

@@ -102,7 +102,8 @@ class AttitudeState:
     bias : GyroBiasState
         State of the bias estimation.
     window : FloatArray
-        Samples since the last complete bias window, shape (R, 17).
+        Samples of the present bias window, shape (R, 17). A complete window updates the bias when the next sample
+        arrives (`AttitudeEstimator.bias_state`), so that not all work on windows falls into one hop.
     """
 
     vqf: Mapping[str, Any] | None
@@ -221,9 +222,28 @@ class AttitudeEstimator:
             vqf={**state.vqf, "accLpState": self._initial["accLpState"]},
             reference_quat=None,
             twist_rad=0.0,
-            bias=self.bias.after_gap(state.bias),
+            bias=self.bias.after_gap(self.bias_state(state)),
             window=_NO_SAMPLES,
         )
+
+    def bias_state(self, state: AttitudeState) -> GyroBiasState:
+        """Return the state of the bias estimation after all samples so far.
+
+        Parameters
+        ----------
+        state : AttitudeState
+            State after any number of samples.
+
+        Returns
+        -------
+        GyroBiasState
+            State that includes the bias window of `state` if that window is complete.
+        """
+        return self._after_window(state.bias, state.window)
+
+    def _after_window(self, bias: GyroBiasState, rows: FloatArray) -> GyroBiasState:
+        """Return the state of the bias estimation after a window, unchanged if the window is not complete."""
+        return self.bias.update(bias, _bias_window(rows)) if len(rows) == self._window_samples else bias
 
     def update(self, state: AttitudeState, block: UniformBlock) -> tuple[AttitudeState, AttitudeBlock]:
         """Return the new state and the attitude of each sample of a block.
@@ -251,13 +271,12 @@ class AttitudeEstimator:
         rows, first = _rows(state.window, block), len(state.window)
         begin, biases, lengths = 0, list[GyroBiasState](), list[int]()
         while first < len(rows):
+            if first - begin == self._window_samples:
+                state, begin = replace_unchecked(state, bias=self._after_window(state.bias, rows[begin:first])), first
             end = min(begin + self._window_samples, len(rows))
             biases.append(state.bias)
             lengths.append(end - first)
             state = self._estimate_attitudes(state, estimator, rows[first:end])
-            if end - begin == self._window_samples:
-                state = replace_unchecked(state, bias=self.bias.update(state.bias, _bias_window(rows[begin:end])))
-                begin = end
             first = end
         new = rows[len(state.window) :]
         quat = np.ascontiguousarray(new[:, _QUAT])

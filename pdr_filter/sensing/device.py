@@ -21,7 +21,8 @@ class Device:
     """Gyroscope bias of one phone with its covariance, as estimated at the end of a recording.
 
     `Track.device` holds it. Pass it to the next recording of the same phone with `pdr_filter.track(..., device=...)`,
-    whose heading is then accurate from the first second. The axes are those of the sensor frame.
+    whose heading is then accurate from the first second. A smoothed walk with fixes determines the bias best. The axes
+    are those of the sensor frame.
 
     Attributes
     ----------

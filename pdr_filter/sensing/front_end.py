@@ -273,7 +273,7 @@ class Sensing:
             Bias and covariance.
         """
         error_rad, error_var = drift_in_time(self.heading, state.heading)
-        return self.attitude.bias.learnt(state.attitude.bias, error_rad, error_var)
+        return self.attitude.bias.learnt(self.attitude.bias_state(state.attitude), error_rad, error_var)
 
     def _process_block(self, state: SensingState, part: UniformBlock) -> tuple[SensingState, list[tuple[float, Event]]]:
         """Return the new state and the events of one uniform block without a gap."""

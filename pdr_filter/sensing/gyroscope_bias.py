@@ -327,7 +327,8 @@ class GyroBias:
         if not window.angular_rate_known:
             return self.after_gap(state)
         correction_rad = self.window_s * _dot(window.up_sensor, state.bias_radps)
-        bank = _predict(self, (state.mean, state.cov, state.log_weight), window.up_sensor, correction_rad)
+        last = state.mean, state.cov, state.log_weight
+        bank = predicted = _predict(self, last, window.up_sensor, correction_rad)
         # A positive angular rate about up decreases the clockwise heading, and so does a positive bias. Subtracting the
         # correction gives the uncorrected heading, at the middle of the window.
         measured_rad = window.heading_rad - (state.corrected_rad + 0.5 * correction_rad)
@@ -340,8 +341,10 @@ class GyroBias:
         estimate = self._measure_walk(bank, walk)
         state_mean, state_cov = _mixture(estimate)
         error_rad, error_var_rad2 = _direction(estimate)
-        before = self._measure_walk((state.mean, state.cov, state.log_weight), state.walk)
-        _, predicted_var_rad2 = _direction(_predict(self, before, window.up_sensor, correction_rad))
+        before = self._measure_walk(last, state.walk)
+        if before is not last:
+            predicted = _predict(self, before, window.up_sensor, correction_rad)
+        _, predicted_var_rad2 = _direction(predicted)
         lost_rad2 = max(predicted_var_rad2 - state.heading_error_var_rad2, 0.0)
         return replace_unchecked(
             state,
@@ -361,6 +364,13 @@ class GyroBias:
             n_field_outliers=n_field_outliers,
         )
 
+    def device_fits(self, state: GyroBiasState) -> float:
+        """Return the probability that the bias of `device` holds in this recording; 1 without a device."""
+        if self.device is None:
+            return 1.0
+        weight = np.exp(state.log_weight)
+        return float(weight[0] / np.add.reduce(weight))
+
     def learnt(self, state: GyroBiasState, error_rad: float = 0.0, error_var_rad2: float = math.inf) -> Device:
         """Return the bias and its covariance for the next recording of the phone.
 
@@ -370,6 +380,50 @@ class GyroBias:
         bank = state.mean, state.cov, state.log_weight
         if math.isfinite(error_var_rad2):
             bank, _ = _update(bank, _H_ERROR, error_rad - state.mean[:, _ERROR], error_var_rad2, 1e-9, 0.0)
+        bias, bias_cov = _mixture(bank)
+        return Device(bias[_BIAS].copy(), bias_cov[_BIAS, _BIAS].copy())
+
+    def learnt_from_smoothed(
+        self,
+        state: GyroBiasState,
+        error_rad: float,
+        var_rad2: float,
+        other_var_rad2: float,
+        ago_s: float,
+        up_sensor: FloatArray,
+    ) -> Device:
+        """Return the bias and its covariance for the next recording, using the heading error of a smoothed walk.
+
+        Parameters
+        ----------
+        state : GyroBiasState
+            State at the end of the recording.
+        error_rad, var_rad2 : float
+            Smoothed error of the corrected heading at an earlier time, rad, and its variance.
+        other_var_rad2 : float
+            Variance of the part of the error that does not come from the bias, rad2.
+        ago_s : float
+            Time from the smoothed error to the end of the recording, s.
+        up_sensor : FloatArray
+            Unit vector up in the sensor frame during this time, shape (3,).
+
+        Returns
+        -------
+        Device
+            Bias and covariance.
+
+        Notes
+        -----
+        The smoothed error contains the information of this state, which must not count twice. It is therefore used only
+        if its variance is below a quarter of the variance that the heading has in this state.
+        """
+        bank = state.mean, state.cov, state.log_weight
+        if var_rad2 > 0.25 * state.heading_error_var_rad2:
+            return self.learnt(state)
+        # h' x is the error at the earlier time, because the error has grown by up' (bias in use - bias) a second.
+        h = np.array([*(ago_s * up_sensor), 0.0, 1.0])
+        innovation = error_rad + ago_s * _dot(up_sensor, state.bias_radps) - bank[0].dot(h)
+        bank, _ = _update(bank, h, innovation, var_rad2 + other_var_rad2, 1e-9, 0.0)
         bias, bias_cov = _mixture(bank)
         return Device(bias[_BIAS].copy(), bias_cov[_BIAS, _BIAS].copy())
 
@@ -388,10 +442,10 @@ class GyroBias:
             innovation, noise = rate - bank[0][:, _BIAS], std**2 * np.eye(3)
             rotating_noise = noise + self.turning_radps**2 * window.up_sensor[:, None] * window.up_sensor
             odds = self.even_turn_prob / (1.0 - self.even_turn_prob)
-            if _likelihood(bank, innovation, noise) < odds * _likelihood(bank, innovation, rotating_noise):
-                noise = rotating_noise
+            still, rotating = (_predicted(bank, innovation, cov) for cov in (noise, rotating_noise))
+            is_rotating = _likelihood(bank, still) < odds * _likelihood(bank, rotating)
             outlier = _outlier_log_density(_dot(rate, rate), 3, self.turning_radps)
-            bank = _update_bias(bank, innovation, noise, self.still_outlier_prob, outlier)
+            bank = _update_bias(bank, innovation, rotating if is_rotating else still, self.still_outlier_prob, outlier)
         return bank, n_still + 1
 
     def _update_walk(
@@ -464,7 +518,9 @@ class GyroBias:
         if state.field_tracked and abs(change_rad) < jump_rad:
             innovation = _wrapped(direction_rad - mean[:, _FIELD], 2 * math.pi)
             outlier = _uniform_log_density(2 * math.pi)
-            bank, inlier_prob = _update(bank, _H_FIELD, innovation, variance, self.field_outlier_prob, outlier)
+            bank, inlier = _update(bank, _H_FIELD, innovation, variance, self.field_outlier_prob, outlier)
+            weight = np.exp(bank[2])
+            inlier_prob = float(weight.dot(inlier)) / float(np.add.reduce(weight))
             n_outliers = state.n_field_outliers + 1 if inlier_prob < 0.5 else 0
             if n_outliers * self.window_s < 2 * self.field_correlation_s:
                 return bank, field, True, n_outliers
@@ -518,8 +574,8 @@ def _predict(bias: GyroBias, bank: _Bank, up_sensor: FloatArray, correction_rad:
 
 def _update(
     bank: _Bank, h: FloatArray, innovation: FloatArray, variance: float, outlier_prob: float, outlier_log_density: float
-) -> tuple[_Bank, float]:
-    """Return the bank after a scalar measurement h' x that may be an outlier, and the probability of an inlier.
+) -> tuple[_Bank, FloatArray]:
+    """Return the bank after a scalar measurement h' x that may be an outlier, and the inlier probabilities (M,).
 
     The state x (5,) of each of the M filters is the bias (3,), the field direction and the heading error. `h` (5,) is
     the derivative of the measurement with respect to x, and `innovation` (M,) the residual of each filter. With P the
@@ -535,23 +591,25 @@ def _update(
     log_both, inlier, by_mean, by_cov = possible_outlier(log_in, log_out, shift, S)
     mean = mean + by_mean[:, None] * g
     cov = cov + (by_cov[:, None] * g)[:, :, None] * g[:, None, :]
-    log_weight = _relative(log_weight + log_both)
-    weight = np.exp(log_weight)
-    return (mean, cov, log_weight), float(weight.dot(inlier)) / float(np.add.reduce(weight))
+    return (mean, cov, _relative(log_weight + log_both)), inlier
 
 
 def _update_bias(
-    bank: _Bank, innovation: FloatArray, noise: FloatArray, outlier_prob: float, outlier_log_density: float
+    bank: _Bank,
+    innovation: FloatArray,
+    predicted: tuple[FloatArray, FloatArray],
+    outlier_prob: float,
+    outlier_log_density: float,
 ) -> _Bank:
     """Return the bank of M Kalman filters (see `_Bank`) after a measurement of the gyroscope bias (3,), in rad/s.
 
     The measurement may be an outlier, with probability `outlier_prob` and log density `outlier_log_density`. Each
-    filter has its innovation, (M, 3). `noise` (3, 3) is the covariance of the measurement. Each filter is updated with
-    the mixture of an accepted and a rejected measurement, and its weight with the likelihood of the mixture.
+    filter has its innovation, (M, 3), and `predicted` is the result of `_predicted`. Each filter is updated with the
+    mixture of an accepted and a rejected measurement, and its weight with the likelihood of the mixture.
     """
     mean, cov, log_weight = bank
     hp = cov[:, _BIAS]
-    inverse, log_density = _predicted(hp, innovation, noise)
+    inverse, log_density = predicted
     log_in = math.log1p(-outlier_prob) + log_density
     log_both = np.logaddexp(log_in, math.log(outlier_prob) + outlier_log_density)
     inlier = np.exp(log_in - log_both)
@@ -568,22 +626,20 @@ def _relative(log_weight: FloatArray) -> FloatArray:
     return np.maximum(log_weight - np.maximum.reduce(log_weight), _MIN_LOG_WEIGHT)
 
 
-def _predicted(hp: FloatArray, innovation: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _predicted(bank: _Bank, innovation: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the inverse innovation covariances (M, 3, 3) of a bias measurement, and its log densities (M,).
 
-    The log densities lack a common constant. `hp` (M, 3, 5) holds the rows of the bias in the covariances.
+    `noise` (3, 3) is the covariance of the measurement. The log densities lack a common constant.
     """
-    inverse = np.asarray(np.linalg.inv(hp[:, :, _BIAS] + noise), dtype=np.float64)
+    inverse = np.asarray(np.linalg.inv(bank[1][:, _BIAS, _BIAS] + noise), dtype=np.float64)
     log_det = np.log(np.linalg.det(inverse))
     square = (innovation[:, None, :] @ inverse @ innovation[:, :, None])[:, 0, 0]
     return inverse, 0.5 * (log_det - square)
 
 
-def _likelihood(bank: _Bank, innovation: FloatArray, noise: FloatArray) -> float:
-    """Return the likelihood of a measurement of the bias under the mixture of all filters, up to a constant factor."""
-    _, cov, log_weight = bank
-    _, log_density = _predicted(cov[:, _BIAS], innovation, noise)
-    return float(np.exp(log_weight + log_density).sum())
+def _likelihood(bank: _Bank, predicted: tuple[FloatArray, FloatArray]) -> float:
+    """Return the likelihood of a `_predicted` measurement under the mixture of all filters, up to a constant factor."""
+    return float(np.add.reduce(np.exp(bank[2] + predicted[1])))
 
 
 def _restarted(bank: _Bank, index: int, start: float, variance: float) -> _Bank:
@@ -633,10 +689,11 @@ def _direction(bank: _Bank) -> tuple[float, float]:
     heading. Linear moments would be wrong: the linear mean of errors of 0 and 7 rad is a direction that no filter has.
     """
     mean, cov, log_weight = bank
-    error = mean[:, _ERROR]
-    resultant = complex((np.exp(log_weight - 0.5 * cov[:, _ERROR, _ERROR]) * np.exp(1j * error)).sum())
-    length = abs(resultant) / float(np.exp(log_weight).sum())
-    likely_rad = float(error[log_weight.argmax()])
+    errors_rad = mean[:, _ERROR].tolist()
+    weights, shrunk = np.exp([log_weight, log_weight - 0.5 * cov[:, _ERROR, _ERROR]])
+    resultant = complex(np.add.reduce([cmath.rect(*polar) for polar in zip(shrunk.tolist(), errors_rad, strict=True)]))
+    length = abs(resultant) / float(np.add.reduce(weights))
+    likely_rad = errors_rad[log_weight.argmax()]
     error_rad = likely_rad + cmath.phase(resultant * cmath.exp(-1j * likely_rad))
     return error_rad, min(-2.0 * math.log(max(length, 1e-9)), UNKNOWN_VAR_RAD2)
 

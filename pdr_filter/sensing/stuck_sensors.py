@@ -97,8 +97,8 @@ def remove_stuck_values(
             since_s, moved, dead = _judged(constant[k], moving[k], since_s, moved, start_s, end_s)
         elif k < n_whole:
             since_s, moved, dead = _NEVER_S, (False, False), (False, False)
-    fresh = init_watchdog()
     if n_rows == 0:
+        fresh = init_watchdog()
         return WatchdogState(0, fresh.low, fresh.high, since_s, moved, dead), result
     return WatchdogState(n_rows, low[-1], high[-1], since_s, moved, dead, start_s), result
 

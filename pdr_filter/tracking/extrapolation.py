@@ -204,7 +204,7 @@ def _with_candidates(config: Config, state: State) -> tuple[StepUpdate | None, t
     tracker, last, steps = state.tracker, state.last_update, list[ProvisionalStep]()
     for step in () if state.finished else _candidates(state.sensing.gate):
         tracker, updates = config.tracker.on_step(tracker, step)
-        last = updates[-1]
+        last = config.tracker.provisional(tracker) or updates[-1]
         steps.append(ProvisionalStep(step.time_s, (last.of_start or last).position_m))
     return last, tuple(steps)
 

@@ -177,39 +177,43 @@ def init(config: Config) -> State:
     return replace_unchecked(state, locations=LocationState(origin=on_plan.plan.origin), particles=on_plan.init())
 
 
-def update(config: Config, state: State, block: ImuBlock) -> tuple[State, Output]:
+def update(config: Config, state: State, block: ImuBlock, provisional: bool = False) -> tuple[State, Output]:
     """Return the new state and the output after a block of samples of any length.
 
-    The result depends on samples and fixes only, and not on the division into blocks. ValueError after `finish`.
+    With `provisional`, the output has a provisional update of each step that is not final when it is detected. The
+    result depends on samples and fixes only, and not on the division into blocks. ValueError after `finish`.
     """
     if state.finished:
         raise ValueError("the filter is finished: start a new one for further samples")
     whole = Output()
     for part in parts(block):
         sensing, events = config.sensing.update(state.sensing, part)
-        state, output = _process(config, replace_unchecked(state, sensing=sensing), events)
+        state, output = _process(config, replace_unchecked(state, sensing=sensing), events, provisional)
         whole.extend(output)
     return state, whole
 
 
 def update_streams(
-    config: Config, state: State, samples: Mapping[Sensor, tuple[FloatArray, FloatArray]]
+    config: Config,
+    state: State,
+    samples: Mapping[Sensor, tuple[FloatArray, FloatArray]],
+    provisional: bool = False,
 ) -> tuple[State, Output]:
     """Return the new state and the output after samples of single sensors.
 
     `samples` has times (N,) and values (N, d) for each sensor. They wait for the samples of the other sensors.
-    ValueError after `finish`.
+    `provisional` is an argument of `update`. ValueError after `finish`.
     """
     if state.finished:
         raise ValueError("the filter is finished: start a new one for further samples")
     merger, merged = config.merger.together(state.merger, samples)
-    return _with_merged(config, replace_unchecked(state, merger=merger), merged)
+    return _with_merged(config, replace_unchecked(state, merger=merger), merged, provisional)
 
 
-def _with_merged(config: Config, state: State, merged: Merged) -> tuple[State, Output]:
+def _with_merged(config: Config, state: State, merged: Merged, provisional: bool = False) -> tuple[State, Output]:
     if len(merged.pressure_time_s):
         state = add_pressure(config, state, merged.pressure_time_s, merged.pressure_hpa)
-    return update(config, state, merged.block) if len(merged.block.time_s) else (state, Output())
+    return update(config, state, merged.block, provisional) if len(merged.block.time_s) else (state, Output())
 
 
 # Number of samples that pass the stages at once: some minutes, which bounds memory. Results do not depend on it.
@@ -394,7 +398,9 @@ def finish(config: Config, state: State) -> tuple[State, Output]:
     return state, output
 
 
-def _process(config: Config, state: State, events: list[tuple[float, Event]]) -> tuple[State, Output]:
+def _process(
+    config: Config, state: State, events: list[tuple[float, Event]], provisional: bool = False
+) -> tuple[State, Output]:
     output = Output()
     tracker: TrackerState
     windows = [event for _, event in events if isinstance(event, WindowContext)]
@@ -424,11 +430,13 @@ def _process(config: Config, state: State, events: list[tuple[float, Event]]) ->
         else:
             tracker, updates = config.tracker.on_step(state.tracker, event)
             state = _with_rival(state, lambda rival, at=event: config.tracker.on_step(rival, at))
-            walked_m = sum(u.step_length_m for u in updates if u.is_final)
+            walked_m = sum(u.step_length_m for u in updates)
             moved_m = moved_by_heading_m(state.tracker.pedestrian, tracker.pedestrian, walked_m)
             heading_std_rad = math.sqrt(tracker.pedestrian.estimates.heading_var_rad2)
             walked = state.walked.plus(event, heading_std_rad, moved_m)
             state = replace_unchecked(state, tracker=tracker, walked=walked)
+            if provisional and (newest := config.tracker.provisional(tracker)) is not None:
+                updates = (*updates, newest)
         state = _with_steps(config, state, known_s, updates, output)
     state, used = _use_due_fixes(config, state, state.sensing.processed_s)
     output.fixes.extend(used)

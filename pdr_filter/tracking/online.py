@@ -168,7 +168,7 @@ class OnlineFilter:
             )
         block = imu_block(time_s, specific_force_mps2, angular_rate_radps, magnetic_field_ut)
         _check_times(block.time_s, np.empty(0), self.state)
-        return self._commit(*update(self.config, self.state, block))
+        return self._commit(*update(self.config, self.state, block, provisional=True))
 
     def push_accelerometer(self, time_s: ArrayLike, specific_force_mps2: ArrayLike) -> list[StepUpdate]:
         """Process accelerometer samples and return the steps that they complete.
@@ -272,7 +272,7 @@ class OnlineFilter:
         if not self.state.merger.is_used:
             self.state = add_pressure(self.config, self.state, time, pressure)
             return []
-        return self._commit(*update_streams(self.config, self.state, {"barometer": (time, pressure[:, None])}))
+        return self._commit_streams({"barometer": (time, pressure[:, None])})
 
     def push_streams(self, streams: Mapping[Sensor, Samples]) -> list[StepUpdate]:
         """Process samples of several sensors, such as one message of a phone, and return the completed steps.
@@ -305,12 +305,10 @@ class OnlineFilter:
                 arrived[sensor] = time_s, pressure_hpa[:, None]
             else:
                 arrived[sensor] = self._checked(sensor, samples.time_s, samples.values, f"values of {sensor}")
-        return self._commit(*update_streams(self.config, self.state, arrived))
+        return self._commit_streams(arrived)
 
     def _push_sensor(self, sensor: Sensor, time_s: ArrayLike, values: ArrayLike, name: str) -> list[StepUpdate]:
-        return self._commit(
-            *update_streams(self.config, self.state, {sensor: self._checked(sensor, time_s, values, name)})
-        )
+        return self._commit_streams({sensor: self._checked(sensor, time_s, values, name)})
 
     def _checked(
         self, sensor: Sensor, time_s: ArrayLike, values: ArrayLike, name: str
@@ -328,6 +326,10 @@ class OnlineFilter:
         recent_s = self.state.merger.stream(sensor).recent_s if sensor == "accelerometer" else time[:0]
         _check_times(time, recent_s, self.state)
         return time, rows
+
+    def _commit_streams(self, streams: Mapping[Sensor, tuple[FloatArray, FloatArray]]) -> list[StepUpdate]:
+        """Process checked samples of single sensors, and return the completed steps."""
+        return self._commit(*update_streams(self.config, self.state, streams, provisional=True))
 
     def _commit(self, state: State, output: Output) -> list[StepUpdate]:
         """Store the new state and return its updates.

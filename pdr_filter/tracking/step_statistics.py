@@ -7,12 +7,12 @@ times. Both use the criteria and texts of this module.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.values import HARDLY_AGREE, BoolArray, ContextSet, FloatArray, Step
+from pdr_filter.values import HARDLY_AGREE, BoolArray, ContextSet, FloatArray, Step, replace_unchecked
 
 # Standard deviation of the heading above which it counts as unknown. At an error of 0.5 rad a step advances by 12 %
 # less along the estimated direction than a linear filter assumes.
@@ -39,12 +39,12 @@ UNFAMILIAR = (
     "train a model with such motion (pdr_filter.fit_contexts)"
 )
 NO_DIRECTION = (
-    "the walking direction is uncertain, because strides do not agree on it (as in a bag): heading changes come from "
-    "the gyroscope alone, and a phone that turns against the body turns the track; give position or heading fixes"
+    "the walking direction is uncertain, because the phone was moved to another place where strides do not agree on a "
+    "direction (as in a bag): give position or heading fixes"
 )
 QUICK_AND_SOFT = (
-    "steps are as quick as running and as soft as walking (as when running on the spot): their length and direction "
-    "are uncertain; give position fixes"
+    "steps are as quick as running and as soft as walking, and push in no common direction (as when running on the "
+    "spot): their length and direction are uncertain; give position fixes"
 )
 LATE = (
     "because the heading or the context of earlier steps was corrected late: pdr_filter.smooth also corrects the "
@@ -72,9 +72,24 @@ def is_unfamiliar(unknown_share: FloatArray | float) -> BoolArray:
     return np.asarray(unknown_share) > 0.5
 
 
-def is_without_direction(shown_offset_std_rad: FloatArray | float, direction_trust: FloatArray | float) -> BoolArray:
-    """True for steps (...,) whose strides disagree on the walking direction."""
-    return np.isfinite(shown_offset_std_rad) & (np.asarray(direction_trust) < HARDLY_AGREE)
+def is_without_direction(
+    carried_since_s: FloatArray | float, first_carried_s: float, direction_trust: FloatArray | float
+) -> BoolArray:
+    """True for steps (...,) whose strides disagree on the walking direction, after the phone was moved.
+
+    In its first place, at time `first_carried_s`, the phone needs no direction from strides, because the first heading
+    defines the frame of the track.
+    """
+    return (np.asarray(carried_since_s) > first_carried_s) & (np.asarray(direction_trust) < HARDLY_AGREE)
+
+
+def is_on_the_spot(is_quick_and_soft: BoolArray | bool, direction_trust: FloatArray | float) -> BoolArray:
+    """True for quick and soft steps (...,) whose strides push in no common direction.
+
+    Strides that agree on a direction lead somewhere, and the covariance contains the uncertain length of quick and soft
+    steps (`PedestrianModel.own_var_m2`).
+    """
+    return np.asarray(is_quick_and_soft) & (np.asarray(direction_trust) < HARDLY_AGREE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,9 +104,6 @@ class WindowCounts:
         Windows without angular rate.
     unknown : int
         Windows that are unlike the training data of the context model.
-    stairs_unknown : int
-        Windows with walking in which stairs could not be detected: stairs are not in the training data for this place
-        of the phone, and there is no climb rate.
     irregular : int
         Windows in which the phone was handled.
     """
@@ -99,24 +111,20 @@ class WindowCounts:
     n: int = 0
     without_gyroscope: int = 0
     unknown: int = 0
-    stairs_unknown: int = 0
     irregular: int = 0
 
     def plus(self, window: WindowContext, contexts: ContextSet) -> WindowCounts:
         """Return the counts with one more window."""
         standing_prob = float(window.prob[contexts.standing].sum())
-        walks = window.stairs_unknown_share > 0.5 and window.prob[contexts.level_walking].sum() > 0.5
-        blind = walks and np.isnan(window.climb_rate_mps)
         return WindowCounts(
             self.n + 1,
             self.without_gyroscope + (not window.has_gyroscope),
             self.unknown + int(is_unfamiliar(window.unknown_share)),
-            self.stairs_unknown + int(blind),
             self.irregular + int(is_handled(window.irregular_prob, standing_prob)),
         )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class StepCounts:
     """Number of steps, of those that are unreliable, and the times of the problems.
 
@@ -125,9 +133,11 @@ class StepCounts:
     n : int
         All steps.
     untrusted : int
-        Steps whose strides disagree on the walking direction.
-    quick_and_soft : int
-        Steps that are too quick for walking and too soft for running.
+        Steps whose strides disagree on the walking direction, after the phone was moved.
+    on_the_spot : int
+        Steps that are too quick for walking and too soft for running, and push in no common direction.
+    first_carried_s : float
+        Time when the phone was put into its first place, s. Infinite before the first stride.
     heading_unknown : int
         Steps with a standard deviation of the heading above `UNKNOWN_HEADING_RAD`.
     unknown_from_s, unknown_until_s : float
@@ -140,7 +150,8 @@ class StepCounts:
 
     n: int = 0
     untrusted: int = 0
-    quick_and_soft: int = 0
+    on_the_spot: int = 0
+    first_carried_s: float = math.inf
     heading_unknown: int = 0
     unknown_from_s: float = math.nan
     unknown_until_s: float = math.nan
@@ -153,17 +164,19 @@ class StepCounts:
         `heading_std_rad` is the standard deviation of the heading after the step. `moved_m` is the correction of the
         position besides the step itself.
         """
-        is_untrusted = bool(is_without_direction(step.shown_offset_std_rad, step.direction_trust))
-        counts = replace(
+        since_s, trust = step.carried_since_s, step.direction_trust
+        first_s = min(self.first_carried_s, since_s) if math.isfinite(since_s) else self.first_carried_s
+        counts = replace_unchecked(
             self,
             n=self.n + 1,
-            untrusted=self.untrusted + is_untrusted,
-            quick_and_soft=self.quick_and_soft + step.is_quick_and_soft,
+            untrusted=self.untrusted + bool(is_without_direction(since_s, first_s, trust)),
+            on_the_spot=self.on_the_spot + bool(is_on_the_spot(step.is_quick_and_soft, trust)),
+            first_carried_s=first_s,
         )
         if heading_std_rad > UNKNOWN_HEADING_RAD:
             since_s = self.unknown_from_s if self.heading_unknown else step.time_s
             n = self.heading_unknown + 1
-            counts = replace(counts, heading_unknown=n, unknown_from_s=since_s, unknown_until_s=step.time_s)
+            counts = replace_unchecked(counts, heading_unknown=n, unknown_from_s=since_s, unknown_until_s=step.time_s)
         if moved_m > max(self.largest_move_m, MOVE_M):
-            counts = replace(counts, largest_move_m=moved_m, largest_move_s=step.time_s)
+            counts = replace_unchecked(counts, largest_move_m=moved_m, largest_move_s=step.time_s)
         return counts

@@ -19,6 +19,8 @@ from pdr_filter.values import FloatArray, Note, how_many
 _NOTABLE_SHARE, _NOTABLE_NUMBER = 0.05, 3
 # Limits of share and number for steps: a turn or a door affects about ten steps.
 _UNTRUSTED_SHARE, _UNTRUSTED_NUMBER = 0.2, 20
+# Probability below which the device of an earlier recording does not fit.
+_UNFIT_DEVICE_PROB = 0.05
 # Number of steps with an unknown heading that causes no warning: as many pass until the new direction of a phone that
 # was moved to another place is known.
 _UNKNOWN_NUMBER = 20
@@ -44,6 +46,10 @@ def _sensor_notes(config: Config, state: State) -> Iterator[Note]:
     moving_s, seen_s = state.sensing.vibration.moving_s, state.sensing.vibration.seen_s
     if moving_s:
         yield Note("steps", f"for {moving_s} s, {100 * moving_s / seen_s:.0f} % of the time, {criteria.STEPLESS}")
+    device_prob = config.sensing.attitude.bias.device_fits(state.sensing.attitude.bias)
+    if device_prob < _UNFIT_DEVICE_PROB:
+        words = f"the gyroscope bias of the given device fits this walk with a probability of {device_prob:.1g} only "
+        yield Note("sensors", words + "and is hardly used: it may be of another phone; give the device of this phone")
     for sensor, last_s in config.merger.silent(state.merger):
         words = (
             f"{sensor}: no samples since {last_s:.1f} s, so that the other sensors are used without it; if it still "
@@ -69,17 +75,14 @@ def _window_notes(seen: WindowCounts) -> Iterator[Note]:
         )
     if seen.unknown > notable:
         yield Note("contexts", f"in {seen.unknown} {of_all} {criteria.UNFAMILIAR}")
-    if seen.stairs_unknown > notable:
-        words = f"stairs cannot be detected in {seen.stairs_unknown} {of_all}: the context model has only seen stairs "
-        yield Note("contexts", words + "with the phone in a trouser pocket, and there is no barometer; record pressure")
     if seen.irregular > notable:
         yield Note("steps", f"in {seen.irregular} {of_all} {criteria.HANDLED}")
 
 
 def _step_notes(walked: StepCounts) -> Iterator[Note]:
     notable = max(_UNTRUSTED_SHARE * walked.n, _UNTRUSTED_NUMBER)
-    if walked.quick_and_soft > notable:
-        yield Note("steps", f"{walked.quick_and_soft} of {walked.n} {criteria.QUICK_AND_SOFT}")
+    if walked.on_the_spot > notable:
+        yield Note("steps", f"{walked.on_the_spot} of {walked.n} {criteria.QUICK_AND_SOFT}")
     if walked.heading_unknown > _UNKNOWN_NUMBER:
         words = (
             f"the heading is uncertain by more than {UNKNOWN_HEADING_RAD} rad in {walked.heading_unknown} of "

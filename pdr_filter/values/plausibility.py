@@ -19,9 +19,9 @@ def wrong_specific_force(median_mps2: float) -> str:
         return ""
     remedy = "columns x, y, z must be specific force in m/s2, about 9.81 at rest"
     if limits.G_RANGE[0] <= median_mps2 <= limits.G_RANGE[1]:
-        remedy = "this looks like g units; multiply by 9.80665 (if gravity was removed, record the raw accelerometer)"
+        remedy = "this looks like g units; multiply by 9.80665 (if gravity was removed, record it too)"
     elif median_mps2 < low:
-        remedy += "; if gravity was removed, record the raw accelerometer"
+        remedy += "; if gravity was removed, record it too, or read a whole file that calls it linear acceleration"
     return f"median |a| is {median_mps2:.4g}; {remedy}"
 
 

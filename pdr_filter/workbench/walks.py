@@ -7,10 +7,12 @@ import json
 import os
 import tempfile
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from pdr_filter.io.files.safe_files import read_json, write_text
 from pdr_filter.io.folders import recordings_in
 from pdr_filter.maps.marks import (
     FIXES,
@@ -25,6 +27,7 @@ from pdr_filter.maps.marks import (
     version_of,
     write_mark_files,
 )
+from pdr_filter.values import limits
 from pdr_filter.values.sanitise import file_name, printable
 
 _MAX_UNDO = 200
@@ -49,9 +52,16 @@ class Walk:
     summary: dict[str, Any] = field(default_factory=dict[str, Any])
     reason: str = ""  # why it cannot be used
     stamp: tuple[int, int] = (0, 0)  # size and time of the last change, by which a changed file is noticed
+    history: Path | None = None  # file of the edits that can be taken back
     # Files before an edit, with the version after it.
     _undo: list[tuple[Files, str]] = field(default_factory=list[tuple[Files, str]])
     _redo: list[tuple[Files, str]] = field(default_factory=list[tuple[Files, str]])
+
+    def __post_init__(self) -> None:
+        with suppress(OSError, ValueError, TypeError, AttributeError):  # no file yet, or a damaged one
+            stored = [] if self.history is None else read_json(self.history, limits.MAX_WHOLE_BYTES)
+            for stack, edits in zip((self._undo, self._redo), stored, strict=False):
+                stack += [({n: str(c).encode() for n, c in files.items()}, str(v)) for files, v in edits]
 
     def event(self) -> dict[str, Any]:
         """Return the event that updates the row of this walk in the list of walks on all pages.
@@ -91,6 +101,7 @@ class Walk:
         _check(new)
         self._write(old, new, self._undo)
         self._redo.clear()
+        self._store_history()
 
     def undo(self, version: str) -> None:
         """Undo the last edit. ConflictError if there is none of this version."""
@@ -106,6 +117,15 @@ class Walk:
             raise ConflictError("there is no edit of this version to undo or to redo: reload the page")
         self._write(old, source[-1][0], target)
         source.pop()
+        self._store_history()
+
+    def _store_history(self) -> None:
+        """Store the edits that can be taken back, so that they outlast the workbench; on a full disk they do not."""
+        if self.history is not None:
+            stacks = [[[{n: c.decode() for n, c in f.items()}, v] for f, v in s] for s in (self._undo, self._redo)]
+            with suppress(OSError):
+                self.history.parent.mkdir(parents=True, exist_ok=True)
+                write_text(self.history, json.dumps(stacks))
 
     def _old(self, version: str) -> Files:
         old = mark_files(self.folder)
@@ -139,7 +159,8 @@ class Walks:
             walk = self.by_id.get(id)
             if walk is None or walk.stamp != stamp:
                 if walk is None:
-                    walk = Walk(id, path, printable(_shown(name)))
+                    history = self.folder / HIDDEN / "undo" / f"{id}.json"
+                    walk = Walk(id, path, printable(_shown(name)), history=history)
                 walk.stamp, walk.state = stamp, "waiting"
                 changed.append(walk)
             found[id] = walk
@@ -168,6 +189,8 @@ def _stamp(path: Path) -> tuple[int, int]:
     return sum(s.st_size for s in stats), max((s.st_mtime_ns for s in stats), default=0)
 
 
+# Names of fields as the pages show them.
+_FIELDS = {"height_m": "Height (m)", "origin": "Latitude of zero"}
 _MARKS = (FIXES, LOOP_CLOSURES, PERSON, WALK)
 
 
@@ -222,4 +245,7 @@ def _check(files: Files) -> None:
         try:
             marks_in(Path(folder))
         except ValueError as error:
-            raise ValueError(str(error).replace(f"{folder}/", "")) from None
+            words = str(error).replace(f"{folder}/", "").removesuffix("; correct this value in the file")
+            for name, field in _FIELDS.items():
+                words = words.replace(f"{WALK}: {name}", f"the field {field}")
+            raise ValueError(words) from None

@@ -22,11 +22,11 @@ import numpy as np
 
 from pdr_filter.batch.worker_process import reason_of
 from pdr_filter.io.files.archive import outside
-from pdr_filter.io.files.safe_files import open_regular, read_small, write_text
+from pdr_filter.io.files.safe_files import read_small, write_text
 from pdr_filter.io.folders import recordings_in
 from pdr_filter.io.formats import read
 from pdr_filter.maps.floor_plan import FloorPlan
-from pdr_filter.maps.marks import NAMES, mark_files, marks_folder, marks_in, version_of
+from pdr_filter.maps.marks import NAMES, checksum_of, mark_files, marks_folder, marks_in, version_of
 from pdr_filter.offline.smoothing.smooth import SmoothingMemory, smooth
 from pdr_filter.recipes import for_recording
 from pdr_filter.report.html import html_report
@@ -40,6 +40,8 @@ from pdr_filter.workbench.pictures import convert, rectify
 _N_POINTS = 120
 _MAX_CACHED = 2000
 _PROGRESS_S = 0.2
+# A path this far from its floor plan is not in view with it. A user marks points at places that are in view.
+_FAR_M = 500.0
 EXPORTS: dict[str, str] = {
     "csv": "text/csv",
     "geojson": "application/geo+json",
@@ -110,6 +112,7 @@ class Worker:
         progress = self._progress(path)
         opened = self._open(path, checksum)
         track, plan = self._smoothed(opened, progress)
+        track = _for_page(track, plan)
         write_text(self.cache / f"{key}.html", html_report(track, opened.recording, plan))
         summary = _summary(track, opened.recording) | {"key": key}
         write_text(file, json.dumps(summary))
@@ -135,7 +138,7 @@ class Worker:
                 recording = marks_in(marks_folder(Path(path))).recording(opened.recording)
                 config = for_recording(recipe, recording)
                 found, plan = self._smoothed(opened, None, config=config, weighting=weighting or None)
-                tracks.append(replace(found, name=f"{recipe}, {weighting or found.weighting}"))
+                tracks.append(replace(_for_page(found, plan), name=f"{recipe}, {weighting or found.weighting}"))
             write_text(self.cache / f"{key}.html", html_report(tracks, opened.recording, plan))
         return {"key": key}
 
@@ -272,19 +275,22 @@ def _name_of(path: str) -> str:
     return hashlib.sha256(path.encode("utf-8", "surrogateescape")).hexdigest()[:16]
 
 
-def checksum_of(recording: Path) -> str:
-    """Return the checksum of the names and bytes of the files of a recording, without its marks and hidden files."""
-    path, inside = outside(recording)
-    found = hashlib.sha256(inside.encode())
-    files = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file() and p.name not in NAMES)
-    for file in files:
-        if any(part.startswith(".") for part in file.relative_to(path).parts):
-            continue
-        found.update(f"\n{file.relative_to(path)}\n".encode("utf-8", "surrogateescape"))
-        with open_regular(file) as opened:
-            while block := opened.read(limits.BLOCK_BYTES):
-                found.update(block)
-    return found.hexdigest()
+def _for_page(track: Track, plan: FloorPlan | None) -> Track:
+    """Return a track whose notes a user of the page understands. The first says if the plan is far from the path."""
+    notes = [note.replace("`", "").replace(" windows", " seconds") for note in track.notes]  # one window a second
+    lines = [] if plan is None else [line for s in plan.storeys for f in s.features for line in f.lines]
+    if lines and track.n_steps:
+        corners = np.concatenate(lines)
+        beyond = np.maximum(corners.min(axis=0) - track.position_m, track.position_m - corners.max(axis=0))
+        apart_m = float(np.linalg.norm(np.maximum(beyond, 0.0), axis=1).min())
+        if apart_m > _FAR_M:
+            apart = f"{apart_m:.0f} m" if apart_m < 10_000 else f"{apart_m / 1000:.0f} km"
+            notes.insert(
+                0,
+                f"the floor plan lies {apart} from the path and is out of view: one of them is at a wrong place on "
+                "Earth; choose another floor plan, or mark two points of the path on this one",
+            )
+    return replace(track, notes=tuple(notes))
 
 
 def _summary(track: Track, recording: Recording) -> dict[str, Any]:

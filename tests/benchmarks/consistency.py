@@ -1,7 +1,7 @@
 # ruff: noqa: N806 - the letters of the equations
-"""Is the filter's covariance the size of its errors: on walks drawn from its own model, on real walks, over a day.
+"""Is the filter's covariance the size of its errors: on walks drawn from its own model and on real walks.
 
-usage: python -m tests.benchmarks.consistency [simulated] [real] [whole_day] [--data ../shared/data]
+usage: python -m tests.benchmarks.consistency [simulated] [real] [--data ../shared/data]
 
 simulated: walks of mixed contexts, as `Step`s, `WindowContext`s and `PositionFix`es, drawn from what the default
 recipe's tracker assumes: contexts by its transitions, lengths by each mode's fit, the person's scale and the heading's
@@ -17,14 +17,11 @@ not count; that gives the direction better than the filter can know it. With fix
 fixes in the frame of the building, of which it knows neither origin nor north, and nothing is turned. What places are
 uncertain by along each axis, 0.7 m (humolire), 1 m (ms_indoor, ipin21), 0.3 m (oxiod, tyrex), is the standard deviation
 of the fixes and is added to the ellipses.
-
-day: 24 hours of walking and rest, 60,000 steps: sizes of the state, and what the covariance looks like at the end.
 """
 
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 
@@ -34,7 +31,6 @@ from scipy.stats import chi2
 import pdr_filter as pdr
 from pdr_filter import evaluate
 from pdr_filter.filter.imm.imm_tracker import ImmState, ImmTracker
-from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.pedestrian_state import present_position
 from pdr_filter.filter.imm.weighted_tracker import WeightedState, WeightedTracker
@@ -467,27 +463,5 @@ def run_day(tracker: Tracker, n_steps: int, day_s: float) -> tuple[State, list[t
     return state, found, rejected
 
 
-def whole_day(tables: Tables, arguments: argparse.Namespace) -> None:
-    """Sizes of the first and last tenth, and the end."""
-    rows = []
-    for weighting in ("imm", "wc"):
-        tracker = pdr.recipes.default().with_weighting(weighting).tracker
-        begin = time.perf_counter()
-        state, found, _ = run_day(tracker, 60_000, 86_400.0)
-        took = time.perf_counter() - begin
-        cov = state.pedestrian.estimates.cov
-        tenth = len(found) // 10
-        first, last = (np.array(part).max(axis=0) for part in (found[:tenth], found[-tenth:]))
-        asymmetry = np.abs(cov - cov.swapaxes(-1, -2)).max() / np.abs(cov).max()
-        std = np.sqrt(np.diagonal(cov, axis1=1, axis2=2).max(axis=0))
-        of_state = [", ".join(map(str, sizes_of)) for sizes_of in (first, last)]
-        at_end = [f"{np.linalg.eigvalsh(cov).min():.1e}", f"{asymmetry:.0e}", f"{std[HEADING_OFFSET]:.2f}"]
-        n_steps = state.pedestrian.steps.n_final
-        rows.append([weighting, n_steps, f"{took:.0f}", *of_state, *at_end, f"{std[LOG_SCALE]:.3f}"])
-    columns = ["weighting", "steps", "s", "largest state, first tenth: numbers, windows, trail, waiting", "last tenth"]
-    columns += ["smallest eigenvalue", "asymmetry", "std of the heading rad", "std of the log scale"]
-    tables.write("consistency_day", columns, rows, "24 hours.")
-
-
 if __name__ == "__main__":
-    run(__doc__, simulated, real, whole_day)
+    run(__doc__, simulated, real)

@@ -1,6 +1,7 @@
 """Tracks on people, phones and placements that no model was trained on: recipes, axes, trust, speed.
 
-usage: python -m tests.benchmarks.placements [expected] [recipes] [corridors] [trust] [speed] [--data ../shared/data]
+usage: python -m tests.benchmarks.placements [expected] [recipes] [corridors] [trust] [phone] [speed]
+           [--data ../shared/data]
 
 Three scalars were seen on oxiod: the step length's k is fitted to five sites of which it is one, and the limits of soft
 running and of a field that jumps were looked at there.
@@ -17,12 +18,19 @@ and on the trolley, where there are no steps, taken every second.
 corridors: the same figure without axes, with them as they come, and smoothed; how many walks surely kept to them in
 the end. They were chosen on humolire and ms_indoor, not on the others.
 
-trust: how often a track is off by more than its 95 % ellipse, after the truth is turned and moved into the track's
-frame by the first 20 % of the path, which then do not count; the same where the track does not say that strides do not
-agree on a direction (`Step.direction_trust` below 0.2), that steps are too quick for walking and too soft for running
-(`Track.is_quick_and_soft`), or that the phone may turn against the body (`is_held_loosely` of the report); how often it
-says so. To the ellipse the reference's own error is added: 0.7 m along each axis (humolire), 1 m (ms_indoor), 0.3 m
-(oxiod, tyrex). The classifier that knows a phone at the ear was trained on tyrex.
+trust: share of the positions that are outside their 95 % ellipse, after the truth is rotated and shifted into the
+track's frame by the first 20 % of the path, which then do not count. Beside it, share of the positions with a warning
+of the report, its precision (share of the marked positions that are outside) and its recall (share of the positions
+outside that are marked), and the share of all positions that are outside and not marked. Warnings are a handled phone,
+unfamiliar motion, undecided contexts, a direction that strides do not show after the phone was moved, steps on the
+spot, and a phone at the ear in curves. The covariance of the reference is added to the ellipse: 0.7 m along each axis
+(humolire), 1 m (ms_indoor), 0.3 m (oxiod, tyrex), and the error of the rotation and shift that it causes. The limits
+of the warnings were chosen on ipol, sisfall and ubicomp13. The classifier of phones at the ear was trained on tyrex.
+
+phone: the same positions and ellipses without and with the device of another walk of the same group, a day later. The
+device is from the online track of that walk, or from its smoothed track with a fix of 0.5 m every twenty seconds
+(humolire: every fourth waypoint). The last column also uses the person of the smoothed track. No number was chosen on
+these walks.
 
 speed: mean smoothed speed of each leg of humolire against its length over its time (133 legs, one person). tyrex:
 smoothed speed at each step against the speed of the phone, its path low-passed at 0.5 Hz (one person; walking
@@ -47,8 +55,9 @@ from scipy.stats import chi2
 import pdr_filter as pdr
 from pdr_filter import evaluate
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading
-from pdr_filter.tracking.trust_report import is_held_loosely
-from pdr_filter.values import HARDLY_AGREE, FloatArray
+from pdr_filter.tracking import trust_report as report
+from pdr_filter.tracking.step_statistics import is_handled, is_on_the_spot, is_unfamiliar
+from pdr_filter.values import BoolArray, FloatArray
 from tests.benchmarks.common import Tables, paths, recordings, run
 
 RECIPES = ("default", "guo2018", "martinelli2018", "susi2013", "tian2016", "zhou2019")
@@ -204,32 +213,109 @@ def corridors(tables: Tables, arguments: argparse.Namespace) -> None:
     tables.write("corridors", columns, lines, "RMSE in m: median, mean.")
 
 
+def marked(track: pdr.Track) -> BoolArray:
+    """Steps (K,) in a stretch that the report names as one not to trust."""
+    windows = track.windows
+    criteria = (
+        (windows.time_s, is_handled(windows.irregular_prob, windows.standing_prob)),
+        (windows.time_s, is_unfamiliar(windows.unknown_share)),
+        (track.time_s, report.is_undecided(track)),
+        (track.time_s, report.is_without_direction(track)),
+        (track.time_s, is_on_the_spot(track.is_quick_and_soft, track.direction_trust)),
+        (track.time_s, report.turns_at_the_ear(track)),
+    )
+    found = np.zeros(track.n_steps, dtype=bool)
+    for time_s, holds in criteria:
+        for begin_s, end_s in report.long_stretches(time_s, holds):
+            found |= (track.time_s >= begin_s) & (track.time_s <= end_s)
+    return found
+
+
+def alignment_cov_m2(true_m: FloatArray, used: BoolArray, std_m: float) -> FloatArray:
+    """Covariances (N, 2, 2) of places that were rotated and shifted by the `used` ones, whose errors have this std."""
+    from_centre = true_m - true_m[used].mean(axis=0)
+    across = np.column_stack([-from_centre[:, 1], from_centre[:, 0]])
+    turn_var = std_m**2 / (from_centre[used] ** 2).sum()
+    return std_m**2 / used.sum() * np.eye(2) + turn_var * across[:, :, None] * across[:, None, :]
+
+
+def errors_and_cov(walk: Walk, track: pdr.Track) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+    """Times, errors (N, 2) and covariances (N, 2, 2) of the positions after alignment, and those used for it."""
+    when, true_m, at_m = places(walk, track)
+    first = evaluate.first_of_path(true_m)
+    first[: max(3, int(first.sum()))] = True
+    turned_m = evaluate.fitted(true_m, at_m, first)
+    nearest = np.clip(np.searchsorted(track.time_s, when), 0, track.n_steps - 1)
+    std_m = REFERENCE_STD_M[walk.group.split()[0]]
+    cov = track.position_cov_m2[nearest] + std_m**2 * np.eye(2) + alignment_cov_m2(turned_m, first, std_m)
+    return when, at_m - turned_m, cov, first
+
+
+def percent(part: BoolArray, of: BoolArray) -> str:
+    return f"{100 * part[of].mean():.0f} %" if of.any() else "-"
+
+
 def trust(tables: Tables, arguments: argparse.Namespace) -> None:
-    """How often a track is off by more than its ellipse, and says so."""
+    """Share of the positions outside their ellipse, and precision and recall of the warnings."""
     level = chi2.ppf(0.95, 2)
     rows: list[tuple[str, tuple[float, ...]]] = []
     for walk in walks(arguments.data, ("oxiod", "humolire", "ms_indoor", "tyrex")):
         track = pdr.track(walk.recording)
         if track.n_steps < 10:
             continue
-        when, true_m, at_m = places(walk, track)
-        first = evaluate.first_of_path(true_m)
-        first[: max(3, int(first.sum()))] = True
-        turned_m = evaluate.fitted(true_m, at_m, first)
-        nearest = np.clip(np.searchsorted(track.time_s, when), 0, track.n_steps - 1)
-        own = REFERENCE_STD_M[walk.group.split()[0]] ** 2 * np.eye(2)
-        cov = track.position_cov_m2[nearest] + own
-        off = evaluate.nees(at_m - turned_m, cov) > level
-        doubted = ((track.direction_trust < HARDLY_AGREE) | track.is_quick_and_soft)[nearest]
-        doubted |= np.interp(when, track.windows.time_s, is_held_loosely(track)) > 0.5
-        late = ~first
-        if late.any():
-            rows += [
-                (walk.group, (float(o), float(o and not d), float(d)))
-                for o, d in zip(off[late], doubted[late], strict=True)
-            ]
-    lines = [[g, len(v), *(f"{100 * v[:, k].mean():.0f} %" for k in range(3))] for g, v in grouped(rows).items()]
-    tables.write("trust", ["walks of", "places", "outside", "outside, without a warning", "with a warning"], lines)
+        when, error_m, cov, first = errors_and_cov(walk, track)
+        off = evaluate.nees(error_m, cov) > level
+        doubted = marked(track)[np.clip(np.searchsorted(track.time_s, when), 0, track.n_steps - 1)]
+        rows += [(walk.group, (float(o), float(d))) for o, d in zip(off[~first], doubted[~first], strict=True)]
+    lines = []
+    for group, found in grouped(rows).items():
+        off, doubted = found.T > 0.5
+        every = np.ones(len(off), dtype=bool)
+        shares = percent(off, every), percent(doubted, every), percent(off, doubted), percent(doubted, off)
+        lines.append([group, len(off), *shares, percent(off & ~doubted, every)])
+    columns = ["walks of", "positions", "outside", "marked", "precision", "recall", "outside and not marked"]
+    tables.write("trust", columns, lines)
+
+
+def with_fixes(walk: Walk) -> pdr.Track:
+    """Smoothed track of a walk with fixes from its reference."""
+    when = walk.time_s[1::4]
+    if len(walk.time_s) > 300:
+        when = np.arange(walk.time_s[0] + 1.0, walk.time_s[-1], 20.0)
+    at_m = np.column_stack([np.interp(when, walk.time_s, walk.position_m[:, k]) for k in (0, 1)])
+    fixes = [pdr.PositionFix(float(t), p, 0.25 * np.eye(2)) for t, p in zip(when, at_m, strict=True)]
+    return pdr.smooth(walk.recording, fixes).track
+
+
+def phone(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Ellipses without and with the device of another walk."""
+    groups: dict[str, list[Walk]] = {}
+    for walk in walks(arguments.data, ("oxiod", "humolire")):
+        if "trolley" not in walk.group:
+            groups.setdefault(walk.group, []).append(walk)
+    lines = []
+    for group, several in groups.items():
+        if len(several) < 2:
+            continue
+        found: list[list[FloatArray]] = [[] for _ in range(4)]
+        for walk, other in zip(several, [*several[1:], several[0]], strict=True):
+            online, smoothed = pdr.track(other.recording), with_fixes(other)
+            assert online.device is not None and smoothed.device is not None
+            known = {"device": smoothed.device.after(days=1.0)}
+            uses = ({}, {"device": online.device.after(days=1.0)}, known, known | {"person": smoothed.person})
+            for rows, use in zip(found, uses, strict=True):
+                _, error_m, cov, first = errors_and_cov(walk, pdr.track(walk.recording, **use))
+                inside = evaluate.nees(error_m, cov) < chi2.ppf(0.95, 2)
+                square_m2 = (error_m**2).sum(axis=1)
+                rows.append(np.column_stack([inside, np.trace(cov, axis1=1, axis2=2), square_m2])[~first])
+        cells = []
+        for rows in found:
+            inside, said_m2, square_m2 = np.concatenate(rows).mean(axis=0)
+            cells.append(f"{np.sqrt(said_m2 / square_m2):.2f}, {100 * inside:.0f} %, {np.sqrt(square_m2):.2f}")
+        lines.append([group, len(several), sum(len(rows) for rows in found[0]), *cells])
+    columns = ["walks of", "n", "positions", "no device", "device, online", "device, smoothed", "and person"]
+    about = "Standard deviation over error (RMS), share inside the 95 % ellipse, RMS error in m."
+    tables.write("known_phone", columns, lines, about)
 
 
 WALKING = ("texting", "phoning", "swinging", "frontpocket", "backpocket")
@@ -285,4 +371,4 @@ def speed(tables: Tables, arguments: argparse.Namespace) -> None:
 
 
 if __name__ == "__main__":
-    run(__doc__, expected, recipes, corridors, trust, speed)
+    run(__doc__, expected, recipes, corridors, trust, phone, speed)

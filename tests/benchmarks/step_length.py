@@ -1,6 +1,6 @@
 """Every step-length model on walks and sites that it has not seen, and the fit of Zhou's model.
 
-usage: python -m tests.benchmarks.step_length [walks] [sites] [places] [zhou] [--data ../shared/data]
+usage: python -m tests.benchmarks.step_length [walks] [sites] [places] [slow] [zhou] [--data ../shared/data]
 
 walks   humolire, one walk left out of 9: parameters from the straight legs of the others, error of the legs' sum and of
         each leg. Fitted and scored by displacement (length of the sum of the step vectors of a leg), and, for
@@ -11,6 +11,10 @@ sites   bias and spread of the recordings of each left-out site, and the RMS of 
         left-out person's scale from the first five stretches of 20 m, the RMS of that person's others, and of the sum
         of these. ubicomp13, one route of unknown length: spread of its predicted length over 66 walks.
 places  the default as it ships, by site and place of the phone: in sample but for running, and but for ipin21.
+slow    the default on slow to normal walks of one person with a phone in the hand (archeries, used for nothing else):
+        mean step length against the strides of a module on the foot. A row of the truth may hold several strides: one
+        of 2.5 m and more certainly does. Its number of strides is its length over 1.2 m, rounded. "As they come" takes
+        each row for one stride. "Longer when slow" multiplies steps below 1.1 steps/s by sqrt(1.1 / f).
 zhou    parameters of Zhou's two-segment model M7 for the `zhou2019` recipe; the paper prints none. Carried phone: by
         displacement on the legs of humolire and ms_indoor, with the steps of the recipe's own detector. Foot: on
         pyshoe, the sum of the step lengths of each trial against the way of the foot between its stances (motion
@@ -48,7 +52,7 @@ from pdr_filter.recipes.zhou2019 import steps as zhou_steps
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.tracking.whole_recording import run_sensing
 from pdr_filter.values import Step, steps_of
-from tests.benchmarks.common import Tables, paths, run
+from tests.benchmarks.common import Tables, bias_spread_rms, paths, run
 
 FloatArray = NDArray[np.float64]
 UNKNOWN_HEIGHT_M = 1.70
@@ -663,5 +667,53 @@ def zhou(tables: Tables, arguments: argparse.Namespace) -> None:
         print(f"carried, {name}: theta {np.round(theta, 4)} ({len(legs)} legs)")
 
 
+SLOW_HZ, USUAL_STRIDE_M = 1.1, 1.2
+
+
+def slow(tables: Tables, arguments: argparse.Namespace) -> None:
+    """The default on slow walks."""
+    lines: list[list[object]] = []
+    errors: list[tuple[float, float, float]] = []
+    for path in paths(arguments.data, "archeries"):
+        recording = pdr.read(path)
+        strides = recording.truth.strides
+        if strides is None or "20181024" in path.stem:  # some of its strides have no row
+            continue
+        track = pdr.track(recording)
+        inside = (track.time_s > strides.start_s.min() - 0.2) & (track.time_s < strides.end_s.max() + 0.2)
+        length_m = track.step_length_m[inside]
+        longer_m = length_m * np.sqrt(np.maximum(SLOW_HZ / np.asarray(track.steps.frequency_hz)[inside], 1.0))
+        n = np.maximum(np.round(strides.length_m / USUAL_STRIDE_M), 1.0)
+        true_m = strides.length_m.sum() / n.sum()
+        as_come, split, longer = (
+            100 * (2 * ours_m.mean() / m - 1)
+            for ours_m, m in ((length_m, strides.length_m.mean()), (length_m, true_m), (longer_m, true_m))
+        )
+        errors.append((as_come, split, longer))
+        steps_hz = 2 * n.sum() / (strides.end_s.max() - strides.start_s.min())
+        lines.append(
+            [
+                path.stem[-6:],
+                f"{steps_hz:.2f}",
+                len(n),
+                int((n > 1).sum()),
+                f"{as_come:+.1f}",
+                f"{split:+.1f}",
+                f"{longer:+.1f}",
+            ]
+        )
+    lines.append(["all: bias, spread, RMS", "", "", "", *(bias_spread_rms(e) for e in np.array(errors).T)])
+    columns = [
+        "walk",
+        "steps/s",
+        "rows",
+        "rows of several strides",
+        "as they come %",
+        "split %",
+        "longer when slow, split %",
+    ]
+    tables.write("step_length_slow", columns, lines, "Error of the mean step length.")
+
+
 if __name__ == "__main__":
-    run(__doc__, walks, sites, places, zhou)
+    run(__doc__, walks, sites, places, slow, zhou)

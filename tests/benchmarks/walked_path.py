@@ -1,19 +1,16 @@
-"""`OnlineFilter.path()` in the end of a walk against truth, beside the online and smoothed tracks, and what it costs.
+"""`OnlineFilter.path()` in the end of a walk against truth, beside the online and smoothed tracks.
 
-usage: python -m tests.benchmarks.walked_path [accuracy] [cost] [--data ../shared/data]
+usage: python -m tests.benchmarks.walked_path [--data ../shared/data]
 
 Accuracy: the median over walks, and the 90 % quantile, of the median error of a walk's points. With locations (walks of
 ipin2023 on one storey) places are on the Earth, without any alignment. Without, they are after the best rotation and
 shift onto all points: surveyed points of ipin2023, every third walk of ms_indoor, the reference at each step of oxiod.
-
-Cost: an hour of simulated walking; the time of one call of `path()` in its end, over that of pushing one more second.
 """
 
 from __future__ import annotations
 
 import argparse
 import re
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 import pdr_filter as pdr
-from pdr_filter.simulate import Leg, simulate
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.walked_path import walked_path
 from pdr_filter.tracking.whole_recording import collected, outputs, prepared_run
@@ -99,29 +95,5 @@ def accuracy(tables: Tables, arguments: argparse.Namespace) -> None:
     tables.write("walked_path", columns, rows, "Median errors of the points of each walk.")
 
 
-def cost(tables: Tables, arguments: argparse.Namespace) -> None:
-    """Write the table of times."""
-    del arguments  # it needs no data
-    sides = [Leg("walking", distance_m=80.0, turn_rad=np.pi / 2)] * 58
-    samples = pdr.merge_streams(simulate(sides, seed=0))
-    online, last_s = pdr.OnlineFilter(), float(samples.time_s[-1])
-    second_ms = list[float]()
-    for begin_s in np.arange(0.0, last_s, 1.0):
-        part = (samples.time_s >= begin_s) & (samples.time_s < begin_s + 1.0)
-        begun = time.perf_counter()
-        online.push(samples.time_s[part], samples.specific_force_mps2[part], samples.angular_rate_radps[part])
-        second_ms.append(1e3 * (time.perf_counter() - begun))
-    path_ms = list[float]()
-    for _ in range(50):
-        begun = time.perf_counter()
-        path = online.path()
-        path_ms.append(1e3 * (time.perf_counter() - begun))
-    one_ms, push_ms = float(np.median(path_ms)), float(np.median(second_ms[-600:]))
-    times = [f"{last_s / 60:.0f} min", str(len(path)), f"{push_ms:.1f}", f"{one_ms:.1f}", f"{one_ms / push_ms:.2f}"]
-    row = [*times, f"{len(online.save()) / 1e6:.1f}"]
-    columns = ["walk", "rows", "pushing a second ms", "`path()` ms", "ratio", "saved filter MB"]
-    tables.write("walked_path_cost", columns, [row], "Medians on one core.")
-
-
 if __name__ == "__main__":
-    run(__doc__, accuracy, cost)
+    run(__doc__, accuracy)

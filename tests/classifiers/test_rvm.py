@@ -53,8 +53,7 @@ def blobs(request: pytest.FixtureRequest) -> tuple[RelevanceVectorClassifier, np
     return RelevanceVectorClassifier(multi_class=request.param).fit(X, y), three_blobs(1, 200)[0]
 
 
-@pytest.mark.parametrize("kernel", ["rbf", "linear"])
-@pytest.mark.parametrize("multi_class", ["one_against_all", "multinomial"])
+@pytest.mark.parametrize(("kernel", "multi_class"), [("rbf", "multinomial"), ("linear", "one_against_all")])
 def test_it_is_a_scikit_learn_estimator(kernel: str, multi_class: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # checks that are skipped, and candidates that are drawn
@@ -274,7 +273,7 @@ def test_duplicated_rows_are_one_candidate_and_count_twice() -> None:
 
 @pytest.mark.parametrize("multi_class", ["one_against_all", "multinomial"])
 def test_a_class_of_two_rows_has_a_probability(multi_class: str) -> None:
-    X, y = three_blobs(n=200)
+    X, y = three_blobs(n=100)
     keep = np.sort(np.concatenate([np.flatnonzero(y < 2), np.flatnonzero(y == 2)[:2]]))
     for settings in ({}, {"class_weight": "balanced"}, {"kernel_width": "cv"}):
         classifier = RelevanceVectorClassifier(multi_class=multi_class, **settings).fit(X[keep], y[keep])
@@ -331,8 +330,8 @@ def test_one_class_is_refused() -> None:
 
 
 def test_the_width_chosen_by_cross_validation_has_the_lowest_log_loss() -> None:
-    X, y = six_classes(200)
-    groups = np.repeat(np.arange(20), 10)
+    X, y = three_blobs(n=100)
+    groups = np.repeat(np.arange(20), 5)
     classifier = RelevanceVectorClassifier(kernel_width="cv").fit(X, y)
     losses = classifier.cv_log_loss_
     np.testing.assert_allclose(
@@ -376,10 +375,10 @@ def test_limits_that_were_reached_are_reported() -> None:
 def test_a_hundred_thousand_rows_stay_within_the_budgets() -> None:
     X, y = make_classification(100_000, 10, n_informative=6, n_classes=3, n_clusters_per_class=1, random_state=0)
     classifier = RelevanceVectorClassifier(max_samples=60, max_basis=20, max_iter=15)
-    start = time.perf_counter()
+    start = time.process_time()
     with pytest.warns(ConvergenceWarning):
         classifier.fit(X, y)
-    assert time.perf_counter() - start < 30  # about 4 s on an idle core
+    assert time.process_time() - start < 30  # about 4 s
     assert classifier.machine_.weights.shape[1] <= 20
     assert classifier.n_iter_ <= 15
     assert classifier.score(X[:500], y[:500]) > 0.8

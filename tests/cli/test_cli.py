@@ -22,18 +22,6 @@ from pdr_filter.values.recording import Truth
 MODELS = Path(__file__).resolve().parents[2] / "models"
 
 
-@pytest.fixture(scope="module")
-def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return short_walk().save(tmp_path_factory.mktemp("walks") / "short_walk.zip")
-
-
-@pytest.fixture
-def broken(tmp_path: Path) -> Path:
-    path = tmp_path / "broken.zip"
-    path.write_text("this is no zip file")
-    return path
-
-
 # --- untrusted text ------------------------------------------------------------------------------------------------
 
 

@@ -22,18 +22,6 @@ from pdr_filter.sensing.contexts.learned_contexts import LearnedContexts
 MODELS = Path(__file__).resolve().parents[2] / "models"
 
 
-@pytest.fixture(scope="module")
-def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return short_walk().save(tmp_path_factory.mktemp("walks") / "short_walk.zip")
-
-
-@pytest.fixture
-def broken(tmp_path: Path) -> Path:
-    path = tmp_path / "broken.zip"
-    path.write_text("this is no zip file")
-    return path
-
-
 def test_a_person_without_fixes_is_not_written_and_a_message_says_so(walk: Path, tmp_path: Path) -> None:
     result = run("track", walk, "--person", tmp_path / "me.json")
     assert result.exit_code == 0

@@ -7,6 +7,7 @@ import struct
 import zipfile
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ T0_NS = 1_787_923_304_123_456_789  # odd in the last digit: a float would round 
 T0_MS = 1_574_659_531_598
 
 
+@cache
 def a_walk(rate_hz: float = 100.0, seed: int = 3) -> Recording:
     """Twenty metres, a turn and ten metres; the phone in front of the body, screen up."""
     legs = [Leg("walking", distance_m=20.0), Leg("walking", distance_m=10.0, turn_rad=1.2)]

@@ -209,7 +209,7 @@ TRAPS: dict[tuple[str, str], list[tuple[str, str]]] = {
     ("Sensor Logger", "`time` in nanoseconds since 1970"): [(LOGGER, "test_nanoseconds_keep_their_last_digit")],
     ("Sensor Logger", "`Accelerometer` has gravity removed"): [
         (LOGGER, "test_gravity_at_other_times_is_interpolated"),
-        (LOGGER, "test_acceleration_without_gravity_is_refused"),
+        (LOGGER, "test_acceleration_without_gravity_is_restored_with_the_sign_of_the_platform"),
     ],
     ("Sensor Logger", "iOS has the opposite sign, unless `standardisation` is true"): [
         (LOGGER, "test_a_phone_lying_face_up_reads_plus_one_g_on_z"),
@@ -235,7 +235,8 @@ TRAPS: dict[tuple[str, str], list[tuple[str, str]]] = {
     ],
     ("phyphox", "the same sign on iOS as on Android"): [(PHYPHOX, "test_the_sign_is_androids")],
     ("phyphox", "`Linear Acceleration`"): [
-        (PHYPHOX, "test_acceleration_without_gravity_alone_is_refused"),
+        (PHYPHOX, "test_a_walk_without_gravity_is_read_with_a_warning"),
+        (PHYPHOX, "test_a_phone_at_rest_without_gravity_is_refused"),
         (PHYPHOX, "test_acceleration_without_gravity_beside_the_right_one_is_ignored"),
     ],
     ("phyphox", "one CSV with several tables below each other"): [
@@ -296,7 +297,7 @@ TRAPS: dict[tuple[str, str], list[tuple[str, str]]] = {
     ],
     ("tables", "decimal commas, semicolons, tabs, spaces, no header"): [(TABLES, "test_the_walk_comes_back")],
     ("tables", "acceleration without gravity (`ax`, `Linear Acceleration`, `Accelerometer` of Sensor Logger)"): [
-        (TABLES, "test_acceleration_without_gravity_is_refused_with_the_app_and_what_to_export"),
+        (TABLES, "test_acceleration_without_gravity_is_restored_with_what_to_record_next_time"),
         (TABLES, "test_the_walk_comes_back"),
     ],
     ("tables", "units that no name says"): [

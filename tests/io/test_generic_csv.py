@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from app_files import GENERIC_MAPPING, T0_NS, a_walk, assert_same_streams, gener
 
 from pdr_filter.io.describe import reading_report
 from pdr_filter.io.formats import read
+from pdr_filter.values import Samples
 
 WALK = on_one_clock(a_walk())
 TEXT = generic_text(WALK)
@@ -132,3 +134,12 @@ def test_a_format_can_be_forced(tmp_path: Path) -> None:
     assert refusal(path, "get_sensor_data")
     with pytest.raises(ValueError, match="format is 'excel'; give one of own, sensor_logger"):
         read(path, "excel")
+
+
+def test_a_mapping_of_an_acceleration_without_gravity_restores_it(tmp_path: Path) -> None:
+    force = WALK.accelerometer.values
+    linear = Samples(WALK.accelerometer.time_s, force - force.mean(axis=0))
+    text = generic_text(replace(WALK, accelerometer=linear))
+    recording = read(mapped(tmp_path, text, GENERIC_MAPPING.replace("[accelerometer]", "[linear_acceleration]")))
+    assert np.linalg.norm((recording.accelerometer.values - force).mean(axis=0)) < 2.5
+    assert "lacks gravity" in recording.notes[0]

@@ -12,6 +12,7 @@ from app_files import a_walk, assert_same_streams, axes, on_one_clock, refusal, 
 
 from pdr_filter.io.formats import read
 from pdr_filter.io.tables.any_table import read_guessed
+from pdr_filter.io.tables.text_sheets import unlike
 
 WALK = on_one_clock(a_walk(50.0))
 TIME_S, FORCE = WALK.accelerometer.time_s, WALK.accelerometer.values
@@ -118,13 +119,13 @@ def test_what_programs_write_for_no_value_is_an_unknown_value(tmp_path: Path, un
 
 
 @pytest.mark.parametrize("name", ["linear_a%", "lin_a%", "user_a%", "lin_acc_%", "LinearAcceleration%", "user_acc_%"])
-def test_acceleration_called_linear_needs_gravity(tmp_path: Path, name: str) -> None:
+def test_acceleration_called_linear_gets_the_gravity_of_the_table_or_one_with_a_note(tmp_path: Path, name: str) -> None:
     gravity = np.tile(FORCE.mean(axis=0), (len(FORCE), 1))
     alone = {"t": TIME_S} | axes(name, FORCE - gravity) | axes("g%", RATE)
-    message = refusal(write_text(tmp_path / "alone.csv", table_text(alone)))
-    assert f"({name.replace('%', 'x')}, " in message
-    assert "lacks gravity" in message
-    assert "export the accelerometer itself instead" in message
+    note = read(write_text(tmp_path / "alone.csv", table_text(alone))).notes[0]
+    assert f"({name.replace('%', 'x')}, " in note
+    assert "lacks gravity" in note
+    assert note.endswith("record the accelerometer with gravity")
     both = alone | axes("gravity_%", gravity)
     assert_same_streams(read(write_text(tmp_path / "both.csv", table_text(both))), WALK, BOTH, 1e-6, 1e-9)
 
@@ -201,3 +202,7 @@ def test_a_table_of_less_than_two_samples_is_refused_with_what_it_lacks(tmp_path
 def test_nothing_in_a_gz_is_called_empty(tmp_path: Path) -> None:
     (tmp_path / "walk.csv.gz").write_bytes(gzip.compress(b""))
     assert "the file in it is empty (0 bytes)" in refusal(tmp_path / "walk.csv.gz")
+
+
+def test_column_names_become_unique_although_a_name_already_ends_with_a_number() -> None:
+    assert unlike(["a #2", "a", "a", ""]) == ("a #2", "a", "a #3", "column 4")

@@ -11,6 +11,7 @@ from app_files import a_walk, assert_same_streams, phyphox_files, phyphox_table,
 from pdr_filter.io.describe import reading_report
 from pdr_filter.io.formats import read
 from pdr_filter.io.tables.app_dialects import dialect_of
+from pdr_filter.tracking.whole_recording import track
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, Samples
 
 WALK = a_walk()
@@ -104,10 +105,26 @@ def test_pressure_and_location_are_read(tmp_path: Path) -> None:
     np.testing.assert_array_equal(recording.location.values, [[48.0, 11.0, 500.0, 4.0]])
 
 
-def test_acceleration_without_gravity_alone_is_refused(tmp_path: Path) -> None:
+def test_a_walk_without_gravity_is_read_with_a_warning(tmp_path: Path) -> None:
+    files = phyphox_files(WALK)
+    del files["Accelerometer.csv"]
     linear = Samples(WALK.accelerometer.time_s, WALK.accelerometer.values - WALK.accelerometer.values.mean(axis=0))
-    files = {"Linear.csv": phyphox_table(linear, "Linear Acceleration", "m/s^2")}
-    assert "lacks gravity" in refusal(write_zip(tmp_path / "w.zip", files))
+    files["Linear.csv"] = phyphox_table(linear, "Linear Acceleration", "m/s^2")
+    recording = read(write_zip(tmp_path / "w.zip", files))
+    mean_mps2 = recording.accelerometer.values.mean(axis=0)
+    assert np.linalg.norm(mean_mps2 - WALK.accelerometer.values.mean(axis=0)) < 2.5
+    assert "lacks gravity, so that the vertical was estimated from the gyroscope and the steps" in recording.notes[0]
+    assert recording.notes[0].endswith("next time record 'Acceleration with g' in phyphox")
+    assert track(recording).n_steps == pytest.approx(track(WALK).n_steps, rel=0.03)
+    assert recording.notes[0] in track(recording).notes
+
+
+def test_a_phone_at_rest_without_gravity_is_refused(tmp_path: Path) -> None:
+    still = Samples(WALK.accelerometer.time_s, 0.001 * WALK.accelerometer.values)
+    files = {"Linear.csv": phyphox_table(still, "Linear Acceleration", "m/s^2")}
+    message = refusal(write_zip(tmp_path / "w.zip", files))
+    assert "lacks gravity, and nobody walks in it for 12 s" in message
+    assert "export 'Acceleration with g' in phyphox" in message
 
 
 def test_acceleration_without_gravity_beside_the_right_one_is_ignored(tmp_path: Path) -> None:

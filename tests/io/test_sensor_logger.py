@@ -255,10 +255,22 @@ def test_a_platform_that_is_not_known_is_refused_unless_only_android_writes_such
     assert any("taken as Android" in note for note in recording.notes)
 
 
-def test_acceleration_without_gravity_is_refused(tmp_path: Path) -> None:
-    files = sensor_logger_files(WALK, "ios")
-    del files["Gravity.csv"]
-    assert "has gravity removed" in refusal(write_folder(tmp_path / "w", files))
+@pytest.mark.parametrize("platform", ["ios", "android"])
+def test_acceleration_without_gravity_is_restored_with_the_sign_of_the_platform(tmp_path: Path, platform: str) -> None:
+    files = sensor_logger_files(WALK, platform)
+    for name in ("Gravity.csv", "TotalAcceleration.csv", "Orientation.csv"):
+        files.pop(name, None)
+    gravity = np.tile(WALK.accelerometer.values.mean(axis=0), (len(WALK.accelerometer), 1))
+    sign = -1.0 if platform == "ios" else 1.0
+    linear = sensor_logger_csv(WALK.accelerometer, values=sign * (WALK.accelerometer.values - gravity))
+    recording = read(write_folder(tmp_path / "w", files | {"Accelerometer.csv": linear}))
+    error_mps2 = (recording.accelerometer.values - WALK.accelerometer.values).mean(axis=0)
+    assert np.linalg.norm(error_mps2) < 2.5
+    assert "the acceleration (Accelerometer) lacks gravity" in recording.notes[0]
+    del files["Metadata.csv"]
+    assert "say it with pdr-filter convert FILE --platform" in refusal(
+        write_folder(tmp_path / "unknown", files | {"Accelerometer.csv": linear})
+    )
 
 
 def test_g_units_where_mps2_are_documented_are_refused(tmp_path: Path) -> None:
@@ -268,13 +280,13 @@ def test_g_units_where_mps2_are_documented_are_refused(tmp_path: Path) -> None:
     assert "looks like g units" in refusal(write_folder(tmp_path / "w", files))
 
 
-def test_one_sensor_alone_is_read_if_gravity_is_in_it_and_refused_with_what_to_export_if_not(tmp_path: Path) -> None:
+def test_one_sensor_alone_is_read_and_says_what_to_record_if_gravity_is_not_in_it(tmp_path: Path) -> None:
     write_folder(tmp_path, sensor_logger_files(WALK, "ios") | sensor_logger_files(WALK))
     (tmp_path / "Metadata.csv").unlink()
     alone = read(tmp_path / "TotalAcceleration.csv")
     assert_same_streams(alone, WALK, "accelerometer", time_s=1e-9)
     assert any("Android's is taken" in note for note in alone.notes)
-    assert "export TotalAcceleration, or Gravity" in refusal(tmp_path / "Accelerometer.csv")
+    assert "record TotalAcceleration, or Gravity" in read(tmp_path / "Accelerometer.csv").notes[0]
     assert "no accelerometer" in refusal(tmp_path / "Gyroscope.csv")
 
 
@@ -344,6 +356,13 @@ def test_json_with_a_brace_in_a_text_is_read(tmp_path: Path) -> None:
     (tmp_path / "w.json").write_text(json.dumps(objects, separators=(",", ":")))
     recording: Recording = read(tmp_path / "w.json")
     assert recording.meta["annotations"][0]["text"] == 'odd "},{" text'
+
+
+def test_json_of_an_unknown_sensor_is_no_annotation(tmp_path: Path) -> None:
+    objects = json.loads(sensor_logger_json(sensor_logger_files(WALK)))
+    objects.append({"sensor": "Future", "time": str(T0_NS), "seconds_elapsed": "0", "text": "near"})
+    (tmp_path / "w.json").write_text(json.dumps(objects, separators=(",", ":")))
+    assert "annotations" not in read(tmp_path / "w.json").meta
 
 
 def json_objects() -> list[dict[str, str]]:

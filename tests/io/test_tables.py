@@ -161,12 +161,25 @@ def test_a_platform_where_the_sign_is_known_is_refused(tmp_path: Path) -> None:
         read(tmp_path / "walk.csv", platform="windows")
 
 
-def test_acceleration_without_gravity_is_refused_with_the_app_and_what_to_export(tmp_path: Path) -> None:
+def test_acceleration_without_gravity_is_restored_with_what_to_record_next_time(tmp_path: Path) -> None:
     linear = axes("a% (m/s^2)", FORCE - GRAVITY) | {"aT (m/s^2)": np.linalg.norm(FORCE - GRAVITY, axis=1)}
+    (tmp_path / "walk.csv").write_text(table_text({"time": TIME_S} | linear | axes("w% (rad/s)", RATE)))
+    recording = read(tmp_path / "walk.csv")
+    error_mps2 = (recording.accelerometer.values - FORCE).mean(axis=0)
+    assert np.linalg.norm(error_mps2) < 2.5
+    assert recording.notes[0].startswith("the acceleration (ax (m/s^2), ay (m/s^2), az (m/s^2)) lacks gravity")
+    assert recording.notes[0].endswith("record G-Force (gFx, gFy, gFz) in Physics Toolbox")
+
+
+def test_acceleration_without_gravity_and_without_gyroscope_gives_steps_only(tmp_path: Path) -> None:
+    linear = axes("linear_acceleration_% (m/s^2)", FORCE - GRAVITY)
     (tmp_path / "walk.csv").write_text(table_text({"time": TIME_S} | linear))
-    message = refusal(tmp_path / "walk.csv")
-    assert "this looks like Physics Toolbox, whose acceleration" in message
-    assert "export G-Force" in message
+    recording = read(tmp_path / "walk.csv")
+    assert recording.gyroscope is None
+    assert "there is no gyroscope: only steps and distance can be trusted; record both" in recording.notes[0]
+
+
+def test_acceleration_without_gravity_in_an_unknown_unit_is_refused(tmp_path: Path) -> None:
     (tmp_path / "other.csv").write_text(table_text({"time": TIME_S} | axes("a%", FORCE - GRAVITY) | axes("w%", RATE)))
     assert "lacks gravity" in refusal(tmp_path / "other.csv")
     (tmp_path / "gravity.csv").write_text(table_text({"time": TIME_S} | axes("gravity_%", GRAVITY)))
@@ -188,7 +201,8 @@ def test_acceleration_without_gravity_is_told_by_its_values_in_any_language(tmp_
     assert_same_streams(
         read(write_folder(tmp_path / "both", files | {name: table_text(linear)})), WALK, BOTH, time_s=1e-6, rtol=1e-9
     )
-    only = write_folder(tmp_path / "only", {"Gyroscope.csv": files["Gyroscope.csv"], name: table_text(linear)})
+    still = {"Temps (s)": TIME_S} | axes("Acc\u00e9l\u00e9ration lin\u00e9aire % (m/s^2)", 0.01 * (FORCE - GRAVITY))
+    only = write_folder(tmp_path / "only", {"Gyroscope.csv": files["Gyroscope.csv"], name: table_text(still)})
     assert "lacks gravity" in refusal(only)
     assert "'Acceleration with g' in phyphox" in refusal(only)
 

@@ -184,3 +184,9 @@ def test_values_that_the_phone_remembered_are_left_out(walk: Recording) -> None:
     _, expected = assembled(sensor_logger_messages(walk)[:20])
     for name in found:
         np.testing.assert_array_equal(found[name], expected[name])
+
+
+def test_the_latest_time_is_the_last_before_the_first_jump_of_a_minute() -> None:
+    times_s = np.arange(20.0)
+    assert assembly._latest_s(times_s) == 19.0
+    assert assembly._latest_s(np.append(times_s, [500.0, 900.0])) == 19.0

@@ -15,13 +15,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import a_plan
+from helpers import a_plan, windows_of
 
 import pdr_filter as pdr
 from pdr_filter.io.describe import reading_report
 from pdr_filter.report import html, palette
 from pdr_filter.report.html import html_report, write_report
-from pdr_filter.report.page_data import track_data
+from pdr_filter.report.page_data import _windows, track_data
 from pdr_filter.tracking import trust_report as trust
 from pdr_filter.tracking.track import Track
 from pdr_filter.values import CONTEXTS, RADIUS_95, Fix, FixResult, FloorPassage, PositionFix, RangeFix
@@ -394,3 +394,11 @@ def test_a_step_that_is_nowhere_on_earth_does_not_make_a_dot_of_the_others(track
     data = track_data(replace(track, position_m=position_m), None, None, 1)
     assert data["number"] == [k for k in range(1, track.n_steps + 1) if k != 4]
     assert max(map(abs, data["east"])) < 1e3
+
+
+def test_many_windows_are_averaged_in_groups_of_equal_duration(track: Track) -> None:
+    windows = windows_of(np.arange(2.0, 202.0), np.tile(np.eye(len(CONTEXTS))[0], (200, 1)))
+    long = replace(track, windows=windows, start_time_s=0.0, duration_s=200.0)
+    shown = _windows(long, 20)
+    assert 20 <= len(shown["start"]) <= 21
+    assert all(9.0 <= end - start <= 12.0 for start, end in list(zip(shown["start"], shown["end"], strict=True))[1:-1])

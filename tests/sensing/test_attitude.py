@@ -304,3 +304,16 @@ def test_a_step_changes_neither_the_samples_nor_the_old_state() -> None:
     np.testing.assert_array_equal(once.up_sensor, again.up_sensor)
     np.testing.assert_array_equal(block.specific_force_mps2, force)
     np.testing.assert_array_equal(block.angular_rate_radps, rate)
+
+
+def test_a_complete_bias_window_counts_before_the_next_sample_arrives() -> None:
+    block, _, _ = a_walk(20, 5, np.array([0.02, 0.0, 0.0]))
+    first, second = cut_uniform(block, [1000])
+    estimator = AttitudeEstimator()
+    state, _ = estimator.update(estimator.init(), first)
+    later, _ = estimator.update(state, cut_uniform(second, [1])[0])
+    expected = later.bias.bias_radps
+    assert not np.array_equal(state.bias.bias_radps, expected)
+    np.testing.assert_array_equal(estimator.bias_state(state).bias_radps, expected)
+    np.testing.assert_array_equal(estimator.after_gap(state).bias.bias_radps, expected)
+    np.testing.assert_array_equal(estimator.bias_state(later).bias_radps, expected)

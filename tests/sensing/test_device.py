@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 
 import pdr_filter as pdr
 from pdr_filter.cli.app import app
+from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values.recording import Recording
 
 BIAS = np.array([0.004, -0.006, 0.02])
@@ -54,6 +55,34 @@ def test_with_a_known_phone_the_heading_is_accurate_from_the_start(walk: Recordi
 
     assert off(with_device) < np.radians(1.5)
     assert off(with_device) < 0.5 * off(without)
+
+
+@pytest.mark.parametrize("with_fixes", [True, False])
+def test_fixes_of_a_smoothed_walk_teach_the_bias_of_the_phone(with_fixes: bool) -> None:
+    bias = np.array([0.0, 0.003, 0.003])
+    clean = simulate([Leg("walking", distance_m=40.0), Leg("walking", distance_m=40.0, turn_rad=1.5)] * 3, seed=3)
+    assert clean.gyroscope is not None and clean.truth.position is not None
+    walk = replace(clean, gyroscope=replace(clean.gyroscope, values=clean.gyroscope.values + bias))
+    truth = clean.truth.position
+    fixes = [
+        pdr.PositionFix(
+            float(t), np.array([np.interp(t, truth.time_s, truth[c]) for c in ("east_m", "north_m")]), np.eye(2) / 4
+        )
+        for t in np.arange(truth.time_s[0] + 1.0, truth.time_s[-1], 15.0)
+    ]
+    device = pdr.smooth(walk, fixes if with_fixes else ()).track.device
+    up = np.array([0.0, *clean.accelerometer.values.mean(axis=0)[1:]])
+    up /= np.linalg.norm(up)
+    error, std = up @ (device.bias_radps - bias), np.sqrt(up @ device.bias_cov_radps2 @ up)
+    assert abs(error) < 3 * std
+    assert (std < 0.0015) == with_fixes
+
+
+def test_a_device_of_another_phone_causes_a_note(walk: Recording) -> None:
+    fitting, other = (pdr.Device(sign * BIAS, 1e-8 * np.eye(3)) for sign in (1.0, -3.0))
+    words = "gyroscope bias of the given device fits this walk"
+    assert not any(words in note for note in pdr.track(walk, device=fitting).notes)
+    assert any(words in note for note in pdr.track(walk, device=other).notes)
 
 
 def test_days_and_temperature_increase_the_covariance() -> None:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import firwin
 
 from pdr_filter.sensing.signal_filters import (
     butterworth,
@@ -38,6 +39,10 @@ def test_a_kernel_has_unit_gain_at_rest_or_at_its_frequency() -> None:
     offset_s = (np.arange(25) - 12) / 100
     scaled = with_unit_gain(kernel, 2.0, 100.0)
     assert (scaled * np.cos(2 * np.pi * 2.0 * offset_s)).sum() == pytest.approx(1.0)
+
+
+def test_a_kernel_has_the_bits_of_firwin() -> None:
+    np.testing.assert_array_equal(low_pass_kernel(4.0, 100.0), firwin(25, 4.0, fs=100.0))
 
 
 @pytest.mark.parametrize("n", [1, 2, 7, 8, 176])

@@ -34,7 +34,7 @@ def give(force: FloatArray, rate: FloatArray, n: int = 50, time_s: FloatArray = 
     ("wrong", "words"),
     [
         (lambda f: f / 9.80665, "this looks like g units; multiply by 9.80665"),
-        (lambda f: f - GRAVITY, "if gravity was removed, record the raw accelerometer"),
+        (lambda f: f - GRAVITY, "if gravity was removed, record it too"),
         (lambda f: f * 9.80665, "must be specific force in m/s2, about 9.81 at rest"),
     ],
     ids=["g", "without gravity", "twice"],

@@ -123,3 +123,10 @@ def test_impacts_beyond_the_range_of_phones_lose_no_step(walk: Recording) -> Non
     plain = pdr.track(walk)
     assert abs(struck.distance_m / plain.distance_m - 1) < 0.01
     assert any("beyond 160 m/s2" in note for note in struck.notes)
+
+
+def test_samples_of_a_stuck_gyroscope_are_counted_without_a_magnetometer() -> None:
+    motion = moving(2000)
+    motion[500:1200, 3] = 0.3
+    state, _ = condition(Conditioner(), [imu(np.arange(2000) / RATE_HZ, motion[:, :3], motion[:, 3:])])
+    assert 500 <= state.report.n_dead_rate <= 700

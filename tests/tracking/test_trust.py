@@ -91,14 +91,43 @@ def test_a_stretch_of_unreliable_windows_is_reported_and_a_single_window_is_not(
     )
 
 
-@pytest.mark.parametrize("mode", ["calling", "bag"])
-def test_a_moving_phone_at_the_ear_or_in_a_bag_is_reported_and_a_resting_one_is_not(track: Track, mode: str) -> None:
+def with_steps(track: Track, **columns: object) -> Track:
+    steps = track.steps.copy()
+    for name, values in columns.items():
+        steps[name] = values
+    return replace(track, steps=steps)
+
+
+@pytest.mark.parametrize(
+    ("mode", "turn_rate_radps", "is_reported"), [("calling", 0.5, True), ("calling", 0.3, False), ("bag", 0.5, False)]
+)
+def test_a_phone_at_the_ear_is_reported_in_curves_only(
+    track: Track, mode: str, turn_rate_radps: float, is_reported: bool
+) -> None:
     prob = np.tile(np.where(np.array(CARRYING_MODES) == mode, 0.9, 0.025), (len(track.windows), 1))
-    loose = replace(track, windows=replace(track.windows, carrying_prob=read_only(prob)))
-    assert any("turns against the body" in sentence for sentence in doubts(loose))
-    rests = np.tile(np.where(np.array(CONTEXTS) == "stationary", 0.9, 0.02), (len(track.windows), 1))
-    still = replace(loose, windows=replace(loose.windows, context_prob=read_only(rests)))
-    assert not any("turns against the body" in sentence for sentence in doubts(still))
+    held = replace(track, windows=replace(track.windows, carrying_prob=read_only(prob)))
+    told = doubts(with_steps(held, turn_rate_radps=turn_rate_radps))
+    assert len(told) == any("the head turns against the body" in sentence for sentence in told) == is_reported
+
+
+def test_strides_that_disagree_are_reported_only_after_the_phone_was_moved(track: Track) -> None:
+    assert doubts(with_steps(track, direction_trust=0.1)) == []
+    moved_s = np.where(track.time_s < 20.0, 2.0, 20.0)
+    [told] = doubts(with_steps(track, direction_trust=0.1, carried_since_s=moved_s))
+    assert "the phone was moved to another place where strides do not agree" in told
+    assert float(told.removeprefix("From ").split(" to ")[0]) == pytest.approx(20.0, abs=1.0)
+    assert doubts(with_steps(track, direction_trust=0.3, carried_since_s=moved_s)) == []
+
+
+@pytest.mark.parametrize(("unknown_share", "climb_rate_mps", "is_told"), [(1, np.nan, 1), (1, 0.0, 0), (0, np.nan, 0)])
+def test_undetectable_stairs_are_told_beside_the_contexts_and_are_no_warning(
+    track: Track, unknown_share: float, climb_rate_mps: float, is_told: bool
+) -> None:
+    n = len(track.windows)
+    shares = {"stairs_unknown_share": np.full(n, unknown_share), "climb_rate_mps": np.full(n, climb_rate_mps)}
+    walk = replace(track, windows=replace(track.windows, **shares))
+    assert problems(walk) == [sentence(note) for note in walk.notes]
+    assert ("stairs: counted as level walking" in walk.report()) == is_told
 
 
 def test_modes_of_an_undecided_stretch_are_named(track: Track) -> None:

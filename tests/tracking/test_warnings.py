@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
+from helpers import a_step
 
 from pdr_filter.tracking.step_statistics import StepCounts
 from pdr_filter.tracking.warnings import _step_notes  # pyright: ignore[reportPrivateUsage]
@@ -17,3 +20,23 @@ def test_uncertain_directions_cause_a_note_above_a_fifth_of_the_steps_and_above_
     notes = list(_step_notes(StepCounts(n=n, untrusted=untrusted)))
     assert [note.about for note in notes] == (["heading"] if is_said else [])
     assert all(f"{untrusted} of {n} steps" in note.text for note in notes)
+
+
+def test_only_disagreeing_strides_of_a_moved_phone_count_as_uncertain_directions() -> None:
+    counts = StepCounts()
+    for k in range(30):
+        trust = 0.1 if k % 2 else 0.5
+        moved_s = 0.5 if k < 20 else 20.5
+        step = replace(a_step(1.0 + k), shown_offset_std_rad=0.3, direction_trust=trust, carried_since_s=moved_s)
+        counts = counts.plus(step, 0.1, 0.0)
+    assert counts.untrusted == 5
+
+
+@pytest.mark.parametrize(("direction_trust", "n_told"), [(0.1, 30), (0.3, 0)])
+def test_quick_and_soft_steps_count_as_on_the_spot_if_strides_push_nowhere(direction_trust: float, n_told: int) -> None:
+    quick = replace(a_step(1.0, duration_s=0.4), vertical_amplitude_mps2=2.0, direction_trust=direction_trust)
+    assert quick.is_quick_and_soft
+    counts = StepCounts()
+    for k in range(30):
+        counts = counts.plus(replace(quick, time_s=1.0 + k), 0.1, 0.0)
+    assert counts.on_the_spot == n_told

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.integrate import trapezoid
+from scipy.stats import norm
 
 from pdr_filter.values.fixes import range_log_densities
 
@@ -20,3 +21,11 @@ def test_the_densities_of_direct_and_reflected_ranges_integrate_to_their_probabi
     assert trapezoid(direct, residual_m) == pytest.approx(0.8, rel=1e-4)
     # the approximation of the noise of reflected ranges adds at most a third, where the noise exceeds the excess
     assert 0.2 * 0.7 < trapezoid(reflected, residual_m) < 0.2 * 1.34
+
+
+def test_reflected_ranges_have_an_exponential_excess_with_normal_noise_at_its_begin() -> None:
+    excess_m = np.append(np.linspace(0.0, 5.0, 100), [20.0, 30.0])
+    log_reflected = range_log_densities(-excess_m, *np.ones((2, 102)), reflected_prob=0.2)[1]
+    mean_m = 10.0 / (log_reflected[-2] - log_reflected[-1])
+    noise_prob = np.exp(log_reflected + excess_m / mean_m) * mean_m / 0.2
+    np.testing.assert_allclose(noise_prob, norm.cdf(excess_m), atol=0.02)

@@ -16,10 +16,19 @@ import pytest
 from benches import Client, short_walk, with_bench
 
 import pdr_filter as pdr
-from pdr_filter.maps.marks import FIXES, WALK, mark_files, marks_folder, read_marks, table_bytes, write_mark_files
+from pdr_filter.maps.marks import (
+    FIXES,
+    WALK,
+    checksum_of,
+    mark_files,
+    marks_folder,
+    read_marks,
+    table_bytes,
+    write_mark_files,
+)
 from pdr_filter.offline.smoothing.smooth import SmoothingMemory
 from pdr_filter.values.recording import Recording, Truth
-from pdr_filter.workbench.worker import Worker, checksum_of
+from pdr_filter.workbench.worker import Worker
 
 FIRST, SECOND = [2.0, 0.0, 0.0, 0.5, None, None], [35.0, 3.0, 20.0, 0.5, None, None]
 
@@ -287,3 +296,54 @@ def test_a_save_that_was_cut_off_between_two_files_is_completed(tmp_path: Path) 
     (tmp_path / ".marks.json").write_text(json.dumps(new))  # all is written, nothing replaced
     assert mark_files(tmp_path) == {FIXES: new[FIXES].encode()}
     assert [path.name for path in tmp_path.iterdir()] == [FIXES]
+
+
+def test_a_wrong_height_is_refused_with_the_name_of_its_field(tmp_path: Path) -> None:
+    short_walk().save(tmp_path / "walk")
+
+    async def scenario(client: Client) -> None:
+        answer = await client.edit(await client.walk("walk"), 400, walk={"height_m": 18})
+        assert answer["error"].startswith("the field Height (m) must be the height of a person in metres, 0.4 to 2.8")
+        assert answer["error"].endswith("got 18")
+
+    with_bench(tmp_path, scenario)
+
+
+@pytest.mark.parametrize(("latitude_deg", "is_far"), [(48.0, False), (48.02, True)])
+def test_a_floor_plan_that_lies_elsewhere_is_named_with_its_distance(
+    tmp_path: Path, latitude_deg: float, is_far: bool
+) -> None:
+    path = short_walk().save(tmp_path / "walk")
+    corners = [[11.0, 48.0], [11.001, 48.0], [11.001, 48.001], [11.0, 48.001], [11.0, 48.0]]
+    hall = {"properties": {"type": "floor"}, "geometry": {"type": "Polygon", "coordinates": [corners]}}
+    (path / "hall.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": [hall]}))
+    (path / WALK).write_text(json.dumps({"origin": [latitude_deg, 11.0], "plan": "hall.geojson"}))
+    (tmp_path / "cache").mkdir()
+    notes = Worker(tmp_path / "cache").walk(str(path))["notes"]
+    assert any(note.startswith("the floor plan lies 2") for note in notes[:1]) == is_far
+    assert not any("`" in note or " windows" in note for note in notes)
+
+
+def test_an_edit_can_be_taken_back_after_the_workbench_was_started_again(tmp_path: Path) -> None:
+    path = short_walk().save(tmp_path / "walk")
+
+    async def edit(client: Client) -> None:
+        await client.edit(await client.walk("walk"), fixes=[FIRST])
+        await client.edit(await client.walk("walk"), fixes=[FIRST, SECOND])
+
+    async def undo(client: Client) -> None:
+        address = await client.walk("walk")
+        state = await client.get(address)
+        assert (state["can_undo"], state["can_redo"]) == (True, False)
+        await client.post(f"{address}/undo", {"version": state["version"]})
+        assert [fix.time_s for fix in read_marks(path).fixes] == [FIRST[0]]
+
+    with_bench(tmp_path, edit)
+    with_bench(tmp_path, undo)
+    (history,) = (tmp_path / ".pdr_filter" / "undo").iterdir()
+    history.write_text("[[1], {}]")  # a damaged file is no hindrance
+
+    async def nothing(client: Client) -> None:
+        assert not (await client.get(await client.walk("walk")))["can_undo"]
+
+    with_bench(tmp_path, nothing)

@@ -5,6 +5,7 @@ With PDR_FILTER_PICTURES=docs/images the first test writes the pictures of the t
 
 from __future__ import annotations
 
+import base64
 import json
 import os
 import re
@@ -13,6 +14,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -134,7 +136,7 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
         )
         browser.until("!!document.querySelector('#list li.done polyline')", 60)
         assert "notes.zip not added: notes.zip: no format that is known" in browser.words("#drops")
-        assert re.search(r"1:54 · \d+ steps · 1\d\d m", browser.words("#list"))
+        assert re.search(r"file of .*1:54 · \d+ steps · 1\d\d m", browser.words("#list"))
         browser.shot(pictures / "workbench_list.png")
         # draw
         browser.value("document.getElementById('plan-name').value = 'House'")
@@ -205,7 +207,23 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
             text = browser.value(f"fetch(`${{base}}/export/{kind}`).then(a => a.text())")
             assert text.startswith(begin)
         assert "place the walk" in browser.value("fetch(`${base}/export/gpx`).then(a => a.text())")
-        assert len(browser.value(PNG)) > 10_000
+        saved = Image.open(BytesIO(base64.b64decode(browser.value(PNG).partition(",")[2]))).convert("L")
+        signs = ".cross, .end, .bar-of-metres, .north"
+        centres = browser.value(f"""[...report().map.box.querySelectorAll("{signs}")].map(sign => {{
+            const out = report().map.box.getBoundingClientRect(), at = sign.getBoundingClientRect();
+            return [at.left - out.left, at.top - out.top, at.right - out.left, at.bottom - out.top].map(v => 2 * v);
+        }})""")
+        assert len(centres) == 6
+        for sign in centres:  # each has something dark in it
+            assert min(saved.crop(tuple(map(round, sign))).tobytes()) < 150, sign
+        # compare: the marks stay, and what is in view
+        view = browser.value("(report().map.fit([0, 40], [0, 30], 4), report().map.place())")
+        browser.click("#compare")
+        browser.until("!document.getElementById('show-walk').hidden", 120)
+        assert browser.value("report().map.place()") == pytest.approx(view, abs=0.5)
+        assert browser.value(f"{REPORT}.contentDocument.querySelectorAll('.cross').length") == 3
+        browser.click("#show-walk")
+        browser.until(f"document.getElementById('show-walk').hidden && {READY}", 60)
         assert [url for url in browser.asked_for if not url.startswith((address, "data:"))] == []
         assert [words for words in browser.complaints if "422" not in words] == []  # that of gpx
     # the command line has the same path
@@ -217,7 +235,8 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("width", "theme"), [(1400, "light"), (390, "dark")])
 def test_every_page_can_be_seen_and_read(tmp_path: Path, width: int, theme: str) -> None:
-    short_walk().save(tmp_path / "walks" / "walk")
+    name = "walk_" + 55 * "w"  # nothing in it can be broken
+    short_walk().save(tmp_path / "walks" / name)
     (tmp_path / "walks" / "plans").mkdir()
     hall = {"type": "Polygon", "coordinates": [[[0, 0], [30, 0], [30, 20], [0, 20], [0, 0]]]}
     plan = {"type": "FeatureCollection", "features": [{"properties": {"type": "floor"}, "geometry": hall}]}
@@ -230,6 +249,9 @@ def test_every_page_can_be_seen_and_read(tmp_path: Path, width: int, theme: str)
             browser.open(address + page, width, 900, theme)
             browser.until(ready, 60)
             browser.settle()
+            if page.startswith("walk"):  # the map is what one comes for
+                top = f"{REPORT}.contentDocument.getElementById('map').getBoundingClientRect().top"
+                assert browser.value(f"{REPORT}.getBoundingClientRect().top + {top}") < 450
             assert browser.value("document.documentElement.scrollWidth") == width, page
             unnamed = browser.value("""
                 [...document.querySelectorAll('button, select, input, [tabindex], iframe')].filter(e => !(e.ariaLabel
@@ -237,9 +259,9 @@ def test_every_page_can_be_seen_and_read(tmp_path: Path, width: int, theme: str)
                   .map(e => e.outerHTML)""")
             assert unnamed == [], page
             covered = browser.value("""
-                [...document.querySelectorAll('button, select, input:not(.beyond), label, h2, p')].filter(e => {
+                [...document.querySelectorAll('button, select, input:not(.beyond), label, h1, h2, p')].filter(e => {
                   const r = e.getBoundingClientRect();
-                  return r.width && (r.left < 0 || r.right > innerWidth + 0.5);
+                  return r.width && (r.left < 0 || r.left + Math.max(r.width, e.scrollWidth) > innerWidth + 0.5);
                 }).map(e => e.outerHTML.slice(0, 80))""")
             assert covered == [], page
             background = browser.value("getComputedStyle(document.body).backgroundColor")

@@ -156,6 +156,21 @@ class ImmTracker:
         update = step_update(previous, updated, step, walked, combined, context_prob, prob, model.contexts)
         return replace_unchecked(state, pedestrian=updated), (update,)
 
+    def provisional(self, state: ImmState) -> StepUpdate | None:
+        """Return None, because every step is final when it is detected.
+
+        Parameters
+        ----------
+        state : ImmState
+            State after any event.
+
+        Returns
+        -------
+        StepUpdate or None
+            None.
+        """
+        return None
+
     def _mixed(self, estimates: Estimates) -> Estimates:
         """Return the mixed estimates and predicted mode probabilities before the next step."""
         transition_prob = self.model.transition_prob

@@ -256,6 +256,7 @@ class MotionNoise:
 
 # Variance of a heading that is uniform on the circle, which is the largest possible one: pi^2 / 3.
 MAX_HEADING_VARIANCE = np.pi**2 / 3
+_IDENTITY = read_only(np.eye(N_STATES))
 # Lower bound of a divisor, in case the offset is known exactly: the square of a microradian.
 _MIN_HEADING_VARIANCE = 1e-12
 
@@ -316,7 +317,8 @@ def update_heading(mean: FloatArray, cov: FloatArray, step: Step, frame_rad: flo
     updated_mean[..., EAST] = mean[..., EAST] + moved_east
     updated_mean[..., NORTH] = mean[..., NORTH] + moved_north
     # (R(delta) - I) l is the move (R(delta) - I) d rotated by J
-    turn = np.broadcast_to(np.eye(N_STATES), cov.shape).copy()
+    turn = np.empty(cov.shape)
+    turn[...] = _IDENTITY
     turn[..., EAST, o] = moved_north
     turn[..., NORTH, o] = -moved_east
     cov = turn @ cov @ turn.swapaxes(-1, -2)

@@ -101,7 +101,22 @@ class Tracker(Protocol[S]):
         state : S
             State after the step.
         updates : tuple of StepUpdate
-            Steps that became final, and this step itself.
+            Steps that became final.
+        """
+        ...
+
+    def provisional(self, state: S) -> StepUpdate | None:
+        """Return a provisional update of the last step, or None if no step waits to become final.
+
+        Parameters
+        ----------
+        state : S
+            State after any event.
+
+        Returns
+        -------
+        StepUpdate or None
+            Estimate from the events so far, with `is_final` False.
         """
         ...
 

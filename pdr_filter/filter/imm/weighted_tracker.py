@@ -57,8 +57,8 @@ class WeightedTracker:
     """Tracker with a single filter over the weighted step lengths of the contexts, for the weightings HC and WC.
 
     HC (highest context) uses the step length of the most probable context. WC (weighted context) uses the mean of the
-    step lengths, weighted with the context probabilities. A step is reported provisionally when it is detected. It is
-    reported again as final when the following context window is known.
+    step lengths, weighted with the context probabilities. A step is final when the context window after the first one
+    that contains it is known. Until then `provisional` estimates it from the windows so far.
 
     Attributes
     ----------
@@ -89,8 +89,8 @@ class WeightedTracker:
     >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP
     >>> tracker = WeightedTracker(pdr.recipes.default().model)
     >>> state, updates = tracker.on_step(tracker.init(), TYPICAL_STEP)
-    >>> updates[0].is_final
-    False
+    >>> updates, tracker.provisional(state).is_final
+    ((), False)
     >>> state, updates = tracker.finish(state)
     >>> updates[0].index, updates[0].is_final
     (0, True)
@@ -162,15 +162,27 @@ class WeightedTracker:
         state : WeightedState
             State after the step.
         updates : tuple of StepUpdate
-            Steps that became final, and a provisional update of this step.
+            Steps that became final.
         """
-        state = replace_unchecked(state, pending=(*state.pending, step))
-        state, final = self._settle(state, force=False)
-        provisional_state, provisional = state, tuple[StepUpdate, ...]()
-        while provisional_state.pending:
-            provisional_state, update = self._weighted_step(provisional_state, is_final=False)
-            provisional = (update,)
-        return state, (*final, *provisional)
+        return self._settle(replace_unchecked(state, pending=(*state.pending, step)), force=False)
+
+    def provisional(self, state: WeightedState) -> StepUpdate | None:
+        """Return a provisional update of the last step, or None if no step is pending.
+
+        Parameters
+        ----------
+        state : WeightedState
+            State after any event.
+
+        Returns
+        -------
+        StepUpdate or None
+            Estimate from the windows so far, with `is_final` False.
+        """
+        update = None
+        while state.pending:
+            state, update = self._weighted_step(state, is_final=False)
+        return update
 
     def on_gap(self, state: WeightedState, gap_s: float) -> tuple[WeightedState, tuple[StepUpdate, ...]]:
         """Return the state after a gap, a time without samples.

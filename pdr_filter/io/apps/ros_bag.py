@@ -250,7 +250,8 @@ def _unpacked(compression: str, data: bytes, claimed: int, most: int, where: str
         return data
     if claimed > most:
         raise RecordingError(
-            f"{where}: a compressed part states {claimed} bytes, more than {most}; the file is damaged, record it again"
+            f"{where}: a compressed part states {claimed} bytes, more than sensor data can have ({most}); the file is "
+            "damaged, record it again"
         )
     try:
         unpack = _UNPACK[compression]

@@ -190,11 +190,6 @@ def _specific_force(export: _Export, parsed: Parsed) -> tuple[str, NumberTable]:
     standard = export.about("standardisation").lower() in ("true", "1")
     total, linear, gravity = (sensors.get(n) for n in ("TotalAcceleration", "Accelerometer", "Gravity"))
     raw = sensors.get("AccelerometerUncalibrated")
-    if linear is not None and gravity is None and total is None and raw is None:
-        raise RecordingError(
-            f"{path}: Accelerometer has gravity removed, and neither Gravity nor TotalAcceleration was recorded; "
-            "switch one of them on in the app"
-        )
     if platform not in ("ios", "android"):
         platform = _platform_by_content(export, parsed, platform)
     ios_sign = platform == "ios" and not standard
@@ -212,6 +207,9 @@ def _specific_force(export: _Export, parsed: Parsed) -> tuple[str, NumberTable]:
         unit = "g, sign turned" if ios_sign else "m/s2, sign as it is"
         parsed.found.append(f"accelerometer: AccelerometerUncalibrated, {unit} ({how})")
         return "AccelerometerUncalibrated", NumberTable(raw.whole, scale * raw.values)
+    if linear is not None:
+        parsed.linear, parsed.instead = "Accelerometer", "Gravity or TotalAcceleration too"
+        return "Accelerometer", NumberTable(linear.whole, -linear.values if ios_sign else linear.values)
     raise RecordingError(
         f"{path}: no accelerometer (found: {', '.join(sorted(sensors)) or 'no sensor'}); "
         "record Accelerometer and Gravity"

@@ -81,6 +81,7 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
                 )
             platform = platform or said or None
         found = guess(sheets, groups, dialect, platform, where)
+        parsed.instead = parsed.instead if dialect is None else dialect.instead
         fill(parsed, found.mapping, sheets)
         parsed.source = found.source
         read_experiment(members, parsed)

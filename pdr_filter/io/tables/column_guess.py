@@ -106,10 +106,13 @@ def guess(
     streams = [_stream(group, sheets[group.sheet], dialect, rate_hz) for group in groups]
     streams = [s for s in streams if len(s.values)]
     forces = _forces(streams, dialect, result, where)
-    streams = [_as_rate(s, forces) for s in streams]
+    is_linear = len(forces) == 1 and not _has_gravity(forces[0])
+    time_s, force = forces[0].time_s, _force(forces)
+    if is_linear:  # without gravity nothing shows how the phone turns
+        time_s, force = time_s[:0], force[:0]
+    streams = [_as_rate(s, time_s, force) for s in streams]
     chosen = [*forces]
     result.is_time_declared = forces[0].is_time_declared
-    time_s, force = forces[0].time_s, _force(forces)
     for quantity in (RATE, FIELD, *SCALARS, "location", ANGLES):
         fitting = [s for s in streams if s.group.quantity == quantity]
         if fitting:
@@ -134,7 +137,7 @@ def guess(
     result.mapping = Mapping(
         tuple(
             StreamMap(
-                stream="accelerometer" if s in forces and len(forces) == 1 else s.group.quantity,
+                stream="accelerometer" if s in forces and not is_linear and len(forces) == 1 else s.group.quantity,
                 columns=tuple(s.sheet.fields[p] if p >= 0 else "" for p in s.group.places),
                 unit=_NAMES.get(s.unit, s.unit),
                 sign=sign if s in forces else 1,
@@ -278,6 +281,11 @@ def _forces(streams: Sequence[_Stream], dialect: Dialect | None, result: Guess, 
             f"accelerometer: {best.group.name} and {gravity.group.name} added; {_force_words(gravity)}"
         )
         return [best, gravity]
+    if known := [s for s in linear if s.unit]:
+        best = max(known, key=lambda s: (s.group.quantity == LINEAR, s.group.preference, len(s.values)))
+        best = replace(best, group=replace(best.group, quantity=LINEAR))
+        result.evidence.append(_force_words(best))
+        return [best]
     seen = (linear or found)[0]
     app = "this looks like a table" if dialect is None else f"this looks like {dialect.app}"
     instead = "the accelerometer itself" if dialect is None else dialect.instead
@@ -358,15 +366,16 @@ def _with_unit(s: _Stream, force: FloatArray, time_s: FloatArray, result: Guess)
     return s
 
 
-def _as_rate(s: _Stream, forces: Sequence[_Stream]) -> _Stream:
+def _as_rate(s: _Stream, time_s: FloatArray, force: FloatArray) -> _Stream:
     """Return a stream called rotation as that of a gyroscope if it holds an angular rate, and any other one unchanged.
 
-    It does so if gravity turns as far as it predicts, in rad/s or deg/s. Where gravity hardly turns, the constant part
-    of an angular rate is small. A rotation that is no angular rate is an orientation, and is not used.
+    It does so if gravity turns as far as it predicts, in rad/s or deg/s. Where gravity hardly turns or is unknown, the
+    constant part of an angular rate is small. A rotation that is no angular rate is an orientation, and is not used.
+    `force` has no rows if gravity is unknown.
     """
     if s.group.quantity != ROTATION:
         return s
-    factor = turning(forces[0].time_s, _force(forces), s.time_s, s.values)
+    factor = turning(time_s, force, s.time_s, s.values)
     if factor is None:
         is_rate = s.constant < _RATE_SHARE * median_norm(s.values)
     else:

@@ -89,9 +89,10 @@ def read_mapping(path: Path) -> Mapping:
     content = read_toml(path)
     if unknown := content.keys() - {"file", "time", *STREAMS}:
         raise RecordingError(f"{path}: unknown table {sorted(unknown)[0]!r}; use {', '.join(STREAMS)}")
-    if "accelerometer" not in content and not {GRAVITY, LINEAR} <= content.keys():
+    if "accelerometer" not in content and LINEAR not in content:
         raise RecordingError(
-            f'{path}: no [accelerometer]; write it with columns = ["x", "y", "z"], or [{GRAVITY}] and [{LINEAR}]'
+            f'{path}: no [accelerometer]; write it with columns = ["x", "y", "z"], or [{LINEAR}], with [{GRAVITY}] if '
+            "the table has it"
         )
     file = _table(path, content, "file", {"separator", "decimal"})
     separator, decimal = str(file.get("separator", "")), str(file.get("decimal", ""))

@@ -50,6 +50,8 @@ def fill(parsed: Parsed, mapping: Mapping, sheets: Sequence[Sheet]) -> None:
             parsed.meta["epoch_s"] = epoch_s
     for name, stream in streams.items():
         parsed.streams[name] = (_seconds(stream, zero), stream.values)
+    if first is not None and first is found.get(LINEAR):
+        parsed.linear = ", ".join(name for s in mapping.streams if s.stream == LINEAR for name in s.columns)
 
 
 def _describe_clock(parsed: Parsed, mapping: Mapping) -> None:
@@ -83,12 +85,14 @@ def _read(stream: StreamMap, mapping: Mapping, sheets: Sequence[Sheet]) -> _Stre
 def _combined(found: dict[str, _Stream]) -> dict[str, _Stream]:
     """Return the streams of a recording.
 
-    If there is no accelerometer, it is the sum of linear acceleration and gravity. Angles become the quaternions of the
-    stream "attitude".
+    A missing accelerometer is the sum of linear acceleration and gravity, or the linear acceleration if there is no
+    gravity either. Angles become the quaternions of the stream "attitude".
     """
     streams = {name: stream for name, stream in found.items() if name not in (GRAVITY, LINEAR, ANGLES)}
     if GRAVITY in found and LINEAR in found and "accelerometer" not in found:
         streams["accelerometer"] = _summed(found[LINEAR], found[GRAVITY])
+    elif LINEAR in found and "accelerometer" not in found:
+        streams["accelerometer"] = found[LINEAR]
     if ANGLES in found:
         angles = found[ANGLES]
         streams["attitude"] = angles._replace(values=quaternion_of(*angles.values.T))

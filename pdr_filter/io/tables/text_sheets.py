@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import islice, pairwise
+from itertools import count, islice, pairwise
 
 import numpy as np
 
@@ -220,13 +220,13 @@ def text_sheet(
 def unlike(names: Sequence[str]) -> tuple[str, ...]:
     """Return unique column names.
 
-    A third column without a name is called "column 3". A name that occurs again becomes "NAME #2", then "NAME #3".
+    A third column without a name gets the name "column 3". A name that occurs again becomes "NAME #2", then "NAME #3".
     """
     found: list[str] = []
     for i, name in enumerate(names, 1):
         name = name or f"column {i}"
-        n = sum(other == name or other.startswith(f"{name} #") for other in found)
-        found.append(f"{name} #{n + 1}" if n else name)
+        free = (n for n in count(2) if f"{name} #{n}" not in found)
+        found.append(f"{name} #{next(free)}" if name in found else name)
     return tuple(found)
 
 

@@ -7,7 +7,7 @@ States are estimated at anchors only. The steps between two anchors are summed i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 from pathlib import Path
@@ -55,12 +55,15 @@ from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
 from pdr_filter.recipes.config import Config
 from pdr_filter.recipes.step_length_calibration import Calibration
 from pdr_filter.sensing.device import Device
+from pdr_filter.sensing.front_end import SensingState
 from pdr_filter.sensing.heading.heading_stage import after_first_pass
-from pdr_filter.tracking.filtering import init
+from pdr_filter.sensing.heading.walking_heading import WalkingHeadingState
+from pdr_filter.tracking.filtering import Output, State, init
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.walked_path import WalkedPath, walked_path
 from pdr_filter.tracking.whole_recording import collected, outputs, prepared_run, run_sensing
 from pdr_filter.values import (
+    BoolArray,
     Fix,
     FloatArray,
     GridFix,
@@ -83,6 +86,11 @@ from pdr_filter.values.track_placement import GnssUse, NorthUse, TrackPlacement
 # Prior standard deviation of the start in the frame of the fixes: only the region is known.
 _REGION_STD_M = 1000.0
 _KNOWN_STD_RAD = 1e-3
+
+
+# Configuration, dead-reckoned track, and state of the sensing at its end. The state is None if the axes of a building
+# determine the gyroscope bias.
+_Reckoned = tuple[Config, Track, SensingState | None]
 
 
 @dataclass(slots=True, eq=False)
@@ -112,9 +120,9 @@ class SmoothingMemory:
 
     recording: Recording | None = None
     _key: bytes = b""
-    _found: tuple[Config, Track] | None = None
+    _found: _Reckoned | None = None
 
-    def of(self, recording: Recording, key: bytes, make: Callable[[], tuple[Config, Track]]) -> tuple[Config, Track]:
+    def of(self, recording: Recording, key: bytes, make: Callable[[], _Reckoned]) -> _Reckoned:
         """Return the dead-reckoned track of the last call, or of a new one if anything has changed.
 
         Parameters
@@ -124,12 +132,12 @@ class SmoothingMemory:
         key : bytes
             Configuration and options of this call, as bytes.
         make : callable
-            Function that computes the configuration and the track.
+            Function that computes the result.
 
         Returns
         -------
-        tuple of (Config, Track)
-            Configuration and dead-reckoned track.
+        tuple
+            Configuration, dead-reckoned track, and state of the sensing at its end.
         """
         if self._found is None or self.recording is not recording or self._key != key:
             self.recording, self._key, self._found = recording, key, make()
@@ -281,22 +289,17 @@ def smooth(
         return with_given_place(run, _on_plan(found, Observations(places)))
     stood = [fix for fix in run.fixes if isinstance(fix, Standstill)]
 
-    def reckoned() -> tuple[Config, Track]:
-        """Return the configuration and the dead-reckoned track of the recording, without fixes and locations."""
-        own, known_device = _with_first_pass(recording, asked, first_pass)
-        own = own.in_hindsight().with_model(frame=START_FRAME)
-        found = collected(recording, own, outputs(recording, own, stood, second_pass, with_hills=run.with_location))
-        return own, with_arrivals(replace(found, device=known_device or found.device))
+    def reckoned() -> _Reckoned:
+        """Return the dead reckoning of the recording, without fixes and locations."""
+        return _dead_reckoned(recording, asked, stood, (first_pass, second_pass), run.with_location)
 
     if memory is None:
-        config, track = reckoned()
+        config, track, sensing = reckoned()
     else:
         key = to_bytes((asked.with_model(frame=START_FRAME), stood, placement.north or "", run.with_location))
-        config, track = memory.of(given, key, reckoned)
+        config, track, sensing = memory.of(given, key, reckoned)
     modes = config.model.modes
-    if track.weighting == "imm":
-        prob = smoothed_mode_prob(track.mode_prob, config.model.transition_prob)
-        track = replace(track, mode_prob=read_only(prob))
+    track = _with_smoothed_modes(track, config)
     where, locations = LocationState(), ()
     if run.with_location and gnss != "align" and recording.location is not None:
         where, locations = locations_of(recording.location)
@@ -313,9 +316,65 @@ def smooth(
     smoothed, walked_var_m2 = _smooth_track(
         track, modes, config, observed, start_heading_std_rad, anchor_interval_s, guess
     )
+    if sensing is not None and (np.asarray(smoothed.observations.weight) > 0.5).any():
+        device = _observed_device(smoothed, config, sensing)
+        smoothed = replace(smoothed, track=replace(smoothed.track, device=device))
     if gnss == "align" and recording.location is not None:
         smoothed, where, locations = aligned_walk(smoothed, walked_var_m2, recording.location)
     return with_given_place(run, on_earth(smoothed, where, locations, observed))
+
+
+def chain_problem(recording: Recording, anchor_interval_s: float) -> tuple[Track, FloatArray, Problem]:
+    """Return the dead-reckoned track of a recording, and its least-squares problem without fixes.
+
+    The second value is the walking heading of each step minus its heading offset, (K,). North comes from the
+    magnetometer if the recording has one. The problem is the part of one walk in a problem of many walks. ValueError
+    for a recording without steps.
+    """
+    north: NorthUse | None = "magnetic" if "magnetometer" in recording.streams else None
+    run = prepared_run(recording, None, (), TrackPlacement(gnss="off", north=north))
+    config, track, _ = _dead_reckoned(run.recording, run.config, (), (None, None), with_hills=False)
+    if not track.n_steps:
+        raise ValueError(f"{recording.name or 'the recording'} has no steps: leave it out")
+    track = _with_smoothed_modes(track, config)
+    nothing = Observations()
+    inside = nothing.fixes_inside(0.0, 0.0)
+    _, used, problem = _problem(track, config.model.modes, config, nothing, inside, None, anchor_interval_s, None)
+    return track, used.device_rad, problem
+
+
+def _dead_reckoned(
+    recording: Recording,
+    config: Config,
+    stood: Sequence[Standstill],
+    progress: tuple[Callable[[float], None] | None, Callable[[float], None] | None],
+    with_hills: bool,
+) -> _Reckoned:
+    """Return the configuration after a first pass, the track without fixes and locations, and the state of the sensing.
+
+    `progress` has the callbacks of the first and the second pass.
+    """
+    own, known_device = _with_first_pass(recording, config, progress[0])
+    own = own.in_hindsight().with_model(frame=START_FRAME)
+    sensing: SensingState | None = None
+
+    def results() -> Iterator[tuple[State, Output]]:
+        nonlocal sensing
+        for state, output in outputs(recording, own, stood, progress[1], with_hills=with_hills):
+            sensing = state.sensing
+            yield state, output
+
+    found = collected(recording, own, results())
+    track = with_arrivals(replace(found, device=known_device or found.device))
+    return own, track, sensing if known_device is None else None
+
+
+def _with_smoothed_modes(track: Track, config: Config) -> Track:
+    """Return the track with mode probabilities from the whole recording."""
+    if track.weighting != "imm":
+        return track
+    prob = smoothed_mode_prob(track.mode_prob, config.model.transition_prob)
+    return replace(track, mode_prob=read_only(prob))
 
 
 def _online_path(recording: Recording, config: Config, fixes: Sequence[Fix]) -> WalkedPath | None:
@@ -379,6 +438,28 @@ def _with_first_pass(
     return replace(config, sensing=replace(config.sensing, heading=heading)), known_device
 
 
+def _observed_device(smoothed: Smoothed, config: Config, sensing: SensingState) -> Device:
+    """Return the phone with the gyroscope bias that the observations of a smoothed walk determine.
+
+    During the walk the heading offset changes by minus the heading error of the gyroscope. The change is taken from the
+    first step to the step at which the resulting rate is known best. A phone that is moved adds the variance of an
+    unknown angle. `sensing` is the state at the end of the recording.
+    """
+    bias, heading = config.sensing.attitude.bias, sensing.heading
+    steps, turned_rad = smoothed.track.steps, np.unwrap(smoothed.heading_offset_rad)
+    if not isinstance(heading, WalkingHeadingState) or heading.place is None or len(steps) < 2:
+        return config.sensing.device(sensing)
+    lasted_s = np.asarray(steps.time_s)[1:] - float(steps.time_s[0])
+    var = smoothed.heading_offset_std_rad[1:] ** 2 + smoothed.heading_offset_std_rad[0] ** 2
+    moved_var = np.asarray(steps.offset_change_std_rad) ** 2 + np.asarray(steps.heading_unknown_s)
+    walk_var = config.model.noise.heading_drift.random_walk_rad_per_sqrt_s**2 * lasted_s
+    other_var = np.cumsum(moved_var[1:]) + walk_var
+    k = int(np.argmin((var + other_var) / lasted_s**2))
+    error_rad = float(turned_rad[0] - turned_rad[1 + k])
+    ago_s, up = sensing.processed_s - float(steps.time_s[1 + k]), np.array(heading.place.up)
+    return bias.learnt_from_smoothed(sensing.attitude.bias, error_rad, float(var[k]), float(other_var[k]), ago_s, up)
+
+
 def _on_plan(found: SmoothedOnPlan, observed: Observations) -> Smoothed:
     """Return the result of smoothing on a floor plan as a `Smoothed`."""
     results = {result.time_s: result for result in found.track.fixes}
@@ -416,7 +497,6 @@ def _smooth_track(
     (`filter.fixes.alignment.walked_var_m2`). `guess` is the path at which measurements are first linearised. The result
     includes the person's step scale if the fixes determine it.
     """
-    noise = config.model.noise
     start_s, end_s = track.start_time_s, track.start_time_s + track.duration_s
     if track.n_steps:
         start_s, end_s = min(start_s, float(track.time_s[0])), max(end_s, float(track.time_s[-1]))
@@ -425,6 +505,34 @@ def _smooth_track(
         places = compress((*observed.fixes, *observed.locations), inside)
         known = independent([f for f in places if isinstance(f, PositionFix)])
         return without_steps(track, observed, known), np.zeros(0)
+    steps, used, problem = _problem(
+        track, modes, config, observed, inside, start_heading_std_rad, anchor_interval_s, guess
+    )
+    smoothed, walked_var_m2 = _smoothed(track, steps, problem, solve(problem), observed, used)
+    n_fixes = sum(result.accepted for result in smoothed.track.fixes)
+    log_scale, var = float(smoothed.log_scale.mean()), float(np.mean(smoothed.log_scale_std**2))
+    session = session_of_scale(config.model, log_scale, var, n_fixes)
+    if session is None or not n_fixes:
+        return smoothed, walked_var_m2
+    person = (config.person or Person()).pooled(Person((session,)))
+    return replace(smoothed, track=replace(smoothed.track, person=person)), walked_var_m2
+
+
+def _problem(
+    track: Track,
+    modes: Sequence[Mode],
+    config: Config,
+    observed: Observations,
+    inside: BoolArray,
+    start_heading_std_rad: float | None,
+    anchor_interval_s: float,
+    guess: WalkedPath | None,
+) -> tuple[Increments, Used, Problem]:
+    """Return the increments of the steps, the used observations, and the least-squares problem of a track with steps.
+
+    `inside` is a mask of the fixes and locations within the recording.
+    """
+    noise = config.model.noise
     steps, shared_var = increments(track.steps, track.mode_prob, modes, noise, track.gap_before_s)
     used = usable(track, steps, modes, noise.log_scale_std, observed, inside)
     offsets = heading_offsets(track, steps, modes)
@@ -448,14 +556,7 @@ def _smooth_track(
         states=used.states,
         measurements=None if guess is None else _measurements_on_path(used, guess),
     )
-    smoothed, walked_var_m2 = _smoothed(track, steps, problem, solve(problem), observed, used)
-    n_fixes = sum(result.accepted for result in smoothed.track.fixes)
-    log_scale, var = float(smoothed.log_scale.mean()), float(np.mean(smoothed.log_scale_std**2))
-    session = session_of_scale(config.model, log_scale, var, n_fixes)
-    if session is None or not n_fixes:
-        return smoothed, walked_var_m2
-    person = (config.person or Person()).pooled(Person((session,)))
-    return replace(smoothed, track=replace(smoothed.track, person=person)), walked_var_m2
+    return steps, used, problem
 
 
 def _measurements_on_path(used: Used, guess: WalkedPath) -> Measurements:

@@ -709,7 +709,7 @@ def _irregular(windows: Sequence[FeatureWindow]) -> list[float]:
     for has_gyroscope in (True, False):
         selected = [i for i, w in enumerate(windows) if w.has_gyroscope == has_gyroscope and _gated(w.names)]
         if selected:
-            features = np.stack([windows[i].features for i in selected])
+            features = np.array([windows[i].features for i in selected])
             prob[selected] = irregular_prob(windows[selected[0]].names, features, has_gyroscope)
     return prob.tolist()
 
@@ -726,7 +726,7 @@ def _assessed(
         selected = [i for i, window in enumerate(windows) if window.has_gyroscope == has_gyroscope]
         if model is not None and selected:
             columns = _columns(model.feature_names, windows[0].names)
-            assessed = model.assess_all(np.stack([windows[i].features[columns] for i in selected]))
+            assessed = model.assess_all(np.array([windows[i].features[columns] for i in selected]))
             found |= zip(selected, assessed, strict=True)
     return found
 

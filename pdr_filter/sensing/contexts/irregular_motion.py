@@ -110,10 +110,10 @@ class IrregularGate:
             raise ValueError(f"feature {bad} is NaN: remove the windows with missing features first")
         logit_features, still_features = features[..., : len(self.mean)], features[..., len(self.mean) :]
         z = np.minimum(np.maximum((logit_features - self.mean) / self.scale, -_LIMIT), _LIMIT)
-        # Python's `sum` adds in a fixed order. The order of `np.sum`, and with it the last bit, depends on the number
-        # of windows.
-        log_odds = self.intercept + sum(np.moveaxis(self.weight * z, -1, 0))
-        is_still = (still_features < self.still_below).all(axis=-1)
+        # `accumulate` adds in a fixed order. The order of `np.sum`, and with it the last bit, depends on the number of
+        # windows.
+        log_odds = self.intercept + np.add.accumulate(self.weight * z, axis=-1)[..., -1]
+        is_still = np.logical_and.reduce(still_features < self.still_below, axis=-1)
         return np.where(is_still, 0.0, 1.0 / (1.0 + np.exp(-log_odds)))
 
 

@@ -17,7 +17,16 @@ from functools import cache
 
 import numpy as np
 
-from pdr_filter.sensing.features.invariant import about_mean, columns, hann_taper, in_groups, mean_square
+from pdr_filter.sensing.features.invariant import (
+    MotionLines,
+    columns,
+    hann_taper,
+    in_groups,
+    mean_of,
+    mean_square,
+    motion_lines,
+    side_by_side,
+)
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, ComplexArray, FloatArray
 
 ATTITUDE: tuple[str, ...] = (
@@ -96,48 +105,45 @@ def carrying_features(windows: FloatArray, rate_hz: float) -> FloatArray:
 
     A missing gyroscope is given as three rows of zeros. The features named in `WITHOUT_GYROSCOPE` do not use it.
     """
-    return in_groups(features_of, windows, rate_hz, len(NAMES))
+    return in_groups(lambda group, hz: features_of(motion_lines(group), hz), windows, rate_hz, len(NAMES))
 
 
-def features_of(windows: FloatArray, rate_hz: float) -> FloatArray:
-    """Return the features (W, 38) of a few windows of `invariant.SIGNALS` (W, 12, N)."""
-    n = windows.shape[2]
-    force, rate, up = windows[:, :3], windows[:, 3:6], windows[:, 6:9]
-    yaw_rate = (rate * up).sum(axis=1)
-    tilt_rate = rate - up * yaw_rate[:, None]
-    centred = about_mean(np.concatenate([force, tilt_rate, yaw_rate[:, None]], axis=1))
+def features_of(motion: MotionLines, rate_hz: float) -> FloatArray:
+    """Return the features (W, 38) of a few windows."""
+    n = motion.centred.shape[2]
+    centred = np.concatenate([motion.centred[:, :3], motion.turning], axis=1)
     spectrum = np.fft.rfft(centred * hann_taper(n))
     # Power spectra, each of which sums to a variance: vertical, horizontal, tilt rate, tilt angle, yaw angle.
-    axis_power = (spectrum.real**2 + spectrum.imag**2) * (2.0 / n**2)
+    axis_power = _squared(spectrum) * (2.0 / n**2)
     tilt, squared_omega = axis_power[:, 3] + axis_power[:, 4] + axis_power[:, 5], _omega(n, rate_hz) ** 2
     horizontal, yaw = axis_power[:, 1] + axis_power[:, 2], axis_power[:, 6]
-    power = np.stack([axis_power[:, 0], horizontal, tilt, tilt / squared_omega, yaw / squared_omega], axis=1)
+    power = side_by_side(axis_power[:, 0], horizontal, tilt, tilt / squared_omega, yaw / squared_omega)
     bands = power @ _bands(n, rate_hz)
-    centred_rate = about_mean(rate)
-    about_axes = mean_square(centred_rate)
+    about_axes = mean_square(motion.centred[:, 3:6])
     stride, step = _stride_and_step(power, n, rate_hz)
     return columns(
         [
-            _attitude_features(up),
+            _attitude_features(motion.windows[:, 8], motion.mean[:, 6:9]),
             _force_features(centred[:, :3], bands, stride, step),
-            _rotation_features(centred[:, 3:6], spectrum, bands, stride, step, rate_hz),
-            about_axes / (about_axes.sum(axis=1) + _FLOOR_RADPS**2)[:, None],
+            _rotation_features(motion, spectrum, bands, stride, step, rate_hz),
+            about_axes / (np.add.reduce(about_axes, axis=1) + _FLOOR_RADPS**2)[:, None],
         ]
     )
 
 
-def _attitude_features(up: FloatArray) -> FloatArray:
-    """Return the features of the attitude (W, 9) from the up vectors (W, 3, N), in the order of `ATTITUDE`."""
-    mean = up.mean(axis=2)
-    mean = mean / (np.sqrt((mean * mean).sum(axis=1)) + 1e-9)[:, None]
+def _attitude_features(screen: FloatArray, mean_up: FloatArray) -> FloatArray:
+    """Return the features of the attitude (W, 9), in the order of `ATTITUDE`.
+
+    `screen` (W, N) is the component of up along the screen normal, and `mean_up` (W, 3) the mean of up.
+    """
+    mean = mean_up / (np.sqrt(np.add.reduce(mean_up * mean_up, axis=1)) + 1e-9)[:, None]
     x, y, z = np.abs(mean).T
-    screen = up[:, 2]
     lowest = np.sort(screen, axis=1)[:, int(_LOWEST * screen.shape[1])]
     return columns(
         [
             np.maximum(mean[:, 2], 0.0),
             np.clip(lowest, 0.0, 1.0),
-            (screen > _FACES_UP).mean(axis=1),
+            np.add.reduce(screen > _FACES_UP, axis=1, dtype=np.float64) / screen.shape[1],
             x,
             y,
             z,
@@ -161,8 +167,9 @@ def _force_features(force: FloatArray, bands: FloatArray, stride: FloatArray, st
     scaled = vertical / (np.sqrt(mean_square(vertical)) + _FLOOR_MPS2)[:, None]
     squared = scaled * scaled
     # (a - b) / (a + b) with the variances a and b along the main horizontal axis and across it
-    difference, mixed = (east * east - north * north).mean(axis=1), 2 * (east * north).mean(axis=1)
-    total = (east * east + north * north).mean(axis=1)
+    squared_east, squared_north = east * east, north * north
+    difference, mixed = mean_of(squared_east - squared_north), 2 * mean_of(east * north)
+    total = mean_of(squared_east + squared_north)
     return columns(
         [
             size[:, 0],
@@ -171,7 +178,7 @@ def _force_features(force: FloatArray, bands: FloatArray, stride: FloatArray, st
             stride_size[:, 0] - step_size[:, 0],
             stride_size[:, 1] - step_size[:, 0],
             step_size[:, 1] - step_size[:, 0],
-            (squared * scaled).mean(axis=1),
+            mean_of(squared * scaled),
             np.log(mean_square(squared) + 0.5),
             np.sqrt(difference * difference + mixed * mixed) / (total + _FLOOR_MPS2**2),
         ]
@@ -179,7 +186,7 @@ def _force_features(force: FloatArray, bands: FloatArray, stride: FloatArray, st
 
 
 def _rotation_features(
-    tilt_rate: FloatArray,
+    motion: MotionLines,
     spectrum: ComplexArray,
     bands: FloatArray,
     stride: FloatArray,
@@ -187,13 +194,12 @@ def _rotation_features(
     rate_hz: float,
 ) -> FloatArray:
     """Return the features of the rotation (W, 12): `_TURNING_NAMES` without the last three."""
-    n = tilt_rate.shape[2]
-    variance, axes = np.linalg.eigh(tilt_rate @ tilt_rate.transpose(0, 2, 1) / n)
+    n, variance, axes = motion.centred.shape[2], motion.variance[2], motion.axes[2]
     size = _log_rms(bands[:, 0, _ALL], _FLOOR_MPS2)
     tilt, yaw = _log_rms(bands[:, 3, _ANGLE], _FLOOR_RAD), _log_rms(bands[:, 4, _ANGLE], _FLOOR_RAD)
     tilt_rate_size = _log_rms(bands[:, 2, _ALL], _FLOOR_RADPS)
     swing = slice(*_bins(_SWING_HZ, n, rate_hz))
-    main_rate = (axes[:, :, 2][:, :, None] * spectrum[:, 3:6, swing]).sum(axis=1)
+    main_rate = np.add.reduce(axes[:, :, 2][:, :, None] * spectrum[:, 3:6, swing], axis=1)
     lever, coherence = _lever(main_rate * _omega(n, rate_hz)[swing], spectrum[:, 1:3, swing], n)
     return columns(
         [
@@ -205,7 +211,7 @@ def _rotation_features(
             tilt - yaw,
             tilt_rate_size,
             _log_rms(bands[:, 2, _FAST], _FLOOR_RADPS) - tilt_rate_size,
-            (variance[:, 2] - variance[:, 1]) / (variance.sum(axis=1) + _FLOOR_RADPS**2),
+            (variance[:, 2] - variance[:, 1]) / (np.add.reduce(variance, axis=1) + _FLOOR_RADPS**2),
             np.log(lever + _FLOOR_M),
             coherence,
             # A phone that only tilts has a horizontal force of gravity times the tilt angle, so this log ratio is 0.
@@ -227,14 +233,19 @@ def _lever(acceleration_about: ComplexArray, horizontal: ComplexArray, n: int) -
     """
     # Least squares of the horizontal acceleration on the angular one. The factor i between angular rate and angular
     # acceleration is omitted, because only absolute values are used.
-    product = (horizontal * acceleration_about.conj()[:, None]).sum(axis=2)
-    matched = (product.real**2 + product.imag**2).sum(axis=1)
-    about = (acceleration_about.real**2 + acceleration_about.imag**2).sum(axis=1)
-    moved = (horizontal.real**2 + horizontal.imag**2).sum(axis=2).sum(axis=1)
+    product = np.add.reduce(horizontal * acceleration_about.conj()[:, None], axis=2)
+    matched = np.add.reduce(_squared(product), axis=1)
+    about = np.add.reduce(_squared(acceleration_about), axis=1)
+    moved = np.add.reduce(np.add.reduce(_squared(horizontal), axis=2), axis=1)
     noise = n**2 / 2.0  # summed squared spectrum of a line with variance one
     lever = np.sqrt(matched) / (about + _LEVER_NOISE * noise)
     coherence = matched / ((about + _COHERENCE_NOISE * noise) * (moved + _COHERENCE_NOISE * noise))
     return lever, coherence
+
+
+def _squared(values: ComplexArray) -> FloatArray:
+    """Return the squared absolute values."""
+    return values.real**2 + values.imag**2
 
 
 def _stride_and_step(power: FloatArray, n: int, rate_hz: float) -> tuple[FloatArray, FloatArray]:

@@ -43,13 +43,8 @@ class AttitudeFreeFeatures:
 
 def _all_features(windows: FloatArray, rate_hz: float) -> FloatArray:
     """Return all features (W, F) of windows (W, 12, N) of `invariant.SIGNALS`."""
-    swing = invariant.swing_lines(windows)
-    parts = (
-        invariant.features_of(windows, swing, rate_hz),
-        carrying.features_of(windows, rate_hz),
-        stride.features_of(windows, swing, rate_hz),
-    )
-    return np.concatenate(parts, axis=1)
+    motion = invariant.motion_lines(windows)
+    return np.concatenate([part.features_of(motion, rate_hz) for part in (invariant, carrying, stride)], axis=1)
 
 
 ATTITUDE_FREE = AttitudeFreeFeatures()
@@ -188,7 +183,7 @@ class FeatureWindows(SlidingWindows[WindowState, FeatureWindow]):
         )
         if not windows:
             return WindowState(zi, buffer), []
-        samples = np.stack([w.samples for w in windows])
+        samples = np.array([w.samples for w in windows])
         features = self.features.describe(samples[:, 1:], self.rate_hz)
         has_gyroscope = samples[:, 0].min(axis=1) > 0
         found = [

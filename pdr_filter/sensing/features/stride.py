@@ -15,7 +15,15 @@ from functools import cache
 
 import numpy as np
 
-from pdr_filter.sensing.features.invariant import SwingLines, about_mean, columns, hann_taper, in_groups, swing_lines
+from pdr_filter.sensing.features.invariant import (
+    MotionLines,
+    about_mean,
+    columns,
+    hann_taper,
+    in_groups,
+    motion_lines,
+    side_by_side,
+)
 from pdr_filter.values import FloatArray, IntArray
 
 # Candidate stride frequencies, Hz, from slow walkers (0.5) to sprinters (1.6). The spacing of 5 % is less than the
@@ -68,7 +76,7 @@ def stride_features(windows: FloatArray, rate_hz: float) -> FloatArray:
 
     A missing gyroscope is given as three rows of zeros. A window has the same bits alone and among others.
     """
-    return in_groups(lambda group, hz: features_of(group, swing_lines(group), hz), windows, rate_hz, len(NAMES))
+    return in_groups(lambda group, hz: features_of(motion_lines(group), hz), windows, rate_hz, len(NAMES))
 
 
 @cache
@@ -122,31 +130,32 @@ def _all_stride_parts(lines: FloatArray, rate_hz: float) -> FloatArray:
     return parts
 
 
-def features_of(windows: FloatArray, swing: SwingLines, rate_hz: float) -> FloatArray:
-    """Return the features (W, F) of a few windows of `invariant.SIGNALS`, (W, 12, N).
+def features_of(motion: MotionLines, rate_hz: float) -> FloatArray:
+    """Return the features (W, F) of a few windows.
 
-    `swing` is the result of `invariant.swing_lines` for these windows. The caller computes it once for all feature
+    `motion` is the result of `invariant.motion_lines` for these windows. The caller computes it once for all feature
     sets.
     """
-    n_windows, n = len(windows), windows.shape[2]
-    yaw_rate = about_mean((windows[:, 3:6] * swing.mean_up[:, :, None]).sum(axis=1))
-    vertical = about_mean(windows[:, 0])
-    lines = np.stack([vertical, swing.across, swing.along, swing.rate, yaw_rate, swing.roll_rate], axis=1)
+    n_windows, _, n = motion.centred.shape
+    vertical, yaw_rate = motion.centred[:, 0], about_mean(motion.about_mean_up)
+    lines = side_by_side(vertical, motion.across, motion.along, motion.rate, yaw_rate, motion.roll_rate)
     taper = hann_taper(n)
-    scale = np.sqrt((lines * lines * taper).sum(axis=2) / taper.sum()) + _FLOOR
+    scale = np.sqrt(np.add.reduce(lines * lines * taper, axis=2) / taper.sum()) + _FLOOR
     to_parts, to_coefficients = _harmonics(n, rate_hz)
     parts = _all_stride_parts((lines / scale[:, :, None])[:, [VERTICAL, SWING]], rate_hz)
-    explained = (parts * parts).sum(axis=3)
+    explained = np.add.reduce(parts * parts, axis=3)
     power = _power(parts @ to_coefficients)
-    in_step = np.stack([power[:, :, 0, 1::2].sum(axis=2), power[:, :, 1, 0::2].sum(axis=2)], axis=2)
-    fit = (explained * in_step / np.maximum(power.sum(axis=3), 1e-9)).sum(axis=2)
+    in_step = np.empty(power.shape[:3])
+    np.add.reduce(power[:, :, 0, 1::2], axis=2, out=in_step[:, :, 0])
+    np.add.reduce(power[:, :, 1, 0::2], axis=2, out=in_step[:, :, 1])
+    fit = np.add.reduce(explained * in_step / np.maximum(np.add.reduce(power, axis=3), 1e-9), axis=2)
     best = fit.argmax(axis=1)
     stride_hz = STRIDES_HZ[best]
     parts = lines @ to_parts[best]
-    explained = (parts * parts).sum(axis=2) / scale**2
+    explained = np.add.reduce(parts * parts, axis=2) / scale**2
     coefficients = parts @ to_coefficients[best]
     amplitude = np.sqrt(2 * _power(coefficients))
-    total = np.sqrt((amplitude * amplitude).sum(axis=2)) + _LEAST_SHARE_OF
+    total = np.sqrt(np.add.reduce(amplitude * amplitude, axis=2)) + _LEAST_SHARE_OF
     share = amplitude / total[:, :, None]
     log_total, step = np.log(total), amplitude[:, :, 1] + _LEAST_SHARE_OF
     return columns(

@@ -149,8 +149,8 @@ def strides_of(samples: StrideSamples, is_running: BoolArray, rate_hz: float, ph
     size = np.maximum(forward * forward + right * right, 1e-12)
     along = (samples.north_mps2 * forward + samples.east_mps2 * right) / size
     across_ = (samples.east_mps2 * forward - samples.north_mps2 * right) / size
-    along, across_, heading = np.add.reduceat(np.stack([along, across_, samples.heading_rad]), starts, axis=1)
-    once, twice = harmonics(np.stack([forward, right, samples.vertical_mps2]), ends, rate_hz)
+    along, across_, heading = np.add.reduceat(np.array([along, across_, samples.heading_rad]), starts, axis=1)
+    once, twice = harmonics(np.array([forward, right, samples.vertical_mps2]), ends, rate_hz)
     runs = is_running | (np.abs(twice[:, 2]) > phases.running_mps2)
     phase_rad = np.where(runs, phases.running_rad, phases.walking_rad)
     vectors = in_phase(once, np.zeros(len(n))), in_phase(twice, phase_rad), in_phase(twice, phase_rad + 0.5 * np.pi)
@@ -198,7 +198,7 @@ def in_mean_frame(
     mean up of its stride, as in `carry_axis`. This removes the swing of the device, but keeps its turn about the
     vertical. The rows of `frames` (K, 3, 3) are the axis, the direction right of it, and the mean up.
     """
-    vectors, rotated = np.stack([force, up]), np.empty((2, *force.shape))
+    vectors, rotated = np.array([force, up]), np.empty((2, *force.shape))
     for frame, start, end in zip(frames, ends[:-1].tolist(), ends[1:].tolist(), strict=True):
         np.matmul(frame, vectors[:, :, start:end], out=rotated[:, :, start:end])
     ups = rotated[1]
@@ -240,7 +240,7 @@ def in_phase(amplitudes: ComplexArray, phase_rad: FloatArray) -> ComplexArray:
 
 def power(amplitudes: ComplexArray) -> FloatArray:
     """Return the sum of the squared amplitudes (K,) of signals with complex amplitudes (K, n)."""
-    return (amplitudes.real**2 + amplitudes.imag**2).sum(axis=1)
+    return np.add.reduce(amplitudes.real**2 + amplitudes.imag**2, axis=1)
 
 
 @lru_cache(maxsize=512)

@@ -242,7 +242,7 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
 
         Only samples with enough neighbours on both sides are included.
         """
-        smooth = np.array([np.convolve(line, kernel, mode="valid") for kernel in kernels])
+        smooth = np.array([np.correlate(line, kernel[::-1]) for kernel in kernels])
         mean, square = running_sums(np.array([smooth, smooth * smooth]), self._n_around) / self._n_around
         return np.sqrt(np.maximum(square - mean * mean, 0.0))
 
@@ -272,7 +272,7 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
             first = self._n_before - half
             part = line[first : first + len(frequency_hz) + 2 * half]
             share: FloatArray = np.where(lower == k, 1.0 - upper_share, np.where(lower == k - 1, upper_share, 0.0))
-            response = np.add(response, share * np.convolve(part, kernel, mode="valid"), dtype=float)
+            response = np.add(response, share * np.correlate(part, kernel[::-1]), dtype=float)
         return response
 
     def _accepted(

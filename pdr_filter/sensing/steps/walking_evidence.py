@@ -112,8 +112,10 @@ def evidence_features(windows: Sequence[FloatArray], intervals_s: Sequence[Seque
     for (_, n_box, n_lags), found in same_size.items():
         for start in range(0, len(found), _MAX_GROUP):
             group = found[start : start + _MAX_GROUP]
-            force = np.stack([windows[i].T for i in group])
-            features[np.ix_(group, (0, 2, 3))] = _force_features(force, n_box, n_lags, stretch[group])
+            force = np.array([windows[i].T for i in group])
+            features[group, 0], features[group, 2], features[group, 3] = _force_features(
+                force, n_box, n_lags, stretch[group]
+            )
     # Fewer than three intervals define no rhythm, so the irregularity is set to that of handling.
     rhythmic = [len(intervals) > 2 for intervals in intervals_s]
     features[:, 1] = 0.5
@@ -122,18 +124,21 @@ def evidence_features(windows: Sequence[FloatArray], intervals_s: Sequence[Seque
     return features
 
 
-def _force_features(force: FloatArray, n_box: int, n_lags: int, stretch: FloatArray) -> FloatArray:
-    """Return features 0, 2 and 3 (B, 3) of windows of specific force (B, 3, N)."""
+def _force_features(
+    force: FloatArray, n_box: int, n_lags: int, stretch: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return features 0, 2 and 3, (B,) each, of windows of specific force (B, 3, N)."""
     x, y, z = force[:, 0], force[:, 1], force[:, 2]
-    signals = np.concatenate([force, np.sqrt(x * x + y * y + z * z)[:, None]], axis=1)
-    signals -= signals.mean(axis=2)[:, :, None]
-    total = np.zeros((len(force), 3, force.shape[2] + 1))
+    n, signals = force.shape[2], np.concatenate([force, np.sqrt(x * x + y * y + z * z)[:, None]], axis=1)
+    signals -= (np.add.reduce(signals, axis=2) / n)[:, :, None]
+    total = np.zeros((len(force), 3, n + 1))
     np.cumsum(signals[:, :3], axis=2, out=total[:, :, 1:])
     slow = (total[:, :, n_box:] - total[:, :, :-n_box]) / n_box
-    slow_mps2 = np.sqrt(slow.var(axis=2).sum(axis=1)) + 0.05
-    bounce_mps2 = (np.sqrt((signals[:, 3] ** 2).mean(axis=1)) + 0.02) * stretch
+    slow -= (np.add.reduce(slow, axis=2) / slow.shape[2])[:, :, None]
+    slow_mps2 = np.sqrt(np.add.reduce(np.add.reduce(slow * slow, axis=2) / slow.shape[2], axis=1)) + 0.05
+    bounce_mps2 = (np.sqrt(np.add.reduce(signals[:, 3] ** 2, axis=1) / n) + 0.02) * stretch
     repeats = repetitions(signals, n_lags)
-    return np.stack([repeats[:, 0], np.log(slow_mps2 / bounce_mps2), repeats[:, 1]], axis=1)
+    return repeats[:, 0], np.log(slow_mps2 / bounce_mps2), repeats[:, 1]
 
 
 def repetitions(signals: FloatArray, n_lags: int) -> FloatArray:

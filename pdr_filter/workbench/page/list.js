@@ -28,7 +28,7 @@ function facts(walk) {
   if (walk.state === "failed") return `${text("state_failed")}: ${walk.reason}`;
   if (walk.n_steps === undefined) return text(`state_${walk.state}`);
   const date = new Date(1000 * (walk.epoch_s ?? walk.changed_s)).toLocaleString(about.texts.language, { dateStyle: "medium", timeStyle: "short" });
-  const found = [date, clock(walk.duration_s), text("steps", { n: walk.n_steps }), `${number(walk.distance_m, 0)} m`];
+  const found = [walk.epoch_s ? date : text("file_of", { date }), clock(walk.duration_s), text("steps", { n: walk.n_steps }), `${number(walk.distance_m, 0)} m`];
   if (walk.state !== "done") found.push(text(`state_${walk.state}`));
   return found.join(" · ");
 }

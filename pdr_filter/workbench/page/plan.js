@@ -257,7 +257,7 @@ byId("rectify").addEventListener("click", () => begin(byId("rectify"), () => ask
 byId("scale").addEventListener("click", () => {
   const length = Number(byId("length").value);
   if (!(length > 0)) {
-    say(text("scale_length"), true);
+    say(text("no_length"), true);
     return byId("length").focus();
   }
   begin(byId("scale"), () => asking(2, text("scale_how"), ([a, b]) => {

@@ -24,9 +24,7 @@ function load(address) {
         return;
       }
       const old = report(), { map } = now;
-      if (old && !old.map.isWhole) {
-        map.leaflet.setView(map.at(...old.map.place()), old.map.leaflet.getZoom(), { animate: false });
-      }
+      coming.contentDocument.querySelector("[data-track]").before(coming.contentDocument.getElementById("way"));
       if (old && map.track.time.length) now.show(now.stepAt(old.time), old.time);
       map.followsMouse = false;
       map.leaflet.on("click", event => { if (mode) take(map.frame.place(event.latlng), event.latlng); });
@@ -43,12 +41,21 @@ function load(address) {
   });
 }
 
-const reload = () => attempt(async () => {
+// Show a report with the marks of the walk, in the view of the one before.
+async function show(address) {
   say(text("working"));
-  await load(`${base}/report?v=${state.version}-${Date.now()}`);
+  const old = report()?.map, view = old && !old.isWhole && [old.place(), old.scale];
+  await load(address);
   state = await ask(base);
   drawTiles();
   drawFixes();
+  if (!view) return;
+  const { map } = report(), [place, scale] = view;
+  map.leaflet.setView(map.at(...place), map.leaflet.getZoom() + Math.log2(scale / map.scale), { animate: false });
+}
+
+const reload = () => attempt(async () => {
+  await show(`${base}/report?v=${state.version}-${Date.now()}`);
   say(text("shown"));
   byId("show-walk").hidden = true;
   fill();
@@ -254,14 +261,32 @@ byId("variants").append(...VARIANTS.map((value, k) => element("label", { classNa
   element("input", { type: "checkbox", value, checked: k < 3 }), value.replace(/\/$/, "").replace("/", ", "))));
 byId("compare").addEventListener("click", () => attempt(async () => {
   const chosen = [...byId("variants").querySelectorAll(":checked")].map(box => `with=${encodeURIComponent(box.value)}`);
-  say(text("working"));
-  await load(`${base}/compare?${chosen.join("&")}`);
+  await show(`${base}/compare?${chosen.join("&")}`);
   say("");
   byId("show-walk").hidden = false;
 }));
 byId("show-walk").addEventListener("click", reload);
 
 // --- export ----------------------------------------------------------------------------------------------------------
+
+// Draw the parts of the map that are HTML: the square at the end, crosses of known points, scale bar and north arrow.
+function drawSigns(pen, box, frameOf, styleOf) {
+  const bars = { cross: ([x, y, w, h]) => [[x + w / 2 - 1, y, 2, h], [x, y + h / 2 - 1, w, 2]], end: place => [place],
+    "bar-of-metres": ([x, y, w, h]) => [[x, y + h - 1.5, w, 1.5], [x, y + h / 2, 1.5, h / 2], [x + w - 1.5, y + h / 2, 1.5, h / 2]] };
+  for (const sign of box.querySelectorAll(".cross, .end, .anchor, .percent, .bar-of-metres, .north")) {
+    const at = sign.getBoundingClientRect(), style = styleOf(sign), place = [at.left - frameOf.left, at.top - frameOf.top, at.width, at.height];
+    const [x, y, width, height] = place, kind = [...sign.classList].find(name => bars[name]);
+    pen.fillStyle = kind === "end" ? style.backgroundColor : style.color;
+    if (kind) bars[kind](place).forEach(bar => pen.fillRect(...bar));
+    pen.textAlign = "center";
+    pen.textBaseline = "top";
+    pen.font = `${style.fontWeight} ${style.fontSize} ${style.fontFamily}`;
+    pen.fillText(sign.classList.contains("anchor") ? "\u25B2" : sign.textContent, x + width / 2, y);
+    if (!sign.classList.contains("north")) continue;
+    pen.font = `20px ${style.fontFamily}`;
+    pen.fillText("\u2191", x + width / 2, y + height / 2 - 4);
+  }
+}
 
 // The map of the report as a PNG file: its canvases and drawings in the order in which they lie.
 async function png() {
@@ -270,7 +295,10 @@ async function png() {
   pen.scale(2, 2);
   pen.fillStyle = contentWindow.getComputedStyle(box).backgroundColor;
   pen.fillRect(0, 0, frameOf.width, frameOf.height);
-  for (const part of box.querySelectorAll("img.leaflet-tile, svg, canvas")) {
+  const parts = [...box.querySelectorAll("img.leaflet-tile, svg, canvas")], walker = box.querySelector(".walker svg");
+  for (const part of [...parts.filter(each => each !== walker), walker]) {
+    if (part === walker) drawSigns(pen, box, frameOf, each => contentWindow.getComputedStyle(each));
+    if (!part) break;
     const at = part.getBoundingClientRect();
     let picture = part;
     if (part.localName === "svg") {

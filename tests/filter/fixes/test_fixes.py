@@ -108,8 +108,8 @@ def test_the_density_of_the_rotation_is_that_of_normal_errors_of_unknown_varianc
 
     def log_density(factor: float) -> np.ndarray:
         # a wide normal distribution of the unknown shift
-        errors = [(world - track @ clockwise(a).T).T for a in angles]
-        return np.array([multivariate_normal.logpdf(e, cov=factor * cov + 1e6).sum() for e in errors])
+        errors = np.array([(world - track @ clockwise(a).T).T for a in angles])
+        return multivariate_normal.logpdf(errors, cov=factor * cov + 1e6).sum(axis=1)
 
     np.testing.assert_allclose(rotation_density(pairs).normal_prob, softmax(log_density(1.0)), atol=1e-4)
     # a scaled inverse chi-square distribution with four degrees of freedom: 4 / factor is chi-square

@@ -11,7 +11,8 @@ from helpers import cut_randomly, pushed
 
 import pdr_filter as pdr
 from pdr_filter.filter.height.floor_detection import FloorState, Level, storey_number, with_new_level
-from pdr_filter.offline.smoothing.storeys import with_arrivals
+from pdr_filter.filter.height.vertical_modes import _TRANSITIONS
+from pdr_filter.offline.smoothing.storeys import with_arrivals, with_named_floors
 from pdr_filter.simulate import BAROMETER, Leg, SensorErrors, simulate
 from pdr_filter.tracking.track import Track
 from pdr_filter.values import FloatArray, ImuBlock, PositionFix, Samples
@@ -186,6 +187,18 @@ def test_a_smoothed_walk_changes_the_storey_only_during_its_floor_changes(stairs
     floor[[3, -3]] = 5
     after = with_arrivals(replace(track, floor=floor))
     np.testing.assert_array_equal(after.floor, track.floor)
+
+
+def test_a_fix_after_the_last_step_numbers_the_storey_of_the_last_step(stairs: Recording) -> None:
+    track, far = pdr.track(stairs), np.zeros(2)
+    fixes = [PositionFix(time_s, far, np.eye(2), floor=floor) for time_s, floor in ((0.0, 3), (1e6, 4))]
+    named = with_named_floors(track, fixes)
+    np.testing.assert_array_equal(named.floor[:-1], track.floor[:-1] - track.floor[0] + 3)
+    assert named.floor[-1] == 4
+
+
+def test_probabilities_of_the_next_vertical_mode_sum_to_one() -> None:
+    np.testing.assert_allclose(_TRANSITIONS.sum(axis=1), 1.0, atol=1e-12)
 
 
 def test_hills_do_not_depend_on_the_blocks_of_samples_and_locations(hill: Recording) -> None:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import a_step, even_transitions, tracker_of, updates_of
+from helpers import a_step, even_transitions, mode_of_each_context, tracker_of, updates_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -15,7 +15,6 @@ from pdr_filter.filter.imm import imm
 from pdr_filter.filter.imm.imm_tracker import ImmState, ImmTracker
 from pdr_filter.filter.imm.motion_model import (
     Directions,
-    Mode,
     MotionNoise,
     advance,
     initial_estimate,
@@ -35,28 +34,12 @@ STATIONARY, WALKING, RUNNING = (CONTEXTS.index(c) for c in ("stationary", "walki
 Event = Step | WindowContext
 
 
-def modes() -> tuple[Mode, ...]:
-    """Return one mode for each context, with different lengths that depend on the step."""
-    theta = np.array([[0, 0, 0], [0.3, 0.2, 0.01], [0.2, 0.05, 0], [0.3, 0.1, 0], [0.4, 0, 0], [0.2, 0.3, 0.02]])
-    return tuple(
-        Mode(
-            context,
-            context,
-            StepLengthFit(FrequencyVarianceStepLength(), t, np.eye(3) * 1e-4, 0.05),
-            heading_offset_rad=np.pi / 2 if context == "sideways" else 0.0,
-            moves=context != "stationary",
-            climbs={"upstairs": 1, "downstairs": -1}.get(context, 0),
-        )
-        for context, t in zip(CONTEXTS, theta, strict=True)
-    )
-
-
 Tracker = ImmTracker | WeightedTracker
 State = ImmState | WeightedState
 
 
 def model() -> PedestrianModel:
-    return PedestrianModel(modes(), even_transitions(6, 0.9), evidence_exponent=0.5, prior_exponent=1.0)
+    return PedestrianModel(mode_of_each_context(), even_transitions(6, 0.9), evidence_exponent=0.5, prior_exponent=1.0)
 
 
 def tracker(weighting: str) -> Tracker:
@@ -94,7 +77,8 @@ def run(filter_: Tracker, events: list[Event], state: State | None = None) -> tu
     for event in events:
         on_event = filter_.on_window if isinstance(event, WindowContext) else filter_.on_step
         state, found = updates_of(on_event(state, event))  # type: ignore[arg-type]
-        updates += found
+        provisional = filter_.provisional(state) if isinstance(event, Step) else None
+        updates += found if provisional is None else [*found, provisional]
     state, found = updates_of(filter_.finish(state))
     return state, [*updates, *found]
 
@@ -108,7 +92,7 @@ def distances_of_epochs(steps: list[Step], n_epochs: int) -> tuple[np.ndarray, n
     epochs = np.array([int(np.ceil(s.time_s)) - 1 for s in steps])
     distance_m = np.zeros((n_epochs, 6))
     for step, epoch in zip(steps, epochs, strict=True):
-        for c, mode in enumerate(modes()):
+        for c, mode in enumerate(mode_of_each_context()):
             distance_m[epoch - 1, c] += mode.step_length.predict(step)[0]
     return distance_m, epochs
 
@@ -166,7 +150,9 @@ def test_the_provisional_position_at_the_end_of_an_epoch_is_its_total_provisiona
 ) -> None:
     steps, windows = random_walk(1)
     steps = [replace(s, device_heading_rad=0.0) for s in steps]
-    straight = tracker_of(weighting, replace(model(), modes=tuple(replace(m, heading_offset_rad=0.0) for m in modes())))
+    straight = tracker_of(
+        weighting, replace(model(), modes=tuple(replace(m, heading_offset_rad=0.0) for m in mode_of_each_context()))
+    )
     distance_m, epochs = distances_of_epochs(steps, len(windows) - 1)
     expected = weighted_distances(distance_m, np.stack([w.prob for w in windows]), threshold)
     _, updates = run(straight, in_order(steps, windows))
@@ -215,7 +201,7 @@ def test_a_certain_context_gives_the_length_and_direction_of_its_mode(weighting:
 
 
 def test_imm_with_one_mode_is_a_plain_extended_kalman_filter() -> None:
-    mode, noise = modes()[WALKING], MotionNoise()
+    mode, noise = mode_of_each_context()[WALKING], MotionNoise()
     single = ImmTracker(PedestrianModel((mode,), np.ones((1, 1)), noise=noise))
     steps, windows = random_walk(4)
     x, P = np.zeros(4), np.diag([0.0, 0.0, noise.initial_heading_offset_std_rad**2, noise.log_scale_std**2])
@@ -268,8 +254,8 @@ def test_imm_with_one_mode_is_a_plain_extended_kalman_filter() -> None:
 def test_modes_in_another_order_give_the_same_track(seed: int) -> None:
     order = np.random.default_rng(seed).permutation(6)
     rows = np.random.default_rng(seed).dirichlet(np.ones(6), 6)
-    straight = ImmTracker(PedestrianModel(modes(), rows))
-    permuted = ImmTracker(PedestrianModel(tuple(modes()[i] for i in order), rows[np.ix_(order, order)]))
+    straight = ImmTracker(PedestrianModel(mode_of_each_context(), rows))
+    permuted = ImmTracker(PedestrianModel(tuple(mode_of_each_context()[i] for i in order), rows[np.ix_(order, order)]))
     events = in_order(*random_walk(seed))
     for a, b in zip(run(permuted, events)[1], run(straight, events)[1], strict=True):
         np.testing.assert_allclose(a.position_m, b.position_m, atol=1e-9)
@@ -283,7 +269,7 @@ def test_modes_in_another_order_give_the_same_track(seed: int) -> None:
 @given(seed=st.integers(0, 1000))
 def test_the_walked_distance_of_the_imm_equals_that_of_a_smoother_at_every_step(seed: int) -> None:
     rows = 0.8 * np.eye(6) + 0.2 * np.random.default_rng(seed).dirichlet(np.ones(6), 6)
-    filter_ = ImmTracker(PedestrianModel(modes(), rows))
+    filter_ = ImmTracker(PedestrianModel(mode_of_each_context(), rows))
     _, updates = run(filter_, in_order(*random_walk(seed)))
     length_m = np.array([filter_.model.lengths(u.step)[0] for u in updates])
     prob = np.array([u.mode_prob for u in updates])
@@ -294,7 +280,7 @@ def test_the_walked_distance_of_the_imm_equals_that_of_a_smoother_at_every_step(
 
 
 def test_a_change_of_mode_detected_late_counts_from_its_beginning() -> None:
-    filter_ = ImmTracker(PedestrianModel(modes(), even_transitions(6, 0.97)))
+    filter_ = ImmTracker(PedestrianModel(mode_of_each_context(), even_transitions(6, 0.97)))
     windows = [WindowContext(float(t), sure(WALKING if t < 12 else RUNNING, 0.95), EVEN_PRIOR) for t in range(2, 30)]
     steps = [a_step(t) for t in np.arange(2.0, 28.0, 0.5)]
     # every window is two seconds late
@@ -351,7 +337,7 @@ def test_a_detected_step_is_evidence_against_standing() -> None:
 
 
 def test_several_fits_together_give_the_results_of_each() -> None:
-    fits = (*(m.step_length for m in modes()), known_length(0.3, 0.1))
+    fits = (*(m.step_length for m in mode_of_each_context()), known_length(0.3, 0.1))
     capped = StepLengthFit(FrequencyVarianceStepLength(max_variance=2.0), np.ones(3), np.eye(3), 0.2)
     negative = StepLengthFit(FrequencyVarianceStepLength(), -np.ones(3), np.eye(3), 0.0)
     step = a_step(variance=9.0)
@@ -425,7 +411,7 @@ def test_a_speed_or_a_heading_fix_before_any_step_changes_nothing(weighting: str
 
 def test_fixes_keep_the_scale_of_a_tall_person() -> None:
     """Steps are 10 % longer than those of the population, and fixes estimate the scale."""
-    filter_ = ImmTracker(PedestrianModel((modes()[WALKING],), np.ones((1, 1))))
+    filter_ = ImmTracker(PedestrianModel((mode_of_each_context()[WALKING],), np.ones((1, 1))))
     state = filter_.init()
     true_north_m = 0.0
     for k in range(300):
@@ -478,8 +464,11 @@ def test_the_imm_uses_each_window_once_for_steps_of_any_delay() -> None:
 def test_a_gap_makes_pending_steps_final_with_the_windows_of_their_segment(weighting: str) -> None:
     filter_ = tracker(weighting)
     state, _ = updates_of(filter_.on_window(filter_.init(), WindowContext(2.0, sure(WALKING), EVEN_PRIOR)))
-    state, [waiting] = updates_of(filter_.on_step(state, a_step(1.6)))
+    state, _ = updates_of(filter_.on_step(state, a_step(1.6)))
+    waiting = filter_.provisional(state)
+    assert waiting is not None
     state, updates = updates_of(filter_.on_gap(state, 5.0))
+    assert filter_.provisional(state) is None
     assert [(u.index, u.is_final) for u in updates] == [(waiting.index, True)]
     assert updates[0].mode_prob[WALKING] == 1.0
     state, late = updates_of(filter_.on_window(state, WindowContext(9.0, sure(RUNNING), EVEN_PRIOR)))
@@ -491,7 +480,9 @@ def test_after_a_gap_windows_of_the_segment_before_are_not_used(weighting: str) 
     filter_ = tracker(weighting)
     state, _ = updates_of(filter_.on_window(filter_.init(), WindowContext(2.0, sure(RUNNING), EVEN_PRIOR)))
     state, _ = updates_of(filter_.on_gap(state, 5.0))
-    state, [provisional] = updates_of(filter_.on_step(state, a_step(7.5)))
+    state, _ = updates_of(filter_.on_step(state, a_step(7.5)))
+    provisional = filter_.provisional(state)
+    assert provisional is not None
     assert provisional.context_prob[RUNNING] == pytest.approx(1 / 6)
     _, updates = run(filter_, [WindowContext(t, sure(WALKING), EVEN_PRIOR) for t in (9.0, 10.0)], state)
     assert [u.mode_prob[WALKING] for u in final(updates)] == [1.0]
@@ -541,14 +532,14 @@ def test_the_first_imm_step_is_the_mixture_of_the_steps_of_all_modes() -> None:
     filter_ = tracker("imm")
     mean, cov = initial_estimate(filter_.model.noise)
     step = a_step(heading_rad=0.4)
-    length, variance = StepLengths(tuple(m.step_length for m in modes())).predict(step)
+    length, variance = StepLengths(tuple(m.step_length for m in mode_of_each_context())).predict(step)
     moved = advance(
         np.tile(mean, (6, 1)),
         np.tile(cov, (6, 1, 1)),
         step,
         length,
         variance,
-        Directions.of(modes()),
+        Directions.of(mode_of_each_context()),
         filter_.model.noise,
     ).mean
     _, [update] = updates_of(filter_.on_step(filter_.init(), step))
@@ -562,7 +553,7 @@ def test_the_first_imm_step_is_the_mixture_of_the_steps_of_all_modes() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"modes": (modes()[0],) * 6}, "distinct"),
+        ({"modes": (mode_of_each_context()[0],) * 6}, "distinct"),
         ({"transition_prob": np.eye(5)}, "transition_prob"),
         ({"modes": (), "transition_prob": np.empty((0, 0))}, "modes is empty"),
         ({"transition_prob": np.full((6, 6), np.nan)}, "must sum to 1"),
@@ -579,7 +570,7 @@ def test_an_invalid_model_is_refused(change: dict[str, object], message: str) ->
 
 def test_weighted_step_lengths_need_one_mode_for_each_context_and_a_threshold() -> None:
     with pytest.raises(ValueError, match="exactly one mode"):
-        WeightedTracker(PedestrianModel(modes()[:5], np.eye(5)))
+        WeightedTracker(PedestrianModel(mode_of_each_context()[:5], np.eye(5)))
     with pytest.raises(ValueError, match=r"threshold of WeightedTracker must be 0 or more .*, got nan"):
         WeightedTracker(model(), np.nan)
 

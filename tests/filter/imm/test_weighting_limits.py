@@ -21,17 +21,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import a_step, even_transitions, updates_of
+from helpers import a_step, even_transitions, mode_of_each_context, updates_of
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from pdr_filter.filter.imm.imm_tracker import ImmState, ImmTracker
-from pdr_filter.filter.imm.motion_model import Mode
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.pedestrian_state import StepUpdate
 from pdr_filter.filter.imm.weighted_tracker import WeightedState, WeightedTracker
 from pdr_filter.filter.imm.weighting import HC, context_weights, weighted_distances
-from pdr_filter.filter.step_length.models import FrequencyVarianceStepLength, StepLengthFit
 from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.values import CONTEXTS, PositionFix, Step, mixtures
 
@@ -40,29 +38,13 @@ SEEDS = st.integers(0, 2**32 - 1)
 THRESHOLDS = {"hc": HC, "wc": 0.8, "wc always": 0.0}
 
 
-def modes(sideways_rad: float = np.pi / 2) -> tuple[Mode, ...]:
-    """Return one mode for each context, with different lengths that depend on the step."""
-    theta = np.array([[0, 0, 0], [0.3, 0.2, 0.01], [0.2, 0.05, 0], [0.3, 0.1, 0], [0.4, 0, 0], [0.2, 0.3, 0.02]])
-    return tuple(
-        Mode(
-            context,
-            context,
-            StepLengthFit(FrequencyVarianceStepLength(), t, np.eye(3) * 1e-4, 0.05),
-            heading_offset_rad=sideways_rad if context == "sideways" else 0.0,
-            moves=context != "stationary",
-            climbs={"upstairs": 1, "downstairs": -1}.get(context, 0),
-        )
-        for context, t in zip(CONTEXTS, theta, strict=True)
-    )
-
-
 Tracker = ImmTracker | WeightedTracker
 State = ImmState | WeightedState
 
 
 def memoryless(sideways_rad: float = np.pi / 2, **changes: Any) -> ImmTracker:
     model = PedestrianModel(
-        modes(sideways_rad),
+        mode_of_each_context(sideways_rad),
         np.full((N, N), 1 / N),
         evidence_exponent=1.0,
         prior_exponent=0.0,
@@ -135,7 +117,7 @@ def distances(steps: list[Step], n_epochs: int) -> np.ndarray:
     """Return the distance (K, N) of each epoch in each context."""
     found = np.zeros((n_epochs, N))
     for step in steps:
-        found[int(step.time_s) - 1] += [m.step_length.predict(step)[0] for m in modes()]
+        found[int(step.time_s) - 1] += [m.step_length.predict(step)[0] for m in mode_of_each_context()]
     return found
 
 

@@ -20,6 +20,7 @@ from pdr_filter.recipes import default
 from pdr_filter.recipes.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
+from pdr_filter.sensing.heading.phone_placement import Placement, StrideAgreement
 from pdr_filter.sensing.heading.stride_harmonics import (
     Phases,
     Stride,
@@ -606,3 +607,14 @@ def test_strides_in_a_corridor_do_not_overrule_the_axis_of_a_phone_being_read(da
     offset_deg = np.degrees([s.shown_offset_rad for s in steps])
     assert np.abs(offset_deg[5:]).max() < 10.0
     assert shown_std_deg(steps)[20:].max() < 13.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_phase_of_a_person_makes_the_two_vectors_at_step_frequency_agree_best(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    a = rng.normal(size=2) + 1.5
+    b = 0.3 * rng.normal(size=2)
+    place = Placement(0.0, 0, 0, (0.0, 0.0, 1.0), vectors=((0.0, 0.0), tuple(a), tuple(b)), weight=1e9)
+    angles = np.linspace(-np.pi / 4, np.pi / 4, 100_001)
+    best = angles[np.argmax(np.linalg.norm(np.outer(np.cos(angles), a) + np.outer(np.sin(angles), b), axis=1))]
+    assert StrideAgreement()._phase_ahead(place) == pytest.approx(best, abs=1e-3)

@@ -1,0 +1,251 @@
+"""Chains: walks reduced to knots every few metres, with their Wi-Fi scans, as input of a problem of many walks."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, MAX_HEADING_VARIANCE
+from pdr_filter.io.files.safe_files import write_files
+from pdr_filter.offline.smoothing.preintegration import scaled_rotation
+from pdr_filter.offline.smoothing.problem import Problem
+from pdr_filter.values import FloatArray, IntArray, Wifi, loudness
+from pdr_filter.values.recording import Recording
+from pdr_filter.values.serialisation import from_bytes, to_bytes
+from pdr_filter.version import __version__
+
+# Largest time between two knots: five to seven metres of walking.
+KNOT_S = 5.0
+# Scans with fewer access points are no fingerprint (as in `maps.radio.radio_map`).
+_MIN_ACCESS_POINTS = 5
+# Shortest distance walked between two scans. Closer scans have the same errors and cost time.
+_SCAN_M = 2.0
+# Prior standard deviation of the start of a walk, of which only the region is known.
+_REGION_STD_M = 1000.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scans:
+    """Wi-Fi scans of a walk, at points of its chain.
+
+    Attributes
+    ----------
+    step : array (S,)
+        Number of steps before each scan.
+    first : array (S + 1,)
+        Index of the first reception of each scan, and the number of receptions.
+    bssid : array (H,)
+        Addresses of the received access points.
+    rssi_dbm : array (H,)
+        Received power.
+    """
+
+    step: IntArray
+    first: IntArray
+    bssid: IntArray
+    rssi_dbm: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.step)
+
+    @property
+    def row(self) -> IntArray:
+        """Number of the scan (H,) of each reception."""
+        return np.repeat(np.arange(len(self)), np.diff(self.first))
+
+    @property
+    def fingerprint(self) -> FloatArray:
+        """Loudness (H,) of each reception, scaled so that the fingerprint of each scan has unit length."""
+        level = loudness(self.rssi_dbm)
+        return level / np.sqrt(np.bincount(self.row, level**2, minlength=len(self)))[self.row]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chain:
+    """One walk: its steps summed between knots, its scans, and its storeys.
+
+    Attributes
+    ----------
+    name : str
+        Name of the walk.
+    key : str
+        Checksum of the recording and the options, which identifies the walk.
+    problem : Problem
+        Least-squares problem of the walk alone, with a free start.
+    mean : array (N, 4)
+        States at the N knots: position, heading offset and log scale, from the walk alone.
+    frame_rad : float
+        Rotation of the frame of the heading offsets.
+    knows_north : bool
+        True if the magnetometer gives the direction of the walk.
+    time_s : array (K,)
+        Times of the steps since the first sample. Empty in saved maps without times.
+    device_rad : array (K,)
+        Walking heading of each step minus its heading offset.
+    floor : array (K + 1,)
+        Storey relative to the start of the walk, before the first step and after each step.
+    scans : Scans
+        Wi-Fi scans.
+    notes : tuple of str
+        Warnings of the track.
+    """
+
+    name: str
+    key: str
+    problem: Problem
+    mean: FloatArray
+    frame_rad: float
+    knows_north: bool
+    time_s: FloatArray
+    device_rad: FloatArray
+    floor: IntArray
+    scans: Scans
+    notes: tuple[str, ...]
+
+    @property
+    def n_knots(self) -> int:
+        """Number of knots."""
+        return self.problem.n_nodes
+
+    def node_of(self, step: IntArray) -> tuple[IntArray, FloatArray]:
+        """Return the knot at or before each point of the chain, and the displacement (n, 2) from the knot to the point.
+
+        A point is given by the number of steps before it.
+        """
+        intervals = self.problem.intervals
+        node = np.searchsorted(intervals.nodes, step, side="right") - 1
+        inside = step > intervals.nodes[node]
+        return node, np.where(inside[:, None], intervals.sum_m[np.maximum(step - 1, 0)], 0.0)
+
+    def position_m(self, step: IntArray) -> FloatArray:
+        """Return the positions (n, 2) of points of the chain, in the frame of the walk alone."""
+        node, ahead = self.node_of(step)
+        rotation = scaled_rotation(self.mean[node, HEADING_OFFSET], self.mean[node, LOG_SCALE])
+        return self.mean[node, :2] + np.einsum("nab,nb->na", rotation, ahead)
+
+    def step_at(self, time_s: float) -> int:
+        """Return the number of steps before a time."""
+        return int(np.searchsorted(self.time_s, time_s, side="right"))
+
+
+def chain_of(recording: Recording, key: str = "", salt: str | None = None) -> Chain:
+    """Return the chain of a recording. ValueError if it has no steps."""
+    from pdr_filter.offline.smoothing.smooth import chain_problem  # imported late, because it loads gtsam
+    from pdr_filter.offline.smoothing.solve import solve
+
+    track, device_rad, problem = chain_problem(recording, KNOT_S)
+    knows_north = len(problem.states) > 0
+    alone = solve(problem)
+    start_cov = problem.start_cov.copy()
+    start_cov[:2, :2] = _REGION_STD_M**2 * np.eye(2)
+    frame_std_rad = problem.frame_std_rad
+    if not knows_north:
+        start_cov[HEADING_OFFSET, HEADING_OFFSET] = MAX_HEADING_VARIANCE
+        frame_std_rad = float(np.sqrt(MAX_HEADING_VARIANCE))
+    wifi = recording.wifi if salt is None or recording.wifi is None else hashed(recording.wifi, salt)
+    return Chain(
+        name=recording.name,
+        key=key,
+        problem=replace(problem, start_cov=start_cov, frame_std_rad=frame_std_rad),
+        mean=alone.mean,
+        frame_rad=alone.frame_rad,
+        knows_north=knows_north,
+        time_s=np.asarray(track.time_s),
+        device_rad=device_rad,
+        floor=np.concatenate([track.floor[:1], track.floor]).astype(np.int64),
+        scans=_scans(wifi, track.time_s, track.walked_m),
+        notes=track.notes,
+    )
+
+
+def _scans(wifi: Wifi | None, time_s: FloatArray, walked_m: FloatArray) -> Scans:
+    """Return the scans during the walk, at least two metres of walking apart."""
+    kept, last_m = [], -np.inf
+    for scan in () if wifi is None else wifi.scans():
+        if len(scan.bssid) < _MIN_ACCESS_POINTS or not time_s[0] - 1.0 <= scan.time_s <= time_s[-1] + 1.0:
+            continue
+        at_m = float(np.interp(scan.time_s, time_s, walked_m))
+        if at_m - last_m >= _SCAN_M:
+            kept, last_m = [*kept, scan], at_m
+    counts = [len(s.bssid) for s in kept]
+    # the nearest contact is at most half a step away, which is less than the path walked during a scan
+    step = np.searchsorted(time_s, [s.time_s for s in kept])
+    return Scans(
+        step=step.astype(np.int64),
+        first=np.cumsum([0, *counts]).astype(np.int64),
+        bssid=np.concatenate([s.bssid for s in kept]) if kept else np.zeros(0, dtype=np.int64),
+        rssi_dbm=np.concatenate([s.rssi_dbm for s in kept]) if kept else np.zeros(0),
+    )
+
+
+def hashed(wifi: Wifi, salt: str) -> Wifi:
+    """Return the receptions with hashed addresses: the first 48 bits of SHA-256 of the salt and the address.
+
+    Without the salt, addresses can neither be looked up in a public register nor compared with another map.
+
+    Parameters
+    ----------
+    wifi : Wifi
+        Receptions.
+    salt : str
+        Secret text, the same for all walks of a map.
+
+    Returns
+    -------
+    Wifi
+        Receptions with other addresses.
+    """
+    known, number = np.unique(wifi.bssid, return_inverse=True)
+    other = [int.from_bytes(hashlib.sha256(f"{salt}\n{b}".encode()).digest()[:6], "big") for b in known.tolist()]
+    return replace(wifi, bssid=np.array(other, dtype=np.int64)[number])
+
+
+def cached_chain(path: str, cache: str | None, salt: str | None) -> Chain:
+    """Return the chain of a recording in a file, from the cache if its content has not changed.
+
+    The cache makes a killed run resume: each chain is written when it is finished.
+    """
+    from pdr_filter.io.formats import read
+    from pdr_filter.maps.marks import checksum_of
+
+    key = key_of(checksum_of(Path(path)), salt)
+    file = None if cache is None else Path(cache) / f"{key}.chain"
+    if file is not None and file.exists():
+        try:
+            found = from_bytes(file.read_bytes())
+        except ValueError:  # a file of another version, or damaged: computed again
+            found = None
+        if isinstance(found, Chain):
+            return found
+    chain = chain_of(read(path), key, salt)
+    if file is not None:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_files({file: to_bytes(chain)})
+    return chain
+
+
+def key_of(content: str, salt: str | None) -> str:
+    """Return the key of a walk from the checksum of its recording, the salt and the version of the package."""
+    return hashlib.sha256(f"{content}\n{salt}\n{__version__}".encode()).hexdigest()[:32]
+
+
+def content_of(recording: Recording) -> str:
+    """Return the checksum of the samples and the Wi-Fi of a recording in memory."""
+    found = hashlib.sha256()
+    for name, samples in recording.streams.items():
+        found.update(name.encode())
+        found.update(np.ascontiguousarray(samples.time_s).tobytes())
+        found.update(np.ascontiguousarray(samples.values).tobytes())
+    if recording.wifi is not None:
+        for column in (recording.wifi.time_s, recording.wifi.bssid, recording.wifi.rssi_dbm):
+            found.update(np.ascontiguousarray(column).tobytes())
+    return found.hexdigest()
+
+
+def without_times(chains: Sequence[Chain]) -> list[Chain]:
+    """Return chains without times, names and notes of their walks."""
+    return [replace(c, name=f"walk {i + 1}", time_s=np.zeros(0), notes=()) for i, c in enumerate(chains)]

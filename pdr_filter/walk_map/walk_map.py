@@ -1,0 +1,701 @@
+"""Maps of buildings from many walks: `map_walks` and its result `WalkMap`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pdr_filter.batch.workers import Failure, each
+from pdr_filter.io.files.safe_files import read_json, read_small, write_files
+from pdr_filter.maps.marks import read_marks
+from pdr_filter.maps.radio.radio_map import RadioMap
+from pdr_filter.values import FloatArray, HeadingFix, IntArray, PositionFix, limits, read_only
+from pdr_filter.values.recording import Recording
+from pdr_filter.values.serialisation import from_bytes, to_bytes
+from pdr_filter.values.uncertainty import worst_std_m
+from pdr_filter.version import __version__
+from pdr_filter.walk_map.chains import Chain, cached_chain, chain_of, content_of, key_of, without_times
+from pdr_filter.walk_map.joint import Known, States, solve_group, step_positions
+from pdr_filter.walk_map.placing import MOST_TOGETHER, PlacedGroup, Pose, ScannedWalks, adjust, grow, settle, turned
+
+_FORMAT = 1
+# An access point has moved if walks that receive it this strongly are farther apart than this.
+_LOUD_DBM, _MOVED_M = -60.0, 60.0
+# Walks with a larger standard deviation are not joined.
+_MOST_STD_M = 15.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MappedWalk:
+    """One walk on a map.
+
+    Attributes
+    ----------
+    name : str
+        Name of the walk.
+    group : int
+        Number of its group. Walks of one group share a frame.
+    time_s : array (K,)
+        Times of the steps, in s. Empty on a map that was saved without times.
+    position_m : array (K + 1, 2)
+        East and north of the start and after each step, in m.
+    position_cov_m2 : array (K + 1, 2, 2)
+        Covariances of the positions, in m^2.
+    floor : array (K + 1,)
+        Storeys.
+    """
+
+    name: str
+    group: int
+    time_s: FloatArray
+    position_m: FloatArray
+    position_cov_m2: FloatArray
+    floor: IntArray
+
+    def at(self, time_s: float) -> tuple[FloatArray, FloatArray]:
+        """Return the position (2,) and its covariance (2, 2) at a time.
+
+        Parameters
+        ----------
+        time_s : float
+            Time since the first sample, in s.
+
+        Returns
+        -------
+        tuple of array
+            Position and covariance after the last step before this time.
+
+        Raises
+        ------
+        ValueError
+            If the map was saved without times.
+        """
+        if not len(self.time_s):
+            raise ValueError(f"{self.name} has no times: save the map with times=True, or map the recordings again")
+        k = int(np.searchsorted(self.time_s, time_s, side="right"))
+        return self.position_m[k], self.position_cov_m2[k]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _JoinedGroup:
+    """Joined walks by index into the chains: rigid poses, solved states, and the deviation from magnetic north."""
+
+    poses: dict[int, Pose]
+    states: dict[int, States]
+    seeds: frozenset[int]
+    north_rad: float
+    is_known: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class WalkMap:
+    """Map of one or several buildings from many walks, returned by `map_walks`.
+
+    Attributes
+    ----------
+    walks : tuple of MappedWalk
+        Joined walks, with positions and covariances in the frame of their group.
+    apart : tuple of tuple of str
+        Name and reason of each walk that was not joined.
+    moved_access_points : tuple of int
+        Addresses that were received strongly at distant places. They are not part of `radio`.
+
+    See Also
+    --------
+    map_walks : Return a map of walks.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> walk = pdr.simulate.demo_walk()
+    >>> walk_map = pdr.map_walks([walk])
+    >>> walk_map, walk_map.apart[0][1]
+    (WalkMap(0 walks in 0 groups, 1 apart), 'no Wi-Fi scans: record Wi-Fi with the walk')
+    """
+
+    walks: tuple[MappedWalk, ...]
+    apart: tuple[tuple[str, str], ...]
+    moved_access_points: tuple[int, ...]
+    _chains: tuple[Chain, ...] = field(default=())
+    _groups: tuple[_JoinedGroup, ...] = field(default=())
+    _known: Mapping[str, Sequence[Known]] = field(default_factory=dict[str, Sequence[Known]])
+    _salt: str | None = None
+
+    def __repr__(self) -> str:
+        return f"WalkMap({len(self.walks)} walks in {self.n_groups} groups, {len(self.apart)} apart)"
+
+    @property
+    def n_groups(self) -> int:
+        """Number of groups: walks in one frame, such as those of one building or of one isolated storey."""
+        return len(self._groups)
+
+    def radio(self, group: int = 0) -> RadioMap:
+        """Return the radio map of a group, for position fixes of other walks.
+
+        Parameters
+        ----------
+        group : int, default 0
+            Number of the group.
+
+        Returns
+        -------
+        RadioMap
+            Scans of all walks of the group at their estimated positions.
+
+        Raises
+        ------
+        ValueError
+            If there is no such group.
+        """
+        self._check_group(group)
+        chains = self._joined(group)
+        walks = [w for w in self.walks if w.group == group]
+        scans = [chain.scans for chain in chains]
+        bssid = np.setdiff1d(np.concatenate([s.bssid for s in scans]), self.moved_access_points)
+        kept = np.isin(np.concatenate([s.bssid for s in scans]), bssid)
+        first = np.cumsum([0, *(len(s) for s in scans)])
+        point = np.concatenate([s.row + n for s, n in zip(scans, first[:-1], strict=True)])[kept]
+        return RadioMap(
+            position_m=np.concatenate([w.position_m[s.step] for w, s in zip(walks, scans, strict=True)]),
+            floor=np.concatenate([w.floor[s.step] for w, s in zip(walks, scans, strict=True)]).astype(float),
+            bssid=bssid,
+            point=point,
+            access_point=np.searchsorted(bssid, np.concatenate([s.bssid for s in scans])[kept]),
+            rssi_dbm=np.concatenate([s.rssi_dbm for s in scans])[kept],
+            card={"walks": [w.name for w in walks], "version": __version__},
+        )
+
+    def density(self, floor: int = 0, group: int = 0, cell_m: float = 1.0) -> tuple[FloatArray, FloatArray]:
+        """Return how often each cell of a storey was walked on, blurred by the uncertainty of the positions.
+
+        Parameters
+        ----------
+        floor : int, default 0
+            Storey.
+        group : int, default 0
+            Number of the group.
+        cell_m : float, default 1.0
+            Width of a cell, in m.
+
+        Returns
+        -------
+        south_west_m : array (2,)
+            Corner of the first cell, in m.
+        steps : array (rows, columns)
+            Expected number of steps on each cell. Rows run north and columns east.
+
+        Raises
+        ------
+        ValueError
+            If there is no such group or storey.
+        """
+        from pdr_filter.walk_map.drawing import density
+
+        self._check_group(group)
+        return density([w for w in self.walks if w.group == group], floor, cell_m)
+
+    def write_plan(self, path: str | Path, group: int = 0) -> Path:
+        """Write the walked area of a group as a floor plan in GeoJSON, which `FloorPlan.read` reads.
+
+        Parameters
+        ----------
+        path : str or Path
+            File to write.
+        group : int, default 0
+            Number of the group.
+
+        Returns
+        -------
+        Path
+            The written file.
+
+        Raises
+        ------
+        ValueError
+            If there is no such group.
+        ImportError
+            If shapely is not installed.
+        """
+        from pdr_filter.walk_map.drawing import plan_text
+
+        self._check_group(group)
+        write_files({Path(path): plan_text([w for w in self.walks if w.group == group]).encode()})
+        return Path(path)
+
+    def write_report(self, path: str | Path) -> Path:
+        """Write an HTML page with all walks of each storey, and the walks that were not joined.
+
+        Parameters
+        ----------
+        path : str or Path
+            File to write.
+
+        Returns
+        -------
+        Path
+            The written file.
+        """
+        from pdr_filter.walk_map.drawing import report_text
+
+        write_files({Path(path): report_text(self.walks, self.apart, self.moved_access_points).encode()})
+        return Path(path)
+
+    def add(
+        self,
+        recordings: Iterable[Recording | str | Path],
+        known: Iterable[tuple[str, Known]] = (),
+        *,
+        cache: str | Path | None = None,
+        jobs: int = 1,
+        scheduler: str | None = None,
+    ) -> WalkMap:
+        """Return the map with further walks. Walks that were joined before stay where they are.
+
+        Parameters
+        ----------
+        recordings : iterable of Recording, str or Path
+            Further recordings.
+        known : iterable of tuple of str and PositionFix or HeadingFix
+            Known positions and headings of these walks, each with the name of its walk.
+        cache : str or Path, optional
+            Folder of tracked walks, as in `map_walks`.
+        jobs : int, default 1
+            Number of processes.
+        scheduler : str, optional
+            Address of a Dask scheduler.
+
+        Returns
+        -------
+        WalkMap
+            The map with the walks that could be joined.
+        """
+        taken, keys = {c.name for c in self._chains}, {c.key: c.name for c in self._chains}
+        chains, apart, marked = _chains_of(recordings, cache, self._salt, jobs, scheduler, taken=taken, keys=keys)
+        fixes = {**self._known, **_by_name([*marked, *known], chains)}
+        own = {c.name for c in self._chains}
+        earlier = [entry for entry in self.apart if entry[0] not in own]
+        return _mapped([*self._chains, *chains], [*earlier, *apart], fixes, self._salt, self._groups)
+
+    def remove(self, names: Iterable[str]) -> WalkMap:
+        """Return the map without some walks. The other walks are solved again.
+
+        Parameters
+        ----------
+        names : iterable of str
+            Names of walks on the map or apart.
+
+        Returns
+        -------
+        WalkMap
+            The map without these walks.
+
+        Raises
+        ------
+        ValueError
+            If a walk is unknown.
+        """
+        gone = set(names)
+        present = {c.name for c in self._chains} | {name for name, _ in self.apart}
+        if not gone <= present:
+            raise ValueError(f"no walk is called {sorted(gone - present)[0]!r}: names are in walks and apart")
+        chains = [c for c in self._chains if c.name not in gone]
+        known = {name: fixes for name, fixes in self._known.items() if name not in gone}
+        others = [e for e in self.apart if e[0] not in {c.name for c in self._chains} | gone]
+        return _mapped(chains, others, known, self._salt)
+
+    def save(self, folder: str | Path, *, times: bool = False) -> Path:
+        """Write the map to a folder. By default it contains no times, no names of walks and no notes.
+
+        Parameters
+        ----------
+        folder : str or Path
+            Folder to write. It is made if it does not exist.
+        times : bool, default False
+            True to keep the times of the steps and the names of the walks.
+
+        Returns
+        -------
+        Path
+            The folder.
+        """
+        folder = Path(folder)
+        chains = list(self._chains) if times else without_times(self._chains)
+        new_name = {old.name: new.name for old, new in zip(self._chains, chains, strict=True)}
+        content = {
+            "groups": [
+                (list(g.poses), list(g.poses.values()), list(g.states), list(g.states.values()), *_about(g))
+                for g in self._groups
+            ],
+            "known": {name: tuple(fixes) for name, fixes in self._known.items()} if times else {},
+        }
+        # a failure has the name of its file
+        apart = [(new_name.get(name, f"recording {i + 1}"), why) for i, (name, why) in enumerate(self.apart)]
+        card = {
+            "kind": "walk_map",
+            "format_version": _FORMAT,
+            "n_walks": len(chains),
+            "apart": list(self.apart) if times else apart,
+            "version": __version__,
+        }
+        folder.mkdir(parents=True, exist_ok=True)
+        files = {folder / f"{i:05d}.walk": to_bytes(chain) for i, chain in enumerate(chains)}
+        files[folder / "groups.bin"] = to_bytes(content)
+        write_files(files | {folder / "walk_map.json": (json.dumps(card, indent=2) + "\n").encode()})
+        return folder
+
+    @classmethod
+    def load(cls, folder: str | Path, salt: str | None = None) -> WalkMap:
+        """Return the map of a folder written by `save`.
+
+        Parameters
+        ----------
+        folder : str or Path
+            The folder.
+        salt : str, optional
+            Salt of the addresses of access points, needed to add walks to a hashed map.
+
+        Returns
+        -------
+        WalkMap
+            The map.
+
+        Raises
+        ------
+        ValueError
+            If the folder is not a map of this version of the package.
+        """
+        folder = Path(folder)
+        try:
+            card = read_json(folder / "walk_map.json", limits.MAX_DESCRIPTION_BYTES)
+            if card["kind"] != "walk_map" or card["format_version"] != _FORMAT:
+                raise ValueError(f"its format is {card['format_version']}, this version reads {_FORMAT}")
+            walks = [folder / f"{i:05d}.walk" for i in range(card["n_walks"])]
+            chains: tuple[Chain, ...] = tuple(from_bytes(read_small(w, limits.MAX_WHOLE_BYTES)) for w in walks)
+            content: Any = from_bytes(read_small(folder / "groups.bin", limits.MAX_WHOLE_BYTES))
+            groups = tuple(
+                _JoinedGroup(
+                    dict(zip(of, poses, strict=True)),
+                    dict(zip(solved, states, strict=True)),
+                    frozenset(seeds),
+                    north_rad,
+                    is_known,
+                )
+                for of, poses, solved, states, seeds, north_rad, is_known in content["groups"]
+            )
+            apart = tuple((name, why) for name, why in card["apart"])
+            return _result(chains, groups, apart, content["known"], salt)
+        except (OSError, KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{folder}: not a map of walks ({error}): map the recordings again") from error
+
+    def _check_group(self, group: int) -> None:
+        if not 0 <= group < self.n_groups:
+            raise ValueError(
+                f"group must be from 0 to {self.n_groups - 1}, got {group}"
+                if self.n_groups
+                else "no walks were joined: apart has the reasons"
+            )
+
+    def _joined(self, group: int) -> list[Chain]:
+        """Return the chains of a group, in the order of its walks."""
+        return [self._chains[i] for i in sorted(self._groups[group].states)]
+
+
+def _about(group: _JoinedGroup) -> tuple[list[int], float, bool]:
+    return sorted(group.seeds), group.north_rad, group.is_known
+
+
+def map_walks(
+    recordings: Iterable[Recording | str | Path],
+    known: Iterable[tuple[str, Known]] = (),
+    *,
+    salt: str | None = None,
+    cache: str | Path | None = None,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> WalkMap:
+    """Return a map of the walks of one or several buildings, without a floor plan or a survey.
+
+    Each recording is tracked, and walks are joined where their Wi-Fi scans recognise a place. A walk that could be at
+    two places, or that the other walks contradict, stays apart and is named with the reason. Joined walks are solved
+    together, with position, rotation, step scale and drift of each walk.
+
+    Parameters
+    ----------
+    recordings : iterable of Recording, str or Path
+        Recordings with Wi-Fi. Files are read and tracked one by one.
+    known : iterable of tuple of str and PositionFix or HeadingFix
+        Known positions and headings, each with the name of its walk. They define the frame of the map, together with
+        the marks beside recordings in files (`fixes.csv`). Without them, the origin is the start of one walk, and north
+        is magnetic north.
+    salt : str, optional
+        Secret text with which the addresses of access points are hashed.
+    cache : str or Path, optional
+        Folder of tracked walks. A run that was killed continues from it. Only for recordings in files.
+    jobs : int, default 1
+        Number of processes that track walks, or -1 for the number of cores.
+    scheduler : str, optional
+        Address of a Dask scheduler that tracks walks, instead of `jobs`.
+    progress : callable, optional
+        Called with the number of tracked walks and the number of recordings.
+
+    Returns
+    -------
+    WalkMap
+        Walks with positions and covariances, walks apart, radio map, density and plan.
+
+    Raises
+    ------
+    ValueError
+        If there are no recordings, or if a known fix names an unknown walk.
+
+    See Also
+    --------
+    WalkMap : Result of this function.
+    pdr_filter.RadioMap.fit : Radio map from walks with known positions.
+
+    Notes
+    -----
+    Walks are placed as rigid shapes first, by the likelihood of all their scans over a grid of positions and rotations.
+    Each placed walk is then confirmed by the others. The joint problem has a Cauchy loss for pairs of similar scans.
+
+    References
+    ----------
+    H. Yang et al., "Graduated non-convexity for robust spatial perception", IEEE RA-L 5, 2020. J. G. Mangelsdorf et
+    al., "Pairwise consistent measurement set maximization for robust multi-robot map merging", ICRA 2018.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> walk_map = pdr.map_walks([pdr.simulate.demo_walk()])
+    >>> walk_map.n_groups, len(walk_map.apart)
+    (0, 1)
+    """
+    chains, apart, marked = _chains_of(recordings, cache, salt, jobs, scheduler, progress)
+    if not chains and not apart:
+        raise ValueError("recordings is empty: give at least one recording")
+    return _mapped(chains, apart, _by_name([*marked, *known], chains), salt)
+
+
+def _by_name(known: Iterable[tuple[str, Known]], chains: Sequence[Chain]) -> dict[str, list[Known]]:
+    """Return the fixes of each walk."""
+    names, found = {c.name for c in chains}, dict[str, list[Known]]()
+    for name, fix in known:
+        if name not in names:
+            raise ValueError(f"known names the walk {name!r}, which is not among the usable recordings: check the name")
+        if not isinstance(fix, PositionFix | HeadingFix):
+            raise ValueError(f"known must have PositionFix or HeadingFix, got {type(fix).__name__} for {name!r}")
+        found.setdefault(name, []).append(fix)
+    return found
+
+
+def _free_name(name: str, taken: set[str]) -> str:
+    """Return a name that no other walk has, and add it to those taken."""
+    new, n = name or "walk", 1
+    while new in taken:
+        n += 1
+        new = f"{name or 'walk'} ({n})"
+    taken.add(new)
+    return new
+
+
+def _chain_of(recording: Recording | str, cache: str | None, salt: str | None) -> Chain:
+    """Return the chain of a recording, or of the recording in a file."""
+    if isinstance(recording, str):
+        return cached_chain(recording, cache, salt)
+    return chain_of(recording, key_of(content_of(recording), salt), salt)
+
+
+def _chains_of(
+    recordings: Iterable[Recording | str | Path],
+    cache: str | Path | None,
+    salt: str | None,
+    jobs: int,
+    scheduler: str | None,
+    progress: Callable[[int, int], None] | None = None,
+    taken: set[str] | None = None,
+    keys: Mapping[str, str] | None = None,
+) -> tuple[list[Chain], list[tuple[str, str]], list[tuple[str, Known]]]:
+    """Return the chains of recordings, the names and reasons of unusable recordings, and the fixes in their marks.
+
+    No two chains have the same name. `taken` and `keys` have the names and the keys of earlier chains.
+    """
+    items = [r if isinstance(r, Recording) else str(r) for r in recordings]
+    work = partial(_chain_of, cache=None if cache is None else str(cache), salt=salt)
+    found: dict[int, Chain | Failure] = {}
+    for i, result in each(work, items, jobs=jobs, scheduler=scheduler):
+        found[i] = result
+        if progress is not None:
+            progress(len(found), len(items))
+    chains: list[Chain] = []
+    apart: list[tuple[str, str]] = []
+    marked: list[tuple[str, Known]] = []
+    by_key, taken = dict(keys or {}), set() if taken is None else taken
+    for i, item in enumerate(items):
+        result = found[i]
+        if isinstance(result, Failure):
+            apart.append((item.name if isinstance(item, Recording) else Path(item).name, result.reason))
+        elif result.key in by_key:
+            apart.append((result.name, f"the same recording as {by_key[result.key]}: one of them is enough"))
+        else:
+            chain = replace(result, name=_free_name(result.name, taken))
+            by_key[chain.key] = chain.name
+            chains.append(chain)
+            if isinstance(item, str):
+                marked += [(chain.name, fix) for fix in read_marks(item).fixes]
+    return chains, apart, marked
+
+
+def _mapped(
+    chains: Sequence[Chain],
+    apart: Sequence[tuple[str, str]],
+    known: Mapping[str, Sequence[Known]],
+    salt: str | None,
+    before: Sequence[_JoinedGroup] = (),
+) -> WalkMap:
+    """Return the map of chains. Walks of the groups in `before` stay where they are."""
+    walks = ScannedWalks.of(chains)
+    reasons = {i: "no Wi-Fi scans: record Wi-Fi with the walk" for i, c in enumerate(chains) if not len(c.scans)}
+    fixes = {i: known[c.name] for i, c in enumerate(chains) if c.name in known}
+    free = {i for i in range(len(chains)) if i not in reasons}
+    groups = [PlacedGroup(dict(g.poses), g.seeds, g.north_rad) for g in before]
+    fixed = [dict(g.states) for g in before]
+    is_known = [g.is_known for g in before]
+    free -= {i for g in groups for i in g.poses}
+    seeds = {i: pose for i in fixes if i in free and (pose := _known_pose(chains[i], fixes[i])) is not None}
+    if seeds:
+        turns = [pose.turn_rad for i, pose in seeds.items() if chains[i].knows_north]
+        home = next((k for k, flag in enumerate(is_known) if flag), None)
+        if home is None:
+            north_rad = 0.5 * float(np.mean(turns)) if turns else 0.0
+            groups.insert(0, PlacedGroup(seeds, frozenset(seeds), north_rad))
+            fixed.insert(0, {})
+            is_known.insert(0, True)
+        else:
+            groups[home].poses.update(seeds)
+            groups[home].seeds |= frozenset(seeds)
+        free.difference_update(seeds)
+    for group in groups:
+        _extend(walks, group, free, reasons)
+    todo = sorted(free, key=lambda i: (-len(walks.partners[i] & free), i))
+    for i in todo:
+        if i not in free or not walks.partners[i] & free:
+            continue
+        group = PlacedGroup({i: Pose(0.0, np.zeros(2))}, frozenset([i]))
+        free.discard(i)
+        _extend(walks, group, free, reasons)
+        if len(group.poses) > 1:
+            groups, fixed, is_known = [*groups, group], [*fixed, {}], [*is_known, False]
+        else:
+            free.add(i)
+    solved: list[_JoinedGroup] = []
+    for group, earlier, flag in zip(groups, fixed, is_known, strict=True):
+        if not group.poses:
+            continue
+        states = dict(earlier)
+        pending = [i for i in group.poses if i not in states]
+        # the first walks are solved together, and later ones fitted to them, so that the cost grows linearly
+        for start in range(0, max(len(pending), 1), MOST_TOGETHER):
+            some = {*states, *pending[start : start + MOST_TOGETHER]}
+            part = PlacedGroup({i: p for i, p in group.poses.items() if i in some}, group.seeds, group.north_rad)
+            states = solve_group(walks, part, fixes, states)
+        vague = [i for i in states if i not in earlier and i not in group.seeds and _std_m(states[i]) > _MOST_STD_M]
+        for i in vague:
+            reasons[i] = "its place is uncertain by more than 15 m: walk longer, or through mapped places"
+            del states[i], group.poses[i]
+        solved.append(_JoinedGroup(group.poses, states, group.seeds, group.north_rad, flag))
+    solved.sort(key=lambda g: (not g.is_known, -len(g.states)))
+    joined = {i for g in solved for i in g.states}
+    for i, chain in enumerate(chains):
+        if i not in joined:
+            why = reasons.get(i) or (
+                "its place among the other walks is ambiguous: walk longer, or through mapped places"
+                if walks.partners[i]
+                else "recognises no place of another walk: walk through mapped places"
+            )
+            apart = [*apart, (chain.name, why)]
+    return _result(chains, solved, apart, known, salt)
+
+
+def _std_m(states: States) -> float:
+    """Return the median standard deviation of the knots of a walk in the worst direction, in m."""
+    return float(np.median(worst_std_m(states.joint_cov[:, :2, :2])))
+
+
+def _extend(walks: ScannedWalks, group: PlacedGroup, free: set[int], reasons: dict[int, str]) -> None:
+    """Grow a group, and remove the walks that the others contradict."""
+    if len(group.poses) > 1:
+        adjust(walks, group, list(group.poses))
+    grow(walks, group, free)
+    for i in settle(walks, group):
+        reasons[i] = "the other walks contradict its place: access points may have been moved"
+
+
+def _known_pose(chain: Chain, fixes: Sequence[Known]) -> Pose | None:
+    """Return the rigid pose of a walk that its fixes define, or None without a position."""
+    places = [f for f in fixes if isinstance(f, PositionFix)]
+    headings = [f for f in fixes if isinstance(f, HeadingFix)]
+    if not places:
+        return None
+    own = chain.position_m(np.array([chain.step_at(f.time_s) for f in places]))
+    at = np.array([f.position_m for f in places])
+    turn_rad = 0.0
+    if headings:
+        step = min(chain.step_at(headings[0].time_s), len(chain.device_rad) - 1)
+        node = int(chain.node_of(np.array([step]))[0][0])
+        turn_rad = headings[0].walking_heading_rad - float(chain.device_rad[step] + chain.mean[node, 2])
+    elif len(places) > 1:
+        a, b = (own - own.mean(axis=0)) @ [1, 1j], (at - at.mean(axis=0)) @ [1, 1j]
+        turn_rad = -float(np.angle(np.vdot(a, b)))
+    floors = [f.floor - int(chain.floor[chain.step_at(f.time_s)]) for f in places if f.floor is not None]
+    return Pose(turn_rad, at.mean(axis=0) - own.mean(axis=0) @ turned(turn_rad), floors[0] if floors else 0)
+
+
+def _result(
+    chains: Sequence[Chain],
+    groups: Sequence[_JoinedGroup],
+    apart: Sequence[tuple[str, str]],
+    known: Mapping[str, Sequence[Known]],
+    salt: str | None,
+) -> WalkMap:
+    """Return the map of solved groups."""
+    walks, found = ScannedWalks.of(chains), list[MappedWalk]()
+    for number, group in enumerate(groups):
+        for i in sorted(group.states):
+            position_m, cov_m2 = step_positions(walks, i, group.states[i])
+            floor = chains[i].floor + group.poses[i].floor
+            found.append(
+                MappedWalk(chains[i].name, number, chains[i].time_s, read_only(position_m), read_only(cov_m2), floor)
+            )
+    moved = _moved_access_points(chains, groups, found)
+    return WalkMap(tuple(found), tuple(apart), moved, tuple(chains), tuple(groups), dict(known), salt)
+
+
+def _moved_access_points(
+    chains: Sequence[Chain], groups: Sequence[_JoinedGroup], walks: Sequence[MappedWalk]
+) -> tuple[int, ...]:
+    """Return the addresses that were received strongly at distant places of one group."""
+    moved: set[int] = set()
+    for number, group in enumerate(groups):
+        bssid: list[IntArray] = []
+        place: list[FloatArray] = []
+        of_group = [w for w in walks if w.group == number]
+        for i, walk in zip(sorted(group.states), of_group, strict=True):
+            scans = chains[i].scans
+            loud = scans.rssi_dbm >= _LOUD_DBM
+            bssid.append(scans.bssid[loud])
+            place.append(walk.position_m[scans.step[scans.row[loud]]])
+        all_bssid, all_places = np.concatenate(bssid), np.concatenate(place)
+        known, index = np.unique(all_bssid, return_inverse=True)
+        for axis in range(2):
+            low, high = np.full(len(known), np.inf), np.full(len(known), -np.inf)
+            np.minimum.at(low, index, all_places[:, axis])
+            np.maximum.at(high, index, all_places[:, axis])
+            moved |= set(known[high - low > _MOVED_M].tolist())
+    return tuple(sorted(moved))

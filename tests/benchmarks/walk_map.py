@@ -1,0 +1,152 @@
+"""A map of many walks through a shopping mall, from the first waypoint and direction of one walk a storey.
+
+usage: python -m tests.benchmarks.walk_map [storeys] [numbers] [all_storeys] [radio] [plan] [--data DIR]
+
+99 walks of `ms_indoor` with Wi-Fi on five storeys. All parameters were chosen on F1. The given walk of a storey is the
+one with the most partners, walks with a similar scan: this choice uses no waypoint.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+import pdr_filter as pdr
+from pdr_filter.walk_map.chains import Chain, chain_of
+from pdr_filter.walk_map.placing import ScannedWalks
+from pdr_filter.walk_map.walk_map import _mapped
+from tests.benchmarks.common import Tables, paths, run
+
+CHOSEN_ON = "f1"
+WRONG_M = 15.0
+
+
+@dataclass(frozen=True, eq=False)
+class Walk:
+    """A walk, its chain and its waypoints."""
+
+    chain: Chain
+    recording: pdr.Recording
+    points: np.ndarray  # (W, 3) time, east, north
+    floor: int
+
+    @property
+    def storey(self) -> str:
+        return self.recording.name.split("_")[4]
+
+
+@cache
+def walks_of(data: Path) -> list[Walk]:
+    found: list[Walk] = []
+    for path in paths(data, "ms_indoor"):
+        recording = pdr.read(path)
+        if recording.wifi is None:
+            continue
+        w = recording.truth.waypoints
+        points = np.column_stack([w.time_s, w.east_m, w.north_m])
+        found.append(Walk(chain_of(recording, recording.name), recording, points, int(w.floor[0])))
+    return found
+
+
+def given(walks: Sequence[Walk]) -> tuple[Walk, list[object]]:
+    """The given walk of a storey, and its first waypoint and direction."""
+    partners = ScannedWalks.of([w.chain for w in walks]).partners
+    walk = walks[int(np.argmax([len(p) for p in partners]))]
+    away_m = np.hypot(*(walk.points[:, 1:] - walk.points[0, 1:]).T)
+    (t0, *start), (t1, *second) = walk.points[[0, int(np.argmax(away_m > 10.0))]]
+    # the direction is that of the line to a waypoint 10 m away, which the walk may not follow at any moment
+    chain, steps = walk.chain, np.array([walk.chain.step_at(t) for t in (t0, t1)])
+    own = np.diff(chain.position_m(steps), axis=0)[0]
+    k = int(steps.mean())
+    node = int(chain.node_of(np.array([k]))[0][0])
+    beside = chain.device_rad[k] + chain.mean[node, 2] - np.arctan2(*own)
+    heading = float(np.arctan2(*(np.array(second) - start)) + beside)
+    return walk, [
+        pdr.PositionFix(t0, start, np.eye(2), floor=walk.floor),
+        pdr.HeadingFix(chain.time_s[k], heading, np.radians(8.0)),
+    ]
+
+
+def mapped(walks: Sequence[Walk]) -> tuple[pdr.WalkMap, set[str], float]:
+    """Map of walks, the names of the given ones, and the time of the processor in s."""
+    start = time.process_time()
+    known: dict[str, list[object]] = {}
+    for storey in sorted({w.storey for w in walks}):
+        walk, fixes = given([w for w in walks if w.storey == storey])
+        known[walk.chain.name] = fixes
+    return _mapped([w.chain for w in walks], [], known, None), set(known), time.process_time() - start
+
+
+def row(name: str, walks: Sequence[Walk], found: pdr.WalkMap, known: set[str], seconds: float) -> list[str]:
+    others = {w.chain.name: w for w in walks if w.chain.name not in known}
+    errors: list[float] = []
+    n_wrong = n_joined = n_other_floor = 0
+    nees: list[float] = []
+    for walk in found.walks:
+        if walk.group != 0 or walk.name not in others:
+            continue
+        truth = others[walk.name]
+        at = [walk.at(t) for t in truth.points[:, 0]]
+        apart = np.array([p for p, _ in at]) - truth.points[:, 1:]
+        error = np.hypot(*apart.T)
+        is_other = bool((walk.floor != truth.floor).any())
+        errors += error.tolist()
+        n_joined += 1
+        n_wrong += bool(error.mean() > WRONG_M) or is_other
+        n_other_floor += is_other
+        nees += [float(e @ np.linalg.solve(c + np.eye(2), e)) for e, (_, c) in zip(apart, at, strict=True)]
+    n = len(others)
+    figures = ["-"] * 3
+    if errors:
+        figures = [f"{np.median(errors):.1f} m", f"{np.percentile(errors, 90):.1f} m"]
+        figures.append(f"{100 * np.mean(np.array(nees) < 5.991):.0f} %")
+    wrong = f"{100 * n_wrong / n_joined:.0f} %" if n_joined else "-"
+    return [name, str(n), f"{100 * n_joined / n:.0f} %", wrong, *figures, f"{seconds:.1f} s"]
+
+
+COLUMNS = ["storey", "other walks", "joined", "of these wrong", "median", "90 %", "in 95 % region", "time"]
+
+
+def by_storey(walks: Sequence[Walk]) -> list[tuple[str, list[Walk]]]:
+    names = sorted({w.storey for w in walks}, key=lambda s: (s != CHOSEN_ON, s))
+    return [
+        (s.upper() + (" (chosen on)" if s == CHOSEN_ON else ""), [w for w in walks if w.storey == s]) for s in names
+    ]
+
+
+def storeys(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Each storey alone."""
+    rows = [row(name, group, *mapped(group)) for name, group in by_storey(walks_of(arguments.data))]
+    about = "Errors at the waypoints of all joined walks but the given one. Wrong: mean error above 15 m."
+    tables.write("walk_map", COLUMNS, rows, about)
+
+
+def numbers(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Parts of F1, drawn at random."""
+    every = [w for w in walks_of(arguments.data) if w.storey == CHOSEN_ON]
+    rows: list[list[str]] = []
+    for n in (10, 20, 40):
+        for seed in range(3 if n < 40 else 1):
+            chosen = np.random.default_rng(seed).permutation(len(every))[:n]
+            part = [every[i] for i in sorted(chosen)]
+            rows.append(row(f"{len(part)} walks of F1, draw {seed + 1}", part, *mapped(part)))
+    tables.write("walk_map_numbers", COLUMNS, rows, "ScannedWalks drawn at random.")
+
+
+def all_storeys(tables: Tables, arguments: argparse.Namespace) -> None:
+    """All storeys in one folder, whose storeys are recognised by Wi-Fi alone."""
+    every = walks_of(arguments.data)
+    found, known, seconds = mapped(every)
+    rows = [row(name, group, found, known, seconds) for name, group in by_storey(every)]
+    about = "All walks together; a walk on another storey than its own is wrong. The time is that of all storeys."
+    tables.write("walk_map_together", COLUMNS, rows, about)
+
+
+if __name__ == "__main__":
+    run(__doc__, storeys, numbers, all_storeys)

@@ -1,0 +1,253 @@
+"""Maps of walks through a simulated building, with known truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from heard import walk_with_wifi
+
+import pdr_filter as pdr
+from pdr_filter.simulate import Leg
+from pdr_filter.values.recording import Recording
+from pdr_filter.walk_map.chains import chain_of, hashed
+
+RIGHT = np.pi / 2
+STOREYS = 3
+
+
+def legs_of(number: int) -> list[Leg]:
+    """Loops of different lengths, all from the same corner and to the north first."""
+    a, b = 26.0 + 3 * (number % 3), 18.0 + 4 * (number % 2)
+    sign = 1 if number % 2 else -1
+    turns = [Leg("walking", distance_m=d, turn_rad=sign * RIGHT) for d in (b, a, b)]
+    return [Leg("stationary", duration_s=1.0), Leg("walking", distance_m=a), *turns]
+
+
+def walk(number: int, storey: int = 0) -> Recording:
+    """A walk of one phone on a storey with its own access points."""
+    found = walk_with_wifi(
+        legs_of(number), 100 * storey + number, start_m=(4.0 * (number % 3), 0.0), first=1000 * storey
+    )
+    return replace(found, name=f"phone{number}_storey{storey}")
+
+
+def known(recording: Recording, floor: int | None = None) -> list[tuple[str, object]]:
+    start = recording.truth.waypoints
+    place = np.array([start.east_m[0], start.north_m[0]])
+    return [
+        (recording.name, pdr.PositionFix(1.0, place, 0.3**2 * np.eye(2), floor=floor)),
+        (recording.name, pdr.HeadingFix(4.0, 0.0, 0.1)),
+    ]
+
+
+@pytest.fixture(scope="module")
+def building() -> list[Recording]:
+    """Eight phones on three storeys."""
+    return [walk(k, k % STOREYS) for k in range(8)]
+
+
+@pytest.fixture(scope="module")
+def mapped(building: list[Recording]) -> pdr.WalkMap:
+    fixes = [fix for storey in range(STOREYS) for fix in known(building[storey], storey)]
+    return pdr.map_walks(building, fixes)
+
+
+def errors(found: pdr.WalkMap, recordings: list[Recording]) -> tuple[np.ndarray, np.ndarray]:
+    """Errors (n, 2) at the waypoints of joined walks, and their covariances (n, 2, 2)."""
+    by_name = {r.name: r for r in recordings}
+    error, cov = [], []
+    for joined in found.walks:
+        points = by_name[joined.name].truth.waypoints
+        for t, e, n in zip(points.time_s, points.east_m, points.north_m, strict=True):
+            position_m, cov_m2 = joined.at(float(t))
+            error.append(position_m - (e, n))
+            cov.append(cov_m2)
+    return np.array(error), np.array(cov)
+
+
+def test_all_walks_of_a_simulated_building_are_joined_on_their_storeys(mapped: pdr.WalkMap) -> None:
+    assert mapped.apart == () and mapped.n_groups == 1
+    assert [set(w.floor.tolist()) for w in mapped.walks] == [{k % STOREYS} for k in range(8)]
+
+
+def test_the_covariances_of_a_simulated_building_hold_the_truth(mapped: pdr.WalkMap, building: list[Recording]) -> None:
+    error, cov = errors(mapped, building)
+    nees = np.einsum("na,nab,nb->n", error, np.linalg.inv(cov + 0.2**2 * np.eye(2)), error)
+    assert np.median(np.hypot(*error.T)) < 5.0
+    assert 0.1 < nees.mean() / 2 < 1.6 and (nees < 5.99).mean() > 0.85
+
+
+# --- changes, files and results ---------------------------------------------------------------------------------------
+
+
+def test_a_removed_walk_can_be_added_again_without_moving_the_others(
+    mapped: pdr.WalkMap, building: list[Recording]
+) -> None:
+    last = building[-1]
+    without = mapped.remove([last.name])
+    assert last.name not in [w.name for w in without.walks] and len(without.walks) == 7
+    again = without.add([last])
+    assert len(again.walks) == 8
+    for before in without.walks:
+        after = next(w for w in again.walks if w.name == before.name)
+        np.testing.assert_array_equal(after.position_m, before.position_m)
+    with pytest.raises(ValueError, match="nobody"):
+        mapped.remove(["nobody"])
+
+
+def test_a_saved_map_has_no_times_and_no_names_unless_they_are_asked_for(mapped: pdr.WalkMap, tmp_path: Path) -> None:
+    loaded = pdr.WalkMap.load(mapped.save(tmp_path / "map"))
+    assert [len(w.time_s) for w in loaded.walks] == [0] * 8
+    assert not any("phone" in w.name for w in loaded.walks)
+    content = b"".join(p.read_bytes() for p in (tmp_path / "map").iterdir())
+    assert b"phone0" not in content
+    for a, b in zip(loaded.walks, mapped.walks, strict=True):
+        np.testing.assert_array_equal(a.position_m, b.position_m)
+        np.testing.assert_array_equal(a.position_cov_m2, b.position_cov_m2)
+    with pytest.raises(ValueError, match="no times"):
+        loaded.walks[0].at(3.0)
+    whole = pdr.WalkMap.load(mapped.save(tmp_path / "whole", times=True))
+    assert [w.name for w in whole.walks] == [w.name for w in mapped.walks]
+    np.testing.assert_array_equal(whole.walks[3].at(9.0)[0], mapped.walks[3].at(9.0)[0])
+
+
+def test_a_damaged_map_is_refused_with_its_folder(mapped: pdr.WalkMap, tmp_path: Path) -> None:
+    folder = mapped.save(tmp_path / "map")
+    (folder / "groups.bin").write_bytes(b"damaged")
+    with pytest.raises(ValueError, match="not a map of walks"):
+        pdr.WalkMap.load(folder)
+
+
+def test_the_plan_can_be_read_and_contains_the_walks(mapped: pdr.WalkMap, tmp_path: Path) -> None:
+    plan = pdr.FloorPlan.read(mapped.write_plan(tmp_path / "plan.geojson"))
+    assert [s.floor for s in plan.storeys] == [0, 1, 2]
+    for joined in mapped.walks:
+        storey = plan.storey(int(joined.floor[0]))
+        assert storey is not None
+        assert (storey.kind_at(joined.position_m) == 0).mean() > 0.95
+
+
+def test_the_density_counts_every_step_of_a_storey(mapped: pdr.WalkMap) -> None:
+    _, steps = mapped.density(floor=1)
+    n = sum(int((w.floor == 1).sum()) for w in mapped.walks)
+    assert steps.sum() == pytest.approx(n, rel=0.02)
+    with pytest.raises(ValueError, match="floors are"):
+        mapped.density(floor=7)
+    with pytest.raises(ValueError, match="group must be"):
+        mapped.density(group=3)
+
+
+def test_the_radio_map_locates_a_walk_that_had_no_part_in_it(mapped: pdr.WalkMap) -> None:
+    other = walk(11, 0)
+    fixes = mapped.radio().fixes(other)
+    truth = other.truth.position
+    at = np.column_stack([np.interp([f.time_s for f in fixes], truth.time_s, truth[n]) for n in ("east_m", "north_m")])
+    error_m = np.linalg.norm(np.array([f.position_m for f in fixes]) - at, axis=1)
+    assert {f.floor for f in fixes} == {0}
+    assert np.median(error_m) < 10.0
+
+
+def test_the_report_has_every_walk_once(mapped: pdr.WalkMap, tmp_path: Path) -> None:
+    text = mapped.write_report(tmp_path / "map.html").read_text("utf-8")
+    assert text.count("<polyline") == 8
+    assert all(text.count(f"<td>{w.name}</td>") == 1 for w in mapped.walks)
+
+
+# --- bad input --------------------------------------------------------------------------------------------------------
+
+
+def without_wifi(recording: Recording, name: str) -> Recording:
+    return replace(recording, wifi=None, name=name)
+
+
+def test_bad_walks_stay_apart_with_their_reasons(building: list[Recording]) -> None:
+    silent = replace(building[3], wifi=pdr.Wifi([], [], [], []), name="silent")
+    standing = replace(pdr.simulate.simulate([Leg("stationary", duration_s=8.0)]), name="standing")
+    found = pdr.map_walks([*building[::3], building[0], without_wifi(building[6], "deaf"), silent, standing])
+    reasons = dict(found.apart)
+    assert reasons.keys() == {building[0].name, "deaf", "silent", "standing"}
+    assert "the same recording as" in reasons[building[0].name]
+    assert reasons["deaf"] == reasons["silent"] == "no Wi-Fi scans: record Wi-Fi with the walk"
+    assert "no steps" in reasons["standing"]
+    assert len(found.walks) == 3
+
+
+def test_a_single_walk_is_named_and_a_known_one_is_mapped(building: list[Recording]) -> None:
+    (alone,) = pdr.map_walks([building[0]]).apart
+    assert alone[0] == building[0].name and "recognises no place" in alone[1]
+    found = pdr.map_walks([building[0]], known(building[0], 2))
+    assert [w.floor[0] for w in found.walks] == [2]
+
+
+def test_two_buildings_are_two_groups(building: list[Recording]) -> None:
+    found = pdr.map_walks([building[k] for k in (0, 1, 3, 4)])
+    assert found.n_groups == 2 and found.apart == ()
+    assert {w.name: w.group for w in found.walks}["phone0_storey0"] == {w.name: w.group for w in found.walks}[
+        "phone3_storey0"
+    ]
+
+
+def test_an_access_point_that_was_moved_is_named_and_not_mapped(building: list[Recording]) -> None:
+    moved = 0xABCDEF
+    near = []
+    for k, end in ((0, slice(0, 3)), (3, slice(0, 3))):
+        wifi = building[k].wifi
+        assert wifi is not None
+        times = np.unique(np.array([s.time_s for s in wifi.scans()]))[end]
+        near.append(
+            replace(
+                building[k],
+                wifi=pdr.Wifi(
+                    np.concatenate([wifi.time_s, times]),
+                    np.concatenate([wifi.bssid, np.full(len(times), moved)]),
+                    np.concatenate([wifi.rssi_dbm, np.full(len(times), -40.0)]),
+                    np.concatenate([wifi.frequency_mhz, np.full(len(times), 2412.0)]),
+                ),
+            )
+        )
+    fixes = [*known(near[0]), (near[1].name, pdr.PositionFix(1.0, (150.0, 0.0), np.eye(2)))]
+    found = pdr.map_walks(near, fixes)
+    assert moved in found.moved_access_points
+    assert moved not in found.radio().bssid
+
+
+def test_wrong_arguments_are_named(building: list[Recording]) -> None:
+    with pytest.raises(ValueError, match="recordings is empty"):
+        pdr.map_walks([])
+    with pytest.raises(ValueError, match="'nobody'"):
+        pdr.map_walks([building[0]], [("nobody", pdr.HeadingFix(1.0, 0.0, 0.1))])
+    with pytest.raises(ValueError, match="PositionFix or HeadingFix"):
+        pdr.map_walks([building[0]], [(building[0].name, pdr.SpeedFix(1.0, 1.0, 0.1))])
+
+
+# --- privacy and files ------------------------------------------------------------------------------------------------
+
+
+def test_hashed_addresses_hide_the_access_points_and_keep_the_fingerprints(building: list[Recording]) -> None:
+    wifi = building[0].wifi
+    assert wifi is not None
+    other = hashed(wifi, "secret")
+    assert not set(other.bssid) & set(wifi.bssid)
+    assert other.n_access_points == wifi.n_access_points
+    assert set(hashed(wifi, "another").bssid) != set(other.bssid)
+    plain, hidden = chain_of(building[0]), chain_of(building[0], salt="secret")
+    assert len(plain.scans.rssi_dbm) == len(hidden.scans.rssi_dbm)
+    assert not set(plain.scans.bssid) & set(hidden.scans.bssid)
+
+
+def test_a_second_run_takes_the_walks_from_the_cache(
+    building: list[Recording], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    paths = [building[k].save(tmp_path / f"walk{k}.zip") for k in (0, 3)]
+    first = pdr.map_walks(paths, cache=tmp_path / "cache")
+    monkeypatch.setattr("pdr_filter.walk_map.chains.chain_of", None)  # a call would fail
+    second = pdr.map_walks(paths, cache=tmp_path / "cache")
+    assert len(second.walks) == 2
+    for a, b in zip(first.walks, second.walks, strict=True):
+        np.testing.assert_array_equal(a.position_m, b.position_m)
+    (file,) = [f for f in (tmp_path / "cache").iterdir()][:1]
+    file.write_bytes(b"damaged")
+    assert len(pdr.map_walks(paths, cache=tmp_path / "cache").apart) == 2  # computed again, which fails here
