@@ -48,8 +48,9 @@ class Parsed:
     def recording(self) -> Recording:
         """Return the recording of the stored streams. Its time zero is the first accelerometer sample.
 
-        Rows in wrong order are sorted, and samples that share one time get individual times. RecordingError if there is
-        no accelerometer, or if its values, times or sign are implausible.
+        Rows in wrong order are sorted, samples that share one time get individual times, and gravity is added to an
+        acceleration that lacks it (`linear`). RecordingError if there is no accelerometer, or if its values, times or
+        sign are implausible.
         """
         where = str(self.path)
         if "accelerometer" not in self.streams:
@@ -81,7 +82,10 @@ class Parsed:
         )
 
     def _restore_gravity(self, where: str) -> None:
-        """Add gravity to an acceleration that lacks it, with a note. RecordingError if the vertical is unknown."""
+        """Add gravity to the stored acceleration, which lacks it (`linear`), with a note.
+
+        The vertical is estimated from the gyroscope and the steps. RecordingError if the samples do not show it.
+        """
         name = f"the acceleration ({self.linear}) lacks gravity"
         gyroscope = Samples(*self.streams["gyroscope"]) if "gyroscope" in self.streams else None
         try:

@@ -120,7 +120,10 @@ class Walk:
         self._store_history()
 
     def _store_history(self) -> None:
-        """Store the edits that can be taken back, so that they outlast the workbench; on a full disk they do not."""
+        """Write the edits that can be undone or redone to the file `history`, which a restarted workbench reads.
+
+        Nothing is written without such a file, or if it cannot be written.
+        """
         if self.history is not None:
             stacks = [[[{n: c.decode() for n, c in f.items()}, v] for f, v in s] for s in (self._undo, self._redo)]
             with suppress(OSError):
@@ -238,7 +241,7 @@ def _files(content: Mapping[str, Any], old: Files, own: Path, folder: Path) -> F
 
 
 def _check(files: Files) -> None:
-    """Raise ValueError unless the files can be read as marks."""
+    """Raise ValueError unless the files can be read as marks. The message names the fields as the pages show them."""
     with tempfile.TemporaryDirectory() as folder:
         for name, content in files.items():
             (Path(folder) / name).write_bytes(content)

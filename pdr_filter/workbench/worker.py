@@ -276,7 +276,10 @@ def _name_of(path: str) -> str:
 
 
 def _for_page(track: Track, plan: FloorPlan | None) -> Track:
-    """Return a track whose notes a user of the page understands. The first says if the plan is far from the path."""
+    """Return the track with notes in the words of the pages: without code marks, and with seconds for windows.
+
+    If the floor plan is more than 500 m from the path, a note in front says so.
+    """
     notes = [note.replace("`", "").replace(" windows", " seconds") for note in track.notes]  # one window a second
     lines = [] if plan is None else [line for s in plan.storeys for f in s.features for line in f.lines]
     if lines and track.n_steps:

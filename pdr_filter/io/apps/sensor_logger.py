@@ -117,9 +117,9 @@ def sessions_of(members: Members) -> list[str]:
 def read_sensor_logger(path: str | Path, platform: str | None = None) -> Recording:
     """Return the recording in a zip file, folder, JSON file, database or file of pushed messages of Sensor Logger.
 
-    `platform`, ios or android, is for an export whose Metadata is lost. RecordingError if the sign of the specific
-    force is not known: no Metadata to name the platform and no attitude to show it, gravity missing, or an attitude
-    that contradicts the sign.
+    `platform`, ios or android, is for an export whose Metadata is lost. Gravity is added to an acceleration that lacks
+    it, with a note. RecordingError if the sign of the specific force is not known: no Metadata to name the platform and
+    no attitude to show it, or an attitude that contradicts the sign.
     """
     path = Path(path)
     with open_members(path) as members:
@@ -183,7 +183,8 @@ def _specific_force(export: _Export, parsed: Parsed) -> tuple[str, NumberTable]:
     """Return the name of the sensor that measured the acceleration, and the specific force with Android's sign.
 
     TotalAcceleration of Android is preferred, then the sum of Accelerometer and Gravity, then the uncalibrated
-    accelerometer. RecordingError if none is there, or if the platform, which decides the sign, is unknown.
+    accelerometer. Accelerometer alone lacks gravity, which `parsed.linear` then states. RecordingError if none is
+    there, or if the platform, which decides the sign, is unknown.
     """
     path, sensors = parsed.path, export.sensors
     platform = export.about("platform").lower()

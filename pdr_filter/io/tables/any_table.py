@@ -52,8 +52,8 @@ def read_table(path: str | Path, platform: str | None = None) -> Recording:
     """Return the recording in the tables of an app, which are recognised by their columns.
 
     `platform` ("ios" or "android") determines the sign of the acceleration if the app writes different signs on the two
-    systems. RecordingError if there is no acceleration with gravity, if the sign or unit of the acceleration is
-    unknown, or if `platform` is given although the file or the app decides the sign.
+    systems. Gravity is added to an acceleration that lacks it, with a note. RecordingError if there is no acceleration,
+    if its sign or unit is unknown, or if `platform` is given although the file or the app decides the sign.
     """
     return read_guessed(Path(path), platform).recording
 

@@ -97,8 +97,9 @@ def guess(
     """Return the guessed mapping of the columns of these tables.
 
     `dialect` holds the conventions of the app, if known. `platform` ("ios" or "android") decides the sign of the
-    acceleration if the app does not. `where` names the file in messages. RecordingError if there is no acceleration
-    with gravity, if it is in g with an unknown sign, or if a table without times has an unknown rate.
+    acceleration if the app does not. `where` names the file in messages. An acceleration without gravity becomes the
+    stream of linear acceleration. RecordingError if there is no acceleration, if its unit is unknown, if it is in g
+    with an unknown sign, or if a table without times has an unknown rate.
     """
     app = "" if dialect is None else dialect.app
     result = Guess(Mapping(()), source=f"table of {app}" if app else "table")
@@ -238,9 +239,10 @@ def _time_unit(ticks: FloatArray) -> str:
 
 
 def _forces(streams: Sequence[_Stream], dialect: Dialect | None, result: Guess, where: str) -> list[_Stream]:
-    """Return the accelerometer stream, or the streams of linear acceleration and gravity, with their units.
+    """Return the streams that give the specific force, with their units.
 
-    RecordingError if there is no acceleration with gravity.
+    The list has the accelerometer alone, or linear acceleration and gravity. If there is neither, it has the linear
+    acceleration alone. RecordingError if there is no acceleration, or if its unit is unknown.
     """
     app = "this table" if dialect is None else f"this looks like {dialect.app}, whose table"
     found = [_with_force_unit(s) for s in streams if s.group.quantity in (ACCELERATION, LINEAR, GRAVITY)]
@@ -385,7 +387,10 @@ def _as_rate(s: _Stream, time_s: FloatArray, force: FloatArray) -> _Stream:
 
 
 def _force(forces: Sequence[_Stream]) -> FloatArray:
-    """Return the specific force in m/s2. If gravity is a separate stream, it is added to the linear acceleration."""
+    """Return the sum of the given accelerations (N, 3) in m/s2, at the times of the first one.
+
+    It is the specific force if gravity is in one of them.
+    """
     at_s = forces[0].time_s
     same = [np.array_equal(s.time_s, at_s) for s in forces]
     values = [

@@ -36,7 +36,8 @@ class _Zero(NamedTuple):
 def fill(parsed: Parsed, mapping: Mapping, sheets: Sequence[Sheet]) -> None:
     """Fill `parsed` with the streams of a mapping, read from the tables, and with the properties of their times.
 
-    RecordingError unless each column of the mapping is in its table once.
+    If there is only an acceleration without gravity, `parsed.linear` gets the names of its columns. RecordingError
+    unless each column of the mapping is in its table once.
     """
     _describe_clock(parsed, mapping)
     found = {stream.stream: _read(stream, mapping, sheets) for stream in mapping.streams}
