@@ -67,7 +67,7 @@ class WorkerProcess:
         self._end()
 
     def _end(self) -> int | None:
-        """End the process and return its exit code."""
+        """End the process and return its exit code, or None if no process runs."""
         process, self._process = self._process, None
         if process is None:
             return None

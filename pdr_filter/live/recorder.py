@@ -148,7 +148,7 @@ class Recorder:
 def exported(folder: Path) -> dict[str, Path]:
     """Return the files of a recording for users, by name.
 
-    They are samples, steps and fixes, or the messages of a session that was not tracked.
+    They are metadata, samples, steps, fixes and ranges, or the messages of a session that was not tracked.
     """
     names = [name for name in (*FILES, STEPS, FIXES, RANGES) if (folder / name).exists()]
     journal = next(folder.glob("journal_*"), None)

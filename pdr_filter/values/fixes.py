@@ -547,8 +547,9 @@ def range_log_densities(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the log densities (...,) of range residuals on direct paths and on reflected paths.
 
-    `var_m2` are the total variances of the residuals. A reflected path is longer by an exponentially distributed excess
-    with mean b. The noise of a direct path is added to it:
+    Each includes the log prior probability of its path. `var_m2` are the total variances of the residuals. A reflected
+    path is longer by an exponentially distributed excess with mean b = sqrt((10 std_m)^2 + var_m2). The noise of a
+    direct path is added to it:
 
         p(e) = exp(-max(e, 0) / b) / b * P(noise < e).
 

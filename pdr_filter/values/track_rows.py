@@ -209,7 +209,8 @@ class TrackRows:
         """Return a copy with a geographic origin.
 
         A track in the frame of its start is also rotated by `turn_rad` of the origin, if it has one. The covariance
-        grows by the standard deviations of the origin. Positions in the frame of fixes or of a plan do not change.
+        grows by the standard deviation of this rotation, and by that of the position if the track had no origin.
+        Positions and covariances in the frame of fixes or of a plan do not change.
 
         Parameters
         ----------

@@ -259,9 +259,10 @@ class WorkbenchSite:
         return JSONResponse({"name": target.name})
 
     async def end_drop(self, request: Request) -> Response:
-        """Move the files of a complete drop into the folder of the workbench if they are recordings.
+        """Move the files of a complete drop into the folder of the workbench if their first recording can be read.
 
-        Otherwise delete the files and raise FailedError with the reason.
+        Return the name of the new folder and the number of recordings `n`. Otherwise delete the files and raise
+        FailedError with the reason.
         """
         folder = self._drop(request)
         if not folder.is_dir():

@@ -319,7 +319,7 @@ def _summary(track: Track, recording: Recording) -> dict[str, Any]:
 
 
 def _zipped(recording: Path) -> bytes:
-    """Return a zip file of the files of a recording and of its marks."""
+    """Return the bytes of a zip file with the files of a recording, without hidden ones, and its marks."""
     path, _ = outside(recording)
     folder = marks_folder(recording)
     members: Mapping[str, Path] = {p.name: p for p in [path] if p.is_file()} | {

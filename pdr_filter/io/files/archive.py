@@ -134,7 +134,10 @@ class Members:
         return content
 
     def pieces(self, name: str) -> Iterator[bytes]:
-        """Yield the bytes of a file in pieces without byte order mark. A piece may end anywhere in a line."""
+        """Yield the bytes of a file in pieces without byte order mark. A piece may end anywhere in a line.
+
+        RecordingError for a binary file.
+        """
         for i, part in enumerate(self.parts(name)):
             # UTF-16 without byte order mark, UTF-32 and binary files have zero bytes
             if i == 0 and b"\x00" in part[:4096]:
@@ -169,7 +172,7 @@ class Members:
     def parts(self, name: str, size: int = limits.BLOCK_BYTES) -> Iterator[bytes]:
         """Yield the bytes of a file in parts of `size` bytes, so that no more is unpacked at once.
 
-        The checksum (CRC) is tested at the end.
+        The checksum (CRC) is tested at the end. RecordingError if the file is damaged, encrypted or too large.
         """
         where = self.where(name)
         try:
@@ -199,8 +202,9 @@ class Members:
 
 @contextmanager
 def open_members(path: Path) -> Generator[Members]:
-    """Open a zip, a folder or one file. RecordingError if it does not exist, is empty or cannot be opened.
+    """Context manager that opens a zip file, a folder or one file, and yields its files as `Members`.
 
+    RecordingError if it does not exist, is empty or cannot be opened.
     The path may go on inside a file: `export.zip/walk_2` is the folder walk_2 of the zip.
     """
     try:
@@ -374,7 +378,8 @@ def _most_unpacked(size: int) -> int:
 def _infos_by_name(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
     """Return the files in a zip file by their path inside it, with slashes whatever system packed it.
 
-    RecordingError for a path that leads out of the zip file.
+    RecordingError for a path that leads out of the zip file, and for too many files or two of one path. A zip file that
+    claims to unpack to much more than its size is refused, too.
     """
     if len(archive.infolist()) > limits.MAX_MEMBERS:
         raise RecordingError(f"{path}: more than {limits.MAX_MEMBERS} files in the zip; pack one recording alone")

@@ -33,9 +33,9 @@ def read_recording(path: str | Path) -> Recording:
     """Return the recording in a zip file or folder of the project's own format.
 
     Columns are found by name, in any order; other columns and files are ignored. Values stay as recorded, except that
-    infinite ones become NaN and rows without a time are left out. `Recording.notes` says so, and counts repeated and
-    backward times. A sensor without any value is left out with a note. A RecordingError (a ValueError) names the file,
-    the column, the value and the remedy.
+    infinite ones become NaN and rows without a time are left out. Rows that an edit has put out of order are sorted by
+    time. `Recording.notes` says so, and counts repeated and backward times. A sensor without any value is left out with
+    a note. A RecordingError (a ValueError) names the file, the column, the value and the remedy.
     """
     path = Path(path)
     notes: list[str] = []

@@ -50,7 +50,10 @@ def write_own_format(
     meta: Mapping[str, Any],
     wifi: Wifi | None = None,
 ) -> Path:
-    """Write streams and truth tables by name, Wi-Fi, and the meta data, as `Recording.save` describes."""
+    """Write streams and truth tables by name, Wi-Fi, and the meta data, as `Recording.save` describes; return the path.
+
+    ValueError if a truth table lacks a column.
+    """
     path = Path(path)
     files = {
         f"{name}.csv": _numbers_csv(("time_s", *STREAM_COLUMNS[name]), [samples.time_s, *samples.values.T])

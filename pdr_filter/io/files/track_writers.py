@@ -188,7 +188,7 @@ def write_gpx(
 
     `origin` is the geographic origin of the track, as in `write_geojson`. Points have an elevation if the origin has an
     altitude. `epoch_s` is the unix time of time zero of the recording (`Recording.epoch_s`). With 0, the walk is in
-    January 1970.
+    January 1970. ValueError if the track has no geographic origin, or if a time is not from 1970 to 9999.
     """
     times_s = _vertex_times(track)
     if not (np.isfinite(epoch_s) and epoch_s + times_s.min() >= 0 and epoch_s + times_s.max() <= limits.MAX_EPOCH_S):

@@ -98,8 +98,8 @@ def guess(
 
     `dialect` holds the conventions of the app, if known. `platform` ("ios" or "android") decides the sign of the
     acceleration if the app does not. `where` names the file in messages. An acceleration without gravity becomes the
-    stream of linear acceleration. RecordingError if there is no acceleration, if its unit is unknown, if it is in g
-    with an unknown sign, or if a table without times has an unknown rate.
+    stream of linear acceleration. RecordingError if there is no acceleration, if its unit is unknown, or if it is in g
+    with an unknown sign. A table without times and with an unknown rate is refused, too.
     """
     app = "" if dialect is None else dialect.app
     result = Guess(Mapping(()), source=f"table of {app}" if app else "table")

@@ -85,7 +85,8 @@ def objects_in(pieces: Iterable[bytes], where: str, notes: list[str] | None = No
     """Iterate over the JSON objects in a text, which are elements of an array or follow one another.
 
     If the text is damaged or ends within an object, the objects before it are returned and a note is added to `notes`.
-    Raises RecordingError instead if `notes` is None, or if no complete object comes before the damage.
+    Raises RecordingError instead if `notes` is None, or if no complete object comes before the damage. A text that is
+    not UTF-8 always raises it.
     """
     decoder, utf_8 = json.JSONDecoder(), codecs.getincrementaldecoder("utf-8")()
     text, n_found, n_open, wanted = "", 0, 0, 0
