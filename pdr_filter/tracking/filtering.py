@@ -114,7 +114,7 @@ class State:
     last_fixes : tuple of FixResult
         Outcomes of the last fixes.
     last_update : StepUpdate or None
-        Last step since the last gap.
+        Last step since the last gap, or None if there is none.
     rival : RivalTracker or None
         Second hypothesis while ranges fit two positions.
     finished : bool
@@ -253,7 +253,7 @@ def add_location(
     accuracy_m: FloatArray,
     altitude_m: FloatArray | None = None,
 ) -> State:
-    """Return the state with geographic locations, (N,) each.
+    """Return the state with geographic locations, (N,) each, with times on the clock of the samples.
 
     Some of them become position fixes, in metres from the first usable location.
     """
@@ -324,9 +324,9 @@ def _with_rival(state: State, event: Callable[[Any], tuple[Any, Any]]) -> State:
 def _after_fix_of_rival(config: Config, state: State, fix: Fix, nis: float) -> State:
     """Return the state after a fix that both hypotheses have processed.
 
-    The more probable hypothesis becomes the track. A rival below `LEAST_LOG_ODDS` is dropped. `nis` is the normalised
+    The more probable hypothesis becomes the track. A rival below `MIN_LOG_ODDS` is dropped. `nis` is the normalised
     innovation squared of the fix for the track. The log-likelihood of a rejected fix is bounded by its value at the
-    gate.
+    gate. If the tracker has just found two positions, the second one becomes the rival.
     """
     tracker, rival = state.tracker, state.rival
     if tracker.pedestrian.rival is not None:
@@ -348,7 +348,10 @@ def _after_fix_of_rival(config: Config, state: State, fix: Fix, nis: float) -> S
 
 
 def person_of(config: Config, state: State) -> Person | None:
-    """Return the person's step length from earlier walks and the fixes of this one, or None without either."""
+    """Return the person's step length, from earlier walks (`config.person`) and the fixes of this one.
+
+    If the fixes tell nothing, the result is `config.person`, which may be None.
+    """
     session = session_of(config.model, state.tracker.pedestrian.estimates, state.n_length_fixes)
     if session is None:
         return config.person
@@ -441,7 +444,8 @@ def _process(config: Config, state: State, events: list[tuple[float, Event]]) ->
 def _with_pressure(config: Config, state: State, until_s: float, output: Output) -> State:
     """Return the state whose height filter has used the climb rates up to a time, less the latency of steps.
 
-    All steps before that time are known, except the first step of a bout, which is detected later.
+    All steps before that time are known, except the first step of a bout, which is detected later. Completed floor
+    passages are appended to the output.
     """
     if state.n_climbs_used == len(state.climbs):
         return state
@@ -458,7 +462,7 @@ def _with_pressure(config: Config, state: State, until_s: float, output: Output)
 def _with_passages(config: Config, state: State, passages: Sequence[FloorPassage], output: Output) -> State:
     """Return the state after completed floor passages, which move the particles to their storeys.
 
-    Append them to the output.
+    The passages are appended to the output.
     """
     output.floor_passages.extend(passages)
     if config.on_plan is not None:

@@ -73,7 +73,10 @@ def is_unfamiliar(unknown_share: FloatArray | float) -> BoolArray:
 
 
 def is_without_direction(shown_offset_std_rad: FloatArray | float, direction_trust: FloatArray | float) -> BoolArray:
-    """True for steps (...,) whose strides disagree on the walking direction."""
+    """True for steps (...,) whose strides show a walking direction but disagree on it.
+
+    The arguments are `Step.shown_offset_std_rad`, infinite if no direction is shown, and `direction_trust`.
+    """
     return np.isfinite(shown_offset_std_rad) & (np.asarray(direction_trust) < HARDLY_AGREE)
 
 
@@ -135,7 +138,7 @@ class StepCounts:
     largest_move_m : float
         Largest correction of the position at a step, besides the step itself, m. 0 if none exceeds `MOVE_M`.
     largest_move_s : float
-        Time of that step, s. NaN if there is none.
+        Time of the step with this largest correction, s. NaN if there is none.
     """
 
     n: int = 0
