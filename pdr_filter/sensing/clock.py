@@ -279,7 +279,7 @@ _STRETCH_MARGIN_S = 1.0
 
 
 def _n_set_backs_before(time_s: FloatArray, set_backs: Sequence[_SetBack]) -> IntArray:
-    """Return how many backward clock jumps precede each time (N,), in recorded order."""
+    """Return how many backward clock jumps precede each time (N,) of a stream, in recorded order."""
     result, start = np.zeros(len(time_s), dtype=int), 0
     for number, (begin_s, before_s, after_s, _) in enumerate(set_backs, start=1):
         rest = time_s[start:]

@@ -395,8 +395,9 @@ class Conditioner:
     def _accept(self, state: ConditionerState, block: ImuBlock) -> tuple[ConditionerState, FloatArray]:
         """Return the new state and the accepted rows (N, 12).
 
-        Accepted rows have a finite specific force and increasing times. A missing angular rate or magnetic field is
-        held at its last value, and its age is stored in the row.
+        A row has the time, specific force, angular rate, magnetic field, and the ages of the last two. Accepted rows
+        have a finite specific force and increasing times. A missing angular rate or magnetic field is held at its last
+        value. Its age is the time since it was measured.
         """
         raw = np.empty((len(block.time_s), 10))
         raw[:, 0], raw[:, _FORCE] = block.time_s, block.specific_force_mps2
@@ -649,7 +650,10 @@ def _check_clock(sensor: str, stream: Samples | None, at_s: FloatArray, max_gap_
 
 
 def _interpolated(stream: Samples | None, at_s: FloatArray, max_gap_s: float) -> FloatArray:
-    """Return the values of a stream at some times, (M, 3), ignoring its rows that are not finite or not increasing."""
+    """Return the values of a stream at some times (M,), shape (M, 3), interpolated as by `at_times`.
+
+    Rows that are not finite or not increasing are ignored. Without a stream all values are NaN.
+    """
     if stream is None:
         return np.full((len(at_s), 3), np.nan)
     time_s, values = stream.time_s, stream.values
@@ -665,7 +669,7 @@ def at_times(time_s: FloatArray, values: FloatArray, at_s: FloatArray, max_gap_s
 
     The result is NaN where the two neighbouring samples are more than `max_gap_s` apart. A time before the first or
     after the last sample by less than `max_gap_s` gets the value of that sample. Each result depends only on the two
-    samples around it, or on the last two samples if none follows.
+    samples around it, or on the last two samples if none follows. With fewer than two samples all results are NaN.
     """
     if len(time_s) < 2 or not len(at_s):
         return np.full((len(at_s), 3), np.nan)

@@ -99,7 +99,7 @@ class WindowContext:
 
     @property
     def new_since_s(self) -> float:
-        """Start of the samples that are new in this window, s."""
+        """Start of the samples that are new in this window, s: one hop before its end."""
         return self.time_s - self.hop_s
 
 
@@ -558,8 +558,8 @@ class ContextModels:
     ) -> tuple[FloatArray, WindowContext]:
         """Return the new carrying-mode probabilities (5,) and the classification of a window from its assessments.
 
-        An assessment is None if there is no model for the sensors of the window. `standing` are the indices of the
-        contexts without steps.
+        An assessment is None if there is no model for the sensors of the window. The context is then the training
+        prior, with the unknown share 1. `standing` are the indices of the contexts without steps.
         """
         model = (
             self.with_gyroscope if window.has_gyroscope or self.without_gyroscope is None else self.without_gyroscope

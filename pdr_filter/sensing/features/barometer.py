@@ -195,9 +195,10 @@ class ClimbRate:
         ) if windows else []
 
     def _climbs(self, samples: FloatArray, windows: list[tuple[int, int, int, float]]) -> list[Climb]:
-        """Return the climbs of windows.
+        """Return the climbs of windows of samples (2, B), which are times and pressures.
 
-        Each window is given by its first sample, the first sample of its last hop, its end, and the resolution so far.
+        Each window is given by the indices of its first sample, of the first sample of its last hop, and of its end.
+        The fourth number is the resolution of the sensor so far, hPa.
         """
         starts, lasts, ends = np.array([w[:3] for w in windows]).T
         quantum_hpa, n, n_last = np.array([w[3] for w in windows]), ends - starts, ends - lasts

@@ -44,9 +44,9 @@ class CorridorState:
     turned_rad : float
         Total turn since the start, rad.
     leg_rad : float
-        Last heading of a straight part, rad. NaN before the first.
+        Last heading of a straight part (a leg), rad. NaN before the first.
     recent : tuple of (float, float)
-        Times (s) and headings (rad) of the last steps.
+        Times (s) and headings (rad) of the last steps, which may form a straight part.
     """
 
     bank: FloatArray
@@ -88,8 +88,8 @@ class Corridors:
         Log odds from which a walk counts as following axes, and the gyroscope bias is estimated from them. Log odds of
         6 were never reached in malls, rooms and free walks, and are reached after four to six corners of an office.
     n_straight, straight_rad, straight_s : int, float, float
-        A straight part has at least `n_straight` steps within `straight_s` seconds whose headings differ by at most
-        `straight_rad`.
+        A straight part (a leg) has at least `n_straight` steps within `straight_s` seconds whose headings differ by at
+        most `straight_rad`.
     leg_std_rad : float
         Standard deviation of the direction of a leg about its axis, rad.
     step_std_rad : float
@@ -149,7 +149,10 @@ class Corridors:
         return replace_unchecked(initial, log_weight=state.log_weight)
 
     def update(self, state: CorridorState, time_s: float, heading_rad: float) -> CorridorState:
-        """Return the state after a step with this walking heading, which is not wrapped."""
+        """Return the state after a step with this walking heading, which is not wrapped.
+
+        Each step predicts the drift. Only a step of a straight part is a measurement of the axes.
+        """
         last_s, last_rad = state.recent[-1] if state.recent else (time_s, heading_rad)
         bank = self._predict(state, time_s - last_s, heading_rad - last_rad)
         turned_rad = state.turned_rad + heading_rad - last_rad

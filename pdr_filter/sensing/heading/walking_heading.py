@@ -706,7 +706,10 @@ class WalkingHeading:
         return offset, previous_places, place, UNKNOWN_STD_RAD
 
     def _known_place_at(self, time_s: float) -> KnownPlace | None:
-        """Return the place of the phone at a time, as estimated in the first pass, or None without a first pass."""
+        """Return the place of the phone at a time, as estimated in the first pass.
+
+        The result is None without a first pass, and before the first place.
+        """
         i = bisect_right(self.known_places, time_s, key=attrgetter("start_s"))
         return self.known_places[i - 1] if i else None
 
@@ -781,7 +784,11 @@ def _as_complex(place: Placement) -> tuple[complex, complex, complex]:
 
 
 def _shown_fields(state: WalkingHeadingState, on_axes: bool = False) -> dict[str, Any]:
-    """Return the fields of a step that describe the direction of the phone relative to the body."""
+    """Return the fields of a step that describe the walking direction relative to the phone.
+
+    They are the direction with its standard deviation, the agreement of the strides, the time since which the phone is
+    in its place, and `on_axes`. `on_axes` is True if the walk certainly follows the axes of a building.
+    """
     return {
         "on_axes": on_axes,
         "shown_offset_rad": state.shown.shown_rad,
