@@ -298,7 +298,9 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
 
 
 def _with_step(rhythm: Rhythm, interval_s: float, new_bout: bool) -> Rhythm:
-    """Return the rhythm updated with the interval of a step. The first step of a bout (`new_bout`) resets the rhythm.
+    """Return the rhythm updated with the interval of a step.
+
+    The first step of a bout (`new_bout`) resets the rhythm.
     """
     if new_bout:
         return Rhythm(0.0, 0)
