@@ -66,7 +66,7 @@ FORCE_POWER = 0.8
 
 
 def walking_law(frequency_hz: float) -> float:
-    """Return the amplitude A in m/s2 of steps of the typical length at a step frequency in Hz."""
+    """Return the amplitude A of the vertical force in m/s2 for steps of typical length, at a step frequency in Hz."""
     return Gait().vertical_force_mps2("walking", frequency_hz, Gait().step_length_m("walking", frequency_hz), 0.0)
 
 

@@ -84,7 +84,7 @@ class Alignment:
     since: int = 0
 
     def applies_to(self, place: Place) -> bool:
-        """Return True if a place was reported in the track frame of this alignment."""
+        """Return True if a place (position and heading) was reported in the track frame of this alignment."""
         return self.since <= place.n_steps < self.n_steps
 
     @property

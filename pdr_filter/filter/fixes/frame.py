@@ -143,7 +143,7 @@ class Frame:
         return align(self.agreeing, 0, self.rotation_prior_var_rad2, self.compass)
 
     def world(self, place: Place) -> Place:
-        """Convert a place to the coordinate frame of the fixes, with the current estimate of the rotation.
+        """Convert a place (position and heading) to the frame of the fixes, with the current estimate of the rotation.
 
         The frame of the place follows from its number of steps: the frame of the start, or the frame that began where
         the heading was lost. A place of a frame with unknown rotation is returned unchanged.

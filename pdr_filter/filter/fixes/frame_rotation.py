@@ -103,7 +103,7 @@ class PairedPoint:
 
 
 def thinned(pairs: tuple[PairedPoint, ...], most: int) -> tuple[PairedPoint, ...]:
-    """Return at most `most` pairs in order of time, about evenly spaced, including the first and the last one.
+    """Return at most `most` of the point pairs in order of time, about evenly spaced, with the first and the last one.
 
     The pair whose neighbours are closest in time is removed, until `most` pairs are left.
     """
@@ -280,10 +280,10 @@ class _Fit(NamedTuple):
 
 
 def _fitted(pairs: Sequence[PairedPoint], north_var_rad2: float) -> _Fit:
-    """Return the fit of point pairs.
+    """Return the fit of the best shift to point pairs, for each angle of the rotation.
 
-    Errors of the fixes are correlated in time (`PairedPoint.correlation_s`). An error of the track at one pair is
-    shared by all later pairs.
+    `north_var_rad2` is the prior variance of the rotation about zero. Errors of the fixes are correlated in time
+    (`PairedPoint.correlation_s`). An error of the track at one pair is shared by all later pairs.
     """
     walked = np.array([p.walked_var_m2 for p in pairs])
     shared = np.minimum(walked[:, None], walked) - walked.min()
@@ -315,7 +315,10 @@ def _fix_cov(pairs: Sequence[PairedPoint]) -> FloatArray:
 
 
 def rotation_density(pairs: Sequence[PairedPoint], north_var_rad2: float = math.inf) -> RotationDensity:
-    """Return the density of the rotation for one or more point pairs."""
+    """Return the density of the rotation from the track to the fixes, for one or more point pairs.
+
+    `north_var_rad2` is the prior variance of the rotation about zero.
+    """
     return _density_of_fit(_fitted(pairs, north_var_rad2))
 
 

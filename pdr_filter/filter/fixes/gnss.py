@@ -266,7 +266,11 @@ def independent(fixes: Sequence[PositionFix]) -> tuple[PositionFix, ...]:
 
 
 def origin_of(location: Samples) -> Origin | None:
-    """Return the first usable location of a recording as the origin of its fixes, or None if none is usable."""
+    """Return the first usable location of a recording as the origin of its fixes, or None if none is usable.
+
+    `location` is the stream of a `Recording`. A location is usable if its time is finite, and if place and accuracy are
+    known.
+    """
     latitude_deg, longitude_deg, _, accuracy_m = location.values.T
     rows = zip(
         location.time_s.tolist(), latitude_deg.tolist(), longitude_deg.tolist(), accuracy_m.tolist(), strict=True
@@ -342,14 +346,14 @@ class Rides:
 
     @classmethod
     def of(cls, fixes: Iterable[PositionFix], step_time_s: FloatArray) -> Rides:
-        """Return the rides between fixes in order of time. Steps are given by their times (K,), s."""
+        """Return the vehicle rides between fixes, given in order of time. Steps are given by their times (K,), s."""
         rides = cls()
         for fix in fixes:
             rides = rides.plus(fix, step_time_s)
         return rides
 
     def plus(self, fix: PositionFix, step_time_s: FloatArray) -> Rides:
-        """Return the rides with one more fix. Steps are given by their times (K,), s.
+        """Return the vehicle rides with one more fix. Steps are given by their times (K,), s.
 
         A fast interval since the last fix begins a ride, or extends the ride that ends at this fix. It must be longer
         than three standard deviations. A fix that is not after the last one is ignored. Only the last `_MAX_RIDES`

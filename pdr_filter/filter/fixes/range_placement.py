@@ -121,7 +121,7 @@ class PlacedTrack:
     def alignment(self, n_steps: int, since: int) -> Alignment:
         """Return the solution as an alignment about the point whose position is independent of the rotation.
 
-        `n_steps` and `since` are the attributes of this name of the `Alignment`.
+        `n_steps` and `since` are the attributes of the `Alignment` with these names.
         """
         # p(q) = c + R q: its error is that of c plus (q_n, -q_e) times that of the angle, least at this lever
         of_angle = self.cov[:2, 2] / self.cov[2, 2]

@@ -126,7 +126,7 @@ def _with_search(state: PedestrianState, fix: RangeFix) -> PedestrianState:
 
 
 def _with_ranges(state: PedestrianState, pairs: tuple[PairedRange, ...]) -> PedestrianState:
-    """Return the state with other stored ranges."""
+    """Return the state with its stored ranges replaced by other ones."""
     return replace(state, fixes=replace(state.fixes, ranges=pairs))
 
 

@@ -191,7 +191,7 @@ def after_motion(
     n_steps: int,
     place: Place | None,
 ) -> tuple[FloorState, float]:
-    """Return the state after an interval, and the part of the climbed height that was a slope, m.
+    """Return the state of the storeys after an interval, and the part of the climbed height that was a slope, m.
 
     The person has made `n_steps` steps and reached `climbed_m` at `now_s`, after `elapsed_s`. `p_stairs` and `p_ride`
     are the probabilities of stairs and of a lift or escalator. `place` is an accurate location, or None. Only accurate
@@ -234,9 +234,10 @@ def after_motion(
 
 
 def finished(state: FloorState, now_s: float, climbed_m: float) -> FloorState:
-    """Return the state at the end. A person on another storey than at the last stay has arrived there.
+    """Return the state of the storeys at the end of a walk.
 
-    The state holds the passage to this storey.
+    A person on another storey than at the last stay has arrived there. The state then holds the passage to this storey,
+    otherwise none.
     """
     is_same = state.floor == state.climbing.from_floor
     return replace_unchecked(state, passages=()) if is_same else _arrived(state, now_s, climbed_m, None)
@@ -248,7 +249,7 @@ def _new_climbing(now_s: float, floor: int, climbed_m: float, place: Place | Non
 
 
 def _arrived(state: FloorState, now_s: float, climbed_m: float, place: Place | None) -> FloorState:
-    """Return the state after the arrival on another storey, with the passage that led there."""
+    """Return the state of the storeys after the arrival on another one, with the passage that led there."""
     climbing, level_s = state.climbing, now_s if np.isnan(state.level_since_s) else state.level_since_s
     end_s = max(level_s, state.floor_since_s)
     passage = FloorPassage(climbing.start_s, end_s, climbing.from_floor, state.floor, climbing.how(climbed_m))
@@ -268,7 +269,8 @@ def known_level(state: FloorState, now_s: float) -> Level | None:
 def with_new_level(state: FloorState, now_s: float, climbed_m: float, std_m: float) -> FloorState:
     """Return the state with the level of the present storey added, if the person has stayed there for long enough.
 
-    A level closer than `MIN_STOREY_M` to a known one is not added. `std_m` is the standard deviation of `climbed_m`.
+    A level closer than `MIN_STOREY_M` to a known one is not added. `std_m` is the standard deviation of the climbed
+    height `climbed_m`.
     """
     if state.is_used or not _stays(state, now_s, NEW_STAY_S):
         return state
@@ -287,7 +289,7 @@ def with_level(state: FloorState, level: Level) -> FloorState:
 
 
 def renumbered(state: FloorState, up: int) -> FloorState:
-    """Return the state with all storey numbers increased by `up`."""
+    """Return the state with the numbers of all storeys increased by `up`."""
     levels = tuple(replace_unchecked(level, floor=level.floor + up) for level in state.levels)
     climbing = replace_unchecked(state.climbing, from_floor=state.climbing.from_floor + up)
     return replace_unchecked(state, floor=state.floor + up, levels=levels, climbing=climbing)

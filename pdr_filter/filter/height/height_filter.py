@@ -157,7 +157,7 @@ class HeightEstimate:
 
     @property
     def height_std_m(self) -> float:
-        """Standard deviation of the height."""
+        """Standard deviation of the height, m."""
         return _std(self.height_var_m2)
 
 
@@ -218,7 +218,7 @@ class HeightState:
 
 
 def initial_height() -> HeightState:
-    """Return the state at the start, where the height is zero."""
+    """Return the state of the height filter at the start, where the height is zero."""
     return HeightState(HeightEstimate(vertical.initial()))
 
 
@@ -259,10 +259,10 @@ def window_log_evidence(windows: Sequence[WindowContext], model: PedestrianModel
 
 
 def on_window(state: HeightState, window: WindowContext, log_evidence: FloatArray | None) -> HeightState:
-    """Return the state after a window.
+    """Return the state of the height filter after a context window.
 
-    With a barometer, `log_evidence` (7,) is its `window_log_evidence`, which is used with the next second of the
-    barometer. Without a barometer it is None.
+    With a barometer, `log_evidence` (7,) is the `window_log_evidence` of the window. It is used with the next second of
+    the barometer. Without a barometer it is None.
     """
     if log_evidence is not None and state.recent:
         log_evidence = state.log_evidence + log_evidence
@@ -295,7 +295,7 @@ def on_step(
     model: PedestrianModel,
     place: Place | None = None,
 ) -> tuple[HeightState, HeightEstimate, tuple[FloorPassage, ...]]:
-    """Return the state after a step, the estimate at the step, and completed floor passages.
+    """Return the state of the height filter after a step, the estimate at the step, and completed floor passages.
 
     The step was made at `step_s` and detected at `now_s`. With a barometer it counts in the second in which it was
     made, and `on_pressure` returns the passages. Without one it climbs a riser with the probability of stairs. `place`
@@ -322,7 +322,7 @@ def on_step(
 
 
 def with_fix(state: HeightState, fix: PositionFix | GridFix) -> HeightState:
-    """Return the state after a fix with a storey, an altitude, or both.
+    """Return the state of the height filter after a fix with a storey, an altitude, or both.
 
     The storeys are renumbered, and the altitude updates that of the start. Without either the state is unchanged.
     """
@@ -359,7 +359,7 @@ def finish(state: HeightState) -> tuple[HeightState, tuple[FloorPassage, ...]]:
 
 
 def notes(state: HeightState) -> list[Note]:
-    """Return a warning if the pressure has changed a lot without a climb."""
+    """Return a warning if the pressure has changed a lot without a climb, else an empty list."""
     if state.known.most_air_m < _NOTABLE_AIR_M:
         return []
     hpa = state.known.most_air_m / _M_PER_HPA

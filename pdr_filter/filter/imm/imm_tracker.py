@@ -173,7 +173,8 @@ class ImmTracker:
     def _with_evidence(self, state: ImmState, step: Step, window: WindowContext | None) -> tuple[ImmState, FloatArray]:
         """Return the state and the log evidence (M,) of the step, its context window and known standstills.
 
-        A window is evidence only once, for the first step after it. The returned state records that it was used.
+        A window is evidence only once, for the first step to which it belongs. The returned state records that it was
+        used.
         """
         evidence = self.model.step_evidence
         if window is not None and (state.used is None or window.time_s > state.used.time_s):

@@ -228,7 +228,7 @@ class Rival:
 
 
 def initial_state(model: PedestrianModel, prob: FloatArray) -> PedestrianState:
-    """Return the state at the origin, with one filter for each of the probabilities (F,)."""
+    """Return the state of a pedestrian at the origin, with one filter for each of the probabilities (F,)."""
     mean, cov = initial_estimate(model.noise)
     estimates = Estimates(
         mean=np.tile(mean, (len(prob), 1)),
@@ -467,6 +467,6 @@ def moved_by_heading_m(previous: PedestrianState, updated: PedestrianState, leng
 
 
 def track_place(state: PedestrianState) -> Place:
-    """Return the present position in the frame of the filter states; its heading is not set."""
+    """Return the present position and its covariance in the frame of the filter states. The heading is set to 0."""
     x, P = state.estimates.combined
     return Place(x[[EAST, NORTH]], position_cov(P, state.estimates.consider_cov_m2), 0.0, state.steps.n_final)

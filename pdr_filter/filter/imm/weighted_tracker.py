@@ -288,7 +288,10 @@ class WeightedTracker:
         return 0.5 * (provisional + final), weights[self.model.context_index]
 
     def _weights_of(self, context_prob: FloatArray) -> FloatArray:
-        """Return the weights (C,) for context probabilities (C,)."""
+        """Return the weights (C,) for context probabilities (C,), by `function` or else by the threshold.
+
+        ValueError if `function` returns weights of another number, negative weights, or weights that do not sum to one.
+        """
         if self.function is None:
             return context_weights(context_prob, self.threshold)
         weights = np.asarray(self.function(context_prob.copy()), dtype=float)
