@@ -328,7 +328,7 @@ def _rows(waiting: FloatArray, block: UniformBlock) -> FloatArray:
 
 
 def _bias_window(rows: FloatArray) -> BiasWindow:
-    """Return the statistics of a complete window that the bias estimation uses."""
+    """Return the statistics that the bias estimation uses, of the samples (N, 17) of a complete window."""
     mean = np.add.reduce(rows) / len(rows)
     away = rows[:, :6] - mean[:6]
     rate_x, rate_y, rate_z, force_x, force_y, force_z = (np.add.reduce(away * away) / len(rows)).tolist()

@@ -94,7 +94,7 @@ class AcceptedRows(NamedTuple):
 
 
 def accept_rows(clock: ClockState, rows: FloatArray, max_gap_s: float) -> AcceptedRows:
-    """Return the rows with usable times, converted to the track clock.
+    """Return the rows with usable times, converted to the track clock, with the new state and counts of other rows.
 
     The first column of `rows` (N, C) is the time on the sample clock.
     """

@@ -403,7 +403,10 @@ def _likely(prob: FloatArray) -> int:
 
 
 def _held(before: int, changes: list[tuple[int, int]], n: int) -> IntArray:
-    """Return values (n,) of a quantity that changes at some samples and stays constant in between."""
+    """Return values (n,) of a quantity that changes at some samples and stays constant in between.
+
+    `before` is the value before the first change. `changes` are pairs of sample index and new value.
+    """
     values = np.full(n, before)
     for i, value in changes:
         values[i:] = value

@@ -63,7 +63,7 @@ class WatchdogState:
 
 
 def init_watchdog() -> WatchdogState:
-    """Return the state before the first row."""
+    """Return the state of the detection of stuck sensors before the first row."""
     return WatchdogState(0, np.full(6, np.inf), np.full(6, -np.inf), np.full(2, np.nan), (False, False))
 
 

@@ -350,7 +350,10 @@ class StepPlan:
 
 
 def plan_steps(legs: Sequence[Leg], gait: Gait, rng: np.random.Generator) -> StepPlan:
-    """Return the plan of all steps along some legs, with the random variation of the person from step to step."""
+    """Return the plan of all steps along some legs, which are the stretches of a walk.
+
+    Durations and lengths have the random variation of the person from step to step.
+    """
     leg_end: list[float] = []
     parts: list[tuple[FloatArray, ...]] = [tuple(np.zeros(0) for _ in range(7))]
     clock_s = 0.0

@@ -195,10 +195,10 @@ Blend = Callable[[Sequence[float]], FloatArray]
 
 
 def leg_blend(time_s: FloatArray, plan: StepPlan, legs: Sequence[Leg], width_s: float) -> Blend:
-    """Return a function that converts one value for each leg into a smooth function of time.
+    """Return a function that converts one value for each leg (stretch of the walk) into a smooth function of time.
 
     A change begins at the start of the new leg. If a person stops, the change ends there instead, so that nothing moves
-    in the stationary leg.
+    in the stationary leg. `width_s` is the duration of a change.
     """
     lower = np.minimum(np.searchsorted(plan.leg_end_s, time_s, side="right"), len(legs) - 1)
     upper = lower.copy()
@@ -250,7 +250,7 @@ def progress_m(time_s: FloatArray, plan: StepPlan) -> FloatArray:
 
 
 def body_path(time_s: FloatArray, plan: StepPlan, travel_rad: FloatArray) -> FloatArray:
-    """Return east, north, and height of the ground under the person, (N, 3)."""
+    """Return east, north, and height of the ground under the person at some times, (N, 3), m."""
     progress = progress_m(time_s, plan)
     middle = 0.5 * (travel_rad[1:] + travel_rad[:-1])
     east, north = (np.append(0.0, np.cumsum(np.diff(progress) * f(middle))) for f in (np.sin, np.cos))

@@ -65,7 +65,7 @@ class RivalTracker:
 
     @property
     def prob(self) -> float:
-        """Probability of this hypothesis."""
+        """Probability of this hypothesis, at most one half."""
         return 1.0 / (1.0 + math.exp(-self.log_odds))
 
 

@@ -22,8 +22,9 @@ def with_north(config: Config, recording: Recording, placement: TrackPlacement, 
     """Return the configuration with a source of north, or unchanged if none is wanted.
 
     `placement.north` selects the source. Without it the magnetometer is the source, if locations are used as fixes
-    (`with_location`) and the recipe learns walking directions. The declination is that of the given place, or else of
-    the first usable location. Without a place, `north` "magnetic" has an uncertain declination.
+    (`with_location`) and the recipe learns walking directions. The recording must also have a gyroscope and a
+    magnetometer. The declination is that of the given place, or else of the first usable location. Without a place,
+    `north` "magnetic" has an uncertain declination.
     """
     north, where = placement.north, placement.place
     has_sensors = {"gyroscope", "magnetometer"} <= recording.streams.keys()

@@ -273,7 +273,7 @@ def on_window(state: HeightState, window: WindowContext, log_evidence: FloatArra
 def on_pressure(
     state: HeightState, climb: Climb, model: PedestrianModel, place: Place | None = None
 ) -> tuple[HeightState, tuple[FloorPassage, ...]]:
-    """Return the state after a second of the barometer, and the floor passages that are certain now.
+    """Return the state of the height filter after a second of the barometer, and the now certain floor passages.
 
     A passage is certain when no late step can change it. `place` is an accurate location in that second, or None.
     """
@@ -346,7 +346,10 @@ def with_floor(state: HeightState, floor: int) -> HeightState:
 
 
 def finish(state: HeightState) -> tuple[HeightState, tuple[FloorPassage, ...]]:
-    """Return the state after the last event, and the floor passages that were not returned before."""
+    """Return the state of the height filter after the last event, and the remaining floor passages.
+
+    These are the passages that were not returned before.
+    """
     passages = [p for later_second in state.recent[1:] for p in later_second.before.floors.passages]
     if state.recent:
         passages += state.known.floors.passages

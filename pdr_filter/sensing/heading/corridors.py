@@ -151,7 +151,8 @@ class Corridors:
     def update(self, state: CorridorState, time_s: float, heading_rad: float) -> CorridorState:
         """Return the state after a step with this walking heading, which is not wrapped.
 
-        Each step predicts the drift. Only a step of a straight part is a measurement of the axes.
+        Each step predicts the drift. Only a step of a straight part is a measurement of the axes. The first straight
+        part defines their direction.
         """
         last_s, last_rad = state.recent[-1] if state.recent else (time_s, heading_rad)
         bank = self._predict(state, time_s - last_s, heading_rad - last_rad)
@@ -174,11 +175,11 @@ class Corridors:
         return self._update_straight(state, heading_rad, is_new)
 
     def probability(self, state: CorridorState) -> float:
-        """Return the probability that the walk follows axes."""
+        """Return the probability that the walk follows the axes of a building."""
         return 1.0 / (1.0 + math.exp(-state.log_odds))
 
     def is_sure(self, state: CorridorState) -> bool:
-        """Return True if the log odds of axes reach `sure_log_odds`."""
+        """Return True if the log odds that the walk follows the axes of a building reach `sure_log_odds`."""
         return state.log_odds >= self.sure_log_odds
 
     def drift(self, state: CorridorState) -> tuple[float, float]:
@@ -223,7 +224,7 @@ class Corridors:
         return bank
 
     def _update_straight(self, state: CorridorState, heading_rad: float, is_new: bool) -> CorridorState:
-        """Return the state after a step of a straight part; `is_new` is True for a leg in a new direction."""
+        """Return the state after a step of a straight part. `is_new` is True for a straight part in a new direction."""
         product = state.bank.dot(_ALONG_AXIS)
         gain = product[:, 1:]
         predicted_var = gain[:, _DRIFT] + gain[:, _AXIS]

@@ -109,7 +109,10 @@ class KnownPlace:
 
 
 def known_places(steps: Table) -> tuple[KnownPlace, ...]:
-    """Return the places of the phone during a track, each with the direction estimated at its last stride."""
+    """Return the places of the phone during a track, in order of time.
+
+    Each has the walking direction in the axes of the phone, as estimated at the last stride in this place.
+    """
     since_s, std_rad = np.asarray(steps.carried_since_s), np.asarray(steps.shown_offset_std_rad)
     shown_rad = np.asarray(steps.shown_offset_rad)
     (in_place,) = (np.isfinite(since_s) & np.isfinite(std_rad)).nonzero()
@@ -734,7 +737,10 @@ class WalkingHeading:
         return math.atan2(dot(direction, right), dot(direction, stride.axis))
 
     def _systematic_rad2(self, stride: Stride) -> float:
-        """Return the variance of the systematic error of a stride, rad2."""
+        """Return the variance of the systematic error of a stride, rad2.
+
+        It is larger in running and with the screen up.
+        """
         has_large_error = stride.runs or stride.up[2] > 0.5
         return (self.held_systematic_std_rad if has_large_error else self.systematic_std_rad) ** 2
 

@@ -183,12 +183,12 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
 
     @cached_property
     def _n_before(self) -> int:
-        """Samples before a contact that enter the response."""
+        """Number of samples before a contact that enter the response."""
         return round(self.before_s * self.rate_hz) + len(self._power_low_pass) // 2
 
     @property
     def _delay_samples(self) -> int:
-        """Samples after a contact that enter the response."""
+        """Number of samples after a contact that enter the response."""
         return self._n_after
 
     @cached_property

@@ -201,17 +201,17 @@ class StepGate:
 
     @cached_property
     def _samples_per_row(self) -> int:
-        """Samples that are averaged to one row of the evidence."""
+        """Number of samples that are averaged to one row of the evidence."""
         return round(self.rate_hz / EVIDENCE_HZ)
 
     @cached_property
     def _n_before(self) -> int:
-        """Rows of a window before the contact, at normal walking."""
+        """Number of rows of a window before the contact, at normal walking."""
         return round(self.before_s * EVIDENCE_HZ)
 
     @cached_property
     def _n_after(self) -> int:
-        """Rows of a window after the contact."""
+        """Number of rows of a window after the contact."""
         return round(self.after_s * EVIDENCE_HZ)
 
     @cached_property
@@ -306,7 +306,7 @@ class StepGate:
         return (replace_unchecked(after, run_s=state.run_s, is_bout=True) if state.is_bout else after), released
 
     def _row(self, state: StepGateState, step: Step) -> int:
-        """Return the number of the row that contains the contact of a step."""
+        """Return the number of the row (specific force averaged to 25 Hz) that contains the contact of a step."""
         return max(math.floor((step.time_s - state.start_s) * EVIDENCE_HZ), 0)
 
     def _judge(self, state: StepGateState, numbers: Sequence[int]) -> tuple[StepGateState, list[tuple[int, Step]]]:
@@ -353,9 +353,10 @@ class StepGate:
         return log_odds.tolist()
 
     def _window(self, state: StepGateState, row: int, number: int, stretch: float) -> FloatArray:
-        """Return the rows of the window around row number `row`, as known at sample `number`.
+        """Return the rows of specific force (N, 3) of the window around row number `row`, as known at sample `number`.
 
-        The result does not depend on how many rows are still buffered.
+        `stretch` multiplies the length of the part before the contact. The result does not depend on how many rows are
+        still buffered.
         """
         n_rows = (state.n_samples - len(state.rest)) // self._samples_per_row
         n_seen = (number + 1) // self._samples_per_row
