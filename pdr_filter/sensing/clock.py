@@ -94,9 +94,10 @@ class AcceptedRows(NamedTuple):
 
 
 def accept_rows(clock: ClockState, rows: FloatArray, max_gap_s: float) -> AcceptedRows:
-    """Return the rows with usable times, converted to the track clock, with the new state and counts of other rows.
+    """Return the sample rows with usable times, converted to the track clock, with the new state and counts.
 
-    The first column of `rows` (N, C) is the time on the sample clock.
+    The first column of `rows` (N, C) is the time on the sample clock. The counts are of dropped rows, backward clock
+    jumps and glitches.
     """
     accepted: list[FloatArray] = [rows[:0]]
     n_dropped = n_set_backs = n_glitches = start = 0
@@ -144,7 +145,7 @@ class _Decision(NamedTuple):
 
 
 def _accept_or_hold(clock: ClockState, row: FloatArray, max_gap_s: float) -> _Decision:
-    """Return the decision on a row: accept it together with the held rows, hold it, or drop it."""
+    """Return the decision on a sample row: accept it together with the held rows, hold it, or drop it."""
     row = row.copy()
     row[0] += clock.offset_s
     time_s = float(row[0])

@@ -372,7 +372,10 @@ class Conditioner:
         return self._resample(state, state.rows, hop_samples=1) if state.n_emitted > 0 else (state, [])
 
     def _update_part(self, state: ConditionerState, block: ImuBlock) -> tuple[ConditionerState, list[UniformBlock]]:
-        """Return the new state and the completed hops for at most `_ROWS_AT_ONCE` raw samples."""
+        """Return the new state and the completed hops for at most `_ROWS_AT_ONCE` raw samples.
+
+        A hop is a block of `hop_samples` uniform samples.
+        """
         state, rows = self._accept(state, block)
         if len(rows) == 0:
             return state, []
@@ -438,7 +441,10 @@ class Conditioner:
         return replace_unchecked(state, last_rate=last_rate, last_field=last_field, **checks), rows
 
     def _start_segment(self, state: ConditionerState, part: FloatArray) -> ConditionerState:
-        """Return the state at the start of the segment that begins with the rows `part` after a gap."""
+        """Return the state at the start of the segment that begins with the rows `part` after a gap.
+
+        The gap is counted.
+        """
         # The gap is counted from the end of the emitted samples. A segment that emitted nothing was never reported, so
         # the gap before it is added to this one.
         emitted_until_s = state.segment_start_s + state.n_emitted / self.rate_hz
@@ -462,7 +468,7 @@ class Conditioner:
     def _resample(
         self, state: ConditionerState, rows: FloatArray, hop_samples: int
     ) -> tuple[ConditionerState, list[UniformBlock]]:
-        """Return the new state and the uniform samples of all whole hops that the rows cover.
+        """Return the new state and the uniform samples of all whole hops of `hop_samples` that the rows cover.
 
         Each uniform sample is the mean of the linear interpolant over its interval of the grid.
         """

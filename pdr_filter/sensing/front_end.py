@@ -249,7 +249,10 @@ class Sensing:
     def _process_blocks(
         self, state: SensingState, uniform: Sequence[UniformBlock]
     ) -> tuple[SensingState, list[tuple[float, Event]]]:
-        """Return the new state and the events of uniform blocks, restarting the stages at gaps."""
+        """Return the new state and the events of uniform blocks, restarting the stages at gaps.
+
+        Events are steps, classified windows and gaps, each with the time at which it became known.
+        """
         events: list[tuple[float, Event]] = []
         for part in uniform:
             if part.gap_before_s > 0 and state.n_samples > 0:
@@ -277,7 +280,10 @@ class Sensing:
         return self.attitude.bias.learnt(state.attitude.bias, error_rad, error_var)
 
     def _process_block(self, state: SensingState, part: UniformBlock) -> tuple[SensingState, list[tuple[float, Event]]]:
-        """Return the new state and the events of one uniform block without a gap."""
+        """Return the new state and the events of one uniform block without a gap.
+
+        Events are steps and classified windows, each with the time at which it became known.
+        """
         n_before = state.n_samples
         attitude_state, attitude = self.attitude.update(state.attitude, part)
         context_state, windows = None, list[tuple[int, WindowContext]]()

@@ -402,7 +402,10 @@ class OnlineFilter:
         rows = {name: np.atleast_1d(as_floats(values, name)) for name, values in columns.items()}
         if any(row.shape != (len(rows["time_s"]),) for row in rows.values()):
             shapes = ", ".join(f"{name} {row.shape}" for name, row in rows.items())
-            raise ValueError(f"all columns of locations must have the same length, got shapes {shapes}")
+            raise ValueError(
+                f"all columns of locations must have the same length, got shapes {shapes}: give one value for each "
+                "time_s"
+            )
         self.state = add_location(self.config, self.state, *rows.values())
         return []
 
@@ -667,7 +670,7 @@ def imu_block(
     if time.size == 0 and np.size(specific_force_mps2) == 0:
         return ImuBlock(np.empty(0), *(np.empty((0, 3)) for _ in range(3)))
     if time.ndim != 1:
-        raise ValueError(f"time_s must be one-dimensional, got shape {time.shape}")
+        raise ValueError(f"time_s must be one-dimensional, got shape {time.shape}: give one time for each sample")
     columns = {
         "specific_force_mps2": specific_force_mps2,
         "angular_rate_radps": angular_rate_radps,

@@ -207,7 +207,7 @@ def solutions(pairs: Sequence[PairedRange], prior: PriorPose | None = None) -> l
 def _distinct(pose: FloatArray) -> FloatArray:
     """Return the first of each group of equal poses (P, 3), at most `_N_KEPT` of them.
 
-    Poses that differ by at most `_SAME_M` and `_SAME_RAD` are equal.
+    A pose is a position and a rotation of the track. Poses that differ by at most `_SAME_M` and `_SAME_RAD` are equal.
     """
     kept = list[FloatArray]()
     left = pose
@@ -227,7 +227,7 @@ def log_density_unmoved(pairs: Sequence[PairedRange]) -> float:
 
 
 def _is_same(a: FloatArray, b: FloatArray) -> bool:
-    """Return True if two poses are the same solution."""
+    """Return True if two poses, each a position and a rotation, are the same solution within small tolerances."""
     return bool(np.hypot(*(a[:2] - b[:2])) < _SAME_M and abs(float(wrap_angle(a[2] - b[2]))) < _SAME_RAD)
 
 
@@ -249,8 +249,8 @@ class _Problem:
     def starts(self) -> FloatArray:
         """Return the poses (P, 3) from which the least squares start.
 
-        Their positions are on circles about up to three anchors, and at the prior. The rotations are all around, or
-        that of the prior if it is well known.
+        A pose is the position and rotation of the track. The positions are on circles about up to three anchors, and at
+        the prior. The rotations are all around, or that of the prior if it is well known.
         """
         angles = np.linspace(-math.pi, math.pi, _N_ANGLES, endpoint=False)
         if self.prior is not None and self.prior.information[2, 2] > 1.0 / MAX_ANGLE_STD_RAD**2:
@@ -269,7 +269,10 @@ class _Problem:
         return np.column_stack([place, angle])
 
     def _parts(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the residuals (P, N) of the ranges at poses (P, 3), and their derivatives (P, N, 3) by the pose."""
+        """Return the residuals (P, N) of the ranges at poses (P, 3), and their derivatives (P, N, 3) by the pose.
+
+        A pose is the position and rotation of the track.
+        """
         c, s = np.cos(pose[:, 2, None]), np.sin(pose[:, 2, None])
         east, north = self.lever_m.T
         turned = np.stack([c * east + s * north, c * north - s * east], axis=-1)
@@ -284,16 +287,19 @@ class _Problem:
         return columns[:, :2], columns[:, 2], columns[:, 3]
 
     def _log_densities(self, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the log densities (P, N) of the residuals for direct and for reflected paths."""
+        """Return the log densities (P, N) of the residuals of N ranges for direct and for reflected paths."""
         return range_log_densities(residual, self._var_m2, np.array([fix.std_m for fix in self.fixes]))
 
     def _direct(self, residual: FloatArray) -> FloatArray:
-        """Return the probability (P, N) that each path is direct."""
+        """Return the probability (P, N) that the path of each range is direct, given the residuals."""
         direct, reflected = self._log_densities(residual)
         return np.exp(direct - np.logaddexp(direct, reflected))
 
     def _from_prior(self, prior: PriorPose, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the differences (P, 3) of poses from the prior, and their derivatives (P, 3, 3) by the pose."""
+        """Return the differences (P, 3) of poses from the prior, and their derivatives (P, 3, 3) by the pose.
+
+        A pose is the position and rotation of the track.
+        """
         lever = prior.track_m - self.centre_m
         c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
         turned = np.column_stack([c * lever[0] + s * lever[1], c * lever[1] - s * lever[0]])
@@ -305,9 +311,8 @@ class _Problem:
     def _normal(self, pose: FloatArray, is_robust: bool) -> tuple[FloatArray, FloatArray]:
         """Return the normal matrices (P, 3, 3) and gradients (P, 3) of the least squares at poses (P, 3).
 
-        The prior is included.
-
-        If `is_robust` is True, each range has the weight of its probability to be direct.
+        A pose is the position and rotation of the track. The prior is included. If `is_robust` is True, each range has
+        the weight of its probability to be direct.
         """
         residual, J = self._parts(pose)
         weight = (self._direct(residual) if is_robust else np.ones_like(residual)) / self._var_m2
@@ -320,7 +325,7 @@ class _Problem:
         return normal, gradient
 
     def improved(self, pose: FloatArray, is_robust: bool, damping: float) -> FloatArray:
-        """Return the poses after one damped Gauss-Newton iteration (Levenberg-Marquardt).
+        """Return the poses (position and rotation) after one damped Gauss-Newton iteration (Levenberg-Marquardt).
 
         If `is_robust` is True, each range has the weight of its probability to be direct.
         """
@@ -329,11 +334,14 @@ class _Problem:
         return pose - np.linalg.solve(damped, gradient[..., None])[..., 0]
 
     def information(self, pose: FloatArray) -> FloatArray:
-        """Return the information matrix (3, 3) of one pose (3,), by the probably direct ranges and the prior."""
+        """Return the information matrix (3, 3) of one pose (position and rotation of the track).
+
+        The ranges that are probably direct and the prior contribute.
+        """
         return self._normal(pose[None], is_robust=True)[0][0]
 
     def log_density(self, pose: FloatArray) -> FloatArray:
-        """Return the log density (P,) of the ranges and the prior at poses (P, 3).
+        """Return the log density (P,) of the ranges and the prior at poses (P, 3), which are positions and rotations.
 
         Each range is either direct, or reflected and longer.
         """
@@ -344,7 +352,7 @@ class _Problem:
         return total - 0.5 * np.einsum("pa,ab,pb->p", difference, self.prior.information, difference)
 
     def fits(self, pose: FloatArray) -> tuple[bool, ...]:
-        """Return, for each range, True if it fits one pose (3,).
+        """Return, for each range, True if it fits one pose (3,), which is a position and a rotation.
 
         Its residual is then below 3.7 standard deviations, and its path is more probably direct than reflected.
         """

@@ -208,7 +208,10 @@ def after_step(moments: FloatArray, rise_m: float, climbed_var_m2: float, sloped
 
 
 def as_slope(moments: FloatArray, climbed_m: float) -> FloatArray:
-    """Return the moments with `climbed_m` of the climbed height counted as sloped. The height does not change."""
+    """Return the moments (7, 5, 5) with `climbed_m` of the climbed height counted as sloped.
+
+    The height does not change.
+    """
     G = np.eye(_SIZE)
     G[_CLIMBED, _ONE], G[_SLOPED, _ONE] = -climbed_m, climbed_m
     return G @ moments @ G.T

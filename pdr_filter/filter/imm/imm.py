@@ -296,7 +296,9 @@ def smoothed_mode_prob(mode_prob: FloatArray, transition_prob: FloatArray, lag: 
     mode_prob = np.asarray(mode_prob, dtype=float)
     check_transition_prob(transition_prob, mode_prob.shape[-1])
     if lag is not None and lag < 0:
-        raise ValueError(f"lag is a number of steps and must be 0 or more, got {lag}")
+        raise ValueError(
+            f"lag is a number of steps and must be 0 or more, got {lag}: leave it out to use all later steps"
+        )
     n_steps = len(mode_prob)
     if lag is None:
         smoothed = mode_prob.copy()

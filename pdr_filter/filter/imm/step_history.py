@@ -92,9 +92,9 @@ class StepHistory:
         return StepHistory(self.n_final + 1, step.time_s, 0.0, speed, trail)
 
     def after_gap(self, gap_s: float) -> StepHistory:
-        """Return the history after a time without samples, with neither a last step nor a walking speed.
+        """Return the history after a time without samples, without the time and the walking speed of a last step.
 
-        `gap_s` is added to the earlier gaps since the last step.
+        `gap_s` is added to the earlier gaps since the last step. The stored positions of the steps are kept.
         """
         return replace_unchecked(self, last_s=math.nan, gap_s=self.gap_s + gap_s, speed=None)
 

@@ -415,7 +415,7 @@ class StepGate:
         return self.mean_walk_s / (self.mean_walk_s + self.mean_pause_s)
 
     def _change_probs(self, duration_s: float) -> tuple[float, float]:
-        """Return the probabilities to have stopped walking and to have started walking after a time."""
+        """Return two probabilities for the end of a time: that a walker has stopped, and that a non-walker walks."""
         mixed = -math.expm1(-duration_s * (1.0 / self.mean_walk_s + 1.0 / self.mean_pause_s))
         return mixed * (1.0 - self._walking_share), mixed * self._walking_share
 
