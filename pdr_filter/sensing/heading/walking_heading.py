@@ -675,7 +675,7 @@ class WalkingHeading:
     def _update_place(
         self, state: WalkingHeadingState, stride: Stride, time_s: float, carrying_mode: int
     ) -> tuple[Offset, tuple[PreviousPlacement, ...], Placement, float]:
-        """Return the offset, the previous places, the place of a stride, and the change of the offset.
+        """Return the heading offset, the previous places, the place of a stride, and the change of the offset.
 
         The phone was moved if the mean up direction of the stride is too far from that of the place. A new place then
         begins. Its offset follows from the last walking direction, and from a previous place with the same tilt if
@@ -745,7 +745,7 @@ class WalkingHeading:
         return (self.held_systematic_std_rad if has_large_error else self.systematic_std_rad) ** 2
 
     def _with_axis(self, place: Placement, offset: Offset, stride: Stride, trust: float) -> Offset:
-        """Return the offset updated with the pointing axis of the phone, as for a phone that is read while walking.
+        """Return the heading offset updated with the pointing axis of the phone, as of a phone that is being read.
 
         The axis is used only if the phone may have been read during at least half of the strides in this place
         (`Placement.n_read`). It is not used if strides with high agreement (`trust`) contradict it.
@@ -760,11 +760,12 @@ class WalkingHeading:
     def _update_offset(
         self, place: Placement, offset: Offset, stride: Stride, elapsed_s: float
     ) -> tuple[Offset, Offset, float]:
-        """Return the offset after a stride, the offset with temporary information, and the agreement of strides.
+        """Return the heading offset after a stride, also with temporary information, and the agreement of strides.
 
-        The first strides of a place update the offset only temporarily, by their sum. Later strides may show that the
-        phone is in a swinging hand, or has another phase, and this changes the direction of the sum. After
-        `_FIRST_STRIDES` strides the sum is used permanently, and further strides are used one by one.
+        The second result is the offset with the temporary information. The first strides of a place update the offset
+        only temporarily, by their sum. Later strides may show that the phone is in a swinging hand, or has another
+        phase, and this changes the direction of the sum. After `_FIRST_STRIDES` strides the sum is used permanently,
+        and further strides are used one by one.
         """
         stay = math.exp(-elapsed_s / self.systematic_s)
         random_walk_rad2 = self.drift.random_walk_rad_per_sqrt_s**2 * elapsed_s
