@@ -230,8 +230,9 @@ class Frame:
     def is_settled(self) -> bool:
         """True if the frame can be joined.
 
-        The track must be as uncertain as its fixes, and the rotation known well enough. The rotation may be determined
-        by positions, by the compass, and by an earlier heading fix.
+        The track must be as uncertain as its fixes, and the rotation known well enough. Positions and the compass may
+        determine the rotation, with its prior. An earlier heading fix alone is not sufficient: positions must determine
+        the rotation without it, and agree with it.
         """
         rotation = self._density if self._is_track_uncertain else None
         if rotation is not None and self.rotation_prior_var_rad2 <= MAX_ANGLE_STD_RAD**2:

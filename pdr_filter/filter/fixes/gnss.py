@@ -355,9 +355,9 @@ class Rides:
     def plus(self, fix: PositionFix, step_time_s: FloatArray) -> Rides:
         """Return the vehicle rides with one more fix. Steps are given by their times (K,), s.
 
-        A fast interval since the last fix begins a ride, or extends the ride that ends at this fix. It must be longer
-        than three standard deviations. A fix that is not after the last one is ignored. Only the last `_MAX_RIDES`
-        rides are kept.
+        A fast interval with hardly any steps begins a ride, or extends the ride that ends at the last fix. It must be
+        longer than three standard deviations. A fix that is not after the last one is ignored. Only the last
+        `_MAX_RIDES` rides are kept.
         """
         previous = self.last
         if previous is None or fix.time_s <= previous.time_s:
