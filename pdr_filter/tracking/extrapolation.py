@@ -76,7 +76,9 @@ class Now:
     floor : int
         Storey. The start is on storey 0, unless a fix names the storey.
     fixes : tuple of FixResult
-        Outcomes of the last 16 fixes. rates_hz : mapping of str to float Sampling rate of each sensor, Hz.
+        Outcomes of the last 16 fixes.
+    rates_hz : mapping of str to float
+        Sampling rate of each sensor, Hz.
     n_gaps : int
         Number of gaps in the samples.
     lost_s : float

@@ -41,8 +41,9 @@ class Place:
     cov_m2 : (2, 2) array
         Covariance of the position.
     heading_rad : float
-        Walking heading, clockwise from the north axis of the frame. n_steps : int Index of the step that led to the
-        place, from 0 for the first step.
+        Walking heading, clockwise from the north axis of the frame.
+    n_steps : int
+        Index of the step that led to the place, from 0 for the first step.
     """
 
     position_m: FloatArray

@@ -72,7 +72,9 @@ class PriorPose:
     Attributes
     ----------
     track_m : (2,) array
-        Point of the track. place_m : (2,) array Prior mean of the position of this point in the frame of the anchors.
+        Point of the track.
+    place_m : (2,) array
+        Prior mean of the position of this point in the frame of the anchors.
     information : (3, 3) array
         Information matrix of the position and the rotation.
     angle_rad : float
