@@ -155,7 +155,7 @@ class IntakeReport:
     last_time_s: float = np.nan
 
     def notes(self) -> tuple[str, ...]:
-        """Return one warning for each kind of repair, or an empty tuple if nothing was repaired."""
+        """Return one warning for each kind of repaired, dropped or missing samples, or an empty tuple without any."""
         found: list[str] = []
         if self.n_not_finite:
             found.append(

@@ -216,7 +216,11 @@ class StreamMerger:
         )
 
     def _buffered(self, state: MergerState, sensor: Sensor, new: FloatArray) -> MergerState:
-        """Return the state with new rows (N, 1 + d) of a sensor buffered in order of time and late rows dropped."""
+        """Return the state with new rows (N, 1 + d) of a sensor buffered in order of time and late rows dropped.
+
+        Rows without a finite time are dropped, and those of other sensors than the accelerometer if any value is
+        missing.
+        """
         finite = np.isfinite(new)
         timed = new if finite.all() else new[finite[:, 0]]
         if sensor == "accelerometer":

@@ -166,7 +166,10 @@ class Output:
 
 
 def init(config: Config) -> State:
-    """Return the state of a filter before its first sample."""
+    """Return the state of a filter before its first sample.
+
+    With a floor plan, the storey is that of the start on the plan, and the origin of the locations that of the plan.
+    """
     state = State(config.sensing.init(), config.tracker.init(), config.climb_rate.init())
     on_plan = config.on_plan
     if on_plan is None:
@@ -230,7 +233,7 @@ def add_pressure(config: Config, state: State, time_s: FloatArray, pressure_hpa:
     """Return the state with barometer samples, (N,) each.
 
     Windows that end after the samples use the climb rate. Give the pressure of a time before the other samples of that
-    time, because each window is classified only once.
+    time, because each window is classified only once. Only the last `MAX_CLIMBS` climb rates wait for their windows.
     """
     barometer, climbs = config.climb_rate.update(state.barometer, time_s + state.clock_offset_s, pressure_hpa)
     all_climbs = (*state.climbs, *climbs)
@@ -475,8 +478,8 @@ def _with_passages(config: Config, state: State, passages: Sequence[FloorPassage
 def _with_steps(config: Config, state: State, known_s: float, updates: Sequence[StepUpdate], output: Output) -> State:
     """Return the state after steps, and append the steps to the output.
 
-    Final steps update the height filter and the particles. Each appended step has the height, the storey and, with a
-    floor plan, the position of the particles.
+    Final steps update the height filter and the particles. Each appended step has the height and the storey. With a
+    floor plan, final steps have the position of the particles.
     """
     height_state = state.height
     for update in updates:

@@ -243,7 +243,8 @@ def _with_times(stretches: list[tuple[float, float]], words: str) -> list[str]:
 def _jumps(track: TrackRows) -> list[str]:
     """Return one sentence about the steps at which the filter corrected the position of the whole earlier path.
 
-    Tracks with fixes or a floor plan are not checked, because these may move the track.
+    Corrections of more than `_JUMP_M` besides the step itself are reported. Tracks with fixes or a floor plan are not
+    checked, because these may move the track.
     """
     if track.fixes or track.plan is not None:
         return []

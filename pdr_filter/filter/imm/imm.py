@@ -111,8 +111,8 @@ def mixed_values(values: FloatArray, mode_prob: FloatArray, transition_prob: Flo
 def _mixing_weights(mode_prob: FloatArray, transition_prob: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return mixing weights and predicted mode probabilities.
 
-    The weights mu_i|j (..., j, i) are the probabilities of the last mode i given the next mode j. The predicted
-    probabilities c_j are (..., M).
+    The weights mu_i|j (..., j, i) are the probabilities of the last mode i given the next mode j. A next mode that
+    cannot be reached has the weight one for itself. The predicted probabilities c_j are (..., M).
     """
     joint = transition_prob * mode_prob[..., :, None]
     predicted = mode_prob.dot(transition_prob)

@@ -232,7 +232,7 @@ def _ranges(starts: IntArray, n: IntArray) -> IntArray:
 
 
 def checked_pressure(time_s: FloatArray, pressure_hpa: FloatArray) -> FloatArray:
-    """Return the times and pressures (2, N) of the usable samples.
+    """Return the times and pressures (2, N) of the usable samples: those with a finite time and 300 to 1100 hPa.
 
     Raises ValueError for wrong shapes and for pressures in Pa or kPa.
     """

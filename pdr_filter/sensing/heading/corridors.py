@@ -139,7 +139,8 @@ class Corridors:
     def restart(self, state: CorridorState) -> CorridorState:
         """Return the state after a break in the headings: drift and axes are unknown again.
 
-        The drift rates with their variances and the means of the scale errors are kept.
+        The drift rates with their variances and weights are kept, and so are the means of the scale errors. The odds of
+        axes start again.
         """
         initial = self.init()
         mean, cov = initial.mean, initial.cov

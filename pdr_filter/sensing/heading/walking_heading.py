@@ -499,8 +499,9 @@ class WalkingHeading:
 
         The stride that the step ends updates the place of the phone and the heading offset. The new information is
         reported in the fields of the step. `stride` is None if the step ends no usable stride. The step then receives
-        only the heading error due to the gyroscope bias and the present offset. `bias_error` holds the three results of
-        `_bias_error`: the error of the device heading due to the gyroscope bias in rad, and two variances in rad2.
+        only the heading error due to the gyroscope bias and the present offset. Before the first usable stride there is
+        no offset. `bias_error` holds the three results of `_bias_error`: the error of the device heading due to the
+        gyroscope bias in rad, and two variances in rad2.
         """
         loss = self._bias_field(state, step, bias_error[2] - state.lost_var_rad2)
         reported = state.reported.at_step(step, self.drift, loss.get("yaw_bias_std_radps", step.yaw_bias_std_radps))

@@ -368,7 +368,8 @@ class StepGate:
     def _accept(self, state: StepGateState, contact_s: float) -> tuple[StepGateState, list[Step]]:
         """Return the state and the released steps when the last judged step is walking.
 
-        The step is released if it continues a bout. If it completes a new bout, all steps of that bout are released.
+        If the step continues a bout, it is released with the held steps before it. If it completes a new bout, all
+        steps of that bout are released.
         """
         continues = contact_s - state.run_s[1] <= self.max_interval_s
         run_s = (state.run_s[0] if continues else contact_s, contact_s)
