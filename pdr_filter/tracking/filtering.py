@@ -389,7 +389,7 @@ def finish(config: Config, state: State) -> tuple[State, Output]:
     state, late = _process(config, replace_unchecked(state, sensing=sensing), events)
     output.extend(late)
     tracker, last = config.tracker.finish(state.tracker)
-    state = _with_rival(state, config.tracker.finish)
+    state = _with_rival(replace_unchecked(state, tracker=tracker), config.tracker.finish)
     end_s = state.sensing.processed_s
     state = _with_steps(config, state, end_s, last, output)
     state = _with_pressure(config, state, np.inf, output)
@@ -397,7 +397,7 @@ def finish(config: Config, state: State) -> tuple[State, Output]:
     state = _with_passages(config, replace_unchecked(state, height=height_state), passages, output)
     due_fixes = [f for f in state.waiting_fixes if received_s(f) <= end_s]
     later_fixes = [f for f in state.waiting_fixes if received_s(f) > end_s]
-    state = replace_unchecked(state, tracker=tracker, waiting_fixes=tuple(later_fixes), finished=True)
+    state = replace_unchecked(state, waiting_fixes=tuple(later_fixes), finished=True)
     for fix in due_fixes:
         state, result = _use_fix(config, state, fix, end_s)
         output.fixes.append(result)
