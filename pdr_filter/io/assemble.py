@@ -86,23 +86,24 @@ class Parsed:
 
         The vertical is estimated from the gyroscope and the steps. RecordingError if the samples do not show it.
         """
-        name = f"the acceleration ({self.linear}) lacks gravity"
         gyroscope = Samples(*self.streams["gyroscope"]) if "gyroscope" in self.streams else None
         try:
             restored = with_gravity(Samples(*self.streams["accelerometer"]), gyroscope)
         except ValueError as error:
-            raise RecordingError(f"{where}: {self.linear}: {error}: export {self.instead}") from error
+            raise RecordingError(f"{where}: {self.linear}: {error}; export {self.instead}") from error
         self.streams["accelerometer"] = restored.force.time_s, restored.force.values
         self.found.append(f"accelerometer: {self.linear}, with gravity along the vertical of the walk")
         if gyroscope is None:
-            words = f"{name}, and there is no gyroscope: only steps and distance can be trusted; record both"
-        else:
             words = (
-                f"{name}, so that the vertical was estimated from the gyroscope and the steps: turns and directions "
+                "and there is no gyroscope: only steps and distance can be trusted; next time record the gyroscope and "
             )
-            words += f"are less certain{'' if restored.is_sense_sure else ', and the path may be mirrored'}; next time "
-            words += f"record {self.instead}"
-        self.notes.insert(0, words)
+        else:
+            mirrored = "" if restored.is_sense_sure else ", and the path may be mirrored"
+            words = (
+                "so that the vertical was estimated from the gyroscope and the steps: turns and directions are less "
+            )
+            words += f"certain{mirrored}; next time record "
+        self.notes.insert(0, f"the acceleration ({self.linear}) lacks gravity, {words}{self.instead}")
 
     def _move_epoch(self, by_s: float) -> None:
         """Add `by_s` seconds to the Unix time of time zero, because time zero moves by that much."""
