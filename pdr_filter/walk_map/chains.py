@@ -198,6 +198,14 @@ def hashed(wifi: Wifi, salt: str) -> Wifi:
     -------
     Wifi
         Receptions with other addresses.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.walk_map.chains import hashed
+    >>> wifi = pdr.Wifi([0.0, 0.1], [11, 12], [-50.0, -70.0], [2412.0, 2437.0])
+    >>> hashed(wifi, "secret").n_access_points
+    2
     """
     known, number = np.unique(wifi.bssid, return_inverse=True)
     other = [int.from_bytes(hashlib.sha256(f"{salt}\n{b}".encode()).digest()[:6], "big") for b in known.tolist()]

@@ -49,6 +49,18 @@ class MappedWalk:
         Covariances of the positions, in m^2.
     floor : array (K + 1,)
         Storeys.
+
+    Examples
+    --------
+    >>> import numpy as np, pdr_filter as pdr
+    >>> from dataclasses import replace
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=10.0)])
+    >>> heard_s = np.repeat([2.0, 5.0], 5)
+    >>> wifi = pdr.Wifi(heard_s, np.tile(np.arange(5), 2), np.full(10, -60.0), np.full(10, 2412.0))
+    >>> start = pdr.PositionFix(0.0, (3.0, 4.0), np.eye(2))
+    >>> walk_map = pdr.map_walks([replace(walk, wifi=wifi)], [(walk.name, start)])
+    >>> walk_map.walks[0].at(0.0)[0].round(1)
+    array([3., 4.])
     """
 
     name: str

@@ -6,8 +6,8 @@ import json
 from pathlib import Path
 
 import pytest
-from heard import round_a_block, walk_with_wifi
 from commands import run
+from heard import round_a_block, walk_with_wifi
 
 import pdr_filter as pdr
 
