@@ -30,21 +30,11 @@ _ITERATIONS = 15
 
 @dataclass(frozen=True, slots=True, eq=False)
 class States:
-    """Solved states of one walk.
+    """Solved states of one walk with N knots."""
 
-    Attributes
-    ----------
-    mean : array (N, 4)
-        States of the knots.
-    frame_rad : float
-        Rotation of the frame of the heading offsets.
-    joint_cov : array (N - 1, 8, 8)
-        Covariance of both ends of each interval.
-    """
-
-    mean: FloatArray
-    frame_rad: float
-    joint_cov: FloatArray
+    mean: FloatArray  # (N, 4)
+    frame_rad: float  # rotation of the frame of the heading offsets
+    joint_cov: FloatArray  # (N - 1, 8, 8) covariance of both ends of each interval
 
 
 def solve_group(
