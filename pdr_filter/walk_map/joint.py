@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import gtsam
 import numpy as np
 
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, N_STATES
@@ -22,7 +23,7 @@ from pdr_filter.walk_map.placing import Pairs, PlacedGroup, ScannedWalks, pairs_
 Known = PositionFix | HeadingFix
 # Factor on the standard deviations of the ranges, so that the covariances are valid, because the scans of one place
 # share the errors of the walls around them. Chosen on storey F1 of `ms_indoor`.
-INFLATION = 2.0
+INFLATION = 3.0
 # Definition of a frame without fixes: the start of its first walk.
 _ORIGIN_STD_M, _ORIGIN_STD_RAD = 0.01, 0.001
 _ITERATIONS = 15
@@ -74,7 +75,7 @@ def solve_group(
             rows += _known_rows(walks, i, state[i][0], known.get(i, ()), base[i])
         rows += _origin_rows(walks, group, free, base, state, known, bool(fixed))
         rows += _range_rows(walks, pairs, points, state, base)
-        solution = graph_of(rows).optimize()
+        solution = graph_of(rows).optimize(gtsam.EliminateQR)
         largest = 0.0
         for i in free:
             n, (mean, frame_rad) = chains[i].n_knots, state[i]

@@ -138,7 +138,7 @@ def numbers(tables: Tables, arguments: argparse.Namespace) -> None:
             chosen = np.random.default_rng(seed).permutation(len(every))[:n]
             part = [every[i] for i in sorted(chosen)]
             rows.append(row(f"{len(part)} walks of F1, draw {seed + 1}", part, *mapped(part)))
-    tables.write("walk_map_numbers", COLUMNS, rows, "ScannedWalks drawn at random.")
+    tables.write("walk_map_numbers", COLUMNS, rows, "Walks drawn at random.")
 
 
 def all_storeys(tables: Tables, arguments: argparse.Namespace) -> None:
