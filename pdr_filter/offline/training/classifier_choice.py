@@ -154,7 +154,10 @@ def fit_pose_forest(Z: FloatArray, y: TextArray, weight: FloatArray) -> tuple[Fo
 
 
 def _compact(forest: Forest) -> Forest:
-    """Return the forest with leaf probabilities in steps of about 1/100, so that its file compresses well."""
+    """Return the forest with leaf probabilities in steps of about 1/100, so that its file compresses well.
+
+    Thresholds are rounded to float32, without a change of any decision about float32 numbers.
+    """
     trees = forest.trees
     counts = np.round(100 * forest.probability)
     probability = np.where(trees.is_leaf[:, None], counts / np.maximum(counts.sum(axis=1), 1)[:, None], 0.0)

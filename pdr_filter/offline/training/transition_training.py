@@ -81,7 +81,7 @@ class LabelledSequences:
     n_recordings: int
 
     def counts(self, without: Sequence[str] = ()) -> FloatArray:
-        """Return the transitions (C, C) between steps, of all people except some."""
+        """Return the counted transitions (C, C) between steps, of all people except those in `without`."""
         use = ~np.isin(self.step_person, without)
         return count_transitions(self.step_label[use], self.step_sequence[use], self.windows.prob.shape[1])
 
