@@ -71,6 +71,8 @@ class CalibratedPerson:
         Covariance of the parameters. Contexts without segments have the covariance between persons.
     n_segments : int
         Number of segments of the person.
+    main_context : str
+        Main context of the calibration.
     """
 
     id: str

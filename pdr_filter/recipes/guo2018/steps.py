@@ -117,7 +117,7 @@ class PoseStepDetector(BaseStepDetector[PoseStepState]):
 
     @cached_property
     def _delay(self) -> tuple[FloatArray, FloatArray]:
-        """Return frequencies, and the delay of the low-pass for a sinusoid in samples."""
+        """Return frequencies in Hz, and the delay of the low-pass for sinusoids of these frequencies, in samples."""
         frequency_hz = np.linspace(0.01, self.max_step_hz, 330)
         return frequency_hz, phase_delay_s(self._sos, frequency_hz, self.rate_hz) * self.rate_hz
 

@@ -300,7 +300,11 @@ class TianStepDetector(BaseStepDetector[TianDetectorState]):
     def _accept(
         self, state: TianDetectorState, peak: FloatArray, sample: int, known: int
     ) -> tuple[TianDetectorState, Step | None]:
-        """Return the new state, and the step of a peak, or None if the peak is rejected."""
+        """Return the new state, and the step of a peak, or None if the peak is rejected.
+
+        It is rejected less than `min_interval_s` after the last contact, or if the samples of its step are not
+        available. `peak` (3,) has the peak at `sample` and its neighbours. `known` is the number of the newest sample.
+        """
         at = sample + vertex(peak) - self._filter_delay_s * self.rate_hz
         contact = int(np.floor(at))
         if not self._log.can_end(state.log, contact):

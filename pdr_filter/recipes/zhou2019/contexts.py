@@ -186,6 +186,9 @@ class BehaviourStage(WindowStage[BehaviourState, BehaviourWindow, BehaviourMemor
 
 
 def context_of(behaviour: str, time_s: float) -> WindowContext:
-    """Return the context of a behaviour, for a window that ends at `time_s`."""
+    """Return the context of a behaviour with probability one, for a window that ends at `time_s`.
+
+    Irregular swing is the context "stationary" with an `irregular_prob` of 1.
+    """
     known = known_context(time_s, {_CONTEXT_OF[behaviour]: 1.0}, {}, _CONTEXTS_KNOWN, _NAME)
     return replace_unchecked(known, irregular_prob=float(behaviour == "irregular"))
