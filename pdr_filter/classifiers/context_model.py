@@ -523,7 +523,9 @@ def _assemble(description: Mapping[str, Any], arrays: Arrays) -> ContextModel:
     """Return the model of a file. KeyError, TypeError or ValueError if anything is missing or does not fit."""
     kind = description["machine"]
     if kind not in MACHINES:
-        raise ValueError(f"its classifier (machine) is {kind!r}, which this version does not know ({list(MACHINES)})")
+        raise ValueError(
+            f"its classifier (machine) is {kind!r}, which this version does not know; it knows {tuple(MACHINES)}"
+        )
     familiarity, stairs = of_prefix(_FAMILIARITY, arrays), of_prefix(_STAIRS, arrays)
     return ContextModel(
         name=description["name"],

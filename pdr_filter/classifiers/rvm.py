@@ -426,7 +426,10 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
         return rows[counts], labels[counts], weight[counts], None if group is None else group[counts]
 
     def _class_factors(self, label: IntArray, weight: FloatArray) -> FloatArray:
-        """Return the weight factor of each class, (K,): 1, or by `class_weight`. A class that is not in a dict has 1."""
+        """Return the weight factor of each class, (K,), from `class_weight`. It is 1 for a class that is not in a dict.
+
+        ValueError for other settings or factors that are not positive.
+        """
         if self.class_weight is None:
             return np.ones(len(self.classes_))
         if isinstance(self.class_weight, str):
