@@ -163,7 +163,7 @@ def chain_of(recording: Recording, key: str = "", salt: str | None = None) -> Ch
 
 
 def _scans(wifi: Wifi | None, time_s: FloatArray, walked_m: FloatArray) -> Scans:
-    """Return the scans during the walk, at least two metres of walking apart."""
+    """Return the scans during the walk with at least five access points, at least two metres of walking apart."""
     kept, last_m = [], -np.inf
     for scan in () if wifi is None else wifi.scans():
         if len(scan.bssid) < _MIN_ACCESS_POINTS or not time_s[0] - 1.0 <= scan.time_s <= time_s[-1] + 1.0:
