@@ -27,7 +27,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class ArtefactFormat:
-    """Kind of artefact with the version of its file format."""
+    """Kind of artefact, such as a context model, a calibration or a radio map, with the version of its file format."""
 
     kind: str  # name of the kind, in the .json and in messages
     version: int  # version that is written, and the only one that is read
@@ -97,7 +97,7 @@ class ArtefactFormat:
         return [path.stem for path in folder.glob("*.json") if _kind(json.loads(path.read_text("utf-8"))) == self.kind]
 
     def _checked(self, text: str) -> dict[str, Any]:
-        """Return the content of a .json. ValueError if it is of another kind or version."""
+        """Return the content of a .json from its text. ValueError if it is of another kind or version."""
         description: Any = json.loads(text)
         if _kind(description) != self.kind:
             raise ValueError(f"its kind is {_kind(description)!r}, not {self.kind!r}")

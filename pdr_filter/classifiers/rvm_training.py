@@ -81,7 +81,7 @@ class Bernoulli:
         return self.weight * (self.target - expit(logit + self.offset))
 
     def curvature(self, logit: FloatArray) -> FloatArray:
-        """Return the weighted sigma(t) (1 - sigma(t)), (N,)."""
+        """Return the weighted sigma(t) (1 - sigma(t)), (N,), of logits t (offset included)."""
         probability = expit(logit + self.offset)
         return self.weight * probability * (1.0 - probability)
 

@@ -160,7 +160,10 @@ def read_marks(recording: str | Path) -> Marks:
 
 
 def marks_in(folder: Path) -> Marks:
-    """Return the marks in a folder; ValueError names the file and the remedy."""
+    """Return the marks of a walk from the files in a folder. They are empty if there are no files.
+
+    ValueError names the file and the remedy. A save that was interrupted is completed first.
+    """
     if (folder / _UNFINISHED).exists():
         _finish(folder)
     found = [name for name in NAMES if (folder / name).exists()]
@@ -217,7 +220,7 @@ def write_mark_files(folder: Path, files: Mapping[str, bytes]) -> None:
 
 
 def _finish(folder: Path) -> None:
-    """Complete a save whose new files are all on the disk under another name."""
+    """Complete an interrupted save: write the files of marks that `_UNFINISHED` contains, and delete the other marks."""
     new = read_json(folder / _UNFINISHED, 4 * limits.MAX_WHOLE_BYTES)
     for name in NAMES:
         if name not in new:

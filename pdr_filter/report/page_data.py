@@ -26,7 +26,11 @@ _MAX_PLACES = 4
 
 
 def track_data(track: TrackRows, recording: Recording | None, plan: FloorPlan | None, n_tracks: int) -> dict[str, Any]:
-    """Return the numbers of one track for the page. `n_tracks` tracks share the maximum number of rows."""
+    """Return the numbers of one track for the page, as a dict for JSON.
+
+    It has columns of the shown steps, context windows and the floor plan, and with a recording also the ground truth
+    and the locations. `n_tracks` tracks share the maximum number of rows.
+    """
     shown = _shown_rows(track, _MAX_STEPS // n_tracks)
     position_m = track.position_m[shown]
     (major_m, minor_m), angle_rad = _ellipses(track.position_cov_m2[shown])
@@ -167,7 +171,10 @@ def _places(track: TrackRows, row: int) -> list[list[float | None]]:
 
 
 def _plan(plan: FloorPlan | None, track: TrackRows) -> list[dict[str, Any]]:
-    """Return the shapes of the storeys that the track has visited, in drawing order."""
+    """Return the shapes of the storeys that the track has visited, in drawing order. Empty without a plan.
+
+    Each has its fill colour (None for a line), its edge colour, and its rings or lines in m.
+    """
     return [
         {
             "fill": colour if feature.is_area else None,

@@ -646,9 +646,9 @@ def _std_m(states: States) -> float:
 
 
 def _extend(walks: ScannedWalks, group: PlacedGroup, free: set[int], reasons: dict[int, str]) -> None:
-    """Join walks of `free` to a group, and remove the walks that the others contradict. All arguments are changed.
+    """Join walks of `free` to a group, and remove the walks that the others contradict.
 
-    Joined walks leave `free`. `reasons` gets the reason of each removed walk, by its index.
+    The group is changed. Joined walks leave `free`. `reasons` gets the reason of each removed walk, by its index.
     """
     if len(group.poses) > 1:
         adjust(walks, group, list(group.poses))

@@ -86,7 +86,7 @@ class Increments:
         return len(self.time_s)
 
     def part(self, first: int, end: int) -> Increments:
-        """Return the steps first to end - 1."""
+        """Return the increments of the steps from index `first` to `end` - 1."""
         return Increments(*(getattr(self, name)[first:end] for name in self.__slots__))
 
 

@@ -109,7 +109,7 @@ class Smoothed:
 
     @property
     def rejected(self) -> Table:
-        """Rows of `observations` that were not used."""
+        """Rows of `observations` that were not used, for any reason."""
         return self.observations[self.observations.weight < 0.5].view(np.recarray)
 
     def __repr__(self) -> str:

@@ -77,7 +77,10 @@ class Used:
 
     @property
     def is_oriented(self) -> bool:
-        """True if an observation other than the phone's first heading gives the direction of the walk."""
+        """True if an observation other than the phone's first heading may give the direction of the walk.
+
+        Positions, locations, ranges, known headings, heading fixes and magnetic north count.
+        """
         headings = len(self.states.state) and (self.states.state == HEADING_OFFSET).any()
         return bool(self.has_places or self.observed.known_headings or headings)
 

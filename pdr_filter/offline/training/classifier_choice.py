@@ -106,7 +106,10 @@ class FitOfObject:
     classifier: Any
 
     def __call__(self, Z: FloatArray, y: TextArray, weight: FloatArray) -> tuple[Machine, Classes]:
-        """Return the machine and its classes. Raise ValueError if the fitted object cannot be used."""
+        """Return the fitted classifier as a machine of a context model, and its classes.
+
+        Raise ValueError if the fitted object cannot be used.
+        """
         fitted: Any = clone(self.classifier, safe=False)
         fitted.fit(Z, y)
         if not hasattr(fitted, "classes_"):

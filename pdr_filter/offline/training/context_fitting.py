@@ -406,7 +406,7 @@ class FittingPlan(TrainingPlan):
         return self.own_labels
 
     def training_windows(self, windows: LabelledWindows) -> LabelledWindows:
-        """Return the labelled windows."""
+        """Return the windows that have a label of the head."""
         return windows.part(windows.label(self.head) != "")
 
     def held_out(self, windows: LabelledWindows) -> dict[str, BoolArray]:

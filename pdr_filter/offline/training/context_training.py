@@ -69,7 +69,10 @@ class ContextPlan(TrainingPlan):
         return result
 
     def rows(self, windows: LabelledWindows) -> BoolArray:
-        """Return a mask (W,) of the windows that the model is trained on."""
+        """Return a mask (W,) of the windows that the model is trained on: recorded ones with a known context.
+
+        If the plan uses the gyroscope, windows without an angular rate are left out.
+        """
         return self.is_real(windows) & (windows.has_gyroscope | (not self.has_gyroscope)) & (windows.context != "")
 
     def features(self, windows: LabelledWindows) -> FloatArray:

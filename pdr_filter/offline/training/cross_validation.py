@@ -234,7 +234,7 @@ class TrainingPlan(ABC):
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Labels of the head."""
+        """Labels that the model distinguishes: all contexts, or all carrying modes."""
         return HEADS[self.head]
 
     def training_windows(self, windows: LabelledWindows) -> LabelledWindows:
@@ -428,7 +428,7 @@ def score(truth: TextArray, prob: FloatArray, labels: tuple[str, ...] = CONTEXTS
 
 
 def worst_person_accuracy(truth: TextArray, prob: FloatArray, person: TextArray, labels: tuple[str, ...]) -> float:
-    """Return the lowest accuracy among the people, from probabilities (W, L)."""
+    """Return the lowest accuracy among the people, to four decimals, from probabilities (W, L) of the labels."""
     right = predicted(prob, labels) == truth
     return round(float(min(right[person == name].mean() for name in np.unique(person))), 4)
 

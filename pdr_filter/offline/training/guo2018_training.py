@@ -129,7 +129,7 @@ class PosePlan(TrainingPlan):
 
 
 def _is_scored(name: str) -> bool:
-    """Return True for a person of the scored data set."""
+    """Return True for the name of a person of the scored data set, "motionsense/subject"."""
     return name.startswith(f"{SCORED_DATASET}/")
 
 

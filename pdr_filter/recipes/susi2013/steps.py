@@ -172,7 +172,10 @@ class NormMinimaStepDetector(BaseStepDetector[NormMinimaState]):
     def _signals(
         self, state: NormMinimaState, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
     ) -> tuple[NormMinimaState, FloatArray]:
-        """Return |f|, |omega|, flags (sample exists, rate is known, steps are possible), and carrying mode, (6, N)."""
+        """Return the new state, and (6, N): |f|, |omega|, three flags, and the index of the carrying mode.
+
+        The norms are low-passed. The flags are 1 if the sample exists, if its rate is known, and if steps are possible.
+        """
         components = np.vstack([block.specific_force_mps2.T, block.angular_rate_radps.T])
         norms, zi = filtered_norms(self._sos, components, state.zi)
         known = np.stack([block.angular_rate_known, ~contexts.stands, contexts.carrying_mode]).astype(float)

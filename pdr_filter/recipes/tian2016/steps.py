@@ -215,7 +215,10 @@ class TianStepDetector(BaseStepDetector[TianDetectorState]):
     def _signals(
         self, state: TianDetectorState, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
     ) -> tuple[TianDetectorState, FloatArray]:
-        """Return the three filtered signals and the state of each sample, (4, N)."""
+        """Return the new state, and the three filtered signals in g and the carrying state of each sample, (4, N).
+
+        The signals are those of `step_signals`. The carrying state is HOLDING, SWING, POCKET or TRANS.
+        """
         raw = step_signals(block.specific_force_mps2, attitude.up_sensor)
         carried, states = self._carried.update(state.carried, contexts.carrying_mode)
         signals, zi = filtered(self._low_pass_sos, raw, state.low_pass_zi)

@@ -103,7 +103,7 @@ CARRIED = BehaviourThresholds(
 
 @dataclass(frozen=True, slots=True)
 class BehaviourMemory:
-    """State of the machine that recognises behaviours (see `context_of`)."""
+    """State of the machine that recognises behaviours (see `BehaviourStage.assess`)."""
 
     behaviour: str  # one of BEHAVIOURS; empty before the first window
     last_max_mps2: tuple[float, ...]  # maxima of the windows within the last window length, oldest first

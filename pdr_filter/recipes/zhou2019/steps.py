@@ -208,7 +208,7 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
     def _signals(
         self, state: ReferenceLineState, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
     ) -> tuple[ReferenceLineState, FloatArray]:
-        """Return the acceleration |f| - g and the code of the behaviour, (2, N), with the unchanged state.
+        """Return the unchanged state, and the acceleration |f| - g and the code of the behaviour, (2, N).
 
         The code is 0 if the person stands or moves irregularly, 2 for running, and otherwise 1.
         """
