@@ -220,7 +220,7 @@ def write_mark_files(folder: Path, files: Mapping[str, bytes]) -> None:
 
 
 def _finish(folder: Path) -> None:
-    """Complete an interrupted save: write the files of marks that `_UNFINISHED` contains, and delete the other marks."""
+    """Complete an interrupted save: write the files of marks in `_UNFINISHED`, and delete all other files of marks."""
     new = read_json(folder / _UNFINISHED, 4 * limits.MAX_WHOLE_BYTES)
     for name in NAMES:
         if name not in new:

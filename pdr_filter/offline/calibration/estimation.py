@@ -521,7 +521,10 @@ def _starts(*labels: IntArray) -> IntArray:
 
 
 def _sums(values: FloatArray, starts: IntArray) -> FloatArray:
-    """Return the sum of the rows of each group, one row per group. `starts` are the starts of the groups (`_starts`)."""
+    """Return the sum of the rows of each group, one row per group.
+
+    `starts` are the starts of the groups (see `_starts`).
+    """
     return np.add.reduceat(values, starts[:-1], axis=0)
 
 
