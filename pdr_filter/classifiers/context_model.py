@@ -459,7 +459,8 @@ def blend_stairs_with_prior(prob: FloatArray, share: FloatArray, level_and_stair
 
     Let g be the sum of the probabilities of level walking, stairs up and stairs down. The part `share` g is divided
     among the three in the ratio 0.94 : 0.03 : 0.03. Each of the three keeps 1 - `share` of its own probability. Other
-    contexts are unchanged. `share` (...) is the unknown share of each window with respect to stairs, 0 to 1.
+    contexts are unchanged. `share` (...) says how unlike the stairs of the training data each window is, from 0 (alike,
+    nothing changes) to 1 (unlike, all of g is redistributed). It is `Assessment.stairs_unknown_share`.
     `level_and_stairs` are the indices of level walking, stairs up and stairs down.
     """
     if not np.any(share):
@@ -503,7 +504,10 @@ def available_models() -> tuple[str, ...]:
 
 
 def _find(name_or_path: str | Path) -> str | Path:
-    """Return the path of the files of a model, with or without suffix."""
+    """Return the path of the files of a shipped model without suffix, for its name, or a given path unchanged.
+
+    ValueError for a name that no shipped model has.
+    """
     text = str(name_or_path)
     is_name = isinstance(name_or_path, str) and not text.endswith((".npz", ".json")) and _NAME.fullmatch(text)
     if not is_name:
@@ -519,7 +523,9 @@ def _assemble(description: Mapping[str, Any], arrays: Arrays) -> ContextModel:
     """Return the model of a file. KeyError, TypeError or ValueError if anything is missing or does not fit."""
     kind = description["machine"]
     if kind not in MACHINES:
-        raise ValueError(f"machine is {kind!r}, not one of {tuple(MACHINES)}")
+        raise ValueError(
+            f"its classifier (machine) is {kind!r}, which this version does not know; it knows {tuple(MACHINES)}"
+        )
     familiarity, stairs = of_prefix(_FAMILIARITY, arrays), of_prefix(_STAIRS, arrays)
     return ContextModel(
         name=description["name"],

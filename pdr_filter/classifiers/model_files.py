@@ -27,7 +27,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class ArtefactFormat:
-    """Kind of artefact with the version of its file format."""
+    """Kind of artefact, such as a context model, a calibration or a radio map, with the version of its file format."""
 
     kind: str  # name of the kind, in the .json and in messages
     version: int  # version that is written, and the only one that is read
@@ -81,7 +81,10 @@ class ArtefactFormat:
             raise ValueError(f"{json_path}: not usable as {noun}: {what}; {self.remedy}") from error
 
     def is_at(self, path: str | Path) -> bool:
-        """True if a file states that it is of this kind. Other errors of the file are found by `read`."""
+        """True if a file states that it is of this kind, False also if it cannot be read or is no JSON.
+
+        Other errors of the file are found by `read`.
+        """
         from pdr_filter.io.files.safe_files import read_small
 
         try:
@@ -90,11 +93,11 @@ class ArtefactFormat:
             return False
 
     def names_in(self, folder: Path) -> list[str]:
-        """Return the names of the artefacts of this kind in a folder, which may contain other files."""
+        """Return the names, without suffix, of the artefacts of this kind in a folder. Other files are ignored."""
         return [path.stem for path in folder.glob("*.json") if _kind(json.loads(path.read_text("utf-8"))) == self.kind]
 
     def _checked(self, text: str) -> dict[str, Any]:
-        """Return the content of a .json. ValueError if it is of another kind or version."""
+        """Return the content of a .json from its text. ValueError if it is of another kind or version."""
         description: Any = json.loads(text)
         if _kind(description) != self.kind:
             raise ValueError(f"its kind is {_kind(description)!r}, not {self.kind!r}")
@@ -125,7 +128,7 @@ def of_prefix(prefix: str, arrays: Arrays) -> Arrays:
 
 
 def _kind(description: Any) -> Any:
-    """Return the kind of model that the content of a .json file states, or None if it describes something else.
+    """Return the kind of artefact that the content of a .json file states, or None if it describes something else.
 
     Context models of early versions do not state their kind. They are recognised by the checksum of their arrays, and
     the result is then "context_model".
@@ -166,7 +169,7 @@ def _unpacked(path: Path, checksum: str) -> Arrays:
 
 
 def _plain(value: Any) -> Any:
-    """Return NumPy numbers and arrays as JSON values."""
+    """Return a NumPy number or array as a number or list for JSON. TypeError for any other object."""
     if isinstance(value, np.generic | np.ndarray):
         return cast(Any, value).tolist()
     raise TypeError(f"JSON cannot hold a {type(value).__name__}; make it a number or a string")

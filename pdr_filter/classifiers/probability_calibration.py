@@ -150,7 +150,10 @@ def check_labels(prob: FloatArray, label: IntArray) -> None:
 
 
 def check_classes(values: IntArray, n_classes: int, name: str) -> None:
-    """Raise ValueError unless all values are class numbers. A value of -1 (unknown) would be used as the last class."""
+    """Raise ValueError unless all values are class numbers, that is, integers from 0 to `n_classes` - 1.
+
+    A value of -1 (unknown) would be used as the last class. `name` is the name of the values in the message.
+    """
     if not len(values):
         return
     least, largest = np.min(values), np.max(values)

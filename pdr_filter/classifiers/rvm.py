@@ -46,7 +46,10 @@ _MAX_ROUNDS = 10
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """Limits of the training of each class, and its stopping criterion (see `RelevanceVectorClassifier`)."""
+    """Limits of the training of each class: numbers of basis functions and of passes, and the stopping criterion `tol`.
+
+    They are described in `RelevanceVectorClassifier`.
+    """
 
     max_basis: int
     max_iter: int
@@ -69,7 +72,10 @@ def basis_functions(X: FloatArray, vectors: FloatArray, kernel: str, width: floa
 
 
 def median_distance(vectors: FloatArray) -> float:
-    """Return the median Euclidean distance between pairs of different vectors (R, F), or 1 if there are none."""
+    """Return the median Euclidean distance between pairs of different vectors (R, F), or 1 if there are none.
+
+    Of more than `_MAX_WIDTH_ROWS` vectors, this number of evenly spaced ones is used.
+    """
     spread = np.unique(np.linspace(0, len(vectors) - 1, min(len(vectors), _MAX_WIDTH_ROWS)).astype(np.int64))
     distances = pdist(vectors[spread])
     distances = distances[distances > 0]
@@ -103,7 +109,7 @@ def train_multinomial(
 
     While the other logits are fixed, ln p_k = ln sigma(t_k + o_k) with the offset o_k = -ln sum_{j != k} exp(t_j). All
     classes start from the one-against-all solution. They are trained in turn until a round raises the joint value by
-    less than `tol` per class.
+    less than `tol` per class (`_joint_value`), or until a limit of rounds or passes is reached.
     """
     targets = [(label == k).astype(np.float64) for k in range(n_classes)]
     trained = train_one_against_all(functions, label, weight, n_classes, budget)
@@ -157,7 +163,8 @@ def assemble(
 ) -> RelevanceVectors:
     """Return K trained machines as one kernel machine with shared arrays, without unused vectors.
 
-    The machines were trained on the bias and `vectors` (R, F).
+    The machines were trained on the bias and `vectors` (R, F). If `moderate` is False, the covariance factors are zero,
+    so that probabilities are not moderated. `link` is "sigmoid" or "softmax".
     """
     used = np.unique(np.concatenate([[0], *(machine.posterior.basis for machine in machines)]))  # with the bias
     size = max(len(machine.posterior.basis) for machine in machines)
@@ -419,7 +426,10 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
         return rows[counts], labels[counts], weight[counts], None if group is None else group[counts]
 
     def _class_factors(self, label: IntArray, weight: FloatArray) -> FloatArray:
-        """Return the weight factor of each class, (K,)."""
+        """Return the weight factor of each class, (K,), from `class_weight`. It is 1 for a class that is not in a dict.
+
+        ValueError for other settings or factors that are not positive.
+        """
         if self.class_weight is None:
             return np.ones(len(self.classes_))
         if isinstance(self.class_weight, str):
@@ -431,9 +441,10 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
         return factors
 
     def _candidates(self, rows: FloatArray, label: IntArray, weight: FloatArray) -> tuple[FloatArray, list[str]]:
-        """Return the unique, sorted candidates for relevance vectors (R, F).
+        """Return the unique, sorted candidates for relevance vectors (R, F), and a list of messages.
 
-        Also return a message if not all rows are candidates.
+        There is one message if not all rows are candidates. For the linear kernel, the candidates are one vector for
+        each feature, which divides the feature by its root mean square.
         """
         if self.kernel == "linear":
             size = np.sqrt(weight @ rows**2 / weight.sum())
@@ -476,7 +487,10 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
     def _width(
         self, rows: FloatArray, label: IntArray, weight: FloatArray, group: NDArray[Any] | None, candidates: FloatArray
     ) -> float:
-        """Return the kernel width that is given, estimated, or chosen by cross-validation."""
+        """Return the kernel width: given, the median distance, or chosen by cross-validation. 1 for the linear kernel.
+
+        Cross-validation also fills `cv_log_loss_`.
+        """
         if self.kernel == "linear":
             return 1.0
         if isinstance(self.kernel_width, int | float | np.number):
@@ -490,7 +504,10 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
         return min(self.cv_log_loss_, key=lambda width: self.cv_log_loss_[width])
 
     def _folds(self, rows: FloatArray, label: IntArray, group: NDArray[Any] | None) -> list[tuple[IntArray, IntArray]]:
-        """Return the rows for training and for scoring of each fold, without folds that train on a single class."""
+        """Return the indices of the rows for training and for scoring of each fold.
+
+        Folds that train on a single class are left out. ValueError if no fold remains.
+        """
         splitter: Any = self.cv
         if isinstance(splitter, int):
             if group is None:
@@ -516,7 +533,7 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
     ) -> float:
         """Return the weighted mean log loss of held-out rows, in nats.
 
-        Only rows whose class is in the training rows of their fold count.
+        Only rows whose class is in the training rows of their fold count. The result is inf if there are none.
         """
         loss, total = 0.0, 0.0
         for fit, score in folds:

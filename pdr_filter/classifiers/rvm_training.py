@@ -81,7 +81,7 @@ class Bernoulli:
         return self.weight * (self.target - expit(logit + self.offset))
 
     def curvature(self, logit: FloatArray) -> FloatArray:
-        """Return the weighted sigma(t) (1 - sigma(t)), (N,)."""
+        """Return the weighted sigma(t) (1 - sigma(t)), (N,), of logits t (offset included)."""
         probability = expit(logit + self.offset)
         return self.weight * probability * (1.0 - probability)
 
@@ -97,7 +97,7 @@ class Posterior:
     alpha: FloatArray  # (M,) precisions of the zero-mean Gaussian prior of the weights
     mean: FloatArray  # (M,) most probable weights
     cov_factor: FloatArray  # (M, M) G, the covariance is G^T G
-    logit: FloatArray  # (N,) of the training rows, for the mean weights
+    logit: FloatArray  # (N,) logits of the training rows, for the mean weights, without the offset of the likelihood
     log_evidence: float  # log evidence of the alphas, nats
 
     @property
@@ -202,7 +202,11 @@ def _raise_evidence(
     max_basis: int,
     max_tries: int,
 ) -> _Pass:
-    """Return the result of a pass. Each try that does not raise the evidence halves the step size."""
+    """Return the first posterior with a higher evidence, the step size and the number of tries.
+
+    Each try that does not raise the evidence halves the step size. The posterior is None if the step size becomes too
+    small, or after `max_tries` tries.
+    """
     for n_tries in range(1, max_tries + 1):
         changed = apply(likelihood, functions, now, proposal, step_size, max_basis - len(now.basis))
         if changed.log_evidence > now.log_evidence:
@@ -383,8 +387,8 @@ def posterior(
 def _reweighted(likelihood: Likelihood, phi: FloatArray, alpha: FloatArray, logit: FloatArray) -> FloatArray:
     """Return the weights (M,) after one step of iteratively reweighted least squares from logits t (N,).
 
-    They are Delta Phi^T B (t + B^-1 g), with the posterior covariance Delta, the basis functions Phi, and the gradient
-    g and the curvatures B (diagonal) of the log-likelihood.
+    They are Delta Phi^T B (t + B^-1 g), with the posterior covariance Delta, and the gradient g and the curvatures B
+    (diagonal) of the log-likelihood. `phi` (M, N) is the transpose of Phi, with one basis function in each row.
     """
     beta = likelihood.curvature(logit)
     factor, scale = _scaled_cholesky(_precision(phi, beta, alpha))
@@ -401,8 +405,8 @@ def _empty(likelihood: Likelihood, functions: FloatArray) -> Posterior:
 def _precision(phi: FloatArray, beta: FloatArray, alpha: FloatArray) -> FloatArray:
     """Return the precision matrix Phi^T B Phi + A (M, M) of the weights (Martinelli et al. 2018, eq. 10).
 
-    It is the inverse of the posterior covariance. Phi are the basis functions, B the diagonal matrix of curvatures, and
-    A that of the prior precisions alpha.
+    It is the inverse of the posterior covariance. `phi` (M, N) is the transpose of Phi, with one basis function in each
+    row. B is the diagonal matrix of the curvatures `beta`, and A that of the prior precisions `alpha`.
     """
     scaled = phi * np.sqrt(beta)
     precision = scaled @ scaled.T

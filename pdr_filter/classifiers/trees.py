@@ -169,7 +169,10 @@ class TreeMachine(Machine):
 
 
 def _shifted(children: NDArray[Any], start: int) -> IntArray:
-    """Return the children of one tree as node numbers in the concatenated arrays, (n_nodes,)."""
+    """Return the children of one tree as node numbers in the concatenated arrays, (n_nodes,).
+
+    `start` is the number of the root of the tree there. `NO_CHILD` is unchanged.
+    """
     return np.where(children == NO_CHILD, NO_CHILD, children + start).astype(np.int64)
 
 

@@ -60,12 +60,15 @@ class StageSamples:
         return StageSamples(block, cut(self.attitude), cut(self.contexts), steps, self.first + a)
 
     def cut(self, edges: Sequence[int]) -> list[StageSamples]:
-        """Return non-empty parts, cut at the given sample numbers."""
+        """Return consecutive, non-empty parts of these samples, cut at the given indices.
+
+        An index may exceed the number of samples: it is taken modulo this number.
+        """
         n = len(self)
         return [self.part(a, b) for a, b in pairwise(sorted({0, *(e % n for e in edges), n}))]
 
     def later(self, shift_s: float) -> StageSamples:
-        """Return the samples with all times shifted."""
+        """Return the samples with all times, also those of the steps, later by `shift_s` seconds."""
         block = replace(self.block, time_s=self.block.time_s + shift_s)
         steps = tuple(
             (n, replace(s, time_s=s.time_s + shift_s, detected_time_s=s.detected_time_s + shift_s))
@@ -76,9 +79,10 @@ class StageSamples:
 
 @lru_cache(maxsize=8)
 def stage_samples(rate_hz: float = 100.0, seed: int = 0) -> StageSamples:
-    """Return a noisy simulated walk with a right turn.
+    """Return the inputs of a stage for 18 s of a noisy simulated walk with a right turn.
 
-    The phone is taken out of a pocket, and the angular rate is missing for 1 s.
+    The phone is taken out of a pocket, and the angular rate is missing for 1 s. The reported carrying mode changes
+    every 3.5 s. The context is always walking.
     """
     legs = [
         Leg("walking", distance_m=12.0),
@@ -369,7 +373,7 @@ def _check_length(name: str, model: Any, step: Step, theta: FloatArray, is_linea
 
 
 def _differences(function: Any, at: FloatArray) -> Iterator[Any]:
-    """Yield the partial derivatives of a function by central differences."""
+    """Yield the derivatives of a function by each of the n components of a point (n,), from central differences."""
     for k in range(len(at)):
         small = np.zeros(len(at))
         small[k] = 1e-6 * max(abs(at[k]), 1.0)

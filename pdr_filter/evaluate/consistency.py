@@ -27,7 +27,7 @@ def nees(error: FloatArray, cov: FloatArray) -> FloatArray:
     Raises
     ------
     ValueError
-        If a covariance is singular.
+        If a covariance is singular or not valid.
 
     Notes
     -----

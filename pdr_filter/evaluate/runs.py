@@ -85,17 +85,18 @@ def weighting_errors(recording: Recording, config: Config | None = None, lag_ste
     Raises
     ------
     ValueError
-        If no step is inside a label, or if the modes do not match the contexts one to one.
+        If no step is inside a label with a context of the configuration, or if the modes do not match the contexts one
+        to one.
 
     Notes
     -----
     All rows have the same steps and step-length models. The row "contexts known" is the reference: each step has the
     step length of its true context. Steps outside of all labels do not count.
 
-    "hc" (highest context) takes the step length of the most probable context. "wc" (weighted context) takes the mean of
-    the step lengths, weighted with the context probabilities. If the second-highest probability is below 0.8 times the
-    highest, "wc" is equal to "hc". "wc, always" takes the weighted mean at each step. The IMM (interacting multiple
-    model) has four rows:
+    "hc" (highest context) takes the step length of the most probable context, averaged over the windows at and after
+    the step. "wc" (weighted context) takes the mean of the step lengths, weighted with the context probabilities. If
+    the second-highest probability is below 0.8 times the highest, "wc" is equal to "hc". "wc, always" takes the
+    weighted mean at each step. The IMM (interacting multiple model) has four rows:
 
     - "imm, as the steps were made": step lengths as the filter estimated them online, without later steps.
     - "imm": mode probabilities smoothed over all later steps, as in `Track.walked_m`.

@@ -68,7 +68,7 @@ def _in_context(recording: Recording, labels: Table, track: TrackRows) -> tuple[
 
 
 def _inside(labels: Table, time_s: FloatArray) -> BoolArray:
-    """Return True for times (N,) that are inside any of the labels."""
+    """Return a mask (N,) of the times that are inside any of the labels: at or after its start, and before its end."""
     return np.asarray(((time_s[:, None] >= labels.start_s) & (time_s[:, None] < labels.end_s)).any(axis=1))
 
 
@@ -160,7 +160,7 @@ def study_table(rows: Sequence[Table], people: Sequence[str] | None = None) -> T
 
 
 def _interval(values: FloatArray) -> tuple[float, float, float]:
-    """Return the mean with the bounds of its 95 % interval."""
+    """Return the mean of values (N,), and the lower and upper bound of its 95 % interval, NaN for a single value."""
     from scipy.stats import t as student
 
     n, mean = len(values), float(values.mean())

@@ -92,7 +92,10 @@ def latex(rows: Table, digits: int = 2) -> str:
 
 
 def write_tables(rows: Table, stem: str | Path, digits: int = 2) -> tuple[Path, Path]:
-    """Write a table as STEM.csv, with all digits, and as STEM.tex, with rounded floats, and return both paths."""
+    """Write a table as STEM.csv, with all digits, and as STEM.tex, with rounded floats, and return both paths.
+
+    NaN is an empty cell in the .csv. Missing folders are created.
+    """
     stem = Path(stem)
     stem.parent.mkdir(parents=True, exist_ok=True)
     as_csv, as_tex = stem.with_name(stem.name + ".csv"), stem.with_name(stem.name + ".tex")

@@ -139,9 +139,10 @@ def _drawn(number: int, feature: Any, floor: Any, notes: list[str]) -> _RawFeatu
 
 
 def _in_metres(drawn: Sequence[_RawFeature], origin: Origin | None) -> tuple[list[_RawFeature], Origin | None]:
-    """Return the features in metres, and the origin.
+    """Return the features in metres, and the origin: the given one, or else the middle of a plan in degrees.
 
-    Raises ValueError for coordinates that are neither metres of one building nor degrees.
+    The origin of a plan in metres is the given one or None. Raises ValueError for coordinates that are neither metres
+    of one building nor degrees.
     """
     import shapely
 
@@ -200,7 +201,8 @@ def _grid(drawn: Sequence[_RawFeature]) -> tuple[FloatArray, IntArray]:
 def _storey(floor: int, drawn: Sequence[_RawFeature]) -> Storey:
     """Return the storey of the given features.
 
-    The areas are rasterised first, then the walls, without the parts at doors.
+    The areas are rasterised first, then the walls, without the parts at doors. A room with a door is walkable, and its
+    boundary is a wall. ValueError if there are neither outlines nor walls.
     """
     import shapely
 

@@ -54,7 +54,10 @@ _KINDS: dict[str, type | tuple[type, ...]] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Marks:
-    """Marks of one walk; `walk` is the content of `walk.json`."""
+    """Marks of one walk: positions, loop closures and person that a user has set, from files in `folder`.
+
+    `person` is the path of the file with the step lengths of the person. `walk` is the content of `walk.json`.
+    """
 
     folder: Path
     fixes: tuple[PositionFix | HeadingFix, ...] = ()
@@ -65,7 +68,7 @@ class Marks:
 
     @property
     def plan(self) -> Path | None:
-        """Path of the floor plan."""
+        """Path of the floor plan that `walk.json` names, or None."""
         return (self.folder / self.walk["plan"]).resolve() if self.walk.get("plan") else None
 
     def recording(self, recording: Recording) -> Recording:
@@ -110,7 +113,8 @@ def marks_folder(recording: Path) -> Path:
     """Return the folder of the marks of a recording.
 
     A recording that is a folder has its marks inside. A file in a folder of its own name, such as walk/walk.zip, has
-    them in this folder. Any other file has a folder beside it: walk.zip.marks.
+    them in this folder. Any other file has a folder beside it: walk.zip.marks. A recording inside an archive, or one of
+    several in a folder, has a folder with both names: export.zip/walk_2 has export.zip.walk_2.marks.
     """
     path, inside = outside(only_recording_in(recording))
     if inside:
@@ -156,7 +160,10 @@ def read_marks(recording: str | Path) -> Marks:
 
 
 def marks_in(folder: Path) -> Marks:
-    """Return the marks in a folder; ValueError names the file and the remedy."""
+    """Return the marks of a walk from the files in a folder. They are empty if there are no files.
+
+    ValueError names the file and the remedy. A save that was interrupted is completed first.
+    """
     if (folder / _UNFINISHED).exists():
         _finish(folder)
     found = [name for name in NAMES if (folder / name).exists()]
@@ -173,14 +180,14 @@ def marks_in(folder: Path) -> Marks:
 
 
 def mark_files(folder: Path) -> dict[str, bytes]:
-    """Return the contents of the files of marks in a folder, by name."""
+    """Return the contents of the files of marks that exist in a folder, by name. An interrupted save is completed."""
     if (folder / _UNFINISHED).exists():
         _finish(folder)
     return {n: read_small(folder / n, limits.MAX_WHOLE_BYTES) for n in NAMES if (folder / n).exists()}
 
 
 def checksum_of(recording: Path) -> str:
-    """Return the checksum of the bytes of a recording, without its marks."""
+    """Return the checksum (SHA-256) of the bytes of a recording, without its marks and without hidden files."""
     path, inside = outside(recording)
     found = hashlib.sha256(inside.encode())
     files = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file() and p.name not in NAMES)
@@ -200,7 +207,10 @@ def version_of(files: Mapping[str, bytes]) -> str:
 
 
 def write_mark_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Replace all files of marks in a folder. A kill at any moment leaves all the old ones or all the new ones."""
+    """Replace all files of marks in a folder by `files`, the new contents by name.
+
+    Files of marks without a new content are deleted. A kill at any moment leaves all the old ones or all the new ones.
+    """
     old = mark_files(folder)
     if dict(files) == old:
         return
@@ -210,7 +220,7 @@ def write_mark_files(folder: Path, files: Mapping[str, bytes]) -> None:
 
 
 def _finish(folder: Path) -> None:
-    """Complete a save whose new files are all on the disk under another name."""
+    """Complete an interrupted save: write the files of marks in `_UNFINISHED`, and delete all other files of marks."""
     new = read_json(folder / _UNFINISHED, 4 * limits.MAX_WHOLE_BYTES)
     for name in NAMES:
         if name not in new:
@@ -222,15 +232,19 @@ def _finish(folder: Path) -> None:
 
 
 def table_rows(name: str, content: bytes) -> list[list[float | None]]:
-    """Return the rows of a CSV file of marks in the order of its columns. An empty cell is None."""
+    """Return the numbers in a CSV file of marks, which are the fixes or loop closures that a user has set for a walk.
+
+    `name` is the name of the file, `content` its bytes. Each row has the columns of that file in their order. An empty
+    cell or a missing column is None.
+    """
     rows = csv.DictReader(io.StringIO(content.decode()))
     return [[float(row[c]) if row.get(c) else None for c in _COLUMNS[name]] for row in rows]
 
 
 def table_bytes(name: str, rows: list[list[float | None]]) -> bytes:
-    """Return the bytes of a CSV file of marks, with all digits.
+    """Return the bytes of a CSV file of marks with the name `name`, with all digits of its rows. None is an empty cell.
 
-    Columns of headings exist only if a heading is known.
+    The columns of headings exist only if a heading is known.
     """
     columns = _COLUMNS[name]
     if name == FIXES and all(row[4] is None for row in rows):

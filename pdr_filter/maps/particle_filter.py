@@ -752,7 +752,10 @@ def _turned_rad(pedestrian: PedestrianState) -> float:
 
 
 def _in_turned_frame(state: ParticleState, pedestrian: PedestrianState) -> ParticleState:
-    """Return the state with the rotations of its particles relative to the tracker's present frame."""
+    """Return the state with the rotations of its particles relative to the tracker's present frame.
+
+    They decrease by the angle by which fixes have rotated the tracker's frame since the last event.
+    """
     by_rad = _turned_rad(pedestrian) - state.turned_rad
     if by_rad == 0.0:
         return state
@@ -762,7 +765,10 @@ def _in_turned_frame(state: ParticleState, pedestrian: PedestrianState) -> Parti
 
 
 def _with_compass(state: ParticleState, pedestrian: PedestrianState) -> tuple[ParticleState, FloatArray]:
-    """Return the state updated by magnetic north, and the change of the log weights, shape (N,) for N particles."""
+    """Return the state updated by magnetic north, and the change of the log weights, shape (N,) for N particles.
+
+    The change is zero without a new density of the compass, and once fixes determine the rotation of the track.
+    """
     new, old = pedestrian.frame.compass, state.compass
     if pedestrian.frame.is_joined or new is None or new is old or pedestrian.frame.rotation is not None:
         return state, np.zeros(len(state.weight))

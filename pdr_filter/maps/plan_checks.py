@@ -10,9 +10,10 @@ _MEETS_M = 0.3
 
 
 def problems_of(features: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return the problems of GeoJSON features in metres: a sentence and the number of the feature, or None.
+    """Return the problems of GeoJSON features in metres as dicts with "words", a sentence, and "feature".
 
-    A plan with problems may still be usable; `FloorPlan.read` refuses what is not.
+    "feature" is the index of the feature, or None for a problem of a whole storey. A plan with problems may still be
+    usable. `FloorPlan.read` rejects a plan that is not.
     """
     import shapely
     import shapely.geometry

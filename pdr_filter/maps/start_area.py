@@ -49,7 +49,9 @@ class Start:
 def start_of(plan: FloorPlan, start: PositionFix | str) -> Start:
     """Return the start distribution for a position fix, "anywhere", or the name of an area.
 
-    Raises ValueError if the plan does not have the storey or the area.
+    "anywhere" is uniform over the walkable cells of storey 0, or of the only storey. An area is all polygons of this
+    name on the lowest storey that has one, without walls and cells outside the outline. Raises ValueError if the plan
+    does not have the storey or the area, or if the area has no cell.
     """
     if isinstance(start, PositionFix):
         floor = plan.storeys[0].floor if start.floor is None else start.floor

@@ -107,9 +107,10 @@ class Storey:
         return np.where(inside, self.cells.ravel()[index], OUTSIDE)
 
     def summary(self) -> dict[str, Any]:
-        """Return a summary of the interpreted storey.
+        """Return a summary of the interpreted storey, as a dict for JSON.
 
-        Sizes are in m, the walkable area is in m^2, and features are counted per kind.
+        It has the number of the storey, its width and height in m, the number of features per kind, whether an outline
+        is drawn, and the walkable area in m^2.
         """
         kinds = sorted({f.kind for f in self.features})
         height_m, width_m = (round(n * CELL_M - 2 * MARGIN_M, 1) for n in self.cells.shape)

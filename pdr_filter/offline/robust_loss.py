@@ -82,7 +82,10 @@ def next_stage(loss: str, iteration: int, largest: float, mu: float) -> tuple[st
 
 
 def truncated_start(excess: float) -> float:
-    """Return the initial control parameter for the largest ratio of a squared residual to its limit."""
+    """Return the initial control parameter mu, from `excess`, the largest ratio of a squared residual to its limit.
+
+    Such a small mu makes the loss nearly convex.
+    """
     return 1 / max(2 * excess - 1, 1e-12)
 
 

@@ -298,7 +298,8 @@ class Config:
         ----------
         model : ContextModel, (ContextModel, ContextModel) or ContextStage
             Classifier of the contexts, whose names are `model.contexts`. The second of two models classifies windows
-            without gyroscope. With a single model, such windows have no context, unless it needs no gyroscope.
+            without gyroscope. With a single model, such windows have no context, unless it was trained on them or the
+            present model for them has all its features.
         modes : sequence of Mode
             Motion models that define the contexts. The weightings "hc" and "wc" and functions need exactly one mode for
             each context. With "imm" a context may have several modes. The probability of a context without a mode is
@@ -531,7 +532,8 @@ class Config:
         ----------
         weighting : {"imm", "wc", "hc"} or callable
             "imm" is the interacting multiple model. "wc" weights the step lengths of the contexts by the context
-            probabilities. "hc" takes the step length of the most probable context. A function receives the context
+            probabilities. "hc" (highest context) takes the step length of the most probable context, averaged over the
+            windows at and after the step. A function receives the context
             probabilities (C,) of a window and returns non-negative weights (C,) with sum one.
 
         Returns

@@ -87,7 +87,7 @@ def default(subject: Subject | None = None) -> Config:
 # Cached, because stages derive filter coefficients when they are created, which takes a millisecond per recording.
 @lru_cache(maxsize=16, typed=True)
 def _for_height(height_m: float | None) -> Config:
-    """Return the default configuration without its notes."""
+    """Return the default configuration without its notes, for a body height in m, or None for a typical person."""
     drift = HeadingDrift()
     return Config(
         name="default",
@@ -260,7 +260,10 @@ ENTRY_POINTS = "pdr_filter.recipes"
 
 
 def _named(name: str) -> Callable[[Subject | None], Any]:
-    """Return the function of a recipe, which takes the subject. A function without parameters is wrapped."""
+    """Return the function of a recipe, which takes the subject. A function without parameters is wrapped.
+
+    ValueError for an unknown name, and if the name does not lead to a function.
+    """
     if name in RECIPES:
         return RECIPES[name]
     from importlib.metadata import entry_points  # slow import, needed only for other names
@@ -279,7 +282,10 @@ def _named(name: str) -> Callable[[Subject | None], Any]:
 
 
 def _function_of(name: str) -> Any:
-    """Import the function of "module:function". The module may be in the working directory."""
+    """Return the function of "module:function", imported. The module may be in the working directory.
+
+    ValueError if the import fails.
+    """
     module, _, function = name.partition(":")
     if (folder := str(Path.cwd())) not in sys.path:
         sys.path.insert(0, folder)

@@ -71,6 +71,8 @@ class CalibratedPerson:
         Covariance of the parameters. Contexts without segments have the covariance between persons.
     n_segments : int
         Number of segments of the person.
+    main_context : str
+        Main context of the calibration.
     """
 
     id: str
@@ -183,7 +185,8 @@ class Calibration:
     def contexts(self) -> tuple[str, ...]:
         """Calibrated contexts, which are the main context of at least one segment.
 
-        A context with only a few uncertain steps in segments of other contexts is not calibrated.
+        A context with only a few uncertain steps in segments of other contexts is not calibrated. A context whose step
+        length is held at zero, such as standing, is left out.
         """
         found = set(self.segments.context.tolist())
         k, k_cov = self.k, self.k_cov
@@ -191,7 +194,10 @@ class Calibration:
 
     @property
     def main_context(self) -> str:
-        """The context "walking" if it was calibrated, else the first calibrated context."""
+        """The context "walking" if it was calibrated, else the first calibrated context.
+
+        If no context was calibrated, it is "walking" or else the first context of `models`.
+        """
         names = self.contexts or tuple(self.models)
         return "walking" if "walking" in names or not names else names[0]
 

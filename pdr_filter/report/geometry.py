@@ -22,7 +22,8 @@ _WINDOW_S = 2.0
 def ellipse_rows(step_length_m: FloatArray) -> list[int]:
     """Return indices of the steps at which ellipses are drawn, ascending.
 
-    They are at equal distances, plus the last step.
+    They are at equal walked distances, a round number of metres apart, at most `N_ELLIPSES`. The last step is included.
+    There must be at least one step.
     """
     walked_m = np.cumsum(step_length_m)
     marks_m = np.arange(1, N_ELLIPSES) * round_up(float(walked_m[-1]) / N_ELLIPSES)
@@ -46,7 +47,10 @@ def ellipse_extent(cov_m2: FloatArray) -> FloatArray:
 
 
 def places_at(track: TrackRows, row: int) -> list[Cluster]:
-    """Return the possible positions (clusters) on a floor plan after a step, or an empty list if there is only one."""
+    """Return the possible positions (clusters) on a floor plan after a step, or an empty list if there is only one.
+
+    `row` is the index of the step. Positions with a probability below 2 % are left out.
+    """
     places = [c for c in track.clusters[row] if c.share >= _MIN_SHARE] if track.clusters else []
     return places if len(places) > 1 else []
 
@@ -61,7 +65,10 @@ def storeys_of(plan: FloorPlan | None, floors: Iterable[int]) -> list[Storey]:
 
 
 def round_up(value: float) -> float:
-    """Round up to the next value of the series ... 0.5, 1, 2, 5, 10, 20, 50 ..."""
+    """Return the next value of the series ... 0.5, 1, 2, 5, 10, 20, 50 ... that is not below a value.
+
+    It is 1 for a value that is not positive or not finite.
+    """
     if not (value > 0 and math.isfinite(value)):
         return 1.0
     power = 10.0 ** math.floor(math.log10(value))
@@ -71,7 +78,8 @@ def round_up(value: float) -> float:
 def window_starts(windows: Windows, start_time_s: float) -> tuple[FloatArray, FloatArray]:
     """Return the drawn start of each window, and the end of the window before it, both (W,) in s.
 
-    The two times differ where windows are missing.
+    A window is drawn from the end of the window before it, but at most 2 s before its own end. The two times therefore
+    differ where windows are missing. The first window follows the start of the track.
     """
     previous_s = np.concatenate([[start_time_s], windows.time_s[:-1]])
     return np.maximum(previous_s, windows.time_s - _WINDOW_S), previous_s

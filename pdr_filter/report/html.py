@@ -192,7 +192,10 @@ def _hash(script: str) -> str:
 
 
 def _printable(value: Any) -> Any:
-    """Replace control characters, also those that change the text direction, by the replacement character."""
+    """Return a text with control characters, also those that change its direction, replaced by a replacement character.
+
+    Values that are not text, and markup, are returned unchanged.
+    """
     if not isinstance(value, str) or isinstance(value, Markup):
         return value
     return "".join(c if c in "\t\n" or (c.isprintable() and not "\ud800" <= c <= "\udfff") else "�" for c in value)
@@ -247,7 +250,11 @@ def _facts(track: TrackRows) -> str:
 
 
 def _seconds(track: TrackRows) -> list[tuple[str, str, str]]:
-    """Return name, colour and duration of each context that occurs."""
+    """Return name, colour and duration (as text, with its share) of each context that occurs.
+
+    A last entry without a colour is the time of moving without steps, if there is any. The list is empty if the total
+    time is zero.
+    """
     seconds, without_steps_s = track.context_seconds(), track.seconds_without_steps
     total_s = sum(seconds.values()) + without_steps_s
     if total_s <= 0:
@@ -273,7 +280,10 @@ def _lengths(track: TrackRows) -> str:
 
 
 def _reading(recording: Recording, report: ReadingReport, already_shown: set[str]) -> dict[str, Any]:
-    """Return the lines about a recording, and for each stream its values with a flag for unusual ones."""
+    """Return the texts about the reading of a recording: "lines", and "streams" with the values of each stream.
+
+    Each value has a flag, True if it is unusual. Notes in `already_shown` are left out.
+    """
     lines = [f"File: {recording.source}"] if recording.source else []
     lines += [trust.sentence(line) for line in report.about()]
     lines += [trust.sentence(note) for note in report.notes if note not in already_shown]

@@ -26,7 +26,11 @@ _MAX_PLACES = 4
 
 
 def track_data(track: TrackRows, recording: Recording | None, plan: FloorPlan | None, n_tracks: int) -> dict[str, Any]:
-    """Return the numbers of one track for the page. `n_tracks` tracks share the maximum number of rows."""
+    """Return the numbers of one track for the page, as a dict for JSON.
+
+    It has columns of the shown steps, context windows and the floor plan, and with a recording also the ground truth
+    and the locations. `n_tracks` tracks share the maximum number of rows.
+    """
     shown = _shown_rows(track, _MAX_STEPS // n_tracks)
     position_m = track.position_m[shown]
     (major_m, minor_m), angle_rad = _ellipses(track.position_cov_m2[shown])
@@ -87,13 +91,13 @@ def _group(colours: dict[str, str], number: IntArray) -> dict[str, Any]:
 
 
 def _column(values: ArrayLike, digits: int) -> list[float | None]:
-    """Return numbers for JSON, rounded, with None in place of NaN."""
+    """Return numbers for JSON, rounded to `digits` decimals, with None in place of NaN and infinity."""
     at = np.asarray(values, dtype=float)
     return [float(v) if math.isfinite(v) else None for v in np.round(at, digits)]
 
 
 def _percent(prob: FloatArray) -> list[list[int]]:
-    """Return probabilities (N, C) as C lists of whole per cent."""
+    """Return probabilities (N, C) as C lists of N whole per cent, with 0 in place of NaN."""
     return np.round(100 * np.nan_to_num(prob)).astype(int).T.tolist()
 
 
@@ -114,9 +118,10 @@ def _end_s(track: TrackRows) -> float:
 
 
 def _ellipses(cov_m2: FloatArray) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
-    """Return the half axes of 95 % ellipses, the longer one first, and the angle of the longer one from east.
+    """Return the half axes of 95 % ellipses in m, and the angle of the longer one in rad, counter-clockwise from east.
 
-    Values are NaN for covariances that are not finite or too large to draw.
+    The half axes are a pair of arrays (N,), the longer ones first. Values are NaN for covariances that are not finite
+    or too large to draw.
     """
     usable = (np.abs(cov_m2) < FARTHEST_M**2).all(axis=(1, 2))
     half_m, angle_rad = np.full((len(cov_m2), 2), np.nan), np.full(len(cov_m2), np.nan)
@@ -133,7 +138,10 @@ def _with_ellipse(track: TrackRows, shown: IntArray, major_m: FloatArray) -> lis
 
 
 def _windows(track: TrackRows, most: int) -> dict[str, Any]:
-    """Return the context windows. More than `most` windows are averaged in groups."""
+    """Return start, end and context probabilities (in per cent) of the windows.
+
+    More than `most` windows are averaged in groups.
+    """
     windows = track.windows
     start_s, _ = window_starts(windows, track.start_time_s)
     end_s, prob = windows.time_s, windows.context_prob
@@ -149,9 +157,10 @@ def _windows(track: TrackRows, most: int) -> dict[str, Any]:
 
 
 def _places(track: TrackRows, row: int) -> list[list[float | None]]:
-    """Return the possible positions on a floor plan after a step.
+    """Return the possible positions on a floor plan after a step, at most four, or an empty list if there is only one.
 
-    Each has the probability in per cent, east and north, and half axes and angle of its ellipse.
+    Each has the probability in per cent, east and north, and half axes and angle of its ellipse. `row` is the index of
+    the step.
     """
     found: list[list[float | None]] = []
     for place in places_at(track, row)[:_MAX_PLACES]:
@@ -162,7 +171,10 @@ def _places(track: TrackRows, row: int) -> list[list[float | None]]:
 
 
 def _plan(plan: FloorPlan | None, track: TrackRows) -> list[dict[str, Any]]:
-    """Return the shapes of the storeys that the track has visited, in drawing order."""
+    """Return the shapes of the storeys that the track has visited, in drawing order. Empty without a plan.
+
+    Each has its fill colour (None for a line), its edge colour, and its rings or lines in m.
+    """
     return [
         {
             "fill": colour if feature.is_area else None,
@@ -180,7 +192,7 @@ def _truth(track: TrackRows, recording: Recording, shown: IntArray) -> dict[str,
     """Return the true path, or the waypoints, after rigid alignment to the whole track.
 
     The alignment is needed because the frames of truth and track are unrelated. The error of each step is added if the
-    true path is known, not for waypoints.
+    true path is known, not for waypoints. The result is empty without steps, or with fewer than two known points.
     """
     position, waypoints = recording.truth.position, recording.truth.waypoints
     table = position if position is not None else waypoints
@@ -209,7 +221,10 @@ def _positions_at(track: TrackRows, shown: IntArray, at_s: FloatArray) -> FloatA
 
 
 def _locations(track: TrackRows, recording: Recording) -> dict[str, Any]:
-    """Return the locations of the phone in the frame of the track. Empty if the track is not georeferenced."""
+    """Return the locations of the phone in the frame of the track, with their accuracies in m.
+
+    The result is empty without locations, or if the track has no geographic origin or does not know north.
+    """
     if recording.location is None or track.origin is None or not track.knows_north:
         return {}
     values = recording.location.values

@@ -85,7 +85,10 @@ class Chain:
         return node, np.where(inside[:, None], intervals.sum_m[np.maximum(step - 1, 0)], 0.0)
 
     def position_m(self, step: IntArray) -> FloatArray:
-        """Return the positions (n, 2) of points of the chain, in the frame of the walk alone."""
+        """Return the positions (n, 2) of points of the chain, in the frame of the walk alone.
+
+        A point is given by the number of steps before it.
+        """
         node, ahead = self.node_of(step)
         rotation = scaled_rotation(self.mean[node, HEADING_OFFSET], self.mean[node, LOG_SCALE])
         return self.mean[node, :2] + np.einsum("nab,nb->na", rotation, ahead)
@@ -96,7 +99,10 @@ class Chain:
 
 
 def chain_of(recording: Recording, key: str = "", salt: str | None = None) -> Chain:
-    """Return the chain of a recording. ValueError if it has no steps."""
+    """Return the chain of a recording: its steps summed between knots, solved for this walk alone, and its scans.
+
+    `key` identifies the walk. `salt` hashes the addresses of access points. ValueError if the recording has no steps.
+    """
     from pdr_filter.offline.smoothing.smooth import chain_problem  # imported late, because it loads gtsam
     from pdr_filter.offline.smoothing.solve import solve
 
@@ -126,7 +132,7 @@ def chain_of(recording: Recording, key: str = "", salt: str | None = None) -> Ch
 
 
 def _scans(wifi: Wifi | None, time_s: FloatArray, walked_m: FloatArray) -> Scans:
-    """Return the scans during the walk, at least two metres of walking apart."""
+    """Return the scans during the walk with at least five access points, at least two metres of walking apart."""
     kept, last_m = [], -np.inf
     for scan in () if wifi is None else wifi.scans():
         if len(scan.bssid) < _MIN_ACCESS_POINTS or not time_s[0] - 1.0 <= scan.time_s <= time_s[-1] + 1.0:

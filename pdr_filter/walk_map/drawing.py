@@ -24,7 +24,10 @@ _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#
 
 
 def density(walks: Sequence[MappedWalk], floor: int, cell_m: float) -> tuple[FloatArray, FloatArray]:
-    """Return the south-west corner of the cells, and the expected number of steps on each cell (rows, columns)."""
+    """Return the south-west corner of the cells, and the expected number of steps on each cell (rows, columns).
+
+    Rows run north. ValueError if `cell_m` is not positive or no walk is on the storey.
+    """
     if not cell_m > 0:
         raise ValueError(f"cell_m must be positive, got {cell_m}: 1 is usual")
     parts = [(w.position_m[w.floor == floor], w.position_cov_m2[w.floor == floor]) for w in walks]
@@ -46,7 +49,10 @@ def density(walks: Sequence[MappedWalk], floor: int, cell_m: float) -> tuple[Flo
 
 
 def plan_text(walks: Sequence[MappedWalk]) -> str:
-    """Return the walked areas as GeoJSON: one outline in metres for each storey."""
+    """Return the walked areas as GeoJSON: one outline in metres for each storey.
+
+    An outline surrounds the paths by 1.5 m plus their standard deviation.
+    """
     try:
         import shapely
     except ImportError:
@@ -73,7 +79,10 @@ def plan_text(walks: Sequence[MappedWalk]) -> str:
 
 
 def report_text(walks: Sequence[MappedWalk], apart: Sequence[tuple[str, str]], moved: Sequence[int]) -> str:
-    """Return the page with the paths of each group and storey, and lists of the walks and the access points."""
+    """Return the HTML page with the paths of each group and storey, and lists of walks and moved access points.
+
+    `apart` has the name and the reason of each walk that was not joined.
+    """
     parts: list[str] = []
     for group in sorted({w.group for w in walks}):
         own = [w for w in walks if w.group == group]

@@ -44,9 +44,10 @@ def solve_group(
     known: Mapping[int, Sequence[Known]],
     fixed: Mapping[int, States] | None = None,
 ) -> dict[int, States]:
-    """Return the states of the walks of a group, by index; walks in `fixed` keep theirs.
+    """Return the solved states of the walks of a group, by the index of the walk.
 
-    `known` has the fixes of each walk.
+    Walks in `fixed` keep their states. `known` has the fixes of each walk. The rigid poses of the group are the initial
+    guess.
     """
     fixed = fixed or {}
     free = [i for i in group.poses if i not in fixed]
@@ -138,7 +139,11 @@ def _origin_rows(
     known: Mapping[int, Sequence[Known]],
     has_fixed: bool,
 ) -> list[Rows]:
-    """Return the equations that define the frame of a group without fixes: the start of a seed, and its direction."""
+    """Return the equations that define the frame of a group without fixes: the start of a seed, and its direction.
+
+    The list is empty if some walks are fixed. The start is left out if there is a known position. The direction is left
+    out if there are two fixes, or if the magnetometer of a walk gives it.
+    """
     fixes = [fix for i in free for fix in known.get(i, ())]
     seed, rows = next((i for i in free if i in group.seeds), free[0]), list[Rows]()
     if has_fixed:
@@ -162,7 +167,11 @@ def _range_rows(
     state: Mapping[int, tuple[FloatArray, float]],
     base: Mapping[int, int],
 ) -> list[Rows]:
-    """Return the equations of pairs of scans; a scan of a fixed walk is a constant."""
+    """Return the equations of the ranges of pairs of scans. The position of a scan of a fixed walk is a constant.
+
+    `points` has the knot of each scan and its displacement from it, by walk. `base` has the first key of each walk that
+    is not fixed.
+    """
     places: list[FloatArray] = []
     blocks: list[FloatArray] = []
     keys: list[IntArray] = []

@@ -55,9 +55,10 @@ _TABLE = _lookup().astype(np.float32)
 
 
 def log_ratio(cosine: FloatArray, distance_m: FloatArray) -> FloatArray:
-    """Return the log ratios (S, G) of scans at places, summed over M mapped scans.
+    """Return the log likelihood ratios (S, G) of S scans at G places relative to places far away.
 
-    `cosine` (S, M) has the cosines of both, and `distance_m` (G, M) the distances of the places from the mapped scans.
+    They are summed over M mapped scans. `cosine` (S, M) has the cosines of the fingerprints of the scans with those of
+    the mapped scans. `distance_m` (G, M) has the distances of the places from the mapped scans.
     """
     of_cosine = np.digitize(cosine, _COSINES) - 1
     of_distance = np.minimum(distance_m / _STEP_M + 0.5, _TABLE.shape[1] - 1).astype(np.int16)
@@ -68,7 +69,7 @@ def log_ratio(cosine: FloatArray, distance_m: FloatArray) -> FloatArray:
 
 
 def ranges(cosine: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the distances of pairs of scans with these cosines, in m, and their standard deviations."""
+    """Return the expected distances in m of pairs of scans, and their standard deviations, from their cosines."""
     return np.interp(cosine, _RANGE_COSINES, _RANGE_M), np.interp(cosine, _RANGE_COSINES, _RANGE_STD_M)
 
 

@@ -53,9 +53,9 @@ _MOST_ROUNDS = 60
 
 @dataclass(slots=True)
 class Pose:
-    """Rigid place of a walk: position = R(turn) own + shift, with a clockwise turn.
+    """Rigid place of a walk in a group: position = R(turn) own + shift, with a clockwise turn.
 
-    `floor` is the storey of the start of the walk.
+    `own` is the position of a point in the frame of the walk alone. `floor` is the storey of the start of the walk.
     """
 
     turn_rad: float
@@ -63,7 +63,7 @@ class Pose:
     floor: int = 0
 
     def of(self, own_m: FloatArray) -> FloatArray:
-        """Return the positions (n, 2) of points of the walk."""
+        """Return the positions (n, 2), in the frame of the group, of points (n, 2) in the frame of the walk alone."""
         return own_m @ turned(self.turn_rad) + self.shift_m
 
 
@@ -75,7 +75,11 @@ def turned(angle_rad: float) -> FloatArray:
 
 @dataclass(slots=True)
 class PlacedGroup:
-    """Joined walks in one frame: their poses by index, and the deviation of the frame from magnetic north."""
+    """Joined walks in one frame.
+
+    `poses` has the rigid place of each walk, by the index of the walk. The walks in `seeds` define the frame and are
+    never removed. `north_rad` is the deviation of the frame from magnetic north.
+    """
 
     poses: dict[int, Pose]
     seeds: frozenset[int]
@@ -84,7 +88,7 @@ class PlacedGroup:
 
 @dataclass(slots=True)
 class ScannedWalks:
-    """Chains with all their scans in one list, and one fingerprint matrix."""
+    """Chains (walks reduced to knots and scans) with all their scans in one list, and one fingerprint matrix."""
 
     chains: Sequence[Chain]
     own_m: FloatArray  # (S, 2) positions of the scans in the frames of their walks
@@ -96,7 +100,7 @@ class ScannedWalks:
 
     @classmethod
     def of(cls, chains: Sequence[Chain]) -> ScannedWalks:
-        """Return the walks of chains."""
+        """Return the scans, fingerprints and partners of chains, which are walks reduced to knots and scans."""
         counts = [len(c.scans) for c in chains]
         own = [c.position_m(c.scans.step) for c in chains]
         walks = cls(
@@ -111,22 +115,23 @@ class ScannedWalks:
         return walks
 
     def rows(self, walk: int) -> slice:
-        """Return the scans of a walk."""
+        """Return the slice of the scans of a walk, given the index of the walk."""
         return slice(int(self.first[walk]), int(self.first[walk + 1]))
 
     def scans_of(self, walks: Iterable[int]) -> IntArray:
-        """Return the scans of several walks, those of each walk together."""
+        """Return the indices of the scans of several walks, those of each walk together."""
         return np.concatenate([np.arange(self.first[i], self.first[i + 1]) for i in walks])
 
     def cosines(self, rows: slice, others: IntArray) -> FloatArray:
-        """Return the cosines (n, m) of scans of a walk with other scans."""
+        """Return the cosines (n, m) of the fingerprints of n scans of a walk with those of m other scans."""
         return (self.heard[rows] @ self.heard[others].T).toarray()
 
 
 def _partners(walks: ScannedWalks) -> list[set[int]]:
-    """Return for each walk the walks with a recognised place in common, from its scans' best pairs.
+    """Return for each walk the indices of the walks that recognise a place of it.
 
-    Blocks of rows bound the memory of the sparse product.
+    Two walks do if the loud parts of any two of their scans have a cosine of `_PARTNER_COSINE` or more. Blocks of rows
+    bound the memory of the sparse product.
     """
     found: list[set[int]] = [set() for _ in walks.chains]
     # the loudest access points suffice to find candidates, and keep the lists of the index short
@@ -155,7 +160,11 @@ class Candidate:
 
 
 def locate(walks: ScannedWalks, group: PlacedGroup, walk: int) -> Candidate | None:
-    """Return the most probable pose of a walk in a group without this walk, or None if it recognises no place."""
+    """Return the most probable pose of a walk in a group without this walk, or None if it recognises no place.
+
+    A walk recognises a place if at least `_MIN_SIMILAR` of its scans are similar to scans of the group. `walk` is its
+    index.
+    """
     rows = walks.rows(walk)
     placed = [i for i in group.poses if i != walk and i in walks.partners[walk]]
     if not placed or rows.stop == rows.start:
@@ -207,8 +216,9 @@ def _peak(
 ) -> tuple[float, float, Candidate]:
     """Return the largest log density of poses, the sum of densities relative to it, and the place around it.
 
-    `maps` (S, nx, ny) are the log ratios of the scans at the cells. The probability of the candidate is that of its
-    place among all poses here.
+    A pose is a cell for the centre of the scans, and one of the rotations `turns` with its `log_prior`, on the storey
+    `up`. `maps` (S, nx, ny) are the log ratios of the scans at the cells. The probability of the candidate is that of
+    its place among all these poses.
     """
     centre = own_m.mean(axis=0)
     _, nx, ny = maps.shape
@@ -233,7 +243,7 @@ def _peak(
 
 
 def _placed(walks: ScannedWalks, group: PlacedGroup, rows: IntArray) -> tuple[FloatArray, IntArray]:
-    """Return positions and storeys of scans of placed walks in the frame of the group."""
+    """Return positions (n, 2) and storeys (n,) of scans of placed walks in the frame of the group."""
     at_m, floor = np.empty((len(rows), 2)), np.empty(len(rows), dtype=np.int64)
     owner = walks.owner[rows]
     for i in np.unique(owner).tolist():
@@ -243,13 +253,16 @@ def _placed(walks: ScannedWalks, group: PlacedGroup, rows: IntArray) -> tuple[Fl
 
 
 def _thinned(at_m: FloatArray, floor: IntArray) -> IntArray:
-    """Return the index of one scan in each square of a storey."""
+    """Return the indices of the scans to keep: one in each square of `_THIN_M` on a storey."""
     squares = np.column_stack([np.floor(at_m / _THIN_M).astype(np.int64), floor])
     return np.unique(squares, axis=0, return_index=True)[1]
 
 
 def grow(walks: ScannedWalks, group: PlacedGroup, free: set[int]) -> None:
-    """Join walks of `free` to a group, round by round, until no further walk has a sure place."""
+    """Join walks of `free` to a group, round by round, until no further walk has a sure place.
+
+    The group and `free` are changed. A walk that the others do not confirm twice is not tried again.
+    """
     n_refused, seen = dict[int, int](), dict[int, int]()
     for _ in range(_MOST_ROUNDS):
         found: dict[int, Candidate] = {}
@@ -277,7 +290,7 @@ def grow(walks: ScannedWalks, group: PlacedGroup, free: set[int]) -> None:
 
 
 def settle(walks: ScannedWalks, group: PlacedGroup) -> list[int]:
-    """Remove the walks of a group that the others do not confirm, and return them."""
+    """Remove the walks of a group that the others do not confirm, except its seeds, and return their indices."""
     removed: list[int] = []
     for _ in range(3):
         wrong = [i for i in group.poses if i not in group.seeds and not _is_confirmed(walks, group, i)]
@@ -291,7 +304,7 @@ def settle(walks: ScannedWalks, group: PlacedGroup) -> list[int]:
 
 
 def _is_confirmed(walks: ScannedWalks, group: PlacedGroup, walk: int) -> bool:
-    """True if all other walks of a group place a walk where it is."""
+    """True if all other walks of a group place a walk where it is: within `_PLACE_M` and on the same storey."""
     again = locate(walks, group, walk)
     if again is None or again.prob < 0.8 * SURE:
         return False
@@ -343,9 +356,10 @@ def pairs_of(walks: ScannedWalks, group: PlacedGroup, free: Sequence[int]) -> Pa
 
 
 def residuals(pairs: Pairs, apart_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the residuals (P,) of ranges for differences of positions (P, 2), unit vectors, and robust weights.
+    """Return the residuals (P,) of the ranges of pairs, unit vectors (P, 2), and robust weights (P,).
 
-    The weights are those of a Cauchy loss, divided by the variance.
+    `apart_m` (P, 2) is the position of the first scan minus that of the second one. A residual is its length minus the
+    range. The unit vector has its direction. The weights are those of a Cauchy loss, divided by the variance.
     """
     length = np.maximum(np.hypot(*apart_m.T), 0.5)
     residual = length - pairs.range_m
@@ -353,7 +367,11 @@ def residuals(pairs: Pairs, apart_m: FloatArray) -> tuple[FloatArray, FloatArray
 
 
 def adjust(walks: ScannedWalks, group: PlacedGroup, new: Sequence[int]) -> None:
-    """Adjust the rigid poses of a group together: of all walks, or of the new ones only in a large group."""
+    """Adjust the rigid poses of a group together: of all walks, or of the new ones only in a large group.
+
+    The poses and the deviation from magnetic north are changed in the group. They minimise the robust residuals of
+    pairs of similar scans, with priors for magnetic north and for the seeds.
+    """
     together = list(group.poses) if len(group.poses) <= MOST_TOGETHER else [i for i in new if i in group.poses]
     pairs = pairs_of(walks, group, together)
     n = len(together)

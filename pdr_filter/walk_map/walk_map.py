@@ -47,7 +47,7 @@ class MappedWalk:
     position_cov_m2 : array (K + 1, 2, 2)
         Covariances of the positions, in m^2.
     floor : array (K + 1,)
-        Storeys.
+        Storey at the start and after each step.
 
     Examples
     --------
@@ -95,7 +95,12 @@ class MappedWalk:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _JoinedGroup:
-    """Joined walks by their numbers among the chains, and the deviation of the frame from magnetic north."""
+    """Group of joined walks in one frame.
+
+    `pose` and `state` have the rigid pose (rotation, shift, storey) and the solved states of each walk, whose indices
+    among the chains are in `number`. The walks in `seeds` define the frame. `north_rad` is the deviation of the frame
+    from magnetic north. `is_known` is True if known positions define the frame.
+    """
 
     number: tuple[int, ...]
     pose: tuple[Pose, ...]
@@ -423,7 +428,7 @@ class WalkMap:
             )
 
     def _joined(self, group: int) -> list[Chain]:
-        """Return the chains of a group, in the order of its walks."""
+        """Return the chains (walks reduced to knots and scans) of a group, in the order of its walks."""
         return [self._chains[i] for i in self._groups[group].number]
 
 
@@ -501,7 +506,10 @@ def map_walks(
 
 
 def _by_name(known: Iterable[tuple[str, Known]], chains: Sequence[Chain]) -> dict[str, list[Known]]:
-    """Return the fixes of each walk."""
+    """Return the known positions and headings of each walk, by its name.
+
+    ValueError for a name that no chain has, and for other kinds of fixes.
+    """
     names, found = {c.name for c in chains}, dict[str, list[Known]]()
     for name, fix in known:
         if name not in names:
@@ -513,7 +521,7 @@ def _by_name(known: Iterable[tuple[str, Known]], chains: Sequence[Chain]) -> dic
 
 
 def _free_name(name: str, taken: set[str]) -> str:
-    """Return a name that no other walk has, and add it to those taken."""
+    """Return a name that no other walk has, such as "NAME (2)", and add it to the set `taken`."""
     new, n = name or "walk", 1
     while new in taken:
         n += 1
@@ -534,7 +542,9 @@ def _chains_of(
 ) -> tuple[list[Chain], list[tuple[str, str]], list[tuple[str, Known]]]:
     """Return the chains of recordings, the names and reasons of unusable recordings, and the fixes in their marks.
 
-    No two chains have the same name. `taken` and `keys` have the names and the keys of earlier chains.
+    A chain is a walk reduced to knots and scans. No two chains have the same name, and copies of a recording are
+    unusable. Marks are the files beside a recording (`read_marks`), and each of their fixes comes with the name of its
+    walk. `taken` has the names of earlier chains, and `keys` their names by key.
     """
     items = [r if isinstance(r, Recording) else str(r) for r in recordings]
     work = partial(cached_chain, cache=None if cache is None else str(cache), salt=salt)
@@ -571,7 +581,11 @@ def _mapped(
     salt: str | None,
     before: Sequence[_JoinedGroup] = (),
 ) -> WalkMap:
-    """Return the map of chains. Walks of the groups in `before` stay where they are."""
+    """Return the map of chains: walks are placed as rigid shapes, grouped, and each group is solved together.
+
+    Walks of the groups in `before` stay where they are. `apart` has the names and reasons of unusable recordings, to
+    which walks that cannot be joined are added. `known` has the fixes of each walk by its name.
+    """
     walks = ScannedWalks.of(chains)
     reasons = {i: "no Wi-Fi scans: record Wi-Fi with the walk" for i, c in enumerate(chains) if not len(c.scans)}
     fixes = {i: known[c.name] for i, c in enumerate(chains) if c.name in known}
@@ -643,7 +657,10 @@ def _std_m(states: States) -> float:
 
 
 def _extend(walks: ScannedWalks, group: PlacedGroup, free: set[int], reasons: dict[int, str]) -> None:
-    """Grow a group, and remove the walks that the others contradict."""
+    """Join walks of `free` to a group, and remove the walks that the others contradict.
+
+    The group is changed. Joined walks leave `free`. `reasons` gets the reason of each removed walk, by its index.
+    """
     if len(group.poses) > 1:
         adjust(walks, group, list(group.poses))
     grow(walks, group, free)
@@ -652,7 +669,11 @@ def _extend(walks: ScannedWalks, group: PlacedGroup, free: set[int], reasons: di
 
 
 def _known_pose(chain: Chain, fixes: Sequence[Known]) -> Pose | None:
-    """Return the rigid pose of a walk that its fixes define, or None without a position."""
+    """Return the rigid pose (rotation, shift, storey) of a walk that its fixes define, or None without a position.
+
+    The rotation comes from the first heading fix, or else from the shape of several positions. For a single position
+    without a heading it is zero.
+    """
     places = [f for f in fixes if isinstance(f, PositionFix)]
     headings = [f for f in fixes if isinstance(f, HeadingFix)]
     if not places:
@@ -678,7 +699,10 @@ def _result(
     known: Mapping[str, Sequence[Known]],
     salt: str | None,
 ) -> WalkMap:
-    """Return the map of solved groups."""
+    """Return the map of solved groups, with positions and covariances of all their walks.
+
+    `apart` has the names and reasons of the walks that were not joined.
+    """
     walks, found = ScannedWalks.of(chains), list[MappedWalk]()
     for number, group in enumerate(groups):
         for i, pose, state in zip(group.number, group.pose, group.state, strict=True):
@@ -694,7 +718,7 @@ def _result(
 def _moved_access_points(
     chains: Sequence[Chain], groups: Sequence[_JoinedGroup], walks: Sequence[MappedWalk]
 ) -> tuple[int, ...]:
-    """Return the addresses that were received strongly at distant places of one group."""
+    """Return the addresses of access points that were received strongly at distant places of one group, ascending."""
     moved: set[int] = set()
     for number, group in enumerate(groups):
         bssid: list[IntArray] = []

@@ -249,7 +249,10 @@ class RadioMap:
         return found
 
     def _located(self, wifi: Wifi) -> Iterator[_LocatedScan]:
-        """Yield the position distribution of each scan with enough mapped access points."""
+        """Yield the position distribution of each scan with at least `_MIN_ACCESS_POINTS` access points of the map.
+
+        It is that on the most probable storey of the scan.
+        """
         scans = [s for s in wifi.scans() if np.isin(s.bssid, self.bssid).sum() >= _MIN_ACCESS_POINTS]
         if not scans:
             return
@@ -314,7 +317,7 @@ class RadioMap:
 
     @cached_property
     def _fields(self) -> tuple[tuple[float, Field], ...]:
-        """Storey numbers with their fitted fields."""
+        """Pairs of a storey number, ascending (NaN if unknown), and the field fitted to the scans of this storey."""
         heard = fingerprints(self.point, self.access_point, self.rssi_dbm, (len(self.floor), len(self.bssid)))
         floors = np.unique(self.floor)
         return tuple((float(f), Field.of(self.position_m[on := _on_floor(self.floor, f)], heard[on])) for f in floors)

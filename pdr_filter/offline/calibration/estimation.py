@@ -188,7 +188,7 @@ class _Variances:
         return bool((np.abs(own - others) <= 2e-4 * np.abs(others)).all())
 
     def _logs(self) -> FloatArray:
-        """Return the logarithms of all variances."""
+        """Return the logarithms of all variances: noise, recording, and the diagonal of between, in this order."""
         values = np.concatenate([self.noise, [self.recording], np.diagonal(self.between)])
         return np.log(np.maximum(values, 1e-300))
 
@@ -240,7 +240,7 @@ class _Task:
         self.G, self.g = np.zeros((self.n_people, n_free, n_free)), np.zeros((self.n_people, n_free))
 
     def set_regressors(self, sums: SegmentSums) -> None:
-        """Replace the regressors of all segments."""
+        """Replace the regressors of all segments by those of `sums`, which are linearised at other parameters."""
         for chunk in self.chunks:
             chunk.set_regressors(sums, self.prior.mean, self.fixed)
 
@@ -345,9 +345,10 @@ def _embedded_cov(n: int, index: IntArray, cov: FloatArray) -> FloatArray:
 
 
 def _chunks_of_people(person: IntArray, order: IntArray) -> list[IntArray]:
-    """Return the sorted rows in chunks of some thousands that keep each person together.
+    """Return the rows `order` in consecutive chunks of some thousand segments, which keep each person together.
 
-    Chunks of this size keep temporary arrays in the processor cache.
+    `person` has the person of each row in this order, ascending. Chunks of this size keep temporary arrays in the
+    processor cache.
     """
     cuts = [0]
     for end in _starts(person)[1:]:
@@ -520,7 +521,10 @@ def _starts(*labels: IntArray) -> IntArray:
 
 
 def _sums(values: FloatArray, starts: IntArray) -> FloatArray:
-    """Return the sums of the rows of each group."""
+    """Return the sum of the rows of each group, one row per group.
+
+    `starts` are the starts of the groups (see `_starts`).
+    """
     return np.add.reduceat(values, starts[:-1], axis=0)
 
 

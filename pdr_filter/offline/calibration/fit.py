@@ -187,9 +187,10 @@ def check_subject(subject: str | None, each_a_person: bool) -> None:
 
 
 def without_name(n_recordings: int, subject: str | None, each_a_person: bool) -> list[str]:
-    """Return a note about the person to whom recordings without a subject id were attributed.
+    """Return a list with a note about the person to whom recordings without a subject id were attributed.
 
-    The list is empty if there is nothing to note.
+    `n_recordings` is the number of such recordings. If there are none, the note says that `subject` or `each_a_person`
+    was not used. The list is empty if there is nothing to note.
     """
     unused = "each_a_person (--each-a-person)" if each_a_person else f"subject {subject!r}" if subject else ""
     if n_recordings == 0 and unused:

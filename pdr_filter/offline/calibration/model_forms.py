@@ -188,7 +188,10 @@ def left_out_errors(
 
 
 def lengths(sums: SegmentSums, people: FloatArray) -> FloatArray:
-    """Return the predicted lengths (N,) of segments with the parameters of all people (S, P), for linear models."""
+    """Return the predicted lengths (N,) of segments, each with the parameters of its person, for linear models.
+
+    `people` (S, P) are the parameters of all people.
+    """
     vector = np.einsum("ndp,np->nd", sums.regressors, people[sums.subject]) + sums.offset_m
     return np.hypot(vector[:, 0], vector[:, 1])
 
@@ -196,11 +199,12 @@ def lengths(sums: SegmentSums, people: FloatArray) -> FloatArray:
 def best_form(
     segments: Sequence[AnySegment], forms: Mapping[str, Priors], loss: str, recording_std: float
 ) -> tuple[str, list[str]]:
-    """Return the name of the best model of walking, and a note about the choice.
+    """Return the name of the best model of walking, and a list with a note about the choice.
 
-    The first model is kept unless another one has a clearly smaller held-out error. The error must be smaller by the
-    fraction `_MIN_IMPROVEMENT`, and by two standard errors of the paired difference of squared errors. The list of
-    notes is empty if there are too few segments for a choice.
+    The first model is kept unless another one has a clearly smaller held-out error on the segments of walking. The
+    error must be smaller by the fraction `_MIN_IMPROVEMENT`, and by two standard errors of the paired difference of
+    squared errors. With a single model, or too few segments, people or recordings, there is no choice: the first model
+    is returned with an empty list.
     """
     first = next(iter(forms))
     walked = [s for s in segments if s.context_names[int(np.argmax(s.steps_in))] == "walking"]

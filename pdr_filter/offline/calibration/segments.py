@@ -114,7 +114,7 @@ class Segment:
 
     @property
     def steps_in(self) -> FloatArray:
-        """Number of steps of each context, shape (C,)."""
+        """Expected number of steps of each context, shape (C,): context probabilities summed over the steps inside."""
         return np.asarray(self.inside @ self.context_prob)
 
     @property
@@ -451,7 +451,7 @@ def _share_inside(track: TrackRows, stretch: _Stretch) -> FloatArray:
 
 
 def _is_bent(heading_rad: FloatArray, length_m: FloatArray) -> bool:
-    """Return True if a path with these step headings and lengths has a turn."""
+    """Return True if a path has a turn: its displacement is less than the share `STRAIGHT` of its length."""
     vector = np.exp(1j * heading_rad) * length_m
     return abs(vector.sum()) < STRAIGHT * np.abs(vector).sum()
 
@@ -471,7 +471,10 @@ def step_contexts(track: TrackRows) -> FloatArray:
 
 
 def _stretches(recording: Recording, anchor_std_m: float | None) -> tuple[list[_Stretch], list[str]]:
-    """Return the stretches of known length of a recording, and notes about those that are not used."""
+    """Return the stretches of known length of a recording, and notes about those that are not used.
+
+    They are from the first source that the recording has: truth segments, strides, waypoints, or GNSS fixes.
+    """
     truth, notes = recording.truth, list[str]()
     if truth.segments is not None and np.isfinite(truth.segments.distance_m).any():
         found = _of_known_distance(truth.segments, ANCHOR_STD_M if anchor_std_m is None else anchor_std_m)
@@ -562,9 +565,10 @@ def _between_waypoints(points: Any, anchor_std_m: float) -> tuple[list[_Stretch]
 
 
 def _groups(place_m: FloatArray) -> list[tuple[int, int]]:
-    """Return the first and last index of successive groups of positions (N, 2).
+    """Return the first and last index of successive groups of waypoint positions (N, 2) that form straight stretches.
 
-    Each group is a straight stretch of at least `GROUPED_M`; the last one may be shorter.
+    Each stretch is at least `GROUPED_M` long. The last one may be shorter, but not below `MIN_WAYPOINT_DISTANCE_M`.
+    Positions from which no straight stretch begins are skipped.
     """
     along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(place_m, axis=0).T))])
     found: list[tuple[int, int]] = []
@@ -583,7 +587,10 @@ def _groups(place_m: FloatArray) -> list[tuple[int, int]]:
 
 
 def _between_fixes(time_s: FloatArray, values: FloatArray) -> list[_Stretch]:
-    """Return the stretches between GNSS fixes, thinned until the distances exceed the errors of the fixes."""
+    """Return the stretches between GNSS fixes, thinned until the distances exceed the errors of the fixes.
+
+    `values` (N, 4) are latitude and longitude in degrees, altitude and accuracy in m.
+    """
     lat_deg, lon_deg, _, accuracy_m = values.T
     std_m = np.where(np.isfinite(accuracy_m) & (accuracy_m > 0), accuracy_m, 10.0) / RADIUS_68
     is_place = (np.abs(lat_deg) <= 90) & (np.abs(lon_deg) <= 180)

@@ -33,7 +33,7 @@ class Rows:
     b : array (n,)
         Second key, -1 for none.
     B : array (n, m, db)
-        Matrices of the second key.
+        Matrices of the second key; empty if no block has one.
     weight : array (n,)
         Weights of the blocks; empty for weight one.
     """
@@ -58,7 +58,10 @@ class Rows:
 
 
 def graph_of(rows: Sequence[Rows]) -> gtsam.GaussianFactorGraph:
-    """Return the linear factors of GTSAM, one for each block of rows, without blocks of weight zero."""
+    """Return the linear factors of GTSAM, one for each block of rows, multiplied by the root of its weight.
+
+    Blocks of weight zero are left out.
+    """
     graph = gtsam.GaussianFactorGraph()
     for block in rows:
         model = gtsam.noiseModel.Unit.Create(block.rhs.shape[1])
@@ -96,7 +99,8 @@ def joint_covariances(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the covariances (n - 1, 8, 8) of both ends of the intervals between n anchors, in one backward pass.
 
-    The second result is the covariance (E, 10, 10) of each error with its anchor `error_node`. Keys are the anchors,
+    The second result is the joint covariance (E, 10, 10) of the anchor `error_node` of each error (4 states), followed
+    by the error (6 states). Keys are the anchors,
     the errors, and the rotation of the frame. They are eliminated in the order of the walk, each error after its
     anchor. Each conditional is R x_j + S x_P = d. The parents P of a key j are one later key and some of the parents of
     that key, so the joint covariance of P is known already. Then cov x_j = R^-1 R^-T + G cov x_P G' with G = -R^-1 S.
@@ -158,6 +162,6 @@ class _Clique:
         return cls(cov, {key: range(end - size, end) for (key, size), end in zip(sizes.items(), ends, strict=True)})
 
     def of(self, keys: Sequence[int]) -> FloatArray:
-        """Return the joint covariance of some of the keys."""
+        """Return the joint covariance of the unknowns with some of the keys, in the given order of the keys."""
         index = [i for key in keys for i in self.place[key]]
         return self.cov[index][:, index]

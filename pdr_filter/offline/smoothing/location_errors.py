@@ -67,7 +67,10 @@ NO_ERRORS = Errors(
 
 
 def independent_share(fix: PositionFix, is_location: bool) -> float:
-    """Return the share of the variance of a fix that is independent of all other fixes."""
+    """Return the share, above 0 up to 1, of the variance of a fix that is independent of all other fixes.
+
+    It is 1 for a fix without a correlation time. `is_location` is True for a location reported by the phone.
+    """
     return 1.0 if fix.correlation_s == 0 else _OWN_SHARE if is_location else INDEPENDENT_SHARE
 
 
@@ -99,14 +102,17 @@ def errors_of(fixes: Sequence[PositionFix], is_location: BoolArray, node: IntArr
 
 
 def _from_local_mean(time_s: FloatArray, place_m: FloatArray) -> FloatArray:
-    """Return the positions (E, 2) minus the mean of those within `_SHRUNK_WITHIN_S`."""
+    """Return each position (E, 2) minus the mean of all positions less than `_SHRUNK_WITHIN_S` before or after."""
     first, end = (np.searchsorted(time_s, time_s + d) for d in (-_SHRUNK_WITHIN_S, _SHRUNK_WITHIN_S))
     total = np.concatenate([np.zeros((1, 2)), np.cumsum(place_m - place_m[0], axis=0)])
     return place_m - place_m[0] - (total[end] - total[first]) / (end - first)[:, None]
 
 
 def _velocity_mps(time_s: FloatArray, place_m: FloatArray) -> FloatArray:
-    """Return the velocity (E, 2) between the locations within `_LATE_WITHIN_S`, limited to that of a pedestrian."""
+    """Return the mean velocity (E, 2) around each location, limited to the speed of a pedestrian.
+
+    It is that from the first to the last location less than `_LATE_WITHIN_S` before or after.
+    """
     first, end = (np.searchsorted(time_s, time_s + d) for d in (-_LATE_WITHIN_S, _LATE_WITHIN_S))
     apart_s = np.maximum(time_s[end - 1] - time_s[first], 1.0)
     velocity_mps = (place_m[end - 1] - place_m[first]) / apart_s[:, None]
@@ -137,6 +143,7 @@ def with_even_variances(locations: Sequence[PositionFix]) -> tuple[PositionFix, 
 def joined_at_contacts(fixes: Sequence[PositionFix], contacts: IntArray) -> tuple[tuple[PositionFix, ...], IntArray]:
     """Return the fixes in order of time, with the correlated fixes at one contact joined into one.
 
+    Fixes without a correlation time remain single.
     The second result (F,) is the index of each given fix in the returned fixes. `contacts` (F,) is the number of steps
     before the contact nearest to each fix. Each correlated fix adds an error state to the unknowns, and a resting phone
     receives locations at a single contact for as long as it rests. Their mean is assigned the covariance of one of
@@ -153,7 +160,10 @@ def joined_at_contacts(fixes: Sequence[PositionFix], contacts: IntArray) -> tupl
 
 
 def _joined(fixes: Sequence[PositionFix]) -> PositionFix:
-    """Return the information-weighted mean of correlated fixes, with the covariance of a single one."""
+    """Return the information-weighted mean of correlated fixes, with the time of the middle one.
+
+    Its covariance is that of a single fix: the harmonic mean of their covariances.
+    """
     if len(fixes) == 1:
         return fixes[0]
     place_m, mean_cov = mean_place(fixes)

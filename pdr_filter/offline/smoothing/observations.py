@@ -57,7 +57,10 @@ _CLOSURE_STDS, _CLOSURE_M = 3.0, 3.0
 
 
 def is_uninformative(closure: LoopClosure, walked_m: float) -> bool:
-    """True if a loop closure carries no information, given the distance walked between its two times."""
+    """True if a loop closure carries no information, because the distance walked between its times is too short.
+
+    The limit of `walked_m` is 3 m or three standard deviations of the closure, whichever is longer.
+    """
     return walked_m <= max(_CLOSURE_STDS * closure.std_m, _CLOSURE_M)
 
 
@@ -139,7 +142,7 @@ class Observations:
     floor_changes : tuple of FloorChange
         Known storeys.
     locations : tuple of PositionFix
-        Locations of the recording itself.
+        Locations that the phone reported in the recording.
     is_loop : bool
         True if the last loop closure states that the walk ended at its start.
     """
@@ -157,9 +160,10 @@ class Observations:
         return tuple(f for f in self.fixes if isinstance(f, PositionFix))
 
     def fixes_inside(self, start_s: float, end_s: float) -> BoolArray:
-        """Return a mask (F,) of the fixes, followed by the locations, that are within a recording.
+        """Return a mask (F + L,) of the F fixes, followed by the L locations, that are within a recording.
 
-        Raises ValueError if all fixes are outside, or if a loop closure or known heading is outside.
+        `start_s` and `end_s` are the ends of the recording. Up to 1 s before or after them counts as within. Raises
+        ValueError if there are fixes and all of them are outside, or if a loop closure or known heading is outside.
         """
 
         def is_inside(time_s: float) -> bool:
@@ -188,7 +192,10 @@ def check_options(
     start_heading_std_rad: float | None,
     anchor_interval_s: float,
 ) -> None:
-    """Raise ValueError for options of `smooth` that are out of range."""
+    """Raise ValueError if `loop_closures` is a text other than "wifi", or another option of `smooth` is out of range.
+
+    `start_heading_std_rad` may be None.
+    """
     if isinstance(loop_closures, str) and loop_closures != "wifi":
         raise ValueError(f'loop_closures must be a sequence of LoopClosure or "wifi", got {loop_closures!r}')
     if start_heading_std_rad is not None:

@@ -10,7 +10,10 @@ from pdr_filter.values import FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SmoothedOnPlan:
-    """Smoothed track on a floor plan, with heading offset and log scale (K,) after each step."""
+    """Smoothed track on a floor plan, with heading offset in rad and log scale (K,) after each step.
+
+    Both have standard deviations (K,). The log scale is the natural logarithm of the factor on the step lengths.
+    """
 
     track: Track
     heading_offset_rad: FloatArray

@@ -86,7 +86,7 @@ class Increments:
         return len(self.time_s)
 
     def part(self, first: int, end: int) -> Increments:
-        """Return the steps first to end - 1."""
+        """Return the increments of the steps from index `first` to `end` - 1."""
         return Increments(*(getattr(self, name)[first:end] for name in self.__slots__))
 
 
@@ -210,7 +210,8 @@ def preintegrate(steps: Increments, nodes: IntArray) -> Intervals:
     r_i the drift variances of heading offset and log scale, and J the rotation by a right angle, the position
     covariance is Q_pp = sum C_i + sum q_i J b_i (J b_i)' + sum r_i d_i d_i' with b_i = D - D_{i-1} and d_i = D - D_i.
     The other blocks are similar (docs/methods/smoothing.md). The sums over i are differences of cumulative sums, for
-    all steps at once.
+    all steps at once. ValueError unless `nodes`, the numbers of steps before the anchors, increase from 0 to the number
+    of steps.
     """
     if len(nodes) < 2 or nodes[0] != 0 or nodes[-1] != len(steps) or (np.diff(nodes) < 1).any():
         raise ValueError(f"anchors must increase from 0 to the number of steps, {len(steps)}, got {nodes}")

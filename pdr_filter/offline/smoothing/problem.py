@@ -40,13 +40,13 @@ class ObservedPositions:
     Attributes
     ----------
     node : array (F,)
-        Observed anchor.
+        Index of the observed anchor.
     other : array (F,)
-        Anchor to which the position is relative, -1 for a position on the map.
+        Index of the anchor to which the position is relative, -1 for a position on the map.
     ahead_m : array (F, 2)
         Part of the step from the anchor to the observation, before heading offset and scale.
     position_m : array (F, 2)
-        Observed position.
+        Observed position, east and north. Zero for a loop closure.
     whiten : array (F, 2, 2)
         Inverse of the lower Cholesky factor of the covariance.
     """
@@ -187,7 +187,7 @@ class Problem:
     intervals : Intervals
         Steps summed between the anchors.
     start_mean : array (4,)
-        Prior mean of the first state.
+        Prior mean of the first state: east, north, heading offset and log scale.
     start_cov : array (4, 4)
         Prior covariance of the first state.
     positions : ObservedPositions
@@ -259,7 +259,7 @@ class Problem:
 
 
 def start_covariance(position_std_m: float, heading_std_rad: float, log_scale_var: float) -> FloatArray:
-    """Return the prior covariance (4, 4) before the first step."""
+    """Return the prior covariance (4, 4) of east, north, heading offset and log scale before the first step."""
     cov = np.diag(np.square([position_std_m, position_std_m, heading_std_rad, 0.0]))
     cov[LOG_SCALE, LOG_SCALE] = log_scale_var
     return cov + np.diag([0.0, 0.0, MIN_STATE_VAR, MIN_STATE_VAR])
@@ -327,7 +327,10 @@ class Measurements:
 def _measurements(
     contacts: list[_Contact], numbers: Callable[[list[int]], IntArray], given: Measurements
 ) -> ObservedMeasurements:
-    """Return measurements assigned to anchors."""
+    """Return measurements assigned to anchors.
+
+    `contacts` are their nearest contacts. `numbers` returns the indices of the anchors at given numbers of steps.
+    """
     steps = [max(i - 1, 0) for i, _, _ in contacts]
     return ObservedMeasurements(
         fixes=given.fixes,
@@ -354,7 +357,7 @@ class _Contacts(NamedTuple):
     headings: list[tuple[int, int]]
 
     def steps(self) -> list[int]:
-        """Return the numbers of the steps that an observation needs as an anchor, that is, a state of the smoother."""
+        """Return the number of steps before each contact at which an observation needs an anchor."""
         single = [*self.fixes, *(contact for pair in self.loops for contact in pair)]
         return [i for i, _, _ in single] + [i for pair in self.headings for i in pair]
 
@@ -366,7 +369,11 @@ def _positions(
     is_location: BoolArray,
     loop_closures: Sequence[LoopClosure],
 ) -> ObservedPositions:
-    """Return fixes and loop closures as observed positions, in this order."""
+    """Return fixes and loop closures as observed positions, in this order.
+
+    `numbers` returns the indices of the anchors at given numbers of steps. A loop closure is the position of its second
+    anchor relative to the first one, which is zero.
+    """
     at, loops = contacts.fixes, contacts.loops
     own_shares = [independent_share(f, is_one) for f, is_one in zip(fixes, is_location.tolist(), strict=True)]
     fix_cov_m2 = [
@@ -391,7 +398,10 @@ def _directions(
     steps: Increments,
     known_headings: Sequence[KnownHeading],
 ) -> ObservedDirections:
-    """Return known headings as observed directions between two anchors."""
+    """Return known headings as observed directions between two anchors.
+
+    `numbers` returns the indices of the anchors at given numbers of steps.
+    """
     walked = np.concatenate([np.zeros((1, 2)), np.cumsum(steps.displacement_m, axis=0)])
     return ObservedDirections(
         first=numbers([a for a, _ in contacts.headings]),
@@ -403,10 +413,10 @@ def _directions(
 
 
 def choose_nodes(steps: Increments, wanted: Sequence[int], interval_s: float) -> IntArray:
-    """Return the number of steps before each anchor, increasing from 0 to K.
+    """Return the number of steps before each anchor, increasing from 0 to the number of steps K.
 
     There are anchors at the wanted numbers, and before each change of the heading offset and each gap. More anchors in
-    between keep the distance between anchors below `interval_s`.
+    between keep the time between anchors at about `interval_s` or less.
     """
     changed = np.flatnonzero((steps.jump_var_rad2 > 0) | (steps.gap_var_m2 > 0))
     needed = np.unique(np.concatenate([[0, len(steps)], changed, np.asarray(wanted, dtype=np.int64)]).astype(np.int64))
@@ -420,7 +430,9 @@ def choose_nodes(steps: Increments, wanted: Sequence[int], interval_s: float) ->
 def nearest_contact(steps: Increments, time_s: float) -> _Contact:
     """Return the number of steps before the nearest contact, the displacement (2,) from it, and its variance in m^2.
 
-    The displacement is the part of a step between the contact and the given time.
+    The displacement is the part of a step between the contact and the given time, before heading offset and scale. It
+    is zero after the last contact. Before a change of the heading offset or a gap it is also zero, and its variance
+    contains the missing part of the step.
     """
     k = int(np.searchsorted(steps.time_s, time_s))
     if k == len(steps):
@@ -471,7 +483,7 @@ def heading_offsets(track: TrackRows, steps: Increments, modes: Sequence[Mode]) 
 
 
 def mode_offsets(track: TrackRows, modes: Sequence[Mode]) -> FloatArray:
-    """Return the angle (K,) from the heading of the body to the walking heading.
+    """Return the angle (K,) from the heading of the body to the walking heading, as a circular mean over the modes.
 
     It is zero except for sideways steps.
     """
@@ -480,7 +492,7 @@ def mode_offsets(track: TrackRows, modes: Sequence[Mode]) -> FloatArray:
 
 
 def _at_anchors(steps: Increments, nodes: IntArray, offsets: ObservedOffsets) -> ObservedOffsets:
-    """Return measured offsets moved to the anchor before them, combined into one per anchor.
+    """Return measured offsets moved to the last anchor at or before them, as one weighted mean per anchor.
 
     Their variance includes the drift between the anchor and the measurement.
     """

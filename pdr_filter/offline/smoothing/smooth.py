@@ -352,7 +352,9 @@ def _dead_reckoned(
 ) -> _Reckoned:
     """Return the configuration after a first pass, the track without fixes and locations, and the state of the sensing.
 
-    `progress` has the callbacks of the first and the second pass.
+    The state is that at the end of the recording. It is None if the first pass determined the gyroscope bias from the
+    axes of a building. `stood` are the given standstills, which are used. `progress` has the callbacks of the first and
+    the second pass. With `with_hills`, locations distinguish hills from storeys.
     """
     own, known_device = _with_first_pass(recording, config, progress[0])
     own = own.in_hindsight().with_model(frame=START_FRAME)
@@ -370,7 +372,10 @@ def _dead_reckoned(
 
 
 def _with_smoothed_modes(track: Track, config: Config) -> Track:
-    """Return the track with mode probabilities from the whole recording."""
+    """Return the track with mode probabilities smoothed over the whole recording.
+
+    It is unchanged unless the context probabilities are used as interacting multiple model ("imm").
+    """
     if track.weighting != "imm":
         return track
     prob = smoothed_mode_prob(track.mode_prob, config.model.transition_prob)
@@ -395,7 +400,7 @@ def _online_path(recording: Recording, config: Config, fixes: Sequence[Fix]) -> 
 def _pass_callbacks(
     progress: Callable[[float], None] | None,
 ) -> tuple[Callable[[float], None] | None, Callable[[float], None] | None]:
-    """Return progress callbacks for the first and the second pass."""
+    """Return progress callbacks for the first and the second pass, each for half of the progress, or None twice."""
     if progress is None:
         return None, None
 
@@ -414,6 +419,7 @@ def _with_first_pass(
     """Return the configuration with the walking directions and the gyroscope bias of a first pass over the recording.
 
     The second value is the device as estimated in the first pass if the configuration uses its bias, otherwise None.
+    Without a gyroscope or without steps, the configuration is unchanged.
 
     The caller runs the second pass, which has the final estimates of the first pass from its first step on. The walking
     direction relative to the phone is best known at the end of the time in one carrying position. The axes of a
@@ -443,7 +449,8 @@ def _observed_device(smoothed: Smoothed, config: Config, sensing: SensingState) 
 
     During the walk the heading offset changes by minus the heading error of the gyroscope. The change is taken from the
     first step to the step at which the resulting rate is known best. A phone that is moved adds the variance of an
-    unknown angle. `sensing` is the state at the end of the recording.
+    unknown angle. `sensing` is the state at the end of the recording. If its direction of the phone is unknown, or with
+    fewer than two steps, the bias is that of the sensing alone.
     """
     bias, heading = config.sensing.attitude.bias, sensing.heading
     steps, turned_rad = smoothed.track.steps, np.unwrap(smoothed.heading_offset_rad)
@@ -461,7 +468,7 @@ def _observed_device(smoothed: Smoothed, config: Config, sensing: SensingState) 
 
 
 def _on_plan(found: SmoothedOnPlan, observed: Observations) -> Smoothed:
-    """Return the result of smoothing on a floor plan as a `Smoothed`."""
+    """Return the result of smoothing on a floor plan as a `Smoothed`, whose observations are the position fixes."""
     results = {result.time_s: result for result in found.track.fixes}
     each = [results.get(fix.time_s) for fix in observed.fixes]
     observations = observation_table(observed).copy()
@@ -569,7 +576,7 @@ def _measurements_on_path(used: Used, guess: WalkedPath) -> Measurements:
 def _start_directions(
     used: Used, has_offsets: bool, noise: MotionNoise, start_heading_std_rad: float | None
 ) -> tuple[float, float]:
-    """Return the standard deviations of the first heading and of the rotation of the frame.
+    """Return the prior standard deviations in rad of the first heading offset and of the rotation of the frame.
 
     The rotation is that from the phone's frame to the frame of the fixes.
     """

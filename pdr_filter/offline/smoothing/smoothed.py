@@ -53,7 +53,7 @@ class Smoothed:
     heading_offset_std_rad : array (K,)
         Standard deviation of `heading_offset_rad`.
     log_scale : array (K,)
-        Logarithm of the factor on the step lengths.
+        Natural logarithm of the factor on the step lengths after each step.
     log_scale_std : array (K,)
         Standard deviation of `log_scale`.
     start_position_m : array (2,)
@@ -99,7 +99,7 @@ class Smoothed:
 
     @property
     def scale(self) -> float:
-        """Factor of the person on all step lengths, mean over the steps, or 1 without steps."""
+        """Factor of the person on all step lengths, geometric mean over the steps, or 1 without steps."""
         return float(np.exp(self.log_scale.mean())) if len(self.log_scale) else 1.0
 
     @property
@@ -109,7 +109,7 @@ class Smoothed:
 
     @property
     def rejected(self) -> Table:
-        """Rows of `observations` that were not used."""
+        """Rows of `observations` that were not used, for any reason."""
         return self.observations[self.observations.weight < 0.5].view(np.recarray)
 
     def __repr__(self) -> str:
@@ -119,9 +119,11 @@ class Smoothed:
 
 
 def observation_table(observed: Observations, row: IntArray | None = None, found: Solution | None = None) -> Table:
-    """Return the table `Smoothed.observations`.
+    """Return the table `Smoothed.observations`: fixes, locations, loop closures and known headings, in this order.
 
-    `row` has the row of each observation in the solution, or -1 if it was not part of the problem.
+    `row` has the row of each observation in the solution, or -1 if it was not part of the problem. Without a solution,
+    every `nis` is NaN and every `weight` 0. The time of a loop closure is its second one, that of a known heading its
+    first one.
     """
     times_s = [
         [f.time_s for f in observed.fixes],
@@ -146,9 +148,10 @@ def observation_table(observed: Observations, row: IntArray | None = None, found
 
 
 def fix_results(observed: Observations, observations: Table, used: Used, end_s: float) -> tuple[FixResult, ...]:
-    """Return the outcome of each fix and location: "used", "rejected" or "frozen".
+    """Return the outcome of each fix, followed by each location: "used", "rejected" or "frozen".
 
-    A fix is frozen if it repeats the last position while steps continue. `end_s` is the end of the recording.
+    A fix is frozen if it repeats the last position while steps continue. All other unused fixes are "rejected", also
+    those outside the recording. `end_s` is the end of the recording.
     """
     fixes = (*observed.fixes, *observed.locations)
     rows = zip(fixes, observations.weight.tolist(), observations.nis.tolist(), used.is_frozen.tolist(), strict=False)
@@ -168,7 +171,8 @@ def notes_of_solution(
 ) -> list[str]:
     """Return warnings about the solution, such as rejected observations and unknown directions.
 
-    `prior_log_scale_std` is the standard deviation of the log scale before any fix.
+    `prior_log_scale_std` is the standard deviation of the log scale (logarithm of the factor on the step lengths)
+    before any fix.
     """
     notes: list[str] = []
     for kind in _KINDS:
@@ -226,7 +230,10 @@ def floors_at_steps(track: Track, floor_changes: Sequence[FloorChange]) -> Float
 
 
 def without_steps(track: Track, observed: Observations, fixes: Sequence[PositionFix]) -> Smoothed:
-    """Return the result of a recording without steps: the position is the weighted mean of the fixes."""
+    """Return the result of a recording without steps: the position is the weighted mean of the fixes.
+
+    Without fixes it is zero, with the covariance of a known position.
+    """
     place, cov = mean_place(fixes) if fixes else (np.zeros(2), KNOWN_STD_M**2 * np.eye(2))
     none = read_only(np.zeros(0))
     return Smoothed(

@@ -82,7 +82,10 @@ def aligned_walk(
 def on_earth(
     smoothed: Smoothed, where: LocationState, locations: Sequence[PositionFix], observed: Observations
 ) -> Smoothed:
-    """Return a smoothed walk with the geographic origin from its locations and with the storeys of the fixes."""
+    """Return a smoothed walk with the geographic origin from its locations and with the storeys of the fixes.
+
+    `locations` are the usable locations as fixes. Notes about unusable locations and about rides are added.
+    """
     track, notes = smoothed.track, smoothed.notes
     if where.n_unusable:
         notes = (*notes, where.unusable())
@@ -109,7 +112,10 @@ def on_earth(
 
 
 def with_given_place(run: Run, smoothed: Smoothed) -> Smoothed:
-    """Return a smoothed walk with the geographic position and heading given by the caller."""
+    """Return a smoothed walk with the geographic position and heading given by the caller of `smooth`.
+
+    It is unchanged if neither is given.
+    """
     before, track = smoothed.track, run.placed(smoothed.track)
     turn_rad = (
         track.origin.turn_rad if track.origin is not None and before.frame == "start" else run.placement.heading_rad

@@ -39,11 +39,12 @@ class Solution:
     mean : array (n + 1, 4)
         Smoothed state at each anchor.
     joint_cov : array (n, 8, 8)
-        Joint covariance of both ends of each interval.
+        Joint covariance of both ends of each interval between consecutive anchors.
     frame_rad : float
         Rotation from the frame of the offsets to that of the positions.
     nis : array (F + H + S + X,)
-        Normalised innovation squared of each observation with respect to all others.
+        Normalised innovation squared of each observation with respect to all others: F positions, H directions, S
+        states (heading offsets and log scales) and X measurements.
     weight : array (F + H + S + X,)
         1 for a used observation, 0 for a rejected one.
     converged : bool
@@ -62,11 +63,11 @@ class Solution:
 
 
 def solve(problem: Problem) -> Solution:
-    """Return the smoothed states at the anchors, without the influence of outliers.
+    """Return the `Solution` of a problem: the smoothed states at the anchors, without the influence of outliers.
 
     A linear problem without angles gives the initial guess, and graduated non-convexity the initial set of inliers.
     After each Gauss-Newton solution, observations beyond the 99.9 % quantile are rejected, and rejected ones within it
-    are used again, until nothing changes (docs/methods/smoothing.md).
+    are used again, until no new set of observations results (docs/methods/smoothing.md).
     """
     mean, frame_rad, weight = _initial_guess(problem)
     limit, possible, has_frame = problem.limit_nis, problem.possible, len(problem.offsets) > 0
@@ -88,7 +89,8 @@ def _initial_guess(problem: Problem) -> tuple[FloatArray, float, FloatArray]:
     """Return initial states, the rotation of the frame, and observation weights for the nonlinear smoother.
 
     They solve the relaxed problem, which replaces heading offset and log scale by a plane vector. It is linear, so it
-    needs no initial guess. The weights come from a graduated non-convexity that removes outliers.
+    needs no initial guess. The weights, 0 or 1, come from a graduated non-convexity that removes outliers. Those of
+    measurements come from their residuals at the initial states.
     """
     n_relaxed = len(problem.positions) + len(problem.directions) + len(problem.states)
     all_limits, limit, possible = problem.limit_nis, problem.limit_nis[:n_relaxed], problem.possible[:n_relaxed]
@@ -173,7 +175,10 @@ def _position_anchors(problem: Problem) -> IntArray:
 def _gauss_newton(
     problem: Problem, mean: FloatArray, frame_rad: float, weight: FloatArray
 ) -> tuple[FloatArray, float, bool]:
-    """Return states, rotation, and whether the iteration converged."""
+    """Return the states (N, 6), the rotation of the frame, and True if the Gauss-Newton iteration converged.
+
+    It starts at `mean` and `frame_rad`, has the fixed weights `weight` of the observations, and ends after 60 steps.
+    """
     for iteration in range(60):
         change, turn = _solved(graph_of(linearised(problem, mean, frame_rad, weight)), problem)
         at_anchors = np.abs(change[: problem.n_nodes])
@@ -190,12 +195,13 @@ def _gauss_newton(
 
 
 def _next_weights(weight: FloatArray, excess: FloatArray, possible: FloatArray, node: IntArray) -> list[FloatArray]:
-    """Return weights to try next, the best first.
+    """Return weights to try next, the best first. The list is empty if nothing has to change.
 
     If there are outliers, the worst are removed first, because they increase the residuals of their neighbours.
     Otherwise rejected observations that fit are used again. The worst fixes of distant positions are removed together,
-    because they do not influence each other. `node` (F + H + S + X,) are the anchors of the observations, -1 for those
-    without a position.
+    because they do not influence each other. The second choice changes a single observation. `excess` is the normalised
+    innovation squared over its gate, above 1 for an outlier. `node` (F + H + S + X,) are the anchors of the
+    observations, -1 for those without a position.
     """
     used = np.where(weight > 0, excess, 0.0)
     if used.max(initial=0.0) > 1:
@@ -276,10 +282,10 @@ def _normalised_squares(residual: FloatArray, leverage: FloatArray, is_used: Boo
 
 
 def _solved(graph: gtsam.GaussianFactorGraph, problem: Problem) -> tuple[FloatArray, float]:
-    """Return the solution for anchors and errors (N, 6), and the rotation of the frame.
+    """Return the least-squares solution of a graph: anchors and errors (N, 6), and the rotation of the frame in rad.
 
     Anchors use four of the six columns. In the relaxed problem the rotation is a vector, and the result is its
-    direction.
+    direction. The rotation is zero without observed heading offsets.
     """
     solution = graph.optimize(gtsam.EliminateQR)
     n, state = problem.n_nodes, np.zeros((problem.n_states, N_ERRORS))
@@ -400,7 +406,10 @@ def _position_rows(
 
 
 def _direction_residuals(directions: ObservedDirections, mean: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the whitened residuals (H, 1) of known directions, and their derivatives by the last state."""
+    """Return the whitened residuals (H, 1) of known directions, and their derivatives (H, 1, 4) by the last anchor.
+
+    The derivatives by the first anchor have the opposite sign.
+    """
     way = mean[directions.last, :2] - mean[directions.first, :2]
     square = np.maximum((way**2).sum(axis=1), (0.5 * directions.length_m) ** 2 + 1e-12)
     error = wrap_angle(np.arctan2(way[:, 0], way[:, 1]) - directions.heading_rad) / directions.std_rad
@@ -488,7 +497,10 @@ def _rotation_matrix_of(sum_m: FloatArray) -> FloatArray:
 
 
 def _relaxed_positions(problem: Problem) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the derivatives of relaxed positions by both anchors, and their targets, whitened."""
+    """Return the derivatives (F, 2, 4) of relaxed positions by the anchor and by the other one, and their targets.
+
+    All are whitened. The targets (F, 2) are the observed positions. The second derivatives apply to loop closures only.
+    """
     positions = problem.positions
     H = np.zeros((len(positions), 2, N_STATES))
     H[:, :, _POSITION] = np.eye(2)
@@ -504,7 +516,7 @@ def _vector(state: FloatArray) -> FloatArray:
 
 
 def _relaxed_directions(directions: ObservedDirections) -> tuple[FloatArray, FloatArray]:
-    """Return the relaxed equations of directions, as derivatives and targets.
+    """Return the relaxed equations of directions: derivatives (H, 2, 4) by the last anchor, and targets (H, 2).
 
     The displacement between two anchors equals the known direction times the dead-reckoned length, with a relative
     standard deviation of a tenth or more.
@@ -517,7 +529,7 @@ def _relaxed_directions(directions: ObservedDirections) -> tuple[FloatArray, Flo
 
 
 def _relaxed_states(states: ObservedStates) -> tuple[FloatArray, FloatArray]:
-    """Return the relaxed equations of measured states, as derivatives and targets.
+    """Return the relaxed equations of measured states: derivatives (S, 2, 4) by the anchor, and targets (S, 2).
 
     A heading offset is a unit vector with a standard deviation of a tenth or more. A log scale has weight zero.
     """

@@ -17,7 +17,7 @@ def with_arrivals(track: AnyRows) -> AnyRows:
     """Return a track that changes its storey only where a floor passage led to another one.
 
     The filter changes the storey before it has confirmed the arrival, or before accurate locations reveal a hill
-    instead.
+    instead. Steps during a passage keep the storey of the filter.
     """
     floor, begin, now = track.floor.copy(), 0, int(track.floor[0]) if track.n_steps else 0
     for passage in track.floor_passages:
@@ -48,7 +48,7 @@ def with_named_floors(track: AnyRows, fixes: Sequence[object]) -> AnyRows:
 
 
 def _step_at(track: TrackRows, time_s: float) -> int:
-    """Return the index of the step at a time."""
+    """Return the index of the first step whose contact is at a time or later, or else of the last step."""
     return min(int(np.searchsorted(track.time_s, time_s)), track.n_steps - 1)
 
 

@@ -48,7 +48,7 @@ class Used:
         Walking heading of each step minus its heading offset.
     row : array of int
         Row of each given observation in the problem (positions, directions, states, measurements), -1 if it is not
-        used.
+        used. The given observations are fixes, locations, loop closures and known headings, in this order.
     is_frozen : array (F + L,) of bool
         True for fixes, followed by locations, that repeat the previous position.
     notes : tuple of str
@@ -77,7 +77,10 @@ class Used:
 
     @property
     def is_oriented(self) -> bool:
-        """True if an observation other than the phone's first heading gives the direction of the walk."""
+        """True if an observation other than the phone's first heading may give the direction of the walk.
+
+        Positions, locations, ranges, known headings, heading fixes and magnetic north count.
+        """
         headings = len(self.states.state) and (self.states.state == HEADING_OFFSET).any()
         return bool(self.has_places or self.observed.known_headings or headings)
 
@@ -90,7 +93,7 @@ def usable(
     observed: Observations,
     inside: BoolArray,
 ) -> Used:
-    """Return the observations that carry information.
+    """Return the observations that carry information: within the recording, not frozen, no uninformative closure.
 
     `inside` (F + L,) is a mask of the fixes and locations within the recording. `log_scale_std` is the standard
     deviation of the person's step scale in the track, an error that all speeds of the track share.
@@ -154,7 +157,7 @@ def _at_contacts(fixes: Iterable[PositionFix], steps: Increments) -> tuple[tuple
 
 
 def name_list(names: Sequence[object] | IntArray) -> str:
-    """Return the first ten names as text, with the number of the others."""
+    """Return the first ten names as text, followed by how many more there are."""
     shown = ", ".join(str(n) for n in names[:10])
     return shown if len(names) <= 10 else f"{shown} and {len(names) - 10} more"
 
@@ -183,7 +186,10 @@ def _of_state_fixes(
     device_rad: FloatArray,
     log_scale_std: float,
 ) -> ObservedStates:
-    """Return heading and speed fixes as measurements of heading offset and log scale."""
+    """Return heading fixes as measurements of the heading offset, and speed fixes as measurements of the log scale.
+
+    Each measurement is at the contact nearest to its fix.
+    """
     rows = np.zeros((len(fixes), 4))
     for k, fix in enumerate(fixes):
         at = nearest_contact(steps, fix.time_s)[0]
@@ -199,7 +205,10 @@ def _of_state_fixes(
 
 
 def _magnetic_north(track: TrackRows, modes: Sequence[Mode]) -> ObservedStates:
-    """Return magnetic north as measurements of the heading offset, at the last step of each interval."""
+    """Return magnetic north as measurements of the heading offset, one for each `_NORTH_INTERVAL_S` with a known north.
+
+    A measurement is at the last step of its interval that has a known north.
+    """
     steps = track.steps
     std = np.hypot(np.asarray(steps.north_std_rad), np.asarray(steps.shown_offset_std_rad))
     known = np.flatnonzero(np.isfinite(std))
@@ -215,7 +224,7 @@ _LOOP_STD_M = 0.5
 
 
 def start_end_closure(track: TrackRows) -> LoopClosure | None:
-    """Return the loop closure between the first and the last contact of a walk, or None without steps."""
+    """Return the loop closure between the start of the first step and the last contact, or None without steps."""
     if not track.n_steps:
         return None
     begin_s = float(track.time_s[0] - track.steps.duration_s[0])

@@ -30,8 +30,9 @@ _MOST_SCANS = 4000
 def wifi_loop_closures(recording: Recording) -> list[LoopClosure]:
     """Return loop closures between times with the same Wi-Fi signals.
 
-    Of each two visits of a place, the most similar pair of scans is used. A pair has a standard deviation of 7.5 m
-    along each axis. Such closures limit the drift of long walks and have little effect on short ones.
+    Of each two visits of a place, the most similar pair of scans is used. The visits are more than 30 s apart. Scans of
+    fewer than 20 access points are not used. A pair has a standard deviation of 7.5 m along each axis. Such closures
+    limit the drift of long walks and have little effect on short ones.
 
     Parameters
     ----------

@@ -89,7 +89,7 @@ class CarryingPlan(TrainingPlan):
         return balanced_weight(windows.carrying_mode, windows.dataset, self.source_weight)
 
     def held_out(self, windows: LabelledWindows) -> dict[str, BoolArray]:
-        """Return the windows of each real person, including synthetic ones made from them."""
+        """Return the windows of each real person as masks (W,) by name, including synthetic ones made from them."""
         return {str(name): windows.person == name for name in np.unique(windows.person[self.is_real(windows)])}
 
     def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]) -> ContextModel:
@@ -215,7 +215,11 @@ class _Signals(Columns):
 
 
 def _windows_of(plan: CarryingPlan, recording: Recording, dataset: str, person: str) -> list[LabelledWindows]:
-    """Return the windows of one recording or simulated person, and synthetic windows made from them."""
+    """Return the windows of one recording or simulated person, and synthetic windows made from a recording.
+
+    There is one item for each carrying mode and kind of windows. The list is empty for a data set that the plan does
+    not use.
+    """
     if dataset not in (*plan.datasets, SIMULATED):
         return []
     found: list[tuple[str, _Signals]] = []
@@ -233,7 +237,10 @@ def _windows_of(plan: CarryingPlan, recording: Recording, dataset: str, person: 
 
 
 def _signals(plan: CarryingPlan, recording: Recording) -> list[_Signals]:
-    """Return the windows of a recording that the plan can use, by carrying mode."""
+    """Return the windows of a recording that the plan can use, one item for each carrying mode.
+
+    They lie inside one label of a moving person with a mode of `MODES`. With `has_gyroscope` they have an angular rate.
+    """
     stage = FeatureWindows(features=RawSignals())
     recording = recording if plan.has_gyroscope else replace(recording, gyroscope=None)
     rows: dict[str, list[tuple[FloatArray, str, str, bool]]] = {}
@@ -253,7 +260,10 @@ def features_of(samples: FloatArray, rate_hz: float = 100.0) -> FloatArray:
 
 
 def _labelled(plan: CarryingPlan, signals: _Signals, person: str, source: str, name: str) -> LabelledWindows:
-    """Return windows with the features of the plan."""
+    """Return windows with the features of the plan.
+
+    `source` is their data set or kind of synthetic windows, and `name` the recording.
+    """
     with threadpool_limits(1):
         features = features_of(signals.samples)[:, [FEATURE_NAMES.index(name) for name in plan.feature_names]]
     return LabelledWindows.of_one(features, signals.context, signals.mode, person, source, name, signals.has_gyroscope)
@@ -267,7 +277,10 @@ _TURNS = 4
 
 
 def _turned(signals: _Signals, name: str) -> _Signals:
-    """Return windows of a phone in front of the body rotated to the ear: calling, with the same motion."""
+    """Return windows of a phone in front of the body rotated to the ear: calling, with the same motion.
+
+    Each of `_TURNS` random rotations, which depend on `name`, is applied to every second window.
+    """
     up = signals.samples[:, _UP].mean(axis=(0, 2))
     parts: list[_Signals] = []
     for turn, matrix in enumerate(ear_rotations([up] * _TURNS, name)):
@@ -280,9 +293,10 @@ def _turned(signals: _Signals, name: str) -> _Signals:
 
 
 def _weak(signals: _Signals, name: str) -> _Signals:
-    """Return every second window slowed down by a random factor f = 0.25 to 0.85.
+    """Return every second window with its motion scaled down by a random factor f = 0.25 to 0.85, as of a slow walker.
 
-    Angles and rates are multiplied by f, and accelerations by f^1.5, because the frequency decreases too.
+    Angles and rates are multiplied by f, and accelerations by f^1.5, because slow walkers have a lower step frequency
+    too. The timing of the samples does not change.
     """
     signals = signals.part(slice(None, None, 2))
     samples = signals.samples.copy()
@@ -297,7 +311,7 @@ def _weak(signals: _Signals, name: str) -> _Signals:
 
 
 def _even_rows(windows: LabelledWindows, at_most: int = 300) -> BoolArray:
-    """Return a mask (W,) of about the same number of windows of each data set and carrying mode."""
+    """Return a mask (W,) of at most `at_most` windows of each data set and carrying mode, evenly spaced."""
     use = np.zeros(len(windows.dataset), dtype=bool)
     for dataset in np.unique(windows.dataset):
         for mode in MODES:
@@ -309,7 +323,8 @@ def _even_rows(windows: LabelledWindows, at_most: int = 300) -> BoolArray:
 def site_scores(windows: LabelledWindows, prob: FloatArray, use: BoolArray) -> dict[str, Any]:
     """Return the scores of some windows: `score`, the number of windows of each mode, and the worst person's accuracy.
 
-    "followed" scores are of the probabilities filtered over time, as `ContextModels` does.
+    `use` is a mask (W,) of these windows. "followed" scores are of the probabilities filtered over time, as
+    `ContextModels` does.
     """
     own, prob = windows.part(use), prob[use]
     truth = own.carrying_mode

@@ -106,7 +106,10 @@ class FitOfObject:
     classifier: Any
 
     def __call__(self, Z: FloatArray, y: TextArray, weight: FloatArray) -> tuple[Machine, Classes]:
-        """Return the machine and its classes. Raise ValueError if the fitted object cannot be used."""
+        """Return the fitted classifier as a machine of a context model, and its classes.
+
+        Raise ValueError if the fitted object cannot be used.
+        """
         fitted: Any = clone(self.classifier, safe=False)
         fitted.fit(Z, y)
         if not hasattr(fitted, "classes_"):
@@ -154,7 +157,10 @@ def fit_pose_forest(Z: FloatArray, y: TextArray, weight: FloatArray) -> tuple[Fo
 
 
 def _compact(forest: Forest) -> Forest:
-    """Return the forest with leaf probabilities in steps of about 1/100, so that its file compresses well."""
+    """Return the forest with leaf probabilities in steps of about 1/100, so that its file compresses well.
+
+    Thresholds are rounded to float32, without a change of any decision about float32 numbers.
+    """
     trees = forest.trees
     counts = np.round(100 * forest.probability)
     probability = np.where(trees.is_leaf[:, None], counts / np.maximum(counts.sum(axis=1), 1)[:, None], 0.0)

@@ -220,7 +220,11 @@ def _labelled(
     people: Sequence[str] | None,
     progress: Callable[[float], None],
 ) -> _Labelled:
-    """Return the windows of the recordings. Raise ValueError if none has a label, or a feature is not finite."""
+    """Return the windows of the recordings, with labels only for those inside one label.
+
+    If any window has an angular rate, windows without one are left out. For carrying modes, windows of "stationary"
+    have no label. Raise ValueError if no window has a label of the head, or a feature is not finite.
+    """
     stage = FeatureWindows(features=features)
     rows: list[tuple[Any, ...]] = []
     names = [None] * len(recordings) if people is None else people
@@ -273,7 +277,10 @@ def _name_in(labels: Table | None, column: str, start_s: float, end_s: float) ->
 
 
 def _labels_of(windows: LabelledWindows, head: Head) -> tuple[str, ...]:
-    """Return the labels of the model in order. Raise ValueError for a single class, or for unknown carrying modes."""
+    """Return the labels of the model in order: contexts of the windows, or all `CARRYING_MODES`.
+
+    Raise ValueError if the windows have fewer than two classes, or unknown carrying modes.
+    """
     found = tuple(str(c) for c in np.unique(windows.label(head)) if c)
     what = head.replace("_", " ")
     if len(found) < 2:
@@ -289,7 +296,7 @@ def _labels_of(windows: LabelledWindows, head: Head) -> tuple[str, ...]:
 
 
 def _check_people(windows: LabelledWindows, head: Head) -> None:
-    """Raise ValueError unless labels of two classes remain without each person in turn."""
+    """Raise ValueError unless there are two people, and windows of two classes remain without each person in turn."""
     label, of_label = windows.label(head), windows.label(head) != ""
     people = np.unique(windows.person[of_label])
     if len(people) < 2:
@@ -318,9 +325,9 @@ class _StepLabels:
     person : array (K,) of str
         Person of each step.
     sequence : array (K,) of str
-        Stretch without gaps of each step.
+        Recording and stretch without gaps of each step, such as "3/0".
     recordings : tuple of int
-        Numbers of the recordings used.
+        Indices of the recordings in which the context changes.
     """
 
     label: IntArray
@@ -332,7 +339,10 @@ class _StepLabels:
 def _step_labels(
     recordings: Sequence[Recording], labelled: _Labelled, labels: tuple[str, ...], progress: Callable[[float], None]
 ) -> _StepLabels:
-    """Return the true contexts of all steps that the default recipe detects in recordings with changes of context."""
+    """Return the true contexts of all steps that the default recipe detects in recordings with changes of context.
+
+    Recordings with a single context are skipped.
+    """
     rows: list[tuple[int, str, str]] = []
     numbers = np.array([int(s.partition("/")[0]) for s in labelled.sequence])
     used: list[int] = []
@@ -396,11 +406,11 @@ class FittingPlan(TrainingPlan):
         return self.own_labels
 
     def training_windows(self, windows: LabelledWindows) -> LabelledWindows:
-        """Return the labelled windows."""
+        """Return the windows that have a label of the head."""
         return windows.part(windows.label(self.head) != "")
 
     def held_out(self, windows: LabelledWindows) -> dict[str, BoolArray]:
-        """Return the windows of each person, or of tenths of the people if there are more than ten."""
+        """Return the windows of each person as masks (W,) by name, or of tenths of more than ten people."""
         people = np.unique(windows.person)
         n = min(len(people), MAX_PARTS)
         return {", ".join(map(str, people[k::n])): np.isin(windows.person, people[k::n]) for k in range(n)}

@@ -62,14 +62,17 @@ class ContextPlan(TrainingPlan):
     recording_weight: Mapping[str, float] = field(default_factory=dict[str, float])
 
     def weight(self, windows: LabelledWindows) -> FloatArray:
-        """Return the weight of each window, (W,)."""
+        """Return the weight of each window, (W,): that of a word in the name of its recording, otherwise one."""
         result = np.ones(len(windows.recording))
         for word, weight in self.recording_weight.items():
             result[np.char.find(windows.recording, word) >= 0] = weight
         return result
 
     def rows(self, windows: LabelledWindows) -> BoolArray:
-        """Return a mask (W,) of the windows that the model is trained on."""
+        """Return a mask (W,) of the windows that the model is trained on: recorded ones with a known context.
+
+        If the plan uses the gyroscope, windows without an angular rate are left out.
+        """
         return self.is_real(windows) & (windows.has_gyroscope | (not self.has_gyroscope)) & (windows.context != "")
 
     def features(self, windows: LabelledWindows) -> FloatArray:
@@ -82,7 +85,7 @@ class ContextPlan(TrainingPlan):
         return replace(windows, features=self.features(windows)).part(self.rows(windows))
 
     def held_out(self, windows: LabelledWindows) -> dict[str, BoolArray]:
-        """Return the windows of each person of the scored data sets."""
+        """Return the windows of each person of the scored data sets, as masks (W,) by name."""
         people = np.unique(windows.person[np.isin(windows.dataset, SCORED_DATASETS)])
         return {str(name): windows.person == name for name in people}
 
@@ -123,7 +126,7 @@ class ContextPlan(TrainingPlan):
 
 
 def cross_calibrated(prob: FloatArray, context: TextArray, person: TextArray, model: ContextModel) -> FloatArray:
-    """Return the probabilities (W, C) of held-out people, each person's calibrated on all others."""
+    """Return the probabilities (W, C) of held-out people, each person's calibrated on all other people."""
     result = np.zeros_like(prob)
     for name in np.unique(person):
         own = person == name
@@ -138,7 +141,7 @@ def calibration(prob: FloatArray, context: TextArray, model: ContextModel) -> tu
     K classes (`slipped`).
 
     It is at least 1 / (W + 2), by Laplace's rule of succession. W windows without an error do not exclude an error. A
-    single label with probability zero would have an infinite log loss.
+    single label with probability zero would have an infinite log loss. Without windows, the results are 1 and 0.
     """
     if not len(context):
         return 1.0, 0.0
@@ -160,7 +163,10 @@ def _columns(model: ContextModel) -> list[int]:
 
 
 def _walking_scores(prob: FloatArray) -> dict[str, Any]:
-    """Return how often the walking of a held-out site is recognised as walking."""
+    """Return the scores of windows of walking at a held-out site, with their probabilities (W, C) of the contexts.
+
+    They are the number of windows, the share recognised as walking, and the mean probability of walking.
+    """
     walking = CONTEXTS.index("walking")
     return {
         "n_windows": len(prob),

@@ -89,7 +89,10 @@ def label_of(recording: Recording, start_s: float, end_s: float) -> tuple[str, s
 
 
 def label_row(labels: Table | None, column: str, start_s: float, end_s: float) -> int | None:
-    """Return the row of the label that contains a time interval, or None if no label with a name in the column does."""
+    """Return the row in the table of labels that contains a time interval, or None if no named label does.
+
+    Labels without a name in `column` are skipped. An interval may exceed its label by 0.02 s at each end.
+    """
     # Labels start with their first sample, but windows start half a sample interval before it.
     slack_s = 0.02
     for row, label in enumerate(() if labels is None else labels):
@@ -102,7 +105,7 @@ class Columns:
     """Base class of dataclasses of arrays with one row per window."""
 
     def part(self, use: BoolArray | slice) -> Self:
-        """Return the windows of a mask or slice."""
+        """Return the windows that a mask (W,) or a slice selects."""
         return type(self)(*(getattr(self, name)[use] for name in vars(self)))
 
     @classmethod
@@ -157,7 +160,7 @@ class LabelledWindows(Columns):
         return cls(features, context, carrying_mode, people, source, name, has_gyroscope)
 
     def label(self, head: str) -> TextArray:
-        """Return the true labels of a head, with empty strings where unknown."""
+        """Return the true contexts (W,) for the head "context", otherwise carrying modes; empty strings if unknown."""
         return self.context if head == "context" else self.carrying_mode
 
 
@@ -231,7 +234,7 @@ class TrainingPlan(ABC):
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Labels of the head."""
+        """Labels that the model distinguishes: all contexts, or all carrying modes."""
         return HEADS[self.head]
 
     def training_windows(self, windows: LabelledWindows) -> LabelledWindows:
@@ -247,7 +250,10 @@ class TrainingPlan(ABC):
         return np.ones(len(windows.person))
 
     def standardisation(self, features: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the mean and scale (F,) of the features (W, F)."""
+        """Return the weighted mean and standard deviation (F,) of the features (W, F).
+
+        The standard deviation of a constant feature is replaced by 1.
+        """
         mean = np.average(features, axis=0, weights=weight)
         std = np.sqrt(np.average((features - mean) ** 2, axis=0, weights=weight))
         return mean, np.where(std > _LEAST_STD, std, 1.0)
@@ -354,9 +360,10 @@ def predict_held_out(plan: TrainingPlan, windows: LabelledWindows, group: BoolAr
 def with_familiarity(
     model: ContextModel, windows: LabelledWindows, limit: float, stairs_limit: float | None = None
 ) -> ContextModel:
-    """Return the model with the distribution of its training windows, beyond whose limit a window is unknown.
+    """Return the model with the distribution (`Familiarity`) of its training windows.
 
-    With `stairs_limit`, the model has such a distribution of the training windows on stairs too.
+    A window is unknown if its distance from them exceeds `limit`. With `stairs_limit`, the model has such a
+    distribution of the training windows on stairs too. Without it, stairs are not guarded.
     """
     standardised = model.standardised(windows.features)
     stairs = None
@@ -367,7 +374,7 @@ def with_familiarity(
 
 
 def in_window_order(left_out: Iterable[HeldOut]) -> HeldOut:
-    """Return the predictions of all held-out groups, in the order of the windows."""
+    """Return the predictions of all held-out groups as one `HeldOut`, in the order of the windows."""
     groups = list(left_out)
     rows = np.any([group.rows for group in groups], axis=0)
     order = np.argsort(np.concatenate([np.flatnonzero(group.rows) for group in groups]))
@@ -385,7 +392,7 @@ def in_parallel(work: Callable[[J], R], jobs: Iterable[J], n_jobs: int = -1) -> 
 
 
 def part_progress(progress: Progress, start: float, span: float) -> Progress:
-    """Return a progress callback for a part of the whole, from `start` over `span`."""
+    """Return a progress callback for a part of the whole, whose fraction 0 to 1 becomes `start` to `start + span`."""
     return lambda what, fraction: progress(what, start + span * fraction)
 
 
@@ -401,7 +408,8 @@ def predicted(prob: FloatArray, labels: tuple[str, ...]) -> TextArray:
 def score(truth: TextArray, prob: FloatArray, labels: tuple[str, ...] = CONTEXTS) -> dict[str, Any]:
     """Return the scores of probabilities (W, L) as a dict.
 
-    It has accuracy, macro recall, recall per class, log loss, Brier score, calibration error and confusion matrix.
+    It has the number of windows, accuracy, macro recall, recall per class, log loss, Brier score, expected calibration
+    error and confusion matrix. Recalls are of the labels that occur in `truth` (W,). Numbers have four decimals.
     """
     present = [c for c in labels if (truth == c).any()]
     best = predicted(prob, labels)
@@ -420,7 +428,7 @@ def score(truth: TextArray, prob: FloatArray, labels: tuple[str, ...] = CONTEXTS
 
 
 def worst_person_accuracy(truth: TextArray, prob: FloatArray, person: TextArray, labels: tuple[str, ...]) -> float:
-    """Return the lowest accuracy among the people, from probabilities (W, L)."""
+    """Return the lowest accuracy among the people, to four decimals, from probabilities (W, L) of the labels."""
     right = predicted(prob, labels) == truth
     return round(float(min(right[person == name].mean() for name in np.unique(person))), 4)
 

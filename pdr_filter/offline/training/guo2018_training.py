@@ -129,7 +129,7 @@ class PosePlan(TrainingPlan):
 
 
 def _is_scored(name: str) -> bool:
-    """Return True for a person of the scored data set."""
+    """Return True for the name of a person of the scored data set, "motionsense/subject"."""
     return name.startswith(f"{SCORED_DATASET}/")
 
 
@@ -224,9 +224,11 @@ def labelled_poses(
 
 
 def _windows_of(recording: Recording, dataset: str, person: str) -> tuple[list[LabelledWindows], list[WalkWindows]]:
-    """Return the poses of one recording or simulated person, and the motion levels of a recording.
+    """Return windows for training the pose model, and levels of motion, from one recording or simulated person.
 
-    The poses include synthetic ones made from the recording.
+    The windows have the 12 features of pitch and roll and are of moving people in the carrying modes `MODES`. Those of
+    a recording include synthetic ones made from it. The levels are of all labelled windows of the recording, also at
+    rest. A simulated person has none. Both lists are empty for a data set that is not used.
     """
     ups = _up_directions(recording) if dataset in (*DATASETS, SIMULATED) else None
     if ups is None:
@@ -263,7 +265,10 @@ def _up_directions(recording: Recording) -> _UpDirections | None:
 
 
 def _synthetic_from(ups: _UpDirections, name: str) -> list[tuple[str, _UpDirections]]:
-    """Return synthetic windows made from those of a recording, by kind."""
+    """Return synthetic windows made from those of a recording, as pairs of kind and windows.
+
+    The kinds are mirrored windows, pocket windows turned over in six ways, and hand windows rotated to the ear.
+    """
     made = [(MIRRORED, replace(ups, up_sensor=ups.up_sensor * np.array([-1.0, 1.0, 1.0])))]
     pocket = ups.part(ups.mode == "pocket").part(slice(None, None, _EVERY))
     for signs in itertools.product((1.0, -1.0), repeat=3):
@@ -280,7 +285,10 @@ def _synthetic_from(ups: _UpDirections, name: str) -> list[tuple[str, _UpDirecti
 
 
 def _labelled(ups: _UpDirections, source: str, person: str, name: str) -> LabelledWindows:
-    """Return windows with the features of pitch and roll."""
+    """Return windows with the 12 features of pitch and roll.
+
+    `source` is their data set or kind of synthetic windows, and `name` the recording.
+    """
     features = np.array([pose_features(np.stack(pitch_and_roll(up))) for up in ups.up_sensor])
     return LabelledWindows.of_one(features, ups.context, ups.mode, person, source, name, ups.has_rate)
 
@@ -296,7 +304,10 @@ def pose_scores(truth: TextArray, prob: FloatArray) -> dict[str, Any]:
 
 
 def kappa(truth: TextArray, prob: FloatArray) -> float:
-    """Return Cohen's kappa of the most probable class. At least two classes must be true for some window."""
+    """Return Cohen's kappa of the most probable classes and the true ones, to four decimals.
+
+    `truth` must have at least two classes.
+    """
     found = predicted(prob, CARRYING_MODES)
     by_chance = sum(float(np.mean(truth == c) * np.mean(found == c)) for c in CARRYING_MODES)
     agreed = float(np.mean(truth == found))

@@ -82,6 +82,9 @@ def balanced_weight(label: TextArray, source: TextArray, source_weight: Mapping[
 
 
 def synthetic_card(source: TextArray, source_weight: Mapping[str, float]) -> dict[str, Any]:
-    """Return the entries of a card about synthetic windows, from their sources (W,)."""
+    """Return the entries of a card about synthetic windows: their number by source, and the weights of the sources.
+
+    `source` (W,) is the source of each synthetic window.
+    """
     n_windows = {str(name): int((source == name).sum()) for name in np.unique(source)}
     return {"made_windows": n_windows, "source_weight": dict(source_weight)}

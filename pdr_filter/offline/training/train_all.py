@@ -35,7 +35,8 @@ def train(
 
     `data_dir` has one folder per data set. Without it no model is trained, and transitions and exponents are estimated
     with the shipped models. `sequences` are further labelled recordings in which the context changes, for transitions
-    and exponents only. The files are `<name>.npz`, `<name>.json` and `transitions.json`.
+    and exponents only. The files are `<name>.npz`, `<name>.json` and `transitions.json`. ValueError if there are no
+    recordings to train on.
     """
     if sequences is not None and not sequences:
         raise ValueError("the folder of sequences has no recordings; give a folder of recordings with truth_labels.csv")

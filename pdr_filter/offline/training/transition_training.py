@@ -81,7 +81,7 @@ class LabelledSequences:
     n_recordings: int
 
     def counts(self, without: Sequence[str] = ()) -> FloatArray:
-        """Return the transitions (C, C) between steps, of all people except some."""
+        """Return the counted transitions (C, C) between steps, of all people except those in `without`."""
         use = ~np.isin(self.step_person, without)
         return count_transitions(self.step_label[use], self.step_sequence[use], self.windows.prob.shape[1])
 
@@ -207,17 +207,17 @@ class EvidenceModel(Protocol):
 
     @property
     def evidence_exponent(self) -> float:
-        """Exponent of the probabilities."""
+        """Exponent e of the evidence (p / prior^r)^e of a window for a context with the probability p."""
         ...
 
     @property
     def prior_exponent(self) -> float:
-        """Exponent of the classifier's prior."""
+        """Exponent r of the classifier's prior in the evidence (p / prior^r)^e of a window."""
         ...
 
     @property
     def evidence_floor(self) -> float:
-        """Smallest probability of a window."""
+        """Smallest probability of a context in a window. Smaller ones are raised to it."""
         ...
 
 

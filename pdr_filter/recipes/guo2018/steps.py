@@ -117,7 +117,7 @@ class PoseStepDetector(BaseStepDetector[PoseStepState]):
 
     @cached_property
     def _delay(self) -> tuple[FloatArray, FloatArray]:
-        """Return frequencies, and the delay of the low-pass for a sinusoid in samples."""
+        """Return frequencies in Hz, and the delay of the low-pass for sinusoids of these frequencies, in samples."""
         frequency_hz = np.linspace(0.01, self.max_step_hz, 330)
         return frequency_hz, phase_delay_s(self._sos, frequency_hz, self.rate_hz) * self.rate_hz
 
@@ -156,7 +156,10 @@ class PoseStepDetector(BaseStepDetector[PoseStepState]):
     def _signals(
         self, state: PoseStepState, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
     ) -> tuple[PoseStepState, FloatArray]:
-        """Return the four signals, 1 for walking samples, and the row of the signal of the pose, (6, N)."""
+        """Return the new state, and (6, N): the four signals, 1 for walking samples, and the row of the pose's signal.
+
+        The four signals are those of `feature_signals`, not yet low-passed.
+        """
         level_state, level, has_rate = self._level.update(state.level, block)
         lowest = np.where(has_rate, self.min_level, self.min_level_accelerometer)
         is_walking = (lowest < level) & (level < self.max_level)

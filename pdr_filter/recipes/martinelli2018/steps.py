@@ -131,7 +131,7 @@ class WaveletStepDetector(ResponseStepDetector[WaveletDetectorState]):
     def _signals(
         self, state: WaveletDetectorState, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
     ) -> tuple[WaveletDetectorState, FloatArray]:
-        """Return the magnitude and its low-passed power, (2, N)."""
+        """Return the new state, and the magnitude |f| in m/s2 and the low-passed square of |f| - g, (2, N)."""
         magnitude = specific_force_magnitude(block.specific_force_mps2)
         from scipy.signal import sosfilt
 

@@ -172,7 +172,10 @@ class NormMinimaStepDetector(BaseStepDetector[NormMinimaState]):
     def _signals(
         self, state: NormMinimaState, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
     ) -> tuple[NormMinimaState, FloatArray]:
-        """Return |f|, |omega|, flags (sample exists, rate is known, steps are possible), and carrying mode, (6, N)."""
+        """Return the new state, and (6, N): |f|, |omega|, three flags, and the index of the carrying mode.
+
+        The norms are low-passed. The flags are 1 if the sample exists, if its rate is known, and if steps are possible.
+        """
         components = np.vstack([block.specific_force_mps2.T, block.angular_rate_radps.T])
         norms, zi = filtered_norms(self._sos, components, state.zi)
         known = np.stack([block.angular_rate_known, ~contexts.stands, contexts.carrying_mode]).astype(float)
@@ -222,7 +225,11 @@ class NormMinimaStepDetector(BaseStepDetector[NormMinimaState]):
     def _above_and_below(
         self, norm_line: FloatArray, is_sample: FloatArray, middle: FloatArray, norm: int
     ) -> tuple[list[bool], list[bool]]:
-        """Return whether each middle sample is above the upper and below the lower threshold of its window."""
+        """Return whether each middle sample is above the upper, and whether it is below the lower threshold.
+
+        The thresholds are the mean plus and minus `depth` standard deviations of the window around the sample. No
+        sample is below the lower one in a window of a device at rest.
+        """
         depth = self.force_depth if norm == _FORCE else self.rate_depth
         min_std = self.min_force_std_mps2 if norm == _FORCE else self.min_rate_std_radps
         ones = np.ones(2 * self._half_samples)
@@ -239,9 +246,11 @@ class NormMinimaStepDetector(BaseStepDetector[NormMinimaState]):
     def _follow(
         self, trough: Trough, first: int, norm: FloatArray, high: list[bool], low: list[bool], chosen: BoolArray
     ) -> tuple[Trough, list[tuple[int, Trough]]]:
-        """Return the current trough after some samples, and the ended troughs with the sample of their end.
+        """Return the current trough of a norm after some samples, and pairs of the end and the trough of ended ones.
 
-        The samples are numbered from `first`.
+        The end is the number of a sample, and the samples are numbered from `first`. A trough ends when the norm rises
+        above its upper threshold (`high`), or `max_wait_s` after its lowest sample. `chosen` states whether the motion
+        mode uses this norm.
         """
         ended: list[tuple[int, Trough]] = []
         for i, value in enumerate(norm.tolist()):
@@ -259,7 +268,11 @@ class NormMinimaStepDetector(BaseStepDetector[NormMinimaState]):
     def _accept(
         self, state: NormMinimaState, known: int, norm: int, trough: Trough
     ) -> tuple[NormMinimaState, Step | None]:
-        """Return the new state, and the step of a minimum, or None if the minimum is rejected."""
+        """Return the new state, and the step of a minimum, or None if the minimum is rejected.
+
+        It is rejected if the motion mode does not use its norm, less than `min_interval_s` after the last contact, or
+        if the samples of its step are not available. `known` is the number of the newest sample.
+        """
         if not trough.chosen:
             return state, None
         interval_s = (trough.sample - trough.before) / self.rate_hz if trough.before >= 0 else np.inf

@@ -301,7 +301,11 @@ class OffsetCompensation:
         return state, state.baseline_rad
 
     def _samples_of(self, state: OffsetCompensationState, number: int, step: Step) -> FloatArray:
-        """Return the columns of `recent` during a step, at most `_MEMORY_S` before its detection."""
+        """Return the columns of `recent` (3, n) during a step, at most `_MEMORY_S` before its detection.
+
+        The rows are time, carrying state, and viewing direction minus device heading. `number` is the number of the
+        sample at which the step was detected.
+        """
         first = state.n_samples - state.recent.shape[1]
         oldest = max(number - round(_MEMORY_S * self.rate_hz) + 1 - first, 0)
         remembered = state.recent[:, oldest:]

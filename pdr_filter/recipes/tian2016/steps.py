@@ -215,7 +215,10 @@ class TianStepDetector(BaseStepDetector[TianDetectorState]):
     def _signals(
         self, state: TianDetectorState, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
     ) -> tuple[TianDetectorState, FloatArray]:
-        """Return the three filtered signals and the state of each sample, (4, N)."""
+        """Return the new state, and the three filtered signals in g and the carrying state of each sample, (4, N).
+
+        The signals are those of `step_signals`. The carrying state is HOLDING, SWING, POCKET or TRANS.
+        """
         raw = step_signals(block.specific_force_mps2, attitude.up_sensor)
         carried, states = self._carried.update(state.carried, contexts.carrying_mode)
         signals, zi = filtered(self._low_pass_sos, raw, state.low_pass_zi)
@@ -300,7 +303,11 @@ class TianStepDetector(BaseStepDetector[TianDetectorState]):
     def _accept(
         self, state: TianDetectorState, peak: FloatArray, sample: int, known: int
     ) -> tuple[TianDetectorState, Step | None]:
-        """Return the new state, and the step of a peak, or None if the peak is rejected."""
+        """Return the new state, and the step of a peak, or None if the peak is rejected.
+
+        It is rejected less than `min_interval_s` after the last contact, or if the samples of its step are not
+        available. `peak` (3,) has the peak at `sample` and its neighbours. `known` is the number of the newest sample.
+        """
         at = sample + vertex(peak) - self._filter_delay_s * self.rate_hz
         contact = int(np.floor(at))
         if not self._log.can_end(state.log, contact):

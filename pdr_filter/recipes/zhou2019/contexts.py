@@ -103,7 +103,7 @@ CARRIED = BehaviourThresholds(
 
 @dataclass(frozen=True, slots=True)
 class BehaviourMemory:
-    """State of the machine that recognises behaviours (see `context_of`)."""
+    """State of the machine that recognises behaviours (see `BehaviourStage.assess`)."""
 
     behaviour: str  # one of BEHAVIOURS; empty before the first window
     last_max_mps2: tuple[float, ...]  # maxima of the windows within the last window length, oldest first
@@ -186,6 +186,9 @@ class BehaviourStage(WindowStage[BehaviourState, BehaviourWindow, BehaviourMemor
 
 
 def context_of(behaviour: str, time_s: float) -> WindowContext:
-    """Return the context of a behaviour, for a window that ends at `time_s`."""
+    """Return the context of a behaviour with probability one, for a window that ends at `time_s`.
+
+    Irregular swing is the context "stationary" with an `irregular_prob` of 1.
+    """
     known = known_context(time_s, {_CONTEXT_OF[behaviour]: 1.0}, {}, _CONTEXTS_KNOWN, _NAME)
     return replace_unchecked(known, irregular_prob=float(behaviour == "irregular"))

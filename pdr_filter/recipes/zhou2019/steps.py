@@ -208,7 +208,10 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
     def _signals(
         self, state: ReferenceLineState, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
     ) -> tuple[ReferenceLineState, FloatArray]:
-        """Return the acceleration and the code of the behaviour, (2, N)."""
+        """Return the unchanged state, and the acceleration |f| - g and the code of the behaviour, (2, N).
+
+        The code is 0 if the person stands or moves irregularly, 2 for running, and otherwise 1.
+        """
         a = specific_force_magnitude(block.specific_force_mps2) - STANDARD_GRAVITY_MPS2
         return state, np.vstack(
             [a, np.select([contexts.stands, contexts.runs], [_STATIONARY, _RUNNING], 1).astype(float)]
@@ -235,7 +238,10 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
         return replace_unchecked(state, buffer=state.buffer[:, -n_kept:]), steps
 
     def _window(self, state: ReferenceLineState, first: int) -> tuple[ReferenceLineState, list[tuple[int, Step]]]:
-        """Process a complete window, and set the length of the next window. The buffer starts at sample `first`."""
+        """Return the state after a complete window, and the steps found, each with the number of its newest sample.
+
+        The state has the start and the length of the next window. The buffer starts at sample `first`.
+        """
         window_end = state.window_start + _window_samples(state.period_s, self.rate_hz)
         begin, end = state.window_start - first, window_end - first
         search = self.running if state.is_running else self.walking
@@ -309,9 +315,10 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
     def _release(
         self, state: ReferenceLineState, is_still: bool, known: int
     ) -> tuple[ReferenceLineState, list[tuple[int, Step]]]:
-        """Return the steps of held events unless the person stands.
+        """Return the new state, and the steps of all held events, each with the number `known` of the newest sample.
 
-        In that case, drop events held longer than `hold_s`.
+        If the person stands (`is_still`), there are no steps. The events stay held, except those held longer than
+        `hold_s`, which are dropped.
         """
         if is_still:
             oldest = known + 1 - self._delay_samples - self.hold_s * self.rate_hz

@@ -83,7 +83,10 @@ def plan(plan: FloorPlan, path: str | pathlib.Path | None = None) -> Figure:
 
 
 def _write_names(axes: Axes, storey: Storey) -> None:
-    """Write the names of areas, the largest area first, unless they overlap. The axes need their final layout."""
+    """Write the names of areas, the largest area first. A name that would overlap an earlier one is left out.
+
+    The axes need their final layout.
+    """
     named = [f for f in storey.features if f.name and f.kind != "floor"]
     written = list[Bbox]()
     figure = axes.get_figure(root=True)
