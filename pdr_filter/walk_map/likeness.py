@@ -65,7 +65,7 @@ def log_ratio(cosine: FloatArray, distance_m: FloatArray) -> FloatArray:
     total = np.zeros((len(cosine), len(distance_m)), dtype=np.float32)
     for k in np.unique(of_cosine):
         total += (of_cosine == k).astype(np.float32) @ _TABLE[k][of_distance].T
-    return total
+    return total.astype(np.float64)
 
 
 def ranges(cosine: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -191,7 +191,7 @@ def locate(walks: ScannedWalks, group: PlacedGroup, walk: int) -> Candidate | No
     cells = low + _CELL_M * np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1).reshape(-1, 2)
     distance_m = np.linalg.norm(cells[:, None] - at_m, axis=-1)
     for up in np.unique(floor[:, None] - own_floor[None, :]).tolist():
-        of_scan = np.zeros((len(own_m), len(cells)), dtype=np.float32)
+        of_scan = np.zeros((len(own_m), len(cells)))
         for storey in np.unique(own_floor).tolist():
             here, there = own_floor == storey, floor == storey + up
             if there.any():

@@ -122,7 +122,7 @@ class _JoinedGroup:
     def of_seeds(self, new: Mapping[int, int]) -> _JoinedGroup | None:
         """Return the group with its seeds alone, or another walk if they are gone, for new numbers of the walks."""
         seeds = [i for i in self.seeds if i in new] or [i for i in self.number if i in new][:1]
-        pose, state = (tuple(of[i] for i in seeds) for of in (self.poses, self.states))
+        pose, state = tuple(self.poses[i] for i in seeds), tuple(self.states[i] for i in seeds)
         number = tuple(new[i] for i in seeds)
         return replace(self, number=number, pose=pose, state=state, seeds=number) if seeds else None
 
@@ -505,7 +505,7 @@ def map_walks(
     return _mapped(chains, apart, _by_name([*marked, *known], chains), salt)
 
 
-def _by_name(known: Iterable[tuple[str, Known]], chains: Sequence[Chain]) -> dict[str, list[Known]]:
+def _by_name(known: Iterable[tuple[str, object]], chains: Sequence[Chain]) -> dict[str, list[Known]]:
     """Return the known positions and headings of each walk, by its name.
 
     ValueError for a name that no chain has, and for other kinds of fixes.
@@ -636,7 +636,7 @@ def _mapped(
             reasons[i] = "its place is uncertain by more than 15 m: walk longer, or through mapped places"
             del states[i], group.poses[i]
         number = tuple(sorted(states))
-        pose, state = (tuple(of[i] for i in number) for of in (group.poses, states))
+        pose, state = tuple(group.poses[i] for i in number), tuple(states[i] for i in number)
         solved.append(_JoinedGroup(number, pose, state, tuple(sorted(group.seeds)), group.north_rad, flag))
     solved.sort(key=lambda g: (not g.is_known, -len(g.number)))
     joined = {i for g in solved for i in g.number}
