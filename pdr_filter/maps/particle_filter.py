@@ -142,7 +142,7 @@ class PlanEvent:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParticleState:
-    """State of the particle filter after one event.
+    """State of the particle filter after one event: a step, a fix, a gap or a change of storey.
 
     Attributes
     ----------

@@ -50,7 +50,7 @@ class _Reckoned(NamedTuple):
 
 
 class _Event(NamedTuple):
-    """State of the particles after one event.
+    """State of the particles after one event: a step, a fix, a gap or a change of storey.
 
     `reckoned` is the dead-reckoned position after a step, and None for other events. `is_restart` is True if the
     particles do not descend from those before the event.

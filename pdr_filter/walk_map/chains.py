@@ -108,7 +108,7 @@ class Chain:
 
     @property
     def n_knots(self) -> int:
-        """Number of knots."""
+        """Number of knots, which are the points of the walk at which a state is estimated."""
         return self.problem.n_nodes
 
     def node_of(self, step: IntArray) -> tuple[IntArray, FloatArray]:
@@ -204,6 +204,16 @@ def hashed(wifi: Wifi, salt: str) -> Wifi:
     -------
     Wifi
         Receptions with other addresses.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.walk_map.chains import hashed
+    >>> wifi = pdr.Wifi(np.array([1.0, 2.0]), np.array([7, 7]), np.array([-50.0, -55.0]), np.full(2, 2412.0))
+    >>> other = hashed(wifi, "my secret text")
+    >>> bool(other.bssid[0] == other.bssid[1]), bool(other.bssid[0] == 7)
+    (True, False)
     """
     known, number = np.unique(wifi.bssid, return_inverse=True)
     other = [int.from_bytes(hashlib.sha256(f"{salt}\n{b}".encode()).digest()[:6], "big") for b in known.tolist()]
@@ -211,7 +221,7 @@ def hashed(wifi: Wifi, salt: str) -> Wifi:
 
 
 def cached_chain(path: str, cache: str | None, salt: str | None) -> Chain:
-    """Return the chain of a recording in a file, from the cache if its content has not changed.
+    """Return the chain (walk reduced to knots and scans) of a file, from the cache if its content has not changed.
 
     The cache makes a killed run resume: each chain is written when it is finished.
     """
@@ -253,5 +263,5 @@ def content_of(recording: Recording) -> str:
 
 
 def without_times(chains: Sequence[Chain]) -> list[Chain]:
-    """Return chains without times, names and notes of their walks."""
+    """Return chains (walks reduced to knots and scans) without times and notes, named "walk 1", "walk 2" and so on."""
     return [replace(c, name=f"walk {i + 1}", time_s=np.zeros(0), notes=()) for i, c in enumerate(chains)]

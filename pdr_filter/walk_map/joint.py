@@ -121,7 +121,10 @@ def _by_state(state: FloatArray, node: IntArray, ahead_m: FloatArray) -> tuple[F
 
 
 def _known_rows(walks: ScannedWalks, walk: int, state: FloatArray, known: Sequence[Known], base: int) -> list[Rows]:
-    """Return the equations of the known positions and headings of a walk."""
+    """Return the equations of the known positions and headings of a walk, linearised at its states.
+
+    `base` is the key of the first knot of the walk.
+    """
     chain, rows = walks.chains[walk], list[Rows]()
     for fix in known:
         step = chain.step_at(fix.time_s)
@@ -148,8 +151,9 @@ def _origin_rows(
     known: Mapping[int, Sequence[Known]],
     has_fixed: bool,
 ) -> list[Rows]:
-    """Return the equations that define the frame of a group without fixes: the start of a seed, and its direction.
+    """Return the equations that define the frame of a group without fixes: the start and the direction of one walk.
 
+    This walk is the first seed of the group.
     The list is empty if some walks are fixed. The start is left out if there is a known position. The direction is left
     out if there are two fixes, or if the magnetometer of a walk gives it.
     """

@@ -49,6 +49,15 @@ class MappedWalk:
         Covariances of the positions, in m^2.
     floor : array (K + 1,)
         Storey at the start and after each step.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.walk_map.walk_map import MappedWalk
+    >>> way_m, cov_m2 = np.array([[0.0, 0.0], [0.0, 0.7]]), np.tile(np.eye(2), (2, 1, 1))
+    >>> walk = MappedWalk("corridor", 0, np.array([1.0]), way_m, cov_m2, np.array([0, 0]))
+    >>> walk.at(1.5)[0].tolist()
+    [0.0, 0.7]
     """
 
     name: str
@@ -260,7 +269,9 @@ class WalkMap:
         jobs: int = 1,
         scheduler: str | None = None,
     ) -> WalkMap:
-        """Return the map with further walks. Walks that were joined before stay where they are.
+        """Return the map with further walks.
+
+        Walks that were joined before stay where they are. Walks that stayed apart are tried again.
 
         Parameters
         ----------

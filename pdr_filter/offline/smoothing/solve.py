@@ -34,6 +34,8 @@ _GUESS_STD_M, _ROUGH_LIMIT = 2.0, 4.0
 class Solution:
     """Smoothed states at the anchors, and the use of positions, directions, states and measurements.
 
+    An anchor is a foot contact at which a state is estimated: east, north, heading offset and log scale.
+
     Attributes
     ----------
     mean : array (n + 1, 4)
@@ -298,7 +300,11 @@ def _solved(graph: gtsam.GaussianFactorGraph, problem: Problem) -> tuple[FloatAr
 
 
 def linearised(problem: Problem, mean: FloatArray, frame_rad: float, weight: FloatArray) -> list[Rows]:
-    """Return the equations for the change of the states (N, 6) of anchors and errors, linearised at these states."""
+    """Return the equations for the change of the states (N, 6) of anchors and errors, linearised at these states.
+
+    They are the prior of the start, the steps between anchors, and all observations with their weights. `frame_rad` is
+    the rotation from the frame of the observed heading offsets to that of the positions.
+    """
     start_whiten = read_only(np.linalg.inv(np.linalg.cholesky(problem.start_cov)))
     rows = [Rows.of_one(0, start_whiten, -(start_whiten @ (mean[0, :N_STATES] - problem.start_mean)))]
 

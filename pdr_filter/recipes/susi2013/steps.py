@@ -40,7 +40,11 @@ _FORCE, _RATE = 0, 1
 
 @dataclass(frozen=True)
 class Trough:
-    """Minimum of a norm that is being tracked."""
+    """Minimum of a norm that is being tracked: the lowest sample so far, its value, and the sample of the last trough.
+
+    `armed` is True after the norm was above its upper threshold, which a minimum requires. `chosen` is True if the
+    motion mode uses this norm.
+    """
 
     armed: bool = False  # the norm was above its upper threshold since the previous minimum
     sample: int = -1  # number of the lowest sample of the filtered norm; negative outside a trough

@@ -103,7 +103,11 @@ CARRIED = BehaviourThresholds(
 
 @dataclass(frozen=True, slots=True)
 class BehaviourMemory:
-    """State of the machine that recognises behaviours (see `BehaviourStage.assess`)."""
+    """State of the machine that recognises behaviours (see `BehaviourStage.assess`).
+
+    It has the last behaviour, the largest accelerations of the last windows, and how many windows of the transition
+    remain.
+    """
 
     behaviour: str  # one of BEHAVIOURS; empty before the first window
     last_max_mps2: tuple[float, ...]  # maxima of the windows within the last window length, oldest first
