@@ -245,7 +245,7 @@ def _windows_of(recording: Recording, dataset: str, person: str) -> tuple[list[L
 
 
 def _up_directions(recording: Recording) -> _UpDirections | None:
-    """Return all windows of a recording that lie inside one label, or None if there are none."""
+    """Return the successive windows of 0.6 s of a recording that lie inside one label, or None if there are none."""
     conditioner, attitudes, level = Conditioner(), AttitudeEstimator(), MotionLevel()
     rows: list[tuple[FloatArray, str, str, bool, float, float]] = []
     attitude_state = attitudes.init()

@@ -154,7 +154,7 @@ class NormMinimaStepDetector(BaseStepDetector[NormMinimaState]):
 
     @property
     def latency_s(self) -> float:
-        """Longest time in s from a contact to its detection, 2.7 s. It is typically 2.1 s."""
+        """Longest time in s from a contact to its detection. The default is 2.7 s, and 2.1 s are typical."""
         slowest_s = 0.5 * _MAX_STEP_S + float(self._delays[1].max())
         return slowest_s + (self._half_samples + self._wait_samples + 2) / self.rate_hz
 
