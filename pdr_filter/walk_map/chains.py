@@ -114,7 +114,8 @@ class Chain:
     def node_of(self, step: IntArray) -> tuple[IntArray, FloatArray]:
         """Return the knot at or before each point of the chain, and the displacement (n, 2) from the knot to the point.
 
-        A point is given by the number of steps before it.
+        A point is given by the number of steps before it. A knot is a point with a state, given by its index. The
+        displacement is before heading offset and scale.
         """
         intervals = self.problem.intervals
         node = np.searchsorted(intervals.nodes, step, side="right") - 1

@@ -111,7 +111,11 @@ def step_positions(walks: ScannedWalks, walk: int, states: States) -> tuple[Floa
 
 
 def _by_state(state: FloatArray, node: IntArray, ahead_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the positions (n, 2) of points ahead of knots, and their derivatives (n, 2, 4) by the states."""
+    """Return the positions (n, 2) of points of a walk, and their derivatives (n, 2, 4) by the states of their knots.
+
+    `state` (N, 4) are the states of the N knots of the walk, and `node` (n,) the knot of each point. `ahead_m` (n, 2)
+    is the displacement from the knot to the point, before heading offset and scale.
+    """
     at = state[node]
     moved = np.einsum("nab,nb->na", scaled_rotation(at[:, HEADING_OFFSET], at[:, LOG_SCALE]), ahead_m)
     by_state = np.zeros((len(node), 2, N_STATES))

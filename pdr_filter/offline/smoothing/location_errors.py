@@ -78,7 +78,8 @@ def errors_of(fixes: Sequence[PositionFix], is_location: BoolArray, node: IntArr
     """Return the error states of the E correlated fixes among F fixes in order of time.
 
     The error of a phone's location has all four parts: constant, varying, shrinkage and delay (see `Errors`). The error
-    of any other fix has the varying part only. `node` (F,) is the index of each fix's anchor.
+    of any other fix has the varying part only. `node` (F,) is the index of each fix's anchor, the foot contact at which
+    the smoother estimates a state. `is_location` (F,) is True for locations of the phone.
     """
     position = np.flatnonzero([f.correlation_s > 0 for f in fixes])
     if not len(position):

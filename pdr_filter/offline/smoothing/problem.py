@@ -219,7 +219,7 @@ class Problem:
 
     @property
     def n_states(self) -> int:
-        """Number of anchors and errors, which is also the key of the rotation of the frame."""
+        """Number of anchors and errors of correlated fixes, which is also the key of the rotation of the frame."""
         return self.n_nodes + len(self.errors)
 
     @property
@@ -497,6 +497,7 @@ def mode_offsets(track: TrackRows, modes: Sequence[Mode]) -> FloatArray:
 def _at_anchors(steps: Increments, nodes: IntArray, offsets: ObservedOffsets) -> ObservedOffsets:
     """Return measured heading offsets moved to the last anchor at or before them, as one weighted mean per anchor.
 
+    An anchor is a foot contact at which the smoother estimates a state. `nodes` has the number of steps before each.
     Their variance includes the drift between the anchor and the measurement.
     """
     if len(offsets) == 0:

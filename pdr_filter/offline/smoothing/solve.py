@@ -142,7 +142,10 @@ def _guess_rows(problem: Problem) -> list[Rows]:
 
 
 def _measurement_residuals(problem: Problem, mean: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-    """Return the whitened residuals (k,) of each measurement, and their derivatives (k, 4) by the anchor."""
+    """Return the whitened residuals (k,) of each measurement, and their derivatives (k, 4) by the state of its anchor.
+
+    The state has east, north, heading offset and log scale. k is the number of components of the measurement.
+    """
     observed = problem.measurements
     at = mean[observed.node, :N_STATES]
     moved_m = np.einsum("nab,nb->na", scaled_rotation(at[:, HEADING_OFFSET], at[:, LOG_SCALE]), observed.ahead_m)
@@ -168,7 +171,8 @@ def _nis_of_measurements(problem: Problem, mean: FloatArray) -> FloatArray:
 def _position_anchors(problem: Problem) -> IntArray:
     """Return the anchor of each observed position and measurement, -1 for directions and states, (F + H + S + X,).
 
-    F, H, S and X are the numbers of positions, directions, states and measurements.
+    An anchor is given by its index among the foot contacts with a state. F, H, S and X are the numbers of positions,
+    directions, states and measurements.
     """
     others = np.full(len(problem.directions) + len(problem.states), -1)
     return np.concatenate([problem.positions.node, others, problem.measurements.node])

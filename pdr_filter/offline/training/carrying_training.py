@@ -156,8 +156,9 @@ PLANS: tuple[CarryingPlan, ...] = (
 def train_carrying(
     paths: Sequence[Path], out_dir: Path, progress: Progress = silent, n_simulated: int = N_SIMULATED
 ) -> list[dict[str, Any]]:
-    """Train the models of `PLANS`, save them to `out_dir`, and return their cards.
+    """Train the carrying-mode models of `PLANS`, save them to `out_dir`, and return their model cards.
 
+    A model card describes data, purpose and scores.
     `n_simulated` is the number of simulated people in each mode. Recordings of data sets that a plan does not list are
     ignored.
     """

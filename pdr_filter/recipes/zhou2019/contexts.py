@@ -161,7 +161,8 @@ class BehaviourStage(WindowStage[BehaviourState, BehaviourWindow, BehaviourMemor
     def assess(self, memory: BehaviourMemory, window: BehaviourWindow) -> tuple[BehaviourMemory, WindowContext]:
         """Return the context of a window, by one cycle of the state machine of Zhou et al. 2019, Table 1.
 
-        The behaviour is kept while the maximum of the acceleration is unchanged, and classified again after a change.
+        The behaviour is kept while the maximum of the acceleration is unchanged. After a change it is classified in
+        this window and in the following ones that overlap it.
 
         Parameters
         ----------
