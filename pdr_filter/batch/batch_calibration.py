@@ -185,7 +185,7 @@ def reduced(
 ) -> Reduced:
     """Read a recording and return its segments of known length.
 
-    Segments have sums for the given models, or all their steps if `models` is None.
+    Segments have sums over their steps for the given step-length models, or all their steps if `models` is None.
     """
     recording = read(path, file_format)
     name = recording.name if each_a_person else subject

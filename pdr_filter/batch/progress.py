@@ -66,7 +66,7 @@ class Clock:
         self._show(None)
 
     def after(self, row: Row) -> None:
-        """Count a row that was added to the table, and report the progress."""
+        """Count a row that was added to the table, and pass the new `Progress` to the function `report`."""
         size = self._bytes_of[row.task]
         self._left_bytes, self._done_bytes = self._left_bytes - size, self._done_bytes + size
         self._n_done, self._n_failed = self._n_done + 1, self._n_failed + row.failed

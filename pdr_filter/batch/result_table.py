@@ -179,7 +179,7 @@ def opened(
     """Open and lock a table. Yield its rows, and a function that appends a row.
 
     An incomplete last line is removed. With `retry_failed`, rows of failed recordings are removed as well. ValueError
-    for a table with other contexts.
+    for a table with other contexts, for another kind of file, and if another batch has locked the table.
     """
     header = _header(contexts)
     table.parent.mkdir(parents=True, exist_ok=True)
@@ -217,7 +217,10 @@ def _append(file: IO[bytes], text: str) -> None:
 
 
 def _lock(file: IO[bytes], table: Path) -> None:
-    """Lock the table against other batches until the process ends. On Windows, which has no `fcntl`, do nothing."""
+    """Lock the table against other batches until the file is closed. ValueError if another batch has locked it.
+
+    On Windows, which has no `fcntl`, nothing is done.
+    """
     try:
         import fcntl
     except ImportError:
@@ -231,7 +234,10 @@ def _lock(file: IO[bytes], table: Path) -> None:
 
 
 def _parsed(content: bytes, table: Path) -> tuple[list[Row], int]:
-    """Return the rows of complete lines, and the number of bytes of these lines."""
+    """Return the rows of the complete lines of a table, and the number of bytes of these lines with the header.
+
+    ValueError if the content is not a table of a batch, or if a line is damaged.
+    """
     length = content.rfind(b"\n") + 1
     lines = content[:length].decode("utf-8", "surrogateescape").split("\n")[:-1]
     if not lines and not _line(_BEFORE)[:-1].encode().startswith(content[: len(_line(_BEFORE)) - 1]):
@@ -299,7 +305,10 @@ def _of_cells(cells: Sequence[str], contexts: Sequence[str]) -> Row:
 
 
 def row_of(task: Task, result: Track) -> Row:
-    """Return the row of a tracked recording."""
+    """Return the row of the batch table for a recording that was tracked.
+
+    It has the fields of its task, and the results of its track.
+    """
     seconds = result.context_seconds()
     end_m = result.end_position_m
     return Row(
@@ -317,7 +326,10 @@ def row_of(task: Task, result: Track) -> Row:
 
 
 def failed_row(task: Task, reason: str) -> Row:
-    """Return the row of a recording that could not be tracked."""
+    """Return the row of the batch table for a recording that could not be tracked.
+
+    It has the fields of its task, and the reason. Its results are None.
+    """
     name = _one_line(Path(task.path).stem)
     return Row(**asdict(task), status=_FAILED, reason=_one_line(reason), name=name)
 
@@ -327,7 +339,11 @@ def _one_line(text: str) -> str:
 
 
 def tables(out: str | Path) -> tuple[Path, Path | None]:
-    """Return the path of the growing CSV file, and the path of the final Parquet file or None."""
+    """Return the path of the growing CSV file, and the path of the final Parquet file or None.
+
+    `out` is the file that the caller wants; Parquet is written if its suffix is .parquet. ValueError if `out` is a
+    folder, or if the packages for Parquet are missing.
+    """
     out = Path(out)
     if out.is_dir():
         raise ValueError(f"{out} is a folder: give the path of a table, such as {out / 'tracks.csv'}")

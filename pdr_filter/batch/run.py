@@ -153,7 +153,7 @@ def _options(
     calibration: str | Path | None,
     gnss: str | None,
 ) -> Task:
-    """Return the task without its path. ValueError for options that would fail for every recording."""
+    """Return a task with the given options and an empty path. ValueError for options that fail for every recording."""
     check_name(recipe)
     if weighting is not None and weighting not in WEIGHTINGS:
         raise ValueError(f'weighting must be "imm", "wc" or "hc", got {weighting!r}')

@@ -42,7 +42,7 @@ class WorkerProcess:
         self._is_closed = False
 
     def ask(self, request: Any) -> Any:
-        """Return the answer to a request. LostError if the process ends before. Calls must not overlap."""
+        """Return the answer to a request. LostError if the process dies before it answers. Calls must not overlap."""
         pieces = [pickle.dumps(request)]
         if self._process is None:
             command = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import serve; serve()"
@@ -67,7 +67,7 @@ class WorkerProcess:
         self._end()
 
     def _end(self) -> int | None:
-        """End the process and return its exit code."""
+        """End the process and return its exit code, or None if no process runs."""
         process, self._process = self._process, None
         if process is None:
             return None

@@ -86,10 +86,11 @@ def _guarded(work: Callable[[T], R], item: T) -> R | Failure:
 
 
 def _on_processes(work: Callable[[T], R], items: Sequence[T], jobs: int) -> Iterator[tuple[int, R | Failure]]:
-    """Run items on worker processes, with a thread for each process that passes one item at a time.
+    """Yield index and result of each item, computed by worker processes, in the order in which items finish.
 
-    The item at which a process died is therefore known. It is tried again alone at the end, because several large items
-    at the same time can exhaust the memory.
+    A thread for each process passes one item at a time, so that the item at which a process died is known. It is tried
+    again alone at the end, because several large items at the same time can exhaust the memory. If the process dies
+    again, the result is a `Failure`.
     """
     from joblib import cpu_count
 

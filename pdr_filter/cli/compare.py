@@ -49,7 +49,7 @@ class Compared:
     in_contexts: Table | None
 
     def summary(self) -> dict[str, Any]:
-        """Return the printed results as a dictionary of plain values."""
+        """Return the results of all tracks as JSON values: the name of the recording, and a summary for each track."""
         rows = [
             {"track": name, **track.summary(), **({"rmse_m": self.rmse_m[name]} if name in self.rmse_m else {})}
             for name, track in self.tracks.items()
@@ -152,7 +152,7 @@ def _known_places(recording: Recording) -> Table | None:
 
 
 def _rmse_m(known: Table, track: Track) -> float:
-    """Return the position RMSE against the ground truth, after the best rigid alignment."""
+    """Return the position RMSE in m against a table of true positions or waypoints, after the best rigid alignment."""
     import numpy as np
 
     import pdr_filter as pdr
@@ -194,7 +194,10 @@ def _print(compared: Sequence[Compared]) -> None:
 
 
 def _study(compared: Sequence[Compared]) -> Table | None:
-    """Return mean errors over persons, or None if no recording has ground truth."""
+    """Return a table of mean errors over persons (`evaluate.study_table`), or None if no recording has ground truth.
+
+    Each recording without a name of its person counts as another person.
+    """
     import numpy as np
 
     import pdr_filter as pdr

@@ -47,7 +47,8 @@ def escape(text: object) -> str:
 def message(error: Exception) -> str:
     """Return the message of an error, or the name of its class if the message is empty.
 
-    Line breaks are kept, because some messages contain the lines of a file to copy.
+    For an OSError of a file, it is the path with the usual remedy. Line breaks are kept, because some messages contain
+    the lines of a file to copy.
     """
     if isinstance(error, OSError) and error.strerror and error.filename:
         remedy = {
@@ -125,7 +126,8 @@ def progress(what: str) -> Generator[Callable[..., None]]:
 def recordings_of(paths: Sequence[Path]) -> list[Path]:
     """Return the paths of all recordings.
 
-    A folder, or a file with several recordings, is replaced by its recordings.
+    A folder, or a file with several recordings, is replaced by its recordings. A path that does not exist is kept.
+    ValueError for a folder without recordings.
     """
     from pdr_filter.io.folders import recordings_in
 
@@ -146,8 +148,8 @@ def each(
 ) -> tuple[list[T], dict[Path, str]]:
     """Apply `work` to each file and return the results, and the error message of each file that failed.
 
-    Error messages are printed on stderr, and as JSON objects on stdout if `as_json` is true. Ctrl+C ends the command
-    and prints the files that remain.
+    `work` takes the file and a function that it calls with the fraction done. Error messages are printed on stderr, and
+    as JSON objects on stdout if `as_json` is true. Ctrl+C ends the command and prints the files that remain.
     """
     results: list[T] = []
     failed: dict[Path, str] = {}
@@ -284,7 +286,7 @@ _SMOOTHED = "smoothed from the whole recording; --online shows the estimates ava
 
 
 def in_m(value: float, spec: str = "z.1f") -> str:
-    """Return a length in metres as text."""
+    """Return a length in metres as text with its unit, such as "1.2 m". `spec` is the format of the number."""
     return f"{value:{spec}} m"
 
 

@@ -150,7 +150,10 @@ def _facts(demo: Demo) -> Table:
 
 
 def _true_facts(recording: Recording, result: Track) -> tuple[str, str, str]:
-    """Return texts with the true steps, the true distance, and the end error after rigid alignment as in the report."""
+    """Return three texts: the true number of steps, the true distance, and the error of the end of the track.
+
+    The error is after rigid alignment, as in the report. ValueError for a recording without true steps and segments.
+    """
     truth = recording.truth
     if truth.steps is None or truth.segments is None:
         raise ValueError(f"{recording.name} has no true steps and segments: use a simulated recording")

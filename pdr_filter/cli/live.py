@@ -138,7 +138,7 @@ class Sources:
         return None if self.replay is None else read(self.replay)
 
     def tasks(self, walk: Recording | None, shared: Live) -> list[Coroutine[Any, Any, None]]:
-        """Return coroutines that fetch samples while the server runs."""
+        """Return a coroutine for each source, which fetches its samples and passes them to the server `shared`."""
         from pdr_filter.live import sources
 
         def say(text: str) -> None:

@@ -37,6 +37,7 @@ def map_folder(
             raise ValueError(f"{folder} has no recordings: give the folder that contains them")
         with console.progress("mapping"):
             found = pdr.map_walks(paths, salt=salt, cache=out / "cache", jobs=jobs, scheduler=scheduler)
+        before = console.existing(out / "map" / "walk_map.json", out / "map.html")
         found.save(out / "map", times=times)
         found.write_report(out / "map.html")
         for group in range(found.n_groups):
@@ -53,3 +54,4 @@ def map_folder(
             f"{len(found.moved_access_points)} access points were moved or move with people: not in the radio map"
         )
     console.stderr().print(f"written: {escape(str(out))}")
+    console.say_replaced(before)

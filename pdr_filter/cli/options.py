@@ -76,7 +76,7 @@ class PlacementOptions:
     ] = None
 
     def given(self) -> dict[str, Any]:
-        """Return the options that were given, by name."""
+        """Return the values of the options that were given, by name such as "--origin"."""
         return {f"--{f.name}": value for f in fields(self) if (value := getattr(self, f.name)) is not None}
 
     def arguments(self) -> dict[str, Any]:
@@ -102,7 +102,10 @@ def _plan(path: Path) -> Plan:
 
 
 def _place(start: str | None) -> Any:
-    """Return a position fix for EAST,NORTH. Return any other text unchanged, because it names an area of the plan."""
+    """Return a position fix with a standard deviation of 1 m for the text EAST,NORTH in m.
+
+    Any other text is returned unchanged, because it names an area of the plan. None stays None.
+    """
     import numpy as np
 
     from pdr_filter.values import PositionFix
@@ -126,7 +129,10 @@ def ranges_of(ranges: Path | None, anchors: Path | None, origin: tuple[float, fl
 
 
 def _origin_deg(text: str | None) -> tuple[float, float] | None:
-    """Parse LAT,LON. Return latitude and longitude in degrees, or None if the option is not given."""
+    """Parse LAT,LON. Return latitude and longitude in degrees, or None if the option is not given.
+
+    ValueError for another text or coordinates out of range.
+    """
     from pdr_filter.values.origin import check_place
 
     if text is None:
@@ -140,7 +146,10 @@ def _origin_deg(text: str | None) -> tuple[float, float] | None:
 
 
 def _heading_rad(text: str | None) -> float | None:
-    """Parse a heading in degrees. Return it in radians, or None if the option is not given."""
+    """Parse a heading in degrees. Return it in radians, or None if the option is not given.
+
+    ValueError for another text or more than 360 degrees.
+    """
     if text is None:
         return None
     try:

@@ -154,7 +154,8 @@ class OutputOptions:
     def write(self, tracks: Sequence[Track], recording: Recording, name: str) -> list[Path]:
         """Write the files of one recording, and return the existing files that were replaced.
 
-        The first track is written to all files. Further tracks appear only in the report.
+        The first track is written to all files. Further tracks appear only in the report. ValueError for GPX or KML of
+        a track without a geographic position.
         """
         result = tracks[0]
         folder, kinds = self.out or Path(), self.kinds
@@ -222,7 +223,8 @@ def track(
     ± at the end is one standard deviation in the worst direction.
 
     A folder is replaced by all recordings in it. With --out, table, picture and report of each recording are written,
-    and index.html lists them. Without --out, nothing is written.
+    and index.html lists them. Without --out, only the files of --export, --report and --parquet are written, to the
+    current folder.
 
     --jobs and --scheduler write one table for all recordings, tracks.csv in the folder of --out, with online tracks.
     The table grows as recordings finish, and an interrupted run resumes from it.

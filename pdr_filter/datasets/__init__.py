@@ -204,7 +204,10 @@ def cache_folder() -> Path:
 
 
 def _write(name: str, dataset: Dataset, to: Path, plan: Path) -> None:
-    """Write the recordings and the floor plan from the downloaded files."""
+    """Convert the downloaded files of a data set, and write its recordings to `to` and its floor plan to `plan`.
+
+    The licence is added to their metadata. Checksums of the files and the attribution are written last.
+    """
     raw = to / _RAW
     for archive in raw.rglob("*.zip"):
         _unpack(archive)
@@ -221,7 +224,10 @@ def _write(name: str, dataset: Dataset, to: Path, plan: Path) -> None:
 
 
 def _download(name: str, dataset: Dataset, raw: Path) -> None:
-    """Download the missing files of a data set, from the commit or else from the newest state."""
+    """Download the missing files of a data set to a folder, from the commit or else from the newest state.
+
+    ValueError if a file has another checksum, ConnectionError if it cannot be downloaded.
+    """
     pooch = _pooch()
     pooch.get_logger().setLevel("WARNING")
     known = dict(zip(dataset.files, dataset.sha256, strict=False))
@@ -251,7 +257,7 @@ def _download(name: str, dataset: Dataset, raw: Path) -> None:
 
 
 def _unpack(archive: Path) -> None:
-    """Extract the text files of a zip next to it, unless they exist.
+    """Extract the .csv and .txt files of a zip file to a folder of its name beside it, unless they exist.
 
     The limits of the readers on sizes apply.
     """
@@ -264,7 +270,7 @@ def _unpack(archive: Path) -> None:
 
 
 def _pooch():
-    """Return the module pooch, or raise an error that says how to install it."""
+    """Return the module pooch. ValueError, which says how to install it, if it is missing."""
     try:
         import pooch
     except ImportError as error:

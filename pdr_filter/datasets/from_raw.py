@@ -50,7 +50,8 @@ def as_found(raw: Path) -> Iterator[Recording]:
 def humolire(raw: Path) -> Iterator[Recording]:
     """Yield the walks of HuMoLIRe.
 
-    Ground truth are the passed landmarks, and the legs along corridors as segments of known length.
+    Ground truth are the passed landmarks, and the straight parts between two landmarks along a corridor as segments of
+    known length. RecordingError if a walk has another number of clicks than its route has landmarks.
     """
     walks = raw / "imus" / "1"
     for references in sorted(walks.rglob("references.txt")):
@@ -121,7 +122,10 @@ def motionsense(raw: Path) -> Iterator[Recording]:
 
 
 def ms_indoor(raw: Path) -> Iterator[Recording]:
-    """Yield the walks of Indoor Location Competition 2.0, with the surveyed points of the floor plan."""
+    """Yield the walks of Indoor Location Competition 2.0, with the surveyed points of the floor plan.
+
+    Walks without such points are skipped.
+    """
     for path in sorted(raw.glob("*/path_data_files/*.txt")):
         recording = read_indoor_location(path)
         waypoints = recording.truth.waypoints
@@ -177,7 +181,11 @@ def _label(begin_s: float, end_s: float, context: str, carrying_mode: str) -> Ta
 
 
 def _begin_s(recording: Recording) -> float:
-    """Return the time at which the person begins to move."""
+    """Return the time in s at which the person begins to move: half a second before the force first swings.
+
+    The force swings if its norm differs from the median by more than 2 m/s2. The first 0.3 s are skipped. The result is
+    0 if the force never swings.
+    """
     force = recording.accelerometer
     swing = np.abs(np.linalg.norm(force.values, axis=1) - np.median(np.linalg.norm(force.values, axis=1)))
     moving = (swing > _SWING_MPS2) & (force.time_s > _SETTLED_S)

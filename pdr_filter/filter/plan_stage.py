@@ -45,15 +45,15 @@ class PlanStage(Protocol):
         ...
 
     def init(self) -> Any:
-        """Return the state before the first step."""
+        """Return the state of the stage before the first step."""
         ...
 
     def on_step(self, state: Any, update: StepUpdate, pedestrian: PedestrianState, model: PedestrianModel) -> Any:
-        """Return the state after a step."""
+        """Return the state of the stage after a final step, whose track row is `update`."""
         ...
 
     def on_gap(self, state: Any, gap_s: float, model: PedestrianModel) -> Any:
-        """Return the state after a time without samples."""
+        """Return the state of the stage after a time of `gap_s` seconds without samples."""
         ...
 
     def on_fix(
@@ -65,15 +65,21 @@ class PlanStage(Protocol):
         model: PedestrianModel,
         floor: int,
     ) -> Any:
-        """Return the state after a fix that the tracker has used or rejected."""
+        """Return the state of the stage after a fix that the tracker has used or rejected.
+
+        `outcome` is that of the tracker, and `floor` the present storey.
+        """
         ...
 
     def on_passage(self, state: Any, passage: FloorPassage, pedestrian: PedestrianState, model: PedestrianModel) -> Any:
-        """Return the state after the pedestrian has reached another storey."""
+        """Return the state of the stage after the pedestrian has reached another storey."""
         ...
 
     def place(self, state: Any, reckoned: tuple[FloatArray, FloatArray]) -> OnPlan | None:
-        """Return the estimate of the position on the plan, or None before the first one."""
+        """Return the estimate of the position on the plan, or None before the first one.
+
+        `reckoned` is the position (2,) of the tracker in m and its covariance (2, 2).
+        """
         ...
 
     def notes(self, state: Any) -> list[Note]:

@@ -41,12 +41,17 @@ class Parsed:
     notes: list[str] = field(default_factory=list[str])
 
     def set_device(self, *words: str | None) -> None:
-        """Store the phone model, if the file names it."""
+        """Store the words, joined by spaces, as phone model in `meta`, unless all are empty or None."""
         if device := " ".join(word for word in words if word).strip():
             self.meta["device"] = device[: limits.MAX_NAME_CHARS]
 
     def recording(self) -> Recording:
-        """Return the recording, with times from the first accelerometer sample. RecordingError if it is implausible."""
+        """Return the recording of the stored streams. Its time zero is the first accelerometer sample.
+
+        Rows in wrong order are sorted, samples that share one time get individual times, and gravity is added to an
+        acceleration that lacks it (`linear`). RecordingError if there is no accelerometer, or if its values, times or
+        sign are implausible.
+        """
         where = str(self.path)
         if "accelerometer" not in self.streams:
             raise RecordingError(f"{where}: no accelerometer with gravity; record it and export again")
@@ -77,24 +82,28 @@ class Parsed:
         )
 
     def _restore_gravity(self, where: str) -> None:
-        """Add gravity to an acceleration that lacks it, with a note. RecordingError if the vertical is unknown."""
-        name = f"the acceleration ({self.linear}) lacks gravity"
+        """Add gravity to the stored acceleration, which lacks it (`linear`), with a note.
+
+        The vertical is estimated from the gyroscope and the steps. RecordingError if the samples do not show it.
+        """
         gyroscope = Samples(*self.streams["gyroscope"]) if "gyroscope" in self.streams else None
         try:
             restored = with_gravity(Samples(*self.streams["accelerometer"]), gyroscope)
         except ValueError as error:
-            raise RecordingError(f"{where}: {self.linear}: {error}: export {self.instead}") from error
+            raise RecordingError(f"{where}: {self.linear}: {error}; export {self.instead}") from error
         self.streams["accelerometer"] = restored.force.time_s, restored.force.values
         self.found.append(f"accelerometer: {self.linear}, with gravity along the vertical of the walk")
         if gyroscope is None:
-            words = f"{name}, and there is no gyroscope: only steps and distance can be trusted; record both"
-        else:
             words = (
-                f"{name}, so that the vertical was estimated from the gyroscope and the steps: turns and directions "
+                "and there is no gyroscope: only steps and distance can be trusted; next time record the gyroscope and "
             )
-            words += f"are less certain{'' if restored.is_sense_sure else ', and the path may be mirrored'}; next time "
-            words += f"record {self.instead}"
-        self.notes.insert(0, words)
+        else:
+            mirrored = "" if restored.is_sense_sure else ", and the path may be mirrored"
+            words = (
+                "so that the vertical was estimated from the gyroscope and the steps: turns and directions are less "
+            )
+            words += f"certain{mirrored}; next time record "
+        self.notes.insert(0, f"the acceleration ({self.linear}) lacks gravity, {words}{self.instead}")
 
     def _move_epoch(self, by_s: float) -> None:
         """Add `by_s` seconds to the Unix time of time zero, because time zero moves by that much."""
@@ -106,7 +115,8 @@ class Parsed:
     def _check_up(self, streams: Mapping[str, Samples], where: str) -> None:
         """Raise RecordingError if the sign of the accelerometer contradicts the phone's own attitude.
 
-        The attitude shows the direction of the vertical.
+        The attitude shows the direction of the vertical. A weak agreement gives a note. Without an attitude nothing is
+        checked.
         """
         cosine = up_cosine(streams["accelerometer"], streams["attitude"]) if "attitude" in streams else np.nan
         if np.isnan(cosine):

@@ -112,7 +112,7 @@ def _check_rows(samples: Samples, where: str) -> None:
 
 
 def _check_times(samples: Samples, where: str, is_unit_declared: bool) -> None:
-    """Raise RecordingError for times that do not increase or are in a unit other than seconds."""
+    """Raise RecordingError if most times do not increase, or if their rate shows a unit other than seconds."""
     found = describe_stream("accelerometer", samples)
     n_still = found.n_duplicates + found.n_backward
     if 2 * n_still > len(samples) - 1:

@@ -82,7 +82,7 @@ class StreamDescription:
 
     @property
     def is_slow(self) -> bool:
-        """Whether the delivered rate is clearly below the requested rate."""
+        """Whether the mean delivered rate is below 90 % of the requested rate. False if one of them is unknown."""
         delivered_hz, asked_hz = self.mean_rate_hz, self.requested_hz
         return delivered_hz is not None and asked_hz is not None and delivered_hz < DELIVERED_ENOUGH * asked_hz
 
@@ -289,7 +289,10 @@ def reading_report(recording: Recording) -> ReadingReport:
 
 
 def describe_stream(name: str, samples: Samples, requested_hz: Any = None) -> StreamDescription:
-    """Return rates, gaps and oddities of one stream without NaN times. An invalid `requested_hz` counts as unknown."""
+    """Return rates, gaps, and counts of repeated and backward times of one stream, whose times must not be NaN.
+
+    An invalid `requested_hz` counts as unknown.
+    """
     time_s = samples.time_s
     interval_s = np.diff(time_s)
     forward_s = interval_s[interval_s > 0]

@@ -23,9 +23,10 @@ BINARIES = (".sqlite", ".db", ".mat")  # files in a zip or folder whose content 
 
 
 def detect(path: Path) -> str:
-    """Return the format of a file or folder.
+    """Return the name of the format of a file or folder, such as "sensor_logger" or "table".
 
-    The default is the project's own format, whose reader explains the error.
+    It is "own" for missing files and unknown contents, because the reader of the project's own format explains the
+    error. RecordingError if the file cannot be opened.
     """
     try:
         with open_members(path) as members:
@@ -37,7 +38,10 @@ def detect(path: Path) -> str:
 
 
 def _detect_among(members: Members) -> str:
-    """Return the format of a zip file or a folder."""
+    """Return the format of a zip file or a folder, from the names and first bytes of its files.
+
+    The format of an app is preferred to "table". The result is "own" if no file shows a format.
+    """
     by_name = {PurePosixPath(name).name: name for name in members.names}
     if is_spreadsheet(members):
         return "table"
@@ -75,7 +79,10 @@ def _is_unknown_table(members: Members, name: str) -> bool:
 
 
 def _detect_alone(members: Members) -> str:
-    """Return the format of a single file."""
+    """Return the format of a single file.
+
+    It is "generic_csv" if a column mapping lies beside the file, except for formats that have their own TOML file.
+    """
     path, name = members.path, members.names[0]
     found = detect_file(members, name)
     if mapping_beside(path).is_file() and mapping_beside(path) != path:
@@ -91,7 +98,10 @@ def _detect_alone(members: Members) -> str:
 
 
 def detect_file(members: Members, name: str) -> str:
-    """Return the format that the first bytes of a file show, or ""."""
+    """Return the format that the first bytes of a file show.
+
+    The result is "" for files of the project's own format and for unknown contents.
+    """
     head = members.head(name)
     if head.startswith(SIGNATURE):
         return "ronin"

@@ -33,7 +33,7 @@ def fixes_of_file(path: str | Path, std_m: float = 1.0) -> list[PositionFix | He
     Returns
     -------
     list of PositionFix and HeadingFix
-        Fixes in the order of the file.
+        Position fixes in the order of the file, followed by the heading fixes.
 
     Raises
     ------
@@ -79,7 +79,8 @@ def ranges_of_file(
     """Read ranges to anchors from a CSV file with columns `time_s`, `anchor`, `range_m` and optionally `std_m`.
 
     `anchors` is the GeoJSON file for `anchors_of_file`. Without it, columns `anchor_east_m` and `anchor_north_m`
-    replace the column `anchor`. Times are on the clock of the samples. ValueError names the file, the row and the
+    replace the column `anchor`. Times are on the clock of the samples. `std_m` (m) is for files without that column.
+    `origin` is the geographic origin of the track, for anchors in degrees. ValueError names the file, the row and the
     remedy.
     """
     file = Path(path)
@@ -115,8 +116,8 @@ def anchors_of_file(path: str | Path, origin: Origin | tuple[float, float] | Non
     """Read the positions of anchors by name from a GeoJSON FeatureCollection of points with a property `name`.
 
     Coordinates are metres east and north, or longitude and latitude, which are converted to metres from `origin`. A
-    third coordinate is the height of the anchor above the phone in m. ValueError names the file, the point and the
-    remedy.
+    third coordinate is the height of the anchor above the phone in m. Anchors that span at most 0.05 are taken as
+    degrees; a single anchor only within 0.05 of `origin`. ValueError names the file, the point and the remedy.
     """
     file = Path(path)
     content: Any = read_json(file, limits.MAX_PLAN_BYTES)
@@ -152,7 +153,8 @@ def anchors_of_file(path: str | Path, origin: Origin | tuple[float, float] | Non
 def loop_closures_of_file(path: str | Path, std_m: float = 0.5) -> list[LoopClosure]:
     """Read loop closures from a CSV file with columns `first_s`, `second_s` and optionally `std_m`.
 
-    Times are on the clock of the samples. ValueError names the file, the row and the remedy.
+    Times are on the clock of the samples. `std_m` (m) is for files without that column. ValueError names the file, the
+    row and the remedy.
     """
     rows = _rows(Path(path), ("first_s", "second_s"), "loop closures", std_m)
     back = next((k for k, (first_s, second_s, _) in enumerate(rows) if not first_s < second_s), None)
@@ -165,7 +167,11 @@ def loop_closures_of_file(path: str | Path, std_m: float = 0.5) -> list[LoopClos
 
 
 def _rows(file: Path, names: tuple[str, ...], what: str, std_m: float) -> list[list[float]]:
-    """Return the rows of the columns, followed by `std_m` from the file, or the given value without such a column."""
+    """Return the values of the columns `names` in each row, followed by a standard deviation in m.
+
+    It comes from the column `std_m`, or is the given value in a file without that column. `what` names the rows in
+    messages. ValueError if a value is missing, a standard deviation is not positive, or the table has no row.
+    """
     table = TextTable([read_small(file, limits.MAX_WHOLE_BYTES)], str(file))
     columns = (*names, *(("std_m",) if "std_m" in table.fields else ()))
     values = table.parse(table.places(columns), []).values

@@ -27,7 +27,8 @@ _WHOLE = ("get_sensor_data", "indoor_location", "ronin")
 def recordings_of(paths: str | Path | Iterable[str | Path]) -> list[str]:
     """Return the absolute paths of all recordings that the given paths stand for, each once and in order.
 
-    A file stands for itself. A folder that is not itself a recording stands for all recordings in it (`recordings_in`).
+    A file stands for itself. A folder that is not itself a recording stands for all recordings in it (`recordings_in`),
+    or for itself if there is none.
     """
     found: list[Path] = []
     for path in [paths] if isinstance(paths, str | Path) else paths:
@@ -39,7 +40,8 @@ def recordings_of(paths: str | Path | Iterable[str | Path]) -> list[str]:
 def recordings_in(folder: str | Path) -> list[Path]:
     """Return the sorted paths of the recordings in a folder and in its subfolders.
 
-    If the folder itself is one recording, the result is the path of the folder. Every zip and hdf5 file counts as a
+    If the folder itself is one recording, the result is the path of the folder. Hidden files and linked folders are
+    skipped. Every zip and hdf5 file counts as a
     recording, so that a broken file is reported later. A text file counts if it looks like a known format, or if a TOML
     file beside it describes its columns. A file that holds several recordings gives one path for each, such as
     `export.zip/walk_2`. Files such as `walk1_acc.csv` and `walk1_gyro.csv` beside those of `walk2` give the paths
@@ -67,7 +69,8 @@ def recordings_in(folder: str | Path) -> list[Path]:
 def only_recording_in(path: Path) -> Path:
     """Return the path of a file with one recording, or the path of the only recording in a folder.
 
-    RecordingError if a folder or file holds several recordings.
+    The path itself is returned for a folder that has links or very many files, which is not searched. RecordingError if
+    a folder or file holds several recordings, or if a folder holds none.
     """
     # A search of a whole home folder would take long, and links lead to files that were not given.
     below = list(islice(path.rglob("*"), limits.MAX_MEMBERS)) if path.is_dir() else []
@@ -201,7 +204,10 @@ def _is_mapped(path: Path) -> bool:
 
 
 def _is_known(path: Path) -> bool:
-    """Return True for a text file that looks like a recording, even a damaged one."""
+    """Return True for a text file that looks like a recording, and for one that cannot be read.
+
+    A table without acceleration, and a file of the project's own format, are no recordings by themselves.
+    """
     if path.suffix.lower() not in _TEXTS:
         return False
     try:

@@ -56,7 +56,8 @@ def spread(
     Bluetooth sensors send several samples in one packet with a single time, which is the time of the last sample.
     `rate_hz` is the sampling rate of the samples, or 0 to estimate it from the packets. `is_clock` is True if the
     times were read from dates or times of day. A spreadsheet rounds these to tenths or whole seconds, and such rounded
-    times are left unchanged.
+    times are left unchanged. So are streams in which at most a third of the rows repeat a time with other values. A
+    note states the rate of the streams that were changed.
     """
     found, said = dict(streams), dict[str, list[str]]()
     for name in ("accelerometer", "gyroscope", "magnetometer"):

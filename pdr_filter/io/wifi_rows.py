@@ -25,13 +25,15 @@ CLOCKS_AGREE_S = 1.0  # times that apps write jitter by some tenths of a second
 
 
 def with_whole_addresses(blocks: Iterable[bytes]) -> Iterator[bytes]:
-    """Return the text with each address as a decimal number: its first 48 bits."""
+    """Yield the blocks of text with the address of each access point as a decimal number, of its first 48 bits."""
     for block in blocks:
         yield _ANY_ADDRESS.sub(_whole, block)
 
 
 def lines_of_log(pattern: bytes, separator: bytes, lines: bytes) -> bytes:
-    """Return the numbers in the log lines that match a pattern.
+    """Return the numbers in the log lines that match a pattern, as lines of text with `separator` between numbers.
+
+    Addresses become decimal numbers. Other lines are left out.
 
     The names of networks may contain separators and quotes. `pattern` has a group for each number, and ADDRESS in place
     of the address of the access point.
@@ -44,8 +46,9 @@ def lines_of_log(pattern: bytes, separator: bytes, lines: bytes) -> bytes:
 def heard_s(reported_s: FloatArray, claimed_s: FloatArray, notes: list[str]) -> FloatArray:
     """Return the times (N,) in s at which the phone received the signals of access points.
 
-    The time that the phone states is used if it is at most a few seconds before its report. Otherwise the time of the
-    report is used, with a note.
+    `reported_s` are the times at which the phone reported the signals, `claimed_s` the times of reception that it
+    states. The stated times are used if they are between 1 s after and 60 s before the reports, in the median over all
+    rows. Otherwise all times are those of the reports, with a note.
     """
     late_s = reported_s - claimed_s
     median_s = float(np.nanmedian(late_s)) if np.isfinite(late_s).any() else np.nan

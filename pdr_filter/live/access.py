@@ -32,9 +32,10 @@ def is_loopback(host: str) -> bool:
 
 
 def made_token(folder: Path | None) -> str:
-    """Return the access token of this folder, or a new one.
+    """Return the access token that is stored in a folder, or a new one, which is then stored there.
 
-    Phones keep the address with the token that they were given, so a restarted server needs the same token.
+    Phones keep the address with the token that they were given, so a restarted server needs the same token. If `folder`
+    is None, the token is new and is not stored.
     """
     path = None if folder is None else folder / "token"
     if path is not None and path.exists() and (kept := path.read_text().strip()):
@@ -71,7 +72,7 @@ class Rates:
     _left: dict[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
 
     def allows(self, who: str, n_bytes: int) -> bool:
-        """Return True, and count the bytes, if a sender may send `n_bytes` more now."""
+        """Return True, and count the bytes, if the sender `who` may send `n_bytes` more now."""
         now = time.monotonic()
         left, then = self._left.pop(who, (self.burst_bytes, now))
         left = min(left + (now - then) * self.bytes_per_s, self.burst_bytes)

@@ -95,9 +95,11 @@ Streams = dict[str, Samples]
 def take(
     state: Assembly, held: Sequence[Message], message: Message, platform: str
 ) -> tuple[Assembly, list[Message], list[Streams]]:
-    """Return the state, the messages that wait, and the samples that became ready.
+    """Return the state, the messages that wait, and the samples that became ready, by message and sensor.
 
-    SessionError if the session cannot be tracked, LateError if the number of the message was given up.
+    `held` are the messages that waited before, and `message` is the new one. If it came before, it is counted and
+    dropped. `platform` ("ios", "android" or "") is used if no message names one. SessionError if the session cannot be
+    tracked, LateError if the number of the message was given up.
     """
     state, is_repeated = _counted(state, held, message)
     if is_repeated:
@@ -114,7 +116,11 @@ def take(
 
 
 def finish(state: Assembly, held: Sequence[Message], platform: str) -> tuple[Assembly, list[Message], list[Streams]]:
-    """Return state, waiting messages and ready samples after the last message."""
+    """Return state, waiting messages and ready samples after the last message of a session.
+
+    The kind of the acceleration is decided from fewer than two seconds of samples, too. Without motion samples, the
+    messages are dropped and nothing is ready. SessionError if the kind cannot be known.
+    """
     if state.kind is None:
         kind = _kind(held, platform, is_last=True)
         if isinstance(kind, str):
@@ -143,7 +149,12 @@ def reason_to_wait(state: Assembly, held: Sequence[Message], platform: str) -> s
 
 
 def _counted(state: Assembly, held: Sequence[Message], message: Message) -> tuple[Assembly, bool]:
-    """Return the state with the message counted, and whether it is a duplicate. LateError if it arrives too late."""
+    """Return the state, and whether the message came before. LateError if its number was given up.
+
+    A message with a number is compared with the numbers passed on and those in `held`. A message without one is
+    compared with the digests in the state, to which its own is added. If an app was started again, the state expects
+    its number next.
+    """
     number = message.number
     if number is None:
         digest = hashlib.sha256(message.source).hexdigest()[:16]
@@ -161,9 +172,9 @@ def _counted(state: Assembly, held: Sequence[Message], message: Message) -> tupl
 
 
 def _is_newer(state: Assembly, message: Message) -> bool:
-    """Return True if all samples of a message are later than those already passed on.
+    """Return True if all motion samples of a message are later than those already passed on.
 
-    After a backward clock jump the times do not show the order.
+    False after a backward clock jump in the session, because the times do not show the order then.
     """
     begin_s, end_s = _span_s(state, message)
     return not state.set_backs and np.isfinite(end_s) and begin_s > state.last_s
@@ -176,7 +187,11 @@ def _is_too_much(messages: Sequence[Message]) -> bool:
 def _released(
     state: Assembly, waiting: list[Message], is_last: bool = False
 ) -> tuple[Assembly, list[Message], list[Streams]]:
-    """Return the samples of the messages that are next in order."""
+    """Return the state, the numbered messages that still wait, and the samples of those that are next in order.
+
+    The samples are a list with an item for each message. Messages without a number never wait. A missing number is
+    given up after three seconds of later samples, or at once if `is_last`.
+    """
     uncounted = [m for m in waiting if m.number is None]
     counted = sorted((m for m in waiting if m.number is not None), key=_number)
     ready: list[Streams] = []
@@ -214,7 +229,11 @@ def _number(message: Message) -> int:
 
 
 def _samples(state: Assembly, message: Message) -> tuple[Assembly, Streams]:
-    """Return the state and the samples of one message, with each sensor in order of time."""
+    """Return the state and the samples of one message by sensor, each in order of time.
+
+    Sensors without samples are left out. Values that the phone had stored long before the session are dropped. Linear
+    acceleration waits in the state until gravity is known.
+    """
     kind = _kind_of(state)
     state, times_s = _on_one_clock(state, message, kind)
     found: Streams = {}
@@ -242,7 +261,7 @@ def _whole(state: Assembly, force: Samples) -> Streams:
 
 
 def _kind_of(state: Assembly) -> Kind:
-    """Return the kind of acceleration that was found in the first samples of the session."""
+    """Return the kind of acceleration that was found in the first samples of the session. ValueError before them."""
     if state.kind is None:
         raise ValueError("units and sign of the acceleration are unknown: wait for the first seconds of samples")
     return state.kind
@@ -256,9 +275,11 @@ def _latest_s(time_s: FloatArray) -> float:
 
 
 def _on_one_clock(state: Assembly, message: Message, kind: Kind) -> tuple[Assembly, dict[str, FloatArray]]:
-    """Return the times of a message in seconds, by sensor, on a clock without backward jumps.
+    """Return the state, and the times of a message in seconds, by sensor, on a clock without backward jumps.
 
-    Only the order of numbered messages distinguishes a backward clock jump from samples that are sent again.
+    A backward jump of more than 1 s in the acceleration adds to the correction of the clock in the state. Only the
+    order of numbered messages distinguishes a jump from samples that are sent again. Other messages get the correction
+    of the earlier jumps alone.
     """
     times_s = {name: seconds(rows, kind.zero_ns) + state.ahead_s for name, rows in message.rows.items()}
     force_s = times_s.get(kind.force, _NONE)
@@ -293,9 +314,10 @@ def _set_back(last_s: float, time_s: FloatArray, least_s: float) -> tuple[int, f
 def _with_gravity(
     state: Assembly, linear: Samples | None, gravity: Samples | None, is_last: bool = False
 ) -> tuple[Assembly, Samples]:
-    """Return the sum of linear acceleration and gravity.
+    """Return the state, and the sum of linear acceleration and gravity.
 
-    It ends at the time until which gravity is known. Later samples wait, unless no more gravity can arrive (`is_last`).
+    The sum ends at the time until which gravity is known. Later samples wait in the state for at most 1 s of linear
+    acceleration, or not at all if no more gravity can arrive (`is_last`). Samples in a gap of gravity are dropped.
     """
     linear_s, values = _appended(state.linear_s, state.linear, linear)
     gravity_s, known = _appended(state.gravity_s, state.gravity, gravity)
@@ -324,7 +346,7 @@ def _appended(time_s: FloatArray, values: FloatArray, rows: Samples | None) -> t
 def seconds(rows: SensorRows, zero_ns: int) -> FloatArray:
     """Return the times of a sensor in seconds.
 
-    Nanoseconds are counted from time zero, as when the files of the same apps are read. Seconds are unchanged.
+    Nanoseconds are counted from `zero_ns`, as when the files of the same apps are read. Times in seconds are unchanged.
     """
     if rows.time.dtype.kind == "f":
         return rows.time.astype(np.float64)
@@ -332,7 +354,7 @@ def seconds(rows: SensorRows, zero_ns: int) -> FloatArray:
 
 
 def _span_s(state: Assembly, message: Message) -> tuple[float, float]:
-    """First and last time of the samples of a message on the phone's clock; infinite without samples."""
+    """First and last time of the motion samples of a message on the phone's clock, s. (inf, -inf) without samples."""
     zero_ns = 0 if state.kind is None else state.kind.zero_ns
     times_s = [seconds(rows, zero_ns) for rows in _moving(message) if len(rows.time)]
     return min([np.inf, *(float(t.min()) for t in times_s)]), max([-np.inf, *(float(t.max()) for t in times_s)])
@@ -382,7 +404,7 @@ def _kind(messages: Sequence[Message], platform: str, is_last: bool = False) -> 
 
 
 def _check_rate(time: Any, unit_s: float) -> None:
-    """Raise SessionError if consecutive first times are so close that their unit must be wrong."""
+    """Raise SessionError if many times span so little that their unit must be wrong, or the clock stands still."""
     span_s = float(time.max() - time.min()) * unit_s
     if len(time) < _RATE_SAMPLES or 2 * span_s * len(_MOVING) * limits.RATE_RANGE_HZ[1] > len(time):
         return
@@ -398,7 +420,11 @@ def _is_usable(name: str, first: Mapping[str, SensorRows | None]) -> bool:
 
 
 def _scale(force: str, first: Mapping[str, SensorRows | None], platform: str) -> tuple[float, str]:
-    """Return the factor to the unit of a sensor, and the evidence for it. SessionError if the unit is unknown."""
+    """Return the factor from the values of a sensor to m/s2 with Android's sign, and a description of the evidence.
+
+    `force` is the sensor from which the specific force is taken, and `first` has the first samples by sensor.
+    SessionError if the sign is unknown.
+    """
     if force == FORCE:
         return (-1.0, "iOS: sign turned") if platform == "ios" else (1.0, "as it is")
     rows = first[GRAVITY] if force == LINEAR else first[RAW]

@@ -12,9 +12,10 @@ NAMES = ("authority.pem", "server.pem")
 
 
 def certificate(folder: Path, host: str) -> Path:
-    """Return the file with key and certificate for a host name or address, and the certificate of its authority.
+    """Return the path of server.pem in a folder, with the key and the certificate for a host name or address.
 
-    Both are created once and then reused.
+    The certificate of the authority that signed it is authority.pem in the same folder. Both files are created once and
+    then reused, also for another host.
     """
     import trustme
 

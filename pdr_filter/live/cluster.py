@@ -44,7 +44,10 @@ class DaskCluster:
             self._client = await made
 
     async def start(self, part: int, n_parts: int) -> Actor:
-        """Start a share of the sessions on one of the workers, which are chosen in turn."""
+        """Start share number `part` of `n_parts` of the devices on one of the workers, which are chosen in turn.
+
+        LostError if there is no worker or if it dies. ValueError if the worker does not see the folder.
+        """
         addresses = sorted(await self._client.nthreads())
         if not addresses:
             raise LostError(f"no worker at {self._scheduler}: start one with dask worker")
@@ -81,7 +84,7 @@ class Actor:
         self._actor, self._address = actor, address
 
     async def ask(self, requests: Sequence[Request]) -> list[Said]:
-        """Return an answer to each request; LostError if the worker is gone."""
+        """Return an answer to each request. LostError if the worker is gone or does not answer within 60 s."""
         asked = asyncio.create_task(self._asked(requests))
         until = time.monotonic() + _ANSWER_S
         while not asked.done():

@@ -64,9 +64,10 @@ class Devices:
         return content
 
     def accept(self, messages: Sequence[Message], received_s: float) -> tuple[Event, set[str]]:
-        """Assign messages to their sessions, and return the number of their samples and the ids of these sessions.
+        """Assign messages to their sessions, and return {"samples": number} and the ids of these sessions.
 
-        A session is created for a new phone. `settle` filters and saves the samples later.
+        A session is created for a new phone. `settle` filters and saves the samples later. MessageError for a message
+        without a device, BusyError if there are too many sessions.
         """
         n, keys = 0, set[str]()
         for message in messages:
@@ -83,7 +84,8 @@ class Devices:
     def settle(self, is_all: bool = False) -> dict[str, Exception]:
         """Save all messages since the last call, and filter the sessions that are due.
 
-        The result holds the error of each session that failed.
+        A session is due if enough samples wait, or if `is_all`. The result has the error of each session that failed,
+        by the id of the session.
         """
         failed: dict[str, Exception] = {}
         wait_s = 0.0 if is_all else min(len(self.sessions) * _PASS_S, _LONGEST_WAIT_S)
@@ -124,7 +126,7 @@ class Devices:
         return session
 
     def _loaded(self, device: str, session: str) -> DeviceSession:
-        """Load a session; if its files cannot be used, keep them in another folder and begin a new session."""
+        """Return the session in a folder. If its files cannot be used, rename the folder and return a new session."""
         try:
             return DeviceSession.load(device, session, self.settings, self.folder)
         except Exception as error:  # damaged files, or those of another version, fail in many ways

@@ -16,7 +16,8 @@ _NOWHERE = (0.0, 0.0)
 def geojson(track: Event) -> dict[str, Any]:
     """Return a GeoJSON FeatureCollection with the path of a track as a LineString.
 
-    If the geographic position of the track is unknown, it is drawn at latitude and longitude 0.
+    `track` is a `track` event. A path of one position is a Point. If the geographic position of the track is unknown,
+    it is drawn at latitude and longitude 0.
     """
     path = np.array(track["path"] or [[0.0] * 6])
     origin = Origin(*(track["origin"] or _NOWHERE))

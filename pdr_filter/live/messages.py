@@ -106,7 +106,10 @@ _ONE_LINE = bytes.maketrans(b"\r\n", b"  ")
 
 
 def _items(body: bytes) -> list[Any]:
-    """Return the JSON objects of a body, which may be a single object or an array."""
+    """Return the items of the JSON array in a body, or a single other value as a list.
+
+    MessageError if the body is not JSON or has more than 1000 items.
+    """
     try:
         content: Any = json.loads(body)
     except (ValueError, RecursionError) as error:
@@ -118,7 +121,10 @@ def _items(body: bytes) -> list[Any]:
 
 
 def to_json(message: Message) -> bytes:
-    """Return the body of a message in the package's own layout, with times in seconds, as `parse` reads it."""
+    """Return the body of a message in the package's own layout, as `parse` reads it.
+
+    The times keep their unit (seconds, or nanoseconds since 1970). A fix of the message is not written.
+    """
     samples = {name: np.column_stack([rows.time, rows.values]).tolist() for name, rows in message.rows.items()}
     content = {"device": message.device, "session": message.session, "platform": message.platform, "samples": samples}
     numbered = {} if message.number is None else {"number": message.number}
@@ -126,7 +132,11 @@ def to_json(message: Message) -> bytes:
 
 
 def _message(item: Mapping[str, Any], known: Mapping[str, str]) -> Message | None:
-    """Return the message in a JSON object, or None if its content is not used."""
+    """Return the message in a JSON object, or None if the object is of no known layout.
+
+    `known` has the device, session and platform for an object that does not state them. MessageError for invalid
+    contents.
+    """
     if "payload" in item:
         device, session = _text(item, "deviceId", known["device"]), _text(item, "sessionId", known["session"])
         rows = _sensor_logger_rows(item["payload"])
@@ -164,7 +174,10 @@ _SENSOR_LOGGER: Mapping[str, tuple[str, tuple[str, ...]]] = {
 
 
 def _sensor_logger_rows(payload: Any) -> dict[str, SensorRows]:
-    """Return the samples in a payload of Sensor Logger by sensor. Sensors that are not used are left out."""
+    """Return the samples in a payload of Sensor Logger by sensor. Sensors that are not used are left out.
+
+    MessageError if the payload is no array, or if a sample lacks its name, time or values.
+    """
     if not isinstance(payload, list):
         raise MessageError(f"payload must be an array of samples, got {printable(payload)[:40]!r}: see docs/live.md")
     times: dict[str, list[Any]] = {}
@@ -196,19 +209,25 @@ ANDROID_SENSORS: Mapping[str, str] = {
 
 
 def _sensor_server_rows(item: Mapping[str, Any]) -> dict[str, SensorRows]:
-    """Return the sample of an Android sensor event, which SensorServer passes on unchanged."""
+    """Return the sample of an Android sensor event by sensor. Nothing is returned for a sensor that is not used.
+
+    SensorServer passes the event on unchanged. MessageError for invalid contents.
+    """
     sensor = ANDROID_SENSORS.get(str(item["type"]))
     if sensor is None:
         return {}
     values: Any = item["values"]
     if not isinstance(values, list) or len(cast("list[Any]", values)) < N_VALUES[sensor]:
         raise MessageError(
-            f"{item['type']}: values are {printable(values)[:40]!r}, but must be {N_VALUES[sensor]} numbers"
+            f"{item['type']}: values are {printable(values)[:40]!r}, but must be {N_VALUES[sensor]} numbers: send the "
+            "event as Android delivers it"
         )
     try:
         time_ns = np.array([int(item["timestamp"])], dtype=np.int64)
     except (ValueError, TypeError, OverflowError) as error:
-        raise MessageError(f"timestamp must be whole nanoseconds ({printable(error)[:60]})") from None
+        raise MessageError(
+            f"timestamp must be whole nanoseconds ({printable(error)[:60]}): send the event as Android delivers it"
+        ) from None
     return {sensor: _plausible(time_ns, _floats([cast("list[Any]", values)[: N_VALUES[sensor]]]))}
 
 
@@ -216,7 +235,10 @@ def _sensor_server_rows(item: Mapping[str, Any]) -> dict[str, SensorRows]:
 
 
 def _own_rows(samples: Any) -> dict[str, SensorRows]:
-    """Return the samples of a message in the package's own layout by sensor: rows [time_s, value, ...]."""
+    """Return the samples of a message in the package's own layout by sensor.
+
+    `samples` has rows [time_s, value, ...] by sensor. MessageError for an unknown sensor or rows of another length.
+    """
     if not isinstance(samples, dict):
         raise MessageError(f"samples must be an object of sensors, got {printable(samples)[:40]!r}: see docs/live.md")
     found: dict[str, SensorRows] = {}
@@ -226,7 +248,8 @@ def _own_rows(samples: Any) -> dict[str, SensorRows]:
         table = _floats(rows)
         if table.size and (table.ndim != 2 or table.shape[1] != 1 + N_VALUES[name]):
             raise MessageError(
-                f"{name}: a sample must be [time_s and {N_VALUES[name]} numbers], got an array of shape {table.shape}"
+                f"{name}: a sample must be [time_s and {N_VALUES[name]} numbers], got an array of shape {table.shape}: "
+                "see docs/live.md"
             )
         if table.size:
             found[name] = _plausible(_own_times(table[:, 0]), table[:, 1:])
@@ -249,6 +272,7 @@ _PHYPHOX: Mapping[str, tuple[str, tuple[str, ...]]] = {
 def phyphox_buffers(config: bytes) -> dict[str, tuple[str, ...]]:
     """Names of the buffers of each sensor, time first, from what phyphox answers at /config.
 
+    MessageError if the answer is not that of phyphox, or if the experiment has no acceleration with gravity.
     As the app writes it (phyphox-android, RemoteServer.java, handleConfig): inputs with their source, and outputs as
     objects of one name each. An input over Bluetooth has no outputs.
     """
@@ -273,7 +297,10 @@ def phyphox_buffers(config: bytes) -> dict[str, tuple[str, ...]]:
 
 
 def phyphox_rows(answer: bytes, buffers: Mapping[str, tuple[str, ...]]) -> dict[str, SensorRows]:
-    """Return the new samples of each sensor from the answer of phyphox at /get."""
+    """Return the samples of each sensor in the answer of phyphox at /get, with times in s of the experiment.
+
+    `buffers` are the names from `phyphox_buffers`. MessageError if the answer is not that of phyphox.
+    """
     try:
         content: dict[str, Any] = json.loads(answer)["buffer"]
         columns = {name: [_floats(content[buffer]["buffer"]) for buffer in buffers[name]] for name in buffers}
@@ -314,7 +341,10 @@ def _payload_times(times: Sequence[Any]) -> IntArray:
             found = np.array([int(t) for t in times], dtype=np.int64)
         return _nanoseconds(found, _unit_ns(found, is_seconds=found.dtype.kind == "f") or 1)
     except (ValueError, TypeError, OverflowError) as error:
-        raise MessageError(f"a time must be whole nanoseconds since 1970 ({printable(error)[:60]})") from None
+        raise MessageError(
+            f"the time of a sample is not a number ({printable(error)[:60]}): send nanoseconds since 1970 as a whole "
+            "number"
+        ) from None
 
 
 def _own_times(time: FloatArray) -> IntArray | FloatArray:
@@ -324,7 +354,7 @@ def _own_times(time: FloatArray) -> IntArray | FloatArray:
 
 
 def _unit_ns(time: Any, is_seconds: bool) -> int | None:
-    """Return the nanoseconds in the unit of times since 1970.
+    """Return the nanoseconds in one unit of the given times, if their size shows times since 1970 (2001 to 2100).
 
     None for other times, and for seconds unless `is_seconds` is true.
     """
@@ -349,7 +379,7 @@ def _floats(values: Any) -> FloatArray:
     try:
         return np.array(values, dtype=np.float64)  # null becomes NaN
     except (ValueError, TypeError, OverflowError) as error:
-        raise MessageError(f"a value must be a number ({printable(error)[:60]})") from None
+        raise MessageError(f"a value must be a number ({printable(error)[:60]}): send null if it is unknown") from None
 
 
 def _plausible(time: Any, values: FloatArray) -> SensorRows:
@@ -361,7 +391,10 @@ def _plausible(time: Any, values: FloatArray) -> SensorRows:
 
 
 def _text(item: Mapping[str, Any], key: str, otherwise: str) -> str:
-    """Return a short text from a message, made safe for display."""
+    """Return the text or integer at a key of a message as a short text that is safe to display.
+
+    `otherwise` replaces a missing or empty value.
+    """
     value: Any = item.get(key)
     return printable(value if isinstance(value, str | int) and value != "" else otherwise)[: limits.MAX_NAME_CHARS]
 

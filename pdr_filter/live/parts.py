@@ -32,7 +32,7 @@ class Whole:
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """Request to save changed sessions and to forget silent phones."""
+    """Request, about once per second, to filter what waits, to save changed sessions and to forget silent phones."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +87,7 @@ class Part:
         self._events.append(json.dumps(event, allow_nan=False))
 
     def answer(self, requests: Sequence[Request]) -> list[Said]:
-        """Answer requests in their order. Consecutive messages are filtered and saved together."""
+        """Return a `Said` for each request, in order. Consecutive messages are filtered and saved together."""
         said: list[Said] = []
         taken: list[tuple[Answer, set[str]]] = []
         for request in requests:
@@ -100,7 +100,10 @@ class Part:
         return [*said, *self._settled(taken)]
 
     def _settled(self, taken: Sequence[tuple[Answer, set[str]]]) -> list[Said]:
-        """Return the answers to messages after their sessions were filtered and saved."""
+        """Return a `Said` for each message, after the sessions were saved and those that are due were filtered.
+
+        If a session failed, its error becomes the answer to its messages. The first `Said` has all events.
+        """
         failed = self._devices.settle()
         answers: list[Answer] = []
         for answer, keys in taken:

@@ -42,7 +42,10 @@ class Recorder:
         folder.mkdir(parents=True, exist_ok=True)
 
     def describe(self, meta: Mapping[str, Any], config: bytes) -> None:
-        """Write the properties of the session; sessions of one configuration share its file."""
+        """Write the properties of the session (`meta`) and the bytes of its configuration.
+
+        Sessions with the same configuration share one file of it.
+        """
         replaced(self.folder / META, (json.dumps(dict(meta), indent=1) + "\n").encode())
         shared = self.folder.parent / CONFIGS / f"{hashlib.sha256(config).hexdigest()}.bin"
         if not shared.exists():
@@ -145,7 +148,7 @@ class Recorder:
 def exported(folder: Path) -> dict[str, Path]:
     """Return the files of a recording for users, by name.
 
-    They are samples, steps and fixes, or the messages of a session that was not tracked.
+    They are metadata, samples, steps, fixes and ranges, or the messages of a session that was not tracked.
     """
     names = [name for name in (*FILES, STEPS, FIXES, RANGES) if (folder / name).exists()]
     journal = next(folder.glob("journal_*"), None)

@@ -96,7 +96,7 @@ class Site:
                 await socket.send_text(json.dumps({"status": answer.status, **answer.content}))
 
     async def fix(self, request: Request) -> Response:
-        """Handle a position that a user has marked on the page."""
+        """Pass a fix that a user has marked on the page to the session in the address, and return the answer."""
         about = self.live.sessions.get(request.path_params["id"])
         if about is None:
             return JSONResponse({"error": "no such session"}, 404)
@@ -114,7 +114,7 @@ class Site:
         return JSONResponse({"sessions": list(self.live.sessions.values()), "tiles": self.tiles})
 
     async def track(self, request: Request) -> Response:
-        """Return the path as GeoJSON."""
+        """Return the path of the session in the address as a GeoJSON file, or status 404 if it does not exist."""
         key = request.path_params["id"]
         tracks = await self.live.tracks()
         if key not in tracks:
@@ -123,7 +123,7 @@ class Site:
         return Response(content, media_type="application/geo+json", headers=attachment(f"{key}.geojson"))
 
     async def recording(self, request: Request) -> Response:
-        """Return the recording as a zip file."""
+        """Return the recording of the session in the address as a zip file, or status 404 if it does not exist."""
         key = request.path_params["id"]
         if key not in self.live.sessions:  # otherwise a name from outside would become a path
             return JSONResponse({"error": "no such session"}, 404)
@@ -160,9 +160,9 @@ def app(live: Live, token: str = "", tiles: str = "") -> Starlette:
 
 
 class AccessMiddleware:
-    """Middleware that refuses requests without the access token.
+    """Middleware that refuses requests from pages of other sites, and requests without the access token.
 
-    Without a token, it refuses requests from other computers and from pages of other sites.
+    If the server has no token, it refuses requests from other computers instead.
     """
 
     def __init__(self, inner: ASGIApp, token: str) -> None:
@@ -195,7 +195,10 @@ class AccessMiddleware:
         return 401, "wrong token, or none; use the whole address that the server printed"
 
     def _with_cookie(self, asked: HTTPConnection, send: Send) -> Send:
-        """Set a cookie, so that a page that was opened with the token can load the rest without it."""
+        """Return `send`, extended to set a cookie with the token if the address of an HTTP request has it.
+
+        A page that was opened with the token can then load the rest without it.
+        """
         if not self.token or "token" not in asked.query_params or asked.scope["type"] != "http":
             return send
         secure = "; Secure" if asked.url.scheme == "https" else ""

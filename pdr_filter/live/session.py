@@ -111,10 +111,10 @@ class DeviceSession:
     # --- messages ---
 
     def take(self, message: Message, received_s: float) -> list[Event]:
-        """Take and record a message, which `advance` filters; FixError or LateError if it cannot be used.
+        """Take and record a message, which `advance` filters, and return the events that it causes.
 
-        A message of a session that cannot be tracked is recorded, and `refused` holds the reason. SessionError if the
-        session has ended.
+        FixError or LateError if the message cannot be used. A message of a session that cannot be tracked is recorded,
+        and `refused` holds the reason. SessionError if the session has ended.
         """
         if self.has_ended:
             raise SessionError("this session has ended; begin a new one")
@@ -139,7 +139,7 @@ class DeviceSession:
         return self.finish() if message.is_end else []
 
     def _record(self, ready: Sequence[assembly.Streams]) -> None:
-        """Append samples to the recording, and keep them for the filter."""
+        """Append samples to the recording, and keep them for the filter, which is created at the first samples."""
         if ready and self.online is None:
             self.online = OnlineFilter(self._begun(_joined(ready)))
         for samples in ready:
@@ -149,14 +149,17 @@ class DeviceSession:
         self._ready += ready
 
     def is_due(self, wait_s: float) -> bool:
-        """Return True if samples of this duration wait, or if any sample waits for twice as long.
+        """Return True if samples of `wait_s` seconds wait, or if the last call of `advance` was twice as long ago.
 
         A worker that is behind so filters more at once, and needs less time for it.
         """
         return self._ready_s >= wait_s or time.monotonic() - self._advanced_at >= 2 * wait_s
 
     def advance(self) -> list[Event]:
-        """Filter the samples of all messages that `take` received. Afterwards `refused` may hold a reason."""
+        """Filter the samples of all messages that `take` received, and return the events.
+
+        Afterwards `refused` may hold the reason why the session cannot be tracked.
+        """
         ready, self._ready, self._ready_s, self._advanced_at = self._ready, [], 0.0, time.monotonic()
         if self.refused:
             return []
@@ -170,13 +173,13 @@ class DeviceSession:
         return self._about_changed()
 
     def release(self) -> list[Event]:
-        """Filter the messages that wait for a missing one, after a long silence of the phone."""
+        """Filter the messages that wait for a missing one, after a long silence of the phone, and return the events."""
         self.assembly, self.held, ready = assembly.release(self.assembly, self.held)
         self._record(ready)
         return self.advance()
 
     def finish(self) -> list[Event]:
-        """Filter the last steps, when no further message can arrive."""
+        """Filter the last steps, when no further message can arrive, and return the events. The session then ends."""
         try:
             self.assembly, self.held, ready = assembly.finish(self.assembly, self.held, self.settings.platform)
             self._record(ready)
@@ -198,7 +201,10 @@ class DeviceSession:
         return [*events, *self._outcomes(), *self._turned(), *self._corrected(), *self._now()]
 
     def _begun(self, samples: assembly.Streams) -> Config:
-        """Return the configuration for the sensors that the first seconds contain."""
+        """Return the configuration for the sensors in the first samples, and write it and metadata to the recording.
+
+        ValueError if unit and sign of the acceleration are unknown.
+        """
         kind = self.assembly.kind
         if kind is None:
             raise ValueError("units and sign of the acceleration are unknown: wait for the first seconds of samples")
@@ -220,7 +226,8 @@ class DeviceSession:
     def _fixed(self, content: Any) -> Event:
         """Add a fix of a user, in the frame of the track or as latitude and longitude; return its `fix` event.
 
-        One with `range_m` is a range to an anchor there (`east_m` and `north_m`, or latitude and longitude).
+        One with `range_m` is a range to an anchor there (`east_m` and `north_m`, or latitude and longitude). Without
+        `time_s`, the fix is of the present time. FixError if it cannot be used.
         """
         online = self.online
         if online is None:
@@ -260,7 +267,7 @@ class DeviceSession:
     # --- events ---
 
     def about(self) -> Event:
-        """Return the properties of the session, with the reason why it waits or cannot be tracked."""
+        """Return the `session` event: properties of the session, with the reason why it waits or cannot be tracked."""
         kind, origin = self.assembly.kind, None if self.online is None else self.online.origin
         waits = "" if self.refused else assembly.reason_to_wait(self.assembly, self.held, self.settings.platform)
         return {
@@ -282,7 +289,7 @@ class DeviceSession:
         }
 
     def _about_changed(self) -> list[Event]:
-        """Return the `session` event if it has changed."""
+        """Return a list with the `session` event if it has changed since the last call, otherwise an empty list."""
         about = self.about()
         if about == self._told:
             return []
@@ -332,7 +339,10 @@ class DeviceSession:
         return [{"event": "now", "id": self.id, "received_unix_s": sent, "silent_s": silent_s, **now}]
 
     def _turned(self, is_due: bool = False) -> list[Event]:
-        """Return a `track` event now and then while north is uncertain, because the whole path rotates with it."""
+        """Return a list with a `track` event now and then while north is uncertain, otherwise an empty list.
+
+        The whole path rotates with the estimate of north. The event is also sent once when north has become certain.
+        """
         online = self.online
         wait_s = _TURN_S + len(self.path) * _TURN_STEP_S
         if online is None or (time.monotonic() - self._turn_at < wait_s and not is_due):
@@ -351,7 +361,10 @@ class DeviceSession:
         return [self.track()]
 
     def _corrected(self, is_due: bool = False) -> list[Event]:
-        """Return a `path` event if later samples and fixes moved what the pages draw by more than a metre."""
+        """Return a list with a `path` event if later samples and fixes moved the drawn path by more than a metre.
+
+        The list is empty otherwise, and within two seconds of the last check unless `is_due`.
+        """
         if self.online is None or (time.monotonic() - self._drawn_at < _CORRECTED_S and not is_due):
             return []
         self._drawn_at = time.monotonic()
@@ -378,7 +391,10 @@ class DeviceSession:
         return {**self.about(), "event": "track", "silent_s": silent_s, "path": self.path}
 
     def rest(self) -> list[Event]:
-        """Return a `now` event for the last samples if they came too soon after the previous event."""
+        """Return a list with a `now` event for the last samples if they came too soon after the previous event.
+
+        The list is empty if there are no such samples.
+        """
         return self._now(is_due=True, is_live=False) if self._is_untold else []
 
     def whole(self) -> list[Event]:
@@ -388,12 +404,13 @@ class DeviceSession:
 
     @property
     def unsaved_s(self) -> float:
-        """Time since the first change that was not saved, s."""
+        """Time since the first change that was not saved, s. 0 if all are saved."""
         return max(time.monotonic() - self._unsaved_at, 0.0)
 
     def save(self) -> list[Event]:
-        """Filter what waits, and write the state of a session that is tracked; any other one goes on from its journal.
+        """Filter what waits, write the state of a session that is tracked, and return the events.
 
+        A session that is not tracked goes on from its journal.
         A saved state ends the journal, so that samples which it does not know would be missing in the track.
         """
         events = self.advance()

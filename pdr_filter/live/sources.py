@@ -93,7 +93,7 @@ async def replay(recording: Recording, speed: float, take: Taker) -> None:
 
 
 async def again(source: Callable[[], Awaitable[None]], say: Callable[[str], None]) -> None:
-    """Run a source, and restart it whenever its connection breaks. Each new reason is shown once."""
+    """Run a source for ever, and restart it 2 s after its connection breaks. Each new reason is passed to `say`."""
     said = ""
     while True:
         try:
@@ -120,7 +120,7 @@ class Phyphox:
         self._session, self._seen_s = "", dict[str, float]()
 
     async def run(self) -> None:
-        """Fetch samples until the connection breaks."""
+        """Fetch samples and pass them to `take`, until an error of the connection ends the method."""
         buffers = phyphox_buffers(await self._got("config"))
         if not self._session:
             await self._got("control?cmd=start")
@@ -170,7 +170,10 @@ def _later(rows: SensorRows, seen_s: float) -> SensorRows:
 
 
 def _got(address: str) -> bytes:
-    """Return the content of an address. Each request opens a connection, because phyphox keeps none open."""
+    """Return the content of an address, in bytes. MessageError if it is too large, OSError if it cannot be reached.
+
+    Each request opens a connection, because phyphox keeps none open.
+    """
     with urllib.request.urlopen(address, timeout=_ANSWER_S) as answer:
         content = answer.read(_MAX_ANSWER_BYTES + 1)
     if len(content) > _MAX_ANSWER_BYTES:
@@ -182,7 +185,10 @@ def _got(address: str) -> bytes:
 
 
 async def sensor_server(address: str, session: str, take: Taker) -> None:
-    """Receive samples from an Android phone with SensorServer, whose WebSocket sends one sample per message."""
+    """Receive samples from an Android phone with SensorServer, and pass them to `take`, until the connection breaks.
+
+    The WebSocket of the app sends one sample per message. The samples of 0.2 s become one message of the session.
+    """
     from websockets.asyncio.client import connect
 
     address = _with_scheme(address, "ws").rstrip("/")
@@ -226,7 +232,7 @@ class Mqtt:
             )
 
     async def run(self) -> None:
-        """Receive messages until the connection breaks."""
+        """Receive messages of the topic and pass them to `take`, until an error of the connection ends the method."""
         import aiomqtt
 
         parts = self._address

@@ -105,7 +105,10 @@ class _Worker:
         self._running = asyncio.create_task(self._run(share))
 
     async def ask(self, request: Request) -> Answer:
-        """Return the answer to a request, from the present share or from its successor."""
+        """Return the answer to a request, from the present share or from its successor.
+
+        The status is 503 if too many requests wait or the worker is closed.
+        """
         if len(self._waiting) >= _MAX_WAITING or self._closed:
             return Answer(503, {"error": "too much at once; send it again later"})
         waiting = _Waiting(request, asyncio.get_running_loop().create_future())
@@ -160,7 +163,11 @@ class _Worker:
             waiting.answered.set_result(answer)
 
     def _lost(self, batch: Sequence[_Waiting]) -> None:
-        """Count one attempt for each request that a share had not answered when it died."""
+        """Count one attempt for each request that a share had not answered when it died.
+
+        The requests are then given one at a time. A request that ended a share when it was given alone, and that was
+        given twice, is answered with status 500.
+        """
         self._n_alone = len(batch)
         for waiting in batch:
             waiting.n_tries += 1

@@ -182,7 +182,7 @@ class AttitudeEstimator:
 
     @cached_property
     def _window_samples(self) -> int:
-        """Samples of a bias window."""
+        """Number of samples in a bias window."""
         return max(round(self.bias.window_s * self.rate_hz), 1)
 
     def init(self) -> AttitudeState:
@@ -298,7 +298,10 @@ class AttitudeEstimator:
         return replace_unchecked(state, vqf=estimator.state, window=rows[begin:].copy()), attitude
 
     def _estimate_attitudes(self, state: AttitudeState, estimator: Any, rows: FloatArray) -> AttitudeState:
-        """Return the state after the samples of one bias window; fill in their attitudes and headings in place."""
+        """Return the state after consecutive samples of one bias window.
+
+        Attitudes and headings are written into `rows`.
+        """
         rate = rows[:, _RATE_KNOWN, None] * (rows[:, _RATE] - state.bias.bias_radps)
         rows[:, _QUAT] = estimator.updateBatch(rate, np.ascontiguousarray(rows[:, _FORCE]))["quat6D"]
         return self._follow_heading(state, rows, rate[0])
@@ -344,7 +347,7 @@ def _rows(waiting: FloatArray, block: UniformBlock) -> FloatArray:
 
 
 def _bias_window(rows: FloatArray) -> BiasWindow:
-    """Return the statistics of a complete window that the bias estimation uses."""
+    """Return the statistics that the bias estimation uses, of the samples (N, 17) of a complete window."""
     mean = np.add.reduce(rows) / len(rows)
     away = rows[:, :6] - mean[:6]
     rate_x, rate_y, rate_z, force_x, force_y, force_z = (np.add.reduce(away * away) / len(rows)).tolist()
@@ -385,7 +388,10 @@ def _variance_along(up: FloatArray, cov: FloatArray) -> FloatArray:
 
 
 def _up_in_sensor_frame(quat: FloatArray) -> FloatArray:
-    """Return the third row of the sensor-to-world rotation matrix for unit quaternions wxyz (N, 4), shape (N, 3)."""
+    """Return the unit vector up in the sensor frame (N, 3) for unit quaternions wxyz (N, 4).
+
+    It is the third row of the rotation matrix from the sensor to the attitude frame.
+    """
     w, x, y, z = quat.T
     up = np.empty((len(quat), 3))
     up[:, 0], up[:, 1], up[:, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)

@@ -94,9 +94,10 @@ class AcceptedRows(NamedTuple):
 
 
 def accept_rows(clock: ClockState, rows: FloatArray, max_gap_s: float) -> AcceptedRows:
-    """Return the rows with usable times, converted to the track clock.
+    """Return the sample rows with usable times, converted to the track clock, with the new state and counts.
 
-    The first column of `rows` (N, C) is the time on the sample clock.
+    The first column of `rows` (N, C) is the time on the sample clock. The counts are of dropped rows, backward clock
+    jumps and glitches.
     """
     accepted: list[FloatArray] = [rows[:0]]
     n_dropped = n_set_backs = n_glitches = start = 0
@@ -144,7 +145,7 @@ class _Decision(NamedTuple):
 
 
 def _accept_or_hold(clock: ClockState, row: FloatArray, max_gap_s: float) -> _Decision:
-    """Return the decision on a row: accept it together with the held rows, hold it, or drop it."""
+    """Return the decision on a sample row: accept it together with the held rows, hold it, or drop it."""
     row = row.copy()
     row[0] += clock.offset_s
     time_s = float(row[0])
@@ -279,7 +280,7 @@ _STRETCH_MARGIN_S = 1.0
 
 
 def _n_set_backs_before(time_s: FloatArray, set_backs: Sequence[_SetBack]) -> IntArray:
-    """Return how many backward clock jumps precede each time (N,), in recorded order."""
+    """Return how many backward clock jumps precede each time (N,) of a stream, in recorded order."""
     result, start = np.zeros(len(time_s), dtype=int), 0
     for number, (begin_s, before_s, after_s, _) in enumerate(set_backs, start=1):
         rest = time_s[start:]

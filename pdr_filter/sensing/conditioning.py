@@ -155,7 +155,7 @@ class IntakeReport:
     last_time_s: float = np.nan
 
     def notes(self) -> tuple[str, ...]:
-        """Return one warning for each kind of repair, or an empty tuple if nothing was repaired."""
+        """Return one warning for each kind of repaired, dropped or missing samples, or an empty tuple without any."""
         found: list[str] = []
         if self.n_not_finite:
             found.append(
@@ -372,7 +372,10 @@ class Conditioner:
         return self._resample(state, state.rows, hop_samples=1) if state.n_emitted > 0 else (state, [])
 
     def _update_part(self, state: ConditionerState, block: ImuBlock) -> tuple[ConditionerState, list[UniformBlock]]:
-        """Return the new state and the completed hops for at most `_ROWS_AT_ONCE` raw samples."""
+        """Return the new state and the completed hops for at most `_ROWS_AT_ONCE` raw samples.
+
+        A hop is a block of `hop_samples` uniform samples.
+        """
         state, rows = self._accept(state, block)
         if len(rows) == 0:
             return state, []
@@ -395,8 +398,9 @@ class Conditioner:
     def _accept(self, state: ConditionerState, block: ImuBlock) -> tuple[ConditionerState, FloatArray]:
         """Return the new state and the accepted rows (N, 12).
 
-        Accepted rows have a finite specific force and increasing times. A missing angular rate or magnetic field is
-        held at its last value, and its age is stored in the row.
+        A row has the time, specific force, angular rate, magnetic field, and the ages of the last two. Accepted rows
+        have a finite specific force and increasing times. A missing angular rate or magnetic field is held at its last
+        value. Its age is the time since it was measured.
         """
         raw = np.empty((len(block.time_s), 10))
         raw[:, 0], raw[:, _FORCE] = block.time_s, block.specific_force_mps2
@@ -437,7 +441,10 @@ class Conditioner:
         return replace_unchecked(state, last_rate=last_rate, last_field=last_field, **checks), rows
 
     def _start_segment(self, state: ConditionerState, part: FloatArray) -> ConditionerState:
-        """Return the state at the start of the segment that begins with the rows `part` after a gap."""
+        """Return the state at the start of the segment that begins with the rows `part` after a gap.
+
+        The gap is counted.
+        """
         # The gap is counted from the end of the emitted samples. A segment that emitted nothing was never reported, so
         # the gap before it is added to this one.
         emitted_until_s = state.segment_start_s + state.n_emitted / self.rate_hz
@@ -461,7 +468,7 @@ class Conditioner:
     def _resample(
         self, state: ConditionerState, rows: FloatArray, hop_samples: int
     ) -> tuple[ConditionerState, list[UniformBlock]]:
-        """Return the new state and the uniform samples of all whole hops that the rows cover.
+        """Return the new state and the uniform samples of all whole hops of `hop_samples` that the rows cover.
 
         Each uniform sample is the mean of the linear interpolant over its interval of the grid.
         """
@@ -649,7 +656,10 @@ def _check_clock(sensor: str, stream: Samples | None, at_s: FloatArray, max_gap_
 
 
 def _interpolated(stream: Samples | None, at_s: FloatArray, max_gap_s: float) -> FloatArray:
-    """Return the values of a stream at some times, (M, 3), ignoring its rows that are not finite or not increasing."""
+    """Return the values of a stream at some times (M,), shape (M, 3), interpolated as by `at_times`.
+
+    Rows that are not finite or not increasing are ignored. Without a stream all values are NaN.
+    """
     if stream is None:
         return np.full((len(at_s), 3), np.nan)
     time_s, values = stream.time_s, stream.values
@@ -665,7 +675,7 @@ def at_times(time_s: FloatArray, values: FloatArray, at_s: FloatArray, max_gap_s
 
     The result is NaN where the two neighbouring samples are more than `max_gap_s` apart. A time before the first or
     after the last sample by less than `max_gap_s` gets the value of that sample. Each result depends only on the two
-    samples around it, or on the last two samples if none follows.
+    samples around it, or on the last two samples if none follows. With fewer than two samples all results are NaN.
     """
     if len(time_s) < 2 or not len(at_s):
         return np.full((len(at_s), 3), np.nan)

@@ -54,14 +54,15 @@ class SensingState:
     vibration : VehicleVibrationState
         State of the detection of motion without steps.
     cadence : tuple of (float, float)
-        Times (s) and step frequencies (Hz) of the last steps of this segment.
+        Times (s) and step frequencies (Hz) of the last three steps of this segment.
     n_samples : int
         Uniform samples of this segment.
     context : int
         Index of the context of the last window into `Sensing.context_set`. -1 if no context has at least half of the
         probability.
     carrying_mode : int
-        Index of the carrying mode of the last window into `CARRYING_MODES`, likewise.
+        Index of the carrying mode of the last window into `CARRYING_MODES`. -1 if no mode has at least half of the
+        probability.
     processed_s : float
         Time of the last processed uniform sample, s.
     """
@@ -248,7 +249,10 @@ class Sensing:
     def _process_blocks(
         self, state: SensingState, uniform: Sequence[UniformBlock]
     ) -> tuple[SensingState, list[tuple[float, Event]]]:
-        """Return the new state and the events of uniform blocks, restarting the stages at gaps."""
+        """Return the new state and the events of uniform blocks, restarting the stages at gaps.
+
+        Events are steps, classified windows and gaps, each with the time at which it became known.
+        """
         events: list[tuple[float, Event]] = []
         for part in uniform:
             if part.gap_before_s > 0 and state.n_samples > 0:
@@ -276,7 +280,10 @@ class Sensing:
         return self.attitude.bias.learnt(self.attitude.bias_state(state.attitude), error_rad, error_var)
 
     def _process_block(self, state: SensingState, part: UniformBlock) -> tuple[SensingState, list[tuple[float, Event]]]:
-        """Return the new state and the events of one uniform block without a gap."""
+        """Return the new state and the events of one uniform block without a gap.
+
+        Events are steps and classified windows, each with the time at which it became known.
+        """
         n_before = state.n_samples
         attitude_state, attitude = self.attitude.update(state.attitude, part)
         context_state, windows = None, list[tuple[int, WindowContext]]()
@@ -320,7 +327,10 @@ class Sensing:
         return state, [(float(part.time_s[i - n_before]), event) for i, event in in_order]
 
     def _close_segment(self, state: SensingState) -> tuple[SensingState, list[tuple[float, Event]]]:
-        """Return the state at a gap or at the end, and the steps that were still waiting for samples."""
+        """Return the state at a gap or at the end, and the steps that were still waiting for samples.
+
+        Each step comes with the time of the last processed sample.
+        """
         steps = self.steps.finish(state.steps)
         if self.gate:
             gate, steps = self.gate.close(state.gate, steps)
@@ -338,7 +348,11 @@ class Sensing:
         return state, [(state.processed_s, step) for _, step in steps]
 
     def _after_gap(self, state: SensingState) -> SensingState:
-        """Return the state before the first sample after a gap."""
+        """Return the state before the first sample after a gap.
+
+        The step detector and the estimation of north start again. Attitude, contexts and heading keep what remains
+        valid after a gap. The conditioner, the gate and the smoothing of contact times continue.
+        """
         return replace_unchecked(
             state,
             attitude=self.attitude.after_gap(state.attitude),
@@ -353,7 +367,7 @@ class Sensing:
 
 
 def feature_windows(stage: FeatureWindows, blocks: Iterable[ImuBlock]) -> Iterator[FeatureWindow]:
-    """Return the feature windows of samples.
+    """Yield the feature windows of blocks of samples of one recording.
 
     Training learns from these windows. They equal those that `LearnedContexts` classifies.
     """
@@ -372,7 +386,11 @@ def feature_windows(stage: FeatureWindows, blocks: Iterable[ImuBlock]) -> Iterat
 def _with_cadences(
     cadence: tuple[tuple[float, float], ...], events: Sequence[tuple[int, WindowContext | Step]], contexts: ContextSet
 ) -> tuple[list[tuple[int, WindowContext | Step]], tuple[tuple[float, float], ...]]:
-    """Return the events with the step frequency added to the windows, and times and frequencies of the last steps."""
+    """Return the events with the step frequency added to the windows, and times and frequencies of the last steps.
+
+    The step frequency of a window is the median over the last three steps, if the first of them is recent. Other
+    windows are unchanged.
+    """
     result: list[tuple[int, WindowContext | Step]] = []
     for number, event in events:
         if isinstance(event, Step):
@@ -391,7 +409,10 @@ def _likely(prob: FloatArray) -> int:
 
 
 def _held(before: int, changes: list[tuple[int, int]], n: int) -> IntArray:
-    """Return values (n,) of a quantity that changes at some samples and stays constant in between."""
+    """Return values (n,) of a quantity that changes at some samples and stays constant in between.
+
+    `before` is the value before the first change. `changes` are pairs of sample index and new value.
+    """
     values = np.full(n, before)
     for i, value in changes:
         values[i:] = value

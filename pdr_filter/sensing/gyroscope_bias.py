@@ -323,7 +323,10 @@ class GyroBias:
         return replace_unchecked(state, n_still=0, walk=None, field=None, field_tracked=False, n_field_outliers=0)
 
     def update(self, state: GyroBiasState, window: BiasWindow) -> GyroBiasState:
-        """Return the state after a window whose heading was corrected with the bias of the given state."""
+        """Return the state after a window whose heading was corrected with the bias of the given state.
+
+        A window with unknown angular rate has the effect of a gap.
+        """
         if not window.angular_rate_known:
             return self.after_gap(state)
         correction_rad = self.window_s * _dot(window.up_sensor, state.bias_radps)
@@ -428,7 +431,10 @@ class GyroBias:
         return Device(bias[_BIAS].copy(), bias_cov[_BIAS, _BIAS].copy())
 
     def _update_still(self, bank: _Bank, n_still: int, window: BiasWindow) -> tuple[_Bank, int]:
-        """Return the bank of filters, updated if the window is still, and the number of consecutive still windows."""
+        """Return the bank of filters, and the number of consecutive still windows.
+
+        A still window updates the bank if the window before was still, too.
+        """
         is_still = (
             window.angular_rate_std_radps < self.still_gyr_radps
             and _dot(window.angular_rate_radps, window.angular_rate_radps) < self.still_max_radps**2
@@ -453,7 +459,8 @@ class GyroBias:
     ) -> tuple[_Bank, StraightWalk | None]:
         """Return the bank of filters and the straight walk after a window.
 
-        When a straight walk ends, it updates the bank.
+        When a straight walk ends, it updates the bank. The walk is None if the pedestrian does not walk. `measured_rad`
+        is the uncorrected heading in the window.
         """
         if window.specific_force_std_mps2 < self.walking_acc_mps2:
             return self._measure_walk(bank, walk), None
@@ -498,6 +505,7 @@ class GyroBias:
         """Return the bank of filters updated with the magnetic field direction of a window, and the field's new state.
 
         The state of the field is its scatter, whether its direction is tracked, and the number of consecutive outliers.
+        A window without a known field resets this state and leaves the bank unchanged.
         """
         if not window.magnetic_field_known:
             return bank, None, False, 0

@@ -68,7 +68,10 @@ class StreamState:
 
     @property
     def rate_hz(self) -> float:
-        """Rate of the sensor, Hz: the reciprocal of the median interval. NaN before the second sample."""
+        """Rate of the sensor, Hz: the reciprocal of the median interval of its last samples.
+
+        NaN before the second sample.
+        """
         intervals_s = np.diff(np.unique(self.recent_s))
         return float(1.0 / np.median(intervals_s)) if len(intervals_s) else np.nan
 
@@ -201,7 +204,10 @@ class StreamMerger:
         return self._released(state, len(state.stream("accelerometer").rows), np.inf)
 
     def silent(self, state: MergerState) -> tuple[tuple[Sensor, float], ...]:
-        """Return the silent sensors, each with the time of its last sample."""
+        """Return the silent sensors, each with the time of its last sample.
+
+        A silent sensor has sent samples, but the last is more than `wait_s` before the newest sample of any sensor.
+        """
         newest_s = max(s.last_s for s in state.streams)
         return tuple(
             (name, stream.last_s)
@@ -210,7 +216,11 @@ class StreamMerger:
         )
 
     def _buffered(self, state: MergerState, sensor: Sensor, new: FloatArray) -> MergerState:
-        """Return the state with new rows (N, 1 + d) of a sensor buffered in order of time and late rows dropped."""
+        """Return the state with new rows (N, 1 + d) of a sensor buffered in order of time and late rows dropped.
+
+        Rows without a finite time are dropped, and those of other sensors than the accelerometer if any value is
+        missing.
+        """
         finite = np.isfinite(new)
         timed = new if finite.all() else new[finite[:, 0]]
         if sensor == "accelerometer":

@@ -63,7 +63,7 @@ class WatchdogState:
 
 
 def init_watchdog() -> WatchdogState:
-    """Return the state before the first row."""
+    """Return the state of the detection of stuck sensors before the first row."""
     return WatchdogState(0, np.full(6, np.inf), np.full(6, -np.inf), np.full(2, np.nan), (False, False))
 
 
@@ -73,7 +73,8 @@ def remove_stuck_values(
     """Return the new state and the motion (N, 6) with NaN for the values of stuck sensors.
 
     The columns are specific force and angular rate. The array itself is returned if no sensor is stuck. Windows are
-    judged when they are complete, so that the result does not depend on how rows were cut into blocks.
+    judged when they are complete, so that the result does not depend on how rows were cut into blocks. The values of a
+    stuck sensor are removed from the next window on.
     """
     if len(motion) == 0:
         return state, motion

@@ -76,14 +76,15 @@ class UnitsState:
 
 
 def init_units() -> UnitsState:
-    """Return the state before the first row."""
+    """Return the state of the unit check before the first row."""
     return UnitsState(np.empty((0, 4)))
 
 
 def check_units(state: UnitsState, time_s: FloatArray, motion: FloatArray) -> UnitsState:
-    """Return the state after rows of motion (N, 6), specific force and angular rate, at increasing times (N,).
+    """Return the state of the unit check after rows of motion (N, 6) at increasing times (N,).
 
-    Windows are judged when they are complete, so that the result does not depend on how rows were cut into blocks.
+    The columns of the motion are specific force and angular rate. Windows are judged when they are complete, so that
+    the result does not depend on how rows were cut into blocks.
     """
     new = np.empty((len(time_s), 4))
     new[:, 0], new[:, 2] = time_s, motion[:, 2]
@@ -98,7 +99,7 @@ def check_units(state: UnitsState, time_s: FloatArray, motion: FloatArray) -> Un
 
 
 def _judged(state: UnitsState, rows: FloatArray) -> UnitsState:
-    """Return the state after the rows (R, 4) of one complete window."""
+    """Return the state of the unit check after the rows (R, 4) of one complete window."""
     _, force, z, rate = rows.T
     known = rate[np.isfinite(rate)]
     wrong_force = wrong_specific_force(median(force))

@@ -66,7 +66,7 @@ FORCE_POWER = 0.8
 
 
 def walking_law(frequency_hz: float) -> float:
-    """Return the amplitude A in m/s2 of steps of the typical length at a step frequency in Hz."""
+    """Return the amplitude A of the vertical force in m/s2 for steps of typical length, at a step frequency in Hz."""
     return Gait().vertical_force_mps2("walking", frequency_hz, Gait().step_length_m("walking", frequency_hz), 0.0)
 
 
@@ -350,7 +350,10 @@ class StepPlan:
 
 
 def plan_steps(legs: Sequence[Leg], gait: Gait, rng: np.random.Generator) -> StepPlan:
-    """Return durations and lengths of all steps, with the random variation of the person from step to step."""
+    """Return the plan of all steps along some legs, which are the stretches of a walk.
+
+    Durations and lengths have the random variation of the person from step to step.
+    """
     leg_end: list[float] = []
     parts: list[tuple[FloatArray, ...]] = [tuple(np.zeros(0) for _ in range(7))]
     clock_s = 0.0
@@ -378,7 +381,12 @@ def plan_steps(legs: Sequence[Leg], gait: Gait, rng: np.random.Generator) -> Ste
 def _leg_steps(
     leg: Leg, before: Leg | None, joins_next: bool, gait: Gait, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the durations and lengths of the steps of one moving leg."""
+    """Return the durations in s and the lengths in m of the steps of one moving leg.
+
+    `before` is the previous leg if the person continues from it without a stop, else None. The steps after setting off
+    and before stopping are shorter. The sum of the durations or of the lengths is that of the leg, except for a
+    distance on stairs.
+    """
     frequency_hz, mean_m = nominal_step(leg, gait)
     on_stairs = CONTEXT_GAITS[leg.context].rise_m != 0.0
     n_ends = 0 if on_stairs else (before is None) + (not joins_next)
@@ -408,7 +416,10 @@ def _leg_steps(
 
 
 def nominal_step(leg: Leg, gait: Gait) -> tuple[float, float]:
-    """Return the mean step frequency in Hz and step length in m of the person on a leg."""
+    """Return the mean step frequency in Hz and step length in m of the person on a leg.
+
+    ValueError for steps shorter than 0.1 m.
+    """
     frequency_hz = gait.step_frequency_hz(leg.context) * leg.frequency_factor
     length_m = gait.step_length_m(leg.context, frequency_hz)
     if length_m < 0.1:

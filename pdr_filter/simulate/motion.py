@@ -124,11 +124,11 @@ class Motion:
     heading_rad: FloatArray
 
     def position_m(self, time_s: FloatArray) -> FloatArray:
-        """Return the position of the phone (east, north, up), (N, 3)."""
+        """Return the position of the phone (east, north, up) at some times, (N, 3), m."""
         return self.spline(time_s)[:, :3]
 
     def rotation(self, time_s: FloatArray) -> Rotation:
-        """Return the N rotations of the phone from the sensor frame to the world frame."""
+        """Return the rotations of the phone from the sensor frame to the world frame at N times."""
         angles = self.spline(time_s)[:, 3:]
         return Rotation.from_euler(_AXES[:3], angles[:, :3]) * Rotation.from_euler(_AXES[3:], angles[:, 3:])
 
@@ -141,7 +141,7 @@ class Motion:
         return self.rotation(time_s).inv().apply(force_enu)
 
     def angular_rate_radps(self, time_s: FloatArray) -> FloatArray:
-        """Return the angular rate in the sensor frame, (N, 3).
+        """Return the angular rate in the sensor frame at some times, (N, 3), rad/s.
 
         It is the sum of the rates of the six angles, each rotated by the later angles.
         """
@@ -153,7 +153,7 @@ class Motion:
         return rate
 
     def body_at(self, time_s: FloatArray) -> FloatArray:
-        """Return the position of the body (east, north, height of the ground), (N, 3)."""
+        """Return the position of the body (east, north, height of the ground) at some times, (N, 3), m."""
         return interpolated(time_s, self.grid_s, self.body_position_m)
 
 
@@ -195,10 +195,10 @@ Blend = Callable[[Sequence[float]], FloatArray]
 
 
 def leg_blend(time_s: FloatArray, plan: StepPlan, legs: Sequence[Leg], width_s: float) -> Blend:
-    """Return a function that converts one value for each leg into a smooth function of time.
+    """Return a function that converts one value for each leg (stretch of the walk) into a smooth function of time.
 
     A change begins at the start of the new leg. If a person stops, the change ends there instead, so that nothing moves
-    in the stationary leg.
+    in the stationary leg. `width_s` is the duration of a change.
     """
     lower = np.minimum(np.searchsorted(plan.leg_end_s, time_s, side="right"), len(legs) - 1)
     upper = lower.copy()
@@ -250,7 +250,7 @@ def progress_m(time_s: FloatArray, plan: StepPlan) -> FloatArray:
 
 
 def body_path(time_s: FloatArray, plan: StepPlan, travel_rad: FloatArray) -> FloatArray:
-    """Return east, north, and height of the ground under the person, (N, 3)."""
+    """Return east, north, and height of the ground under the person at some times, (N, 3), m."""
     progress = progress_m(time_s, plan)
     middle = 0.5 * (travel_rad[1:] + travel_rad[:-1])
     east, north = (np.append(0.0, np.cumsum(np.diff(progress) * f(middle))) for f in (np.sin, np.cos))

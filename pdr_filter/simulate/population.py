@@ -59,7 +59,7 @@ def simulated_person(mode: str, number: int) -> Recording:
 
 
 def _walk(number: int, rng: np.random.Generator) -> list[Leg]:
-    """Return half a minute of slow and fast walking with two corners, followed by running, stairs, or both."""
+    """Return 4 s of standing and 25 s of slow and fast walking with two turns, followed by running, stairs, or both."""
     slow, fast = float(rng.uniform(0.6, 0.95)), float(rng.uniform(0.9, 1.15))
     turns = [float(_side(rng) * rng.uniform(0.4, 2.2)) for _ in range(2)]
     legs = [
@@ -81,12 +81,12 @@ def _side(rng: np.random.Generator) -> float:
 
 
 def _about(rng: np.random.Generator, median: float, spread: float) -> float:
-    """Return a log-normal value with a median and a standard deviation of the logarithm."""
+    """Return a random log-normal value with a median and a standard deviation of the logarithm (`spread`)."""
     return median * float(np.exp(rng.normal(0.0, spread)))
 
 
 def _texting(rng: np.random.Generator) -> Carrying:
-    """Return a phone in front of the chest, held in landscape by one in eight.
+    """Return a random place and attitude of a phone in front of the chest, held in landscape by one in eight.
 
     The pitch is that of the person (`Gait.tilt_rad`).
     """
@@ -102,7 +102,7 @@ def _texting(rng: np.random.Generator) -> Carrying:
 
 
 def _calling(rng: np.random.Generator) -> Carrying:
-    """Return a phone at the right or the left ear."""
+    """Return a random place and attitude of a phone at the right or the left ear."""
     side = _side(rng)
     return Carrying(
         place=(side * 0.05, 0.03, 0.93),
@@ -116,7 +116,7 @@ def _calling(rng: np.random.Generator) -> Carrying:
 
 
 def _swinging(rng: np.random.Generator) -> Carrying:
-    """Draw the place and attitude of a phone in a swinging hand at the side of the body.
+    """Return a random place and attitude of a phone in a swinging hand at the side of the body.
 
     With a probability of 0.7 the phone lies along the fingers, otherwise with a long edge down.
     """
@@ -135,7 +135,7 @@ def _swinging(rng: np.random.Generator) -> Carrying:
 
 
 def _pocket(rng: np.random.Generator) -> Carrying:
-    """Return a phone in a front pocket or, for one in four, a back pocket.
+    """Return a random place and attitude of a phone in a front pocket or, for one in four, a back pocket.
 
     Either end may be down and any face towards the leg. One phone in twelve lies across.
     """
@@ -154,7 +154,10 @@ def _pocket(rng: np.random.Generator) -> Carrying:
 
 
 def _grip(rng: np.random.Generator) -> dict[str, Any]:
-    """Return factors for how firmly a hand or a pocket holds the phone."""
+    """Return random factors for how firmly a hand or a pocket holds the phone.
+
+    They are the fields `turn`, `loose` and `tremor` of `Carrying`, by name.
+    """
     return {"turn": _about(rng, 1.0, 0.1), "loose": _about(rng, 1.0, 0.15), "tremor": _about(rng, 1.0, 0.4)}
 
 

@@ -115,7 +115,10 @@ def drawn(ways: ComplexArray, rest: FloatArray, rng: np.random.Generator, n: int
 
 
 def write(tables: dict[tuple[str, str], Strides]) -> None:
-    """Write the measured tables, by place and context. Half precision exceeds the accuracy of the measurements."""
+    """Write the measured tables, by place and context, to `MEASURED`.
+
+    Half precision exceeds the accuracy of the measurements.
+    """
     rows: dict[str, NDArray[np.float16]] = {}
     for (place, context), table in tables.items():
         for field in fields(Strides):

@@ -196,7 +196,10 @@ def demo_walk(seed: int = 0) -> Recording:
 
 
 def _places(legs: Sequence[Leg], carrying_mode: str, places: Mapping[str, Carrying]) -> list[tuple[str, Carrying]]:
-    """Return the carrying mode of each leg, and the place and attitude of the phone in it."""
+    """Return the carrying mode of each leg, and the place and attitude of the phone in it.
+
+    ValueError for a carrying mode without a place.
+    """
     found: list[tuple[str, Carrying]] = []
     for leg in legs:
         carrying_mode = leg.carrying_mode or carrying_mode
@@ -214,7 +217,7 @@ def _streams(
 ) -> tuple[Samples, Samples, Samples, Samples | None]:
     """Return accelerometer, gyroscope, magnetometer and barometer samples.
 
-    Each sensor has its own clock and its own first sample.
+    Each sensor has its own clock and its own first sample. Without errors of a barometer, the last result is None.
     """
     end_s = float(motion.plan.leg_end_s[-1])
 
@@ -245,7 +248,7 @@ def _streams(
 
 
 def _truth(motion: Motion, legs: Sequence[Leg], carrying_mode: str) -> Truth:
-    """Return all ground truth tables."""
+    """Return the ground truth tables: position, waypoints, steps, strides, segments and labels."""
     plan = motion.plan
     modes = [carrying_mode := leg.carrying_mode or carrying_mode for leg in legs]
     step_of_leg = [plan.leg == k for k in range(len(legs))]

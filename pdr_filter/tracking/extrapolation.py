@@ -76,7 +76,7 @@ class Now:
     floor : int
         Storey. The start is on storey 0, unless a fix names the storey.
     fixes : tuple of FixResult
-        Outcomes of the last fixes.
+        Outcomes of the last 16 fixes.
     rates_hz : mapping of str to float
         Sampling rate of each sensor, Hz.
     n_gaps : int
@@ -200,7 +200,11 @@ def present_place(config: Config, state: State) -> Present:
 
 
 def _with_candidates(config: Config, state: State) -> tuple[StepUpdate | None, tuple[ProvisionalStep, ...]]:
-    """Return the last accepted or candidate step, and all candidate steps with their positions."""
+    """Return the last accepted or candidate step, and all candidate steps with their positions.
+
+    The last step is None if there has been no step since the start or the last gap. The positions are in the frame of
+    the filter's states.
+    """
     tracker, last, steps = state.tracker, state.last_update, list[ProvisionalStep]()
     for step in () if state.finished else _candidates(state.sensing.gate):
         tracker, updates = config.tracker.on_step(tracker, step)
@@ -226,7 +230,7 @@ def _place_after(state: State, last: StepUpdate | None, is_candidate: bool) -> P
 
 
 def _turned_since(state: State, last: StepUpdate) -> float:
-    """Return the rotation of the phone about the vertical since a step, in rad."""
+    """Return the rotation of the phone about the vertical since a step, in rad, clockwise."""
     return state.sensing.attitude.device_heading_rad - last.step.device_heading_rad
 
 
@@ -291,7 +295,10 @@ def _in_output_frame(config: Config, state: State, present: Present) -> Present:
 
 
 def _extrapolated(place: Place, extrapolated_m: float, turned_rad: float) -> Place:
-    """Return a position extrapolated by a distance, while the phone rotated by an angle to its present heading."""
+    """Return a position extrapolated by a distance, while the phone rotated by an angle to its present heading.
+
+    The direction is rotated back by half of the angle, and the covariance grows with the distance.
+    """
     heading_rad = place.heading_rad - 0.5 * turned_rad
     along = np.array([math.sin(heading_rad), math.cos(heading_rad)])
     across = np.array([along[1], -along[0]])
@@ -305,7 +312,8 @@ def _on_plan(place: Place, base: Place, on_plan: OnPlan) -> Place:
     """Return a position of the tracker in the frame of the particles.
 
     `base` is the position of the tracker at its last step, and `on_plan` the position of the particles there. The
-    displacement since that step is rotated and added to the position of the particles.
+    displacement since that step is rotated and added to the position of the particles. Covariance and heading are
+    converted in the same way.
     """
     turn_rad = on_plan.walking_heading_rad - base.heading_rad
     c, s = math.cos(turn_rad), math.sin(turn_rad)
@@ -321,7 +329,10 @@ def _on_plan(place: Place, base: Place, on_plan: OnPlan) -> Place:
 
 
 def _candidates(gate: Any) -> list[Step]:
-    """Return the candidate steps of the gate, if walking is more probable than not."""
+    """Return the candidate steps of the gate, if walking is more probable than not.
+
+    A gate without the attribute `candidates` has none.
+    """
     return list(getattr(gate, "candidates", ()))
 
 
@@ -350,7 +361,10 @@ def _newest_accelerometer_s(state: State) -> float:
 
 
 def _rates_hz(state: State) -> dict[str, float]:
-    """Return the sampling rate of each sensor that arrives separately, or the common rate of merged samples."""
+    """Return the sampling rate of each sensor that arrives separately, by sensor.
+
+    Merged samples have one rate, under "accelerometer". The result is empty before it is known.
+    """
     if state.merger.is_used:
         streams = zip(SENSORS, state.merger.streams, strict=True)
         return {sensor: stream.rate_hz for sensor, stream in streams if stream.n_received}

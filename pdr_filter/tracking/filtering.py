@@ -65,7 +65,7 @@ class RivalTracker:
 
     @property
     def prob(self) -> float:
-        """Probability of this hypothesis."""
+        """Probability of this hypothesis, at most one half."""
         return 1.0 / (1.0 + math.exp(-self.log_odds))
 
 
@@ -114,7 +114,7 @@ class State:
     last_fixes : tuple of FixResult
         Outcomes of the last fixes.
     last_update : StepUpdate or None
-        Last step since the last gap.
+        Last step since the last gap, or None if there is none.
     rival : RivalTracker or None
         Second hypothesis while ranges fit two positions.
     finished : bool
@@ -166,7 +166,10 @@ class Output:
 
 
 def init(config: Config) -> State:
-    """Return the state of a filter before its first sample."""
+    """Return the state of a filter before its first sample.
+
+    With a floor plan, the storey is that of the start on the plan, and the origin of the locations that of the plan.
+    """
     state = State(config.sensing.init(), config.tracker.init(), config.climb_rate.init())
     on_plan = config.on_plan
     if on_plan is None:
@@ -234,7 +237,7 @@ def add_pressure(config: Config, state: State, time_s: FloatArray, pressure_hpa:
     """Return the state with barometer samples, (N,) each.
 
     Windows that end after the samples use the climb rate. Give the pressure of a time before the other samples of that
-    time, because each window is classified only once.
+    time, because each window is classified only once. Only the last `MAX_CLIMBS` climb rates wait for their windows.
     """
     barometer, climbs = config.climb_rate.update(state.barometer, time_s + state.clock_offset_s, pressure_hpa)
     all_climbs = (*state.climbs, *climbs)
@@ -257,7 +260,7 @@ def add_location(
     accuracy_m: FloatArray,
     altitude_m: FloatArray | None = None,
 ) -> State:
-    """Return the state with geographic locations, (N,) each.
+    """Return the state with geographic locations, (N,) each, with times on the clock of the samples.
 
     Some of them become position fixes, in metres from the first usable location.
     """
@@ -328,9 +331,9 @@ def _with_rival(state: State, event: Callable[[Any], tuple[Any, Any]]) -> State:
 def _after_fix_of_rival(config: Config, state: State, fix: Fix, nis: float) -> State:
     """Return the state after a fix that both hypotheses have processed.
 
-    The more probable hypothesis becomes the track. A rival below `LEAST_LOG_ODDS` is dropped. `nis` is the normalised
+    The more probable hypothesis becomes the track. A rival below `MIN_LOG_ODDS` is dropped. `nis` is the normalised
     innovation squared of the fix for the track. The log-likelihood of a rejected fix is bounded by its value at the
-    gate.
+    gate. If the tracker has just found two positions, the second one becomes the rival.
     """
     tracker, rival = state.tracker, state.rival
     if tracker.pedestrian.rival is not None:
@@ -352,7 +355,10 @@ def _after_fix_of_rival(config: Config, state: State, fix: Fix, nis: float) -> S
 
 
 def person_of(config: Config, state: State) -> Person | None:
-    """Return the person's step length from earlier walks and the fixes of this one, or None without either."""
+    """Return the person's step length, from earlier walks (`config.person`) and the fixes of this one.
+
+    If the fixes tell nothing, the result is `config.person`, which may be None.
+    """
     session = session_of(config.model, state.tracker.pedestrian.estimates, state.n_length_fixes)
     if session is None:
         return config.person
@@ -383,7 +389,7 @@ def finish(config: Config, state: State) -> tuple[State, Output]:
     state, late = _process(config, replace_unchecked(state, sensing=sensing), events)
     output.extend(late)
     tracker, last = config.tracker.finish(state.tracker)
-    state = _with_rival(state, config.tracker.finish)
+    state = _with_rival(replace_unchecked(state, tracker=tracker), config.tracker.finish)
     end_s = state.sensing.processed_s
     state = _with_steps(config, state, end_s, last, output)
     state = _with_pressure(config, state, np.inf, output)
@@ -391,7 +397,7 @@ def finish(config: Config, state: State) -> tuple[State, Output]:
     state = _with_passages(config, replace_unchecked(state, height=height_state), passages, output)
     due_fixes = [f for f in state.waiting_fixes if received_s(f) <= end_s]
     later_fixes = [f for f in state.waiting_fixes if received_s(f) > end_s]
-    state = replace_unchecked(state, tracker=tracker, waiting_fixes=tuple(later_fixes), finished=True)
+    state = replace_unchecked(state, waiting_fixes=tuple(later_fixes), finished=True)
     for fix in due_fixes:
         state, result = _use_fix(config, state, fix, end_s)
         output.fixes.append(result)
@@ -449,7 +455,8 @@ def _process(
 def _with_pressure(config: Config, state: State, until_s: float, output: Output) -> State:
     """Return the state whose height filter has used the climb rates up to a time, less the latency of steps.
 
-    All steps before that time are known, except the first step of a bout, which is detected later.
+    All steps before that time are known, except the first step of a bout, which is detected later. Completed floor
+    passages are appended to the output.
     """
     if state.n_climbs_used == len(state.climbs):
         return state
@@ -466,7 +473,7 @@ def _with_pressure(config: Config, state: State, until_s: float, output: Output)
 def _with_passages(config: Config, state: State, passages: Sequence[FloorPassage], output: Output) -> State:
     """Return the state after completed floor passages, which move the particles to their storeys.
 
-    Append them to the output.
+    The passages are appended to the output.
     """
     output.floor_passages.extend(passages)
     if config.on_plan is not None:
@@ -479,8 +486,8 @@ def _with_passages(config: Config, state: State, passages: Sequence[FloorPassage
 def _with_steps(config: Config, state: State, known_s: float, updates: Sequence[StepUpdate], output: Output) -> State:
     """Return the state after steps, and append the steps to the output.
 
-    Final steps update the height filter and the particles. Each appended step has the height, the storey and, with a
-    floor plan, the position of the particles.
+    Final steps update the height filter and the particles. Each appended step has the height and the storey. With a
+    floor plan, final steps have the position of the particles.
     """
     height_state = state.height
     for update in updates:

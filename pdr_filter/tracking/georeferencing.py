@@ -19,7 +19,13 @@ _YEAR_S = 365.2425 * 86400.0
 
 
 def with_north(config: Config, recording: Recording, placement: TrackPlacement, with_location: bool) -> Config:
-    """Return the configuration with a source of north, if the placement asks for one or the locations are used."""
+    """Return the configuration with a source of north, or unchanged if none is wanted.
+
+    `placement.north` selects the source. Without it the magnetometer is the source, if locations are used as fixes
+    (`with_location`) and the recipe learns walking directions. The recording must also have a gyroscope and a
+    magnetometer. The declination is that of the given place, or else of the first usable location. Without a place,
+    `north` "magnetic" has an uncertain declination.
+    """
     north, where = placement.north, placement.place
     has_sensors = {"gyroscope", "magnetometer"} <= recording.streams.keys()
     by_itself = with_location and placement.gnss != "align" and has_sensors and config.learns_directions
@@ -46,9 +52,10 @@ _FIELD_UT = {"rotation-vector": (0.0, 25.0, -43.0), "true-heading": (25.0, 0.0, 
 def with_north_of_attitude(recording: Recording, north: str | None) -> Recording:
     """Return the recording with a synthetic magnetic field that is consistent with the phone's own attitude.
 
-    The synthetic field is R' m, with the rotation R from sensor to world of the attitude, and the magnetic field m of
-    the Earth in the world. It is processed as if it were measured, because the phone derives its attitude from its
-    magnetometer, which the same iron disturbs.
+    The recording is unchanged if `north` names another source, or without an attitude. The synthetic field is R' m,
+    with the rotation R from sensor to world of the attitude, and the magnetic field m of the Earth in the world. It is
+    processed as if it were measured, because the phone derives its attitude from its magnetometer, which the same iron
+    disturbs.
     """
     if north not in _FIELD_UT or recording.attitude is None:
         return recording
@@ -57,7 +64,10 @@ def with_north_of_attitude(recording: Recording, north: str | None) -> Recording
 
 
 def live_config(first: Recording, config: Config) -> Config:
-    """Return the default configuration of `track` for a live recording, given its first seconds."""
+    """Return the configuration that `track` would use by default for a live recording, given its first seconds.
+
+    Without locations the given configuration is unchanged.
+    """
     if first.location is None:
         return config
     return with_north(config.in_world_frame(), first, TrackPlacement(), with_location=True)

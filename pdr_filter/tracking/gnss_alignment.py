@@ -135,7 +135,7 @@ def aligned(recording: Recording, results: Iterable[tuple[State, Output]]) -> It
 
     `results` are from `whole_recording.outputs` in an unknown frame. The yielded state contains the alignment, from
     which `whole_recording.collected` computes the track in the frame of the locations. The output contains a result for
-    each fix that was compared.
+    each fix that was compared. Nothing is yielded for a recording without locations.
     """
     last: State | None = None
     whole, var_m2 = Output(), list[float]()
@@ -172,7 +172,7 @@ def aligned(recording: Recording, results: Iterable[tuple[State, Output]]) -> It
 
 
 def _even_fixes(location: Samples, first_s: float, last_s: float) -> tuple[LocationState, tuple[PositionFix, ...]]:
-    """Return the fixes from the locations between two times, at even intervals, and the state of their conversion."""
+    """Return the state of the conversion of locations, and the fixes between two times, at even intervals."""
     inside = (location.time_s >= first_s) & (location.time_s <= last_s)
     latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values[inside].T
     interval_s = max(INTERVAL_S, (last_s - first_s) / MAX_LOCATIONS) if inside.any() else INTERVAL_S
@@ -205,7 +205,10 @@ def _frame(pairs: tuple[PairedPoint, ...], n_steps: int) -> Frame:
 
 
 def _with_own_errors(updates: Sequence[StepUpdate], own_var_m2: FloatArray) -> list[StepUpdate]:
-    """Return steps with the covariance that dead reckoning adds to their aligned positions."""
+    """Return steps whose covariance in the start frame is what dead reckoning adds to their aligned positions.
+
+    `own_var_m2` (K,) is its variance along each axis.
+    """
     moved: list[StepUpdate] = []
     for update, own_var in zip(updates, own_var_m2.tolist(), strict=True):
         if update.of_start is not None:

@@ -332,9 +332,10 @@ class OnlineFilter:
         return self._commit(*update_streams(self.config, self.state, streams, provisional=True))
 
     def _commit(self, state: State, output: Output) -> list[StepUpdate]:
-        """Store the new state and return its updates.
+        """Store the new state and return the steps of the output.
 
-        Raise ValueError once if no specific force so far had the right unit.
+        Raise ValueError once if no specific force so far had the right unit. The samples of the block are then
+        discarded.
         """
         conditioner, units = self.state.sensing.conditioner, state.sensing.conditioner.units
         if units.is_wrong and not conditioner.units.n:
@@ -403,7 +404,10 @@ class OnlineFilter:
         rows = {name: np.atleast_1d(as_floats(values, name)) for name, values in columns.items()}
         if any(row.shape != (len(rows["time_s"]),) for row in rows.values()):
             shapes = ", ".join(f"{name} {row.shape}" for name, row in rows.items())
-            raise ValueError(f"all columns of locations must have the same length, got shapes {shapes}")
+            raise ValueError(
+                f"all columns of locations must have the same length, got shapes {shapes}: give one value for each "
+                "time_s"
+            )
         self.state = add_location(self.config, self.state, *rows.values())
         return []
 
@@ -511,7 +515,10 @@ class OnlineFilter:
 
     @property
     def origin(self) -> Origin | None:
-        """Geographic origin of `position_m`, or None before the first usable location."""
+        """Geographic origin of `position_m`, or None before the track is in the frame of the locations.
+
+        With a floor plan it is the origin of the plan, or None before the particle filter has started.
+        """
         if self.config.on_plan is not None:
             return None if self.on_plan is None else self.config.on_plan.plan.origin
         frame, place = self.state.tracker.pedestrian.frame, self.state.locations.origin
@@ -531,7 +538,10 @@ class OnlineFilter:
 
     @property
     def person(self) -> Person | None:
-        """Step length of the person, for the next walk (`Config.with_person`). None if no fix was informative."""
+        """Step length of the person from earlier walks (`config.person`) and the fixes of this one.
+
+        It is for the next walk (`Config.with_person`), and None if there is neither.
+        """
         return person_of(self.config, self.state)
 
     def save(self) -> bytes:
@@ -608,7 +618,10 @@ class OnlineFilter:
 
 
 def _state_for_config(config: Config, state: State, first: State) -> State:
-    """Return a loaded state with parts of the configured classes. `first` is the initial state of the configuration."""
+    """Return a loaded state with parts of the configured classes.
+
+    `first` is the initial state of the configuration. ValueError if the state does not fit the configuration.
+    """
     try:
         state = serialise.restored(state, first)
         n_filters = len(state.tracker.pedestrian.estimates.prob)
@@ -633,7 +646,8 @@ def _checked_pressure(time_s: ArrayLike, pressure_hpa: ArrayLike) -> tuple[Float
 def _check_times(time_s: FloatArray, before_s: FloatArray, state: State) -> None:
     """Raise ValueError for times that are not in seconds.
 
-    Such times are too large, or their intervals from the first sample on fit another unit.
+    Such times are too large, or their intervals fit another unit. Intervals are checked before the first sample has
+    been processed, together with the earlier times `before_s`.
     """
     finite_s = time_s[np.isfinite(time_s)]
     wrong = wrong_time(median(finite_s)) if len(finite_s) else ""
@@ -653,12 +667,12 @@ def imu_block(
     angular_rate_radps: ArrayLike | None = None,
     magnetic_field_ut: ArrayLike | None = None,
 ) -> ImuBlock:
-    """Return samples as a block with checked shapes. Missing sensors become NaN."""
+    """Return samples as a block with checked shapes. Missing sensors become NaN. ValueError for wrong shapes."""
     time = as_floats(time_s, "time_s")
     if time.size == 0 and np.size(specific_force_mps2) == 0:
         return ImuBlock(np.empty(0), *(np.empty((0, 3)) for _ in range(3)))
     if time.ndim != 1:
-        raise ValueError(f"time_s must be one-dimensional, got shape {time.shape}")
+        raise ValueError(f"time_s must be one-dimensional, got shape {time.shape}: give one time for each sample")
     columns = {
         "specific_force_mps2": specific_force_mps2,
         "angular_rate_radps": angular_rate_radps,

@@ -57,13 +57,16 @@ REJECTED = "not fit the track or its time"
 def is_moving(standing_prob: FloatArray | float) -> BoolArray:
     """True for windows (...,) in which the phone moves.
 
-    The standing contexts have less than half of the probability.
+    The contexts without steps then have less than half of the probability (`standing_prob`).
     """
     return np.asarray(standing_prob) < 0.5
 
 
 def is_handled(irregular_prob: FloatArray | float, standing_prob: FloatArray | float) -> BoolArray:
-    """True for windows (...,) in which the phone moves, but not by walking. It is taken out, turned, or put away."""
+    """True for windows (...,) in which the phone is taken out, turned, or put away.
+
+    The phone then moves, and irregular motion has more than half of the probability.
+    """
     return is_moving(standing_prob) & (irregular_prob > 0.5)
 
 
@@ -145,7 +148,7 @@ class StepCounts:
     largest_move_m : float
         Largest correction of the position at a step, besides the step itself, m. 0 if none exceeds `MOVE_M`.
     largest_move_s : float
-        Time of that step, s. NaN if there is none.
+        Time of the step with this largest correction, s. NaN if there is none.
     """
 
     n: int = 0

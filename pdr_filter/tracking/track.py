@@ -54,7 +54,8 @@ class Track(TrackRows):
     floor : ndarray of int, shape (K,)
         Storey. The start is on storey 0, unless a fix names the storey.
     context_prob : ndarray, shape (K, C)
-        Probability of each context in the window of the step, from the classifier alone.
+        Probability of each context in the window of the step, from the classifier alone. With "hc" and "wc" it is the
+        mean of the windows around and after the step.
     contexts : tuple of str
         Names of the C contexts.
     mode_prob : ndarray, shape (K, M)
@@ -95,7 +96,8 @@ class Track(TrackRows):
     device : Device or None
         Gyroscope bias of the phone, as input for its next recording.
     person : Person or None
-        Step length of the person from the fixes of this and earlier recordings. None if no fix was informative.
+        Step length of the person from the fixes of this recording and from the person given to `track`. None if there
+        is neither.
 
     Notes
     -----

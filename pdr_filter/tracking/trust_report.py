@@ -142,7 +142,7 @@ def sentence(note: str) -> str:
 
 
 def end(track: TrackRows) -> str:
-    """Return the end position of a track with steps, and its standard deviation, as text."""
+    """Return the end position of a track with steps, and its standard deviation, as text for a line of the report."""
     east_m, north_m = track.position_m[-1]
     return f"{east_m:z.1f} m east, {north_m:z.1f} m north, {track.how_sure}"
 
@@ -214,7 +214,7 @@ def _doubts_about_steps(track: TrackRows) -> list[str]:
 
 
 def _undecided_modes(track: TrackRows) -> list[str]:
-    """Return one sentence for each stretch with two or more probable modes."""
+    """Return one sentence for each stretch of at least `_MIN_DOUBT_S` seconds with two or more probable modes."""
     return [
         f"From {a:.0f} to {b:.0f} s the filter cannot decide between {_top_modes(track, a, b)}, whose step lengths "
         "differ: the distance is uncertain there."
@@ -223,7 +223,7 @@ def _undecided_modes(track: TrackRows) -> list[str]:
 
 
 def _pauses(track: TrackRows) -> list[str]:
-    """Return one sentence for each long time without steps."""
+    """Return one sentence for each time between two steps of more than `_LONG_PAUSE_S` seconds."""
     return [
         f"Between {a:.0f} and {b:.0f} s there are no steps for {b - a:.0f} s (a rest, or a gap in the samples): "
         "the track continues at the same position."
@@ -278,7 +278,8 @@ def _with_times(stretches: list[tuple[float, float]], words: str) -> list[str]:
 def _jumps(track: TrackRows) -> list[str]:
     """Return one sentence about the steps at which the filter corrected the position of the whole earlier path.
 
-    Tracks with fixes or a floor plan are not checked, because these may move the track.
+    Corrections of more than `_JUMP_M` besides the step itself are reported. Tracks with fixes or a floor plan are not
+    checked, because these may move the track.
     """
     if track.fixes or track.plan is not None:
         return []

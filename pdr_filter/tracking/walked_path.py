@@ -63,7 +63,10 @@ class WalkedPath:
 
 
 def walked_path(config: Config, state: State) -> WalkedPath:
-    """Return the path so far. ValueError with a floor plan, because each particle has its own path."""
+    """Return the path of the walk so far: all steps, candidate steps and the present position.
+
+    ValueError with a floor plan, because each particle has its own path.
+    """
     if config.on_plan is not None:
         raise ValueError(
             "path is not available with a floor plan, because each particle has its own path: draw the positions of "

@@ -245,7 +245,7 @@ def outputs(
 
 
 def collected(recording: Recording, config: Config, results: Iterable[tuple[State, Output]]) -> Track:
-    """Return the track of a recording from its `outputs`."""
+    """Return the track of a recording from its `outputs`. Only final steps are rows of the track."""
     state, whole = init(config), Output()
     for new_state, output in results:
         state = new_state
@@ -315,7 +315,9 @@ def detect_steps(recording: Recording, config: Config | None = None) -> Table:
     ValueError
         If `recording` is not a Recording or `config` is not a Config.
 
-    They are the steps of `track`. The columns of the walking direction and of north stay unknown, with an infinite
+    Notes
+    -----
+    The steps are those of `track`. The columns of the walking direction and of north stay unknown, with an infinite
     standard deviation: `track(recording).steps` has them, and takes two to three times as long.
 
     Examples

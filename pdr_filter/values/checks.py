@@ -43,7 +43,11 @@ def check_number(name: str, value: Any, least: float, largest: float, remedy: st
 def check_array(
     name: str, value: Any, kind: Kind = "finite", shape: tuple[int, ...] | None = None, remedy: str = ""
 ) -> None:
-    """Raise ValueError unless an array or a number has the given shape and kind. All elements must be finite."""
+    """Raise ValueError unless an array or a number has the given shape and kind. All elements must be finite.
+
+    The kinds are "finite" (any number), "positive", "0 or more", and "increasing" from element to element. Any shape is
+    right if `shape` is None.
+    """
     array = np.asarray(value)
     right = array.dtype.kind in "iuf" and shape in (None, array.shape)
     if not (right and np.isfinite(array).all() and _IS_KIND[kind](array)):

@@ -115,18 +115,21 @@ class ContextSet:
     def stands(self) -> BoolArray:
         """Array (C + 1,) that is True for contexts without steps.
 
-        The last entry is for an unknown context, of index -1.
+        The last entry, False, is for an unknown context, of index -1.
         """
         return self._of_each(lambda c: c.stands)
 
     @cached_property
     def runs(self) -> BoolArray:
-        """Array (C + 1,) that is True for running. The last entry is for an unknown context, of index -1."""
+        """Array (C + 1,) that is True for running. The last entry, False, is for an unknown context, of index -1."""
         return self._of_each(lambda c: c.runs)
 
     @cached_property
     def is_turned(self) -> BoolArray:
-        """Array (C + 1,) that is True for walking to the side or backward. The last entry is for an unknown context."""
+        """Array (C + 1,) that is True for walking to the side or backward.
+
+        The last entry, False, is for an unknown context, of index -1.
+        """
         return self._of_each(lambda c: c.is_turned)
 
     def _of_each(self, holds: Callable[[Context], bool]) -> BoolArray:
@@ -138,7 +141,8 @@ class ContextSet:
     def in_thirds(self) -> FloatArray | None:
         """Matrix (C, C) that divides the probability of level walking and stairs into equal thirds.
 
-        The thirds are level walking, stairs up and stairs down. None if the contexts do not include all three.
+        The thirds are level walking, stairs up and stairs down. Probabilities (C,) are multiplied from the left; those
+        of the other contexts stay as they are. None if the contexts do not include all three.
         """
         kinds = self.level_walking, self.index_where(lambda c: c.climbs > 0), self.index_where(lambda c: c.climbs < 0)
         if not all(map(len, kinds)):

@@ -95,7 +95,8 @@ class FunctionFeatures:
     def of(cls, function: FeatureFunction) -> FunctionFeatures:
         """Return the features of a function.
 
-        The function is called once, on noise, to get the names of its features.
+        The function is called once, on noise, to get the names of its features. ValueError if it returns no dictionary
+        or an empty one.
         """
         noise = np.random.default_rng(0).normal(size=(len(WINDOW_SIGNALS), 200))
         found = function(dict(zip(WINDOW_SIGNALS, noise, strict=True)))

@@ -36,7 +36,10 @@ _MAX_REPETITION = 1e6
 
 
 def error_correlation(time_s: FloatArray, correlation_s: FloatArray, var_m2: FloatArray) -> FloatArray:
-    """Return the correlation matrix (N, N) of the errors of fixes (N,) along one axis. It is positive definite."""
+    """Return the correlation matrix (N, N) of the errors of N fixes along one axis. It is positive definite.
+
+    The arguments (N,) are the times in s, the time constants of the errors in s, and their variances in m^2.
+    """
     apart_s = time_s[:, None] - time_s
     later_s = np.where(apart_s >= 0, correlation_s[:, None], correlation_s)
     shorter_s, longer_s = np.minimum(correlation_s[:, None], correlation_s), np.maximum(correlation_s[:, None], 1e-300)

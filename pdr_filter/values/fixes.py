@@ -223,7 +223,7 @@ class GridFix:
         Returns
         -------
         ndarray, shape (N,)
-            Log-likelihood of the cell of each position.
+            Log-likelihood of the cell of each position. Outside of the grid it is the smallest value of the grid.
         """
         column, row = np.floor((position_m - self.south_west_m) / self.cell_m).T
         n_rows, n_columns = self.log_likelihood.shape
@@ -233,11 +233,11 @@ class GridFix:
 
 
 def repetition(fix: PositionFix | GridFix, last_s: float) -> float:
-    """Return the factor on the variance with which a fix counts as independent of the previous one.
+    """Return the factor on the variance with which a fix counts as independent of the previous one, at `last_s`.
 
     The mean of correlated fixes at intervals t has (1 + r) / (1 - r) = coth(t / 2T) times the variance of independent
     fixes, with r = exp(-t / T). Any number of fixes within a time T therefore has the weight of one. The factor is 1
-    without a previous fix.
+    without a previous fix (`last_s` is -inf), and for a fix with independent errors.
     """
     if fix.correlation_s == 0 or math.isinf(last_s):
         return 1.0
@@ -395,7 +395,7 @@ class Measurement(Protocol):
         ...
 
     def measurement(self, position_m: FloatArray, heading_rad: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return residual, Jacobian and covariance of the measurement at a predicted pose.
+        """Return residual, Jacobian and covariance of the measurement at a predicted position and walking direction.
 
         The residual is predicted minus measured. The other convention, an innovation (measured minus predicted) with
         the derivative of the prediction, is recognised by a numerical check and gives the same result.
@@ -547,8 +547,9 @@ def range_log_densities(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the log densities (...,) of range residuals on direct paths and on reflected paths.
 
-    `var_m2` are the total variances of the residuals. A reflected path is longer by an exponentially distributed excess
-    with mean b. The noise of a direct path is added to it:
+    Each includes the log prior probability of its path. `var_m2` are the total variances of the residuals. A reflected
+    path is longer by an exponentially distributed excess with mean b = sqrt((10 std_m)^2 + var_m2). The noise of a
+    direct path is added to it:
 
         p(e) = exp(-max(e, 0) / b) / b * P(noise < e).
 
@@ -579,7 +580,7 @@ _MAY_BE_UNKNOWN = ("received_time_s", "floor", "altitude_m", "altitude_std_m")
 
 
 def _take_numbers(fix: object, *names: str) -> None:
-    """Convert fields to floats. ValueError for a value that is not a number."""
+    """Convert fields of a fix to floats. ValueError for a value that is not a number, or None in a required field."""
     for name in names:
         value = getattr(fix, name)
         if value is not None or name not in _MAY_BE_UNKNOWN:
@@ -638,7 +639,10 @@ def all_fixes(fixes: Iterable[AnyFix]) -> tuple[AnyFix, ...]:
 
 
 def check_fix(fix: object, has_plan: bool) -> None:
-    """Raise ValueError unless the filter can use an object as a fix."""
+    """Raise ValueError unless the filter can use an object as a fix.
+
+    `has_plan` is True for a particle filter on a floor plan, without which a GridFix cannot be used.
+    """
     if not isinstance(fix, OWN_FIXES):
         _check_measurement(fix)
     if isinstance(fix, GridFix) and not has_plan:

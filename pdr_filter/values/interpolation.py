@@ -19,7 +19,10 @@ def interpolated(at_s: FloatArray | float, time_s: FloatArray, values: FloatArra
 
 
 def interpolated_near(at_s: FloatArray, time_s: FloatArray, values: FloatArray, max_gap_s: float) -> FloatArray:
-    """Return linearly interpolated values (M, d), with NaN where the nearest row is further away than `max_gap_s`."""
+    """Return linearly interpolated values (M, d), with NaN where the nearest row is further away than `max_gap_s`.
+
+    Rows (N, d) may be in any order. All values are NaN without rows.
+    """
     if len(time_s) == 0 or len(at_s) == 0:
         return np.full((len(at_s), values.shape[1]), np.nan)
     result = interpolated(at_s, time_s, values)

@@ -121,9 +121,10 @@ def possible_outlier(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return the terms of a Kalman update of hypotheses (M,) by a scalar measurement that may be an outlier.
 
-    Let g be the covariance of state and innovation, S the `variance` of the innovation, and d = innovation / S the
-    `shift`. The results are the log density of the measurement, the probability w of an inlier, the factor of g in the
-    mean, and the factor of g g' in the covariance (Bar-Shalom, Daum and Huang, 2009):
+    `log_inlier` (M,) and `log_outlier` are the log densities of the measurement in both cases, plus the log of the
+    prior probability of the case. Let g be the covariance of state and innovation, S the `variance` of the innovation,
+    and d = innovation / S the `shift`. The results are the log density of the measurement, the probability w of an
+    inlier, the factor of g in the mean, and the factor of g g' in the covariance (Bar-Shalom, Daum and Huang, 2009):
 
         x = x + w d g;  P = P + w ((1 - w) d^2 - 1 / S) g g'.
     """

@@ -53,14 +53,20 @@ def wrong_rate(rate_hz: float, is_unit_declared: bool = False) -> str:
 
 
 def unit_of_rate(rate_hz: float) -> str:
-    """Return the unit of times that explains a sampling rate that is too low, or an empty string."""
+    """Return the unit of times, such as "milliseconds", that explains a sampling rate that is too low.
+
+    The string is empty if no unit explains it, or if the rate is not too low.
+    """
     low, high = limits.RATE_RANGE_HZ
     fits = [unit for unit, factor in TIME_UNITS.items() if low <= rate_hz * factor <= high]
     return fits[0] if fits and rate_hz < low else ""
 
 
 def wrong_time(time_s: float) -> str:
-    """Return why a time cannot be in seconds (since 1970 or any other time), or an empty string if it can."""
+    """Return why a time cannot be in seconds (since 1970 or any other time), or an empty string if it can.
+
+    The string is also empty for NaN and infinity.
+    """
     if not limits.MAX_EPOCH_S < abs(time_s) < math.inf:
         return ""
     return f"time_s must be in seconds, got {time_s:.6g}; divide milliseconds by 1e3, nanoseconds by 1e9"

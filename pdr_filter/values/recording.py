@@ -288,7 +288,7 @@ class Recording:
 
     @property
     def is_on_foot(self) -> bool:
-        """True if the sensor was worn on a foot, where an event is a stride."""
+        """True if the stated placement is on a foot, where each detected ground contact ends a stride, not a step."""
         return "foot" in self.placement
 
     @property

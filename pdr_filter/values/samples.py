@@ -85,7 +85,7 @@ class ImuBlock:
     magnetic_field_ut: FloatArray
 
     def parts(self, n: int) -> Iterator[ImuBlock]:
-        """Split the block into pieces of at most n samples."""
+        """Yield the block in consecutive pieces of at most n samples."""
         if len(self.time_s) <= n:
             yield self
             return

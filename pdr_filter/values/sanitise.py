@@ -30,6 +30,8 @@ def printable_lines(text: object) -> str:
 def csv_cell(text: str) -> str:
     """Put an apostrophe before text that a spreadsheet would interpret as a formula. `of_csv_cell` removes it.
 
+    Text after a semicolon or tab is treated in the same way, because some programs split cells there.
+
     >>> csv_cell("=1+1")
     "'=1+1"
     """

@@ -71,7 +71,10 @@ def _is_a(value: Any, declared: Any) -> bool:
 
 
 def _is_plain(value: Any, kind: type) -> bool:
-    """Return True if a value is of exactly this type. A float may be an exact whole number; extreme numbers are not."""
+    """Return True if a value is of exactly this type. A float may also be an integer that a float holds exactly.
+
+    The result is False for finite numbers that are extremely large. NaN and infinity are floats.
+    """
     if kind is int:
         return type(value) is int and abs(value) <= _LARGEST_WHOLE
     if kind is float:

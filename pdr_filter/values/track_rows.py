@@ -209,7 +209,8 @@ class TrackRows:
         """Return a copy with a geographic origin.
 
         A track in the frame of its start is also rotated by `turn_rad` of the origin, if it has one. The covariance
-        grows by the standard deviations of the origin. Positions in the frame of fixes or of a plan do not change.
+        grows by the standard deviation of this rotation, and by that of the position if the track had no origin.
+        Positions and covariances in the frame of fixes or of a plan do not change.
 
         Parameters
         ----------
@@ -344,7 +345,8 @@ class TrackRows:
     def context_seconds(self) -> dict[str, float]:
         """Return the time spent in each context. Each window counts for its most probable context.
 
-        A window with motion but without steps counts for no context (see `seconds_without_steps`).
+        A window that has no step although its most probable context is one with steps counts for no context (see
+        `seconds_without_steps`).
 
         Returns
         -------
@@ -356,12 +358,18 @@ class TrackRows:
 
     @property
     def seconds_without_steps(self) -> float:
-        """Time in windows classified as walking that have no step, s: in a vehicle, or in a moving hand."""
+        """Time in windows that have no step although their most probable context is one with steps, s.
+
+        Such contexts are walking, stairs or running. The phone is then in a vehicle, or in a moving hand.
+        """
         seconds, _, walked = self._of_windows()
         return float(seconds[~walked].sum())
 
     def _of_windows(self) -> tuple[FloatArray, IntArray, BoolArray]:
-        """Return duration (W,), most probable context, and consistency with steps of each window."""
+        """Return duration (W,) in s, index of the most probable context (W,), and consistency with steps (W,).
+
+        The last is True for a window of a context without steps, and for one with a step in it or within half a second.
+        """
         end_s = self.windows.time_s
         starts = np.concatenate([[self.start_time_s], end_s[:-1]])
         seconds = np.minimum(end_s - starts, _WINDOW_S)  # the first window and windows after a gap have full length

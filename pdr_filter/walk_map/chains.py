@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -30,24 +31,12 @@ _REGION_STD_M = 1000.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scans:
-    """Wi-Fi scans of a walk, at points of its chain.
+    """Wi-Fi scans of a walk, at points of its chain."""
 
-    Attributes
-    ----------
-    step : array (S,)
-        Number of steps before each scan.
-    first : array (S + 1,)
-        Index of the first reception of each scan, and the number of receptions.
-    bssid : array (H,)
-        Addresses of the received access points.
-    rssi_dbm : array (H,)
-        Received power.
-    """
-
-    step: IntArray
-    first: IntArray
-    bssid: IntArray
-    rssi_dbm: FloatArray
+    step: IntArray  # (S,) number of steps before each scan
+    first: IntArray  # (S + 1,) first reception of each scan, and the number of receptions
+    bssid: IntArray  # (H,) addresses of the received access points
+    rssi_dbm: FloatArray  # (H,) received power
 
     def __len__(self) -> int:
         return len(self.step)
@@ -66,45 +55,19 @@ class Scans:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chain:
-    """One walk: its steps summed between knots, its scans, and its storeys.
-
-    Attributes
-    ----------
-    name : str
-        Name of the walk.
-    key : str
-        Checksum of the recording and the options, which identifies the walk.
-    problem : Problem
-        Least-squares problem of the walk alone, with a free start.
-    mean : array (N, 4)
-        States at the N knots: position, heading offset and log scale, from the walk alone.
-    frame_rad : float
-        Rotation of the frame of the heading offsets.
-    knows_north : bool
-        True if the magnetometer gives the direction of the walk.
-    time_s : array (K,)
-        Times of the steps since the first sample. Empty in saved maps without times.
-    device_rad : array (K,)
-        Walking heading of each step minus its heading offset.
-    floor : array (K + 1,)
-        Storey relative to the start of the walk, before the first step and after each step.
-    scans : Scans
-        Wi-Fi scans.
-    notes : tuple of str
-        Warnings of the track.
-    """
+    """One walk: its steps summed between N knots, its scans, and its storeys."""
 
     name: str
-    key: str
-    problem: Problem
-    mean: FloatArray
-    frame_rad: float
-    knows_north: bool
-    time_s: FloatArray
-    device_rad: FloatArray
-    floor: IntArray
+    key: str  # checksum of the recording and the options
+    problem: Problem  # of the walk alone, with a free start
+    mean: FloatArray  # (N, 4) states at the knots, from the walk alone
+    frame_rad: float  # rotation of the frame of the heading offsets
+    knows_north: bool  # from the magnetometer
+    time_s: FloatArray  # (K,) times of the steps, empty in maps without times
+    device_rad: FloatArray  # (K,) walking heading of each step minus its heading offset
+    floor: IntArray  # (K + 1,) storeys before the first and after each step, relative to the start
     scans: Scans
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # warnings of the track
 
     @property
     def n_knots(self) -> int:
@@ -208,46 +171,40 @@ def hashed(wifi: Wifi, salt: str) -> Wifi:
 
     Examples
     --------
-    >>> import numpy as np
     >>> import pdr_filter as pdr
     >>> from pdr_filter.walk_map.chains import hashed
-    >>> wifi = pdr.Wifi(np.array([1.0, 2.0]), np.array([7, 7]), np.array([-50.0, -55.0]), np.full(2, 2412.0))
-    >>> other = hashed(wifi, "my secret text")
-    >>> bool(other.bssid[0] == other.bssid[1]), bool(other.bssid[0] == 7)
-    (True, False)
+    >>> wifi = pdr.Wifi([0.0, 0.1], [11, 12], [-50.0, -70.0], [2412.0, 2437.0])
+    >>> hashed(wifi, "secret").n_access_points
+    2
     """
     known, number = np.unique(wifi.bssid, return_inverse=True)
     other = [int.from_bytes(hashlib.sha256(f"{salt}\n{b}".encode()).digest()[:6], "big") for b in known.tolist()]
     return replace(wifi, bssid=np.array(other, dtype=np.int64)[number])
 
 
-def cached_chain(path: str, cache: str | None, salt: str | None) -> Chain:
-    """Return the chain (walk reduced to knots and scans) of a file, from the cache if its content has not changed.
+def cached_chain(recording: Recording | str, cache: str | None, salt: str | None) -> Chain:
+    """Return the chain (walk reduced to knots and scans) of a recording or of one in a file.
 
-    The cache makes a killed run resume: each chain is written when it is finished.
+    For a file, it comes from the folder `cache` if the content has not changed. The cache makes a killed run resume:
+    each chain is written when it is finished. `salt` hashes the addresses of access points.
     """
     from pdr_filter.io.formats import read
     from pdr_filter.maps.marks import checksum_of
 
-    key = key_of(checksum_of(Path(path)), salt)
+    content = checksum_of(Path(recording)) if isinstance(recording, str) else content_of(recording)
+    key = hashlib.sha256(f"{content}\n{salt}\n{__version__}".encode()).hexdigest()[:32]
+    if isinstance(recording, Recording):
+        return chain_of(recording, key, salt)
     file = None if cache is None else Path(cache) / f"{key}.chain"
     if file is not None and file.exists():
-        try:
-            found = from_bytes(file.read_bytes())
-        except ValueError:  # a file of another version, or damaged: computed again
-            found = None
-        if isinstance(found, Chain):
-            return found
-    chain = chain_of(read(path), key, salt)
+        with suppress(ValueError):  # a file of another version, or damaged: computed again
+            if isinstance(found := from_bytes(file.read_bytes()), Chain):
+                return found
+    chain = chain_of(read(recording), key, salt)
     if file is not None:
         file.parent.mkdir(parents=True, exist_ok=True)
         write_files({file: to_bytes(chain)})
     return chain
-
-
-def key_of(content: str, salt: str | None) -> str:
-    """Return the key of a walk from the checksum of its recording, the salt and the version of the package."""
-    return hashlib.sha256(f"{content}\n{salt}\n{__version__}".encode()).hexdigest()[:32]
 
 
 def content_of(recording: Recording) -> str:

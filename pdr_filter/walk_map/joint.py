@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import gtsam
 import numpy as np
 
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, N_STATES
@@ -22,7 +23,7 @@ from pdr_filter.walk_map.placing import Pairs, PlacedGroup, ScannedWalks, pairs_
 Known = PositionFix | HeadingFix
 # Factor on the standard deviations of the ranges, so that the covariances are valid, because the scans of one place
 # share the errors of the walls around them. Chosen on storey F1 of `ms_indoor`.
-INFLATION = 2.0
+INFLATION = 3.0
 # Definition of a frame without fixes: the start of its first walk.
 _ORIGIN_STD_M, _ORIGIN_STD_RAD = 0.01, 0.001
 _ITERATIONS = 15
@@ -30,21 +31,11 @@ _ITERATIONS = 15
 
 @dataclass(frozen=True, slots=True, eq=False)
 class States:
-    """Solved states of one walk.
+    """Solved states of one walk with N knots."""
 
-    Attributes
-    ----------
-    mean : array (N, 4)
-        States of the knots.
-    frame_rad : float
-        Rotation of the frame of the heading offsets.
-    joint_cov : array (N - 1, 8, 8)
-        Covariance of both ends of each interval.
-    """
-
-    mean: FloatArray
-    frame_rad: float
-    joint_cov: FloatArray
+    mean: FloatArray  # (N, 4)
+    frame_rad: float  # rotation of the frame of the heading offsets
+    joint_cov: FloatArray  # (N - 1, 8, 8) covariance of both ends of each interval
 
 
 def solve_group(
@@ -85,7 +76,7 @@ def solve_group(
             rows += _known_rows(walks, i, state[i][0], known.get(i, ()), base[i])
         rows += _origin_rows(walks, group, free, base, state, known, bool(fixed))
         rows += _range_rows(walks, pairs, points, state, base)
-        solution = graph_of(rows).optimize()
+        solution = graph_of(rows).optimize(gtsam.EliminateQR)
         largest = 0.0
         for i in free:
             n, (mean, frame_rad) = chains[i].n_knots, state[i]

@@ -88,32 +88,14 @@ class PlacedGroup:
 
 @dataclass(slots=True)
 class ScannedWalks:
-    """Chains with all their scans in one list, and one fingerprint matrix.
-
-    Attributes
-    ----------
-    chains : sequence of Chain
-        The walks.
-    own_m : array (S, 2)
-        Positions of all scans in the frames of their walks.
-    floor : array (S,)
-        Storeys of the scans relative to the starts of their walks.
-    owner : array (S,)
-        Index of the walk of each scan.
-    heard : sparse array (S, A)
-        Fingerprints of the scans.
-    first : array (n + 1,)
-        Index of the first scan of each of n walks, followed by S.
-    partners : list of set of int
-        For each walk, the walks with which it has similar scans.
-    """
+    """Chains (walks reduced to knots and scans) with all their scans in one list, and one fingerprint matrix."""
 
     chains: Sequence[Chain]
-    own_m: FloatArray
-    floor: IntArray
-    owner: IntArray
-    heard: Any
-    first: IntArray
+    own_m: FloatArray  # (S, 2) positions of the scans in the frames of their walks
+    floor: IntArray  # (S,) storeys relative to the starts of the walks
+    owner: IntArray  # (S,) number of the walk of each scan
+    heard: Any  # (S, A) sparse fingerprints
+    first: IntArray  # first scan of each walk, and the number of scans
     partners: list[set[int]] = field(default_factory=list)
 
     @classmethod

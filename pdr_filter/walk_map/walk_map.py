@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from pdr_filter.values.recording import Recording
 from pdr_filter.values.serialisation import from_bytes, to_bytes
 from pdr_filter.values.uncertainty import worst_std_m
 from pdr_filter.version import __version__
-from pdr_filter.walk_map.chains import Chain, cached_chain, chain_of, content_of, key_of, without_times
+from pdr_filter.walk_map.chains import Chain, cached_chain, without_times
 from pdr_filter.walk_map.joint import Known, States, solve_group, step_positions
 from pdr_filter.walk_map.placing import MOST_TOGETHER, PlacedGroup, Pose, ScannedWalks, adjust, grow, settle, turned
 
@@ -52,12 +51,15 @@ class MappedWalk:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from pdr_filter.walk_map.walk_map import MappedWalk
-    >>> way_m, cov_m2 = np.array([[0.0, 0.0], [0.0, 0.7]]), np.tile(np.eye(2), (2, 1, 1))
-    >>> walk = MappedWalk("corridor", 0, np.array([1.0]), way_m, cov_m2, np.array([0, 0]))
-    >>> walk.at(1.5)[0].tolist()
-    [0.0, 0.7]
+    >>> import numpy as np, pdr_filter as pdr
+    >>> from dataclasses import replace
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=10.0)])
+    >>> heard_s = np.repeat([2.0, 5.0], 5)
+    >>> wifi = pdr.Wifi(heard_s, np.tile(np.arange(5), 2), np.full(10, -60.0), np.full(10, 2412.0))
+    >>> start = pdr.PositionFix(0.0, (3.0, 4.0), np.eye(2))
+    >>> walk_map = pdr.map_walks([replace(walk, wifi=wifi)], [(walk.name, start)])
+    >>> walk_map.walks[0].at(0.0)[0].round(1)
+    array([3., 4.])
     """
 
     name: str
@@ -95,16 +97,34 @@ class MappedWalk:
 class _JoinedGroup:
     """Group of joined walks in one frame.
 
-    `poses` and `states` have the rigid pose (rotation, shift, storey) and the solved states of each walk, by the index
-    of the walk among the chains. The walks in `seeds` define the frame. `north_rad` is the deviation of the frame from
-    magnetic north. `is_known` is True if known positions define the frame.
+    `pose` and `state` have the rigid pose (rotation, shift, storey) and the solved states of each walk, whose indices
+    among the chains are in `number`. The walks in `seeds` define the frame. `north_rad` is the deviation of the frame
+    from magnetic north. `is_known` is True if known positions define the frame.
     """
 
-    poses: dict[int, Pose]
-    states: dict[int, States]
-    seeds: frozenset[int]
+    number: tuple[int, ...]
+    pose: tuple[Pose, ...]
+    state: tuple[States, ...]
+    seeds: tuple[int, ...]
     north_rad: float
     is_known: bool
+
+    @property
+    def states(self) -> dict[int, States]:
+        """Solved states by the number of the walk."""
+        return dict(zip(self.number, self.state, strict=True))
+
+    @property
+    def poses(self) -> dict[int, Pose]:
+        """Rigid poses by the number of the walk."""
+        return dict(zip(self.number, self.pose, strict=True))
+
+    def of_seeds(self, new: Mapping[int, int]) -> _JoinedGroup | None:
+        """Return the group with its seeds alone, or another walk if they are gone, for new numbers of the walks."""
+        seeds = [i for i in self.seeds if i in new] or [i for i in self.number if i in new][:1]
+        pose, state = (tuple(of[i] for i in seeds) for of in (self.poses, self.states))
+        number = tuple(new[i] for i in seeds)
+        return replace(self, number=number, pose=pose, state=state, seeds=number) if seeds else None
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -291,10 +311,10 @@ class WalkMap:
         WalkMap
             The map with the walks that could be joined.
         """
-        taken, keys = {c.name for c in self._chains}, {c.key: c.name for c in self._chains}
+        own = {c.name for c in self._chains}
+        taken, keys = set(own), {c.key: c.name for c in self._chains}
         chains, apart, marked = _chains_of(recordings, cache, self._salt, jobs, scheduler, taken=taken, keys=keys)
         fixes = {**self._known, **_by_name([*marked, *known], chains)}
-        own = {c.name for c in self._chains}
         earlier = [entry for entry in self.apart if entry[0] not in own]
         return _mapped([*self._chains, *chains], [*earlier, *apart], fixes, self._salt, self._groups)
 
@@ -323,7 +343,10 @@ class WalkMap:
         chains = [c for c in self._chains if c.name not in gone]
         known = {name: fixes for name, fixes in self._known.items() if name not in gone}
         others = [e for e in self.apart if e[0] not in {c.name for c in self._chains} | gone]
-        return _mapped(chains, others, known, self._salt)
+        number = {i: k for k, i in enumerate(i for i, c in enumerate(self._chains) if c.name not in gone)}
+        # a map without known fixes keeps its frame by one walk of each group that stays
+        kept = [] if known else [part for g in self._groups if (part := g.of_seeds(number)) is not None]
+        return _mapped(chains, others, known, self._salt, kept)
 
     def save(self, folder: str | Path, *, times: bool = False) -> Path:
         """Write the map to a folder. By default it contains no times, names of walks, known fixes or notes.
@@ -343,15 +366,14 @@ class WalkMap:
         folder = Path(folder)
         chains = list(self._chains) if times else without_times(self._chains)
         new_name = {old.name: new.name for old, new in zip(self._chains, chains, strict=True)}
-        content = {
-            "groups": [
-                (list(g.poses), list(g.poses.values()), list(g.states), list(g.states.values()), *_about(g))
-                for g in self._groups
-            ],
-            "known": {name: tuple(fixes) for name, fixes in self._known.items()} if times else {},
-        }
-        # a failure has the name of its file
-        apart = [(new_name.get(name, f"recording {i + 1}"), why) for i, (name, why) in enumerate(self.apart)]
+        known = {name: tuple(fixes) for name, fixes in self._known.items()} if times else {}
+        # other reasons have names of files and walks
+        apart = [
+            (new_name[name], why)
+            if name in new_name
+            else (f"recording {i + 1}", "not usable, or a copy of another one")
+            for i, (name, why) in enumerate(self.apart)
+        ]
         card = {
             "kind": "walk_map",
             "format_version": _FORMAT,
@@ -361,7 +383,7 @@ class WalkMap:
         }
         folder.mkdir(parents=True, exist_ok=True)
         files = {folder / f"{i:05d}.walk": to_bytes(chain) for i, chain in enumerate(chains)}
-        files[folder / "groups.bin"] = to_bytes(content)
+        files[folder / "groups.bin"] = to_bytes((self._groups, known))
         write_files(files | {folder / "walk_map.json": (json.dumps(card, indent=2) + "\n").encode()})
         return folder
 
@@ -393,19 +415,9 @@ class WalkMap:
                 raise ValueError(f"its format is {card['format_version']}, this version reads {_FORMAT}")
             walks = [folder / f"{i:05d}.walk" for i in range(card["n_walks"])]
             chains: tuple[Chain, ...] = tuple(from_bytes(read_small(w, limits.MAX_WHOLE_BYTES)) for w in walks)
-            content: Any = from_bytes(read_small(folder / "groups.bin", limits.MAX_WHOLE_BYTES))
-            groups = tuple(
-                _JoinedGroup(
-                    dict(zip(of, poses, strict=True)),
-                    dict(zip(solved, states, strict=True)),
-                    frozenset(seeds),
-                    north_rad,
-                    is_known,
-                )
-                for of, poses, solved, states, seeds, north_rad, is_known in content["groups"]
-            )
+            groups, known = from_bytes(read_small(folder / "groups.bin", limits.MAX_WHOLE_BYTES))
             apart = tuple((name, why) for name, why in card["apart"])
-            return _result(chains, groups, apart, content["known"], salt)
+            return _result(chains, groups, apart, known, salt)
         except (OSError, KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{folder}: not a map of walks ({error}): map the recordings again") from error
 
@@ -419,11 +431,7 @@ class WalkMap:
 
     def _joined(self, group: int) -> list[Chain]:
         """Return the chains (walks reduced to knots and scans) of a group, in the order of its walks."""
-        return [self._chains[i] for i in sorted(self._groups[group].states)]
-
-
-def _about(group: _JoinedGroup) -> tuple[list[int], float, bool]:
-    return sorted(group.seeds), group.north_rad, group.is_known
+        return [self._chains[i] for i in self._groups[group].number]
 
 
 def map_walks(
@@ -524,16 +532,6 @@ def _free_name(name: str, taken: set[str]) -> str:
     return new
 
 
-def _chain_of(recording: Recording | str, cache: str | None, salt: str | None) -> Chain:
-    """Return the chain (walk reduced to knots and scans) of a recording, or of the recording in a file.
-
-    `cache` is the folder of chains of recordings in files. `salt` hashes the addresses of access points.
-    """
-    if isinstance(recording, str):
-        return cached_chain(recording, cache, salt)
-    return chain_of(recording, key_of(content_of(recording), salt), salt)
-
-
 def _chains_of(
     recordings: Iterable[Recording | str | Path],
     cache: str | Path | None,
@@ -551,7 +549,7 @@ def _chains_of(
     walk. `taken` has the names of earlier chains, and `keys` their names by key.
     """
     items = [r if isinstance(r, Recording) else str(r) for r in recordings]
-    work = partial(_chain_of, cache=None if cache is None else str(cache), salt=salt)
+    work = partial(cached_chain, cache=None if cache is None else str(cache), salt=salt)
     found: dict[int, Chain | Failure] = {}
     for i, result in each(work, items, jobs=jobs, scheduler=scheduler):
         found[i] = result
@@ -566,7 +564,9 @@ def _chains_of(
         if isinstance(result, Failure):
             apart.append((item.name if isinstance(item, Recording) else Path(item).name, result.reason))
         elif result.key in by_key:
-            apart.append((result.name, f"the same recording as {by_key[result.key]}: one of them is enough"))
+            apart.append(
+                (f"{result.name} (copy)", f"the same recording as {by_key[result.key]}: one of them is enough")
+            )
         else:
             chain = replace(result, name=_free_name(result.name, taken))
             by_key[chain.key] = chain.name
@@ -592,8 +592,8 @@ def _mapped(
     reasons = {i: "no Wi-Fi scans: record Wi-Fi with the walk" for i, c in enumerate(chains) if not len(c.scans)}
     fixes = {i: known[c.name] for i, c in enumerate(chains) if c.name in known}
     free = {i for i in range(len(chains)) if i not in reasons}
-    groups = [PlacedGroup(dict(g.poses), g.seeds, g.north_rad) for g in before]
-    fixed = [dict(g.states) for g in before]
+    groups = [PlacedGroup(g.poses, frozenset(g.seeds), g.north_rad) for g in before]
+    fixed = [g.states for g in before]
     is_known = [g.is_known for g in before]
     free -= {i for g in groups for i in g.poses}
     seeds = {i: pose for i in fixes if i in free and (pose := _known_pose(chains[i], fixes[i])) is not None}
@@ -637,9 +637,11 @@ def _mapped(
         for i in vague:
             reasons[i] = "its place is uncertain by more than 15 m: walk longer, or through mapped places"
             del states[i], group.poses[i]
-        solved.append(_JoinedGroup(group.poses, states, group.seeds, group.north_rad, flag))
-    solved.sort(key=lambda g: (not g.is_known, -len(g.states)))
-    joined = {i for g in solved for i in g.states}
+        number = tuple(sorted(states))
+        pose, state = (tuple(of[i] for i in number) for of in (group.poses, states))
+        solved.append(_JoinedGroup(number, pose, state, tuple(sorted(group.seeds)), group.north_rad, flag))
+    solved.sort(key=lambda g: (not g.is_known, -len(g.number)))
+    joined = {i for g in solved for i in g.number}
     for i, chain in enumerate(chains):
         if i not in joined:
             why = reasons.get(i) or (
@@ -708,9 +710,9 @@ def _result(
     """
     walks, found = ScannedWalks.of(chains), list[MappedWalk]()
     for number, group in enumerate(groups):
-        for i in sorted(group.states):
-            position_m, cov_m2 = step_positions(walks, i, group.states[i])
-            floor = chains[i].floor + group.poses[i].floor
+        for i, pose, state in zip(group.number, group.pose, group.state, strict=True):
+            position_m, cov_m2 = step_positions(walks, i, state)
+            floor = chains[i].floor + pose.floor
             found.append(
                 MappedWalk(chains[i].name, number, chains[i].time_s, read_only(position_m), read_only(cov_m2), floor)
             )
@@ -727,7 +729,7 @@ def _moved_access_points(
         bssid: list[IntArray] = []
         place: list[FloatArray] = []
         of_group = [w for w in walks if w.group == number]
-        for i, walk in zip(sorted(group.states), of_group, strict=True):
+        for i, walk in zip(group.number, of_group, strict=True):
             scans = chains[i].scans
             loud = scans.rssi_dbm >= _LOUD_DBM
             bssid.append(scans.bssid[loud])

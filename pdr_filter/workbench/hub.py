@@ -62,8 +62,9 @@ class _Process:
 class Workbench:
     """Recordings of one folder, the worker processes that smooth them, and the open pages of the workbench.
 
-    The workbench is a local web application that shows the walks of a folder and edits their marks. The pages
-    (browsers) receive events about the walks from here.
+    The workbench is a local web application that shows the walks of a folder and edits their marks. Marks are the
+    fixes, loop closures, person and settings that the user sets for a walk. The pages (browsers) receive events about
+    the walks from here.
     """
 
     def __init__(self, folder: Path, n_processes: int | None = None) -> None:
@@ -91,7 +92,7 @@ class Workbench:
         self._tasks.append(asyncio.create_task(self._watch()))
 
     async def stop(self) -> None:
-        """End the worker processes."""
+        """Close the event streams, and end the background tasks and the worker processes."""
         self.end_readers()
         for task in self._tasks:
             task.cancel()

@@ -20,7 +20,11 @@ _SIGNATURES = {b"\x89PNG": "PNG", b"\xff\xd8\xff": "JPEG", b"%PDF": "PDF"}
 
 
 def convert(source: Path, page: int, target: Path) -> dict[str, Any]:
-    """Write a picture as PNG and return its `width` and `height` in pixels; ValueError if it cannot be used."""
+    """Convert a PNG, JPEG or PDF file to a PNG file, and return its `width` and `height` in pixels.
+
+    `page` of a PDF file counts from 1. A picture with a side over 4000 pixels is reduced. ValueError if the picture
+    cannot be used.
+    """
     content = read_small(source, MAX_PICTURE_BYTES)
     kind = next((kind for begin, kind in _SIGNATURES.items() if content.startswith(begin)), None)
     if kind is None:
@@ -31,8 +35,8 @@ def convert(source: Path, page: int, target: Path) -> dict[str, Any]:
 def rectify(path: Path, corners: Sequence[Sequence[float]]) -> dict[str, Any]:
     """Turn the quadrilateral of four corners (pixels, clockwise from top left) into a whole picture; return its size.
 
-    The result is as wide and as high as the longer of the two opposite sides. ValueError if the corners are not a
-    convex quadrilateral.
+    The file is replaced. The result is as wide and as high as the longer of the two opposite sides, at most 4000
+    pixels. ValueError if the corners are not a convex quadrilateral.
     """
     from PIL import Image
 

@@ -61,7 +61,10 @@ class Plans:
         return self.folder / f"{name}.{floor}.png"
 
     def load(self, name: str) -> dict[str, Any]:
-        """Return a plan in metres as the editor knows it: version, features, storeys, georeference and problems."""
+        """Return a plan in metres as the editor knows it: version, features, storeys, georeference and problems.
+
+        Features in degrees become metres in the frame of the picture. ValueError if the plan does not exist.
+        """
         path = self.path(name)
         if path is None:
             raise ValueError(f"there is no floor plan {name[:80]!r}: it was deleted or renamed; load the page again")
@@ -104,9 +107,9 @@ class Plans:
         return self.load(name)
 
     def _checked(self, path: Path, features: list[dict[str, Any]]) -> dict[str, Any]:
-        """Return the problems of a drawn plan, and the error message of `FloorPlan.read`.
+        """Return the `problems` of a drawn plan, and as `reason` the error message of `FloorPlan.read`.
 
-        The message is empty if the plan is valid.
+        The message is empty if the plan is valid or has no features.
         """
         if not features:
             return {"problems": [], "reason": ""}
@@ -202,7 +205,10 @@ def _flat(coordinates: Any) -> list[Any]:
 
 
 def _moved(features: list[dict[str, Any]], move: Any, digits: int) -> list[dict[str, Any]]:
-    """Return the features with transformed coordinates."""
+    """Return the features with transformed coordinates, rounded to `digits` decimals. Third coordinates are dropped.
+
+    `move` transforms positions (N, 2).
+    """
 
     def moved(coordinates: Any) -> Any:
         if isinstance(coordinates[0], float | int):

@@ -183,17 +183,17 @@ class WorkbenchSite:
         return Response(content, media_type=EXPORTS[kind], headers=headers)
 
     async def edit(self, request: Request) -> Response:
-        """Replace the marks of a walk."""
+        """Replace the marks of a walk, and return them with their new version. Status 409 if they have changed."""
         walk, content = self._walk(request), await _json_of(request)
         return self._changed(walk, lambda: walk.edit(content["version"], content["marks"], self.workbench.folder))
 
     async def undo(self, request: Request) -> Response:
-        """Take back the last edit of a walk."""
+        """Undo the last edit of a walk, and return its marks with their new version."""
         walk, content = self._walk(request), await _json_of(request)
         return self._changed(walk, lambda: walk.undo(content["version"]))
 
     async def redo(self, request: Request) -> Response:
-        """Redo the edit that was undone last."""
+        """Redo the edit of a walk that was undone last, and return its marks with their new version."""
         walk, content = self._walk(request), await _json_of(request)
         return self._changed(walk, lambda: walk.redo(content["version"]))
 
@@ -259,9 +259,10 @@ class WorkbenchSite:
         return JSONResponse({"name": target.name})
 
     async def end_drop(self, request: Request) -> Response:
-        """Move the files of a complete drop into the folder of the workbench if they are recordings.
+        """Move the files of a complete drop into the folder of the workbench if their first recording can be read.
 
-        Otherwise delete the files and raise FailedError with the reason.
+        Return the name of the new folder and the number of recordings `n`. Otherwise delete the files and raise
+        FailedError with the reason.
         """
         folder = self._drop(request)
         if not folder.is_dir():
@@ -374,7 +375,7 @@ _STATUS: dict[type[Exception], int] = {UnknownError: 404, ConflictError: 409, To
 
 
 def _answering(handler: Handler) -> Handler:
-    """Return the handler with errors as JSON: the status and the words of an error."""
+    """Return a handler that answers errors with an HTTP status and a JSON object with the message of the error."""
 
     async def answer(request: Request) -> Response:
         try:

@@ -108,7 +108,7 @@ class Walk:
         self._back(version, self._undo, self._redo)
 
     def redo(self, version: str) -> None:
-        """Redo the edit that was undone last."""
+        """Redo the edit that was undone last. ConflictError if there is none of this version."""
         self._back(version, self._redo, self._undo)
 
     def _back(self, version: str, source: list[tuple[Files, str]], target: list[tuple[Files, str]]) -> None:
@@ -120,7 +120,10 @@ class Walk:
         self._store_history()
 
     def _store_history(self) -> None:
-        """Store the edits that can be taken back, so that they outlast the workbench; on a full disk they do not."""
+        """Write the edits that can be undone or redone to the file `history`, which a restarted workbench reads.
+
+        Nothing is written without such a file, or if it cannot be written.
+        """
         if self.history is not None:
             stacks = [[[{n: c.decode() for n, c in f.items()}, v] for f, v in s] for s in (self._undo, self._redo)]
             with suppress(OSError):
@@ -149,7 +152,7 @@ class Walks:
         self.by_id: dict[str, Walk] = {}
 
     def scan(self) -> list[Walk]:
-        """Look for recordings, and return the walks that are new or have changed."""
+        """Look for recordings, and return the walks that are new or have changed. Deleted ones are forgotten."""
         found: dict[str, Walk] = {}
         changed: list[Walk] = []
         for path in recordings_in(self.folder):
@@ -173,7 +176,10 @@ class Walks:
 
 
 def _shown(name: Path) -> str:
-    """Return the name of a walk in the list, without the folder if the folder holds only this walk."""
+    """Return the name of a walk in the list: its path in the folder of the workbench.
+
+    A file in a folder of its own name, such as walk/walk.csv, has the name of that folder.
+    """
     return str(name.parent) if name.parent.name == name.stem else str(name)
 
 
@@ -208,7 +214,9 @@ def _content(files: Files, own: Path, folder: Path) -> dict[str, Any]:
 def _files(content: Mapping[str, Any], old: Files, own: Path, folder: Path) -> Files:
     """Return the contents of the mark files, by file name, from the marks that a page has sent.
 
-    If the person is new for this walk and has a known step length, the person's file is added.
+    `old` are the present files, `own` is their folder, and `folder` that of the workbench. The file with the step
+    length of the person is kept while the name of the person stays the same. For another name, it is the file of this
+    person in `folder`, if there is one. ValueError for a floor plan that is not in `folder`.
     """
     walk = {name: value for name, value in dict(content["walk"]).items() if value not in (None, "", False)}
     before = json.loads(old[WALK]) if WALK in old else {}
@@ -235,7 +243,7 @@ def _files(content: Mapping[str, Any], old: Files, own: Path, folder: Path) -> F
 
 
 def _check(files: Files) -> None:
-    """Raise ValueError unless the files can be read as marks."""
+    """Raise ValueError unless the files can be read as marks. The message names the fields as the pages show them."""
     with tempfile.TemporaryDirectory() as folder:
         for name, content in files.items():
             (Path(folder) / name).write_bytes(content)

@@ -60,7 +60,10 @@ class Request:
 
 
 def make_worker(cache: str) -> Callable[[Request], Any]:
-    """Return the function that answers requests; it is called in the worker process."""
+    """Return the function that answers requests; it is called in the worker process.
+
+    The answer to a request that fails is {"error": reason}, with "errno" for an OSError.
+    """
     worker = Worker(Path(cache))
 
     def answer(request: Request) -> Any:
@@ -140,7 +143,11 @@ class Worker:
         return {"key": key}
 
     def export(self, path: str, kind: str) -> tuple[str, bytes]:
-        """Return the name and content of an exported file of a walk, of the kind "csv", "gpx", "zip" or another one."""
+        """Return the name and content of an exported file of a walk.
+
+        The kind "zip" is the recording with its marks. "csv", "geojson", "gpx" and "kml" are the smoothed track.
+        ValueError for "gpx" and "kml" if the track has no place on Earth.
+        """
         opened = self._open(path, checksum_of(Path(path)))
         if kind == "zip":
             return f"{opened.recording.name}.zip", _zipped(Path(path))
@@ -187,7 +194,7 @@ class Worker:
         return convert(Path(source), page, Path(target))
 
     def rectify(self, path: str, corners: Sequence[Sequence[float]]) -> dict[str, Any]:
-        """Turn four corners of a photograph into a rectangle and return its size."""
+        """Turn the quadrilateral of four corners in a picture into a whole picture and return its size."""
         return rectify(Path(path), corners)
 
     # --- parts ---
@@ -210,10 +217,10 @@ class Worker:
     def _smoothed(
         self, opened: _Opened, progress: Callable[[float], None] | None, **options: Any
     ) -> tuple[Track, FloorPlan | None]:
-        """Return the smoothed track of a walk, and the floor plan to draw below it, or None without one.
+        """Return the smoothed track of a walk, and the floor plan to draw below it.
 
-        The marks, which the user has set in the workbench (known points, headings, floor changes), are passed to the
-        smoother.
+        The plan is None if the walk has none, or if the track itself holds it. The marks of the walk (fixes, loop
+        closures, person and settings that the user has set in the workbench) are passed to the smoother.
         """
         marks = marks_in(marks_folder(Path(opened.path)))
         recording = marks.recording(opened.recording)
@@ -258,7 +265,7 @@ class Worker:
 
 
 def progress_of(cache: Path, path: str) -> float:
-    """Return the fraction of the work on a walk that is done, as its worker last wrote it to a file."""
+    """Return the fraction of the work on a walk that is done, as its worker last wrote it to a file, or 0."""
     with suppress(OSError, ValueError):
         return float((cache / f"{_name_of(path)}.progress").read_text())
     return 0.0
@@ -269,7 +276,10 @@ def _name_of(path: str) -> str:
 
 
 def _for_page(track: Track, plan: FloorPlan | None) -> Track:
-    """Return a track whose notes a user of the page understands. The first says if the plan is far from the path."""
+    """Return the track with notes in the words of the pages: without code marks, and with seconds for windows.
+
+    If the floor plan is more than 500 m from the path, a note in front says so.
+    """
     notes = [note.replace("`", "").replace(" windows", " seconds") for note in track.notes]  # one window a second
     lines = [] if plan is None else [line for s in plan.storeys for f in s.features for line in f.lines]
     if lines and track.n_steps:
@@ -287,9 +297,10 @@ def _for_page(track: Track, plan: FloorPlan | None) -> Track:
 
 
 def _summary(track: Track, recording: Recording) -> dict[str, Any]:
-    """Return the entry of a walk in the list of walks: duration, number of steps, distance, notes and a thumbnail.
+    """Return the entry of a walk in the list of walks, as JSON values by name.
 
-    The thumbnail `path` has at most `_N_POINTS` positions of the track in m.
+    It has the unix time of its begin, duration, number of steps, distance, notes, frame and origin of the track. The
+    thumbnail `path` has at most `_N_POINTS` positions of the track in m.
     """
     points = np.vstack([track.start_position_m, track.position_m])
     points = points[np.isfinite(points).all(axis=1)]
@@ -308,7 +319,7 @@ def _summary(track: Track, recording: Recording) -> dict[str, Any]:
 
 
 def _zipped(recording: Path) -> bytes:
-    """Return a zip file of the files of a recording and of its marks."""
+    """Return the bytes of a zip file with the files of a recording, without hidden ones, and its marks."""
     path, _ = outside(recording)
     folder = marks_folder(recording)
     members: Mapping[str, Path] = {p.name: p for p in [path] if p.is_file()} | {

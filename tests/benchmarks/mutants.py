@@ -5,9 +5,10 @@ usage: python -m tests.benchmarks.mutants [--n 60] [--seed 0] [--only 3 17] [--l
 Each mutant changes one operator, comparison, number or condition in one line of the package. The seed determines the
 mutants. The fast tests run once in a copy of the tree that records which test evaluates which of these places. For each
 mutant, these tests run until one fails: first those of the folder that mirrors the module, then the others, the
-quickest first. A mutant that survives them all counts as alive. A place that is evaluated when the module is imported
-is reached by all tests. `timeout` means that the tests were still running after the limit, in seconds: most of these
-mutants cause an endless loop. `--reached` keeps the record of the first run in a file, or uses it if it exists.
+quickest first. A mutant that survives them all counts as alive, even if a slow test would find it. A place outside of
+functions is evaluated when the module is imported and counts as reached by all tests. `timeout` means that the tests
+were still running after the limit, in seconds: most of these mutants cause an endless loop. `--reached` keeps the
+record of the first run in a file, or uses it if it exists.
 """
 
 from __future__ import annotations
@@ -110,7 +111,6 @@ def put_into(tree: Path, mutant: Mutant) -> str:
 
 # With this variable, the module is a plugin of pytest that records reached mutants in a file, one test a line.
 REACHED_FILE = "MUTANTS_REACHED"
-AT_IMPORT = "import"
 _RECORD = "_record_mutant"
 _seen: set[int] = set()
 
@@ -145,8 +145,6 @@ if REACHED_FILE in os.environ:
     def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
         """Append the test, its seconds of CPU and the mutants that it reaches to the file."""
         with Path(os.environ[REACHED_FILE]).open("a") as file:
-            if not file.tell():
-                file.write(json.dumps([AT_IMPORT, 0.0, sorted(_seen)]) + "\n")
             _seen.clear()
             start = sum(os.times()[:4])
             result = yield
@@ -183,22 +181,26 @@ def reaching_tests(reached: Path, mutants: list[Mutant]) -> list[list[str]]:
     """Test functions that reach each mutant, in the order in which they run."""
     cpu_s: Counter[str] = Counter()
     tests: list[set[str]] = [set() for _ in mutants]
-    at_import: set[int] = set()
     for line in reached.read_text().splitlines():
         name, seconds, numbers = json.loads(line)
-        if name == AT_IMPORT:
-            at_import = set(numbers)
-            continue
         cpu_s[name] += seconds
         for k in numbers:
             tests[k].add(name)
     for k, mutant in enumerate(mutants):  # processes of other programs are not recorded: add the tests of the folder
-        files = tests_of(mutant.module)
-        tests[k] |= {name for name in cpu_s if name.partition("::")[0] in files or k in at_import}
+        files, by_all = tests_of(mutant.module), is_at_import(mutant)
+        tests[k] |= {name for name in cpu_s if by_all or name.partition("::")[0] in files}
     return [
         sorted(names, key=lambda name: (likelihood(name.partition("::")[0], mutant.module), cpu_s[name]))
         for names, mutant in zip(tests, mutants, strict=True)
     ]
+
+
+def is_at_import(mutant: Mutant) -> bool:
+    """Return True if the place of a mutant is in no body of a function."""
+    nodes = list(ast.walk(ast.parse((ROOT / mutant.module).read_text())))
+    functions = [node for node in nodes if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
+    inside = {id(inner) for f in functions for statement in f.body for inner in ast.walk(statement)}
+    return id(nodes[mutant.number]) not in inside
 
 
 def tests_of(module: str) -> list[str]:

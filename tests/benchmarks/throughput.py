@@ -1,7 +1,7 @@
 """How fast the whole pipeline is: recordings of all sets, a day in blocks, a block, and its parts.
 
-usage: python -m tests.benchmarks.throughput [recordings] [pushed] [calls] [costs] [day] [batches] [--before TREE]
-       [--every 4] [--hours 24] [--count 1000] [--days 1]
+usage: python -m tests.benchmarks.throughput [recordings] [pushed] [calls] [costs] [day] [--before TREE]
+       [--every 4] [--hours 24]
 
 The day is the embedded simulated walk repeated in time; costs are those of one real walk, a part of the filter left
 out or put in. `--before` is another checkout of the project: its recordings and pushed blocks are timed in turns with
@@ -65,29 +65,6 @@ for _ in range(3):
 least = sorted(min(costs) for costs in zip(*runs))
 print(json.dumps([sum(least) / len(least), least[len(least) // 2], least[int(0.99 * len(least))]]))
 """
-
-# Tracks all recordings of a folder in one way, and prints their number, the wall time, the processor time of all
-# processes, and the memory of the largest one.
-_OF_BATCH = """
-import json, resource, sys, time
-from pathlib import Path
-import pdr_filter as pdr
-folder, out, way = sys.argv[1:]
-start = time.perf_counter()
-if way == "loop":
-    n = len([pdr.track(pdr.read(path)).n_steps for path in sorted(Path(folder).iterdir())])
-elif way == "two processes":
-    n = sum(not row.failed for row in pdr.batch.track(folder, out=out, jobs=2))
-else:
-    from distributed import LocalCluster
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
-        n = sum(not row.failed for row in pdr.batch.track(folder, out=out, scheduler=cluster.scheduler_address))
-used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-cpu_s, peak_mb = sum(u.ru_utime + u.ru_stime for u in used), max(u.ru_maxrss for u in used) / 1e3
-print(json.dumps([n, time.perf_counter() - start, cpu_s, peak_mb]))
-"""
-# Number of short recordings from which the overhead of a recording follows.
-_N_SHORT = 200
 
 
 def best_s(run: Callable[[], object], times: int = 3) -> float:
@@ -288,51 +265,5 @@ def day(tables: Tables, arguments: argparse.Namespace) -> None:
     )
 
 
-def batches(tables: Tables, arguments: argparse.Namespace) -> None:
-    """Many recordings of ten minutes, one of days, and short ones, from which the overhead of a recording follows."""
-    rows: list[list[str]] = []
-    with TemporaryDirectory() as folder:
-        short_s = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=10.0)])
-        sets = {
-            "short": (short_s, _N_SHORT),
-            "few short": (short_s, _N_SHORT // 10),
-            "ten minutes": (long_walk(1 / 6), arguments.count),
-            "days": (long_walk(24.0 * arguments.days), 1),
-        }
-        for name, (recording, n) in sets.items():
-            (Path(folder) / name).mkdir()
-            first = recording.save(Path(folder) / name / "0.zip")
-            for i in range(1, n):
-                os.link(first, first.with_name(f"{i}.zip"))
-        in_loop_s = 0.0
-        for way in ("loop", "two processes", "Dask cluster of two workers"):
-            found: dict[str, list[float]] = {}
-            for name in sets:
-                out = str(Path(folder) / f"{name}, {way}.csv")
-                found[name] = in_tree(ROOT, _OF_BATCH, str(Path(folder) / name), out, way)
-                if found[name][0] != sets[name][1]:
-                    raise RuntimeError(f"{way}: only {found[name][0]} of {sets[name][1]} recordings were tracked")
-            each_s = (found["short"][2] - found["few short"][2]) / (_N_SHORT - _N_SHORT // 10)
-            in_loop_s = in_loop_s or each_s
-            _, taken_s, _, peak_mb = found["ten minutes"]
-            _, days_s, _, days_mb = found["days"]
-            rows.append(
-                [
-                    way,
-                    f"{60.0 * arguments.count / taken_s:.0f}",
-                    f"{peak_mb:.0f} MB",
-                    f"{days_s:.0f} s",
-                    f"{days_mb:.0f} MB",
-                    f"{1e3 * (each_s - in_loop_s):.1f} ms",
-                ]
-            )
-    columns = ["", "a minute", "memory", "days", "memory", "overhead of a recording"]
-    about = (
-        f"{arguments.count} recordings of ten minutes, and one of {arguments.days:g} days, simulated, from files; "
-        f"memory of the largest process; overhead in processor time of all processes, against the loop; {load()}."
-    )
-    tables.write("throughput_batches", columns, rows, about)
-
-
 if __name__ == "__main__":
-    run(__doc__, recordings, pushed, calls, costs, day, batches, before=None, every=4, hours=24, count=1000, days=1.0)
+    run(__doc__, recordings, pushed, calls, costs, day, before=None, every=4, hours=24)

@@ -1,6 +1,6 @@
 """A map of many walks through a shopping mall, from the first waypoint and direction of one walk a storey.
 
-usage: python -m tests.benchmarks.walk_map [storeys] [numbers] [all_storeys] [radio] [plan] [--data DIR]
+usage: python -m tests.benchmarks.walk_map [storeys] [numbers] [all_storeys] [radio] [--data DIR]
 
 99 walks of `ms_indoor` with Wi-Fi on five storeys. All parameters were chosen on F1. The given walk of a storey is the
 one with the most partners, walks with a similar scan: this choice uses no waypoint.
@@ -18,10 +18,12 @@ from pathlib import Path
 import numpy as np
 
 import pdr_filter as pdr
+from pdr_filter.offline.smoothing.observations import waypoint_fixes
 from pdr_filter.walk_map.chains import Chain, chain_of
 from pdr_filter.walk_map.placing import ScannedWalks
 from pdr_filter.walk_map.walk_map import _mapped
 from tests.benchmarks.common import Tables, paths, run
+from tests.benchmarks.radio import Known, errors_of, map_of, scores
 
 CHOSEN_ON = "f1"
 WRONG_M = 15.0
@@ -136,7 +138,7 @@ def numbers(tables: Tables, arguments: argparse.Namespace) -> None:
             chosen = np.random.default_rng(seed).permutation(len(every))[:n]
             part = [every[i] for i in sorted(chosen)]
             rows.append(row(f"{len(part)} walks of F1, draw {seed + 1}", part, *mapped(part)))
-    tables.write("walk_map_numbers", COLUMNS, rows, "ScannedWalks drawn at random.")
+    tables.write("walk_map_numbers", COLUMNS, rows, "Walks drawn at random.")
 
 
 def all_storeys(tables: Tables, arguments: argparse.Namespace) -> None:
@@ -148,5 +150,30 @@ def all_storeys(tables: Tables, arguments: argparse.Namespace) -> None:
     tables.write("walk_map_together", COLUMNS, rows, about)
 
 
+def radio(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Fixes of held-out walks by the radio map of such a map, and by a surveyed one, on F1."""
+    every = [w for w in walks_of(arguments.data) if w.storey == CHOSEN_ON]
+    known = [
+        Known(w.recording, pdr.smooth(w.recording, waypoint_fixes(w.recording)).track, w.points)  # the truth
+        for w in every
+    ]
+    pairs: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
+    for fold in range(5):
+        held_out, others = known[fold::5], [i for i in range(len(every)) if i % 5 != fold]
+        found, _, _ = mapped([every[i] for i in others])
+        joined = {w.name for w in found.walks if w.group == 0}
+        maps = {
+            "this map": found.radio(),
+            "surveyed, the same walks": map_of([known[i] for i in others if every[i].chain.name in joined]),
+            "surveyed, all walks": map_of([known[i] for i in others]),
+        }
+        for name, radio_map in maps.items():
+            for walk in held_out:
+                pairs.setdefault(name, []).extend(errors_of(walk, radio_map.fixes(walk.recording)))
+    rows = [[name, *scores(of_map)] for name, of_map in pairs.items()]
+    columns = ["radio map", "fixes", "median", "90 %", "in 50 % region", "in 95 %", "-log density"]
+    tables.write("walk_map_radio", columns, rows, "Each fifth of the walks of F1 by the map of the others.")
+
+
 if __name__ == "__main__":
-    run(__doc__, storeys, numbers, all_storeys)
+    run(__doc__, storeys, numbers, all_storeys, radio)

@@ -286,7 +286,7 @@ def test_one_sensor_alone_is_read_and_says_what_to_record_if_gravity_is_not_in_i
     alone = read(tmp_path / "TotalAcceleration.csv")
     assert_same_streams(alone, WALK, "accelerometer", time_s=1e-9)
     assert any("Android's is taken" in note for note in alone.notes)
-    assert "record TotalAcceleration, or Gravity" in read(tmp_path / "Accelerometer.csv").notes[0]
+    assert "and TotalAcceleration, or Gravity" in read(tmp_path / "Accelerometer.csv").notes[0]
     assert "no accelerometer" in refusal(tmp_path / "Gyroscope.csv")
 
 

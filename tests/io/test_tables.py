@@ -176,7 +176,10 @@ def test_acceleration_without_gravity_and_without_gyroscope_gives_steps_only(tmp
     (tmp_path / "walk.csv").write_text(table_text({"time": TIME_S} | linear))
     recording = read(tmp_path / "walk.csv")
     assert recording.gyroscope is None
-    assert "there is no gyroscope: only steps and distance can be trusted; record both" in recording.notes[0]
+    assert (
+        "no gyroscope: only steps and distance can be trusted; next time record the gyroscope and the"
+        in recording.notes[0]
+    )
 
 
 def test_acceleration_without_gravity_in_an_unknown_unit_is_refused(tmp_path: Path) -> None:

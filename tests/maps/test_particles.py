@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -411,3 +412,21 @@ def test_a_thousand_particles_run_much_faster_than_real_time(plan: pdr.FloorPlan
         pdr.track(WALK, in_world(), fixes=FIXES, plan=p)
         times.append(process_time() - began)
     assert times[1] - times[0] < WALK.duration_s / 30  # a third of the speed is left for a busy machine
+
+
+@pytest.mark.parametrize("weighting", ["imm", "hc"])
+def test_the_plan_gets_each_step_with_the_state_after_it_also_at_the_end(
+    plan: pdr.FloorPlan, weighting: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config, numbers = begun(plan, pdr.PositionFix(0.0, (0.0, 0.0), np.eye(2)), n_most=1000), list[int]()
+    on_step = type(config.on_plan).on_step
+
+    def counting(stage: Any, state: Any, update: Any, pedestrian: Any, model: Any) -> Any:
+        numbers.append(pedestrian.steps.n_final)
+        return on_step(stage, state, update, pedestrian, model)
+
+    monkeypatch.setattr(type(config.on_plan), "on_step", counting)
+    walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=12.0)], seed=1)
+    track = pdr.track(walk, config, weighting=weighting)
+    assert len(numbers) == track.n_steps > 10
+    assert numbers[-1] == track.n_steps

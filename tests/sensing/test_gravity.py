@@ -141,3 +141,44 @@ def test_a_real_walk_keeps_its_steps_and_its_shape(data_dir: Path, name: str) ->
     without = pdr.track(replace(recording, accelerometer=restored.force))
     assert without.n_steps == pytest.approx(with_it.n_steps, rel=0.03)
     assert shape_m(recording, without) < 1.5 * shape_m(recording, with_it)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_swinging_phone_shows_up_although_its_screen_faces_any_way(seed: int) -> None:
+    recording, up = walk_of("swinging", seed)
+    assert recording.gyroscope is not None
+    for turned in (
+        Rotation.identity(),
+        Rotation.from_euler("x", 180.0, degrees=True),
+        Rotation.from_rotvec([1.5, 0, 0]),
+    ):
+        linear = linear_of(recording, up)
+        linear = Samples(linear.time_s, turned.apply(np.array(linear.values)))
+        rate = Samples(linear.time_s, turned.apply(np.array(recording.gyroscope.values)))
+        assert np.median(angles_deg(with_gravity(linear, rate).force, linear, turned.apply(up))) < 20.0
+
+
+def test_a_phone_that_turns_while_the_gyroscope_is_silent_has_a_new_vertical() -> None:
+    linear, rate, up = turning_walk(Rotation.identity())
+    flipped = Rotation.from_euler("x", 70.0, degrees=True)
+    second, second_rate, second_up = turning_walk(flipped)
+    time_s = np.concatenate([linear.time_s, linear.time_s + 40.0])
+    both = Samples(time_s, np.vstack([linear.values, second.values]))
+    rates = np.vstack([rate.values, second_rate.values])
+    rates[np.abs(time_s - 40.0) < 1.0] = np.nan
+    error_deg = angles_deg(with_gravity(both, Samples(time_s, rates)).force, both, np.vstack([up, second_up]))
+    assert error_deg[np.abs(time_s - 40.0) > 1.1].max() < 0.5
+
+
+def test_the_pivot_of_a_pendulum_is_above_it_although_the_screen_faces_down() -> None:
+    time_s = np.arange(0.0, 40.0, 0.01)
+    phase = 2 * np.pi * time_s  # of the swing, 1 Hz; steps have 2 Hz, in phase with the squared rate
+    rate = np.random.default_rng(0).normal(0.0, 1e-4, (len(time_s), 3))
+    rate[:, 0] += 0.5 * np.cos(phase)
+    force = np.random.default_rng(1).normal(0.0, 1e-4, (len(time_s), 3))
+    force[:, 1] -= 0.8 * np.pi * np.sin(phase)  # dw/dt x r, with the phone 0.8 m below the pivot
+    force[:, 1] += 1.5 * np.sin(2 * phase)
+    force[:, 2] += 3.0 * np.cos(2 * phase)
+    down = Rotation.from_euler("x", 180.0, degrees=True)
+    restored = with_gravity(Samples(time_s, down.apply(force)), Samples(time_s, down.apply(rate))).force
+    assert restored.values.mean(axis=0)[2] < -9.0

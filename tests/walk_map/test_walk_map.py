@@ -109,6 +109,9 @@ def test_a_saved_map_has_no_times_and_no_names_unless_they_are_asked_for(mapped:
         np.testing.assert_array_equal(a.position_cov_m2, b.position_cov_m2)
     with pytest.raises(ValueError, match="no times"):
         loaded.walks[0].at(3.0)
+    fewer = loaded.remove([loaded.walks[-1].name])
+    assert len(fewer.walks) == 7
+    np.testing.assert_array_equal(fewer.walks[0].position_m, mapped.walks[0].position_m)  # the frame stays
     whole = pdr.WalkMap.load(mapped.save(tmp_path / "whole", times=True))
     assert [w.name for w in whole.walks] == [w.name for w in mapped.walks]
     np.testing.assert_array_equal(whole.walks[3].at(9.0)[0], mapped.walks[3].at(9.0)[0])
@@ -168,8 +171,9 @@ def test_bad_walks_stay_apart_with_their_reasons(building: list[Recording]) -> N
     standing = replace(pdr.simulate.simulate([Leg("stationary", duration_s=8.0)]), name="standing")
     found = pdr.map_walks([*building[::3], building[0], without_wifi(building[6], "deaf"), silent, standing])
     reasons = dict(found.apart)
-    assert reasons.keys() == {building[0].name, "deaf", "silent", "standing"}
-    assert "the same recording as" in reasons[building[0].name]
+    copy = f"{building[0].name} (copy)"
+    assert reasons.keys() == {copy, "deaf", "silent", "standing"}
+    assert "the same recording as" in reasons[copy]
     assert reasons["deaf"] == reasons["silent"] == "no Wi-Fi scans: record Wi-Fi with the walk"
     assert "no steps" in reasons["standing"]
     assert len(found.walks) == 3

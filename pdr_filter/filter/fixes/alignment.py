@@ -41,7 +41,7 @@ class Place:
     cov_m2 : (2, 2) array
         Covariance of the position.
     heading_rad : float
-        Walking heading.
+        Walking heading, clockwise from the north axis of the frame.
     n_steps : int
         Index of the step that led to the place, from 0 for the first step.
     """
@@ -85,7 +85,7 @@ class Alignment:
     since: int = 0
 
     def applies_to(self, place: Place) -> bool:
-        """Return True if a place was reported in the track frame of this alignment."""
+        """Return True if a place (position and heading) was reported in the track frame of this alignment."""
         return self.since <= place.n_steps < self.n_steps
 
     @property
@@ -119,10 +119,11 @@ def walked_var_m2(cov: FloatArray) -> float:
 
 
 def moved(mean: FloatArray, cov: FloatArray, alignment: Alignment) -> tuple[FloatArray, FloatArray]:
-    """Return means (M, n) and covariances (M, n, n) transformed by an alignment, including its uncertainty.
+    """Return the means (M, n) and covariances (M, n, n) of M filters transformed by an alignment, with its uncertainty.
 
     For the position, P becomes T P T' + var(a) g g' + var(centre). T is the rotation of the position, a the rotation
-    angle, g the derivative of the state with respect to a, and var(centre) the variance of the aligned centre.
+    angle, g the derivative of the state with respect to a, and var(centre) the variance of the aligned centre. The
+    angle is added to the heading offset of the state.
     """
     T = np.eye(mean.shape[1])
     T[:2, :2] = alignment.rotation

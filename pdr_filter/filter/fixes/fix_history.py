@@ -45,15 +45,15 @@ class FixHistory:
     n_errors : int
         Number of innovations of used position fixes, one for each axis.
     squares : float
-        Sum of their normalised squares.
+        Sum of the normalised squares of these innovations.
     n_frozen : int
-        Number of positions that were repeated while steps continued.
+        Number of position fixes that repeated the previous position while steps continued.
     standstills : tuple of tuple of float
-        Begin and end of the last standstills.
+        Begin and end of the last standstills, s.
     ranges : tuple of PairedRange
-        Last ranges.
+        Last range fixes, each with the track position at its time.
     searched_s : float
-        Time of the last search for positions that fit the ranges.
+        Time of the last search for positions that fit the ranges, or minus infinity.
     """
 
     relocation: RelocationEvidence = field(default_factory=RelocationEvidence)
@@ -67,7 +67,11 @@ class FixHistory:
     searched_s: float = -math.inf
 
     def with_used(self, fix: PositionFix, track_m: FloatArray | None) -> FixHistory:
-        """Return the history with one more used fix, if its error can be correlated with that of later fixes."""
+        """Return the history with one more used fix, if its error can be correlated with that of later fixes.
+
+        A fix with `correlation_s` 0 is not stored. `track_m` is the track position at the time of the fix. The last
+        `N_BEFORE` fixes are kept, without those before an earlier gap.
+        """
         if fix.correlation_s == 0:
             return self
         # displacements across a gap stay unknown: the first fix after it is treated as one of those before the gap
@@ -76,7 +80,7 @@ class FixHistory:
         return replace_unchecked(self, used=(*since_gap, used)[-N_BEFORE:])
 
     def with_standstill(self, standstill: Standstill) -> FixHistory:
-        """Return the history with one more standstill."""
+        """Return the history with one more standstill. Only the last `MAX_STANDSTILLS` are kept."""
         standstills = (*self.standstills, (standstill.time_s, standstill.end_s))[-MAX_STANDSTILLS:]
         return replace_unchecked(self, standstills=standstills)
 
@@ -85,7 +89,10 @@ class FixHistory:
         return any(begin_s <= time_s <= end_s for begin_s, end_s in self.standstills)
 
     def moved(self, positions: Callable[[FloatArray], FloatArray]) -> FixHistory:
-        """Return the history with track positions transformed by a function of positions (..., 2)."""
+        """Return the history with its track positions transformed by a function of positions (..., 2).
+
+        The positions of the fixes are unchanged.
+        """
         used = (
             u if u.track_m is None else replace_unchecked(u, track_m=read_only(positions(u.track_m))) for u in self.used
         )
@@ -96,7 +103,11 @@ class FixHistory:
         return replace_unchecked(self, relocation=relocation, used=tuple(used), seen=seen, ranges=ranges)
 
     def after_gap(self) -> FixHistory:
-        """Return the history after a gap, in which the pedestrian may have gone anywhere."""
+        """Return the history after a gap, in which the pedestrian may have gone anywhere.
+
+        The track positions of used fixes become unknown (None). Ranges are deleted. The last position fix is forgotten
+        unless the phone repeats it (`SeenPlace.is_frozen`).
+        """
         used = tuple(replace_unchecked(u, track_m=None) for u in self.used)
         seen = self.seen if self.seen and self.seen.is_frozen else None
         return replace_unchecked(self, used=used, seen=seen, ranges=())

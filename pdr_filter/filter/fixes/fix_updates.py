@@ -61,10 +61,11 @@ def use_fix(
 ) -> Result:
     """Return the state after a fix, the outcome of the fix, and its normalised innovation squared (NIS).
 
-    The NIS is the smallest one of all filters. A fix is rejected if its NIS exceeds the gate in all filters, or if it
-    is older than the stored steps. A position that is repeated while steps continue is "frozen" and not used. If the
-    frame of the fixes is unknown, the first position fix places the track in it, and later ones rotate it. `offset_rad`
-    (F,) is the walking heading of each filter minus the heading that the body faces.
+    The NIS is the smallest one of all filters, or NaN if no filter was compared with the fix. A fix is rejected if its
+    NIS exceeds the gate in all filters. A fix older than the stored steps is rejected with infinite NIS. A position
+    that is repeated while steps continue is "frozen" and not used. If the frame of the fixes is unknown, the first
+    position fix places the track in it, and later ones rotate it. A standstill is stored and changes no estimate.
+    `offset_rad` (F,) is the walking heading of each filter minus the heading that the body faces.
     """
     if isinstance(fix, Standstill):
         return replace(state, fixes=state.fixes.with_standstill(fix)), "used", np.nan
@@ -98,11 +99,12 @@ def use_fix(
 def _on_position(
     model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: PositionFix, track_m: FloatArray
 ) -> Result:
-    """Return the state after a position fix, whose residual at its own time corrects the present state.
+    """Return the state after a position fix in a joined frame, the outcome "used" or "rejected", and the NIS.
 
-    Errors have a Student's t distribution, as in `frame_rotation`. If the innovations so far are larger than expected,
-    the covariances of track and fixes are increased, with one more degree of freedom for each innovation (M. Roth, E.
-    Ozkan and F. Gustafsson, "A Student's t filter for heavy tailed process and measurement noise", ICASSP 2013).
+    The residual at the time of the fix corrects the present state. A rejected fix leaves the state unchanged. Errors
+    have a Student's t distribution, as in `frame_rotation`. If the innovations so far are larger than expected, the
+    covariances of track and fixes are increased, with one more degree of freedom for each innovation (M. Roth, E. Ozkan
+    and F. Gustafsson, "A Student's t filter for heavy tailed process and measurement noise", ICASSP 2013).
     """
     z, H, R = _without_shared_error(model, state, fix, track_m)
     estimates, fixes = state.estimates, state.fixes
@@ -127,7 +129,7 @@ def _on_position(
 def _without_shared_error(
     model: PedestrianModel, state: PedestrianState, fix: PositionFix, track_m: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return a linear measurement by a fix whose noise is independent of the errors of earlier fixes.
+    """Return a linear measurement (z, H, R) by a fix, with noise that is independent of the errors of earlier fixes.
 
     The measurement is z (2,) = H x + noise of covariance R. This fix has the index n, the position z_n and the true
     position p_n. Let z_i be an earlier fix with the error e_i. The error of fix n is sum_i A_i e_i + w, with regression
@@ -138,8 +140,9 @@ def _without_shared_error(
     The returned measurement is z_n - sum_i A_i (z_i + d_i), in which the errors e_i cancel. The mean of the measurement
     is (I - sum_i A_i) p_n + sum_i A_i (psi J d_i + s d_i). A filter with the errors of the fixes as further states
     would give the same result (A. E. Bryson and L. J. Henrikson, "Estimation using sampled data containing sequentially
-    correlated noise", J. Spacecraft 5, 1968). The displacement since fix n, which leads from p_n to the present
-    position, is as uncertain as heading and step lengths.
+    correlated noise", J. Spacecraft 5, 1968). After a gap the d_i are unknown. Then z_n is returned with a larger
+    covariance (`repeated_cov_m2`). The displacement since fix n, which leads from p_n to the present position, is as
+    uncertain as heading and step lengths.
     """
     x, P = state.estimates.combined
     since_m = track_place(state).position_m - track_m
@@ -163,9 +166,10 @@ def _without_shared_error(
 def _on_known_frame(
     model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: PositionFix, track_m: FloatArray
 ) -> Result:
-    """Return the state after a position fix in a joined frame.
+    """Return the state after a position fix in a joined frame, the outcome of the fix, and its NIS.
 
-    If many rejected fixes contradict the track, the track is relocated to them.
+    A rejected fix is stored. If many stored fixes contradict the track and agree with each other, the track is
+    relocated to them, with outcome "moved".
     """
     updated, outcome, nis = _on_position(model, arithmetic, state, fix, track_m)
     if outcome == "used":
@@ -196,10 +200,11 @@ def _on_heading(
     fix: HeadingFix,
     device_heading_rad: float,
 ) -> Result:
-    """Return the state after a heading fix z.
+    """Return the state after a heading fix z, the outcome of the fix, and its NIS.
 
     The measurement equation is z = device heading at the time of the fix + heading offset (state) + heading offset of
-    the mode's filter, in rad. If north is unknown, the fix defines it.
+    the mode's filter, in rad. If the frame is open (`Frame.is_open`), the fix rotates the frame and is not gated: the
+    NIS is NaN. Before the first step the outcome is "nothing to compare".
     """
     if len(state.steps.trail) == 0:
         return state, "nothing to compare", np.nan
@@ -218,10 +223,10 @@ def _on_heading(
 
 
 def _on_speed(model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: SpeedFix) -> Result:
-    """Return the state after a speed fix z, in m/s.
+    """Return the state after a speed fix, the outcome of the fix, and its NIS.
 
-    With v the smoothed walking speed of the present bout of walking, log z - log v measures the error of the log scale
-    to first order.
+    With z the speed of the fix and v the smoothed walking speed of the present bout of walking, log z - log v measures
+    the error of the log scale to first order. Without v there is nothing to compare.
     """
     speed = state.steps.speed
     if speed is None or speed.smoothed_mps <= 0:
@@ -240,7 +245,11 @@ def _on_state(
     innovation: FloatArray,
     variance: float,
 ) -> Result:
-    """Return the state after a measurement of one state component, with innovations (F,) of the filters."""
+    """Return the state after a measurement of one state component, the outcome, and the smallest NIS of all filters.
+
+    `index` is the component, `innovation` (F,) the measurement minus the prior of each filter, and `variance` that of
+    the measurement. The gate is `scalar_gate_nis`.
+    """
     prior = state.estimates
     z = prior.mean[:, index] + innovation
     H, R = np.eye(N_STATES)[[index]], np.array([[variance]])
@@ -251,10 +260,12 @@ def _on_state(
 def _on_first_positions(
     model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: PositionFix, track_m: FloatArray
 ) -> Result:
-    """Return the state after a position fix in a frame that is not joined.
+    """Return the state after a position fix in a frame that is not joined, the outcome of the fix, and its NIS.
 
-    The fix places or rotates the track. The frame is joined when the rotation is known well enough. The fix with which
-    this happens has two uses, one for the rotation and one for the position. Each use has half of its information.
+    The first fix places the track ("placed"), and later ones rotate it ("turned"). A fix that is inconsistent with the
+    others is "rejected", or relocates the track ("moved"). The NIS is NaN until the frame is joined. The frame is
+    joined when the rotation is known well enough. The fix with which this happens has two uses, one for the rotation
+    and one for the position. Each use has half of its information.
     """
     pair, _ = _paired(state, fix, track_m)
     frame = state.frame.with_pair(pair)
@@ -283,9 +294,9 @@ def _on_first_positions(
 def _on_contradicting_fix(state: PedestrianState, pair: PairedPoint) -> Result:
     """Return the state after a fix that is inconsistent with the other fixes of a frame that is not joined.
 
-    The fix is first stored as rejected. If the stored rejected fixes agree with each other for long, the track is
-    relocated to them, with an unknown rotation. After a lost heading, the track position at the loss counts as one of
-    the other fixes.
+    The outcome and an infinite NIS follow. The fix is first stored as "rejected". If the stored rejected fixes agree
+    with each other for long, the track is relocated to them ("moved"), with an unknown rotation. After a lost heading,
+    the track position at the loss counts as one of the other fixes.
     """
     relocation, n_steps = state.fixes.relocation.with_rejected(pair), state.steps.n_final
     state = replace(state, fixes=replace(state.fixes, relocation=relocation))
@@ -308,7 +319,11 @@ def _with_second_half(
     track_m: FloatArray,
     pairs: Sequence[PairedPoint],
 ) -> tuple[PedestrianState, float]:
-    """Return the state after an alignment, updated with the half of the last fix that the alignment has not used."""
+    """Return the state after an alignment, updated with the unused half of the last fix, and the NIS of this update.
+
+    The alignment has used the other half of the information of `fix`. `pairs` are the aligned fixes, with `fix` as the
+    last one, and the track positions after the alignment. `track_m` is the aligned track position of `fix`.
+    """
     shared = tuple(
         UsedFix(
             PositionFix(pair.time_s, pair.world_m, pair.var_m2 * np.eye(2), correlation_s=pair.correlation_s),
@@ -327,7 +342,7 @@ def _with_second_half(
 
 
 def _paired(state: PedestrianState, fix: PositionFix, track_m: FloatArray) -> tuple[PairedPoint, float]:
-    """Return the fix paired with the track position, and the variance of the heading.
+    """Return the fix paired with the track position, and the variance of the heading offset.
 
     The variance of the track position in the pair does not include that due to the heading.
     """
@@ -340,13 +355,17 @@ def _paired(state: PedestrianState, fix: PositionFix, track_m: FloatArray) -> tu
 
 
 def _place_at(state: PedestrianState, time_s: float) -> FloatArray | None:
-    """Return east, north and device heading (3,) at a time, or None before the oldest stored step."""
+    """Return east, north and device heading (3,) of the track at a time.
+
+    The result is None if the steps of that time are no longer stored. A track without steps has its present position
+    and heading 0.
+    """
     if len(state.steps.trail) == 0:
         return np.append(track_place(state).position_m, 0.0)
     return state.steps.at(time_s)
 
 
 def _track_m(state: PedestrianState, time_s: float) -> FloatArray | None:
-    """Return the track position (2,) at a time, or None before the oldest stored step."""
+    """Return the track position (2,) at a time, or None if it is before the stored steps."""
     place = _place_at(state, time_s)
     return None if place is None else place[:2]

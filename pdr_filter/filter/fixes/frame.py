@@ -88,7 +88,7 @@ class Frame:
         """Variance in rad2 of the rotation from the track to the frame of the fixes, beyond the filter states.
 
         It is 0 if the frame is joined: the filter states are in the frame of the fixes and contain the variance of the
-        rotation.
+        rotation. It is also 0 if neither a fix nor a compass shows the rotation yet.
         """
         if self.is_joined:
             return 0.0
@@ -104,8 +104,8 @@ class Frame:
     def name(self) -> str:
         """Name of the frame of the positions.
 
-        It is "fixes" for the frame of the fixes, "north" for the start frame with true north, and "start" for the start
-        frame.
+        It is "fixes" for the frame of the fixes, "north" for the start frame rotated to true north by the compass, and
+        "start" for the start frame, also if a heading fix has rotated it.
         """
         if self.is_known:
             return "fixes"
@@ -133,16 +133,20 @@ class Frame:
 
     @cached_property
     def _provisional(self) -> Alignment | None:
-        """Alignment by a heading that the positions do not confirm yet, or None without such a heading."""
+        """Alignment of a frame that is not joined but has a prior of its rotation, such as a heading fix.
+
+        The result is None before the first position fix, without such a prior, or if the rotation is still too
+        uncertain.
+        """
         if self._density is None or math.isinf(self.rotation_prior_var_rad2) or not self._density.is_narrow:
             return None
         return align(self.agreeing, 0, self.rotation_prior_var_rad2, self.compass)
 
     def world(self, place: Place) -> Place:
-        """Convert a place to the coordinate frame of the fixes, with the current estimate of the rotation.
+        """Convert a place (position and heading) to the frame of the fixes, with the current estimate of the rotation.
 
-        The frame of the place follows from its number of steps: the frame of the start, or the frame that began
-        where the heading was lost.
+        The frame of the place follows from its number of steps: the frame of the start, or the frame that began where
+        the heading was lost. A place of a frame with unknown rotation is returned unchanged.
         """
         for alignment in (self.north, self.alignment, *self.later):
             if alignment is not None and alignment.applies_to(place):
@@ -180,11 +184,18 @@ class Frame:
         return replace(self, rotation=self._density.most_probable(), compass=None)
 
     def with_pair(self, pair: PairedPoint) -> Frame:
-        """Return the frame with one more point pair."""
+        """Return the frame with one more point pair, and the rotation estimated again.
+
+        Beyond `MAX_PAIRS` pairs, the pairs are thinned to about even intervals of time.
+        """
         return replace(self, pairs=thinned((*self.pairs, pair), MAX_PAIRS))._reestimated()
 
     def _reestimated(self) -> Frame:
-        """Return the frame with the rotation estimated from its pairs."""
+        """Return the frame with consistent pairs selected again, and the rotation estimated from them.
+
+        If the positions contradict the prior of the rotation, the prior is not used. A frame without pairs is
+        unchanged.
+        """
         if not self.pairs:
             return self
         # the position at a lost heading is kept; `relocation` handles the case that it is wrong
@@ -209,15 +220,19 @@ class Frame:
         return frame._reestimated()
 
     def with_compass(self, compass: Compass) -> Frame:
-        """Return the frame with the present magnetic north, unless a heading fix has determined the rotation."""
+        """Return the frame with the present magnetic north.
+
+        A frame that is joined, or whose rotation a heading fix has determined, is unchanged.
+        """
         return replace(self, compass=compass) if self.is_open else self
 
     @property
     def is_settled(self) -> bool:
         """True if the frame can be joined.
 
-        The track must be as uncertain as its fixes, and the rotation known well enough. The rotation may be determined
-        by positions, by the compass, and by an earlier heading fix.
+        The track must be as uncertain as its fixes, and the rotation known well enough. Positions and the compass may
+        determine the rotation, with its prior. An earlier heading fix alone is not sufficient: positions must determine
+        the rotation without it, and agree with it.
         """
         rotation = self._density if self._is_track_uncertain else None
         if rotation is not None and self.rotation_prior_var_rad2 <= MAX_ANGLE_STD_RAD**2:
@@ -245,7 +260,10 @@ class Frame:
         return not self.is_joined and self.north_var_rad2 > MAX_ANGLE_STD_RAD**2
 
     def joined(self, alignment: Alignment) -> Frame:
-        """Return the frame after the filter states have been transformed by an alignment."""
+        """Return the frame after the filter states have been transformed by an alignment.
+
+        The alignment is stored to transform the steps before it.
+        """
         frame = Frame(
             is_joined=True,
             north=self.north,
@@ -262,7 +280,9 @@ class Frame:
     def reopened(self, pairs: tuple[PairedPoint, ...], rotation_var_rad2: float, n_steps: int) -> Frame:
         """Return the frame with an unknown rotation from the step at which the heading was lost.
 
-        The first of the pairs is the position at the loss. `rotation_var_rad2` is the prior variance of the rotation.
+        `n_steps` is the number of steps before the loss. The first of the pairs is the position at the loss.
+        `rotation_var_rad2` is the prior variance of the rotation. From `MAX_HEADING_VARIANCE` on, the rotation has no
+        prior.
         """
         var = rotation_var_rad2 if rotation_var_rad2 < MAX_HEADING_VARIANCE else math.inf
         return replace(self, is_joined=False, since=n_steps, pairs=pairs, north_var_rad2=var)._reestimated()
@@ -298,7 +318,10 @@ class Frame:
         return Alignment(angle_rad, var_rad2, np.zeros(2), np.zeros(2), 0.0, 0)
 
     def moved(self, alignment: Alignment) -> Frame:
-        """Return the frame with the track positions of its pairs transformed by an alignment."""
+        """Return the frame with the track positions of its pairs transformed by an alignment.
+
+        The rotation is estimated again.
+        """
         return replace(self, pairs=tuple(pair.moved(alignment.positions) for pair in self.pairs))._reestimated()
 
 

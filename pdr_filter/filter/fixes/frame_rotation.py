@@ -103,7 +103,10 @@ class PairedPoint:
 
 
 def thinned(pairs: tuple[PairedPoint, ...], most: int) -> tuple[PairedPoint, ...]:
-    """Return at most `most` pairs in order of time, evenly spaced, including the first and the last one."""
+    """Return at most `most` of the point pairs in order of time, about evenly spaced, with the first and the last one.
+
+    The pair whose neighbours are closest in time is removed, until `most` pairs are left.
+    """
     while len(pairs) > most:
         times_s = [pair.time_s for pair in pairs]
         densest = min(range(1, len(pairs) - 1), key=lambda k: times_s[k + 1] - times_s[k - 1])
@@ -182,7 +185,7 @@ class RotationDensity:
         return complex(self.prob @ _UNIT_VECTORS)
 
     def with_compass(self, compass: Compass | None) -> RotationDensity:
-        """Return the density combined with that of a compass."""
+        """Return the density combined with that of a compass, or unchanged if the compass is None."""
         if compass is None:
             return self
         density = compass.density(_ANGLES_RAD)
@@ -198,7 +201,7 @@ class RotationDensity:
 
     @property
     def angle_rad(self) -> float:
-        """Angle at which positions are reported, or the mean direction."""
+        """Angle at which positions are reported: that of index `drawn`, or the mean direction if `drawn` is None."""
         return cmath.phase(self.direction) if self.drawn is None else float(_ANGLES_RAD[self.drawn])
 
     @property
@@ -219,7 +222,10 @@ class RotationDensity:
         return replace(self, drawn=self._best)
 
     def alignment(self, n_steps: int) -> Alignment:
-        """Return the alignment by the most probable angle, as if the rotation were known."""
+        """Return the alignment by the most probable angle. Its angle variance is the mean square about this angle.
+
+        `n_steps` is the number of steps to which the alignment applies.
+        """
         drawn = self.most_probable()
         centres_m = self.track_centre_m, self.world_centre_m
         return Alignment(drawn.angle_rad, drawn.angle_var_rad2, *centres_m, self.centre_var_m2, n_steps)
@@ -227,8 +233,8 @@ class RotationDensity:
     def samples(self, rng: Generator, n: int) -> FloatArray:
         """Return n angles (rad) at even intervals of the cumulative probability of the rotation.
 
-        The density is that for normally distributed errors, because the particle filter weights later fixes in the same
-        way.
+        The intervals have a random offset, and each angle a uniform noise of one grid interval. The density is that for
+        normally distributed errors, because the particle filter weights later fixes in the same way.
         """
         share = (np.arange(n) + rng.random()) / n
         at = np.minimum(np.searchsorted(np.cumsum(self.normal_prob), share), len(self.prob) - 1)
@@ -274,10 +280,10 @@ class _Fit(NamedTuple):
 
 
 def _fitted(pairs: Sequence[PairedPoint], north_var_rad2: float) -> _Fit:
-    """Return the fit of point pairs.
+    """Return the fit of the best shift to point pairs, for each angle of the rotation.
 
-    Errors of the fixes are correlated in time (`PairedPoint.correlation_s`). An error of the track at one pair is
-    shared by all later pairs.
+    `north_var_rad2` is the prior variance of the rotation about zero. Errors of the fixes are correlated in time
+    (`PairedPoint.correlation_s`). An error of the track at one pair is shared by all later pairs.
     """
     walked = np.array([p.walked_var_m2 for p in pairs])
     shared = np.minimum(walked[:, None], walked) - walked.min()
@@ -309,7 +315,10 @@ def _fix_cov(pairs: Sequence[PairedPoint]) -> FloatArray:
 
 
 def rotation_density(pairs: Sequence[PairedPoint], north_var_rad2: float = math.inf) -> RotationDensity:
-    """Return the density of the rotation for one or more point pairs."""
+    """Return the density of the rotation from the track to the fixes, for one or more point pairs.
+
+    `north_var_rad2` is the prior variance of the rotation about zero.
+    """
     return _density_of_fit(_fitted(pairs, north_var_rad2))
 
 

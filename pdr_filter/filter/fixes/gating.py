@@ -33,7 +33,11 @@ def joined_updates(updates: Sequence[KalmanUpdate]) -> KalmanUpdate:
 
 
 def gated(arithmetic: ImmArithmetic, state: PedestrianState, update: KalmanUpdate, gate_nis: float) -> Result:
-    """Return the state after an update, or the unchanged state if the NIS exceeds the gate in all filters."""
+    """Return the state after an update, the outcome "used" or "rejected", and the smallest NIS of all filters.
+
+    If the NIS exceeds the gate in all filters, the update is rejected and the state unchanged. A used update also
+    shifts the stored past positions, by the correction of the present position.
+    """
     best_nis = float(update.nis.min())
     if not best_nis <= gate_nis:
         return state, "rejected", best_nis

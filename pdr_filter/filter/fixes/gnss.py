@@ -55,7 +55,7 @@ class LocationState:
     n_without_accuracy : int
         Number of locations without an accuracy.
     n_backward : int
-        Number of locations whose time is not after that of the last fix.
+        Number of locations whose time is not finite or not after that of the last fix.
 
     Examples
     --------
@@ -75,7 +75,10 @@ class LocationState:
 
     @property
     def n_unusable(self) -> int:
-        """Number of locations that are not used."""
+        """Number of locations that cannot be used.
+
+        Usable locations that are skipped because they follow the last fix too closely do not count.
+        """
         return self.n_without_place + self.n_without_accuracy + self.n_backward
 
     def reasons(self) -> str:
@@ -117,10 +120,10 @@ def position_fixes(
 ) -> tuple[LocationState, tuple[PositionFix, ...]]:
     """Return the state after some locations, and the position fixes made from them.
 
-    A location is left out and counted if it is not a place on Earth, if its time is not after that of the last fix, or
-    if it has no accuracy. Phones without an accuracy report 0 (Android), a negative number (iOS) or nothing. Locations
-    closer than `interval_s` to the last fix are left out as well. Locations may arrive in blocks of any size with
-    identical results.
+    A location is left out and counted if it is not a place on Earth, if its time is not finite or not after that of the
+    last fix, or if it has no accuracy. Phones without an accuracy report 0 (Android), a negative number (iOS) or
+    nothing. Locations closer than `interval_s` to the last fix are left out as well. Locations may arrive in blocks of
+    any size with identical results.
 
     Parameters
     ----------
@@ -199,7 +202,10 @@ def good_places(
     accuracy_m: FloatArray,
     last_s: float = -math.inf,
 ) -> FloatArray:
-    """Return time, east and north (P, 3) of locations (N,) after `last_s`, NaN if a location is not accurate."""
+    """Return time, east and north (P, 3) of the locations (N,) that are later than `last_s` and all earlier ones.
+
+    East and north are NaN if the coordinates are not a place on Earth, or if the accuracy is unknown or above 10 m.
+    """
     found = list[tuple[float, float, float]]()
     # one location at a time: the bits of a vectorised sine depend on the length of the array
     for t, *place, accuracy in np.column_stack([time_s, latitude_deg, longitude_deg, accuracy_m]).tolist():
@@ -212,9 +218,9 @@ def good_places(
 
 
 def place_at(places: FloatArray, time_s: float) -> tuple[float, float] | None:
-    """Return east and north at a time from `good_places` (P, 3).
+    """Return east and north at a time from `good_places` (P, 3), those of the last location until then.
 
-    The result is None if the last location is too old or not accurate.
+    The result is None if there is no such location, or if it is more than 2 s old or not accurate.
     """
     k = int(np.searchsorted(places[:, 0], time_s, side="right")) - 1
     if k < 0:
@@ -260,7 +266,11 @@ def independent(fixes: Sequence[PositionFix]) -> tuple[PositionFix, ...]:
 
 
 def origin_of(location: Samples) -> Origin | None:
-    """Return the first usable location of a recording as the origin of its fixes, or None if none is usable."""
+    """Return the first usable location of a recording as the origin of its fixes, or None if none is usable.
+
+    `location` is the stream of a `Recording`. A location is usable if its time is finite, and if place and accuracy are
+    known.
+    """
     latitude_deg, longitude_deg, _, accuracy_m = location.values.T
     rows = zip(
         location.time_s.tolist(), latitude_deg.tolist(), longitude_deg.tolist(), accuracy_m.tolist(), strict=True
@@ -272,17 +282,21 @@ def origin_of(location: Samples) -> Origin | None:
 
 
 def fixes_of(location: Samples, origin: Origin | None = None) -> tuple[Origin | None, tuple[PositionFix, ...]]:
-    """Return the origin and the position fixes of the locations of a recording, or None and no fixes if none is usable.
+    """Return the origin and the position fixes of the locations of a recording.
 
-    The origin is the first usable location unless another one is given. `location` is the stream of a `Recording`:
-    latitude, longitude, altitude and accuracy.
+    The origin is the first usable location unless another one is given. Without a usable location there are no fixes,
+    and the origin is the given one or None. `location` is the stream of a `Recording`: latitude, longitude, altitude
+    and accuracy.
     """
     state, fixes = locations_of(location, origin)
     return state.origin, fixes
 
 
 def locations_of(location: Samples, origin: Origin | None = None) -> tuple[LocationState, tuple[PositionFix, ...]]:
-    """Return the state after all locations of a recording, and their position fixes."""
+    """Return the state after all locations of a recording, and their position fixes.
+
+    `location` is the stream of a `Recording`. The origin is the first usable location unless another one is given.
+    """
     latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values.T
     return position_fixes(
         LocationState(origin), location.time_s, latitude_deg, longitude_deg, accuracy_m, altitude_m=altitude_m
@@ -291,7 +305,7 @@ def locations_of(location: Samples, origin: Origin | None = None) -> tuple[Locat
 
 @dataclass(frozen=True, slots=True)
 class Ride:
-    """Interval in which position fixes move faster than a walk and the pedestrian makes no steps.
+    """Interval in which position fixes move faster than a walk and the pedestrian makes hardly any steps.
 
     Attributes
     ----------
@@ -332,14 +346,19 @@ class Rides:
 
     @classmethod
     def of(cls, fixes: Iterable[PositionFix], step_time_s: FloatArray) -> Rides:
-        """Return the rides between fixes in order of time."""
+        """Return the vehicle rides between fixes, given in order of time. Steps are given by their times (K,), s."""
         rides = cls()
         for fix in fixes:
             rides = rides.plus(fix, step_time_s)
         return rides
 
     def plus(self, fix: PositionFix, step_time_s: FloatArray) -> Rides:
-        """Return the rides with one more fix. Steps are given by their times (K,)."""
+        """Return the vehicle rides with one more fix. Steps are given by their times (K,), s.
+
+        A fast interval with hardly any steps begins a ride, or extends the ride that ends at the last fix. It must be
+        longer than three standard deviations. A fix that is not after the last one is ignored. Only the last
+        `_MAX_RIDES` rides are kept.
+        """
         previous = self.last
         if previous is None or fix.time_s <= previous.time_s:
             return self if previous is not None else Rides((), fix)
@@ -357,12 +376,12 @@ class Rides:
 
 
 def _is_place(latitude_deg: float, longitude_deg: float) -> bool:
-    """Return True for a place on Earth. Apps write (0, 0) for a missing location."""
+    """Return True for a place on Earth other than (0, 0), which apps write for a missing location."""
     return abs(latitude_deg) <= 90 and abs(longitude_deg) <= 180 and (latitude_deg, longitude_deg) != (0.0, 0.0)
 
 
 def _is_accuracy(accuracy_m: float) -> bool:
-    """Return True for a known accuracy.
+    """Return True for a known accuracy below `MAX_ACCURACY_M`.
 
     Phones report 0 (Android), a negative number (iOS) or NaN for an unknown one.
     """

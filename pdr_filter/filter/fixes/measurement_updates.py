@@ -33,7 +33,10 @@ _MIN_REGULAR_PROB = 0.5
 
 
 def high_quantile(n_dimensions: int) -> float:
-    """Return the upper 0.1 % quantile of chi-square, by the approximation of Wilson and Hilferty."""
+    """Return the upper 0.1 % quantile of chi-square with `n_dimensions` degrees of freedom.
+
+    It is the approximation of Wilson and Hilferty.
+    """
     share = 2.0 / (9.0 * n_dimensions)
     return n_dimensions * (1.0 - share + _NORMAL_QUANTILE * math.sqrt(share)) ** 3
 
@@ -56,9 +59,11 @@ def on_measurement(
 ) -> Result:
     """Return the state after a measurement, the outcome, and the normalised innovation squared.
 
-    `earlier` (3,) is east, north and device heading of the track at the time of the measurement. `regular_prob` is for
-    scalar measurements: it returns the probability that the measurement is not an outlier, given its residual and the
-    variance of the residual.
+    `earlier` (3,) is east, north and device heading of the track at the time of the measurement. `offset_rad` (F,) is
+    the own heading offset of each filter. `regular_prob` is for scalar measurements: it returns the probability that
+    the measurement is not an outlier, given its residual and the variance of the residual. If it is below one half for
+    all filters, the measurement is rejected. There is "nothing to compare" in a frame that is not joined, or for a
+    measurement of the heading before the first step.
 
     Each filter is updated by an iterated extended Kalman filter (B. M. Bell and F. W. Cathey, "The iterated Kalman
     filter update as a Gauss-Newton method", IEEE Trans. Automatic Control 38, 1993).
@@ -145,7 +150,10 @@ def _filter_update(
     observation: _Observation,
     regular_prob: Callable[[float, float], float] | None,
 ) -> _FilterUpdate:
-    """Return the update of one filter, from its prior mean (1, 4) and covariance (1, 4, 4)."""
+    """Return the update of one filter, from its prior mean (1, 4) and covariance (1, 4, 4).
+
+    With `regular_prob`, the result is a mixture of the update and the prior, for a measurement that may be an outlier.
+    """
     update, linear = _iterated(arithmetic, prior, observation)
     if regular_prob is None:
         return _FilterUpdate(update, 1.0, len(linear.z))

@@ -74,11 +74,11 @@ class PriorPose:
     track_m : (2,) array
         Point of the track.
     place_m : (2,) array
-        Prior mean of its position.
+        Prior mean of the position of this point in the frame of the anchors.
     information : (3, 3) array
         Information matrix of the position and the rotation.
     angle_rad : float
-        Prior mean of the rotation.
+        Prior mean of the rotation from the track to the frame of the anchors.
     """
 
     track_m: FloatArray
@@ -104,7 +104,7 @@ class PlacedTrack:
     log_density : float
         Log density of the ranges and the prior at this pose.
     fits : tuple of bool
-        True for ranges that are more probably direct than reflected.
+        True for ranges that fit the pose and are more probably direct than reflected, in the order of the ranges.
     """
 
     track_centre_m: FloatArray
@@ -121,7 +121,10 @@ class PlacedTrack:
         return float(self.cov[2, 2]) <= MAX_ANGLE_STD_RAD**2
 
     def alignment(self, n_steps: int, since: int) -> Alignment:
-        """Return the solution as an alignment about the point whose position is independent of the rotation."""
+        """Return the solution as an alignment about the point whose position is independent of the rotation.
+
+        `n_steps` and `since` are the attributes of the `Alignment` with these names.
+        """
         # p(q) = c + R q: its error is that of c plus (q_n, -q_e) times that of the angle, least at this lever
         of_angle = self.cov[:2, 2] / self.cov[2, 2]
         lever = np.array([of_angle[1], -of_angle[0]])
@@ -141,7 +144,11 @@ class PlacedTrack:
 
 
 def recent(pairs: Sequence[PairedRange], pair: PairedRange) -> tuple[PairedRange, ...]:
-    """Return the last ranges with one more, in order of time, thinned to even intervals if there are too many."""
+    """Return the last ranges and one more, in order of time.
+
+    Ranges older than `MAX_AGE_S` are left out. If there are more than `MAX_RANGES`, one range is removed. It is the one
+    with the shortest time between its neighbours to the same anchor.
+    """
     newest_s = max(p.fix.time_s for p in (*pairs, pair))
     kept = sorted((p for p in (*pairs, pair) if newest_s - p.fix.time_s <= MAX_AGE_S), key=lambda p: p.fix.time_s)
     if len(kept) > MAX_RANGES:
@@ -163,7 +170,7 @@ def solutions(pairs: Sequence[PairedRange], prior: PriorPose | None = None) -> l
     """Return the possible shifts and rotations of the track that fit the ranges, the most probable first.
 
     Solutions with a probability below a thousandth of that of the best one are left out. The list is empty if there are
-    too few ranges, or if they leave a continuum of solutions.
+    too few ranges (below four without a prior), or if they leave a continuum of solutions.
     """
     fixes = [pair.fix for pair in pairs]
     if len(fixes) < (_MIN_RANGES if prior is None else 1):
@@ -200,7 +207,10 @@ def solutions(pairs: Sequence[PairedRange], prior: PriorPose | None = None) -> l
 
 
 def _distinct(pose: FloatArray) -> FloatArray:
-    """Return the first of each group of equal poses (P, 3), at most `_N_KEPT` of them."""
+    """Return the first of each group of equal poses (P, 3), at most `_N_KEPT` of them.
+
+    A pose is a position and a rotation of the track. Poses that differ by at most `_SAME_M` and `_SAME_RAD` are equal.
+    """
     kept = list[FloatArray]()
     left = pose
     while len(left) and len(kept) < _N_KEPT:
@@ -219,7 +229,7 @@ def log_density_unmoved(pairs: Sequence[PairedRange]) -> float:
 
 
 def _is_same(a: FloatArray, b: FloatArray) -> bool:
-    """Return True if two poses are the same solution."""
+    """Return True if two poses, each a position and a rotation, are the same solution within small tolerances."""
     return bool(np.hypot(*(a[:2] - b[:2])) < _SAME_M and abs(float(wrap_angle(a[2] - b[2]))) < _SAME_RAD)
 
 
@@ -239,7 +249,11 @@ class _Problem:
         return own + (_WAY_SHARE**2) * (self.lever_m**2).sum(axis=1)
 
     def starts(self) -> FloatArray:
-        """Return the poses (P, 3) from which the least squares start."""
+        """Return the poses (P, 3) from which the least squares start.
+
+        A pose is the position and rotation of the track. The positions are on circles about up to three anchors, and at
+        the prior. The rotations are all around, or that of the prior if it is well known.
+        """
         angles = np.linspace(-math.pi, math.pi, _N_ANGLES, endpoint=False)
         if self.prior is not None and self.prior.information[2, 2] > 1.0 / MAX_ANGLE_STD_RAD**2:
             angles = np.array([self.prior.angle_rad])
@@ -257,7 +271,10 @@ class _Problem:
         return np.column_stack([place, angle])
 
     def _parts(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the residuals (P, N) and their derivatives (P, N, 3)."""
+        """Return the residuals (P, N) of the ranges at poses (P, 3), and their derivatives (P, N, 3) by the pose.
+
+        A pose is the position and rotation of the track.
+        """
         c, s = np.cos(pose[:, 2, None]), np.sin(pose[:, 2, None])
         east, north = self.lever_m.T
         turned = np.stack([c * east + s * north, c * north - s * east], axis=-1)
@@ -272,16 +289,19 @@ class _Problem:
         return columns[:, :2], columns[:, 2], columns[:, 3]
 
     def _log_densities(self, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the log densities (P, N) of the residuals for direct and for reflected paths."""
+        """Return the log densities (P, N) of the residuals of N ranges for direct and for reflected paths."""
         return range_log_densities(residual, self._var_m2, np.array([fix.std_m for fix in self.fixes]))
 
     def _direct(self, residual: FloatArray) -> FloatArray:
-        """Return the probability (P, N) that each path is direct."""
+        """Return the probability (P, N) that the path of each range is direct, given the residuals."""
         direct, reflected = self._log_densities(residual)
         return np.exp(direct - np.logaddexp(direct, reflected))
 
     def _from_prior(self, prior: PriorPose, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the differences (P, 3) from the prior, and their derivatives (P, 3, 3)."""
+        """Return the differences (P, 3) of poses from the prior, and their derivatives (P, 3, 3) by the pose.
+
+        A pose is the position and rotation of the track.
+        """
         lever = prior.track_m - self.centre_m
         c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
         turned = np.column_stack([c * lever[0] + s * lever[1], c * lever[1] - s * lever[0]])
@@ -291,7 +311,11 @@ class _Problem:
         return difference, by
 
     def _normal(self, pose: FloatArray, is_robust: bool) -> tuple[FloatArray, FloatArray]:
-        """Return the normal matrices (P, 3, 3) and gradients (P, 3)."""
+        """Return the normal matrices (P, 3, 3) and gradients (P, 3) of the least squares at poses (P, 3).
+
+        A pose is the position and rotation of the track. The prior is included. If `is_robust` is True, each range has
+        the weight of its probability to be direct.
+        """
         residual, J = self._parts(pose)
         weight = (self._direct(residual) if is_robust else np.ones_like(residual)) / self._var_m2
         normal = np.einsum("pn,pna,pnb->pab", weight, J, J)
@@ -303,17 +327,26 @@ class _Problem:
         return normal, gradient
 
     def improved(self, pose: FloatArray, is_robust: bool, damping: float) -> FloatArray:
-        """Return the poses after one damped Gauss-Newton iteration (Levenberg-Marquardt)."""
+        """Return the poses (position and rotation) after one damped Gauss-Newton iteration (Levenberg-Marquardt).
+
+        If `is_robust` is True, each range has the weight of its probability to be direct.
+        """
         normal, gradient = self._normal(pose, is_robust)
         damped = normal + damping * np.einsum("paa->pa", normal)[:, :, None] * np.eye(3) + 1e-9 * np.eye(3)
         return pose - np.linalg.solve(damped, gradient[..., None])[..., 0]
 
     def information(self, pose: FloatArray) -> FloatArray:
-        """Return the information matrix (3, 3) of one pose (3,)."""
+        """Return the information matrix (3, 3) of one pose (position and rotation of the track).
+
+        The ranges that are probably direct and the prior contribute.
+        """
         return self._normal(pose[None], is_robust=True)[0][0]
 
     def log_density(self, pose: FloatArray) -> FloatArray:
-        """Return the log density (P,) of poses. Each range is either direct, or reflected and longer."""
+        """Return the log density (P,) of the ranges and the prior at poses (P, 3), which are positions and rotations.
+
+        Each range is either direct, or reflected and longer.
+        """
         total = np.logaddexp(*self._log_densities(self._parts(pose)[0])).sum(axis=1)
         if self.prior is None:
             return total
@@ -321,7 +354,10 @@ class _Problem:
         return total - 0.5 * np.einsum("pa,ab,pb->p", difference, self.prior.information, difference)
 
     def fits(self, pose: FloatArray) -> tuple[bool, ...]:
-        """Return, for each range, True if it fits one pose (3,)."""
+        """Return, for each range, True if it fits one pose (3,), which is a position and a rotation.
+
+        Its residual is then below 3.7 standard deviations, and its path is more probably direct than reflected.
+        """
         residual, _ = self._parts(pose[None])
         near = residual[0] ** 2 <= 13.8 * self._var_m2
         return tuple((near & (self._direct(residual)[0] >= 0.5)).tolist())

@@ -64,8 +64,8 @@ def on_range(
 
     `earlier` (3,) is east, north and device heading of the track at the time of the range. If the frame of the anchors
     is unknown, or if the track is too uncertain for a linear update, the range waits for further ones ("waiting").
-    Together they determine the position of the track ("placed"). Ranges that contradict the track for long relocate it
-    ("moved"). If two positions fit, both are followed, and the state has a `rival`.
+    Together they determine the position of the track ("placed"). The innovation is then NaN. Ranges that contradict the
+    track for long relocate it ("moved"). If two positions fit, both are followed, and the state has a `rival`.
     """
     is_joined = state.frame.is_joined
     if is_joined and not _is_wide(state, fix, earlier):
@@ -103,31 +103,35 @@ def on_range(
 
 
 def _reflected_prob(pairs: tuple[PairedRange, ...]) -> float:
-    """Return the expected share of reflected ranges, from the last ranges.
+    """Return the expected share of reflected ranges, from the last ranges, at most `_MAX_REFLECTED`.
 
-    It differs between an open hall and rooms behind walls.
+    Ranges that the filter has not used count as reflected. The share differs between an open hall and rooms behind
+    walls.
     """
     n_reflected = sum(not pair.is_used for pair in pairs)
     return min((_PRIOR_REFLECTED + n_reflected) / (_PRIOR_RANGES + len(pairs)), _MAX_REFLECTED)
 
 
 def _searched_just_now(state: PedestrianState, fix: RangeFix) -> bool:
-    """Return True if a search was made shortly before a range. Ranges of the same time are all searched."""
+    """Return True if a search was made less than `_SEARCH_INTERVAL_S` before a range.
+
+    Ranges of the same time are all searched.
+    """
     return 0.0 < fix.time_s - state.fixes.searched_s < _SEARCH_INTERVAL_S
 
 
 def _with_search(state: PedestrianState, fix: RangeFix) -> PedestrianState:
-    """Return the state with the time of a search."""
+    """Return the state with the time of a range as the time of the last search."""
     return replace(state, fixes=replace(state.fixes, searched_s=fix.time_s))
 
 
 def _with_ranges(state: PedestrianState, pairs: tuple[PairedRange, ...]) -> PedestrianState:
-    """Return the state with other stored ranges."""
+    """Return the state with its stored ranges replaced by other ones."""
     return replace(state, fixes=replace(state.fixes, ranges=pairs))
 
 
 def _is_contradicted(pairs: tuple[PairedRange, ...]) -> bool:
-    """Return True if most of the last ranges were rejected."""
+    """Return True if at least `_MIN_CONTRADICTING` of the last ranges, and most of them, were rejected."""
     n_rejected = sum(not pair.is_used for pair in pairs)
     return n_rejected >= _MIN_CONTRADICTING and n_rejected > _CONTRADICTING_SHARE * len(pairs)
 
@@ -151,7 +155,11 @@ def _is_wide(state: PedestrianState, fix: RangeFix, earlier: FloatArray) -> bool
 
 
 def _prior(state: PedestrianState) -> PriorPose | None:
-    """Return the prior of position and rotation without the ranges, or None if there is none."""
+    """Return the prior of position and rotation for a search, or None if nothing is known about them.
+
+    In a joined frame it is the present estimate, which contains the used ranges. Otherwise the rotation comes from the
+    compass or a heading fix, and the position from the last position fix.
+    """
     frame, (x, P) = state.frame, state.estimates.combined
     if frame.is_joined:
         cov = P[: HEADING_OFFSET + 1, : HEADING_OFFSET + 1] + _MIN_VAR * np.eye(3)
@@ -173,8 +181,8 @@ def _prior(state: PedestrianState) -> PriorPose | None:
 def _placed(state: PedestrianState, solution: PlacedTrack) -> PedestrianState:
     """Return the state at the pose of a solution, which is a position and rotation that fit the last ranges.
 
-    The solution replaces the estimates of position and heading, because it contains all information about them. Earlier
-    steps are not changed.
+    The solution replaces the estimates of position and heading, because it contains all information about them. In a
+    joined frame, earlier steps are not changed. The stored ranges and used fixes are deleted.
     """
     n_steps, is_joined = state.steps.n_final, state.frame.is_joined
     alignment = solution.alignment(n_steps, n_steps if is_joined else state.frame.since)

@@ -100,7 +100,8 @@ class RelocationEvidence:
         `last` must be the last rejected fix. The heading of the track is a measurement that the rotation is zero, with
         the variance `heading_var_rad2`. If the fixes contradict this measurement, the rotation is estimated from the
         fixes alone. The estimation requires `can_turn`, which is True if the present rotation of the track was itself
-        estimated from fixes. Otherwise the result is None. `n_steps` is the number of steps so far.
+        estimated from fixes. Otherwise the result is None. The last fix is used with half of its information, because
+        an update with the other half follows. `n_steps` is the number of steps so far.
         """
         pairs = self.pairs
         if not self._persists(last):

@@ -39,11 +39,12 @@ class SeenPlace:
 
 
 def seen_after(previous: SeenPlace | None, fix: PositionFix, track_m: FloatArray, walked_m: float) -> SeenPlace:
-    """Return the last new position after a fix.
+    """Return the last position that was not a repetition, after one more fix.
 
     `track_m` (2,) and `walked_m` are the track position and the walked distance at the time of the fix. An exact
-    repetition is frozen if dead reckoning has moved away by more than the standard deviation of the fix, unless the
-    person walked in a circle. It stays frozen until a fix has another position.
+    repetition is frozen if dead reckoning has moved by more than 2 m, the standard deviation of the fix, and 30 % of
+    the distance walked since. The last condition allows a person to return. A position stays frozen until a fix has
+    another one.
     """
     if previous is None or not np.array_equal(fix.position_m, previous.position_m):
         return SeenPlace(fix.position_m, read_only(track_m), walked_m)
@@ -57,8 +58,8 @@ def frozen_fixes(
 ) -> list[bool]:
     """Return, for each fix, True if it repeats a position while steps continue.
 
-    The fixes may be in any order. `time_s` (K,), `position_m` (K, 2) and `walked_m` (K,) are the steps of dead
-    reckoning.
+    The fixes may be in any order. `time_s` (K,), `position_m` (K, 2) and `walked_m` (K,) are time, position and walked
+    distance of the steps of dead reckoning. Without steps all results are False.
     """
     fixes = list(fixes)
     result, seen = [False] * len(fixes), None

@@ -99,13 +99,20 @@ class Climbing:
     place: Place | None = None
 
     def is_hill(self, place: Place | None, climbed_m: float) -> bool:
-        """Return True if the horizontal displacement is too large for stairs, so that a slope was walked."""
+        """Return True if the horizontal displacement is too large for stairs, so that a slope was walked.
+
+        `place` is the present position. The result is False in a lift, or if one of the two positions is unknown.
+        """
         if place is None or self.place is None or self.how(climbed_m) == "lift":
             return False
         return math.dist(place, self.place) > _MIN_HILL_RATIO * max(abs(climbed_m - self.from_m), 1.0)
 
     def how(self, climbed_m: float) -> HowClimbed:
-        """Return the kind of climb, from the number of steps per metre and the climb rate."""
+        """Return the kind of climb: "stairs", "escalator", "lift" or "unknown".
+
+        It follows from the number of steps per metre and the climb rate. It is "unknown" before any time on stairs or
+        in a ride.
+        """
         height_m = abs(climbed_m - self.from_m)
         if max(self.stairs_s, self.ride_s) == 0.0:
             return "unknown"
@@ -150,7 +157,10 @@ class FloorState:
 
 
 def storey_m(levels: tuple[Level, ...]) -> float:
-    """Return the estimated storey height: the mean of the usual height and those of this building."""
+    """Return the estimated storey height, m: the mean of the usual height and those of this building.
+
+    Each storey between known levels counts once.
+    """
     heights_m = [USUAL_STOREY_M]
     for lower, upper in pairwise(levels):
         n = upper.floor - lower.floor
@@ -181,10 +191,11 @@ def after_motion(
     n_steps: int,
     place: Place | None,
 ) -> tuple[FloorState, float]:
-    """Return the state after an interval, and the part of the climbed height that was a slope.
+    """Return the state of the storeys after an interval, and the part of the climbed height that was a slope, m.
 
-    The person has made `n_steps` steps and reached `climbed_m`. `p_stairs` and `p_ride` are the probabilities of stairs
-    and of a lift or escalator. `place` is an accurate location, or None. Only accurate locations can identify a slope.
+    The person has made `n_steps` steps and reached `climbed_m` at `now_s`, after `elapsed_s`. `p_stairs` and `p_ride`
+    are the probabilities of stairs and of a lift or escalator. `place` is an accurate location, or None. Only accurate
+    locations can identify a slope. The state holds the passage that the interval completes.
     """
     at, climbs = storey_number(state.levels, climbed_m), p_stairs + p_ride > 0.5
     floor = round(at) if climbs or abs(at - state.floor) > 0.5 + _HYSTERESIS else state.floor
@@ -223,18 +234,22 @@ def after_motion(
 
 
 def finished(state: FloorState, now_s: float, climbed_m: float) -> FloorState:
-    """Return the state at the end. A person on another storey than at the last stay has arrived there."""
+    """Return the state of the storeys at the end of a walk.
+
+    A person on another storey than at the last stay has arrived there. The state then holds the passage to this storey,
+    otherwise none.
+    """
     is_same = state.floor == state.climbing.from_floor
     return replace_unchecked(state, passages=()) if is_same else _arrived(state, now_s, climbed_m, None)
 
 
 def _new_climbing(now_s: float, floor: int, climbed_m: float, place: Place | None) -> Climbing:
-    """Return a motion that starts on a storey."""
+    """Return a motion that starts at a time on a storey with the climbed height `climbed_m`."""
     return Climbing(now_s, floor, climbed_m, place=place)
 
 
 def _arrived(state: FloorState, now_s: float, climbed_m: float, place: Place | None) -> FloorState:
-    """Return the state after the arrival on another storey, with the passage that led there."""
+    """Return the state of the storeys after the arrival on another one, with the passage that led there."""
     climbing, level_s = state.climbing, now_s if np.isnan(state.level_since_s) else state.level_since_s
     end_s = max(level_s, state.floor_since_s)
     passage = FloorPassage(climbing.start_s, end_s, climbing.from_floor, state.floor, climbing.how(climbed_m))
@@ -252,7 +267,11 @@ def known_level(state: FloorState, now_s: float) -> Level | None:
 
 
 def with_new_level(state: FloorState, now_s: float, climbed_m: float, std_m: float) -> FloorState:
-    """Return the state with the level of the present storey added, if the person has stayed there for long enough."""
+    """Return the state with the level of the present storey added, if the person has stayed there for long enough.
+
+    A level closer than `MIN_STOREY_M` to a known one is not added. `std_m` is the standard deviation of the climbed
+    height `climbed_m`.
+    """
     if state.is_used or not _stays(state, now_s, NEW_STAY_S):
         return state
     if any(abs(climbed_m - level.climbed_m) < MIN_STOREY_M for level in state.levels):
@@ -261,18 +280,21 @@ def with_new_level(state: FloorState, now_s: float, climbed_m: float, std_m: flo
 
 
 def with_level(state: FloorState, level: Level) -> FloorState:
-    """Return the state with a known level of one storey."""
+    """Return the state with a known level of one storey, which replaces an earlier one.
+
+    The present stay is marked as used.
+    """
     others = [other for other in state.levels if other.floor != level.floor]
     return replace_unchecked(state, levels=tuple(sorted([*others, level], key=lambda e: e.floor)), is_used=True)
 
 
 def renumbered(state: FloorState, up: int) -> FloorState:
-    """Return the state with all storey numbers increased by `up`."""
+    """Return the state with the numbers of all storeys increased by `up`."""
     levels = tuple(replace_unchecked(level, floor=level.floor + up) for level in state.levels)
     climbing = replace_unchecked(state.climbing, from_floor=state.climbing.from_floor + up)
     return replace_unchecked(state, floor=state.floor + up, levels=levels, climbing=climbing)
 
 
 def _stays(state: FloorState, now_s: float, stay_s: float) -> bool:
-    """Return True if the person has been on level ground for `stay_s` and has walked a little."""
+    """Return True if the person has been on level ground for `stay_s` and has made `STAY_STEPS` steps there."""
     return now_s - state.level_since_s >= stay_s and state.n_level_steps >= STAY_STEPS

@@ -79,7 +79,7 @@ class Altitude:
     altitude_m : float
         Altitude of the start, or NaN.
     var_m2 : float
-        Its variance, infinite before the first fix.
+        Variance of the altitude, infinite before the first fix with an altitude.
     last_s : float
         Time of the last fix.
     """
@@ -95,10 +95,11 @@ class Altitude:
         return dataclasses.replace(origin, height_m=self.altitude_m, height_std_m=math.sqrt(self.var_m2))
 
     def with_fix(self, fix: PositionFix, height_m: float, height_var_m2: float) -> Altitude:
-        """Return the altitude after a fix with an altitude, given the height above the start at its time.
+        """Return the altitude of the start after a fix with an altitude.
 
-        The variance of an unexpected altitude is increased as for Student's t errors
-        (`frame_rotation.variance_factor`).
+        `height_m` is the height above the start, with the variance `height_var_m2`. The variance of an unexpected
+        altitude is increased as for Student's t errors (`frame_rotation.variance_factor`). Raises ValueError for a fix
+        without an altitude.
         """
         if fix.altitude_m is None or fix.altitude_std_m is None:
             raise ValueError(f"fix has no altitude, got {fix}: give altitude_m and altitude_std_m")
@@ -156,7 +157,7 @@ class HeightEstimate:
 
     @property
     def height_std_m(self) -> float:
-        """Standard deviation of the height."""
+        """Standard deviation of the height, m."""
         return _std(self.height_var_m2)
 
 
@@ -217,7 +218,7 @@ class HeightState:
 
 
 def initial_height() -> HeightState:
-    """Return the state at the start, where the height is zero."""
+    """Return the state of the height filter at the start, where the height is zero."""
     return HeightState(HeightEstimate(vertical.initial()))
 
 
@@ -225,8 +226,8 @@ def window_log_evidence(windows: Sequence[WindowContext], model: PedestrianModel
     """Return the log evidence (W, 7) of W context windows for the seven vertical modes.
 
     The modes are level ground, slope, stairs up, stairs down, lift, sudden change of the air, and drift of the air. The
-    evidence comes from the context probabilities only. The climb rate of a window is not used, because the barometer is
-    a separate measurement.
+    evidence comes from the context probabilities only, and is 0 for a window without them. The climb rate of a window
+    is not used, because the barometer is a separate measurement.
     """
     if not windows:
         return np.zeros((0, N_MODES))
@@ -258,7 +259,11 @@ def window_log_evidence(windows: Sequence[WindowContext], model: PedestrianModel
 
 
 def on_window(state: HeightState, window: WindowContext, log_evidence: FloatArray | None) -> HeightState:
-    """Return the state after a window. With a barometer, `log_evidence` (7,) is its `window_log_evidence`."""
+    """Return the state of the height filter after a context window.
+
+    With a barometer, `log_evidence` (7,) is the `window_log_evidence` of the window. It is used with the next second of
+    the barometer. Without a barometer it is None.
+    """
     if log_evidence is not None and state.recent:
         log_evidence = state.log_evidence + log_evidence
         return replace_unchecked(state, stairs_unknown_share=window.stairs_unknown_share, log_evidence=log_evidence)
@@ -268,9 +273,9 @@ def on_window(state: HeightState, window: WindowContext, log_evidence: FloatArra
 def on_pressure(
     state: HeightState, climb: Climb, model: PedestrianModel, place: Place | None = None
 ) -> tuple[HeightState, tuple[FloorPassage, ...]]:
-    """Return the state after a second of the barometer, and the floor passages that are certain now.
+    """Return the state of the height filter after a second of the barometer, and the now certain floor passages.
 
-    `place` is an accurate location in that second, or None.
+    A passage is certain when no late step can change it. `place` is an accurate location in that second, or None.
     """
     second = PressureSecond(state.known, climb, state.log_evidence, state.n_steps, place)
     height = _after_pressure(second, model)
@@ -290,11 +295,11 @@ def on_step(
     model: PedestrianModel,
     place: Place | None = None,
 ) -> tuple[HeightState, HeightEstimate, tuple[FloorPassage, ...]]:
-    """Return the state after a step, the estimate at the step, and completed floor passages.
+    """Return the state of the height filter after a step, the estimate at the step, and completed floor passages.
 
     The step was made at `step_s` and detected at `now_s`. With a barometer it counts in the second in which it was
-    made. Without one it climbs a riser with the probability of stairs. `place` is an accurate location at the step, or
-    None.
+    made, and `on_pressure` returns the passages. Without one it climbs a riser with the probability of stairs. `place`
+    is an accurate location at the step, or None.
     """
     elapsed_s = min(max(step_s - state.step_s, 0.0), 2.0) if math.isfinite(state.step_s) else 0.5
     if state.recent and now_s - state.known.pressure_s < PRESSURE_AGE_S and state.known.calm_in_s == 0:
@@ -317,7 +322,10 @@ def on_step(
 
 
 def with_fix(state: HeightState, fix: PositionFix | GridFix) -> HeightState:
-    """Return the state with the storey and the altitude of a fix, if it has them."""
+    """Return the state of the height filter after a fix with a storey, an altitude, or both.
+
+    The storeys are renumbered, and the altitude updates that of the start. Without either the state is unchanged.
+    """
     if fix.floor is not None:
         state = with_floor(state, fix.floor)
     if isinstance(fix, GridFix) or fix.altitude_m is None:
@@ -338,7 +346,10 @@ def with_floor(state: HeightState, floor: int) -> HeightState:
 
 
 def finish(state: HeightState) -> tuple[HeightState, tuple[FloorPassage, ...]]:
-    """Return the state after the last event, and the last floor passages."""
+    """Return the state of the height filter after the last event, and the remaining floor passages.
+
+    These are the passages that were not returned before.
+    """
     passages = [p for later_second in state.recent[1:] for p in later_second.before.floors.passages]
     if state.recent:
         passages += state.known.floors.passages
@@ -351,7 +362,7 @@ def finish(state: HeightState) -> tuple[HeightState, tuple[FloorPassage, ...]]:
 
 
 def notes(state: HeightState) -> list[Note]:
-    """Return a warning if the pressure has changed a lot without a climb."""
+    """Return a warning if the pressure has changed a lot without a climb, else an empty list."""
     if state.known.most_air_m < _NOTABLE_AIR_M:
         return []
     hpa = state.known.most_air_m / _M_PER_HPA
@@ -360,7 +371,10 @@ def notes(state: HeightState) -> list[Note]:
 
 
 def _after_pressure(second: PressureSecond, model: PedestrianModel) -> HeightEstimate:
-    """Return the estimate after one second of the barometer."""
+    """Return the estimate after one second of the barometer.
+
+    In a vehicle, only the time of calm pressure is counted, and heights stay.
+    """
     previous, climb, n_steps = second.before, second.climb, second.n_steps
     if previous.calm_in_s > 0:
         calm_in_s = CALM_S if abs(climb.climb_rate_mps) > CALM_MPS else previous.calm_in_s - 1.0
@@ -418,7 +432,10 @@ def _after_unmeasured_step(
     unmeasured_var: float,
     place: Place | None,
 ) -> HeightEstimate:
-    """Return the estimate after a step without a barometer."""
+    """Return the estimate after a step without a barometer, which climbs a riser with the probability of stairs.
+
+    `unmeasured_var` is the additional variance of the height in m2, for slopes and stairs that cannot be recognised.
+    """
     rise_m, on_stairs = RISER_M * (up_prob - down_prob), up_prob + down_prob
     stairs_var = on_stairs * (RISER_M**2 + _RISER_STD_M**2) - rise_m**2
     climbed_var = _FLIGHT_STEPS * max(stairs_var, 0.0)
@@ -441,7 +458,7 @@ def _after_unmeasured_step(
 def _in_vehicle(previous: HeightEstimate, now_s: float, moments: FloatArray, before_m: float) -> HeightEstimate:
     """Return the estimate after a ride that was too long for a lift or an escalator.
 
-    The height is reset to that before the ride, and the state of the air is unknown.
+    Height and storey are reset to those before the ride, and the state of the air is unknown.
     """
     moments = vertical.with_air_unknown(moments, before_m)
     estimate, floor = vertical.combined(moments), previous.floors.climbing.from_floor

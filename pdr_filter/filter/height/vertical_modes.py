@@ -76,7 +76,7 @@ _NO_STEP_ON_STAIRS = math.log(0.2)
 
 
 def _transitions() -> FloatArray:
-    """Return the transition matrix (7, 7) of the modes."""
+    """Return the transition matrix (7, 7) of the modes per second, from row to column."""
     rows = np.zeros((N_MODES, N_MODES))
     for mode, stay_s in _STAYS_S.items():
         rows[mode, mode] = 1.0 - 1.0 / stay_s
@@ -154,7 +154,10 @@ def combined(moments: FloatArray) -> Estimate:
 
 
 def with_air_unknown(moments: FloatArray, climbed_m: float) -> FloatArray:
-    """Return the moments (7, 5, 5) of a person on level ground at a climbed height, with an unknown air state."""
+    """Return the moments (7, 5, 5) of a person on level ground at a climbed height, with an unknown air state.
+
+    The mode level ground has the probability one. The estimate of the sloped height is kept.
+    """
     total = np.add.reduce(moments)
     x, cov = total[_ONE].copy(), total - np.outer(total[_ONE], total[_ONE])
     x[_CLIMBED], x[_RATE] = climbed_m, 0.0
@@ -169,10 +172,10 @@ def with_air_unknown(moments: FloatArray, climbed_m: float) -> FloatArray:
 def after_second(
     moments: FloatArray, elapsed_s: float, n_steps: int, height_m: float, height_var_m2: float, log_evidence: FloatArray
 ) -> FloatArray:
-    """Return the moments after a second with some steps and a pressure measurement.
+    """Return the moments (7, 5, 5) after a second with some steps and a pressure measurement.
 
-    `log_evidence` (7,) is further evidence for the modes. Times are rounded to 0.1 s, whose effect is smaller than that
-    of draughts.
+    `height_m` and `height_var_m2` are the measured pressure height and its variance. `log_evidence` (7,) is further
+    evidence for the modes. `elapsed_s` is rounded to 0.1 s, whose effect is smaller than that of draughts.
     """
     G, Q = _prediction(round(elapsed_s, 1), n_steps)
     mixed = _TRANSITIONS.T.dot(moments.reshape(N_MODES, -1)).reshape(_SHAPE)
@@ -190,7 +193,10 @@ def after_second(
 
 
 def after_step(moments: FloatArray, rise_m: float, climbed_var_m2: float, sloped_var_m2: float) -> FloatArray:
-    """Return the moments (7, 5, 5) after a step with an expected rise in m, without a measurement."""
+    """Return the moments (7, 5, 5) after a step with an expected rise in m, without a measurement.
+
+    `climbed_var_m2` and `sloped_var_m2` are the variances that the step adds to the climbed and to the sloped height.
+    """
     moved = moments.copy()
     if rise_m != 0.0:
         moved[:, _CLIMBED] += rise_m * moved[:, _ONE]
@@ -202,7 +208,10 @@ def after_step(moments: FloatArray, rise_m: float, climbed_var_m2: float, sloped
 
 
 def as_slope(moments: FloatArray, climbed_m: float) -> FloatArray:
-    """Return the moments with `climbed_m` of the climbed height counted as sloped. The height does not change."""
+    """Return the moments (7, 5, 5) with `climbed_m` of the climbed height counted as sloped.
+
+    The height does not change.
+    """
     G = np.eye(_SIZE)
     G[_CLIMBED, _ONE], G[_SLOPED, _ONE] = -climbed_m, climbed_m
     return G @ moments @ G.T
@@ -260,7 +269,11 @@ def _measured(moments: FloatArray, factor: FloatArray, variance: float) -> tuple
 
 
 def _log_prob_ride(rate_mps: float, var: float) -> float:
-    """Return the log probability that a rate is that of a lift or an escalator, up or down."""
+    """Return the log probability that a climb rate is that of a lift or an escalator, up or down.
+
+    This is the probability that its absolute value exceeds `MIN_RIDE_MPS`, for a normal distribution with the variance
+    `var`.
+    """
     scale = math.sqrt(2.0 * max(var, 1e-12))
     slower = math.erf((MIN_RIDE_MPS - rate_mps) / scale) - math.erf((-MIN_RIDE_MPS - rate_mps) / scale)
     return math.log(max(1.0 - 0.5 * slower, 1e-6))

@@ -90,7 +90,10 @@ def mix(
 def update(
     mean: FloatArray, cov: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return the Kalman update of each mode, as `pdr_filter.filter.imm.imm.update`."""
+    """Return means, covariances, log likelihoods and normalised innovations squared (NIS) of the updated modes.
+
+    The Kalman update of each mode is that of `pdr_filter.filter.imm.imm.update`.
+    """
     filters = _filters(mean, cov, len(z))
     for kalman in filters:
         kalman.update(z, R, H)
@@ -109,7 +112,7 @@ def update_mode_prob(prior_prob: FloatArray, log_likelihood: FloatArray) -> Floa
 
 
 def combine(mean: FloatArray, cov: FloatArray, prob: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the moments of the mixture of all modes, as `pdr_filter.values.mixtures.combine`."""
+    """Return the mean and covariance of the mixture of all modes, as `pdr_filter.values.mixtures.combine`."""
     if len(mean) == 1:
         return mean[0], cov[0]
     imm = estimator(mean, cov, prob, np.eye(len(mean)))
@@ -127,7 +130,7 @@ class FilterpyImm:
 
 
 def _filters(mean: FloatArray, cov: FloatArray, dim_z: int = 1) -> list[Any]:
-    """Return one static filterpy filter for each mode."""
+    """Return one static filterpy filter (F = I, Q = 0) for each mode, for measurements with `dim_z` components."""
     filters: list[Any] = [KalmanFilter(dim_x=mean.shape[1], dim_z=dim_z) for _ in mean]
     for kalman, x, P in zip(filters, mean, cov, strict=True):
         kalman.x, kalman.P, kalman.Q = x.copy(), P.copy(), np.zeros_like(P)

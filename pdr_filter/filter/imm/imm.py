@@ -111,8 +111,8 @@ def mixed_values(values: FloatArray, mode_prob: FloatArray, transition_prob: Flo
 def _mixing_weights(mode_prob: FloatArray, transition_prob: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return mixing weights and predicted mode probabilities.
 
-    The weights mu_i|j (..., j, i) are the probabilities of the last mode i given the next mode j. The predicted
-    probabilities c_j are (..., M).
+    The weights mu_i|j (..., j, i) are the probabilities of the last mode i given the next mode j. A next mode that
+    cannot be reached has the weight one for itself. The predicted probabilities c_j are (..., M).
     """
     joint = transition_prob * mode_prob[..., :, None]
     predicted = mode_prob.dot(transition_prob)
@@ -296,7 +296,9 @@ def smoothed_mode_prob(mode_prob: FloatArray, transition_prob: FloatArray, lag: 
     mode_prob = np.asarray(mode_prob, dtype=float)
     check_transition_prob(transition_prob, mode_prob.shape[-1])
     if lag is not None and lag < 0:
-        raise ValueError(f"lag is a number of steps and must be 0 or more, got {lag}")
+        raise ValueError(
+            f"lag is a number of steps and must be 0 or more, got {lag}: leave it out to use all later steps"
+        )
     n_steps = len(mode_prob)
     if lag is None:
         smoothed = mode_prob.copy()

@@ -179,7 +179,7 @@ class ImmTracker:
         return replace_unchecked(estimates, mean=mean, cov=cov, prob=prob, walked_m=walked_m)
 
     def _advanced(self, estimates: Estimates, step: Step, lengths: ModeLengths) -> Advance:
-        """Return the prediction of the step in each mode."""
+        """Return the prediction of the step in each mode, with the length of the step in that mode."""
         length_m, _, residual_var_m2, _ = lengths
         return advance(
             estimates.mean, estimates.cov, step, length_m, residual_var_m2, self.model.directions, self.model.noise
@@ -188,7 +188,8 @@ class ImmTracker:
     def _with_evidence(self, state: ImmState, step: Step, window: WindowContext | None) -> tuple[ImmState, FloatArray]:
         """Return the state and the log evidence (M,) of the step, its context window and known standstills.
 
-        A window is evidence once. The returned state records that it was used.
+        A window is evidence only once, for the first step to which it belongs. The returned state records that it was
+        used.
         """
         evidence = self.model.step_evidence
         if window is not None and (state.used is None or window.time_s > state.used.time_s):
@@ -200,7 +201,7 @@ class ImmTracker:
         return state, evidence
 
     def _walked(self, step: Step, lengths: ModeLengths, motion: StepMotion, prob: FloatArray, x: FloatArray) -> Walked:
-        """Return length and heading of a step, weighted by the mode probabilities (M,).
+        """Return length and heading of a step with their uncertainties, weighted by the mode probabilities (M,).
 
         `x` (4,) is the combined mean after the step.
         """

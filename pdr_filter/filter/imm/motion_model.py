@@ -141,7 +141,7 @@ class Directions:
 
     @classmethod
     def of(cls, modes: Sequence[Mode]) -> Directions:
-        """Return the directions of some modes."""
+        """Return the walking directions of some modes, and their variances."""
         return cls(
             heading_offset_rad=np.array([m.heading_offset_rad for m in modes]),
             heading_var_rad2=np.array([m.heading_std_rad**2 for m in modes]),
@@ -290,7 +290,8 @@ def update_heading(mean: FloatArray, cov: FloatArray, step: Step, frame_rad: flo
     The measured walking heading z is the direction that the body faces. Its prediction is frame_rad + device heading +
     offset state, and the innovation is wrapped. The gain is K = P[o, o] / (P[o, o] + r), with o the index of the
     heading offset and r the variance of z. A mode that walks sideways adds its own angle later. `frame_rad` is the
-    heading offset that counts as zero.
+    heading offset that counts as zero. A step without a measured walking heading (infinite standard deviation) changes
+    nothing.
 
     The update also corrects earlier steps. Steps since the heading became uncertain are rotated by the correction delta
     = K innovation. A linear update would move the position p along the tangent, by the lever l = P[p, o] / P[o, o]

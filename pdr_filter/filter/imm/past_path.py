@@ -142,7 +142,7 @@ class WalkedStep:
 
     @property
     def turned_rad(self) -> float:
-        """Correction of the heading in this step."""
+        """Correction of the combined heading offset by the measured heading and the evidence of this step, rad."""
         return float(self.updated_mean[HEADING_OFFSET] - self.prob.dot(self.mean[:, HEADING_OFFSET]))
 
     @classmethod
@@ -345,7 +345,8 @@ class PastPath:
     def detached(self, cov: FloatArray, time_s: float, present_m: FloatArray) -> PastPath:
         """Return the path whose past steps no longer change with the present state, as after a lost heading.
 
-        `cov` (4, 4) is the covariance of the present state.
+        `cov` (4, 4) is the covariance of the present state, `time_s` the present time, and `present_m` (2,) the present
+        position. Later changes of the frame do not move the steps until `time_s`.
         """
         path = self.rebased()
         steps = path.earlier

@@ -139,7 +139,10 @@ class PedestrianModel:
         may_be_zero = (*gates, *exponents, "prior_exponent", "evidence_floor")
         check_numbers(self, zero=may_be_zero, signed=("step_log_odds_stationary",), infinite=gates)
         if self.evidence_floor >= 1:
-            raise ValueError(f"evidence_floor is a probability and must be below 1, got {self.evidence_floor}")
+            raise ValueError(
+                f"evidence_floor is a probability and must be below 1, got {self.evidence_floor}: use a small one, "
+                "such as 0.01"
+            )
         names = [m.name for m in self.modes]
         if len(set(names)) < len(names):
             raise ValueError(f"mode names must be distinct, got {names}: rename modes that have the same name")

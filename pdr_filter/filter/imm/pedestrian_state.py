@@ -169,9 +169,9 @@ class HeadingZero:
     Attributes
     ----------
     offset_rad : float
-        Walking heading minus device heading at that step.
+        Walking heading minus device heading at the first step with a measured walking heading.
     time_s : float
-        Contact of that step, or infinity before the first measured walking heading.
+        Contact of this step, or infinity before it.
     """
 
     offset_rad: float = 0.0
@@ -228,7 +228,7 @@ class Rival:
 
 
 def initial_state(model: PedestrianModel, prob: FloatArray) -> PedestrianState:
-    """Return the state at the origin, with one filter for each of the probabilities (F,)."""
+    """Return the state of a pedestrian at the origin, with one filter for each of the probabilities (F,)."""
     mean, cov = initial_estimate(model.noise)
     estimates = Estimates(
         mean=np.tile(mean, (len(prob), 1)),
@@ -334,7 +334,8 @@ def with_reopened_rotation(state: PedestrianState) -> PedestrianState:
     """Return the state with an unknown rotation to the frame of the fixes if the heading has been lost.
 
     Applies only to a track in the frame of fixes. The present position becomes the first point pair for the new
-    estimate of the rotation. The variance of the heading becomes its prior.
+    estimate of the rotation. The variance of the heading becomes its prior. A rotation that is unknown since an earlier
+    loss stays unknown until a fix arrives.
     """
     frame = state.frame
     if not frame.is_known or state.estimates.heading_var_rad2 < _LOST_HEADING_VAR_RAD2:
@@ -367,7 +368,11 @@ def with_reopened_rotation(state: PedestrianState) -> PedestrianState:
 
 
 def in_other_frame(state: PedestrianState, alignment: Alignment) -> PedestrianState:
-    """Return the state transformed by an alignment."""
+    """Return the state with all positions and headings transformed by an alignment.
+
+    These are the estimates, the past path, the stored steps and fixes, the heading zero and the point pairs of the
+    frame. The caller sets the frame of the result.
+    """
     estimates = state.estimates
     mean, cov = moved(estimates.mean, estimates.cov, alignment)
     consider_error_m = estimates.consider_error_m @ alignment.rotation.T
@@ -383,7 +388,7 @@ def in_other_frame(state: PedestrianState, alignment: Alignment) -> PedestrianSt
 
 
 def with_moved_past(state: PedestrianState, positions: Callable[[FloatArray], FloatArray]) -> PedestrianState:
-    """Return the state with stored track positions transformed by a function of positions (..., 2)."""
+    """Return the state with stored positions of steps and fixes transformed by a function of positions (..., 2)."""
     return replace_unchecked(state, steps=state.steps.moved(positions), fixes=state.fixes.moved(positions))
 
 
@@ -462,6 +467,6 @@ def moved_by_heading_m(previous: PedestrianState, updated: PedestrianState, leng
 
 
 def track_place(state: PedestrianState) -> Place:
-    """Return the present position in the frame of the filter states; its heading is not set."""
+    """Return the present position and its covariance in the frame of the filter states. The heading is set to 0."""
     x, P = state.estimates.combined
     return Place(x[[EAST, NORTH]], position_cov(P, state.estimates.consider_cov_m2), 0.0, state.steps.n_final)

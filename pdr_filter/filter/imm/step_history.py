@@ -92,7 +92,10 @@ class StepHistory:
         return StepHistory(self.n_final + 1, step.time_s, 0.0, speed, trail)
 
     def after_gap(self, gap_s: float) -> StepHistory:
-        """Return the history after a time without samples."""
+        """Return the history after a time without samples, without the time and the walking speed of a last step.
+
+        `gap_s` is added to the earlier gaps since the last step. The stored positions of the steps are kept.
+        """
         return replace_unchecked(self, last_s=math.nan, gap_s=self.gap_s + gap_s, speed=None)
 
     def moved(self, positions: Callable[[FloatArray], FloatArray]) -> StepHistory:
@@ -102,9 +105,10 @@ class StepHistory:
         return replace_unchecked(self, trail=trail)
 
     def at(self, time_s: float) -> FloatArray | None:
-        """Return east, north and device heading (3,) at a time.
+        """Return east, north and device heading (3,) at a time, interpolated between the steps.
 
-        The result is None before the first step and for times before the oldest stored step.
+        Before the first and after the last step the values are those of that step. The result is None without steps,
+        and before the oldest stored step if earlier steps are no longer stored.
         """
         trail = self.trail
         if len(trail) == 0 or (time_s < trail[0, TRAIL_TIME] and len(trail) == TRAIL_STEPS):

@@ -18,7 +18,7 @@ class TrackerState(Protocol):
 
     @property
     def pedestrian(self) -> PedestrianState:
-        """Estimates after the last final step."""
+        """Estimates after the last gap, fix or final step."""
         ...
 
 

@@ -57,8 +57,9 @@ class WeightedTracker:
     """Tracker with a single filter over the weighted step lengths of the contexts, for the weightings HC and WC.
 
     HC (highest context) uses the step length of the most probable context. WC (weighted context) uses the mean of the
-    step lengths, weighted with the context probabilities. A step is final when the context window after the first one
-    that contains it is known. Until then `provisional` estimates it from the windows so far.
+    step lengths, weighted with the context probabilities. The weights are the mean over two windows: the one around the
+    step and the one after it. A step is final when the context window after the first one that contains it is known.
+    Until then `provisional` estimates it from the windows so far.
 
     Attributes
     ----------
@@ -112,7 +113,8 @@ class WeightedTracker:
         """Short name of the rule that turns context probabilities into weights of the step lengths.
 
         It is "hc" (highest context), "wc" (weighted context), or the name of `function`. "hc" takes the step length of
-        the most probable context. "wc" takes the mean of the step lengths, weighted with the context probabilities.
+        the most probable context. "wc" takes the mean of the step lengths, weighted with the context probabilities. The
+        weights of a step are the mean over the window around it and the window after it.
         """
         if self.function is not None:
             return str(getattr(self.function, "__name__", type(self.function).__name__))
@@ -124,7 +126,7 @@ class WeightedTracker:
         Returns
         -------
         WeightedState
-            State with an initial estimate for each filter.
+            State with the initial estimate of the only filter.
         """
         return WeightedState(initial_state(self.model, np.ones(1)), (), self.model.long_run_mode_prob, ())
 
@@ -246,7 +248,11 @@ class WeightedTracker:
         return self._settle(state, force=True)
 
     def _settle(self, state: WeightedState, force: bool) -> tuple[WeightedState, tuple[StepUpdate, ...]]:
-        """Make those pending steps final, in order, whose last window is known, or all if `force` is True."""
+        """Return the state and the updates after all pending steps have become final whose second window is known.
+
+        If `force` is True, all pending steps become final. So do steps that have waited for more than
+        `WINDOW_MEMORY_S`. The order of the steps is kept.
+        """
         final = list[StepUpdate]()
         while state.pending:
             step = state.pending[0]
@@ -259,7 +265,10 @@ class WeightedTracker:
         return state, tuple(final)
 
     def _weighted_step(self, state: WeightedState, is_final: bool) -> tuple[WeightedState, StepUpdate]:
-        """Return the state after the first pending step, and the update of that step."""
+        """Return the state after the first pending step, and the update of that step.
+
+        In a known standstill, the modes without displacement have the weights.
+        """
         model, step = self.model, state.pending[0]
         context_prob, weights = self._weights(state, step, is_final)
         previous = with_reopened_rotation(state.pedestrian)
@@ -291,7 +300,10 @@ class WeightedTracker:
         return 0.5 * (provisional + final), weights[self.model.context_index]
 
     def _weights_of(self, context_prob: FloatArray) -> FloatArray:
-        """Return the weights (C,) for context probabilities (C,)."""
+        """Return the weights (C,) for context probabilities (C,), by `function` or else by the threshold.
+
+        ValueError if `function` returns weights of another number, negative weights, or weights that do not sum to one.
+        """
         if self.function is None:
             return context_weights(context_prob, self.threshold)
         weights = np.asarray(self.function(context_prob.copy()), dtype=float)

@@ -210,7 +210,7 @@ class ModeEvidence:
 
         `used` is the previous window that was used as evidence, `n_windows` windows earlier, or None. If there is an
         irregular mode, the gate's probability p_irregular belongs to it, and the contexts get (1 - p_irregular) p_c.
-        The prior of irregular motion is one half.
+        The prior of irregular motion is one half, and so is p_irregular if it is unknown (NaN).
         """
         prob, prior = window.prob, window.training_prior
         if IRREGULAR in self.contexts:

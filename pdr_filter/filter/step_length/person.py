@@ -204,10 +204,10 @@ class Person:
         return replace(model, modes=modes, noise=replace(model.noise, log_scale_std=std))
 
     def _pooled(self) -> tuple[float, float]:
-        """Return the weighted mean of the log lengths and its precision.
+        """Return the weighted mean of the log step lengths of all walks, and the precision of the mean.
 
-        The variance of each walk includes the variation between walks of one person (`RECORDING_STD`), so that a single
-        precise walk does not dominate.
+        Both are 0 without walks. The variance of each walk includes the variation between walks of one person
+        (`RECORDING_STD`), so that a single precise walk does not dominate.
         """
         if not self.sessions:
             return 0.0, 0.0
@@ -217,7 +217,10 @@ class Person:
 
 
 def session_of(model: PedestrianModel, estimates: Estimates, n_fixes: int) -> Session | None:
-    """Return the step length estimated from the fixes of a walk, or None if they do not determine it."""
+    """Return the step length of a walk as measured by its fixes, or None if they do not determine it.
+
+    It follows from the log scale in the combined estimate of the filters.
+    """
     x, P = estimates.combined
     return session_of_scale(model, float(x[LOG_SCALE]), float(P[LOG_SCALE, LOG_SCALE]), n_fixes)
 
@@ -225,8 +228,9 @@ def session_of(model: PedestrianModel, estimates: Estimates, n_fixes: int) -> Se
 def session_of_scale(model: PedestrianModel, log_scale: float, var: float, n_fixes: int) -> Session | None:
     """Return the step length that belongs to an estimated log scale, or None if the fixes added too little information.
 
-    The prior N(0, s^2) of the log scale is removed from its posterior N(m, v). The remaining precision is
-    w = 1 / v - 1 / s^2, the remaining mean (m / v) / w.
+    `log_scale` and `var` are mean and variance of the estimate at the end of the walk. The prior N(0, s^2) of the log
+    scale is removed from its posterior N(m, v). The remaining precision is w = 1 / v - 1 / s^2, the remaining mean (m /
+    v) / w. Fixes are too little if v is at least 90 % of s^2.
     """
     prior_var = model.noise.log_scale_std**2
     if not 0 < var < _MAX_VAR_SHARE * prior_var:
@@ -242,12 +246,12 @@ def _typical_length_m(model: PedestrianModel) -> float:
 
 
 def _main_mode(modes: Sequence[Mode]) -> Mode:
-    """Return the mode of level walking, or else the first mode that moves."""
+    """Return the mode of level walking, or else the first mode that moves, or else the first mode."""
     return next((m for m in modes if m.meaning.is_level_walking), next((m for m in modes if m.moves), modes[0]))
 
 
 def _scaled(fit: StepLengthFit, factor: float) -> StepLengthFit:
-    """Return the fit with all lengths multiplied by a factor."""
+    """Return the fit with all lengths multiplied by a factor. ValueError for a model that is not linear."""
     if not hasattr(fit.model, "regressors"):
         raise ValueError(
             f"person cannot scale the step-length model {type(fit.model).__name__}, because it is not linear in its "

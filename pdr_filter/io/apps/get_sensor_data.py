@@ -113,7 +113,11 @@ def _check_columns(header: list[str], where: str) -> None:
 
 
 def _clock_offset_s(values: FloatArray, tag: str, where: str, notes: list[str]) -> float:
-    """Return the median of app time minus sensor time, s, or NaN if the sensor time cannot be used."""
+    """Return the median of app time minus sensor time, s.
+
+    NaN with fewer than two rows, or if the sensor time is constant. `values` (N, d) begin with app time and sensor
+    time. RecordingError if the rates of the two clocks differ.
+    """
     known = np.isfinite(values[:, :2]).all(axis=1)
     app_s, sensor_s = values[known, 0], values[known, 1]
     if len(app_s) < 2:
@@ -170,7 +174,10 @@ def _unit_beside(path: Path) -> str:
 
 
 def _read_positions(values: FloatArray, parsed: Parsed) -> None:
-    """Store the reference positions in `parsed`, as metres east and north of the first one."""
+    """Store the reference positions in `parsed`, as metres east and north of the first one.
+
+    Rows without a valid latitude and longitude are left out with a note.
+    """
     import pymap3d
 
     known = np.isfinite(values[:, :3]).all(axis=1) & (np.abs(values[:, 1]) <= 90) & (np.abs(values[:, 2]) <= 180)

@@ -47,7 +47,8 @@ ARRAYS = {
 def read_ronin(path: str | Path) -> Recording:
     """Return the recording in an hdf5 file of RoNIN or in its folder; the visual position is `truth.position`.
 
-    RecordingError if a data set is missing or has another shape, or h5py is not installed.
+    The calibration in info.json is applied if the file exists. RecordingError if the times or the accelerometer are
+    missing, if a data set has another shape, or if h5py is not installed.
     """
     path = Path(path)
     file = inside(path / "data.hdf5", path) if path.is_dir() else path
@@ -152,7 +153,7 @@ def _inside_file(data: Any, name: str, file: Path) -> Any:
 def _check_storage(found: Any, name: str, file: Path) -> None:
     """Raise RecordingError for a data set that needs much more memory than its file has bytes.
 
-    Rows that were declared but never written are an example.
+    Rows that were declared but never written are an example. Unknown compression filters are refused, too.
     """
     filters: Any = found.id.get_create_plist()
     names = [filters.get_filter(i)[0] for i in range(filters.get_nfilters())]

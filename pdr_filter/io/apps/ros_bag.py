@@ -72,7 +72,10 @@ class _Topic:
         self._rows: list[tuple[float, ...]] = []
 
     def add(self, received_ns: int, content: bytes, where: str) -> None:
-        """Add a message with its own time, or with the time of its arrival if it has none."""
+        """Add a message with its own time, or with the time of its arrival if it has none.
+
+        RecordingError if the message is damaged, if its time is absurd, or if there are too many messages.
+        """
         if len(self._ns) >= limits.MAX_ARRAY_ROWS:
             raise RecordingError(f"{where}: more than {limits.MAX_ARRAY_ROWS} messages; cut the bag")
         try:
@@ -96,7 +99,9 @@ class _Topic:
 def _fill(parsed: Parsed, topics: dict[str, _Topic], seen: dict[str, str]) -> None:
     """Store the topics as streams in `parsed`.
 
-    For each kind of message, the topic with the most usable messages is taken.
+    For each stream, the topic with the most messages is taken. Imu topics are skipped if all values of the stream are
+    zero. An attitude without unit quaternions is left out. `seen` has the type of every topic in the bag, for messages.
+    RecordingError if no topic has an acceleration.
     """
     imus = {name: topic for name, topic in topics.items() if topic.kind == IMU}
     parts = {"accelerometer": slice(7, 10), "gyroscope": slice(4, 7), "attitude": slice(0, 4)}
@@ -136,7 +141,8 @@ def _fill(parsed: Parsed, topics: dict[str, _Topic], seen: dict[str, str]) -> No
 def _decoded(kind: str, content: bytes) -> tuple[int, tuple[float, ...]]:
     """Return the time stamp of a message in ns, and the numerical values of the message.
 
-    The values of an Imu message are the quaternion (x, y, z, w), angular rate and acceleration.
+    The values of an Imu message are the quaternion (x, y, z, w), angular rate and acceleration. Those of a location are
+    latitude, longitude, altitude and accuracy in m, NaN if unknown. ValueError for a message that is too short.
     """
     if len(content) < 16:
         raise ValueError("too short")
@@ -236,7 +242,10 @@ def _of_mcap(members: Members, name: str, seen: dict[str, str]) -> Messages:
 
 
 def _unpacked(compression: str, data: bytes, claimed: int, most: int, where: str) -> bytes:
-    """Return the unpacked records of a chunk; RecordingError if they are larger than `most` bytes."""
+    """Return the unpacked records of a chunk, which states their size as `claimed` bytes.
+
+    RecordingError if `claimed` is over `most`, or if the compression is unknown. ValueError if the size is another.
+    """
     if not compression:
         return data
     if claimed > most:

@@ -85,7 +85,7 @@ def looks_like(header: str) -> bool:
 def is_without_seconds_elapsed(members: Members) -> bool:
     """Return True for an export of 2021, which has no column of elapsed seconds.
 
-    Its Metadata.csv has more information.
+    It is recognised by an Accelerometer.csv with the columns time, x, y, z and metadata that name the platform.
     """
     by_stem = {PurePosixPath(name).stem.lower(): name for name in members.names if name.lower().endswith(".csv")}
     if not {"metadata", "accelerometer"} <= by_stem.keys():
@@ -104,7 +104,10 @@ def looks_like_export(head: bytes) -> bool:
 
 
 def sessions_of(members: Members) -> list[str]:
-    """Return the sessions in a file of messages that Sensor Logger pushed, or an empty list for any other file."""
+    """Return the names of the sessions (recordings) in a file of messages that Sensor Logger pushed.
+
+    The list is empty for any other file, and if the path already names a session.
+    """
     name = members.names[0]
     if members.inside or not is_push(members.head(name)):
         return []
@@ -114,9 +117,9 @@ def sessions_of(members: Members) -> list[str]:
 def read_sensor_logger(path: str | Path, platform: str | None = None) -> Recording:
     """Return the recording in a zip file, folder, JSON file, database or file of pushed messages of Sensor Logger.
 
-    `platform`, ios or android, is for an export whose Metadata is lost. RecordingError if the sign of the specific
-    force is not known: no Metadata to name the platform and no attitude to show it, gravity missing, or an attitude
-    that contradicts the sign.
+    `platform`, ios or android, is for an export whose Metadata is lost. Gravity is added to an acceleration that lacks
+    it, with a note. RecordingError if the sign of the specific force is not known: no Metadata to name the platform and
+    no attitude to show it, or an attitude that contradicts the sign.
     """
     path = Path(path)
     with open_members(path) as members:
@@ -179,7 +182,9 @@ def read_sensor_logger(path: str | Path, platform: str | None = None) -> Recordi
 def _specific_force(export: _Export, parsed: Parsed) -> tuple[str, NumberTable]:
     """Return the name of the sensor that measured the acceleration, and the specific force with Android's sign.
 
-    The sampling rate that the user requested for this sensor is reported.
+    TotalAcceleration of Android is preferred, then the sum of Accelerometer and Gravity, then the uncalibrated
+    accelerometer. Accelerometer alone lacks gravity, which `parsed.linear` then states. RecordingError if none is
+    there, or if the platform, which decides the sign, is unknown.
     """
     path, sensors = parsed.path, export.sensors
     platform = export.about("platform").lower()
@@ -213,7 +218,11 @@ def _specific_force(export: _Export, parsed: Parsed) -> tuple[str, NumberTable]:
 
 
 def _platform_by_content(export: _Export, parsed: Parsed, named: str) -> str:
-    """Return the platform that the sensor values show. RecordingError if they do not show it."""
+    """Return the platform, "ios" or "android", that the sensors show. RecordingError if they do not show it.
+
+    TotalAcceleration exists on Android alone. Otherwise gravity shows its sign in the phone's attitude. `named` is the
+    unusable platform in the metadata, for messages.
+    """
     gravity, attitude = export.sensors.get("Gravity"), export.sensors.get("Orientation")
     if "TotalAcceleration" in export.sensors:
         parsed.notes.append("no platform in Metadata; taken as Android, because TotalAcceleration is Android's")
@@ -240,7 +249,10 @@ def _at_times(sensor: NumberTable, time_ns: IntArray) -> FloatArray:
 
 
 def _requested_hz(export: _Export) -> dict[str, float]:
-    """Return the sampling rates in Hz that the user chose in the app, by sensor."""
+    """Return the sampling rates in Hz that the user chose in the app, by sensor.
+
+    Sensors that were to be read as fast as possible are not in the result.
+    """
     names = [name.replace(" ", "") for name in export.about("sensors").split("|")]
     periods = export.about("sampleRateMs").split("|")
     rates: dict[str, float] = {}
@@ -261,7 +273,7 @@ def _requested_hz(export: _Export) -> dict[str, float]:
 
 
 def _read_tables(members: Members) -> _Export:
-    """Read the CSV tables in a zip file or folder."""
+    """Return the export in the CSV tables of a zip file or folder. Empty tables are left out with a note."""
     export = _Export()
     tables = [name for name in members.names if PurePosixPath(name).suffix.lower() == ".csv"]
     # The last line of these two needs no line feed, and an annotation file may have no bytes at all.
@@ -306,7 +318,8 @@ def _read_tables(members: Members) -> _Export:
 def _member(names: Sequence[str], sensor: str, members: Members) -> str:
     """Return the file of a sensor, or an empty string if there is none.
 
-    Its name may have text before or after the name of the sensor, as `walk_Gravity (1).csv`.
+    Its name may have text before or after the name of the sensor, as `walk_Gravity (1).csv`. RecordingError if several
+    files fit.
     """
     stems = {name: PurePosixPath(name).stem.lower() for name in names}
     exact = [name for name, stem in stems.items() if stem == sensor.lower()]
@@ -322,7 +335,7 @@ def _member(names: Sequence[str], sensor: str, members: Members) -> str:
 
 
 def _read_json(members: Members, name: str) -> _Export:
-    """Read a JSON file, in which each object names its sensor and stores numbers as text."""
+    """Return the export in a JSON file, in which each object names its sensor and stores numbers as text."""
     export, where = _Export(), members.where(name)
     if not next(members.pieces(name), b"").lstrip().startswith(b"["):
         raise RecordingError(f"{where}: not an array of objects; export JSON from Sensor Logger again")
@@ -372,7 +385,11 @@ def _begun_ns(times: Iterable[tuple[str, str]]) -> int | None:
 
 
 def _without_stale(sensor: NumberTable, begun_ns: int | None, name: str, notes: list[str]) -> NumberTable:
-    """Remove values that the phone had stored before the recording."""
+    """Return a table without the rows from more than 60 s before the recording, and add a note about them.
+
+    The phone delivers such stored values when a sensor starts. `begun_ns` is the start of the recording. If it is None,
+    the table is unchanged.
+    """
     if begun_ns is None:
         return sensor
     kept = sensor.whole.astype(np.float64) >= begun_ns - STALE_S * 1e9
@@ -383,7 +400,10 @@ def _without_stale(sensor: NumberTable, begun_ns: int | None, name: str, notes: 
 
 
 def _annotations(rows: list[list[str]]) -> list[tuple[int, str]]:
-    """Return time and text of the annotations below a header that names both columns."""
+    """Return time (ns since 1970) and text of the annotations in table rows below a header.
+
+    The list is empty if the header does not name the columns time and text. Rows without a time are skipped.
+    """
     if not rows or "time" not in rows[0] or "text" not in rows[0]:
         return []
     at, text = rows[0].index("time"), rows[0].index("text")

@@ -43,7 +43,8 @@ def messages_of(members: Members, name: str) -> dict[str, list[Message]]:
 def push_tables(members: Members, name: str, columns: Columns) -> dict[str, NumberTable]:
     """Return a table for each sensor of a session of pushed messages.
 
-    The session is the one that the path names, or the only one in the file.
+    The session is the one that the path names, or the only one in the file. Rows are sorted by time. RecordingError if
+    the file has several sessions and the path names none of them.
     """
     where = members.where(name)
     sessions = messages_of(members, name)
@@ -73,7 +74,10 @@ def push_tables(members: Members, name: str, columns: Columns) -> dict[str, Numb
 def database_tables(
     members: Members, name: str, columns: Columns, notes: list[str]
 ) -> tuple[dict[str, NumberTable], dict[str, str]]:
-    """Return a table for each sensor in a database of Sensor Logger, and its metadata."""
+    """Return a table for each sensor in a database of Sensor Logger, and the metadata by name.
+
+    RecordingError if the database has no table of a sensor in `columns`.
+    """
     where = members.where(name)
     sensors: dict[str, NumberTable] = {}
     metadata: dict[str, str] = {}

@@ -13,9 +13,9 @@ from pdr_filter.values import FloatArray, limits
 
 
 class TaggedLog:
-    """Text file of a recording in which each line begins with the type of its data.
+    """Text file of a recording in which the first or second field of each line is the type of its data.
 
-    The comment lines at its start begin with `comment`.
+    The comment lines at the start of the file begin with `comment`. `header` has their text.
     """
 
     def __init__(self, members: Members, comment: str) -> None:
@@ -29,7 +29,7 @@ class TaggedLog:
     def header_values(self, separator: str = "\n") -> dict[str, str]:
         """Return the values of `key: value` in the comment lines. The first value of a key counts.
 
-        A line may hold several pairs.
+        A line may hold several pairs with `separator` between them.
         """
         values: dict[str, str] = {}
         for line in self.header:

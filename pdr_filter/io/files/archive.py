@@ -90,9 +90,9 @@ class Members:
         return f"{self.path}" if self.path.name == name else f"{self.path}: {name}"
 
     def only_text(self) -> str:
-        """Path of the only file that can be a log or a table.
+        """Return the name of the only file that can be a log or a table.
 
-        It is the path itself, or the only text in a zip file or folder.
+        It is the file itself, or the only text in a zip file or folder. RecordingError if there are several or none.
         """
         names = [name for name in self.names if name.lower().endswith((".txt", ".log", ".csv"))] or list(self.names)
         if len(names) != 1:
@@ -134,7 +134,10 @@ class Members:
         return content
 
     def pieces(self, name: str) -> Iterator[bytes]:
-        """Yield the bytes of a file in pieces without byte order mark. A piece may end anywhere in a line."""
+        """Yield the bytes of a file in pieces without byte order mark. A piece may end anywhere in a line.
+
+        RecordingError for a binary file.
+        """
         for i, part in enumerate(self.parts(name)):
             # UTF-16 without byte order mark, UTF-32 and binary files have zero bytes
             if i == 0 and b"\x00" in part[:4096]:
@@ -169,7 +172,7 @@ class Members:
     def parts(self, name: str, size: int = limits.BLOCK_BYTES) -> Iterator[bytes]:
         """Yield the bytes of a file in parts of `size` bytes, so that no more is unpacked at once.
 
-        The checksum (CRC) is tested at the end.
+        The checksum (CRC) is tested at the end. RecordingError if the file is damaged, encrypted or too large.
         """
         where = self.where(name)
         try:
@@ -199,8 +202,9 @@ class Members:
 
 @contextmanager
 def open_members(path: Path) -> Generator[Members]:
-    """Open a zip, a folder or one file. RecordingError if it does not exist, is empty or cannot be opened.
+    """Context manager that opens a zip file, a folder or one file, and yields its files as `Members`.
 
+    RecordingError if it does not exist, is empty or cannot be opened.
     The path may go on inside a file: `export.zip/walk_2` is the folder walk_2 of the zip.
     """
     try:
@@ -306,7 +310,7 @@ def _trial_path(name: str) -> str:
 
 
 def json_object(content: bytes, where: str) -> dict[str, Any]:
-    """Return the object in a small JSON file."""
+    """Return the object in the content of a small JSON file. RecordingError if it is not JSON or not an object."""
     try:
         value: Any = json.loads(content.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
@@ -317,7 +321,7 @@ def json_object(content: bytes, where: str) -> dict[str, Any]:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Return the content of a small TOML file."""
+    """Return the content of a small TOML file. RecordingError if it cannot be read or is not TOML."""
     content = read_small(path, limits.MAX_TOML_BYTES)
     try:
         return tomllib.loads(content.decode("utf-8-sig"))
@@ -374,7 +378,8 @@ def _most_unpacked(size: int) -> int:
 def _infos_by_name(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
     """Return the files in a zip file by their path inside it, with slashes whatever system packed it.
 
-    RecordingError for a path that leads out of the zip file.
+    RecordingError for a path that leads out of the zip file, and for too many files or two of one path. A zip file that
+    claims to unpack to much more than its size is refused, too.
     """
     if len(archive.infolist()) > limits.MAX_MEMBERS:
         raise RecordingError(f"{path}: more than {limits.MAX_MEMBERS} files in the zip; pack one recording alone")

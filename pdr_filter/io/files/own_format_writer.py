@@ -50,7 +50,10 @@ def write_own_format(
     meta: Mapping[str, Any],
     wifi: Wifi | None = None,
 ) -> Path:
-    """Write streams and truth tables by name, Wi-Fi, and the meta data, as `Recording.save` describes."""
+    """Write streams and truth tables by name, Wi-Fi, and the meta data, as `Recording.save` describes; return the path.
+
+    ValueError if a truth table lacks a column.
+    """
     path = Path(path)
     files = {
         f"{name}.csv": _numbers_csv(("time_s", *STREAM_COLUMNS[name]), [samples.time_s, *samples.values.T])
@@ -109,7 +112,7 @@ def _number_format(column: str) -> str:
 
 
 def _plain(value: object) -> object:
-    """Return a value that json can write for one that it cannot."""
+    """Return a mapping, dataclass or NumPy value as plain Python values that json can write. TypeError for others."""
     if isinstance(value, Mapping):
         return dict(cast("Mapping[str, object]", value))
     if is_dataclass(value) and not isinstance(value, type):

@@ -44,7 +44,10 @@ class Database:
 
 @contextmanager
 def open_database(members: Members, name: str) -> Generator[Database]:
-    """Open a SQLite database of a recording. RecordingError if the file is damaged or not a database."""
+    """Context manager that opens a SQLite database of a recording in memory, and yields it as `Database`.
+
+    RecordingError if the file is damaged or not a database.
+    """
     where = members.where(name)
     content = members.whole(name, limits.MAX_UNPACKED_BYTES)
     if not content.startswith(SQLITE):

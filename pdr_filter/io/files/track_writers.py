@@ -123,7 +123,8 @@ def write_geojson(track: TrackRows, path: str | Path, origin: Origin | tuple[flo
     `origin` is the latitude and longitude in degrees of the point with east and north zero. This point is the start of
     the walk, or the origin of the fixes if the track is in the frame of its fixes. `origin` is not needed for a track
     that was placed by the locations of its recording, because this track has an origin. Properties for each vertex are
-    `coordTimes` (seconds of the recording), `covariance_m2` ([ee, en, nn]) and `floor` (the storey).
+    `coordTimes` (seconds of the recording), `covariance_m2` ([ee, en, nn]) and, with a third coordinate, `floor` (the
+    storey).
 
     The third coordinate is the altitude if the origin has an altitude. Otherwise it is the height above the start in m,
     if the height changes. The property `height` states which of both it is.
@@ -137,6 +138,7 @@ def write_local_geojson(track: TrackRows, path: str | Path) -> Path:
 
     Maps need degrees. The origin of the track is therefore drawn at latitude and longitude 0, in the open sea, where
     lengths and angles are undistorted. Name, `frame` and `about` of the file state that the track was not walked there.
+    ValueError for a track with a place on Earth.
     """
     if track.origin is not None:
         raise ValueError(f"the track {track.name!r} has a place on Earth: write it with write_geojson")
@@ -186,7 +188,7 @@ def write_gpx(
 
     `origin` is the geographic origin of the track, as in `write_geojson`. Points have an elevation if the origin has an
     altitude. `epoch_s` is the unix time of time zero of the recording (`Recording.epoch_s`). With 0, the walk is in
-    January 1970.
+    January 1970. ValueError if the track has no geographic origin, or if a time is not from 1970 to 9999.
     """
     times_s = _vertex_times(track)
     if not (np.isfinite(epoch_s) and epoch_s + times_s.min() >= 0 and epoch_s + times_s.max() <= limits.MAX_EPOCH_S):
@@ -270,7 +272,8 @@ def write_tum(track: TrackRows, path: str | Path) -> Path:
     """Write lines `timestamp tx ty tz qx qy qz qw` with strictly ascending times, and return the path.
 
     The position is east, north and zero, in m. The quaternion rotates the x axis about up into the walking heading (yaw
-    = pi/2 - heading). The first line is the start of the walk, with the heading of the first step.
+    = pi/2 - heading). The first line is the start of the walk, with the heading of the first step. A step whose time is
+    not after that of the line before is left out.
     """
     heading_rad = np.concatenate([track.walking_heading_rad[:1], track.walking_heading_rad])
     half_yaw_rad = yaw_from_heading(heading_rad if track.n_steps else np.zeros(1)) / 2

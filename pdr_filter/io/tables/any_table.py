@@ -52,8 +52,8 @@ def read_table(path: str | Path, platform: str | None = None) -> Recording:
     """Return the recording in the tables of an app, which are recognised by their columns.
 
     `platform` ("ios" or "android") determines the sign of the acceleration if the app writes different signs on the two
-    systems. RecordingError if there is no acceleration with gravity, or if the sign or unit of the acceleration is
-    unknown.
+    systems. Gravity is added to an acceleration that lacks it, with a note. RecordingError if there is no acceleration,
+    if its sign or unit is unknown, or if `platform` is given although the file or the app decides the sign.
     """
     return read_guessed(Path(path), platform).recording
 
@@ -99,7 +99,10 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
 
 
 def read_generic_csv(path: str | Path) -> Recording:
-    """Return the recording in a table described by the TOML file of the same name; RecordingError without that file."""
+    """Return the recording in a table whose columns a TOML file of the same name in its folder describes.
+
+    RecordingError if there is no such file.
+    """
     path = Path(path)
     if not (mapping := mapping_beside(path)).is_file():
         raise RecordingError(
@@ -110,7 +113,10 @@ def read_generic_csv(path: str | Path) -> Recording:
 
 
 def read_mapped(path: Path, mapping: Mapping, source: str = "generic CSV") -> Recording:
-    """Read a recording from tables whose columns a mapping describes."""
+    """Read a recording from tables whose columns a mapping describes. `source` names the format in the report.
+
+    RecordingError if a column or table of the mapping is missing, or if the recording is implausible.
+    """
     parsed = Parsed(path, source)
     with open_members(path) as members:
         sheets = sheets_of(members, mapping.separator or None, parsed.notes)
@@ -129,7 +135,12 @@ def read_mapped(path: Path, mapping: Mapping, source: str = "generic CSV") -> Re
 
 
 def sheets_of(members: Members, separator: str | None = None, notes: list[str] | None = None) -> Sequence[Sheet]:
-    """Return the tables among the files of a recording. RecordingError if there is none."""
+    """Return the tables among the files of a recording: text, JSON, spreadsheet or MATLAB.
+
+    A text table with rows of several sensors is split into one table for each sensor. `separator` separates the
+    columns of texts, and is detected if None. Notes on what was skipped are added to `notes`. RecordingError if there
+    is no table, or if a table has rows of several devices.
+    """
     found: Sequence[Sheet]
     if is_spreadsheet(members):
         found = spreadsheet_sheets(members)
@@ -171,7 +182,7 @@ def _named_values(head: bytes) -> str:
 
 
 def _check_one_device(sheet: Sheet) -> None:
-    """Raise RecordingError if a column shows that the rows come from several devices."""
+    """Raise RecordingError if a column such as device or phone has several values, unless they name sensors."""
     for i, name in enumerate(sheet.fields):
         if letters(name) not in _DEVICES:
             continue
@@ -184,9 +195,10 @@ def _check_one_device(sheet: Sheet) -> None:
 
 
 def _by_sensor(sheet: Sheet) -> Sequence[Sheet]:
-    """Split a table that has one row for each sample of any sensor into one table for each sensor.
+    """Split a table whose rows belong to different sensors into one table for each sensor.
 
-    A column holds the name of the sensor.
+    One column names the sensor of each row. The table is returned alone and unchanged if there is no such column, or if
+    the column names no acceleration.
     """
     column = next((i for i, text in sheet.texts.items() if quantity_of_file(text)[0] in VECTORS), None)
     if column is None:
@@ -204,7 +216,11 @@ def _is_text(name: str, members: Members) -> bool:
 
 
 def _nothing(sheets: Sequence[Sheet], path: Path) -> str:
-    """Return the error for tables without a known sensor. The message contains a column mapping to complete."""
+    """Return the error message for tables without a known sensor.
+
+    If the first table has column names, the message contains a column mapping for the user to complete. Otherwise it
+    asks for a line of names.
+    """
     sheet = sheets[0]
     if all(name.startswith("column ") for name in sheet.fields):
         head = next(sheet.parse.blocks(), b"")[:4096] if isinstance(sheet.parse, TextRows) else b""
@@ -223,7 +239,11 @@ def _nothing(sheets: Sequence[Sheet], path: Path) -> str:
 
 
 def sensors_of(members: Members, name: str) -> set[str]:
-    """Return the set of sensors that the columns of a text file name. The set is empty for a text without a table."""
+    """Return the set of sensors that the columns of a text or JSON file name.
+
+    The set is empty for a text without a table. It holds only the acceleration if the columns of the accelerometer have
+    an unknown unit or lack an axis.
+    """
     sheets: Sequence[Sheet]
     try:
         if looks_like(members.head(name)):

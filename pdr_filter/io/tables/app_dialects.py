@@ -1,7 +1,7 @@
-"""Units, signs and marks of the apps whose tables are read by the names of their columns, as data.
+"""Units, signs and recognition patterns of the apps whose tables are read by the names of their columns, as data.
 
-Layouts after the files of their users and the apps' own documents. An app that says nothing about signs, or has another
-on iOS than on Android, is read with Android's sign and a note.
+The layouts come from files of users and from the documents of the apps. An app that has another sign on iOS than on
+Android is read with Android's sign and a note, unless the platform is known.
 """
 
 from __future__ import annotations
@@ -27,7 +27,11 @@ _PLATFORM = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """Conventions of the tables that an app writes."""
+    """How to recognise the tables of an app, and what their headers leave open.
+
+    Open are the units, the sign of the acceleration, the time between rows, and what to record instead if the
+    acceleration lacks gravity.
+    """
 
     app: str
     shows: str  # regular expression, looked for in the lines above the table, its header and the names of the files
@@ -102,14 +106,18 @@ DIALECTS = (
 
 
 def dialect_of(text: str) -> Dialect | None:
-    """Return the app whose conventions a text shows, or None if no known app wrote it."""
+    """Return the conventions of the app that wrote a table, or None if it is no known app.
+
+    `text` holds the lines above the table, its header and the names of the files.
+    """
     return next((dialect for dialect in DIALECTS if re.search(dialect.shows, text, re.IGNORECASE)), None)
 
 
 def said_platform(members: Members, about: str = "") -> str:
-    """Return the platform (ios or android) that the metadata or the lines above a table name, or an empty string.
+    """Return the platform (ios or android) that the metadata files or the lines above a table name, or an empty string.
 
-    The platform decides the sign of the acceleration.
+    The platform decides the sign of the acceleration. A recording from iOS counts as android if its metadata say that
+    the app has standardised the signs. `about` holds the lines above the table.
     """
     names = [name for name in members.names if _METADATA.fullmatch(PurePosixPath(name).name)]
     contents = [(members.small(name), name) for name in names if members.is_container]

@@ -67,7 +67,11 @@ class Group:
 
 
 def groups_of(sheet: Sheet, at: int) -> list[Group]:
-    """Return the columns of table number `at`, grouped by sensor."""
+    """Return a `Group` of columns for each sensor, orientation and location that the columns of a table show.
+
+    `at` is the number of the table, which the groups store. RecordingError if an accelerometer lacks an axis, or if the
+    unit of a vector is unknown.
+    """
     is_named = not all(name.startswith("column ") for name in sheet.fields)
     times = _times(sheet, is_named)
     if is_named:
@@ -100,7 +104,11 @@ def groups_of(sheet: Sheet, at: int) -> list[Group]:
 
 
 def _times(sheet: Sheet, is_named: bool) -> list[int]:
-    """Return the columns of times, without columns of their nanoseconds."""
+    """Return the indices of the columns of times.
+
+    A column with the nanoseconds of a column of whole seconds is left out. If there is no date and no name of a time,
+    the first column with a unit of time in brackets is the only one.
+    """
     times = [i for i, name in enumerate(sheet.fields) if i in sheet.dates or (is_named and is_time(name))]
     nanoseconds = {nanoseconds_of(sheet.fields, i) for i in times}
     times = [i for i in times if i not in nanoseconds]
@@ -108,7 +116,10 @@ def _times(sheet: Sheet, is_named: bool) -> list[int]:
 
 
 def _named_columns(sheet: Sheet) -> list[Column]:
-    """Return the columns of a table with names. Three columns such as value1, value2, value3 are the axes."""
+    """Return quantity, axis and unit of each column of a table with column names.
+
+    Three columns such as value1, value2, value3 are the axes x, y and z.
+    """
     columns = [column_of(i, name) for i, name in enumerate(sheet.fields)]
     numbered = [i for i, name in enumerate(sheet.fields) if re.fullmatch(r"(?i)v(al(ue)?s?)?[\W_]*[0-3]\W*", name)]
     if len(numbered) == len(_AXES):
@@ -118,14 +129,15 @@ def _named_columns(sheet: Sheet) -> list[Column]:
 
 
 def _numbers(sheet: Sheet) -> list[int]:
-    """Return the columns that hold numbers."""
+    """Return the indices of the columns without text, which hold numbers or dates."""
     return [i for i in range(len(sheet.fields)) if i not in sheet.texts]
 
 
 def _without_names(sheet: Sheet, times: Sequence[int]) -> list[Column]:
-    """Return the columns of a table without names, or no columns if the name of the file states no sensor.
+    """Return the columns of the sensor in a table without column names: its three axes, or its single value.
 
-    The axes of the sensor follow the first column of times.
+    They are the first columns of numbers after the first column of times. The name of the file states the sensor. The
+    list is empty if it states none, or if too few columns follow.
     """
     quantity, _ = quantity_of_file(sheet.name)
     axes = _AXES if quantity in VECTORS else ("",)
@@ -156,7 +168,10 @@ class _Vector(NamedTuple):
 
 
 class _Sensor(NamedTuple):
-    """Sensor to which an axis belongs. `number` counts sensors whose columns have the same names."""
+    """Sensor to which an axis belongs. `stem` is the name of its columns without the axis.
+
+    `number` counts from 0 the sensors whose columns have the same names.
+    """
 
     quantity: str
     stem: str
@@ -200,7 +215,8 @@ def _quantity_of_vague_axis(sheet: Sheet, column: Column, times: Sequence[int]) 
     """Return the quantity of an axis whose own name states it not at all, or with one letter.
 
     The name of the column of times before the axis decides, then the name of the file, the name of the axis, and its
-    unit. An empty string means that the file has another sensor, without axes.
+    unit. If none of them states a quantity, the result is the acceleration. An empty string means that the name of the
+    file states a sensor without axes.
     """
     of_file, _ = quantity_of_file(sheet.name)
     if of_file and of_file not in VECTORS:
@@ -212,7 +228,10 @@ def _quantity_of_vague_axis(sheet: Sheet, column: Column, times: Sequence[int]) 
 
 
 def _single_values(sheet: Sheet, columns: Sequence[Column]) -> dict[str, Column]:
-    """Return the preferred column of each quantity with one value: pressure, light, distance, parts of a location."""
+    """Return the preferred column of each quantity with one value, by quantity.
+
+    Such quantities are pressure, light, distance, and the parts of a location. Of equal columns, the first is taken.
+    """
     of_file, _ = quantity_of_file(sheet.name)
     found: dict[str, Column] = {}
     for column in columns:
@@ -226,9 +245,10 @@ def _single_values(sheet: Sheet, columns: Sequence[Column]) -> dict[str, Column]
 
 
 def _time_of(sheet: Sheet, quantity: str, places: Sequence[int], times: Sequence[int]) -> int | None:
-    """Return the place of the column of times of a sensor, or None.
+    """Return the index of the column of times of a sensor, or None if the table has no times.
 
-    Its own time comes first, then a column of numeric times, then one of dates.
+    A column named after the sensor is preferred. Next come shared columns, numbers before dates, and last the columns
+    of other sensors. `places` are the indices of the columns of the sensor, `times` those of the columns of times.
     """
     if not times:
         return None

@@ -1,6 +1,6 @@
 """Mapping of undescribed tables, guessed from the names of their columns, the app and the values.
 
-What names and values leave open is said: units from values, the sign of an app that has another on iOS.
+Notes and evidence report each guess, such as a unit that comes from the values, or a sign that nothing shows.
 """
 
 from __future__ import annotations
@@ -96,7 +96,10 @@ def guess(
 ) -> Guess:
     """Return the guessed mapping of the columns of these tables.
 
-    RecordingError if there is no acceleration with gravity, or if its sign is unknown.
+    `dialect` holds the conventions of the app, if known. `platform` ("ios" or "android") decides the sign of the
+    acceleration if the app does not. `where` names the file in messages. An acceleration without gravity becomes the
+    stream of linear acceleration. RecordingError if there is no acceleration, if its unit is unknown, or if it is in g
+    with an unknown sign. A table without times and with an unknown rate is refused, too.
     """
     app = "" if dialect is None else dialect.app
     result = Guess(Mapping(()), source=f"table of {app}" if app else "table")
@@ -154,7 +157,8 @@ def guess(
 def columns_by_content(sheet: Sheet) -> tuple[str, str, Sequence[str], str]:
     """Guess the columns of time and accelerometer from the values of a table.
 
-    Each has its unit. A column that the values do not show is "?".
+    Returns the name of the column of times, its unit, the names of the three axes, and their unit. The name is "?" for
+    a column that the values do not show.
     """
     numbers = [i for i in range(len(sheet.fields)) if i not in sheet.dates and i not in sheet.texts]
     time, time_unit = next(((sheet.fields[i], "date") for i in sheet.dates), ("?", "s"))
@@ -179,7 +183,10 @@ def columns_by_content(sheet: Sheet) -> tuple[str, str, Sequence[str], str]:
 
 
 def _rate_of_rows(sheets: Sequence[Sheet], groups: Sequence[Group], dialect: Dialect | None, where: str) -> float:
-    """Return the sampling rate of tables without a column of times, in Hz, or zero if all tables have one."""
+    """Return the sampling rate of tables without a column of times, in Hz, or zero if all tables have one.
+
+    The rate comes from the lines above the first table, or is usual for the app. RecordingError if it is unknown.
+    """
     if all(group.time is not None for group in groups):
         return 0.0
     if dialect is not None and (period_ms := dialect.period_of(sheets[groups[0].sheet].about)):
@@ -218,6 +225,7 @@ def _time_unit(ticks: FloatArray) -> str:
     """Return the unit of times whose header states none.
 
     Times since 1970 show their unit by their size. Other times are compared with the usual sampling rates of phones.
+    The unit is "s" if none fits.
     """
     ticks = ticks[~np.isnan(ticks)]
     median = float(np.median(ticks)) if len(ticks) else 0.0
@@ -231,7 +239,11 @@ def _time_unit(ticks: FloatArray) -> str:
 
 
 def _forces(streams: Sequence[_Stream], dialect: Dialect | None, result: Guess, where: str) -> list[_Stream]:
-    """Return the accelerometer stream, or the streams of gravity and linear acceleration, with their units."""
+    """Return the streams that give the specific force, with their units.
+
+    The list has the accelerometer alone, or linear acceleration and gravity. If there is neither, it has the linear
+    acceleration alone. RecordingError if there is no acceleration, or if its unit is unknown.
+    """
     app = "this table" if dialect is None else f"this looks like {dialect.app}, whose table"
     found = [_with_force_unit(s) for s in streams if s.group.quantity in (ACCELERATION, LINEAR, GRAVITY)]
     if not found:
@@ -288,7 +300,11 @@ def _forces(streams: Sequence[_Stream], dialect: Dialect | None, result: Guess, 
 
 
 def _with_force_unit(s: _Stream) -> _Stream:
-    """Return the column with the unit m/s2 or g, from the size of its constant part if its header states no unit."""
+    """Return the stream of an acceleration with its unit.
+
+    If neither the header nor the app states a unit, the size of the constant part decides between m/s2 and g. The unit
+    stays empty if it fits neither.
+    """
     if s.is_unit_declared:
         return s
     constant = s.constant
@@ -302,7 +318,8 @@ def _with_force_unit(s: _Stream) -> _Stream:
 def _has_gravity(s: _Stream) -> bool:
     """Return True if an acceleration contains gravity.
 
-    It also does so if its header states the wrong unit. The checks of every reader refuse such a unit later.
+    The result is also True if the header states m/s2 for values in g. The checks of every reader refuse such a unit
+    later.
     """
     low, high = _G_OF_GRAVITY
     if s.constant * s.factor >= _LEAST_GRAVITY_MPS2:
@@ -320,7 +337,12 @@ def _force_words(s: _Stream) -> str:
 
 
 def _with_unit(s: _Stream, force: FloatArray, time_s: FloatArray, result: Guess) -> _Stream:
-    """Return the stream with its unit. Evidence for a gyroscope includes its agreement with the turning of gravity."""
+    """Return the stream of a sensor other than the accelerometer with its unit.
+
+    The unit is guessed from the values if neither the header nor the app states it.
+    `force` and `time_s` are the specific force in m/s2 and its times. The evidence in `result` gets a line. For a
+    gyroscope the line says how far gravity turns compared with the rotation that the gyroscope predicts.
+    """
     quantity, name = s.group.quantity, s.group.name
     if quantity == RATE:
         factor = turning(time_s, force, s.time_s, s.values * (s.factor if s.unit else 1.0))
@@ -347,7 +369,12 @@ def _with_unit(s: _Stream, force: FloatArray, time_s: FloatArray, result: Guess)
 
 
 def _as_rate(s: _Stream, time_s: FloatArray, force: FloatArray) -> _Stream:
-    """Return a stream called rotation as a gyroscope if gravity turns with it; else unchanged, and not used."""
+    """Return a stream called rotation as that of a gyroscope if it holds an angular rate, and any other one unchanged.
+
+    It does so if gravity turns as far as it predicts, in rad/s or deg/s. Where gravity hardly turns or is unknown, the
+    constant part of an angular rate is small. A rotation that is no angular rate is an orientation, and is not used.
+    `force` has no rows if gravity is unknown.
+    """
     if s.group.quantity != ROTATION:
         return s
     factor = turning(time_s, force, s.time_s, s.values)
@@ -360,7 +387,10 @@ def _as_rate(s: _Stream, time_s: FloatArray, force: FloatArray) -> _Stream:
 
 
 def _force(forces: Sequence[_Stream]) -> FloatArray:
-    """Return the specific force in m/s2. If gravity is a separate stream, it is added to the linear acceleration."""
+    """Return the sum of the given accelerations (N, 3) in m/s2, at the times of the first one.
+
+    It is the specific force if gravity is in one of them.
+    """
     at_s = forces[0].time_s
     same = [np.array_equal(s.time_s, at_s) for s in forces]
     values = [
@@ -379,9 +409,10 @@ def _is_of_earth(s: _Stream) -> bool:
 
 
 def _sign(dialect: Dialect | None, platform: str | None, forces: Sequence[_Stream], result: Guess, where: str) -> int:
-    """Return the sign of acceleration and gravity.
+    """Return the factor 1 or -1 that gives acceleration and gravity Android's sign.
 
-    It is that of the app, or of the named platform, or Android's, with a note.
+    The app decides, then the platform. Without both, the factor is 1 and a note says so. RecordingError if a platform
+    is given for an app with one sign on all platforms, or if values in g have an unknown sign.
     """
     if dialect is not None and dialect.sign is not None:
         if platform is not None:
@@ -407,5 +438,5 @@ def _sign(dialect: Dialect | None, platform: str | None, forces: Sequence[_Strea
 
 
 def _common_s(s: _Stream, other: _Stream) -> float:
-    """Return how long two streams overlap on one clock, in whole seconds."""
+    """Return how long two streams overlap in time, in whole seconds, negative for a gap between them."""
     return round(min(s.time_s.max(), other.time_s.max()) - max(s.time_s.min(), other.time_s.min()))

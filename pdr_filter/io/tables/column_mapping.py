@@ -51,9 +51,9 @@ class Mapping:
 
     streams: tuple[StreamMap, ...]
     rate_hz: float = 0.0  # rate of tables without a time
-    separator: str = ""  # empty if it is to be seen
-    decimal: str = ""
-    where: str = ""  # the TOML file that says it
+    separator: str = ""  # between the columns of a text; empty if it is to be detected
+    decimal: str = ""  # decimal point or comma; empty if it is to be detected
+    where: str = ""  # name of the TOML file, or of the recording whose columns were guessed, for messages
 
     def toml(self) -> str:
         """Return the mapping as the text of a TOML file."""
@@ -76,7 +76,10 @@ class Mapping:
 
 
 def mapping_beside(path: Path) -> Path:
-    """Return the path of the column mapping of a file: walk.toml or walk.csv.toml in the folder of walk.csv."""
+    """Return the path of the column mapping of a file, which need not exist.
+
+    For walk.csv it is walk.csv.toml in the same folder if that exists, otherwise walk.toml.
+    """
     longer = beside(path, path.name + ".toml")
     return longer if longer.is_file() else beside(path, path.with_suffix(".toml").name)
 

@@ -308,7 +308,10 @@ def _accuracy(name: str, unit: str) -> int | None:
 
 @lru_cache(maxsize=256)  # detection and reading ask for the same names
 def column_of(place: int, name: str) -> Column:
-    """Return the quantity, axis and unit that the name of a column states. `place` is the index of the column."""
+    """Return the quantity, axis and unit that the name of a column states. `place` is the index of the column.
+
+    What the name does not state is "" in the result.
+    """
     unit_found = _UNIT.search(name) or _UNIT_WORD.search(name.rstrip())
     unit = normal_unit(unit_found[1]).replace("_", "") if unit_found else ""
     unit = _UNIT_OF_WORD.get(unit, unit)

@@ -19,9 +19,10 @@ LEAST_S = 10.0
 
 
 def constant_part(time_s: FloatArray, values: FloatArray) -> float:
-    """Return the median norm of the mean over windows of 2 s, in the unit of the values.
+    """Return the median norm of the mean vectors of windows of 2 s, in the unit of the values.
 
-    For an accelerometer it is gravity.
+    For an accelerometer it is the size of gravity. Rows with NaN and windows with fewer than 5 rows are skipped, unless
+    all windows have fewer. NaN if there is no complete row.
     """
     time_s, values = _complete(time_s, values)
     if not len(values):

@@ -45,7 +45,11 @@ def looks_like(head: bytes) -> bool:
 
 
 def json_sheets(members: Members, name: str, notes: list[str] | None = None) -> list[Sheet]:
-    """Return the tables in a JSON text. RecordingError if it is damaged."""
+    """Return the tables in a JSON text, one for each sensor. Tables without numbers are left out.
+
+    If the text is damaged and `notes` is a list, the rows before the damage are returned with a note. RecordingError
+    if `notes` is None, or if no complete object comes before the damage.
+    """
     where = members.where(name)
     tables: dict[str, _Columns] = {}
     for item in objects_in(members.pieces(name), where, notes):
@@ -60,7 +64,8 @@ def json_sheets(members: Members, name: str, notes: list[str] | None = None) -> 
 def json_fields(members: Members, name: str) -> list[Sheet]:
     """Return the tables in a JSON text with the names of their columns, but without values.
 
-    Only the objects in the first bytes of the text are read. If the first object is longer, the whole text is read.
+    Only the objects in the first bytes of the text are read. If the first object is longer, the whole text is read. A
+    text that is damaged gives the tables before the damage.
     """
     head, found = members.head(name), dict[str, dict[str, None]]()
     for pieces in ([head], members.pieces(name)):
@@ -80,7 +85,8 @@ def objects_in(pieces: Iterable[bytes], where: str, notes: list[str] | None = No
     """Iterate over the JSON objects in a text, which are elements of an array or follow one another.
 
     If the text is damaged or ends within an object, the objects before it are returned and a note is added to `notes`.
-    Raises RecordingError instead if `notes` is None, or if no complete object comes before the damage.
+    Raises RecordingError instead if `notes` is None, or if no complete object comes before the damage. A text that is
+    not UTF-8 always raises it.
     """
     decoder, utf_8 = json.JSONDecoder(), codecs.getincrementaldecoder("utf-8")()
     text, n_found, n_open, wanted = "", 0, 0, 0
@@ -123,7 +129,8 @@ def objects_in(pieces: Iterable[bytes], where: str, notes: list[str] | None = No
 def _rows_of(item: Row, name: str = "", depth: int = 0) -> Iterator[tuple[str, list[Row] | dict[str, list[Any]]]]:
     """Yield the name and the rows or columns of the tables in a JSON object.
 
-    An object that is a row itself is a table of one row.
+    The name is the sensor that a row names. Otherwise it is the key of the table, or `name` for keys such as "data". An
+    object that is a row itself is a table of one row. Objects in which lists are nested are searched, too.
     """
     lists = {key: cast("list[Any]", value) for key, value in item.items() if isinstance(value, list)}
     tables = {key: [cast("Row", row) for row in rows if isinstance(row, dict)] for key, rows in lists.items()}
@@ -150,13 +157,16 @@ def _holds_columns(item: Row) -> bool:
 
 
 def _sensor_of(row: Row) -> str:
-    """Return the sensor that a row names, or an empty string."""
+    """Return the sensor that a row names if it measures a vector, otherwise an empty string."""
     said = next((row[key] for key in _SENSOR if isinstance(row.get(key), str)), "")
     return said[: limits.MAX_NAME_CHARS] if quantity_of_file(said)[0] in VECTORS else ""
 
 
 def _flat(item: Row, before: str = "", depth: int = 0) -> Row:
-    """Return the values in a nested object by name, with points between the names of the levels."""
+    """Return the values in a nested object by name, with points between the names of the levels.
+
+    A list of three values becomes x, y and z. Other lists are left out. Keys such as "values" add no level.
+    """
     found: Row = {}
     for key, value in item.items():
         name = before if key in _PLAIN else f"{before}.{key}" if before else key
@@ -189,7 +199,7 @@ class _Columns:
             self._keep_rows()
 
     def sheet(self, name: str) -> Sheet | None:
-        """Return the table, or None if no column holds numbers."""
+        """Return the table, or None if no column holds numbers or dates."""
         self._keep_rows()
         columns: dict[str, FloatArray | IntArray] = {}
         places: dict[str, list[int]] = {"": [], "date": [], "exact": []}
@@ -226,7 +236,11 @@ _Column = tuple[FloatArray | IntArray, str]  # values, and whether they are date
 
 
 def _column(values: list[Any], where: str) -> _Column | None:
-    """Return the numbers or dates of a column, with NaN for missing ones, or None for a column of text."""
+    """Return the values of a column and their kind, or None for a column of text.
+
+    The kind is "date" for dates, as int64 nanoseconds, and "exact" for int64 numbers that a float would round. It is ""
+    for floats, with NaN for missing values. Dates and exact numbers with a missing value become floats, too.
+    """
     first = next((value for value in values if value not in (None, "", "null")), None)
     try:
         if isinstance(first, str) and is_date(first):
@@ -247,7 +261,8 @@ def _column(values: list[Any], where: str) -> _Column | None:
 def table_of_rows(rows: Sequence[Row], columns: Sequence[str], where: str, notes: list[str]) -> NumberTable:
     """Return a table of JSON objects: the key `time` as whole numbers, and the keys in `columns` as floats.
 
-    Objects without a time are left out.
+    Objects whose time is null or empty are left out. RecordingError if the first object lacks one of the keys, or if a
+    value is not a number.
     """
     if rows and (missing := [key for key in ("time", *columns) if key not in rows[0]]):
         found = ", ".join(map(str, rows[0]))[:120]

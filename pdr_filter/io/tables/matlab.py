@@ -40,7 +40,7 @@ def is_matlab(head: bytes) -> bool:
 
 
 def matlab_sheets(members: Members, name: str) -> list[Sheet]:
-    """Return the tables in a MATLAB file."""
+    """Return the tables in a MATLAB file. RecordingError if it is damaged, has version 7.3, or holds no table."""
     where = members.where(name)
     content = members.whole(name, limits.MAX_UNPACKED_BYTES)
     if content.startswith(_HEAD_OF_7_3):
@@ -55,7 +55,10 @@ def matlab_sheets(members: Members, name: str) -> list[Sheet]:
 
 @dataclass(frozen=True, slots=True)
 class _Opaque:
-    """Variable of a MATLAB file that is an object, with the number that identifies the object in the file."""
+    """Variable of a MATLAB file that is an object of the class `kind`.
+
+    `value` holds the integers with which the file refers to the object; `number` identifies it among the objects.
+    """
 
     name: str
     kind: str
@@ -90,7 +93,10 @@ class _File:
                 self.variables[found[0]] = found[1]
 
     def sheets(self, where: str) -> list[Sheet]:
-        """Return a table for each timetable, and one of all columns that have the same length."""
+        """Return a table for each timetable, and one for each length of the other columns.
+
+        An array with three columns gives the axes x, y and z. RecordingError if there is no table.
+        """
         found: list[Sheet] = []
         plain: dict[int, dict[str, FloatArray]] = {}
         for name, value in list(self.variables.items())[: limits.MAX_TABLES]:
@@ -145,7 +151,7 @@ class _File:
         return []
 
     def _properties(self, number: int) -> dict[str, Any]:
-        """Return the properties of an object from its number."""
+        """Return the properties of the object with this number, by name. Other kinds than values are None."""
         meta = np.asarray(self._cells[0], dtype=np.uint8).tobytes()
         words = np.frombuffer(meta[: len(meta) // 4 * 4], dtype=self._order + "u4").astype(int)
         names = meta[40 : words[2]].split(b"\x00")
@@ -163,7 +169,10 @@ class _File:
     # ------------------------------------------------------------------------------------------- elements
 
     def _elements(self, content: bytes, at: int) -> Iterator[tuple[int, int, bytes]]:
-        """Yield the start index, kind and bytes of consecutive data elements of a MATLAB file."""
+        """Yield the start index, kind and bytes of consecutive data elements, which begin at the index `at`.
+
+        The elements in a compressed element are yielded in its place, all with its start index.
+        """
         while at + 8 <= len(content):
             self._elements_left -= 1
             if self._elements_left < 0:
@@ -190,7 +199,7 @@ class _File:
     def _matrix(self, content: bytes, depth: int) -> tuple[str, Any] | None:
         """Return name and value of a matrix element, or None for a kind that no table needs.
 
-        The value is an array, a text, a list of cells, or the dict of a structure.
+        The value is an array, a text, a list of cells, the dict of a structure, or the `_Opaque` of an object.
         """
         if depth > _MAX_DEPTH:
             raise ValueError("too deep")

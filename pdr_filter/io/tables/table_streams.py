@@ -34,7 +34,11 @@ class _Zero(NamedTuple):
 
 
 def fill(parsed: Parsed, mapping: Mapping, sheets: Sequence[Sheet]) -> None:
-    """Fill `parsed` with the streams of a mapping and with the properties of their times."""
+    """Fill `parsed` with the streams of a mapping, read from the tables, and with the properties of their times.
+
+    If there is only an acceleration without gravity, `parsed.linear` gets the names of its columns. RecordingError
+    unless each column of the mapping is in its table once.
+    """
     _describe_clock(parsed, mapping)
     found = {stream.stream: _read(stream, mapping, sheets) for stream in mapping.streams}
     streams = _combined(found)
@@ -52,7 +56,7 @@ def fill(parsed: Parsed, mapping: Mapping, sheets: Sequence[Sheet]) -> None:
 
 
 def _describe_clock(parsed: Parsed, mapping: Mapping) -> None:
-    """Store the columns of times and the rate that the mapping states."""
+    """Describe the clock in `parsed`: the columns of times with their units, or the rate of the rows."""
     times = sorted(
         {f"{stream.time.removeprefix('column ')} ({stream.time_unit})" for stream in mapping.streams if stream.time}
     )
@@ -64,7 +68,10 @@ def _describe_clock(parsed: Parsed, mapping: Mapping) -> None:
 
 
 def _read(stream: StreamMap, mapping: Mapping, sheets: Sequence[Sheet]) -> _Stream:
-    """Return a stream of a mapping from its table."""
+    """Return a stream of a mapping from its table, in the units and with the signs of `Recording`.
+
+    Of repeated locations, only the first is kept.
+    """
     sheet = _sheet_of(stream, mapping, sheets)
     time = _place(stream.time, sheet, mapping) if stream.time else None
     ticks, values = sheet.stream([_place(name, sheet, mapping) if name else -1 for name in stream.columns], time)
@@ -79,8 +86,8 @@ def _read(stream: StreamMap, mapping: Mapping, sheets: Sequence[Sheet]) -> _Stre
 def _combined(found: dict[str, _Stream]) -> dict[str, _Stream]:
     """Return the streams of a recording.
 
-    A missing acceleration is the sum of linear acceleration and gravity, or the linear acceleration if there is no
-    gravity either. Angles become quaternions.
+    A missing accelerometer is the sum of linear acceleration and gravity, or the linear acceleration if there is no
+    gravity either. Angles become the quaternions of the stream "attitude".
     """
     streams = {name: stream for name, stream in found.items() if name not in (GRAVITY, LINEAR, ANGLES)}
     if GRAVITY in found and LINEAR in found and "accelerometer" not in found:
@@ -110,9 +117,10 @@ def quaternion_of(roll_rad: FloatArray, pitch_rad: FloatArray, yaw_rad: FloatArr
 
 
 def is_new_place(values: FloatArray) -> BoolArray:
-    """Return True for rows with a new location.
+    """Return True for each row whose location is known and differs from that of the row before, shape (N,).
 
-    Tables with a row for each sample repeat locations. Latitude 0 with longitude 0 is not a location.
+    `values` (N, d) begin with latitude and longitude. Tables with a row for each sample repeat locations. Latitude 0
+    with longitude 0 is not a location.
     """
     changes = np.ones(len(values), dtype=bool)
     changes[1:] = (values[1:, :2] != values[:-1, :2]).any(axis=1)
@@ -120,7 +128,10 @@ def is_new_place(values: FloatArray) -> BoolArray:
 
 
 def _summed(linear: _Stream, gravity: _Stream) -> _Stream:
-    """Return the sum of linear acceleration and gravity, which may have different times."""
+    """Return the sum of linear acceleration and gravity at the times of the linear acceleration.
+
+    Gravity is interpolated if its times differ. The sum is NaN in gaps of gravity.
+    """
     zero = _Zero(linear.ticks[0].item() if len(linear.ticks) else 0, linear.unit_s)
     at_s, known_s = _seconds(linear, zero), _seconds(gravity, zero)
     if np.array_equal(at_s, known_s):

@@ -51,8 +51,7 @@ class TextRows:
     def __call__(self, numbers: Sequence[int], whole: int | None, notes: list[str]) -> NumberTable:
         """Return the columns with the indices `numbers` as floats, and the column `whole` as integers.
 
-        `whole` is usually a column of times. Dates become nanoseconds. If `whole` is None, there is no column of
-        integers.
+        `whole` is usually a column of times. Dates become nanoseconds. If `whole` is None, the integers are zeros.
         """
         names = tuple(self.fields[i] for i in numbers)
         layout = Layout(tuple(numbers), whole, self.separator, self.decimal, names)
@@ -69,7 +68,11 @@ class TextRows:
         return NumberTable(without_midnights(found.whole), found.values)
 
     def _dated(self, rows: bytes, layout: Layout, dates: int, notes: list[str], line: int) -> NumberTable:
-        """Parse rows in which the column `dates` holds dates, which become nanoseconds since 1970."""
+        """Return the numbers of rows whose column with the index `dates` holds dates.
+
+        Dates become nanoseconds since 1970, times of day those since midnight, and durations such as 0.02 sec their
+        nanoseconds.
+        """
         try:
             ns = column_nanoseconds(rows, self.separator.encode(), dates)
             if ns is not None:
@@ -115,7 +118,7 @@ class TextRows:
         return rb"(?m)^(?:[^\n" + self._mark + rb"]*" + self._mark + b"){%d}" % column
 
     def texts_of(self, column: int) -> list[str]:
-        """Return the different values of a column of text, or an empty list if there are more than 40."""
+        """Return the different values of a column of text without the empty one, or no values if there are over 40."""
         pattern = self._up_to(column) + rb'"?([^\n"' + self._mark + rb"]*)"
         texts: dict[bytes, None] = {}
         for rows in self._rows():
@@ -139,7 +142,7 @@ def by_text(sheet: Sheet, column: int) -> list[Sheet]:
 def text_sheets(members: Members, member: str, separator: str | None = None) -> list[Sheet]:
     """Return the tables in a text.
 
-    There are several if the first column name begins another line of column names.
+    There are several if the first column name, in quotation marks, also begins later lines of other column names.
     """
     header = members.head(member).removeprefix(b"\xef\xbb\xbf").partition(b"\n")[0].strip()
     if header.startswith(b'"') and (first := re.match(rb'"[^"\d]*"', header)):
@@ -162,7 +165,7 @@ def _begins(block: bytes, first: bytes) -> list[int]:
 
 
 def _table_at(members: Members, member: str, first: bytes, n: int) -> Iterator[bytes]:
-    """Yield the blocks of bytes of the n-th of several tables in a text.
+    """Yield the blocks of bytes of table number n, counted from 0, of several tables in a text.
 
     Each table begins with a line that begins with `first`.
     """
@@ -180,6 +183,7 @@ def text_sheet(
 ) -> Sheet | None:
     """Return the table in a text file, or None if there is none.
 
+    If `separator` is None, the separator is taken that splits the first rows into the largest share of numbers.
     `blocks` yields the text in pieces, if it is not the content of the file `member`.
     """
     head = members.head(member) if blocks is None else next(blocks(), b"")[: limits.HEAD_BYTES]
@@ -238,7 +242,10 @@ class _Found:
 
 
 def _lines(head: bytes) -> list[str]:
-    """Return the complete lines in the first bytes of a text."""
+    """Return the complete lines in the first bytes of a text.
+
+    Bytes that are not UTF-8 are decoded with the code page in which most names of columns are known.
+    """
     try:
         text = head.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -258,7 +265,10 @@ def _n_known(text: str) -> int:
 
 
 def _layout(lines: list[str], separator: str) -> _Found | None:
-    """Return the start of the table if `separator` separates its fields, or None if the lines are no such table."""
+    """Return first row, header and decimal mark of the table in lines, if `separator` separates its fields.
+
+    None if the lines are no such table. RecordingError if its commas are both in numbers and between them.
+    """
     # Line ends that were converted twice leave a blank line after each.
     places = [*islice((i for i, line in enumerate(lines) if line.strip()), _LINES_TRIED + _LINES_COMPARED)]
     if separator != " " and not any(separator in lines[i] for i in places):

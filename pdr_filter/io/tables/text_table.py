@@ -88,7 +88,7 @@ class TextTable:
         return not self.header.strip() and not self.first_rows.strip()
 
     def places(self, names: Sequence[str]) -> tuple[int, ...]:
-        """Return the places of the columns with these names. RecordingError unless each exists exactly once."""
+        """Return the indices of the columns with these names. RecordingError unless each name exists exactly once."""
         for name in names:
             if (n := self.fields.count(name)) != 1:
                 raise RecordingError(
@@ -106,7 +106,10 @@ class TextTable:
         texts: Sequence[int] = (),
         decimal: str = ".",
     ) -> NumberTable:
-        """Parse the columns of a text table that `layout` picks (see `Layout` and `parse_blocks`)."""
+        """Return the columns with the indices `places` as floats, `whole` as integers and `texts` as texts.
+
+        Without `whole` the integers are zeros. The table can be parsed only once. See `parse_blocks` for refused rows.
+        """
         names = tuple(self.fields[place] for place in places)
         layout = Layout(tuple(places), whole, self.separator, decimal, names, tuple(texts))
         return parse_blocks(chain([self.first_rows], self._rest), layout, self.where, notes)
@@ -124,7 +127,10 @@ def decode(content: bytes, where: str, first_line: int = 1) -> str:
 
 
 def text_rows(content: bytes, where: str) -> list[list[str]]:
-    """Return the rows of a small table of text that are not empty."""
+    """Return the rows of a small text table as lists of fields, with the header and without empty rows.
+
+    RecordingError if the text is not UTF-8 or not CSV.
+    """
     text = decode(content.replace(b"\x00", b""), where)
     separator = find_separator(text.partition("\n")[0])
     try:
@@ -138,8 +144,9 @@ def parse_blocks(
 ) -> NumberTable:
     """Parse the lines of all blocks, of which only the last may lack its final line feed.
 
-    Empty, infinite and absurd values become NaN. A last line that is cut off is left out with a note; any other with
-    too few fields or with text in a number column is refused with its number, counted from `first_line`.
+    Empty, infinite and absurd values become NaN. A last line that is cut off is left out with a note, and so are rows
+    without the whole number. RecordingError for any other line with too few fields, or with text in a number column. It
+    names the number of the line, counted from `first_line`.
     """
     parts: list[NumberTable] = []
     for block in blocks:
@@ -268,7 +275,11 @@ def _filled(text: str, separator: str) -> str:
 
 
 def _parse_rows(text: str, layout: Layout, where: str, notes: list[str], line: int, is_whole: bool) -> NumberTable:
-    """Parse a block row by row, so that a note or an error message can name the line and the field."""
+    """Return the table in the text of a block, parsed row by row, so that a message can name the line and the field.
+
+    `line` is the number of the first line. `is_whole` is False if the last line may be cut off. RecordingError as in
+    `parse_blocks`.
+    """
     values: list[list[float]] = []
     whole: list[int] = []
     texts: list[list[str]] = []
@@ -349,7 +360,7 @@ def _no_number(row: list[str], i: int, layout: Layout, where: str) -> RecordingE
 
 
 def to_number(field: str) -> float | None:
-    """Return the number in a field, NaN if the field is empty, or None if it is text."""
+    """Return the number in a field, NaN if the field is empty or a word such as null or NA, or None for other text."""
     field = field.strip()
     if not field or field in UNKNOWN:
         return math.nan
@@ -362,7 +373,10 @@ def to_number(field: str) -> float | None:
 
 
 def whole_number(field: str) -> int | None:
-    """Return the whole number in a field without loss, or None if the field is empty. ValueError for anything else."""
+    """Return the whole number in a field with all digits, or None for an empty field, null, NA or NaN.
+
+    A fraction is cut off. ValueError for other text and for numbers beyond int64.
+    """
     field = field.strip()
     if not field or field in ("nan", "NaN", *UNKNOWN):
         return None

@@ -99,7 +99,7 @@ class WindowContext:
 
     @property
     def new_since_s(self) -> float:
-        """Start of the samples that are new in this window, s."""
+        """Start of the samples that are new in this window, s: one hop before its end."""
         return self.time_s - self.hop_s
 
 
@@ -558,8 +558,8 @@ class ContextModels:
     ) -> tuple[FloatArray, WindowContext]:
         """Return the new carrying-mode probabilities (5,) and the classification of a window from its assessments.
 
-        An assessment is None if there is no model for the sensors of the window. `standing` are the indices of the
-        contexts without steps.
+        An assessment is None if there is no model for the sensors of the window. The context probabilities are then the
+        training prior, with the unknown share 1. `standing` are the indices of the contexts without steps.
         """
         model = (
             self.with_gyroscope if window.has_gyroscope or self.without_gyroscope is None else self.without_gyroscope
@@ -587,7 +587,8 @@ class ContextModels:
     ) -> FloatArray:
         """Return the carrying-mode probabilities after a window.
 
-        The evidence of the window is weighted by its probability of motion `moving` and by its familiar share.
+        The evidence of the window is weighted by its probability of motion `moving` and by its familiar share. Without
+        a carrying-mode model for the window the probabilities are unchanged.
         """
         model = self.carrying_with_gyroscope if window.has_gyroscope else self.carrying_without_gyroscope
         if model is None or assessment is None:

@@ -128,7 +128,7 @@ def irregular_prob(names: tuple[str, ...], features: FloatArray, has_gyroscope: 
 
 @cache
 def _columns(names: tuple[str, ...], has_gyroscope: bool) -> IntArray:
-    """Return the positions of the features of a gate among all names."""
+    """Return the positions of the features of a gate among all names. ValueError if features are missing."""
     needed = (GATE if has_gyroscope else GATE_ACCELEROMETER).names
     missing = sorted(set(needed) - set(names))
     if missing:

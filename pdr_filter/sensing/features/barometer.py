@@ -195,9 +195,10 @@ class ClimbRate:
         ) if windows else []
 
     def _climbs(self, samples: FloatArray, windows: list[tuple[int, int, int, float]]) -> list[Climb]:
-        """Return the climbs of windows.
+        """Return the climbs of windows of samples (2, B), which are times and pressures.
 
-        Each window is given by its first sample, the first sample of its last hop, its end, and the resolution so far.
+        Each window is given by the indices of its first sample, of the first sample of its last hop, and of its end.
+        The fourth number is the resolution of the sensor so far, hPa.
         """
         starts, lasts, ends = np.array([w[:3] for w in windows]).T
         quantum_hpa, n, n_last = np.array([w[3] for w in windows]), ends - starts, ends - lasts
@@ -231,7 +232,7 @@ def _ranges(starts: IntArray, n: IntArray) -> IntArray:
 
 
 def checked_pressure(time_s: FloatArray, pressure_hpa: FloatArray) -> FloatArray:
-    """Return the times and pressures (2, N) of the usable samples.
+    """Return the times and pressures (2, N) of the usable samples: those with a finite time and 300 to 1100 hPa.
 
     Raises ValueError for wrong shapes and for pressures in Pa or kPa.
     """

@@ -245,7 +245,7 @@ def _rows(features: FloatArray) -> FloatArray:
 
 @cache
 def _quantile_indices(n: int) -> IntArray:
-    """Return the positions of the quantiles in n sorted values."""
+    """Return the positions of the `QUANTILES` in n sorted values."""
     return np.array([min(int(q * n), n - 1) for q in QUANTILES])
 
 
@@ -264,7 +264,10 @@ def _main_axes(horizontal: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _moments(centred: FloatArray, std: FloatArray, floor: float) -> FloatArray:
-    """Return the skewness and kurtosis (W, 2) of signals (W, N), which are zero for a constant signal."""
+    """Return the skewness and kurtosis (W, 2) of centred signals (W, N) with the standard deviations `std` (W,).
+
+    Standard deviations below `floor` count as `floor`, so that both are zero for a constant signal.
+    """
     scaled = centred / np.maximum(std, floor)[:, None]
     squared = scaled * scaled
     return columns([mean_of(squared * scaled), mean_square(squared)])

@@ -44,9 +44,9 @@ class CorridorState:
     turned_rad : float
         Total turn since the start, rad.
     leg_rad : float
-        Last heading of a straight part, rad. NaN before the first.
+        Last heading of a straight part (a leg), rad. NaN before the first.
     recent : tuple of (float, float)
-        Times (s) and headings (rad) of the last steps.
+        Times (s) and headings (rad) of the last steps, which may form a straight part.
     """
 
     bank: FloatArray
@@ -88,8 +88,8 @@ class Corridors:
         Log odds from which a walk counts as following axes, and the gyroscope bias is estimated from them. Log odds of
         6 were never reached in malls, rooms and free walks, and are reached after four to six corners of an office.
     n_straight, straight_rad, straight_s : int, float, float
-        A straight part has at least `n_straight` steps within `straight_s` seconds whose headings differ by at most
-        `straight_rad`.
+        A straight part (a leg) has at least `n_straight` steps within `straight_s` seconds whose headings differ by at
+        most `straight_rad`.
     leg_std_rad : float
         Standard deviation of the direction of a leg about its axis, rad.
     step_std_rad : float
@@ -139,7 +139,8 @@ class Corridors:
     def restart(self, state: CorridorState) -> CorridorState:
         """Return the state after a break in the headings: drift and axes are unknown again.
 
-        The drift rates with their variances and the means of the scale errors are kept.
+        The drift rates with their variances and weights are kept, and so are the means of the scale errors. The odds of
+        axes start again.
         """
         initial = self.init()
         mean, cov = initial.mean, initial.cov
@@ -149,7 +150,11 @@ class Corridors:
         return replace_unchecked(initial, log_weight=state.log_weight)
 
     def update(self, state: CorridorState, time_s: float, heading_rad: float) -> CorridorState:
-        """Return the state after a step with this walking heading, which is not wrapped."""
+        """Return the state after a step with this walking heading, which is not wrapped.
+
+        Each step predicts the drift. Only a step of a straight part is a measurement of the axes. The first straight
+        part defines their direction.
+        """
         last_s, last_rad = state.recent[-1] if state.recent else (time_s, heading_rad)
         bank = self._predict(state, time_s - last_s, heading_rad - last_rad)
         turned_rad = state.turned_rad + heading_rad - last_rad
@@ -171,11 +176,11 @@ class Corridors:
         return self._update_straight(state, heading_rad, is_new)
 
     def probability(self, state: CorridorState) -> float:
-        """Return the probability that the walk follows axes."""
+        """Return the probability that the walk follows the axes of a building."""
         return 1.0 / (1.0 + math.exp(-state.log_odds))
 
     def is_sure(self, state: CorridorState) -> bool:
-        """Return True if the log odds of axes reach `sure_log_odds`."""
+        """Return True if the log odds that the walk follows the axes of a building reach `sure_log_odds`."""
         return state.log_odds >= self.sure_log_odds
 
     def drift(self, state: CorridorState) -> tuple[float, float]:
@@ -220,7 +225,7 @@ class Corridors:
         return bank
 
     def _update_straight(self, state: CorridorState, heading_rad: float, is_new: bool) -> CorridorState:
-        """Return the state after a step of a straight part; `is_new` is True for a leg in a new direction."""
+        """Return the state after a step of a straight part. `is_new` is True for a straight part in a new direction."""
         product = state.bank.dot(_ALONG_AXIS)
         gain = product[:, 1:]
         predicted_var = gain[:, _DRIFT] + gain[:, _AXIS]

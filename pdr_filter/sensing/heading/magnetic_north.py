@@ -225,7 +225,11 @@ class MagneticNorth:
         return state, result
 
     def _at_step(self, state: MagneticNorthState, step: Step, times: list[float]) -> MagneticNorthState:
-        """Return the state after the readings during a step; `times` are the times of all buffered readings."""
+        """Return the state with the readings made during a step, and with north estimated again if many are new.
+
+        `times` are the times of all buffered readings. If the angular rate was unknown for a time, earlier readings are
+        discarded.
+        """
         if step.heading_unknown_s > 0:
             # Without angular rate the attitude frame is rotated by an unknown angle, so earlier readings are useless.
             state = replace_unchecked(self.init(), samples=state.samples, readings=state.readings, used_s=state.used_s)

@@ -114,7 +114,10 @@ class StrideAgreement:
         check_numbers(self)
 
     def learn(self, place: Placement, stride: Stride, elapsed_s: float) -> Placement:
-        """Return the statistics of a place updated with one more stride."""
+        """Return the statistics of a place updated with one more stride.
+
+        `elapsed_s` is the time of walking by which earlier strides are forgotten.
+        """
         n_strides = place.n_strides + 1
         stay = math.exp(-elapsed_s / self.memory_s)
         (af, ar), (bf, br), (cf, cr) = place.vectors

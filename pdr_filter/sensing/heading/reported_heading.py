@@ -105,10 +105,11 @@ class Reported:
         """Return the estimate after a step, and the fields of the step with the reported measurement.
 
         The offset of walking heading minus device heading is `shown.offset_rad` - `error_rad`, with variance
-        `var_rad2`. The error of the device heading comes from the gyroscope bias or the axes of a building. A new error
-        is always reported. A new shown offset of a phone that stays in its place is reported only as far as strides
-        have reduced its variance. The reason is that this offset fluctuates, and that each change turns the whole past
-        track if the heading has been uncertain for a long time.
+        `var_rad2`. `error_rad` is the error of the device heading from the gyroscope bias or the axes of a building.
+        `change_std_rad` is the standard deviation of the change of the offset if the phone was moved, else 0. A new
+        error is always reported. A new shown offset of a phone that stays in its place is reported only as far as
+        strides have reduced its variance. The reason is that this offset fluctuates, and that each change turns the
+        whole past track if the heading has been uncertain for a long time.
 
         With the estimate o- of variance P- and the new offset o of variance P, the measurement is z = o- + (o - o-) / K
         with K = 1 - P / P-, and its variance is P- P / (P- - P) (docs/methods/heading.md).

@@ -132,7 +132,7 @@ class Phases:
 
 
 def strides_of(samples: StrideSamples, is_running: BoolArray, rate_hz: float, phases: Phases) -> list[Stride]:
-    """Return the strides relative to the pointing axis of the phone in each.
+    """Return the strides in samples of K strides, each relative to the pointing axis of the phone in that stride.
 
     `is_running` (K,) is True for strides that are known to be running.
     """

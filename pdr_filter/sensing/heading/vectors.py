@@ -8,12 +8,12 @@ Vector = tuple[float, float, float]
 
 
 def dot(a: Vector, b: Vector) -> float:
-    """Return the inner product."""
+    """Return the inner product of two vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def cross(a: Vector, b: Vector) -> Vector:
-    """Return the cross product."""
+    """Return the cross product of two vectors."""
     (x, y, z), (u, v, w) = a, b
     return (y * w - z * v, z * u - x * w, x * v - y * u)
 

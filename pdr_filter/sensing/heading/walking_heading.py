@@ -109,7 +109,10 @@ class KnownPlace:
 
 
 def known_places(steps: Table) -> tuple[KnownPlace, ...]:
-    """Return the places of the phone during a track, each with the direction estimated at its last stride."""
+    """Return the places of the phone during a track, in order of time.
+
+    Each has the walking direction in the axes of the phone, as estimated at the last stride in this place.
+    """
     since_s, std_rad = np.asarray(steps.carried_since_s), np.asarray(steps.shown_offset_std_rad)
     shown_rad = np.asarray(steps.shown_offset_rad)
     (in_place,) = (np.isfinite(since_s) & np.isfinite(std_rad)).nonzero()
@@ -496,8 +499,9 @@ class WalkingHeading:
 
         The stride that the step ends updates the place of the phone and the heading offset. The new information is
         reported in the fields of the step. `stride` is None if the step ends no usable stride. The step then receives
-        only the heading error due to the gyroscope bias and the present offset. `bias_error` holds the three results of
-        `_bias_error`: the error of the device heading due to the gyroscope bias in rad, and two variances in rad2.
+        only the heading error due to the gyroscope bias and the present offset. Before the first usable stride there is
+        no offset. `bias_error` holds the three results of `_bias_error`: the error of the device heading due to the
+        gyroscope bias in rad, and two variances in rad2.
         """
         loss = self._bias_field(state, step, bias_error[2] - state.lost_var_rad2)
         reported = state.reported.at_step(step, self.drift, loss.get("yaw_bias_std_radps", step.yaw_bias_std_radps))
@@ -672,7 +676,7 @@ class WalkingHeading:
     def _update_place(
         self, state: WalkingHeadingState, stride: Stride, time_s: float, carrying_mode: int
     ) -> tuple[Offset, tuple[PreviousPlacement, ...], Placement, float]:
-        """Return the offset, the previous places, the place of a stride, and the change of the offset.
+        """Return the heading offset, the previous places, the place of a stride, and the change of the offset.
 
         The phone was moved if the mean up direction of the stride is too far from that of the place. A new place then
         begins. Its offset follows from the last walking direction, and from a previous place with the same tilt if
@@ -706,7 +710,10 @@ class WalkingHeading:
         return offset, previous_places, place, UNKNOWN_STD_RAD
 
     def _known_place_at(self, time_s: float) -> KnownPlace | None:
-        """Return the place of the phone at a time, as estimated in the first pass, or None without a first pass."""
+        """Return the place of the phone at a time, as estimated in the first pass.
+
+        The result is None without a first pass, and before the first place.
+        """
         i = bisect_right(self.known_places, time_s, key=attrgetter("start_s"))
         return self.known_places[i - 1] if i else None
 
@@ -731,12 +738,15 @@ class WalkingHeading:
         return math.atan2(dot(direction, right), dot(direction, stride.axis))
 
     def _systematic_rad2(self, stride: Stride) -> float:
-        """Return the variance of the systematic error of a stride, rad2."""
+        """Return the variance of the systematic error of a stride, rad2.
+
+        It is larger in running and with the screen up.
+        """
         has_large_error = stride.runs or stride.up[2] > 0.5
         return (self.held_systematic_std_rad if has_large_error else self.systematic_std_rad) ** 2
 
     def _with_axis(self, place: Placement, offset: Offset, stride: Stride, trust: float) -> Offset:
-        """Return the offset updated with the pointing axis of the phone, as for a phone that is read while walking.
+        """Return the heading offset updated with the pointing axis of the phone, as of a phone that is being read.
 
         The axis is used only if the phone may have been read during at least half of the strides in this place
         (`Placement.n_read`). It is not used if strides with high agreement (`trust`) contradict it.
@@ -751,11 +761,12 @@ class WalkingHeading:
     def _update_offset(
         self, place: Placement, offset: Offset, stride: Stride, elapsed_s: float
     ) -> tuple[Offset, Offset, float]:
-        """Return the offset after a stride, the offset with temporary information, and the agreement of strides.
+        """Return the heading offset after a stride, also with temporary information, and the agreement of strides.
 
-        The first strides of a place update the offset only temporarily, by their sum. Later strides may show that the
-        phone is in a swinging hand, or has another phase, and this changes the direction of the sum. After
-        `_FIRST_STRIDES` strides the sum is used permanently, and further strides are used one by one.
+        The second result is the offset with the temporary information. The first strides of a place update the offset
+        only temporarily, by their sum. Later strides may show that the phone is in a swinging hand, or has another
+        phase, and this changes the direction of the sum. After `_FIRST_STRIDES` strides the sum is used permanently,
+        and further strides are used one by one.
         """
         stay = math.exp(-elapsed_s / self.systematic_s)
         random_walk_rad2 = self.drift.random_walk_rad_per_sqrt_s**2 * elapsed_s
@@ -781,7 +792,11 @@ def _as_complex(place: Placement) -> tuple[complex, complex, complex]:
 
 
 def _shown_fields(state: WalkingHeadingState, on_axes: bool = False) -> dict[str, Any]:
-    """Return the fields of a step that describe the direction of the phone relative to the body."""
+    """Return the fields of a step that describe the walking direction relative to the phone.
+
+    They are the direction with its standard deviation, the agreement of the strides, the time since which the phone is
+    in its place, and `on_axes`. `on_axes` is True if the walk certainly follows the axes of a building.
+    """
     return {
         "on_axes": on_axes,
         "shown_offset_rad": state.shown.shown_rad,

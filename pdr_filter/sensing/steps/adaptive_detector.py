@@ -183,12 +183,12 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
 
     @cached_property
     def _n_before(self) -> int:
-        """Samples before a contact that enter the response."""
+        """Number of samples before a contact that enter the response."""
         return round(self.before_s * self.rate_hz) + len(self._power_low_pass) // 2
 
     @property
     def _delay_samples(self) -> int:
-        """Samples after a contact that enter the response."""
+        """Number of samples after a contact that enter the response."""
         return self._n_after
 
     @cached_property
@@ -291,14 +291,17 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
         return replace_unchecked(state, rhythm=_with_step(rhythm, interval_s, new_bout))
 
     def _is_expected(self, rhythm: Rhythm, interval_s: float) -> bool:
-        """Return True if the rhythm predicts a step after this interval."""
+        """Return True if the rhythm predicts a step after this interval; False before two intervals are known."""
         if rhythm.n_intervals < 2 or interval_s <= 0:
             return False
         return abs(math.log(interval_s / rhythm.period_s)) < self.rhythm_tolerance
 
 
 def _with_step(rhythm: Rhythm, interval_s: float, new_bout: bool) -> Rhythm:
-    """Return the rhythm updated with the interval of a step."""
+    """Return the rhythm updated with the interval of a step.
+
+    The first step of a bout (`new_bout`) resets the rhythm.
+    """
     if new_bout:
         return Rhythm(0.0, 0)
     period_s = 0.7 * rhythm.period_s + 0.3 * interval_s if rhythm.n_intervals else interval_s

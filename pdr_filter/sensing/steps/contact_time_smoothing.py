@@ -150,7 +150,10 @@ def _halves(step: Step) -> tuple[Step, Step]:
 
 
 def _with_contact(state: ContactTimeSmoothingState, contact_s: float) -> ContactTimeSmoothingState:
-    """Return the state after a detected contact."""
+    """Return the state after a contact, with the new estimate of the alternating error and the shift of this contact.
+
+    The estimate starts again after a pause or a missed step.
+    """
     contacts_s = (*state.contacts_s[-2:], contact_s)
     if len(contacts_s) < 3:
         return ContactTimeSmoothingState(contacts_s)

@@ -38,7 +38,7 @@ class ContextBlock:
     context : IntArray
         Index of the context, shape (N,). -1 if no context has half of the probability, and before the first window.
     carrying_mode : IntArray
-        Index into `CARRYING_MODES`, shape (N,). -1 likewise.
+        Index into `CARRYING_MODES`, shape (N,). -1 if no mode has half of the probability, and before the first window.
     stands : BoolArray
         True where the context is one without steps, shape (N,).
     runs : BoolArray

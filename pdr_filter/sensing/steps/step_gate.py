@@ -201,17 +201,17 @@ class StepGate:
 
     @cached_property
     def _samples_per_row(self) -> int:
-        """Samples that are averaged to one row of the evidence."""
+        """Number of samples that are averaged to one row of the evidence."""
         return round(self.rate_hz / EVIDENCE_HZ)
 
     @cached_property
     def _n_before(self) -> int:
-        """Rows of a window before the contact, at normal walking."""
+        """Number of rows of a window before the contact, at normal walking."""
         return round(self.before_s * EVIDENCE_HZ)
 
     @cached_property
     def _n_after(self) -> int:
-        """Rows of a window after the contact."""
+        """Number of rows of a window after the contact."""
         return round(self.after_s * EVIDENCE_HZ)
 
     @cached_property
@@ -306,7 +306,7 @@ class StepGate:
         return (replace_unchecked(after, run_s=state.run_s, is_bout=True) if state.is_bout else after), released
 
     def _row(self, state: StepGateState, step: Step) -> int:
-        """Return the number of the row that contains the contact of a step."""
+        """Return the number of the row (specific force averaged to 25 Hz) that contains the contact of a step."""
         return max(math.floor((step.time_s - state.start_s) * EVIDENCE_HZ), 0)
 
     def _judge(self, state: StepGateState, numbers: Sequence[int]) -> tuple[StepGateState, list[tuple[int, Step]]]:
@@ -353,9 +353,10 @@ class StepGate:
         return log_odds.tolist()
 
     def _window(self, state: StepGateState, row: int, number: int, stretch: float) -> FloatArray:
-        """Return the rows of the window around row number `row`, as known at sample `number`.
+        """Return the rows of specific force (N, 3) of the window around row number `row`, as known at sample `number`.
 
-        The result does not depend on how many rows are still buffered.
+        `stretch` multiplies the length of the part before the contact. The result does not depend on how many rows are
+        still buffered.
         """
         n_rows = (state.n_samples - len(state.rest)) // self._samples_per_row
         n_seen = (number + 1) // self._samples_per_row
@@ -367,7 +368,8 @@ class StepGate:
     def _accept(self, state: StepGateState, contact_s: float) -> tuple[StepGateState, list[Step]]:
         """Return the state and the released steps when the last judged step is walking.
 
-        The step is released if it continues a bout. If it completes a new bout, all steps of that bout are released.
+        If the step continues a bout, it is released with the held steps before it. If it completes a new bout, all
+        steps of that bout are released.
         """
         continues = contact_s - state.run_s[1] <= self.max_interval_s
         run_s = (state.run_s[0] if continues else contact_s, contact_s)
@@ -414,7 +416,7 @@ class StepGate:
         return self.mean_walk_s / (self.mean_walk_s + self.mean_pause_s)
 
     def _change_probs(self, duration_s: float) -> tuple[float, float]:
-        """Return the probabilities to have stopped walking and to have started walking after a time."""
+        """Return two probabilities for the end of a time: that a walker has stopped, and that a non-walker walks."""
         mixed = -math.expm1(-duration_s * (1.0 / self.mean_walk_s + 1.0 / self.mean_pause_s))
         return mixed * (1.0 - self._walking_share), mixed * self._walking_share
 

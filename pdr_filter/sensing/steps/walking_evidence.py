@@ -95,7 +95,7 @@ def evidence_features(windows: Sequence[FloatArray], intervals_s: Sequence[Seque
     intervals before it. The features are:
 
     0. Repetition of the force vector: highest value of its autocorrelation after it was first negative.
-    1. Irregularity of the rhythm: standard deviation of the logarithm of three intervals.
+    1. Irregularity of the rhythm: standard deviation of the logarithm of three intervals, or 0.5 if fewer are known.
     2. Rotation relative to bounce: log of the rms of the force averaged over 0.76 s, over the rms of its magnitude.
     3. Repetition of the magnitude of the force, as for the vector.
 
