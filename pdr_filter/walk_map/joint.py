@@ -148,9 +148,8 @@ def _origin_rows(
 ) -> list[Rows]:
     """Return the equations that define the frame of a group without fixes: the start and the direction of one walk.
 
-    This walk is the first seed of the group.
-    The list is empty if some walks are fixed. The start is left out if there is a known position. The direction is left
-    out if there are two fixes, or if the magnetometer of a walk gives it.
+    This walk is the first seed of the group. The list is empty if some walks are fixed. The start is left out if there
+    is a known position. The direction is left out if there are two fixes, or if the magnetometer of a walk gives it.
     """
     fixes = [fix for i in free for fix in known.get(i, ())]
     seed, rows = next((i for i in free if i in group.seeds), free[0]), list[Rows]()

@@ -144,11 +144,10 @@ def with_even_variances(locations: Sequence[PositionFix]) -> tuple[PositionFix, 
 def joined_at_contacts(fixes: Sequence[PositionFix], contacts: IntArray) -> tuple[tuple[PositionFix, ...], IntArray]:
     """Return the fixes in order of time, with the correlated fixes at one contact joined into one.
 
-    Fixes without a correlation time remain single.
-    The second result (F,) is the index of each given fix in the returned fixes. `contacts` (F,) is the number of steps
-    before the contact nearest to each fix. Each correlated fix adds an error state to the unknowns, and a resting phone
-    receives locations at a single contact for as long as it rests. Their mean is assigned the covariance of one of
-    them, which is too large after a long rest.
+    Fixes without a correlation time remain single. The second result (F,) is the index of each given fix in the
+    returned fixes. `contacts` (F,) is the number of steps before the contact nearest to each fix. Each correlated fix
+    adds an error state to the unknowns, and a resting phone receives locations at a single contact for as long as it
+    rests. Their mean is assigned the covariance of one of them, which is too large after a long rest.
     """
     groups: dict[tuple[int, bool], list[int]] = {}
     for k in sorted(range(len(fixes)), key=lambda k: fixes[k].time_s):

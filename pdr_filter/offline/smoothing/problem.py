@@ -280,10 +280,9 @@ def pose_problem(
     """Return the least-squares problem, with anchors where observations or changes of the heading offset need them.
 
     An anchor is a foot contact at which the smoother estimates a state. `anchor_interval_s` is the largest time between
-    two of them.
-    The positions of the problem are the fixes, the locations and the loop closures, in this order. Correlated fixes
-    must be in order of time and at different contacts (`joined_at_contacts`). `states` and `offsets` are given by the
-    number of steps before them.
+    two of them. The positions of the problem are the fixes, the locations and the loop closures, in this order.
+    Correlated fixes must be in order of time and at different contacts (`joined_at_contacts`). `states` and `offsets`
+    are given by the number of steps before them.
     """
     fixes = (*observed.positions, *observed.locations)
     is_location = np.arange(len(fixes)) >= len(observed.positions)
@@ -417,9 +416,9 @@ def _directions(
 def choose_nodes(steps: Increments, wanted: Sequence[int], interval_s: float) -> IntArray:
     """Return the number of steps before each anchor, increasing from 0 to the number of steps K.
 
-    An anchor is a foot contact at which the smoother estimates a state.
-    There are anchors at the wanted numbers, and before each change of the heading offset and each gap. More anchors in
-    between keep the time between anchors at about `interval_s` or less.
+    An anchor is a foot contact at which the smoother estimates a state. There are anchors at the wanted numbers, and
+    before each change of the heading offset and each gap. More anchors in between keep the time between anchors at
+    about `interval_s` or less.
     """
     changed = np.flatnonzero((steps.jump_var_rad2 > 0) | (steps.gap_var_m2 > 0))
     needed = np.unique(np.concatenate([[0, len(steps)], changed, np.asarray(wanted, dtype=np.int64)]).astype(np.int64))

@@ -158,9 +158,8 @@ def train_carrying(
 ) -> list[dict[str, Any]]:
     """Train the carrying-mode models of `PLANS`, save them to `out_dir`, and return their model cards.
 
-    A model card describes data, purpose and scores.
-    `n_simulated` is the number of simulated people in each mode. Recordings of data sets that a plan does not list are
-    ignored.
+    A model card describes data, purpose and scores. `n_simulated` is the number of simulated people in each mode.
+    Recordings of data sets that a plan does not list are ignored.
     """
     cards: list[dict[str, Any]] = []
     for i, plan in enumerate(PLANS):

@@ -324,9 +324,9 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
     ) -> tuple[ReferenceLineState, list[tuple[int, Step]]]:
         """Return the new state, and the steps of all held events, each with the number `known` of the newest sample.
 
-        An event is a detected step, or a stride on a foot. It is held until the behaviour is known.
-        If the person stands (`is_still`), there are no steps. The events stay held, except those held longer than
-        `hold_s`, which are dropped.
+        An event is a detected step, or a stride on a foot. It is held until the behaviour is known. If the person
+        stands (`is_still`), there are no steps. The events stay held, except those held longer than `hold_s`, which are
+        dropped.
         """
         if is_still:
             oldest = known + 1 - self._delay_samples - self.hold_s * self.rate_hz
