@@ -68,7 +68,10 @@ _SHIPPED = (_PACKAGE / "models", _PACKAGE.parent / "models")
 
 
 class Assessment(NamedTuple):
-    """Result of a model for one window: probabilities, and dissimilarity to the training data."""
+    """Result of a model for one window: probabilities of the labels, and two unknown shares, 0 (alike) to 1.
+
+    They say how unlike the window is to all training windows, and how unlike to the training windows on stairs.
+    """
 
     prob: FloatArray  # (L,) probabilities of the labels
     unknown_share: float  # dissimilarity to all training windows, 0 to 1

@@ -73,7 +73,7 @@ def fit_familiarity(standardised: FloatArray, limit: float, sharpness: float = 2
     computed about zero, not about the mean of these features. Zero is the mean of all training windows. A subset such
     as the windows on stairs has another mean, so its variance along the line through both means is larger. Windows
     between both means are therefore familiar, too. `limit` is the distance from which windows are partly unknown,
-    chosen on held-out people.
+    chosen on held-out people. `sharpness` is the growth of the unknown share beyond it.
     """
     cut = np.clip(standardised, -_FEATURE_LIMIT, _FEATURE_LIMIT)
     variance, axes = np.linalg.eigh(cut.T @ cut / len(cut))

@@ -93,7 +93,10 @@ class ArtefactFormat:
             return False
 
     def names_in(self, folder: Path) -> list[str]:
-        """Return the names, without suffix, of the artefacts of this kind in a folder. Other files are ignored."""
+        """Return the names, without suffix, of the artefacts of this kind in a folder.
+
+        Files of other kinds are ignored. ValueError if a file with the suffix .json does not contain JSON.
+        """
         return [path.stem for path in folder.glob("*.json") if _kind(json.loads(path.read_text("utf-8"))) == self.kind]
 
     def _checked(self, text: str) -> dict[str, Any]:

@@ -73,7 +73,11 @@ def fit_calibration(prob: FloatArray, label: IntArray) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reliability:
-    """Reliability diagram: accuracy of the predictions against their confidence. Empty bins are omitted."""
+    """Reliability diagram: accuracy of the predictions against their confidence.
+
+    Each bin has the mean probability of the predicted class, the share of correct predictions, and its share of all
+    predictions. Empty bins are omitted.
+    """
 
     confidence: FloatArray  # (B,) mean probability of the predicted class
     accuracy: FloatArray  # (B,) share of correct predictions

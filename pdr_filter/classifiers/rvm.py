@@ -461,7 +461,7 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
     def _fitted(
         self, rows: FloatArray, label: IntArray, weight: FloatArray, candidates: FloatArray, width: float
     ) -> tuple[list[Trained], RelevanceVectors]:
-        """Return the trained machines, and their arrays for prediction."""
+        """Return the trained machines, one for each class, and the kernel machine made of them for prediction."""
         functions = basis_functions(rows, candidates, self.kernel, width)
         budget = Budget(self.max_basis, self.max_iter, self.tol)
         n_classes = int(label.max()) + 1

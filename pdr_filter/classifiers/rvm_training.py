@@ -108,7 +108,10 @@ class Posterior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trained:
-    """Result of a training: posterior, number of passes, history of the evidence, and limits that were reached."""
+    """Result of a training: posterior, number of passes, and history of the log evidence.
+
+    Two flags say whether training stopped at the limit of passes, and at the limit of basis functions.
+    """
 
     posterior: Posterior
     n_passes: int
@@ -118,7 +121,10 @@ class Trained:
 
 
 class Additions(NamedTuple):
-    """Functions to add in a pass."""
+    """Basis functions to add in a pass: their indices, their alphas (prior precisions), and the gain of log evidence.
+
+    The gain is that of all of them together, in nats.
+    """
 
     functions: IntArray  # (P,) in descending order of their evidence gain
     alpha: FloatArray  # (P,)

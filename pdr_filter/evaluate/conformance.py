@@ -34,7 +34,10 @@ _FEWEST_STEPS = 6
 
 @dataclass(frozen=True)
 class StageSamples:
-    """Inputs of a stage for some samples."""
+    """Inputs of a stage for some samples: the block of samples, the attitude, the contexts, and the detected steps.
+
+    `first` is the number of the first sample in its segment.
+    """
 
     block: UniformBlock
     attitude: AttitudeBlock

@@ -131,7 +131,8 @@ class Ground:
     def choice_cost(self, from_m: FloatArray, length_m: float) -> FloatArray:
         """Return the expected cost (N,) of a step from positions (N, 2) if the pedestrian chose any direction.
 
-        The cost of a whole leg is prorated to the step length `length_m`.
+        The pedestrian chooses a direction every `Terrain.leg_m`. The cost of that choice is prorated to the step length
+        `length_m`. Off the grid it is zero.
         """
         index, inside = self.storey.index(from_m)
         return length_m / self.terrain.leg_m * np.where(inside, self._choice_costs[index], 0.0)

@@ -46,7 +46,7 @@ _NEAR_M = 0.3
 
 @dataclass(frozen=True, slots=True)
 class _RawFeature:
-    """A feature as read from the file; `shape` is a shapely geometry."""
+    """Feature of a floor plan as read from the file: index in the file, kind, name, storey and shapely geometry."""
 
     number: int
     kind: str

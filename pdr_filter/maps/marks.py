@@ -72,7 +72,7 @@ class Marks:
         return (self.folder / self.walk["plan"]).resolve() if self.walk.get("plan") else None
 
     def recording(self, recording: Recording) -> Recording:
-        """Return the recording with the height of the person from the marks, if they state one."""
+        """Return the recording with the height of the person that `walk.json` states, or unchanged without one."""
         height_m = self.walk.get("height_m")
         return recording if height_m is None else recording.of_height(height_m)
 
@@ -110,7 +110,7 @@ class Marks:
 
 
 def marks_folder(recording: Path) -> Path:
-    """Return the folder of the marks of a recording.
+    """Return the folder of the marks of a recording: the files in which a user has set positions and loop closures.
 
     A recording that is a folder has its marks inside. A file in a folder of its own name, such as walk/walk.zip, has
     them in this folder. Any other file has a folder beside it: walk.zip.marks. A recording inside an archive, or one of
@@ -127,7 +127,8 @@ def marks_folder(recording: Path) -> Path:
 def read_marks(recording: str | Path) -> Marks:
     r"""Read the marks of a recording from the files beside it.
 
-    The files are `fixes.csv`, `loop_closures.csv`, `person.json` and `walk.json`, as written by the workbench.
+    Marks are positions, loop closures and the person that a user has set. The files are `fixes.csv`,
+    `loop_closures.csv`, `person.json` and `walk.json`, which `pdr-filter app` writes too.
 
     Parameters
     ----------
@@ -180,14 +181,20 @@ def marks_in(folder: Path) -> Marks:
 
 
 def mark_files(folder: Path) -> dict[str, bytes]:
-    """Return the contents of the files of marks that exist in a folder, by name. An interrupted save is completed."""
+    """Return the contents of the files of marks that exist in a folder, by name.
+
+    Marks are positions, loop closures and the person that a user has set for a walk. An interrupted save is completed.
+    """
     if (folder / _UNFINISHED).exists():
         _finish(folder)
     return {n: read_small(folder / n, limits.MAX_WHOLE_BYTES) for n in NAMES if (folder / n).exists()}
 
 
 def checksum_of(recording: Path) -> str:
-    """Return the checksum (SHA-256) of the bytes of a recording, without its marks and without hidden files."""
+    """Return the checksum (SHA-256) of the bytes of a recording, without hidden files and without its marks.
+
+    Marks are the files in which a user has set positions, loop closures and the person (`NAMES`).
+    """
     path, inside = outside(recording)
     found = hashlib.sha256(inside.encode())
     files = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file() and p.name not in NAMES)
@@ -202,7 +209,10 @@ def checksum_of(recording: Path) -> str:
 
 
 def version_of(files: Mapping[str, bytes]) -> str:
-    """Return a checksum of the files of marks in a folder, which shows whether another program has changed them."""
+    """Return a checksum (16 hex digits) of the contents of files, by name, such as those of `mark_files`.
+
+    It shows whether another program has changed the files.
+    """
     return hashlib.sha256(b"\0".join(p for n in sorted(files) for p in (n.encode(), files[n]))).hexdigest()[:16]
 
 

@@ -142,7 +142,7 @@ class PlanEvent:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParticleState:
-    """State of the particle filter after one event.
+    """State of the particle filter after one event: a step, a fix, a gap or a change of storey.
 
     Attributes
     ----------
@@ -734,7 +734,10 @@ class ParticleFilter:
         return replace(state, particles=particles, weight=np.full(needed, 1.0 / needed), parent=parent)
 
     def _with_contradiction(self, state: ParticleState, time_s: float, ground: Ground) -> ParticleState:
-        """Return the state with a new event, if most of the weight has recently crossed a feature of the plan."""
+        """Return the state with a new `PlanEvent` if most of the weight has recently crossed a wall, room or outline.
+
+        The recent crossing costs of all particles then start from zero. Otherwise the state is unchanged.
+        """
         t = self.terrain
         if float(state.weight @ state.particles[:, CROSSED]) < 0.5 * min(t.wall, t.room, t.outside):
             return state

@@ -50,7 +50,7 @@ class _Reckoned(NamedTuple):
 
 
 class _Event(NamedTuple):
-    """State of the particles after one event.
+    """State of the particles after one event: a step, a fix, a gap or a change of storey.
 
     `reckoned` is the dead-reckoned position after a step, and None for other events. `is_restart` is True if the
     particles do not descend from those before the event.
@@ -156,10 +156,11 @@ class _Ancestors(NamedTuple):
 
 
 def _ancestors(events: Sequence[_Event]) -> Iterator[_Ancestors]:
-    """Yield the ancestors of the final particles after each event, from the last event to the first.
+    """Yield the ancestors of the final particles after each recorded event, from the last one to the first.
 
-    Before a restart the weights are those of the particles that the restart replaced. Before the particles were first
-    drawn, the earlier positions follow from their heading offsets and scales, which are then constant.
+    Events are steps, fixes, gaps and changes of storey. Before a restart the weights are those of the particles that
+    the restart replaced. Before the particles were first drawn, the earlier positions follow from their heading offsets
+    and scales, which are then constant.
     """
     weight = events[-1].state.weight
     index = np.arange(len(weight))

@@ -306,8 +306,9 @@ class Config:
             evidence for no mode.
         transition_prob : array_like of shape (M, M), optional
             Probability of changing from each mode (row) to each mode (column) between two steps. Rows sum to one. The
-            default is the matrix that the model estimated from its labels. For a model without such a matrix it is
-            `recipes.context_transitions`, which follows from the properties of the modes.
+            default is the matrix that the model estimated from its labels, if each context has exactly one mode.
+            Otherwise, or for a model without such a matrix, it is `recipes.context_transitions`, which follows from the
+            properties of the modes.
 
         Returns
         -------
@@ -533,8 +534,8 @@ class Config:
         weighting : {"imm", "wc", "hc"} or callable
             "imm" is the interacting multiple model. "wc" weights the step lengths of the contexts by the context
             probabilities. "hc" (highest context) takes the step length of the most probable context, averaged over the
-            windows at and after the step. A function receives the context
-            probabilities (C,) of a window and returns non-negative weights (C,) with sum one.
+            windows at and after the step. A function receives the context probabilities (C,) of a window and returns
+            non-negative weights (C,) with sum one.
 
         Returns
         -------

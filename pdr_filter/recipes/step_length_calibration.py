@@ -124,8 +124,9 @@ class Calibration:
         One row for each segment, with columns `subject`, `recording`, `context`, `start_s`, `end_s`, `distance_m`
         (known), `n_steps`, `summed` (True if step lengths were summed instead of displacements), `predicted_m`
         (in-sample), `left_out_m` (predicted without this segment), `stranger_m` (predicted without this person, NaN
-        if there is only one), `uncalibrated_m` (predicted by the prior), `misfit` (difference from the prediction of
-        all other segments in standard deviations), `weight` (robust weight) and `distrusted` (rejected as an outlier).
+        if the other persons do not determine the parameters), `uncalibrated_m` (predicted by the prior), `misfit`
+        (difference from the prediction of all other segments in standard deviations), `weight` (robust weight) and
+        `distrusted` (rejected as an outlier).
     notes : tuple of str
         Warnings, and reports about segments that were skipped, reinterpreted or rejected.
     card : dict, optional

@@ -71,13 +71,14 @@ class Chain:
 
     @property
     def n_knots(self) -> int:
-        """Number of knots."""
+        """Number of knots, which are the points of the walk at which a state is estimated."""
         return self.problem.n_nodes
 
     def node_of(self, step: IntArray) -> tuple[IntArray, FloatArray]:
         """Return the knot at or before each point of the chain, and the displacement (n, 2) from the knot to the point.
 
-        A point is given by the number of steps before it.
+        A point is given by the number of steps before it. A knot is a point with a state, given by its index. The
+        displacement is before heading offset and scale.
         """
         intervals = self.problem.intervals
         node = np.searchsorted(intervals.nodes, step, side="right") - 1
@@ -182,9 +183,10 @@ def hashed(wifi: Wifi, salt: str) -> Wifi:
 
 
 def cached_chain(recording: Recording | str, cache: str | None, salt: str | None) -> Chain:
-    """Return the chain of a recording, or of one in a file, from the cache if its content has not changed.
+    """Return the chain (walk reduced to knots and scans) of a recording or of one in a file.
 
-    The cache makes a killed run resume: each chain is written when it is finished.
+    For a file, it comes from the folder `cache` if the content has not changed. The cache makes a killed run resume:
+    each chain is written when it is finished. `salt` hashes the addresses of access points.
     """
     from pdr_filter.io.formats import read
     from pdr_filter.maps.marks import checksum_of
@@ -219,5 +221,5 @@ def content_of(recording: Recording) -> str:
 
 
 def without_times(chains: Sequence[Chain]) -> list[Chain]:
-    """Return chains without times, names and notes of their walks."""
+    """Return chains (walks reduced to knots and scans) without times and notes, named "walk 1", "walk 2" and so on."""
     return [replace(c, name=f"walk {i + 1}", time_s=np.zeros(0), notes=()) for i, c in enumerate(chains)]

@@ -102,7 +102,11 @@ def step_positions(walks: ScannedWalks, walk: int, states: States) -> tuple[Floa
 
 
 def _by_state(state: FloatArray, node: IntArray, ahead_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the positions (n, 2) of points ahead of knots, and their derivatives (n, 2, 4) by the states."""
+    """Return the positions (n, 2) of points of a walk, and their derivatives (n, 2, 4) by the states of their knots.
+
+    `state` (N, 4) are the states of the N knots of the walk, and `node` (n,) the knot of each point. `ahead_m` (n, 2)
+    is the displacement from the knot to the point, before heading offset and scale.
+    """
     at = state[node]
     moved = np.einsum("nab,nb->na", scaled_rotation(at[:, HEADING_OFFSET], at[:, LOG_SCALE]), ahead_m)
     by_state = np.zeros((len(node), 2, N_STATES))
@@ -112,7 +116,10 @@ def _by_state(state: FloatArray, node: IntArray, ahead_m: FloatArray) -> tuple[F
 
 
 def _known_rows(walks: ScannedWalks, walk: int, state: FloatArray, known: Sequence[Known], base: int) -> list[Rows]:
-    """Return the equations of the known positions and headings of a walk."""
+    """Return the equations of the known positions and headings of a walk, linearised at its states.
+
+    `base` is the key of the first knot of the walk.
+    """
     chain, rows = walks.chains[walk], list[Rows]()
     for fix in known:
         step = chain.step_at(fix.time_s)
@@ -139,10 +146,10 @@ def _origin_rows(
     known: Mapping[int, Sequence[Known]],
     has_fixed: bool,
 ) -> list[Rows]:
-    """Return the equations that define the frame of a group without fixes: the start of a seed, and its direction.
+    """Return the equations that define the frame of a group without fixes: the start and the direction of one walk.
 
-    The list is empty if some walks are fixed. The start is left out if there is a known position. The direction is left
-    out if there are two fixes, or if the magnetometer of a walk gives it.
+    This walk is the first seed of the group. The list is empty if some walks are fixed. The start is left out if there
+    is a known position. The direction is left out if there are two fixes, or if the magnetometer of a walk gives it.
     """
     fixes = [fix for i in free for fix in known.get(i, ())]
     seed, rows = next((i for i in free if i in group.seeds), free[0]), list[Rows]()

@@ -290,7 +290,10 @@ def grow(walks: ScannedWalks, group: PlacedGroup, free: set[int]) -> None:
 
 
 def settle(walks: ScannedWalks, group: PlacedGroup) -> list[int]:
-    """Remove the walks of a group that the others do not confirm, except its seeds, and return their indices."""
+    """Remove the walks of a group that the others do not confirm, and return their indices.
+
+    The seeds, which define the frame of the group, are never removed.
+    """
     removed: list[int] = []
     for _ in range(3):
         wrong = [i for i in group.poses if i not in group.seeds and not _is_confirmed(walks, group, i)]

@@ -289,7 +289,9 @@ class WalkMap:
         jobs: int = 1,
         scheduler: str | None = None,
     ) -> WalkMap:
-        """Return the map with further walks. Walks that were joined before stay where they are.
+        """Return the map with further walks.
+
+        Walks that were joined before stay where they are. Walks that stayed apart are tried again.
 
         Parameters
         ----------
@@ -347,14 +349,14 @@ class WalkMap:
         return _mapped(chains, others, known, self._salt, kept)
 
     def save(self, folder: str | Path, *, times: bool = False) -> Path:
-        """Write the map to a folder. By default it contains no times, no names of walks and no notes.
+        """Write the map to a folder. By default it contains no times, names of walks, known fixes or notes.
 
         Parameters
         ----------
         folder : str or Path
             Folder to write. It is made if it does not exist.
         times : bool, default False
-            True to keep the times of the steps and the names of the walks.
+            True to keep the times of the steps, the names of the walks, their known fixes and their notes.
 
         Returns
         -------
@@ -652,7 +654,10 @@ def _mapped(
 
 
 def _std_m(states: States) -> float:
-    """Return the median standard deviation of the knots of a walk in the worst direction, in m."""
+    """Return the median over the knots of a walk of the standard deviation in the worst direction, in m.
+
+    Knots are the points of the walk at which a state is estimated.
+    """
     return float(np.median(worst_std_m(states.joint_cov[:, :2, :2])))
 
 

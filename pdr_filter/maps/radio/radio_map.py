@@ -325,7 +325,10 @@ class RadioMap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _LocatedScan:
-    """Position distribution of a scan on its most probable storey."""
+    """Position distribution of a scan on its most probable storey: probabilities of the cells of the field there.
+
+    `floor_prob` is the probability of the storey.
+    """
 
     scan: WifiScan
     field: Field

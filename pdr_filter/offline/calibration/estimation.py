@@ -84,7 +84,7 @@ class ParameterEstimate:
         Predicted length with the person's parameters estimated without this segment.
     stranger_m : array (N,)
         Predicted length with the population's parameters estimated without this person. NaN if there are no other
-        people.
+        people, if they do not determine the parameters, or if a parameter is independent between people.
     misfit : array (N,)
         Residual with respect to the prediction from all other segments, in standard deviations.
     weight : array (N,)

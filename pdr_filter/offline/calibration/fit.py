@@ -246,7 +246,7 @@ def _assemble(
     choice: Sequence[str],
     notes: Sequence[str],
 ) -> Calibration:
-    """Return the `Calibration` of an estimate: parameters, table of segments, notes and card."""
+    """Return the `Calibration` of an estimate: parameters, table of segments, notes, and a card (date and counts)."""
     models, contexts = models_of(priors), segments[0].context_names
     rows = _table(segments, sums, found, np.concatenate([priors[name].mean for name in models]))
     heights = {s.subject: s.height_m for s in segments}

@@ -78,7 +78,8 @@ def errors_of(fixes: Sequence[PositionFix], is_location: BoolArray, node: IntArr
     """Return the error states of the E correlated fixes among F fixes in order of time.
 
     The error of a phone's location has all four parts: constant, varying, shrinkage and delay (see `Errors`). The error
-    of any other fix has the varying part only. `node` (F,) is the index of each fix's anchor.
+    of any other fix has the varying part only. `node` (F,) is the index of each fix's anchor, the foot contact at which
+    the smoother estimates a state. `is_location` (F,) is True for locations of the phone.
     """
     position = np.flatnonzero([f.correlation_s > 0 for f in fixes])
     if not len(position):
@@ -143,11 +144,10 @@ def with_even_variances(locations: Sequence[PositionFix]) -> tuple[PositionFix, 
 def joined_at_contacts(fixes: Sequence[PositionFix], contacts: IntArray) -> tuple[tuple[PositionFix, ...], IntArray]:
     """Return the fixes in order of time, with the correlated fixes at one contact joined into one.
 
-    Fixes without a correlation time remain single.
-    The second result (F,) is the index of each given fix in the returned fixes. `contacts` (F,) is the number of steps
-    before the contact nearest to each fix. Each correlated fix adds an error state to the unknowns, and a resting phone
-    receives locations at a single contact for as long as it rests. Their mean is assigned the covariance of one of
-    them, which is too large after a long rest.
+    Fixes without a correlation time remain single. The second result (F,) is the index of each given fix in the
+    returned fixes. `contacts` (F,) is the number of steps before the contact nearest to each fix. Each correlated fix
+    adds an error state to the unknowns, and a resting phone receives locations at a single contact for as long as it
+    rests. Their mean is assigned the covariance of one of them, which is too large after a long rest.
     """
     groups: dict[tuple[int, bool], list[int]] = {}
     for k in sorted(range(len(fixes)), key=lambda k: fixes[k].time_s):

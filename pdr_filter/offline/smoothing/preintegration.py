@@ -206,12 +206,12 @@ class Intervals:
 def preintegrate(steps: Increments, nodes: IntArray) -> Intervals:
     """Return the steps summed between anchors, in time proportional to the number of steps.
 
-    With D the sum of all steps of an interval and D_i that of its first i steps, C_i the covariance of step i, q_i and
-    r_i the drift variances of heading offset and log scale, and J the rotation by a right angle, the position
-    covariance is Q_pp = sum C_i + sum q_i J b_i (J b_i)' + sum r_i d_i d_i' with b_i = D - D_{i-1} and d_i = D - D_i.
-    The other blocks are similar (docs/methods/smoothing.md). The sums over i are differences of cumulative sums, for
-    all steps at once. ValueError unless `nodes`, the numbers of steps before the anchors, increase from 0 to the number
-    of steps.
+    D is the sum of all steps of an interval, and D_i that of its first i steps. C_i is the covariance of step i, and
+    q_i and r_i are the drift variances of heading offset and log scale. J is the rotation by a right angle. The
+    position covariance is Q_pp = sum C_i + sum q_i J b_i (J b_i)' + sum r_i d_i d_i', with b_i = D - D_{i-1} and d_i =
+    D - D_i. The other blocks are similar (docs/methods/smoothing.md). The sums over i are differences of cumulative
+    sums, for all steps at once. ValueError unless `nodes`, the numbers of steps before the anchors, increase from 0 to
+    the number of steps.
     """
     if len(nodes) < 2 or nodes[0] != 0 or nodes[-1] != len(steps) or (np.diff(nodes) < 1).any():
         raise ValueError(f"anchors must increase from 0 to the number of steps, {len(steps)}, got {nodes}")

@@ -35,7 +35,7 @@ MIN_HEADING_LENGTH_M = 1.0  # the heading of a corridor carries no information o
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservedPositions:
-    """Observed positions of anchors, on the map or relative to another anchor.
+    """Observed positions of anchors (foot contacts with a state), on the map or relative to another anchor.
 
     Attributes
     ----------
@@ -219,12 +219,12 @@ class Problem:
 
     @property
     def n_states(self) -> int:
-        """Number of anchors and errors, which is also the key of the rotation of the frame."""
+        """Number of anchors and errors of correlated fixes, which is also the key of the rotation of the frame."""
         return self.n_nodes + len(self.errors)
 
     @property
     def n_nodes(self) -> int:
-        """Number of anchors."""
+        """Number of anchors, which are the foot contacts at which the smoother estimates a state."""
         return len(self.intervals.nodes)
 
     @property
@@ -279,9 +279,10 @@ def pose_problem(
 ) -> Problem:
     """Return the least-squares problem, with anchors where observations or changes of the heading offset need them.
 
-    The positions of the problem are the fixes, the locations and the loop closures, in this order. Correlated fixes
-    must be in order of time and at different contacts (`joined_at_contacts`). `states` and `offsets` are given by the
-    number of steps before them.
+    An anchor is a foot contact at which the smoother estimates a state. `anchor_interval_s` is the largest time between
+    two of them. The positions of the problem are the fixes, the locations and the loop closures, in this order.
+    Correlated fixes must be in order of time and at different contacts (`joined_at_contacts`). `states` and `offsets`
+    are given by the number of steps before them.
     """
     fixes = (*observed.positions, *observed.locations)
     is_location = np.arange(len(fixes)) >= len(observed.positions)
@@ -415,8 +416,9 @@ def _directions(
 def choose_nodes(steps: Increments, wanted: Sequence[int], interval_s: float) -> IntArray:
     """Return the number of steps before each anchor, increasing from 0 to the number of steps K.
 
-    There are anchors at the wanted numbers, and before each change of the heading offset and each gap. More anchors in
-    between keep the time between anchors at about `interval_s` or less.
+    An anchor is a foot contact at which the smoother estimates a state. There are anchors at the wanted numbers, and
+    before each change of the heading offset and each gap. More anchors in between keep the time between anchors at
+    about `interval_s` or less.
     """
     changed = np.flatnonzero((steps.jump_var_rad2 > 0) | (steps.gap_var_m2 > 0))
     needed = np.unique(np.concatenate([[0, len(steps)], changed, np.asarray(wanted, dtype=np.int64)]).astype(np.int64))
@@ -492,8 +494,9 @@ def mode_offsets(track: TrackRows, modes: Sequence[Mode]) -> FloatArray:
 
 
 def _at_anchors(steps: Increments, nodes: IntArray, offsets: ObservedOffsets) -> ObservedOffsets:
-    """Return measured offsets moved to the last anchor at or before them, as one weighted mean per anchor.
+    """Return measured heading offsets moved to the last anchor at or before them, as one weighted mean per anchor.
 
+    An anchor is a foot contact at which the smoother estimates a state. `nodes` has the number of steps before each.
     Their variance includes the drift between the anchor and the measurement.
     """
     if len(offsets) == 0:

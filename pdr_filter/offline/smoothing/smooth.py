@@ -226,7 +226,8 @@ def smooth(
         the fixes, in rad. By default the difference is unknown if there are fixes or known headings, and otherwise has
         the value of the configuration.
     anchor_interval_s : float, default 2.0
-        Largest time between two anchors. Observations and changes of the heading offset have anchors too.
+        Largest time in s between two anchors, which are the foot contacts at which a state is estimated. Observations
+        and changes of the heading offset have anchors too.
     memory : SmoothingMemory, optional
         Memory of earlier calls with the same recording. A call with other fixes then reuses the dead-reckoned track and
         takes a fraction of the time.

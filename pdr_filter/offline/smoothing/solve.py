@@ -34,6 +34,8 @@ _GUESS_STD_M, _ROUGH_LIMIT = 2.0, 4.0
 class Solution:
     """Smoothed states at the anchors, and the use of positions, directions, states and measurements.
 
+    An anchor is a foot contact at which a state is estimated: east, north, heading offset and log scale.
+
     Attributes
     ----------
     mean : array (n + 1, 4)
@@ -140,7 +142,10 @@ def _guess_rows(problem: Problem) -> list[Rows]:
 
 
 def _measurement_residuals(problem: Problem, mean: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-    """Return the whitened residuals (k,) of each measurement, and their derivatives (k, 4) by the anchor."""
+    """Return the whitened residuals (k,) of each measurement, and their derivatives (k, 4) by the state of its anchor.
+
+    The state has east, north, heading offset and log scale. k is the number of components of the measurement.
+    """
     observed = problem.measurements
     at = mean[observed.node, :N_STATES]
     moved_m = np.einsum("nab,nb->na", scaled_rotation(at[:, HEADING_OFFSET], at[:, LOG_SCALE]), observed.ahead_m)
@@ -166,7 +171,8 @@ def _nis_of_measurements(problem: Problem, mean: FloatArray) -> FloatArray:
 def _position_anchors(problem: Problem) -> IntArray:
     """Return the anchor of each observed position and measurement, -1 for directions and states, (F + H + S + X,).
 
-    F, H, S and X are the numbers of positions, directions, states and measurements.
+    An anchor is given by its index among the foot contacts with a state. F, H, S and X are the numbers of positions,
+    directions, states and measurements.
     """
     others = np.full(len(problem.directions) + len(problem.states), -1)
     return np.concatenate([problem.positions.node, others, problem.measurements.node])
@@ -298,7 +304,11 @@ def _solved(graph: gtsam.GaussianFactorGraph, problem: Problem) -> tuple[FloatAr
 
 
 def linearised(problem: Problem, mean: FloatArray, frame_rad: float, weight: FloatArray) -> list[Rows]:
-    """Return the equations for the change of the states (N, 6) of anchors and errors, linearised at these states."""
+    """Return the equations for the change of the states (N, 6) of anchors and errors, linearised at these states.
+
+    They are the prior of the start, the steps between anchors, and all observations with their weights. `frame_rad` is
+    the rotation from the frame of the observed heading offsets to that of the positions.
+    """
     start_whiten = read_only(np.linalg.inv(np.linalg.cholesky(problem.start_cov)))
     rows = [Rows.of_one(0, start_whiten, -(start_whiten @ (mean[0, :N_STATES] - problem.start_mean)))]
 

@@ -37,7 +37,8 @@ class Used:
     Attributes
     ----------
     observed : Observations
-        Position fixes only, and locations, each in order of time.
+        Used position fixes (no other fixes) and locations, each in order of time, used loop closures, and known
+        headings.
     states : ObservedStates
         Heading and speed fixes, followed by magnetic north, by the number of steps before them.
     n_north : int

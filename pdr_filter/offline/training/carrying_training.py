@@ -156,10 +156,10 @@ PLANS: tuple[CarryingPlan, ...] = (
 def train_carrying(
     paths: Sequence[Path], out_dir: Path, progress: Progress = silent, n_simulated: int = N_SIMULATED
 ) -> list[dict[str, Any]]:
-    """Train the models of `PLANS`, save them to `out_dir`, and return their cards.
+    """Train the carrying-mode models of `PLANS`, save them to `out_dir`, and return their model cards.
 
-    `n_simulated` is the number of simulated people in each mode. Recordings of data sets that a plan does not list are
-    ignored.
+    A model card describes data, purpose and scores. `n_simulated` is the number of simulated people in each mode.
+    Recordings of data sets that a plan does not list are ignored.
     """
     cards: list[dict[str, Any]] = []
     for i, plan in enumerate(PLANS):
@@ -174,7 +174,7 @@ def train_carrying(
 def carrying_windows(
     plan: CarryingPlan, paths: Sequence[Path], n_simulated: int, progress: Progress = silent
 ) -> LabelledWindows:
-    """Return windows of moving people with the features of the plan: real, made from real ones, and simulated.
+    """Return windows of moving people with the features of a training plan: real, made from real ones, and simulated.
 
     `dataset` of a window is its source: a data set, `simulated`, or `turned_` or `weak_` and the data set.
     """
@@ -217,8 +217,8 @@ class _Signals(Columns):
 def _windows_of(plan: CarryingPlan, recording: Recording, dataset: str, person: str) -> list[LabelledWindows]:
     """Return the windows of one recording or simulated person, and synthetic windows made from a recording.
 
-    There is one item for each carrying mode and kind of windows. The list is empty for a data set that the plan does
-    not use.
+    There is one item for each carrying mode and kind of windows. The list is empty for a data set that the training
+    plan does not use.
     """
     if dataset not in (*plan.datasets, SIMULATED):
         return []
@@ -237,7 +237,7 @@ def _windows_of(plan: CarryingPlan, recording: Recording, dataset: str, person: 
 
 
 def _signals(plan: CarryingPlan, recording: Recording) -> list[_Signals]:
-    """Return the windows of a recording that the plan can use, one item for each carrying mode.
+    """Return the windows of a recording that a training plan can use, one item for each carrying mode.
 
     They lie inside one label of a moving person with a mode of `MODES`. With `has_gyroscope` they have an angular rate.
     """
@@ -260,7 +260,7 @@ def features_of(samples: FloatArray, rate_hz: float = 100.0) -> FloatArray:
 
 
 def _labelled(plan: CarryingPlan, signals: _Signals, person: str, source: str, name: str) -> LabelledWindows:
-    """Return windows with the features of the plan.
+    """Return windows with the features of a training plan.
 
     `source` is their data set or kind of synthetic windows, and `name` the recording.
     """

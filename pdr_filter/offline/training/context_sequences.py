@@ -240,7 +240,10 @@ def log_loss_by_person(
     prior_exponent: FloatArray,
     floor: float,
 ) -> tuple[tuple[str, ...], FloatArray]:
-    """Return the names of P people, and the mean log loss (G, P) of each person for each of G pairs of exponents."""
+    """Return the names of P people, and the mean log loss (G, P) of each person for each of G pairs of exponents.
+
+    It is the log loss of the filtered probabilities (`filter_windows`) in windows with a known context.
+    """
     result = filter_windows(windows, transition_prob, evidence_exponent, prior_exponent, floor)
     known = windows.label != UNKNOWN
     loss = -np.log(np.maximum(result[known, :, windows.label[known]], 1e-300))

@@ -266,7 +266,7 @@ def labelled_windows(
 def model_without(
     model: ContextModel, plan: ContextPlan, windows: LabelledWindows, people: Sequence[str]
 ) -> ContextModel:
-    """Return the model of a plan trained without some people, or the model itself if none of them was in its training.
+    """Return the model of a training plan trained without some people, or the model itself if it has seen none of them.
 
     Calibration and limits of familiarity are kept, because they are from held-out people already.
     """

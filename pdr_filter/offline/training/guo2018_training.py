@@ -72,7 +72,7 @@ class PosePlan(TrainingPlan):
     feature_limit: float = np.inf
 
     def weight(self, windows: LabelledWindows) -> FloatArray:
-        """Return weights (W,) with the same total for every pose.
+        """Return weights (W,) with the same total for every pose, that is, carrying mode.
 
         Within a pose, each source (data set or kind of synthetic windows) has a total in proportion to `SOURCE_WEIGHT`.
         """
@@ -83,7 +83,7 @@ class PosePlan(TrainingPlan):
         return np.zeros(features.shape[1]), np.ones(features.shape[1])
 
     def fit(self, windows: LabelledWindows) -> ContextModel:
-        """Return the random forest, with a training prior of equal probabilities for all poses in the data."""
+        """Return the random forest, with equal prior probabilities of all poses (carrying modes) in the data."""
         model = self.fit_machine(windows)
         return replace(model, training_prior=(model.training_prior > 0) / len(model.classes))
 
@@ -104,7 +104,10 @@ class PosePlan(TrainingPlan):
         return {name: group for name, group in groups.items() if (group & real).any() and (~group & real).any()}
 
     def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]) -> ContextModel:
-        """Return the model with its card: scores of each held-out group, and means over the held-out people."""
+        """Return the model with its card: scores of each held-out site, and recall of the pocket for held-out people.
+
+        The recall is the mean over the people of the scored data set, and that of the worst person.
+        """
         scores = {name: pose_scores(windows.carrying_mode[group.rows], group.prob) for name, group in left_out.items()}
         people = [s for name, s in scores.items() if _is_scored(name)]
         summary: dict[str, Any] = {}
@@ -245,7 +248,7 @@ def _windows_of(recording: Recording, dataset: str, person: str) -> tuple[list[L
 
 
 def _up_directions(recording: Recording) -> _UpDirections | None:
-    """Return all windows of a recording that lie inside one label, or None if there are none."""
+    """Return the successive windows of 0.6 s of a recording that lie inside one label, or None if there are none."""
     conditioner, attitudes, level = Conditioner(), AttitudeEstimator(), MotionLevel()
     rows: list[tuple[FloatArray, str, str, bool, float, float]] = []
     attitude_state = attitudes.init()
@@ -294,9 +297,9 @@ def _labelled(ups: _UpDirections, source: str, person: str, name: str) -> Labell
 
 
 def pose_scores(truth: TextArray, prob: FloatArray) -> dict[str, Any]:
-    """Return the scores (`score`) of probabilities (W, L), the number of windows of each pose, and kappa.
+    """Return the scores (`score`) of probabilities (W, L), the number of windows of each carrying mode, and kappa.
 
-    Kappa is omitted if there is only one pose.
+    Kappa is omitted if `truth` (W,) has only one mode.
     """
     n = {mode: int((truth == mode).sum()) for mode in MODES if (truth == mode).any()}
     scores = {**score(truth, prob, CARRYING_MODES), "n": n}

@@ -60,7 +60,7 @@ def train(
 def _train_contexts(
     paths: Sequence[Path], out_dir: Path, progress: Progress
 ) -> tuple[list[dict[str, Any]], Callable[[Sequence[str]], ContextModel]]:
-    """Train and save the context models, and return their cards and a function for cross-validation.
+    """Train and save the context models, and return their model cards and a function for cross-validation.
 
     The function trains the context model of the default recipe again, without the people whose names it receives.
     """

@@ -287,7 +287,7 @@ def estimate_evidence(sequences: LabelledSequences | None, default: EvidenceMode
 
 
 def estimate(sequences: LabelledSequences | None, default: PedestrianModel) -> Transitions:
-    """Return the estimate of `estimate_evidence` as `Transitions` with a card."""
+    """Return the estimate of `estimate_evidence` as `Transitions` with a card, which describes its data and scores."""
     found = estimate_evidence(sequences, default)
     people = [] if sequences is None else [str(person) for person in np.unique(sequences.windows.person)]
     card = {

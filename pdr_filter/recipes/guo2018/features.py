@@ -112,7 +112,7 @@ class MotionLevel:
         return round(self.window_s * self.rate_hz)
 
     def init(self) -> MotionLevelState:
-        """Return the state at the start of a segment."""
+        """Return the state at the start of a segment, that is, of samples without a gap."""
         return MotionLevelState(0, np.zeros((6, self.window_samples - 1)))
 
     def update(self, state: MotionLevelState, block: UniformBlock) -> tuple[MotionLevelState, FloatArray, BoolArray]:
@@ -139,7 +139,10 @@ class MotionLevel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseWindow(DescribedWindow):
-    """Features of one window."""
+    """Features of pitch and roll of one window, and the level of motion at its end in m2/s4.
+
+    `has_gyroscope` is True if the level includes the angular rate.
+    """
 
     features: FloatArray  # (12,)
     level: float  # level of motion in this window
@@ -166,13 +169,13 @@ class PoseWindows(SlidingWindows[PoseWindowState, PoseWindow]):
         return MotionLevel(self.rate_hz, self.window_s)
 
     def init(self) -> PoseWindowState:
-        """Return the state at the start of a segment."""
+        """Return the state at the start of a segment, that is, of samples without a gap."""
         return PoseWindowState(self._level.init(), no_samples(4))
 
     def update(
         self, state: PoseWindowState, block: UniformBlock, attitude: AttitudeBlock
     ) -> tuple[PoseWindowState, list[tuple[int, PoseWindow]]]:
-        """Return the new state and the completed windows, each with the index of its last sample."""
+        """Return the new state and the completed windows, each with the index of its last sample in the segment."""
         level_state, level, has_rate = self._level.update(state.level, block)
         signals = np.vstack([*pitch_and_roll(attitude.up_sensor), level, has_rate.astype(float)])
         buffer, windows = self.cut(state.buffer, block.time_s, signals)

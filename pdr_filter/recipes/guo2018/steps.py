@@ -158,7 +158,7 @@ class PoseStepDetector(BaseStepDetector[PoseStepState]):
     ) -> tuple[PoseStepState, FloatArray]:
         """Return the new state, and (6, N): the four signals, 1 for walking samples, and the row of the pose's signal.
 
-        The four signals are those of `feature_signals`, not yet low-passed.
+        The four signals are those of `feature_signals`, not yet low-passed. The pose is the carrying mode.
         """
         level_state, level, has_rate = self._level.update(state.level, block)
         lowest = np.where(has_rate, self.min_level, self.min_level_accelerometer)
@@ -218,10 +218,10 @@ class PoseStepDetector(BaseStepDetector[PoseStepState]):
 
 
 def feature_signals(block: UniformBlock) -> FloatArray:
-    """Return the signals (4, N) in which the steps of each pose are detected (Guo et al. 2018, eq. 3 to 6).
+    """Return the signals (4, N) in which the steps of each pose (carrying mode) are detected (Guo et al. 2018).
 
     They are sqrt(f_y^2 + f_z^2) for texting, sqrt(f_x^2 + f_y^2) for calling, |f| for a pocket, and |w_z| for a
-    swinging hand. f is the specific force in m/s2 and w the angular rate in rad/s.
+    swinging hand (eq. 3 to 6). f is the specific force in m/s2 and w the angular rate in rad/s.
     """
     x, y, z = block.specific_force_mps2.T
     return np.stack(

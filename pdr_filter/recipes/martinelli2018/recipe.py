@@ -55,8 +55,9 @@ def magnitude_contexts() -> LearnedContexts:
 def martinelli2018(subject: Subject | None = None) -> Config:
     """Return the configuration of Martinelli et al. 2018.
 
-    Steps are detected in the wavelet transform of the specific force, a relevance vector machine classifies contexts
-    from 28 features, and step lengths are weighted by the context probabilities ("wc").
+    Steps are detected in the wavelet transform of the specific force, and a relevance vector machine classifies
+    contexts. It uses the 23 of the paper's 28 features that need no magnetometer. Without a gyroscope, a random forest
+    uses 16 of them. Step lengths are weighted by the context probabilities ("wc").
 
     Parameters
     ----------

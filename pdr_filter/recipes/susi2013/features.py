@@ -115,7 +115,10 @@ def filtered_norms(sos: FloatArray, components: FloatArray, zi: FloatArray | Non
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionWindow(DescribedWindow):
-    """Features of one window."""
+    """Features of one window (`motion_features`), with two more values for the decision tree.
+
+    They are the shares of power in the dominant frequencies, and the mean square of the angular rate.
+    """
 
     features: FloatArray  # (10,)
     has_gyroscope: bool
@@ -160,13 +163,13 @@ class MotionWindows(SlidingWindows[MotionWindowState, MotionWindow]):
         return butterworth(10, self.low_pass_hz, self.rate_hz)
 
     def init(self) -> MotionWindowState:
-        """Return the state at the start of a segment."""
+        """Return the state at the start of a segment, that is, of samples without a gap."""
         return MotionWindowState(0, None, np.zeros((2, self.window_samples - 1)), no_samples(4))
 
     def update(
         self, state: MotionWindowState, block: UniformBlock, attitude: AttitudeBlock
     ) -> tuple[MotionWindowState, list[tuple[int, MotionWindow]]]:
-        """Return the new state and the completed windows, each with the index of its last sample.
+        """Return the new state and the completed windows, each with the index of its last sample in the segment.
 
         The attitude is not used, because norms do not depend on it.
         """

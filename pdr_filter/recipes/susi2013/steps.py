@@ -40,7 +40,11 @@ _FORCE, _RATE = 0, 1
 
 @dataclass(frozen=True)
 class Trough:
-    """Minimum of a norm that is being tracked."""
+    """Minimum of a norm that is being tracked: the lowest sample so far, its value, and the sample of the last trough.
+
+    `armed` is True after the norm was above its upper threshold, which a minimum requires. `chosen` is True if the
+    motion mode uses this norm.
+    """
 
     armed: bool = False  # the norm was above its upper threshold since the previous minimum
     sample: int = -1  # number of the lowest sample of the filtered norm; negative outside a trough
@@ -150,7 +154,7 @@ class NormMinimaStepDetector(BaseStepDetector[NormMinimaState]):
 
     @property
     def latency_s(self) -> float:
-        """Longest time in s from a contact to its detection, 2.7 s. It is typically 2.1 s."""
+        """Longest time in s from a contact to its detection. The default is 2.7 s, and 2.1 s are typical."""
         slowest_s = 0.5 * _MAX_STEP_S + float(self._delays[1].max())
         return slowest_s + (self._half_samples + self._wait_samples + 2) / self.rate_hz
 

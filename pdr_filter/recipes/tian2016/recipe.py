@@ -81,8 +81,9 @@ def recipe_fit(height_m: float, gender: str | None = None) -> StepLengthFit:
 def tian2016(subject: Subject | None = None) -> Config:
     """Return the configuration of Tian et al. 2016.
 
-    A state machine tracks the carrying mode, steps are peaks of the acceleration along one axis, the step length is
-    k h sqrt(f), and the heading is compensated for the rotation of the phone. A gyroscope is required.
+    A state machine tracks the carrying mode. Steps are peaks of the vertical acceleration for a held phone, and of that
+    along one axis of the phone otherwise. The step length is k h sqrt(f). The heading is compensated for the rotation
+    of the phone. A gyroscope is required.
 
     Parameters
     ----------

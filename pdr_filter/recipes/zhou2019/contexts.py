@@ -103,7 +103,11 @@ CARRIED = BehaviourThresholds(
 
 @dataclass(frozen=True, slots=True)
 class BehaviourMemory:
-    """State of the machine that recognises behaviours (see `BehaviourStage.assess`)."""
+    """State of the machine that recognises behaviours (see `BehaviourStage.assess`).
+
+    It has the last behaviour, the largest accelerations of the last windows, and how many windows of the transition
+    remain.
+    """
 
     behaviour: str  # one of BEHAVIOURS; empty before the first window
     last_max_mps2: tuple[float, ...]  # maxima of the windows within the last window length, oldest first
@@ -157,7 +161,8 @@ class BehaviourStage(WindowStage[BehaviourState, BehaviourWindow, BehaviourMemor
     def assess(self, memory: BehaviourMemory, window: BehaviourWindow) -> tuple[BehaviourMemory, WindowContext]:
         """Return the context of a window, by one cycle of the state machine of Zhou et al. 2019, Table 1.
 
-        The behaviour is kept while the maximum of the acceleration is unchanged, and classified again after a change.
+        The behaviour is kept while the maximum of the acceleration is unchanged. After a change it is classified in
+        this window and in the following ones that overlap it.
 
         Parameters
         ----------

@@ -67,7 +67,10 @@ def behaviour_features(acceleration_mps2: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BehaviourWindow(DescribedWindow):
-    """Features of one window. Its times are corrected for the delay of the filter."""
+    """Variance, DC component and energy of one window, and the maximum of its filtered acceleration in m/s2.
+
+    Its times are corrected for the delay of the filter.
+    """
 
     features: FloatArray  # (3,)
     max_mps2: float  # maximum of the filtered acceleration, for Condition 1 of Table 1
@@ -138,7 +141,7 @@ class BehaviourWindows(SlidingWindows[BehaviourState, BehaviourWindow]):
         return BehaviourState(np.empty((0, 4)), None, np.empty(0), no_samples(1))
 
     def after_gap(self, state: BehaviourState) -> BehaviourState:
-        """Return the state after a gap. The bias is kept, because the start of a segment need not be static."""
+        """Return the state after a gap. The bias is kept, because the person may walk after the gap."""
         return replace_unchecked(self.init(), bias_mps2=state.bias_mps2)
 
     def update(

@@ -179,12 +179,15 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
 
     @property
     def _bout_samples(self) -> float:
-        """Longest interval in samples between events of the same bout."""
+        """Longest interval in samples between events (steps, or strides on a foot) of one bout of walking."""
         return self.steps_per_event * self.max_interval_s * self.rate_hz
 
     @property
     def latency_s(self) -> float:
-        """Longest time in s from a contact to its detection, for an event that is held for `hold_s`."""
+        """Longest time in s from a foot contact to its detection, if its event is held for `hold_s`.
+
+        An event is a step, or a stride on a foot. It is held until the behaviour is known to be walking or running.
+        """
         longest_window_s = 1.0 / min(self.walking.min_frequency_hz, self.running.min_frequency_hz)
         within_event_s = (self.steps_per_event - 1) * self.max_interval_s
         return self.hold_s + longest_window_s + within_event_s + (self._delay_samples + 1) / self.rate_hz
@@ -288,7 +291,11 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
     def _cross(
         self, lines: ReferenceLines, window: FloatArray, state: ReferenceLineState
     ) -> tuple[ReferenceLines, list[float]]:
-        """Return the reference lines after a window, and the fractional sample numbers at which its events end."""
+        """Return the reference lines after a window, and the fractional sample numbers at which its events end.
+
+        An event (a step, or a stride on a foot) begins with a rise through R_M and ends with the next fall through R_S.
+        After a pause without events, the lines are unknown again.
+        """
         large, small, start, last_end = lines.large_mps2, lines.small_mps2, lines.start, lines.last_end
         ends: list[float] = []
         if large is not None and small is not None:
@@ -317,8 +324,9 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
     ) -> tuple[ReferenceLineState, list[tuple[int, Step]]]:
         """Return the new state, and the steps of all held events, each with the number `known` of the newest sample.
 
-        If the person stands (`is_still`), there are no steps. The events stay held, except those held longer than
-        `hold_s`, which are dropped.
+        An event is a detected step, or a stride on a foot. It is held until the behaviour is known. If the person
+        stands (`is_still`), there are no steps. The events stay held, except those held longer than `hold_s`, which are
+        dropped.
         """
         if is_still:
             oldest = known + 1 - self._delay_samples - self.hold_s * self.rate_hz
