@@ -342,7 +342,7 @@ def test_the_help_of_each_command_fits_eighty_columns_without_a_broken_word(monk
     for command in app.registered_commands:
         assert command.callback is not None
         assert not any("\n" in paragraph for paragraph in (command.callback.__doc__ or "").split("\n\n"))
-        shown = run(command.callback.__name__, "--help").stdout
+        shown = run(command.name or command.callback.__name__, "--help").stdout
         assert max(map(len, shown.splitlines())) <= 80
         assert "…" not in shown
         assert all(word[-1] in "|>" for word in shown.split() if word.startswith("<") and "|" in word)

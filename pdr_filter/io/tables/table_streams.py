@@ -15,7 +15,7 @@ from pdr_filter.io.tables.sheet import Sheet
 from pdr_filter.values import BoolArray, FloatArray, IntArray, interpolated_near, limits
 
 
-class _Stream(NamedTuple):
+class _MappedStream(NamedTuple):
     """Values (N, d) of a stream at times (N,) that are counted in ticks of `unit_s` seconds.
 
     Integer ticks keep all digits of long times, such as nanoseconds since 1970.
@@ -67,7 +67,7 @@ def _describe_clock(parsed: Parsed, mapping: Mapping) -> None:
         parsed.requested_hz = {"accelerometer": mapping.rate_hz}
 
 
-def _read(stream: StreamMap, mapping: Mapping, sheets: Sequence[Sheet]) -> _Stream:
+def _read(stream: StreamMap, mapping: Mapping, sheets: Sequence[Sheet]) -> _MappedStream:
     """Return a stream of a mapping from its table, in the units and with the signs of `Recording`.
 
     Of repeated locations, only the first is kept.
@@ -80,10 +80,10 @@ def _read(stream: StreamMap, mapping: Mapping, sheets: Sequence[Sheet]) -> _Stre
         ticks, values = ticks[is_new], values[is_new]
         values[values[:, 3] < 0, 3] = np.nan  # apps write -1 for unknown
     unit_s = 1 / mapping.rate_hz if time is None else TIME_UNITS.get(stream.time_unit, 1e-9)
-    return _Stream(ticks, unit_s, values * stream.factor)
+    return _MappedStream(ticks, unit_s, values * stream.factor)
 
 
-def _combined(found: dict[str, _Stream]) -> dict[str, _Stream]:
+def _combined(found: dict[str, _MappedStream]) -> dict[str, _MappedStream]:
     """Return the streams of a recording.
 
     A missing accelerometer is the sum of linear acceleration and gravity, or the linear acceleration if there is no
@@ -100,7 +100,7 @@ def _combined(found: dict[str, _Stream]) -> dict[str, _Stream]:
     return streams
 
 
-def _has_whole_ticks(stream: _Stream) -> bool:
+def _has_whole_ticks(stream: _MappedStream) -> bool:
     return stream.ticks.dtype.kind == "i"
 
 
@@ -127,7 +127,7 @@ def is_new_place(values: FloatArray) -> BoolArray:
     return changes & ~np.isnan(values[:, :2]).any(axis=1) & (values[:, :2] != 0).any(axis=1)
 
 
-def _summed(linear: _Stream, gravity: _Stream) -> _Stream:
+def _summed(linear: _MappedStream, gravity: _MappedStream) -> _MappedStream:
     """Return the sum of linear acceleration and gravity at the times of the linear acceleration.
 
     Gravity is interpolated if its times differ. The sum is NaN in gaps of gravity.
@@ -141,7 +141,7 @@ def _summed(linear: _Stream, gravity: _Stream) -> _Stream:
     return linear._replace(values=linear.values + at_linear)
 
 
-def _seconds(stream: _Stream, zero: _Zero) -> FloatArray:
+def _seconds(stream: _MappedStream, zero: _Zero) -> FloatArray:
     """Return the times of a stream since `zero`, in s.
 
     Differences of whole numbers keep all digits, so they are taken before the conversion to seconds.

@@ -109,7 +109,7 @@ def test_a_certain_context_gives_its_own_distance() -> None:
 
 
 def test_window_zero_must_be_given() -> None:
-    with pytest.raises(ValueError, match="window 0"):
+    with pytest.raises(ValueError, match="one row more than distance_m"):
         weighted_distances(np.zeros((5, 6)), np.full((5, 6), 1 / 6), 0.8)
 
 

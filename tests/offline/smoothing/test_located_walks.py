@@ -70,7 +70,7 @@ def test_smooth_takes_every_argument_of_track() -> None:
     [
         {"gnss": "sometimes"},
         {"gnss": "filter", "origin": (48.0, 11.0)},
-        {"gnss": "filter", "fixes": [PositionFix(5.0, (0.0, 0.0), np.eye(2))]},
+        {"gnss": "align", "fixes": [PositionFix(5.0, (0.0, 0.0), np.eye(2))]},
         {"gnss": "align", "fixes": [HeadingFix(5.0, 0.0, 0.1)]},
         {"north": "magnetic"},
         {"north": "south"},
