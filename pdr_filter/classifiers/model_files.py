@@ -95,9 +95,17 @@ class ArtefactFormat:
     def names_in(self, folder: Path) -> list[str]:
         """Return the names, without suffix, of the artefacts of this kind in a folder.
 
-        Files of other kinds are ignored. ValueError if a file with the suffix .json does not contain JSON.
+        Files of other kinds are ignored. ValueError names a file with the suffix .json that does not contain JSON.
         """
-        return [path.stem for path in folder.glob("*.json") if _kind(json.loads(path.read_text("utf-8"))) == self.kind]
+        names: list[str] = []
+        for path in folder.glob("*.json"):
+            try:
+                kind = _kind(json.loads(path.read_text("utf-8")))
+            except ValueError as error:
+                raise ValueError(f"{path}: no JSON ({error}); move it to another folder") from error
+            if kind == self.kind:
+                names.append(path.stem)
+        return names
 
     def _checked(self, text: str) -> dict[str, Any]:
         """Return the content of a .json from its text. ValueError if it is of another kind or version."""

@@ -289,14 +289,14 @@ def grow(walks: ScannedWalks, group: PlacedGroup, free: set[int]) -> None:
         free.difference_update(group.poses)
 
 
-def settle(walks: ScannedWalks, group: PlacedGroup) -> list[int]:
+def settle(walks: ScannedWalks, group: PlacedGroup, kept: frozenset[int]) -> list[int]:
     """Remove the walks of a group that the others do not confirm, and return their indices.
 
-    The seeds, which define the frame of the group, are never removed.
+    The walks in `kept` are never removed: those that define the frame of the group, or that are on a map already.
     """
     removed: list[int] = []
     for _ in range(3):
-        wrong = [i for i in group.poses if i not in group.seeds and not _is_confirmed(walks, group, i)]
+        wrong = [i for i in group.poses if i not in kept and not _is_confirmed(walks, group, i)]
         for i in wrong:
             del group.poses[i]
         removed += wrong

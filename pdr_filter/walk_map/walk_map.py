@@ -664,12 +664,14 @@ def _std_m(states: States) -> float:
 def _extend(walks: ScannedWalks, group: PlacedGroup, free: set[int], reasons: dict[int, str]) -> None:
     """Join walks of `free` to a group, and remove the walks that the others contradict.
 
-    The group is changed. Joined walks leave `free`. `reasons` gets the reason of each removed walk, by its index.
+    The group is changed, but its present walks stay. Joined walks leave `free`. `reasons` gets the reason of each
+    removed walk, by its index.
     """
+    kept = frozenset(group.poses)
     if len(group.poses) > 1:
         adjust(walks, group, list(group.poses))
     grow(walks, group, free)
-    for i in settle(walks, group):
+    for i in settle(walks, group, kept):
         reasons[i] = "the other walks contradict its place: access points may have been moved"
 
 

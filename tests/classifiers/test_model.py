@@ -410,3 +410,9 @@ def test_a_shipped_model_gives_a_window_the_same_bits_alone_and_in_a_batch(name:
         alone = model.assess(row)
         assert alone[1:] == among_others[1:]
         np.testing.assert_array_equal(alone.prob, among_others.prob)
+
+
+def test_a_file_that_is_no_json_beside_a_model_is_named(tmp_path: Path) -> None:
+    (tmp_path / "notes.json").write_text("{")
+    with pytest.raises(ValueError, match=r"notes.json: no JSON .*move it to another folder"):
+        ContextModel.load(tmp_path)

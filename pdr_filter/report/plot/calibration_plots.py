@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from pdr_filter.report.palette import BLUE, INK, WRONG, context_colours
 from pdr_filter.report.plot.figures import PLAIN_TEXT, given_or_new, new_figure, save
-from pdr_filter.values import Table
+from pdr_filter.values import CONTEXTS, Table
 
 _MAX_POINTS, _MAX_PEOPLE = 5000, 60
 
@@ -102,11 +102,12 @@ def residuals(segments: Table, ax: Axes | None = None) -> Axes:
     if len(rows) > _MAX_POINTS:
         rows = rows[np.linspace(0, len(rows) - 1, _MAX_POINTS).astype(int)]
     error = 100 * (rows.left_out_m / rows.distance_m - 1)
-    colours = context_colours()
+    names = tuple(map(str, dict.fromkeys(rows.context)))
+    colours = context_colours(CONTEXTS if set(names) <= set(CONTEXTS) else names)
     style: dict[str, Any] = {"s": 16, "linewidths": 0.4, "edgecolors": INK}
-    for name in dict.fromkeys(rows.context):
+    for name in names:
         own = (rows.context == name) & ~rows.distrusted
-        axes.scatter(rows.distance_m[own], error[own], color=colours[str(name)], label=str(name), **style)
+        axes.scatter(rows.distance_m[own], error[own], color=colours[name], label=name, **style)
     if rows.distrusted.any():
         x, y = rows.distance_m[rows.distrusted], error[rows.distrusted]
         axes.scatter(x, y, marker="x", color=WRONG, s=30, label="distrusted")

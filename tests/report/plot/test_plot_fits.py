@@ -18,6 +18,7 @@ from test_plot_walks import make_track
 from pdr_filter import evaluate
 from pdr_filter.report import plot
 from pdr_filter.values import CONTEXTS, Cluster
+from pdr_filter.values.arrays import table
 
 
 def offsets(axes: Axes) -> list[np.ndarray]:
@@ -110,3 +111,16 @@ def test_a_figure_is_saved_from_its_axes_in_vector_form_with_its_fonts(tmp_path:
     assert b"/Type3" not in content
     if suffix == "svg":
         assert b"<image" not in content
+
+
+def test_residuals_of_contexts_with_own_names_are_drawn_in_colours_that_differ() -> None:
+    segments = table(
+        {
+            "context": np.array(["level", "ramp"]),
+            "distance_m": np.array([50.0, 80.0]),
+            "left_out_m": np.array([51.0, 79.0]),
+            "distrusted": np.array([False, False]),
+        }
+    )
+    first, second = (points.get_facecolor().tolist() for points in plot.residuals(segments).collections)
+    assert first != second
