@@ -157,9 +157,9 @@ def _packed(arrays: Arrays) -> bytes:
 
 
 def _unpacked(path: Path, checksum: str) -> Arrays:
-    """Return the arrays of a .npz.
+    """Return the arrays of a .npz file.
 
-    ValueError if its checksum differs, it is damaged, or it contains anything but arrays.
+    ValueError if it is missing, too large or damaged, if its checksum differs, or if it contains pickled objects.
     """
     from pdr_filter.io.files.safe_files import read_small
 

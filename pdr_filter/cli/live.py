@@ -266,7 +266,7 @@ async def served(
 
 
 async def _run_source(source: Coroutine[Any, Any, None]) -> None:
-    """Run a source and print the error that ends it, so that the other sources continue."""
+    """Run a source. A ValueError or OSError that ends it is printed, so that the other sources continue."""
     try:
         await source
     except (ValueError, OSError) as error:

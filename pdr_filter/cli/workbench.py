@@ -51,7 +51,7 @@ def app(
             from pdr_filter.workbench.server import read_texts
             from pdr_filter.workbench.walks import HIDDEN, PHONES
         except ImportError as error:
-            raise ValueError(f'app needs a web server ({error}): pip install "pdr_filter[app]"') from None
+            raise ValueError(f'app needs more packages ({error}): pip install "pdr_filter[app]"') from None
         known = read_texts(texts)
         folder = folder.resolve()
         folder.mkdir(parents=True, exist_ok=True)

@@ -549,7 +549,7 @@ def range_log_densities(
 
     Each includes the log prior probability of its path. `var_m2` are the total variances of the residuals. A reflected
     path is longer by an exponentially distributed excess with mean b = sqrt((10 std_m)^2 + var_m2). The noise of a
-    direct path is added to it:
+    direct path is added to it, and with e = -residual (measured minus predicted) the density is
 
         p(e) = exp(-max(e, 0) / b) / b * P(noise < e).
 
@@ -673,10 +673,10 @@ def _check_measurement(fix: object) -> None:
 def measured(fix: Measurement, position_m: FloatArray, heading_rad: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return residual (k,), Jacobian (k, 3) and covariance (k, k) of a measurement.
 
-    The columns of the Jacobian are the derivatives of the residual (predicted minus measured) with respect to east,
-    north and walking direction. If the class returns an innovation (measured minus predicted) with the derivative of
-    the prediction, the sign of the Jacobian is corrected: a small displacement shows the convention. ValueError names
-    what `measurement` must return.
+    The columns of the Jacobian are the derivatives of the returned residual with respect to east, north and walking
+    direction. The residual is predicted minus measured. If the class returns an innovation (measured minus predicted)
+    with the derivative of the prediction, the innovation is returned unchanged, and the sign of the Jacobian is
+    corrected: a small displacement shows the convention. ValueError names what `measurement` must return.
     """
     name = type(fix).__name__
     if isinstance(fix, RangeFix):

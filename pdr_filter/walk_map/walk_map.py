@@ -662,7 +662,7 @@ def _std_m(states: States) -> float:
 
 
 def _extend(walks: ScannedWalks, group: PlacedGroup, free: set[int], reasons: dict[int, str]) -> None:
-    """Join walks of `free` to a group, and remove the walks that the others contradict.
+    """Join walks of `free` to a group, and remove joined walks whose places the other walks do not confirm.
 
     The group is changed, but its present walks stay. Joined walks leave `free`. `reasons` gets the reason of each
     removed walk, by its index.

@@ -141,7 +141,7 @@ class Directions:
 
     @classmethod
     def of(cls, modes: Sequence[Mode]) -> Directions:
-        """Return the walking directions of some modes, and their variances."""
+        """Return the directions that the settings of the given modes define, with one element for each mode."""
         return cls(
             heading_offset_rad=np.array([m.heading_offset_rad for m in modes]),
             heading_var_rad2=np.array([m.heading_std_rad**2 for m in modes]),

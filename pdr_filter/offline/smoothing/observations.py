@@ -66,7 +66,7 @@ def is_uninformative(closure: LoopClosure, walked_m: float) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class KnownHeading:
-    """Known direction from the position at one time to the position at another, such as that of a corridor.
+    """Known direction, in the frame of the fixes, from the position at one time to that at another, as of a corridor.
 
     Attributes
     ----------

@@ -248,7 +248,10 @@ def _windows_of(recording: Recording, dataset: str, person: str) -> tuple[list[L
 
 
 def _up_directions(recording: Recording) -> _UpDirections | None:
-    """Return the successive windows of 0.6 s of a recording that lie inside one label, or None if there are none."""
+    """Return the directions of up in successive windows of 0.6 s of a recording, with their labels and motion levels.
+
+    Only windows inside one label are included. The result is None if there are none.
+    """
     conditioner, attitudes, level = Conditioner(), AttitudeEstimator(), MotionLevel()
     rows: list[tuple[FloatArray, str, str, bool, float, float]] = []
     attitude_state = attitudes.init()

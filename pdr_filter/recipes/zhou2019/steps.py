@@ -389,7 +389,7 @@ def dominant_period_s(acceleration_mps2: FloatArray, search: EventSearch, rate_h
 def _window_samples(period_s: float, rate_hz: float) -> int:
     """Return the length of a window in samples, w = f_A / f_D (Zhou et al. 2019, eq. 5).
 
-    f_A is the sampling rate and f_D the dominant frequency of the motion, both in Hz.
+    f_A is the sampling rate in Hz. f_D is the dominant frequency in Hz, that is, 1 / `period_s`. w is at least 1.
     """
     return max(round(period_s * rate_hz), 1)
 

@@ -155,7 +155,7 @@ class StrideAgreement:
 
         The combined vector of a stride is the sum of its three vectors with the coefficients `mix`. Their agreement on
         a direction is the squared length of the mean vector relative to the mean squared length. The part due to
-        chance, noise and sway is subtracted, and a prior is added as for two more strides.
+        chance, noise and sway is subtracted, and a prior is added as for two more strides that do not overlap.
         """
         (a, b, c), (aa, bb, cc) = mix, place.squares
         (af, ar), (bf, br), (cf, cr) = place.vectors
