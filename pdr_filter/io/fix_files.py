@@ -127,7 +127,7 @@ def anchors_of_file(path: str | Path, origin: Origin | tuple[float, float] | Non
             name, geometry = str(feature["properties"]["name"]).strip(), feature["geometry"]
             place = np.array(geometry["coordinates"], dtype=float)
             if geometry["type"] != "Point" or place.shape not in ((2,), (3,)) or not np.isfinite(place).all():
-                raise ValueError(f"{name[:60]!r} is not a point with two or three coordinates")
+                raise ValueError(f"the geometry of {name[:60]!r} is not a point with two or three finite coordinates")
             if name in found:
                 raise ValueError(f"two points are named {name[:60]!r}")
             found[name] = place

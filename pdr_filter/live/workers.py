@@ -100,7 +100,10 @@ class _Worker:
         self._running: asyncio.Task[None] | None = None
 
     async def start(self) -> None:
-        """Start the share, and return when it is ready for requests."""
+        """Start the process that serves this worker's share of the devices, and return when it is ready for requests.
+
+        The process may be on another computer. TimeoutError if it is not ready within `_START_S`.
+        """
         share = await asyncio.wait_for(self._start(), _START_S)
         self._running = asyncio.create_task(self._run(share))
 

@@ -342,7 +342,11 @@ class Calibration:
         modes = tuple(replace(m, step_length=sure.get(m.context, m.step_length)) for m in config.model.modes)
         noise = replace(config.model.noise, log_scale_std=self.scale_std(subject))
         name = self.person_of(subject)
-        note = Note("step lengths", f"step lengths {self._whose(subject)}: {', '.join(used) or 'none calibrated'}")
+        which = (
+            f"calibrated for {', '.join(used)}; other contexts keep" if used else "no context is calibrated; all keep"
+        )
+        text = f"step lengths {self._whose(subject)}: {which} the step lengths of the recipe"
+        note = Note("step lengths", text)
         notes = tuple(n for n in config.notes if n.about != "height" or name is None)
         return replace(config.with_model(modes=modes, noise=noise), notes=(*notes, note))
 
@@ -712,7 +716,11 @@ def _model_from_plain(context: str, plain: Mapping[str, Any], config: Config | N
 
 
 def _model_of(context: str, n_params: Any, config: Config | None) -> StepLengthModel:
-    """Return the step-length model of a context from a configuration, for a class that is not stored in the file."""
+    """Return the step-length model of a context from `config`, because the calibration file does not contain it.
+
+    A file names the classes of this package (`is_shipped`). Of a user's own class it has only the number of parameters,
+    `n_params`. ValueError unless `config` has a model of such a class, with that number, for the context.
+    """
     modes = () if config is None else config.model.modes
     model = next((mode.step_length.model for mode in modes if mode.context == context), None)
     if model is None or is_shipped(model) or model.n_params != n_params:

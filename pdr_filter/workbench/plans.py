@@ -90,7 +90,11 @@ class Plans:
         }
 
     def save(self, name: str, version: str, content: Mapping[str, Any]) -> dict[str, Any]:
-        """Replace a plan and return it; ConflictError if it has another version, ValueError if it is invalid."""
+        """Replace a plan and return it as `load` does.
+
+        ConflictError if the plan has another version. ValueError if it does not exist, or if a feature cannot be
+        stored. A plan that `FloorPlan.read` rejects is saved, too. The result then has the error message as `reason`.
+        """
         path = self.path(name)
         if path is None:
             raise ValueError(f"there is no floor plan {name[:80]!r}: it was deleted or renamed; load the page again")

@@ -62,7 +62,8 @@ def use_fix(
     """Return the state after a fix, the outcome of the fix, and its normalised innovation squared (NIS).
 
     The NIS is the smallest one of all filters, or NaN if no filter was compared with the fix. A fix is rejected if its
-    NIS exceeds the gate in all filters. A fix older than the stored steps is rejected with infinite NIS. A position
+    NIS exceeds the gate in all filters. A fix older than the stored steps is rejected with infinite NIS, except
+    speed fixes, grid fixes and standstills. A position
     that is repeated while steps continue is "frozen" and not used. If the frame of the fixes is unknown, the first
     position fix places the track in it, and later ones rotate it. A standstill is stored and changes no estimate.
     `offset_rad` (F,) is the walking heading of each filter minus the heading that the body faces.

@@ -113,9 +113,10 @@ def _reflected_prob(pairs: tuple[PairedRange, ...]) -> float:
 
 
 def _searched_just_now(state: PedestrianState, fix: RangeFix) -> bool:
-    """Return True if a search was made less than `_SEARCH_INTERVAL_S` before a range.
+    """Return True if the range `fix` is later than the last search for a position by less than `_SEARCH_INTERVAL_S`.
 
-    Ranges of the same time are all searched.
+    A search looks for the positions of the track that the last ranges together allow. The caller omits the search if
+    the result is True. The result is False for a range of the same time as the last search.
     """
     return 0.0 < fix.time_s - state.fixes.searched_s < _SEARCH_INTERVAL_S
 

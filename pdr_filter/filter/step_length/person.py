@@ -59,8 +59,9 @@ class Person:
     """Step length of one person, pooled over walks with fixes.
 
     `Track.person` returns the person of a track. Pass it to the next recording of the same person
-    (`pdr_filter.track(..., person=...)`). The step lengths of that track then start at those of the person, for any
-    recipe and for any body height.
+    (`pdr_filter.track(..., person=...)`). The step lengths of that track then start near those of the person, for any
+    body height. They are those of the walks combined with the prior of the recipe. A step-length model that does not
+    estimate the scale is not changed. ValueError for a model that is not linear in its parameters, as of guo2018.
 
     Attributes
     ----------

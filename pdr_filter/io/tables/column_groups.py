@@ -179,9 +179,10 @@ class _Sensor(NamedTuple):
 
 
 def _vectors(sheet: Sheet, columns: Sequence[Column], times: Sequence[int]) -> list[_Vector]:
-    """Return the sensors with three axes, in the order of the table. RecordingError if an accelerometer lacks an axis.
+    """Return the sensors with three axes, in the order of the table. Sensors that lack an axis are left out.
 
-    Axes whose names state no sensor may appear again, for the next sensor.
+    RecordingError if it is an accelerometer whose columns have more than the axis in their names. Axes whose names
+    state no sensor may appear again, for the next sensor.
     """
     # Names such as ax and wx, which distinguish sensors, state more than the name of the file.
     is_distinct = len({column.quantity for column in columns if column.quantity in VECTORS}) > 1

@@ -137,10 +137,11 @@ class Corridors:
         return CorridorState(bank, np.log(weight), odds)
 
     def restart(self, state: CorridorState) -> CorridorState:
-        """Return the state after a break in the headings: drift and axes are unknown again.
+        """Return the state after a break in the headings: the drift starts at zero, and no axes are known.
 
-        The drift rates with their variances and weights are kept, and so are the means of the scale errors. The odds of
-        axes start again.
+        Each filter of the bank keeps its drift rate with its variance, and its weight. It also keeps its estimate of
+        the scale error of the gyroscope, but the variance of this estimate is that of the prior again. The odds that
+        the walk follows axes, the total turn and the last legs start again.
         """
         initial = self.init()
         mean, cov = initial.mean, initial.cov

@@ -313,7 +313,7 @@ def test_the_filter_uses_a_calibrated_length_with_its_uncertainty(walk: tuple[Re
     own = pdr.track(recording, config=found.config(pdr.recipes.default(recording.subject), recording.subject))
     # two of the three lengths begin with a corner, in which simulated people do not make shorter steps
     assert own.distance_m == pytest.approx(1.3 * track.distance_m, rel=0.08)
-    assert any("step lengths of simulated: walking" in note for note in own.notes)
+    assert any("step lengths of simulated: calibrated for walking" in note for note in own.notes)
     stranger = found.config(pdr.recipes.default(), Subject(id="somebody"))
     known = found.config(pdr.recipes.default(), recording.subject)
     assert known.model.noise.log_scale_std < 0.6 * stranger.model.noise.log_scale_std
@@ -340,7 +340,10 @@ def test_a_calibrated_track_names_the_person_of_its_step_lengths(walk: tuple[Rec
     assert "of unnamed, the only calibrated person, because the recording does not name" in noted(one, Subject())
     assert "of the calibrated population (1 person), because bob was not calibrated" in noted(one, Subject(id="bob"))
     assert "of the calibrated population (2 persons), because the recording does not name" in noted(two, Subject())
-    assert noted(two, Subject(id="b")) == "step lengths of b: walking"
+    assert (
+        noted(two, Subject(id="b"))
+        == "step lengths of b: calibrated for walking; other contexts keep the step lengths of the recipe"
+    )
     np.testing.assert_array_equal(one.fits()["walking"].theta, one.subjects["unnamed"].k["walking"])
     anna = calibrate(twice, tracks=[track] * 2, subject="anna")
     assert "of anna, the only calibrated person, because the recording does not name" in noted(anna, Subject())
