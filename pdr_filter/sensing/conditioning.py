@@ -676,7 +676,8 @@ def at_times(time_s: FloatArray, values: FloatArray, at_s: FloatArray, max_gap_s
     The result is NaN between two neighbouring samples that are more than `max_gap_s` apart. At the time of a sample it
     is the value of that sample. A time before the first or after the last sample by less than `max_gap_s` gets the
     value of that sample, unless the first or last two samples are more than `max_gap_s` apart. Each result depends only
-    on the two samples around it, or on the last two samples if none follows. With fewer than two samples all results are NaN.
+    on the two samples around it, or on the last two samples if none follows. With fewer than two samples all results
+    are NaN.
     """
     if len(time_s) < 2 or not len(at_s):
         return np.full((len(at_s), 3), np.nan)

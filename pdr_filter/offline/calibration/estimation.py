@@ -273,9 +273,10 @@ class _Task:
         The noise factor phi of a context becomes phi' = (n + phi sum_i w_i (h_i u_i^2 + 1 - h_i)) / (n + sum_i w_i
         (h_i ratio + 1 - h_i)). n is the weight of its prior (`noise_dof`), in which the factor is one. An infinite
         weight holds the factor. The sums are over the segments i of the context. u_i is the standardised residual of a
-        segment (`misfit`) and w_i its robust weight. h_i is the share of the noise e_i in the variance of the residual. phi
-        (h_i u_i^2 + 1 - h_i) is the expectation of e_i^2 given all data, relative to its prior variance, if the segment
-        is not an outlier. `ratio` is E w u^2 / E w of the loss for standard normal residuals u (`robust_loss.moments`).
+        segment (`misfit`) and w_i its robust weight. h_i is the share of the noise e_i in the variance of the residual.
+        phi (h_i u_i^2 + 1 - h_i) is the expectation of e_i^2 given all data, relative to its prior variance, if the
+        segment is not an outlier. `ratio` is E w u^2 / E w of the loss for standard normal residuals u
+        (`robust_loss.moments`).
         """
         prior, n_contexts = self.prior, len(self.prior.step_std_m)
         excess, counts, found, n_recordings = np.zeros(n_contexts), np.zeros(n_contexts), 0.0, 0
