@@ -1,5 +1,5 @@
 # make demo [FILE=walk.zip] [OUT=folder]   track a walk and draw it; a minute the first time, with installation
-# make test                                run the quick tests: three minutes on two cores
+# make test                                run the quick tests: five minutes on two cores
 # make test-all                            run every test
 # make check                               lint, format and types
 # make docs                                build the documentation

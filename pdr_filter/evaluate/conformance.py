@@ -361,7 +361,8 @@ def _check_length(name: str, model: Any, step: Step, theta: FloatArray, is_linea
         many.shape,
     ):
         raise AssertionError(
-            f"{name} must accept theta with leading axes, (..., {len(theta)}), and return lengths (...,)"
+            f"{name} must accept theta with leading axes, (..., {len(theta)}), and return lengths (...,) "
+            f"and a Jacobian (..., {len(theta)})"
         )
 
     def length_at(theta: FloatArray) -> FloatArray:

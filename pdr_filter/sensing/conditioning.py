@@ -374,7 +374,8 @@ class Conditioner:
     def _update_part(self, state: ConditionerState, block: ImuBlock) -> tuple[ConditionerState, list[UniformBlock]]:
         """Return the new state and the completed hops for at most `_ROWS_AT_ONCE` raw samples.
 
-        A hop is a block of `hop_samples` uniform samples.
+        A hop is a block of `hop_samples` uniform samples. At a gap, the remainder of the last hop is returned as well,
+        as a shorter block, unless the segment is too short to have a complete hop.
         """
         state, rows = self._accept(state, block)
         if len(rows) == 0:

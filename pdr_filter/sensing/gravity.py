@@ -85,7 +85,12 @@ class _Segment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Window:
-    """Cues of one walked window, in the frame of the gyroscope."""
+    """Cues for the vertical from one window in which a person walks: its axis, and which end of the axis is up.
+
+    `axis` is a symmetric matrix whose quadratic form is largest along the vertical. `sense` is a vector whose component
+    along up is positive. Both are in the frame of the first sample of the segment, which the gyroscope alone maintains.
+    `time_s` is the middle of the window, and `rms_mps2` the root mean square of its acceleration without the mean.
+    """
 
     time_s: float
     rms_mps2: float

@@ -21,10 +21,11 @@ _YEAR_S = 365.2425 * 86400.0
 def with_north(config: Config, recording: Recording, placement: TrackPlacement, with_location: bool) -> Config:
     """Return the configuration with a source of north, or unchanged if none is wanted.
 
-    `placement.north` selects the source. Without it the magnetometer is the source, if locations are used as fixes
-    (`with_location`) and the recipe learns walking directions. The recording must also have a gyroscope and a
-    magnetometer. The declination is that of the given place, or else of the first usable location. Without a place,
-    `north` "magnetic" has an uncertain declination.
+    `placement.north` selects the source. If it is None, the magnetometer is the source if locations are used as fixes
+    (`with_location`, and `placement.gnss` is not "align"), if the recipe learns walking directions, and if the
+    recording has a gyroscope and a magnetometer. Otherwise there is no source. The declination is 0 for "true-heading".
+    For other sources it is that of the given place, or else of the first usable location. Without any place the
+    declination of a selected source is uncertain, and with `placement.north` None the configuration is unchanged.
     """
     north, where = placement.north, placement.place
     has_sensors = {"gyroscope", "magnetometer"} <= recording.streams.keys()

@@ -172,7 +172,10 @@ def aligned(recording: Recording, results: Iterable[tuple[State, Output]]) -> It
 
 
 def _even_fixes(location: Samples, first_s: float, last_s: float) -> tuple[LocationState, tuple[PositionFix, ...]]:
-    """Return the state of the conversion of locations, and the fixes between two times, at even intervals."""
+    """Return the state of the conversion of locations, and the fixes between two times.
+
+    Successive fixes are at least `INTERVAL_S` apart, or more on a long walk, so that about `MAX_LOCATIONS` remain.
+    """
     inside = (location.time_s >= first_s) & (location.time_s <= last_s)
     latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values[inside].T
     interval_s = max(INTERVAL_S, (last_s - first_s) / MAX_LOCATIONS) if inside.any() else INTERVAL_S

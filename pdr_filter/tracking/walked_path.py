@@ -63,9 +63,10 @@ class WalkedPath:
 
 
 def walked_path(config: Config, state: State) -> WalkedPath:
-    """Return the path of the walk so far: all steps, candidate steps and the present position.
+    """Return the path of the walk so far: final steps, candidate steps and the present position.
 
-    ValueError with a floor plan, because each particle has its own path.
+    Of a walk of more than 8192 final steps, 8192 rows are kept, the older ones at even intervals. ValueError with a
+    floor plan, because each particle has its own path.
     """
     if config.on_plan is not None:
         raise ValueError(

@@ -328,8 +328,9 @@ def _density_of_fit(fit: _Fit) -> RotationDensity:
     The probability of an angle is proportional to its prior times (f + s)^(-(f + 2 n - 2) / 2). s is the sum of the
     normalised squared errors of the n pairs at that angle, after the best shift. The formula holds if all variances
     have an unknown common factor and the shift is unknown (A. Gelman et al., "Bayesian Data Analysis", section 14.2).
-    The factor has a scaled inverse chi-square prior with f degrees of freedom, unlike in the book. s is increased by a
-    constant if its minimum is below the number of errors, because errors are at least as large as stated.
+    The factor has a scaled inverse chi-square prior with f degrees of freedom, unlike in the book.
+    If the minimum of s is below the degrees of freedom, 2 n - 3 (at least 0), s is increased by a constant, so that its
+    minimum equals them, because errors are at least as large as stated.
     """
     pair_squares, power = fit.squares - fit.prior_squares, 0.5 * (_STUDENT_DOF + 2 * len(fit.pairs) - 2)
     least = float(pair_squares.min())

@@ -130,7 +130,10 @@ class RelocationEvidence:
         return self.pairs[-1].time_s - self.pairs[0].time_s >= PATIENCE_S
 
     def _follows_track(self, turn_var: float) -> bool:
-        """Return True if fixes that follow the track are more probable than fixes that stay in one place."""
+        """Return True if fixes that follow the track explain the rejected fixes much better than fixes in one place.
+
+        The likelihood must be at least 30 times as large (`PRIOR_LOG_ODDS`), each with the best shift and rotation.
+        """
         staying = tuple(replace(pair, track_m=self.pairs[0].track_m) for pair in self.pairs)
         gained = least_squares_error(staying, turn_var) - least_squares_error(self.pairs, turn_var)
         return gained >= 2.0 * PRIOR_LOG_ODDS

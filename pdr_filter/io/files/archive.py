@@ -349,7 +349,11 @@ def _files_below(path: Path) -> dict[str, Path]:
 
 
 def _without_sensor_folders(names: Sequence[str]) -> dict[str, str]:
-    """Map `Accelerometer/data.csv` to `Accelerometer.csv` if each sensor has its own folder with one file."""
+    """Return new names for files of sensors that each have a folder of their own, as a mapping from the old names.
+
+    `Accelerometer/data.csv` becomes `Accelerometer.csv` if it is the only table in its folder. Names that stay the same
+    are not in the result. No file is renamed on disk.
+    """
     by_folder: dict[PurePosixPath, list[PurePosixPath]] = {}
     for name in map(PurePosixPath, names):
         if name.suffix.lower() in _TABLES and name.parent.name not in ("", "meta"):

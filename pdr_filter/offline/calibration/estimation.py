@@ -188,7 +188,12 @@ class _Variances:
         return bool((np.abs(own - others) <= 2e-4 * np.abs(others)).all())
 
     def _logs(self) -> FloatArray:
-        """Return the logarithms of all variances: noise, recording, and the diagonal of between, in this order."""
+        """Return the logarithms of all variances, shape (C + 1 + Q,).
+
+        In this order they are those of `noise` (C contexts), of `recording`, and of the diagonal of `between`. The last
+        are the variances between people of their Q own parameters, with ones where people are independent. Variances
+        below 1e-300 count as 1e-300.
+        """
         values = np.concatenate([self.noise, [self.recording], np.diagonal(self.between)])
         return np.log(np.maximum(values, 1e-300))
 

@@ -183,12 +183,16 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
 
     @cached_property
     def _n_before(self) -> int:
-        """Number of samples before a contact that enter the response."""
+        """Number of samples before a contact that are needed to compute the response (`_response`) at the contact."""
         return round(self.before_s * self.rate_hz) + len(self._power_low_pass) // 2
 
     @property
     def _delay_samples(self) -> int:
-        """Number of samples after a contact that enter the response."""
+        """Delay of the response in samples: the number of samples after a contact that are needed to compute it there.
+
+        The response is the wavelet transform of |f| at the frequency that R determines (`_response`). Its local maxima
+        are the steps. The samples are those of `after_s`, and half the length of the low-pass before R.
+        """
         return self._n_after
 
     @cached_property

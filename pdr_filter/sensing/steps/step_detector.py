@@ -252,7 +252,7 @@ class BaseStepDetector(ABC, Generic[S]):
         Returns
         -------
         list of (int, Step)
-            Remaining steps, each with the number of the last sample.
+            Remaining steps, each with the index of the last sample of the segment, at whose time it counts as detected.
         """
         end = state.log.n_samples
         if end == 0:
