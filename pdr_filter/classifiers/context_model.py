@@ -68,9 +68,10 @@ _SHIPPED = (_PACKAGE / "models", _PACKAGE.parent / "models")
 
 
 class Assessment(NamedTuple):
-    """Result of a model for one window: probabilities of the labels, and two unknown shares, 0 (alike) to 1.
+    """Result of a model for one window: the probabilities of the labels, and two unknown shares.
 
-    They say how unlike the window is to all training windows, and how unlike to the training windows on stairs.
+    A share of 0 means that the window is like the training windows, and 1 that it is unlike all of them. One share
+    compares the window with all training windows, the other one with the training windows on stairs.
     """
 
     prob: FloatArray  # (L,) probabilities of the labels

@@ -81,7 +81,7 @@ class ArtefactFormat:
             raise ValueError(f"{json_path}: not usable as {noun}: {what}; {self.remedy}") from error
 
     def is_at(self, path: str | Path) -> bool:
-        """True if a file states that it is of this kind, False also if it cannot be read or is no JSON.
+        """True if a file states that it is of this kind. False if it does not, cannot be read, or is not JSON.
 
         Other errors of the file are found by `read`.
         """

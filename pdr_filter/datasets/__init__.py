@@ -257,7 +257,7 @@ def _download(name: str, dataset: Dataset, raw: Path) -> None:
 
 
 def _unpack(archive: Path) -> None:
-    """Extract the .csv and .txt files of a zip file to a folder of its name beside it, unless they exist.
+    """Extract the .csv and .txt files of a zip file to a folder of the same name, unless the folder has them.
 
     The limits of the readers on sizes apply.
     """

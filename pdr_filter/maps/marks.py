@@ -161,7 +161,7 @@ def read_marks(recording: str | Path) -> Marks:
 
 
 def marks_in(folder: Path) -> Marks:
-    """Return the marks of a walk from the files in a folder. They are empty if there are no files.
+    """Return the marks of a walk from the files in a folder. A folder without such files gives empty marks.
 
     ValueError names the file and the remedy. A save that was interrupted is completed first.
     """

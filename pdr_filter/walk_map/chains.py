@@ -21,7 +21,7 @@ from pdr_filter.version import __version__
 
 # Largest time between two knots: five to seven metres of walking.
 KNOT_S = 5.0
-# Scans with fewer access points are no fingerprint (as in `maps.radio.radio_map`).
+# Scans with fewer access points are not used as fingerprints (as in `maps.radio.radio_map`).
 _MIN_ACCESS_POINTS = 5
 # Shortest distance walked between two scans. Closer scans have the same errors and cost time.
 _SCAN_M = 2.0

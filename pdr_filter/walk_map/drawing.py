@@ -16,7 +16,7 @@ from pdr_filter.values.uncertainty import worst_std_m
 if TYPE_CHECKING:
     from pdr_filter.walk_map.walk_map import MappedWalk
 
-# Half of the width of a drawn path: that of a narrow corridor, and at most this many metres of uncertainty beside it.
+# Half of the width of a narrow corridor, to which the standard deviation of the path is added up to the second value.
 _HALF_WIDTH_M, _MOST_STD_M = 1.5, 5.0
 _SIMPLIFY_M = 0.5
 _WIDTH_PX = 900

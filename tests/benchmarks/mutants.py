@@ -119,7 +119,7 @@ class _Recording(ast.NodeTransformer):
     """Add a record of each evaluation to some nodes of a module."""
 
     def __init__(self, number_of: dict[int, int]) -> None:
-        self.number_of = number_of  # of the mutant, by the identity of its node
+        self.number_of = number_of  # numbers of the mutants, by the identity of the syntax node
 
     def visit(self, node: ast.AST) -> ast.AST:
         """Return `record(number) or node` for a node of a mutant. A process of another program records nothing."""

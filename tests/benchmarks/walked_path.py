@@ -1,4 +1,4 @@
-"""`OnlineFilter.path()` in the end of a walk against truth, beside the online and smoothed tracks.
+"""Compare `OnlineFilter.path()` at the end of a walk with the truth, and with the online and smoothed tracks.
 
 usage: python -m tests.benchmarks.walked_path [--data ../shared/data]
 

@@ -87,7 +87,7 @@ def walks(arguments: argparse.Namespace, sites: Sequence[str]) -> Iterator[tuple
 
 
 def pairs(arguments: argparse.Namespace) -> Iterator[Pair]:
-    """Track each recording as it is and with its gravity removed."""
+    """Yield the results of each recording with and without gravity."""
     for recording, linear, group in walks(arguments, arguments.sites):
         try:
             restored = with_gravity(linear, recording.gyroscope)

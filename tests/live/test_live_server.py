@@ -139,7 +139,7 @@ def test_events_come_while_the_phone_sends(server: Server, walk: Recording) -> N
             if event.get("event") == "now" and event["id"].startswith("timed"):
                 if event["received_unix_s"]:
                     event["delay_s"] = time.time() - event["received_unix_s"]
-                if event["time_s"] > 17:  # of 20 s; a slow server reports the last seconds with a longer delay
+                if event["time_s"] > 17:  # the walk has 20 s; a slow server delays its last seconds
                     break
     mine = [e for e in seen if e.get("id", "").startswith("timed")]
     assert {"session", "step", "now"} <= {e["event"] for e in mine}

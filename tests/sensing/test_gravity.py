@@ -172,7 +172,7 @@ def test_a_phone_that_turns_while_the_gyroscope_is_silent_has_a_new_vertical() -
 
 def test_the_pivot_of_a_pendulum_is_above_it_although_the_screen_faces_down() -> None:
     time_s = np.arange(0.0, 40.0, 0.01)
-    phase = 2 * np.pi * time_s  # of the swing, 1 Hz; steps have 2 Hz, in phase with the squared rate
+    phase = 2 * np.pi * time_s  # the arm swings at 1 Hz; steps have 2 Hz, in phase with the squared rate
     rate = np.random.default_rng(0).normal(0.0, 1e-4, (len(time_s), 3))
     rate[:, 0] += 0.5 * np.cos(phase)
     force = np.random.default_rng(1).normal(0.0, 1e-4, (len(time_s), 3))

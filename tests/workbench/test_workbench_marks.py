@@ -341,7 +341,7 @@ def test_an_edit_can_be_taken_back_after_the_workbench_was_started_again(tmp_pat
     with_bench(tmp_path, edit)
     with_bench(tmp_path, undo)
     (history,) = (tmp_path / ".pdr_filter" / "undo").iterdir()
-    history.write_text("[[1], {}]")  # a damaged file is no hindrance
+    history.write_text("[[1], {}]")  # a damaged history must not prevent edits
 
     async def nothing(client: Client) -> None:
         assert not (await client.get(await client.walk("walk")))["can_undo"]

@@ -216,7 +216,7 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
         assert len(centres) == 6
         for sign in centres:  # each has something dark in it
             assert min(saved.crop(tuple(map(round, sign))).tobytes()) < 150, sign
-        # compare: the marks stay, and what is in view
+        # Compare must keep the marks and the view
         view = browser.value("(report().map.fit([0, 40], [0, 30], 4), report().map.place())")
         browser.click("#compare")
         browser.until("!document.getElementById('show-walk').hidden", 120)
@@ -249,7 +249,7 @@ def test_every_page_can_be_seen_and_read(tmp_path: Path, width: int, theme: str)
             browser.open(address + page, width, 900, theme)
             browser.until(ready, 60)
             browser.settle()
-            if page.startswith("walk"):  # the map is what one comes for
+            if page.startswith("walk"):  # the map must be visible without scrolling
                 top = f"{REPORT}.contentDocument.getElementById('map').getBoundingClientRect().top"
                 assert browser.value(f"{REPORT}.getBoundingClientRect().top + {top}") < 450
             assert browser.value("document.documentElement.scrollWidth") == width, page

@@ -140,7 +140,7 @@ class _FilterUpdate(NamedTuple):
     """Update of one filter by a measurement."""
 
     update: KalmanUpdate
-    regular_prob: float  # probability that the measurement is no outlier
+    regular_prob: float  # probability that the measurement is not an outlier
     n_dimensions: int  # number of components of the measurement
 
 

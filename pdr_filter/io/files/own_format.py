@@ -176,7 +176,7 @@ def _is_usable(name: str) -> bool:
 def _read_stream(
     members: Members, name: str, columns: tuple[str, ...], notes: list[str]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return times (N,) in s and values (N, d) of one sensor. There are no rows for an empty file.
+    """Return times (N,) in s and values (N, d) of one sensor. An empty file gives no rows.
 
     An empty accelerometer.csv raises RecordingError.
     """

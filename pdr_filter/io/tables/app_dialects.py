@@ -106,7 +106,7 @@ DIALECTS = (
 
 
 def dialect_of(text: str) -> Dialect | None:
-    """Return the conventions of the app that wrote a table, or None if it is no known app.
+    """Return the conventions of the app that wrote a table, or None if the app is unknown.
 
     `text` holds the lines above the table, its header and the names of the files.
     """
