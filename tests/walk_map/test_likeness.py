@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any, cast
+
 import numpy as np
 import pytest
 
 import pdr_filter as pdr
+from pdr_filter.walk_map import placing
 from pdr_filter.walk_map.chains import Chain, Scans, chain_of
 from pdr_filter.walk_map.joint import _by_state, solve_group, step_positions
 from pdr_filter.walk_map.likeness import fingerprint_matrix, log_ratio, ranges
@@ -93,3 +96,11 @@ def test_the_index_gives_cosines_of_fingerprints() -> None:
     assert known.tolist() == [5, 9]
     cosine = 0.25 / np.hypot(1.0, 0.25)
     np.testing.assert_allclose((matrix @ matrix.T).toarray(), [[1.0, cosine], [cosine, 1.0]])
+
+
+def test_walks_that_are_on_a_map_stay_although_the_others_do_not_confirm_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(placing, "_is_confirmed", lambda *_: False)
+    monkeypatch.setattr(placing, "adjust", lambda *_: None)
+    group = PlacedGroup({i: Pose(0.0, np.zeros(2)) for i in range(4)}, frozenset([0]))
+    assert placing.settle(cast(Any, None), group, kept=frozenset([0, 2])) == [1, 3]
+    assert set(group.poses) == {0, 2}
