@@ -12,7 +12,7 @@ import numpy as np
 from pdr_filter.io.checks import checked_streams, up_cosine
 from pdr_filter.io.describe import READING_KEY
 from pdr_filter.io.files.errors import RecordingError
-from pdr_filter.io.files.own_format_writer import TIME_COLUMNS
+from pdr_filter.io.files.own_format_writer import RESTORED_GRAVITY_KEY, TIME_COLUMNS
 from pdr_filter.io.row_times import in_order, spread
 from pdr_filter.io.wifi_rows import wifi_of
 from pdr_filter.sensing.gravity import with_gravity
@@ -104,6 +104,7 @@ class Parsed:
             )
             words += f"certain{mirrored}; next time record "
         self.notes.insert(0, f"the acceleration ({self.linear}) lacks gravity, {words}{self.instead}")
+        self.meta[RESTORED_GRAVITY_KEY] = True
 
     def _move_epoch(self, by_s: float) -> None:
         """Add `by_s` seconds to the Unix time of time zero, because time zero moves by that much."""

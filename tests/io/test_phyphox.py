@@ -117,6 +117,8 @@ def test_a_walk_without_gravity_is_read_with_a_warning(tmp_path: Path) -> None:
     assert recording.notes[0].endswith("next time record 'Acceleration with g' in phyphox")
     assert track(recording).n_steps == pytest.approx(track(WALK).n_steps, rel=0.03)
     assert recording.notes[0] in track(recording).notes
+    again = read(recording.save(tmp_path / "converted"))
+    assert any("was recorded without gravity" in note for note in track(again).notes)
 
 
 def test_a_phone_at_rest_without_gravity_is_refused(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from pdr_filter.io.checks import checked_streams, with_time
 from pdr_filter.io.files.archive import IN_PLACE, Members, json_object, open_members
 from pdr_filter.io.files.errors import RecordingError
 from pdr_filter.io.files.own_format_writer import (
+    RESTORED_GRAVITY_KEY,
     STREAM_COLUMNS,
     TEXT_COLUMNS,
     TIME_COLUMNS,
@@ -155,6 +156,12 @@ def _read_meta(members: Members, name: str, notes: list[str]) -> dict[str, Any]:
             low, high = limits.HEIGHT_RANGE_M
             if not low <= value <= high:
                 raise RecordingError(f"{where}: subject.height_m is {value!r}; give it in metres, like 1.75, or null")
+    if meta.get(RESTORED_GRAVITY_KEY) is True:
+        notes.append(
+            "the acceleration was recorded without gravity, so that the vertical was estimated from the steps and the "
+            "gyroscope: turns and directions are less certain, and unknown without a gyroscope; next time record the "
+            "accelerometer with gravity"
+        )
     return meta
 
 

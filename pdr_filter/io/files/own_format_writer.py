@@ -39,6 +39,8 @@ FILES = (
     *(f"{name}.csv" for name in STREAM_COLUMNS),
     *(f"truth_{name}.csv" for name in TRUTH_COLUMNS),
 )
+# Key of `Recording.meta` that is true if the reader has added gravity to the acceleration.
+RESTORED_GRAVITY_KEY = "restored_gravity"
 TIME_COLUMNS = ("time_s", "start_s", "end_s")
 TEXT_COLUMNS = ("context", "carrying_mode")
 
