@@ -237,7 +237,7 @@ async def _run(
     """Start the workers, serve, and stop the workers at the end."""
     try:
         await shared.start()
-        await served(server, listening, [*tasks(shared), until_exit(server, shared.end_readers)], say)
+        await served(server, listening, [*tasks(shared), until_exit(server, shared.broadcast.end)], say)
     finally:
         await shared.stop()
 

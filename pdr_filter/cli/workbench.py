@@ -93,7 +93,7 @@ async def _run(
     try:
         for each in shared:
             await each.start()
-        await served(server, listening, [until_exit(server, each.end_readers) for each in shared], say)
+        await served(server, listening, [until_exit(server, each.broadcast.end) for each in shared], say)
     finally:
         for each in shared:
             await each.stop()

@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import time
-from collections import deque
 from collections.abc import AsyncIterator
 from functools import partial
 from pathlib import Path
 
 from pdr_filter.live.access import MAX_BODY_BYTES, Rates
+from pdr_filter.live.broadcast import Broadcast
 from pdr_filter.live.cluster import DaskCluster
 from pdr_filter.live.messages import MessageError, parse
 from pdr_filter.live.parts import Answer, Take
 from pdr_filter.live.settings import Event, Settings
 from pdr_filter.live.workers import Process, Starter, Workers
-
-# Events that wait for one reader at most: some seconds of many phones. A slower reader gets the present state again.
-_MAX_WAITING = 500
-_MAX_READERS = 100
-_ALIVE_S = 15.0
 
 
 class Live:
@@ -30,8 +24,7 @@ class Live:
         self.settings, self.folder, self.n_workers, self.scheduler = settings, folder, n_workers, scheduler
         self.rates = Rates()
         self.sessions: dict[str, Event] = {}
-        self._readers: set[Reader] = set()
-        self._is_ending = False
+        self.broadcast = Broadcast()
         self._workers: Workers | None = None
         self._cluster: DaskCluster | None = None
 
@@ -99,71 +92,8 @@ class Live:
                 self.sessions.pop(event["id"], None)
             else:
                 self.sessions[event["id"]] = event
-        for reader in self._readers:
-            reader.put(text)
+        self.broadcast.send(text)
 
-    def end_readers(self) -> None:
-        """End the event streams of all clients, so that the server can stop without cutting connections."""
-        self._is_ending = True
-        for reader in self._readers:
-            reader.put("")
-
-    @property
-    def is_full(self) -> bool:
-        """Return True if the greatest number of clients is connected."""
-        return len(self._readers) >= _MAX_READERS
-
-    async def events(self) -> AsyncIterator[str]:
-        """Yield the present state of all sessions, then each event, and an empty string now and then between events."""
-        reader = Reader()
-        self._readers.add(reader)
-        try:
-            while True:
-                if reader.is_stale:
-                    reader.clear()
-                    for event in await self.workers.whole():
-                        yield json.dumps(event, allow_nan=False)
-                text = await reader.get()
-                if self._is_ending:
-                    return
-                yield text
-        finally:
-            self._readers.discard(reader)
-
-
-class Reader:
-    """Bounded queue of events for one page or client.
-
-    `is_stale` is True if the client was too slow. It then needs the present state of all sessions.
-    """
-
-    def __init__(self) -> None:
-        self.is_stale = True
-        self._waiting: deque[str] = deque()
-        self._filled = asyncio.Event()
-
-    def __len__(self) -> int:
-        return len(self._waiting)
-
-    def put(self, text: str) -> None:
-        """Add an event; a full queue is emptied first."""
-        if len(self._waiting) >= _MAX_WAITING:
-            self.is_stale = True
-            self._waiting.clear()
-        self._waiting.append(text)
-        self._filled.set()
-
-    def clear(self) -> None:
-        """Empty the queue before the present state is sent."""
-        self.is_stale = False
-        self._waiting.clear()
-
-    async def get(self) -> str:
-        """Return the next event; "" after some time without one, or if the reader needs the present state."""
-        if not self._waiting:
-            self._filled.clear()
-            try:
-                await asyncio.wait_for(self._filled.wait(), _ALIVE_S)
-            except TimeoutError:
-                return ""
-        return "" if self.is_stale else self._waiting.popleft()
+    def events(self) -> AsyncIterator[str]:
+        """Yield the present state of all sessions, then each event, and an empty text now and then between events."""
+        return self.broadcast.events(self.workers.whole)

@@ -132,7 +132,7 @@ class Site:
 
     async def events(self, _: Request) -> Response:
         """Send events as server-sent events."""
-        if self.live.is_full:
+        if self.live.broadcast.is_full:
             return JSONResponse({"error": "too many read already"}, 503)
 
         async def lines() -> AsyncIterator[str]:
@@ -143,7 +143,7 @@ class Site:
 
     async def events_socket(self, socket: WebSocket) -> None:
         """Send events over WebSocket."""
-        if self.live.is_full:
+        if self.live.broadcast.is_full:
             await socket.close(1013)
             return
         await socket.accept()

@@ -15,7 +15,7 @@ from typing import Any
 
 from pdr_filter.batch.worker_process import LostError, WorkerProcess
 from pdr_filter.io.files.safe_files import write_text
-from pdr_filter.live.hub import Reader
+from pdr_filter.live.broadcast import Broadcast
 from pdr_filter.workbench.walks import HIDDEN, Walk, Walks
 from pdr_filter.workbench.worker import Request, make_worker, progress_of
 
@@ -24,7 +24,6 @@ _SCAN_S = 5.0
 _PROGRESS_S = 0.5
 # A recording that has just changed may still be growing.
 _GROWING_S = 5.0
-_MAX_READERS = 50
 
 
 class FailedError(ValueError):
@@ -74,9 +73,8 @@ class Workbench:
         self._quick = _Process(self.cache)
         self._others = [_Process(self.cache) for _ in range(n_processes or os.cpu_count() or 1)]
         self._waiting: asyncio.Queue[Walk] = asyncio.Queue()
-        self._readers: set[Reader] = set()
+        self.broadcast = Broadcast()
         self._tasks: list[asyncio.Task[None]] = []
-        self._is_ending = False
         self._scanning, self._scanned_s = asyncio.Lock(), -_SCAN_S
 
     async def start(self) -> None:
@@ -93,7 +91,7 @@ class Workbench:
 
     async def stop(self) -> None:
         """Close the event streams, and end the background tasks and the worker processes."""
-        self.end_readers()
+        self.broadcast.end()
         for task in self._tasks:
             task.cancel()
         for process in (self._quick, *self._others):
@@ -152,7 +150,7 @@ class Workbench:
         """Send the progress of each walk to the pages, and look for new recordings while a page is open."""
         while True:
             await asyncio.sleep(_PROGRESS_S)
-            if not self._readers:
+            if not len(self.broadcast):
                 continue
             for walk in list(self.walks.by_id.values()):
                 if walk.state == "working":
@@ -165,35 +163,14 @@ class Workbench:
 
     def tell(self, event: dict[str, Any]) -> None:
         """Send an event to all pages."""
-        text = json.dumps(event)
-        for reader in self._readers:
-            reader.put(text)
+        self.broadcast.send(json.dumps(event))
 
-    def end_readers(self) -> None:
-        """Close the event streams of all open pages."""
-        self._is_ending = True
-        for reader in self._readers:
-            reader.put("")
-
-    @property
-    def is_full(self) -> bool:
-        """True if as many pages (browsers) as allowed receive events."""
-        return len(self._readers) >= _MAX_READERS
-
-    async def events(self) -> AsyncIterator[str]:
+    def events(self) -> AsyncIterator[str]:
         """Yield one page's events as JSON texts: first the state of all walks, then each event.
 
         An empty text is yielded from time to time if there is no event.
         """
-        reader = Reader()
-        self._readers.add(reader)
-        try:
-            while not self._is_ending:
-                if reader.is_stale:
-                    reader.clear()
-                    yield json.dumps({"event": "all", "walks": [w.event() for w in self.walks.by_id.values()]})
-                text = await reader.get()
-                if not self._is_ending:
-                    yield text
-        finally:
-            self._readers.discard(reader)
+        return self.broadcast.events(self._present)
+
+    async def _present(self) -> list[dict[str, Any]]:
+        return [{"event": "all", "walks": [walk.event() for walk in self.walks.by_id.values()]}]

@@ -123,7 +123,7 @@ class WorkbenchSite:
 
     async def events(self, _: Request) -> Response:
         """Send events as server-sent events."""
-        if self.workbench.is_full:
+        if self.workbench.broadcast.is_full:
             return JSONResponse({"error": "too many pages are open; close one"}, 503)
 
         async def lines() -> AsyncIterator[str]:

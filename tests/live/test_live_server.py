@@ -29,7 +29,7 @@ from websockets.sync.client import connect
 import pdr_filter as pdr
 from pdr_filter.live import session as live_session
 from pdr_filter.live import sources
-from pdr_filter.live.hub import Reader
+from pdr_filter.live.broadcast import Reader
 from pdr_filter.live.messages import parse
 from pdr_filter.live.parts import Answer
 from pdr_filter.live.settings import Settings
