@@ -162,6 +162,18 @@ def test_a_grid_weights_particles_by_their_cell_at_its_time_and_less_if_errors_a
     assert odds(on_plan.on_fix(before, off, "nothing to compare", known, config.model, 0)) == pytest.approx(1.0)
 
 
+def test_a_grid_from_before_the_first_stored_position_changes_no_particle(plan: pdr.FloorPlan) -> None:
+    config = pdr.recipes.default().with_plan(plan)
+    on_plan, known = config.on_plan, config.tracker.init().pedestrian
+    assert on_plan is not None
+    particles = np.zeros((4000, 6))
+    particles[:, 0] = np.repeat([10.0, 20.0], 2000)
+    way = np.array([[20.0, 0, 0, 0], [20.5, 0, 0.7, 0]])
+    before = replace(on_plan.init(), particles=particles, weight=np.full(4000, 1 / 4000), reckoned=way)
+    early = pdr.GridFix(19.0, (5.0, -10.0), 10.0, np.log([[0.8, 0.2], [0.1, 0.9]]))
+    assert on_plan.on_fix(before, early, "nothing to compare", known, config.model, 0) is before
+
+
 def test_after_a_ride_in_a_lift_particles_that_were_in_a_lift_have_most_weight(tmp_path: Path) -> None:
     lifts = [feature("lift", box(9, -1, 11, 1)), feature("lift", box(29, -1, 31, 1))]
     plan = pdr.FloorPlan.read(write(tmp_path / "p.geojson", [*FEATURES, *lifts]))

@@ -13,7 +13,7 @@ from scipy.stats import chi2
 import pdr_filter as pdr
 from pdr_filter import recipes
 from pdr_filter.filter.fixes.frame_rotation import PairedPoint
-from pdr_filter.filter.fixes.relocation import EPISODE_S, PRIOR_LOG_ODDS, RelocationEvidence
+from pdr_filter.filter.fixes.relocation import EPISODE_S, MAX_REJECTED, PRIOR_LOG_ODDS, RelocationEvidence
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import PositionFix
 from pdr_filter.values.recording import Recording
@@ -196,3 +196,15 @@ def test_frequent_fixes_relocate_the_track_as_soon_as_rare_ones(walk: Recording,
     error_m = np.linalg.norm(track.position_m[late] - truth_m(walk, track.time_s[late]) - FAR_M, axis=1)
     assert outcomes(track).count("moved") == 1
     assert np.median(error_m) < 4.0
+
+
+@pytest.mark.parametrize("every_s", [2.0, 10.0, 45.0])
+def test_stored_rejected_fixes_reach_back_twice_the_necessary_time_and_are_at_most_twelve(every_s: float) -> None:
+    evidence = RelocationEvidence()
+    for time_s in np.arange(0.0, 600.0, every_s):
+        track_m = np.array([1.3 * time_s, 0.0])
+        evidence = evidence.with_rejected(PairedPoint(track_m, track_m + FAR_M, 16.0, time_s=float(time_s)))
+    times_s = np.array([pair.time_s for pair in evidence.pairs])
+    assert 3 <= len(times_s) <= MAX_REJECTED
+    # one fix may be older than this time, because the fixes must cover all of it
+    assert times_s[-1] - times_s[1] < 2.0 * PRIOR_LOG_ODDS * EPISODE_S <= times_s[-1] - times_s[0] + every_s

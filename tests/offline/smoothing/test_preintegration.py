@@ -13,6 +13,7 @@ from pdr_filter.filter.imm.motion_model import Directions, Mode, MotionNoise, ad
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.step_length.models import known_length
 from pdr_filter.offline.smoothing.preintegration import end_states, increments, preintegrate, state_transform
+from pdr_filter.offline.smoothing.problem import nearest_contact
 from pdr_filter.values import Step, step_table
 
 WALK = simulated_walk(60, np.random.default_rng(1))
@@ -123,3 +124,21 @@ def test_without_angular_rate_mean_and_covariance_agree_with_simulated_walks() -
 def test_anchors_that_do_not_increase_are_refused() -> None:
     with pytest.raises(ValueError, match="anchors must increase"):
         preintegrate(WALK.steps, np.array([0, 30, 30, 60]))
+
+
+@pytest.mark.parametrize("jump_var_rad2", [0.0, 0.3])
+def test_a_fix_late_in_a_step_belongs_to_the_contact_after_it_whose_heading_may_be_unknown(
+    jump_var_rad2: float,
+) -> None:
+    jumps = np.zeros(len(WALK.steps))
+    jumps[21] = jump_var_rad2
+    steps = replace(WALK.steps, jump_var_rad2=jumps)
+    step_m = steps.displacement_m[20]
+    number, from_contact_m, var_m2 = nearest_contact(steps, steps.time_s[20] - 0.2 * steps.duration_s[20])
+    assert number == 21
+    if jump_var_rad2:  # the fifth of the step before the contact is an error of unknown direction
+        np.testing.assert_array_equal(from_contact_m, np.zeros(2))
+        assert var_m2 == pytest.approx(0.2**2 * step_m @ step_m)
+    else:
+        np.testing.assert_allclose(from_contact_m, -0.2 * step_m)
+        assert var_m2 == pytest.approx(0.2**2 * 0.5 * np.trace(steps.cov_m2[20]))
