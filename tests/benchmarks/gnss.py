@@ -6,7 +6,7 @@ Simulated: one location a second whose error has 5 m on each axis and the correl
 and a gap of 30 s; the phone claims the radius of 68 % of it. Walks of nine legs, in the hand, in a turned frame, of
 people whose steps differ more than the filter takes them to, every other phone with the errors of a BMI160. The figures
 are of steps from the fix that settled the turn on, or after the last location where these stop after a third.
-Scales: walks of ten minutes of people of unknown height. Afterwards: sudden changes, and how long they last.
+Afterwards: sudden changes, and how long they last.
 ipin2023: indoors, the surveyed points of one walk, against the locations that the phone gave there. Phones: the walk
 of a phone against its own locations, and the same with those of the first third alone.
 """
@@ -22,7 +22,6 @@ from scipy.stats import chi2
 import pdr_filter as pdr
 from pdr_filter import evaluate
 from pdr_filter.filter.fixes.gnss import CORRELATION_S, RADIUS_68
-from pdr_filter.recipes.step_length_calibration import typical_step_m
 from pdr_filter.simulate import Leg, SensorErrors, simulate
 from pdr_filter.simulate.population import random_person
 from pdr_filter.values.recording import Recording
@@ -45,12 +44,11 @@ class Wrong:
     by_m: float
 
 
-def walked(number: int, minutes: float = 4.5) -> tuple[Recording, np.ndarray]:
+def walked(number: int) -> tuple[Recording, np.ndarray]:
     """A walk of somebody of unknown height, and its true positions in a turned frame."""
     rng = np.random.default_rng([17, number])
     gait, carrying = random_person("texting", number)
-    n_legs = int(2 * minutes)
-    legs = [Leg("walking", distance_m=rng.uniform(20, 60), turn_rad=rng.uniform(-1.6, 1.6)) for _ in range(n_legs)]
+    legs = [Leg("walking", distance_m=rng.uniform(20, 60), turn_rad=rng.uniform(-1.6, 1.6)) for _ in range(9)]
     phone = SensorErrors() if number % 2 else SensorErrors.bmi160()
     walk = simulate(legs, gait, carrying={"texting": carrying}, errors=phone, seed=number)
     walk = replace(walk, meta={**walk.meta, "subject": {}})
@@ -102,22 +100,6 @@ def simulated(correlation_s: float, share: float, walks: list[tuple[Recording, n
     inside = [f"{100 * np.mean(nees < chi2.ppf(p, 2)):.0f} %" for p in (0.5, 0.95)]
     ends = "all along" if share == 1.0 else "the first third"
     return [f"{correlation_s:.0f} s", ends, median_and(error_m, 95, 1), *inside, f"{np.mean(nis):.2f}"]
-
-
-def lengths(n_people: int) -> list[str]:
-    """A row: people, spread of their steps about the filter's, error of the learnt length of them, share within 2 %."""
-    own, error, std = [], [], []
-    for number in range(1000, 1000 + n_people):
-        walk, true_m = walked(number, 11.0)
-        true_m = true_m[:: round(0.5 / np.median(np.diff(walk.truth.position.time_s)))]
-        alone = pdr.track(walk, gnss="off").distance_m
-        own.append(np.log(np.linalg.norm(np.diff(true_m, axis=0), axis=1).sum() / alone))
-        person = pdr.track(located(walk, walked(number, 11.0)[1], 20.0, number, 600.0)).person
-        fit = pdr.recipes.default().model.modes[pdr.CONTEXTS.index("walking")].step_length
-        error.append(np.log(person.step_length_m / typical_step_m(fit.model, fit.theta, fit.theta_cov)[0]) - own[-1])
-        std.append(person.sessions[0].std)
-    rms = [f"{100 * np.sqrt(np.mean(np.square(values))):.1f} %" for values in (own, error, std)]
-    return [str(n_people), *rms, f"{100 * np.mean(np.abs(error) < 0.02):.0f} %"]
 
 
 # Of what somebody meets, the track is to follow the first two, and not to follow the last.
@@ -203,12 +185,6 @@ def locations(tables: Tables, arguments: argparse.Namespace) -> None:
         ["locations", "moved", "s until it is within 25 m: median, 90 %", "error m 120 s later: median, 95 %"],
         [recovered(what, wrong, fewer) for what, wrong in WRONGS.items()],
         f"{len(fewer)} walks.",
-    )
-    tables.write(
-        "gnss_lengths",
-        ["people", "their steps differ by", "error of the learnt length", "standard deviation", "within 2 %"],
-        [lengths(max(arguments.walks // 8, 1))],
-        "RMS; ten minutes.",
     )
     tables.write(
         "gnss_simulated",

@@ -1,14 +1,11 @@
 """Where a walk was on Earth: the phone's locations, the online and the smoothed track at surveyed points.
 
-usage: python -m tests.benchmarks.smoothed_places [places] [loops] [--data ../shared/data]
+usage: python -m tests.benchmarks.smoothed_places [--data ../shared/data]
 
 Walks of ipin2023 on one storey, each with the phone's own locations. The error of a walk is the root mean square over
 its surveyed points, without any alignment; the shape is what is left after the best rotation and shift. The share of
 points inside the ellipses of 50 and 95 % is over all points of a group. The errors of locations were described on
 routes 01 and 02.
-
-Loops: the shape error with and without the statement that the walk ended where it began, without locations; on closed
-walks, and on walks for which the statement is false.
 """
 
 from __future__ import annotations
@@ -80,39 +77,5 @@ def places(tables: Tables, arguments: argparse.Namespace) -> None:
     tables.write("smoothed_places", columns, rows, about)
 
 
-def loops(tables: Tables, arguments: argparse.Namespace) -> None:
-    """What it gains and costs to say that a walk ended where it began."""
-    groups = {
-        "humolire, closed": ("humolire", 0.0, 1.0, "true"),
-        "ms_indoor, ends 5 m or more away": ("ms_indoor", 5.0, np.inf, "false"),
-        "ipin2023, begins with a phone in busy hands": ("ipin2023", 0.0, 1.0, "true"),
-    }
-    rows = list[list[str]]()
-    for group, (site, least_m, most_m, statement) in groups.items():
-        errors_m, n_rejected = list[tuple[float, float]](), 0
-        for path in paths(arguments.data, site):
-            recording = pdr.read(path)
-            truth = recording.truth
-            points = truth.waypoints if truth.waypoints is not None else truth.position
-            if points is None or ("floor" in points.dtype.names and len(set(points.floor)) > 1):
-                continue
-            reference_m = np.column_stack([points.east_m, points.north_m])
-            if not least_m <= np.linalg.norm(reference_m[-1] - reference_m[0]) < most_m:
-                continue
-            pair = list[float]()
-            for loop in (False, True):
-                smoothed = pdr.smooth(recording, gnss="off", loop=loop)
-                track = smoothed.track
-                at_m = np.column_stack([np.interp(points.time_s, track.time_s, axis) for axis in track.position_m.T])
-                pair.append(shape_error_m(reference_m, at_m))
-            errors_m.append((pair[0], pair[1]))
-            n_rejected += any("loop was not used" in note for note in smoothed.notes)
-        without, with_loop = np.array(errors_m).T
-        shape = f"{np.median(without):.2f}, {np.median(with_loop):.2f}"
-        rows.append([f"{group} ({len(errors_m)})", statement, shape, str(n_rejected)])
-    columns = ["walks, without locations", "the statement is", "shape m: median, without and with it", "rejected"]
-    tables.write("smoothed_loops", columns, rows, "Closed walks end within 1 m of their start.")
-
-
 if __name__ == "__main__":
-    run(__doc__, places, loops)
+    run(__doc__, places)

@@ -1,11 +1,9 @@
-"""The default step detector and its gate against steps counted on video, foot switches, handling, and slow walks.
+"""The default step detector and its gate against steps counted on video, foot switches and handling.
 
-usage: python -m tests.benchmarks.steps [counts] [switches] [gate] [slow] [--data ../shared/data]
+usage: python -m tests.benchmarks.steps [counts] [gate] [--data ../shared/data]
 
 counts    count errors of ubicomp13 by placement with the single-scale wavelet, with the default detector, behind the
           gate, and with left and right evened; the same with only every second or fourth sample
-switches  F1 of oxford at several rates, also without the faults of the foot switches: strides of ordinary length whose
-          halves differ by more than 2.5 times, 0.18 and 0.81 s say
 gate      the gate against false steps: its weights fitted again, and what it does to people left out of the fit. Every
           step that the default detector finds is walking or not: inside the walks of ubicomp13 or more than 1 s
           outside, where the phone is handled; MotionSense's sitting and standing against its other contexts; walks of
@@ -13,14 +11,6 @@ gate      the gate against false steps: its weights fitted again, and what it do
           `pdr_filter.sensing.steps.walking_evidence`, every kind of recording with the mass in `MASS`. People with odd
           numbers are judged by a fit without them, and those with even numbers likewise; the other sets have one person
           each or unknown ones, and are in both fits. Then the same with the shipped weights, which have seen everybody.
-slow      walks of many people are slowed down, because no public phone recordings of slow gait with steps exist: the
-          same motion c times as slowly. The gravity that the phone feels, from the attitude of the whole recording,
-          turns c times as slowly; the rest of the force is c times as slow and c^2 times as weak (the same path of the
-          phone, steps as long as before), or c^3 times: as the law of docs/methods/steps.md has it for people who walk
-          slowly, whose steps are shorter and softer. The true steps are those that the detector finds at the pace at
-          which the person walked, within the walk. The share of them that is found is within 0.35 of a step interval,
-          after a constant offset. No slow walk was used in a fit; ubicomp13 and motionsense are judged by the weights
-          without the people in question; nobody of the other three was in it but that of humolire.
 """
 
 from __future__ import annotations
@@ -37,7 +27,7 @@ from sklearn.linear_model import LogisticRegression
 import pdr_filter as pdr
 from pdr_filter import evaluate
 from pdr_filter.recipes.martinelli2018.steps import WaveletStepDetector
-from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
+from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.sensing.steps.adaptive_detector import AdaptiveStepDetector
@@ -45,13 +35,12 @@ from pdr_filter.sensing.steps.contact_time_smoothing import ContactTimeSmoothing
 from pdr_filter.sensing.steps.step_detector import unknown_contexts
 from pdr_filter.sensing.steps.step_gate import StepGate
 from pdr_filter.sensing.steps.walking_evidence import EVIDENCE, WalkEvidence
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, Samples, Step
+from pdr_filter.values import Samples, Step
 from tests.benchmarks.common import Tables, recordings, run
 
 FloatArray = NDArray[np.float64]
 
 DETECTOR = AdaptiveStepDetector()
-TOLERANCES_S = (0.25, 0.1, 0.06)
 DEFAULT = Sensing(steps=DETECTOR, gate=StepGate(), contact_smoothing=ContactTimeSmoothing())
 PIPELINES = {
     "one or two scales (Martinelli et al.)": Sensing(steps=WaveletStepDetector()),
@@ -105,43 +94,6 @@ def counts(tables: Tables, arguments: argparse.Namespace) -> None:
     ]
     about = "Count error in per cent: mean absolute, bias, largest (ubicomp13)."
     tables.write("steps_counts", ["placement", "walks", *columns], rows, about)
-
-
-def without_faults(true_s: FloatArray, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Contacts of the switches without those of a faulty stride, and steps without those nearest to one."""
-    interval_s = np.diff(true_s)
-    uneven = np.abs(np.log(interval_s[1:] / interval_s[:-1])) > np.log(2.5)
-    at = np.flatnonzero(uneven & (interval_s[1:] + interval_s[:-1] < 1.5))
-    faulty = np.zeros(len(true_s), dtype=bool)
-    faulty[[at, at + 1, at + 2]] = True
-    nearest = np.abs(true_s - time_s[:, None]).argmin(axis=1)
-    return true_s[~faulty], time_s[~faulty[nearest]]
-
-
-def best_f1(true_s: FloatArray, time_s: FloatArray, tolerance_s: float) -> float:
-    """F1 with a constant offset taken off."""
-    return evaluate.f1_score(true_s, time_s + evaluate.best_offset_s(true_s, time_s, tolerance_s), tolerance_s)
-
-
-def switches(tables: Tables, arguments: argparse.Namespace) -> None:
-    """Times of oxford against foot switches."""
-    walks = list(recordings(arguments.data, "oxford"))
-    rows = []
-    for name, sensing in PIPELINES.items():
-        for keep_every in (1, 2, 4, 8, 16) if "evened" in name else (1,):
-            close: list[tuple[float, ...]] = []
-            for recording in walks:
-                true_s = np.asarray(recording.truth.steps.time_s)
-                time_s = step_times(sensing, thinned(recording, keep_every))
-                time_s = time_s[(time_s > true_s[0] - 0.6) & (time_s < true_s[-1] + 0.6)]
-                well = best_f1(*without_faults(true_s, time_s), 0.1)
-                close.append((*(best_f1(true_s, time_s, tolerance_s) for tolerance_s in TOLERANCES_S), well))
-            wide, narrow, narrowest, well = np.array(close).T
-            means = [f"{figures.mean():.3f}" for figures in (narrow, narrowest, well)]
-            rows.append([name, 405 // keep_every, f"{wide.mean():.3f}", f"{wide.min():.3f}", *means])
-    within = [f"within {tolerance_s} s" for tolerance_s in TOLERANCES_S]
-    columns = ["", "Hz", f"F1 {within[0]}", "lowest", *within[1:], "within 0.1 s, without faults of the switches"]
-    tables.write("steps_switches", columns, rows, "16 walks of one person, foot switches (oxford).")
 
 
 # Half of the mass is walking, half is not; the sets of one person weigh less than those of 13 and of 12 people.
@@ -357,86 +309,5 @@ def gate(tables: Tables, arguments: argparse.Namespace) -> None:
     tables.write("step_gate", ["", *columns], rows)
 
 
-SETS = ("ubicomp13", "motionsense", "humolire", "oxiod", "ipol")
-# Neither running nor sitting, and the phone goes where the person goes.
-LEFT_OUT = ("_jog_", "_sit_", "_std_", "running", "trolley")
-STEPS_PER_S = (0.75, 0.85, 0.95, 1.05)
-EXPONENTS = (2, 3)
-
-
-def steps_of_walk(found: Found) -> FloatArray:
-    """The detector's steps while the person walked."""
-    time_s = found.time_s
-    if found.data_set == "ipol":
-        contacts_s = np.asarray(found.recording.truth.steps.time_s)
-        return time_s[(time_s > contacts_s[0] - 0.2) & (time_s < contacts_s[-1] + 0.2)]
-    if found.data_set == "oxiod":
-        return time_s
-    return time_s[[truth(found, t) is True for t in time_s]]
-
-
-def slowed(recording: pdr.Recording, factor: float, exponent: int) -> pdr.Recording:
-    """The same motion `factor` times as slowly, from time 0; its accelerometer alone."""
-    _, blocks = Conditioner().update(Conditioner().init(), merge_streams(recording))
-    estimator = AttitudeEstimator()
-    state, ups = estimator.init(), []
-    for block in blocks:
-        state, attitude = estimator.update(state, block)
-        ups.append(attitude.up_sensor)
-    old_s = np.concatenate([block.time_s for block in blocks])
-    gravity = STANDARD_GRAVITY_MPS2 * np.concatenate(ups)
-    motion = np.concatenate([block.specific_force_mps2 for block in blocks]) - gravity
-    time_s = 0.01 * np.arange(int(100 * factor * (old_s[-1] - old_s[0])))
-    force = gravity + motion / factor**exponent
-    at_s = old_s[0] + time_s / factor
-    values = np.column_stack([np.interp(at_s, old_s, force[:, k]) for k in range(3)])
-    return replace(recording, accelerometer=Samples(time_s, values), gyroscope=None, magnetometer=None)
-
-
-def share_found(true_s: FloatArray, found_s: FloatArray, interval_s: float) -> float:
-    """Share of the true steps with one that was found, after a constant offset."""
-    if not len(found_s):
-        return 0.0
-    offsets_s = np.arange(-0.5, 0.51, 0.05) * interval_s
-    miss_s = np.abs((found_s - offsets_s[:, None])[:, :, None] - true_s).min(axis=1)
-    best = (miss_s < 0.25 * interval_s).mean(axis=1).argmax()
-    return float((miss_s[best] < 0.35 * interval_s).mean())
-
-
-def shares(found: Found, gate: StepGate) -> dict[tuple[int, float], float]:
-    """Share of steps found by exponent and pace; empty where nobody walked."""
-    true_s = steps_of_walk(found)
-    if len(true_s) < 15 or any(name in found.recording.name for name in LEFT_OUT):
-        return {}
-    start_s, pace = found.segments[0][0][0].time_s[0], 1.0 / float(np.median(np.diff(true_s)))
-    result: dict[tuple[int, float], float] = {}
-    for exponent in EXPONENTS:
-        for wanted in STEPS_PER_S:
-            slow = find(slowed(found.recording, pace / wanted, exponent))
-            found_s = np.array([s.time_s for s in through_gate(slow, gate)])
-            result[exponent, wanted] = share_found((true_s - start_s) * pace / wanted, found_s, 1.0 / wanted)
-    return result
-
-
-def row(name: str, walks: Sequence[dict[tuple[int, float], float]]) -> list[object]:
-    return [name, len(walks), *(f"{100 * np.mean([w[key] for w in walks]):.1f}" for key in walks[0])]
-
-
-def slow(tables: Tables, arguments: argparse.Namespace) -> None:
-    """Walks that are slowed down."""
-    sets = {name: [find(r) for r in recordings(arguments.data, name)] for name in {n for n, _ in MASS} | set(SETS)}
-    fitted = [f for name in {n for n, _ in MASS} for f in sets[name]]
-    gates = [StepGate(evidence=fit([f for f in fitted if f.person == 0 or f.person % 2 != k])) for k in (0, 1)]
-    walks: dict[str, list[dict[tuple[int, float], float]]] = defaultdict(list)
-    for name in SETS:
-        for found in sets[name]:
-            if by_pace := shares(found, gates[found.person % 2]):
-                walks[name].append(by_pace)
-    columns = [f"{pace} steps/s, c^{exponent}" for exponent in EXPONENTS for pace in STEPS_PER_S]
-    about = "Steps found in %, walks slowed down c times, the motion's force c^2 or c^3 times weaker; held-out people."
-    rows = [row(name, walks[name]) for name in SETS]
-    tables.write("steps_slow", ["", "walks", *columns], rows, about)
-
-
 if __name__ == "__main__":
-    run(__doc__, counts, switches, gate, slow)
+    run(__doc__, counts, gate)

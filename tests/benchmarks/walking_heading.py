@@ -22,7 +22,7 @@ the angle between walking and screen is the same on stairs and running (the runn
 
 Changes: a walk in which the phone goes from the hand into the pocket, back, and into the swinging hand. Simulated,
 because no public recording has such a change on a walk of known path. The figure of docs/images has one walk with the
-default recipe and with the direction of the device taken for that of the person; the table has errors of ten walks.
+default recipe and with the direction of the device as the walking direction.
 """
 
 from __future__ import annotations
@@ -39,7 +39,6 @@ from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
 import pdr_filter as pdr
-from pdr_filter.filter.imm.motion_model import MotionNoise
 from pdr_filter.recipes.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
@@ -55,7 +54,6 @@ BoolArray = NDArray[np.bool_]
 ComplexArray = NDArray[np.complex128]
 
 RATE_HZ = 100.0
-NOISE = MotionNoise()
 SCENARIOS = {
     "texting": "texting",
     "phoning": "calling",
@@ -296,13 +294,6 @@ MODE_STYLES: tuple[dict[str, Any], ...] = (
 )
 
 
-def errors_m(walk: pdr.Recording, track: pdr.Track) -> np.ndarray:
-    """Distance to the truth after each step."""
-    truth = walk.truth.position
-    at = np.column_stack([np.interp(track.time_s, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
-    return np.linalg.norm(track.position_m - at, axis=1)
-
-
 def both(walk: pdr.Recording) -> dict[str, pdr.Track]:
     """With the walking heading learnt, and with the device's direction."""
     config = pdr.recipes.for_recording("default", walk)
@@ -341,20 +332,7 @@ def draw(walk: pdr.Recording, tracks: dict[str, pdr.Track]) -> Figure:
 
 
 def changes(tables: Tables, arguments: argparse.Namespace) -> None:
-    """A walk in which the phone goes from the hand into the pocket, back, and into the swinging hand."""
-    ends: dict[str, list[float]] = {}
-    for seed in range(10):
-        walk = simulate(LEGS, seed=seed)
-        for name, track in both(walk).items():
-            ends.setdefault(name, []).append(float(errors_m(walk, track)[-1]))
-    rows = [[name, len(found), median_and(found, 100, 1)] for name, found in ends.items()]
-    tables.write(
-        "carrying_change",
-        ["heading", "walks", "error of the end m: median, largest"],
-        rows,
-        "Simulated walks of 160 m.",
-    )
-
+    """Draw a walk in which the phone goes from the hand into the pocket, back, and into the swinging hand."""
     walk = simulate(LEGS, seed=1)
     mpl.rcParams["svg.hashsalt"] = "pdr_filter"
     _FIGURE.parent.mkdir(parents=True, exist_ok=True)

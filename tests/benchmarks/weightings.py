@@ -37,7 +37,6 @@ from scipy.spatial.transform import Rotation
 
 import pdr_filter as pdr
 from pdr_filter.classifiers.context_model import ContextModel
-from pdr_filter.evaluate.comparison import second_over_first
 from pdr_filter.filter.imm.imm import smoothed_mode_prob
 from pdr_filter.filter.imm.pedestrian_state import StepUpdate
 from pdr_filter.filter.imm.tracker import Tracker
@@ -640,7 +639,7 @@ def log_loss(prob: FloatArray, label: IntArray) -> FloatArray:
 def walks(tables: Tables, arguments: argparse.Namespace) -> None:
     """Distances and probabilities of each weighting."""
     sets = sets_of(arguments.data, arguments.cache)
-    rows, of_prob, of_doubt = [], [], []
+    rows, of_prob = [], []
     for name, found_walks in sets.items():
         people = len({w.person for w in found_walks})
         what = f"{name} ({len(found_walks)} of {people} {'person' if people == 1 else 'people'})"
@@ -655,17 +654,9 @@ def walks(tables: Tables, arguments: argparse.Namespace) -> None:
             prob = np.concatenate([s[answer] for s in said])
             right = f"{np.mean(prob.argmax(axis=1) == y):.3f}"
             of_prob.append([f"{name} ({len(y)} steps)", answer, right, f"{log_loss(prob, y).mean():.3f}"])
-        doubt = second_over_first(np.concatenate([s["windows"] for s in said])) >= WC_THRESHOLD
-        wrong = np.concatenate([s["windows"].argmax(axis=1) for s in said]) != y
-        of_doubt.append(
-            [f"{name} ({len(y)} steps)", *(f"{100 * v:.1f}" for v in (doubt.mean(), wrong.mean(), doubt[wrong].mean()))]
-        )
     about = "Against the same steps in the true contexts, of held-out people or sites."
     tables.write("weightings_distance", ["walks", "weighting", *ERRORS], rows, about)
     tables.write("weightings_probabilities", ["walks", "answer", "right", "log loss"], of_prob)
-    columns = ["walks", "weighted by WC, % of the steps", "window wrong, %", "of these weighted by WC, %"]
-    about = "Steps whose window's second highest probability is 0.8 of the highest or more."
-    tables.write("weightings_doubt", columns, of_doubt, about)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ import pytest
 from made_up import FEATURES, box, feature, in_degrees, line, write
 
 import pdr_filter as pdr
-from pdr_filter.maps.storey import FREE, LIFT, OUTSIDE, ROOM, STAIRS, WALL
+from pdr_filter.maps.storey import CELL_M, FREE, LIFT, OUTSIDE, ROOM, STAIRS, WALL
 
 
 def kinds(plan: pdr.FloorPlan, *points: tuple[float, float]) -> list[int]:
@@ -47,6 +47,16 @@ def test_every_line_across_a_wall_hits_a_wall_cell(tmp_path: Path) -> None:
     across = np.array([-2.0, 14.3]) / np.hypot(2.0, 14.3)
     looks = along[:, None] + np.linspace(-0.4, 0.4, 9)[None, :, None] * across
     assert (storey.kind_at(looks) == WALL).any(axis=1).all()
+
+
+def test_the_middle_of_each_cell_is_in_that_cell_and_places_off_the_grid_are_in_none(tmp_path: Path) -> None:
+    storey = pdr.FloorPlan.read(write(tmp_path / "plan.geojson")).storeys[0]
+    number, inside = storey.index(storey.middles_m)
+    assert inside.all()
+    np.testing.assert_array_equal(number, np.arange(storey.cells.size).reshape(storey.cells.shape))
+    n_rows, n_columns = storey.cells.shape
+    off = storey.south_west_m + CELL_M * np.array([[-0.1, 0.5], [0.5, -0.1], [n_columns, 0.5], [0.5, n_rows]])
+    assert not storey.index(off)[1].any()
 
 
 def test_a_plan_in_degrees_equals_the_plan_in_metres(tmp_path: Path) -> None:

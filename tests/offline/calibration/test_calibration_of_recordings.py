@@ -16,7 +16,7 @@ from pdr_filter.filter.step_length.models import BounceStepLength
 from pdr_filter.offline.calibration.fit import calibrate
 from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS
 from pdr_filter.offline.calibration.segments import integrate, segments_of
-from pdr_filter.recipes.step_length_calibration import Calibration, load_calibration
+from pdr_filter.recipes.step_length_calibration import Calibration, load_calibration, typical_step_m
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.tracking.track import Track
 from pdr_filter.values import Samples, table
@@ -348,6 +348,9 @@ def test_a_calibrated_track_names_the_person_of_its_step_lengths(walk: tuple[Rec
     anna = calibrate(twice, tracks=[track] * 2, subject="anna")
     assert "of anna, the only calibrated person, because the recording does not name" in noted(anna, Subject())
     assert one.scale_std() < one.scale_std("bob")
+    fit = one.fits("bob")["walking"]
+    length_m, std_m = typical_step_m(fit.model, fit.theta, fit.theta_cov + one.between["walking"])
+    assert one.scale_std("bob") == pytest.approx(np.hypot(std_m / length_m, one.recording_std))
     tall = calibrate([replace(r, meta={"subject": {"height_m": 1.9}}) for r in twice], tracks=[track] * 2)
     assert tall.person_of(Subject(height_m=1.89)) == "unnamed"
     assert tall.person_of(Subject(height_m=1.6)) is None
