@@ -26,6 +26,7 @@ from pdr_filter.values import serialisation as serialise
 
 STATE, CONFIG, META, STEPS, FIXES = "state.bin", "config.txt", "meta.json", "steps.jsonl", "fixes.csv"
 RANGES = "ranges.csv"
+DEVICE = "device.json"  # the gyroscope bias with which the session began
 CONFIGS = "configurations"
 _FIX_COLUMNS = "time_s,east_m,north_m,std_m\n"
 _RANGE_COLUMNS = "time_s,anchor_east_m,anchor_north_m,range_m,std_m\n"
@@ -52,6 +53,11 @@ class Recorder:
             shared.parent.mkdir(exist_ok=True)
             replaced(shared, config)
         replaced(self.folder / CONFIG, shared.name.encode())
+
+    @property
+    def is_described(self) -> bool:
+        """True after `describe`, also by an earlier process."""
+        return (self.folder / CONFIG).exists()
 
     def config(self) -> Any:
         """Configuration that was passed to `describe`."""
@@ -148,9 +154,9 @@ class Recorder:
 def exported(folder: Path) -> dict[str, Path]:
     """Return the files of a recording for users, by name.
 
-    They are metadata, samples, steps, fixes and ranges, or the messages of a session that was not tracked.
+    They are metadata, samples, steps, fixes, ranges and the device, or the messages of a session that was not tracked.
     """
-    names = [name for name in (*FILES, STEPS, FIXES, RANGES) if (folder / name).exists()]
+    names = [name for name in (*FILES, STEPS, FIXES, RANGES, DEVICE) if (folder / name).exists()]
     journal = next(folder.glob("journal_*"), None)
     if not names and journal is not None:
         return {"messages.json": journal}

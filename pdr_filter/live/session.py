@@ -21,13 +21,15 @@ from pdr_filter.filter.imm.pedestrian_state import StepUpdate
 from pdr_filter.live import assembly
 from pdr_filter.live.assembly import Assembly, LateError, SessionError
 from pdr_filter.live.messages import FORCE, Message, parse
-from pdr_filter.live.recorder import Recorder
+from pdr_filter.live.recorder import DEVICE, Recorder
 from pdr_filter.live.settings import Event, FixError, Settings
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.clock import on_track_clock
+from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.stream_merging import Sensor
 from pdr_filter.tracking.georeferencing import live_config
 from pdr_filter.tracking.online import OnlineFilter
+from pdr_filter.tracking.warnings import device_notes
 from pdr_filter.values import FixResult, PositionFix, RangeFix, Samples, interpolated, limits
 from pdr_filter.values import serialisation as serialise
 from pdr_filter.values.recording import Recording
@@ -47,6 +49,8 @@ _PART_S = 10.0
 # Messages of a journal that are filtered at once, so that their samples need little memory.
 _LOAD_MESSAGES = 100
 _FIX_STD_RANGE_M = (0.01, 1000.0)
+# Folder with a file for each phone: its gyroscope bias at the end of its latest session.
+DEVICES = "devices"
 
 
 @cache
@@ -87,6 +91,7 @@ class DeviceSession:
         self.id = session_id(device, session)
         self.device, self.session, self.settings = device, session, settings
         self.recorder = Recorder(folder / self.id)
+        self._known_device = folder / DEVICES / f"{session_id(device, '')}.json"  # from earlier sessions of the phone
         self.assembly, self.held = Assembly(), list[Message]()
         self.online: OnlineFilter | None = None
         self.refused = ""  # reason why the session cannot be tracked
@@ -176,7 +181,9 @@ class DeviceSession:
         """Filter the messages that wait for a missing one, after a long silence of the phone, and return the events."""
         self.assembly, self.held, ready = assembly.release(self.assembly, self.held)
         self._record(ready)
-        return self.advance()
+        events = self.advance()
+        self._keep_device()
+        return events
 
     def finish(self) -> list[Event]:
         """Filter the last steps, when no further message can arrive, and return the events. The session then ends."""
@@ -191,6 +198,7 @@ class DeviceSession:
         if self.online is not None:
             events += self._stepped(self.online.finish())
         self.has_ended = True
+        self._keep_device()
         told = [*self._outcomes(), *self._about_changed(), *self._turned(is_due=True), *self._corrected(is_due=True)]
         return [*events, *told, *self._now(is_due=True)]
 
@@ -218,10 +226,26 @@ class DeviceSession:
         first = Recording(meta["name"], **cast(Any, samples), meta=meta)
         plain = plain_config(self.settings)
         config = live_config(first, plain)
+        if not self.recorder.is_described:  # a session that is loaded again keeps its device
+            with suppress(OSError, ValueError):  # no earlier session, or a damaged file
+                days = max(time.time() - self._known_device.stat().st_mtime, 0.0) / 86400.0
+                Device.load(self._known_device).after(days).save(self.recorder.folder / DEVICE)
         self.recorder.describe(
             meta, plain_config_bytes(self.settings) if config is plain else serialise.to_bytes(config)
         )
-        return config
+        return self._with_device(config)
+
+    def _with_device(self, config: Config) -> Config:
+        """Return the configuration with the gyroscope bias from an earlier session, if this session began with one."""
+        path = self.recorder.folder / DEVICE
+        return config.with_device(Device.load(path)) if path.exists() else config
+
+    def _keep_device(self) -> None:
+        """Write the gyroscope bias of the phone for its next session."""
+        if self.online is not None:
+            with suppress(OSError):  # the next session then learns the bias without it
+                self._known_device.parent.mkdir(exist_ok=True)
+                self.online.device.save(self._known_device)
 
     def _fixed(self, content: Any) -> Event:
         """Add a fix of a user, in the frame of the track or as latitude and longitude; return its `fix` event.
@@ -283,10 +307,13 @@ class DeviceSession:
             "waits": waits,
             "refused": self.refused,
             "has_ended": self.has_ended,
-            "notes": [*self.notes, *map(_set_back_words, self.assembly.set_backs)],
+            "notes": [*self.notes, *map(_set_back_words, self.assembly.set_backs), *self._device_notes()],
             "n_lost_messages": self.assembly.n_lost,
             "n_repeated_messages": self.assembly.n_repeated,
         }
+
+    def _device_notes(self) -> list[str]:
+        return [] if self.online is None else device_notes(self.online.config, self.online.state)
 
     def _about_changed(self) -> list[Event]:
         """Return a list with the `session` event if it has changed since the last call, otherwise an empty list."""
@@ -429,7 +456,7 @@ class DeviceSession:
         saved, entries = self.recorder.load()
         if saved is not None:
             self.assembly = saved["assembly"]
-            self.online = OnlineFilter(self.recorder.config())
+            self.online = OnlineFilter(self._with_device(self.recorder.config()))
             self.online.state = saved["state"]
             self.has_ended = self.online.state.finished
             self._judged = self.online.state.last_fixes

@@ -42,14 +42,20 @@ def notes_of(config: Config, state: State, vertices: FloatArray | None = None) -
     return [*notes, *_frame_notes(state), *notes_of_rides(state.rides, vertices), *_fix_notes(state)]
 
 
+def device_notes(config: Config, state: State) -> list[str]:
+    """Return a warning if the given device (gyroscope bias of an earlier walk) does not fit this walk."""
+    device_prob = config.sensing.attitude.bias.device_fits(state.sensing.attitude.bias)
+    if device_prob >= _UNFIT_DEVICE_PROB:
+        return []
+    words = f"the gyroscope bias of the given device fits this walk with a probability of {device_prob:.1g} only "
+    return [words + "and is hardly used: it may be of another phone; give the device of this phone"]
+
+
 def _sensor_notes(config: Config, state: State) -> Iterator[Note]:
     moving_s, seen_s = state.sensing.vibration.moving_s, state.sensing.vibration.seen_s
     if moving_s:
         yield Note("steps", f"for {moving_s} s, {100 * moving_s / seen_s:.0f} % of the time, {criteria.STEPLESS}")
-    device_prob = config.sensing.attitude.bias.device_fits(state.sensing.attitude.bias)
-    if device_prob < _UNFIT_DEVICE_PROB:
-        words = f"the gyroscope bias of the given device fits this walk with a probability of {device_prob:.1g} only "
-        yield Note("sensors", words + "and is hardly used: it may be of another phone; give the device of this phone")
+    yield from (Note("sensors", text) for text in device_notes(config, state))
     for sensor, last_s in config.merger.silent(state.merger):
         words = (
             f"{sensor}: no samples since {last_s:.1f} s, so that the other sensors are used without it; if it still "

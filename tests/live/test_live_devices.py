@@ -26,6 +26,7 @@ from pdr_filter.live.messages import parse
 from pdr_filter.live.recorder import exported
 from pdr_filter.live.session import DeviceSession, session_id
 from pdr_filter.live.settings import BusyError, Event, FixError, Settings, part_of
+from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import Samples
 from pdr_filter.values.recording import Recording
 
@@ -286,6 +287,60 @@ def test_what_comes_after_the_end_is_refused_also_by_the_next_process(walk: Reco
         devices.take(bodies[-1].replace(b'"number": ', b'"number": 9'), "", "", "", 0.0)
     (session,) = devices.sessions.values()
     assert (session.about()["has_ended"], session.about()["refused"]) == (True, "")
+
+
+def with_bias(walk: Recording, bias_radps: float) -> Recording:
+    gyroscope = walk.gyroscope
+    return replace(walk, gyroscope=Samples(gyroscope.time_s, gyroscope.values + np.array([0.0, 0.0, bias_radps])))
+
+
+def test_the_gyroscope_bias_of_a_phone_is_used_in_its_next_session(walk: Recording, tmp_path: Path) -> None:
+    biased = with_bias(walk, 0.02)
+    first, _ = taken(tmp_path, own_messages(biased, session="first"))
+    assert first.online is not None
+    learnt = first.online.device
+    bodies = own_messages(biased, session="second")
+    devices = Devices(Settings(), tmp_path, lambda _: None)
+    for body in bodies[:20]:
+        devices.take(body, "", "", "", time.time())
+    # killed before a state was saved, and the phone's device is written by another session in between
+    learnt.after(days=400.0).save(next((tmp_path / "devices").glob("*.json")))
+    devices = Devices(Settings(), tmp_path, lambda _: None)
+    for body in bodies[20:]:
+        devices.take(body, "", "", "", time.time())
+    second = devices.sessions[session_id("p", "second")]
+    second.save()
+    device = pdr.Device.load(second.recorder.folder / "device.json")
+    np.testing.assert_array_equal(device.bias_radps, learnt.bias_radps)
+    assert (np.diag(device.bias_cov_radps2) < 1.1 * np.diag(learnt.bias_cov_radps2) + 1e-9).all()
+    again = pdr.track(pdr.read(second.recorder.folder), device=device)
+    np.testing.assert_array_equal(positions(second), again.position_m)
+    assert (positions(second) != positions(first)).any()
+
+
+def test_a_gyroscope_bias_that_does_not_fit_the_session_is_noted_and_replaced(tmp_path: Path) -> None:
+    still = simulate([Leg("stationary", duration_s=20.0), Leg("walking", distance_m=20.0)], seed=2)
+    taken(tmp_path, own_messages(with_bias(still, 0.05), session="first"))
+    events: list[Event] = []
+    devices = Devices(Settings(), tmp_path, events.append)
+    for body in own_messages(with_bias(still, -0.05), session="second"):
+        devices.take(body, "", "", "", time.time())
+    last = [e for e in events if e["event"] == "session"][-1]
+    assert any("may be of another phone" in note for note in last["notes"])
+    (file,) = (tmp_path / "devices").iterdir()
+    assert pdr.Device.load(file).bias_radps[2] == pytest.approx(-0.05, abs=0.01)
+
+
+def test_a_damaged_file_of_a_phone_does_not_stop_its_next_session(walk: Recording, tmp_path: Path) -> None:
+    first, _ = taken(tmp_path, own_messages(walk, session="first"))
+    (file,) = (tmp_path / "devices").iterdir()
+    file.write_text("{")
+    devices = Devices(Settings(), tmp_path, lambda _: None)
+    for body in own_messages(walk, session="second"):
+        devices.take(body, "", "", "", time.time())
+    second = devices.sessions[session_id("p", "second")]
+    second.save()
+    np.testing.assert_array_equal(positions(second), positions(first))
 
 
 def test_each_device_belongs_to_one_worker() -> None:
