@@ -23,7 +23,7 @@ Trans. Automatic Control 10(4), 1965, doi:10.1109/TAC.1965.1098191). A measureme
 it is not an outlier, and the covariance is inflated by the remaining doubt (Y. Bar-Shalom, F. Daum, J. Huang, "The
 probabilistic data association filter", IEEE Control Systems 29(6), 2009, doi:10.1109/MCS.2009.934469). Walking as a
 measurement: J. Borenstein, L. Ojeda, "Heuristic drift elimination for personnel tracking systems", Journal of
-Navigation 63(4), 2010. Figures: tests/benchmarks/heading_drift.py.
+Navigation 63(4), 2010.
 """
 
 from __future__ import annotations
