@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -85,6 +86,17 @@ def test_a_walking_pedestrian_has_a_speed_and_a_context_and_a_standing_one_has_n
     assert now.context_prob[CONTEXTS.index("stationary")] > 0.9
     assert now.n_steps > 25
     assert now.distance_m == pytest.approx(25.0, rel=0.15)
+
+
+def test_between_two_contacts_the_position_advances_at_the_walking_speed() -> None:
+    seen = [now for now in walked(pdr.OnlineFilter()) if 10.0 < now.time_s < 18.0]
+    advanced_m, expected_m = [], []
+    for before, after in pairwise(seen):
+        if (before.n_steps, before.provisional_steps) == (after.n_steps, after.provisional_steps):
+            advanced_m.append(np.linalg.norm(after.position_m - before.position_m))
+            expected_m.append(after.walking_speed_mps * (after.time_s - before.time_s))
+    assert len(advanced_m) > 30
+    np.testing.assert_allclose(advanced_m, expected_m, atol=0.02)
 
 
 def test_a_gyroscope_on_another_clock_does_not_move_the_position_and_the_note_names_the_remedy() -> None:
