@@ -31,7 +31,7 @@ class _FormerModules:
             return None
         new = f"{__name__}.{self.moved()[name]}"
         warnings.warn(f"{fullname} is now {new}", DeprecationWarning, stacklevel=2)
-        return ModuleSpec(fullname, self, is_package=True, loader_state=new)
+        return ModuleSpec(fullname, self, is_package=True, loader_state=new)  # pyright: ignore[reportArgumentType]
 
     @staticmethod
     def moved() -> dict[str, str]:

@@ -67,7 +67,7 @@ def restored(value: Any, like: Any, declared: Any = Any) -> Any:
         of_like, types = _parts(like) if type(like) is cls else {}, _declared(cls)
         return cls(**{n: restored(each, of_like.get(n), types.get(n, Any)) for n, each in value.fields.items()})
     of_like = _parts(like) if type(like) is type(value) else {}
-    of_items = Any if is_dataclass(value) else declared
+    of_items = declared if isinstance(value, tuple | list | dict) else Any
     changed = {
         key: new
         for key, part in _parts(value).items()
