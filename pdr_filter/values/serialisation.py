@@ -80,6 +80,18 @@ def restored(value: Any, like: Any, declared: Any = Any) -> Any:
     return {**value, **changed} if isinstance(value, dict) else replace(value, **changed)
 
 
+def check_classes(loaded: Any, saved: Any) -> None:
+    """Raise ValueError if a loaded value has another class than the saved value at the same position."""
+    if is_dataclass(saved) and type(loaded) is not type(saved):
+        raise ValueError(
+            f"a {type(saved).__name__} would be loaded as a {type(loaded).__name__}, which has the same fields and is "
+            "in the first state: give one of them a field of another name, because saved states do not name classes"
+        )
+    of_saved = _parts(saved)
+    for key, part in _parts(loaded).items():
+        check_classes(part, of_saved.get(key))
+
+
 def _class_of(value: ForeignFields, like: Any, declared: Any) -> type[Any]:
     """Return the class of saved fields: that of `like`, or else the dataclass in the declared type."""
     if is_dataclass(like) and _parts(like).keys() == value.fields.keys():

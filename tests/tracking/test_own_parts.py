@@ -202,6 +202,17 @@ def test_an_own_class_that_a_field_does_not_determine_is_refused_when_it_is_save
         online.save()
 
 
+@pytest.mark.parametrize(("before", "after"), [(Bout(0), Turn(1)), (Either(Bout(0)), Either(Turn(1)))])
+def test_a_class_with_the_fields_of_another_in_the_first_state_is_refused_when_it_is_saved(
+    recording: pdr.Recording, before: Any, after: Any
+) -> None:
+    online = pdr.OnlineFilter(pdr.recipes.default().with_heading(LateHeading(before, after)))
+    online.save()
+    pushed(online, recording, end=900)
+    with pytest.raises(ValueError, match="a Turn would be loaded as a Bout, which has the same fields"):
+        online.save()
+
+
 def test_a_state_of_this_package_gets_back_the_own_classes_in_it() -> None:
     saved = serialise.to_bytes(WindowStageState((1.0, [2.0]), Bout(3)), foreign=True)
     loaded = serialise.restored(serialise.from_bytes(saved), WindowStageState((0.0, [0.0]), Bout(0)))
