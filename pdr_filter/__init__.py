@@ -3,12 +3,11 @@
 `__init__.pyi` lists the public names. Each name is loaded at its first use, so that importing the package is fast.
 """
 
-import importlib.util
+import importlib
+import os
 import sys
 import warnings
-from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
-from pathlib import Path
 from types import ModuleType
 
 import lazy_loader
@@ -18,10 +17,11 @@ from pdr_filter.version import __version__ as __version__
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 
-class _FormerModules(MetaPathFinder, Loader):
-    """Import modules by their names in version 0.1, with a DeprecationWarning.
+class _FormerModules:
+    """Finder and loader of modules by their names in version 0.1, with a DeprecationWarning.
 
-    This finder is the last in `sys.meta_path`, so that existing modules have priority.
+    This finder is the last in `sys.meta_path`, so that existing modules have priority. It has no base class, because
+    importing `importlib.abc` and `pathlib` would take longer than importing the package.
     """
 
     def find_spec(self, fullname: str, path: object = None, target: object = None) -> ModuleSpec | None:
@@ -31,16 +31,14 @@ class _FormerModules(MetaPathFinder, Loader):
             return None
         new = f"{__name__}.{self.moved()[name]}"
         warnings.warn(f"{fullname} is now {new}", DeprecationWarning, stacklevel=2)
-        spec = importlib.util.spec_from_loader(fullname, self, is_package=True)
-        if spec is not None:
-            spec.loader_state = new
-        return spec
+        return ModuleSpec(fullname, self, is_package=True, loader_state=new)  # pyright: ignore[reportArgumentType]
 
     @staticmethod
     def moved() -> dict[str, str]:
         """Return the present names of renamed modules by their former names, both without the package."""
-        lines = Path(__file__).with_name("former_modules.txt").read_text(encoding="utf-8").splitlines()
-        return dict(line.split() for line in lines)
+        path = os.path.join(os.path.dirname(__file__), "former_modules.txt")  # noqa: PTH118, PTH120
+        with open(path, encoding="utf-8") as file:  # noqa: PTH123
+            return dict(line.split() for line in file)
 
     def create_module(self, spec: ModuleSpec) -> ModuleType:
         """Return a module with the contents of the renamed module."""

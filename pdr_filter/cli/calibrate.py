@@ -114,7 +114,8 @@ def calibrate(
             result.plot(figure)
             written.append(figure)
         for stem, rows in as_tables.items():
-            written += pdr.evaluate.write_tables(rows, stem, digits=4)
+            # standard deviations have four decimals in LaTeX, so that covariances need eight
+            written += pdr.evaluate.write_tables(rows, stem, digits=8 if stem.name == "covariance" else 4)
     for line in result.report().split("\n"):
         console.print_line(line)
     for path in written:

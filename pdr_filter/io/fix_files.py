@@ -84,13 +84,18 @@ def ranges_of_file(
     remedy.
     """
     file = Path(path)
+    header, *lines = text_rows(read_small(file, limits.MAX_WHOLE_BYTES), str(file))
+    fields = [field.strip() for field in header]
     if anchors is None:
+        if "anchor" in fields and "anchor_east_m" not in fields:
+            raise ValueError(
+                f"{file}: the column anchor names anchors, but their positions are unknown: give the file of the "
+                "anchors, --anchors anchors.geojson, or columns anchor_east_m,anchor_north_m"
+            )
         rows = _rows(file, ("time_s", "anchor_east_m", "anchor_north_m", "range_m"), "ranges", std_m)
         return [_range(file, k, t, np.array([e, n]), r, std) for k, (t, e, n, r, std) in enumerate(rows)]
     places = anchors_of_file(anchors, origin)
     rows = _rows(file, ("time_s", "range_m"), "ranges", std_m)
-    header, *lines = text_rows(read_small(file, limits.MAX_WHOLE_BYTES), str(file))
-    fields = [field.strip() for field in header]
     if "anchor" not in fields:
         raise ValueError(f"{file}: no column anchor (found: {', '.join(fields)[:160]}); write the name of each anchor")
     column = fields.index("anchor")

@@ -573,7 +573,7 @@ class OnlineFilter:
             pass
         try:
             blob = serialise.to_bytes({"config": None, "state": state}, foreign=True)
-            serialise.restored(serialise.from_bytes(blob)["state"], init(self.config))
+            serialise.check_classes(serialise.restored(serialise.from_bytes(blob)["state"], init(self.config)), state)
         except (TypeError, ValueError) as error:  # found when it is saved, not when it is loaded
             raise ValueError(
                 f"the filter cannot be saved because of the state of one of your own parts: {error}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pdr_filter.tracking import step_statistics as criteria
-from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray, TrackRows, how_many
+from pdr_filter.values import BoolArray, FloatArray, TrackRows, how_many
 
 # Texts that notes share with the report. Notes give the number of windows, steps or fixes instead of their times.
 _SHARED_WITH_NOTES = (
@@ -18,7 +18,6 @@ _SHARED_WITH_NOTES = (
     criteria.LATE,
     criteria.REJECTED,
 )
-_CALLING = CARRYING_MODES.index("calling")
 # Rate of turn from which a phone at the ear is doubtful, rad/s, and the number of steps (ten seconds) over which it is
 # averaged. In a curve the head turns about a second ahead of the walking direction (R. Grasso et al., Neuroscience
 # Letters 253, 1998, doi:10.1016/S0304-3940(98)00625-9). 99 % of the steps of ipol, sisfall and ubicomp13 are below this
@@ -170,7 +169,8 @@ def turns_at_the_ear(track: TrackRows) -> BoolArray:
         np.convolve(np.pad(each, _CURVE_STEPS // 2, mode="edge"), np.ones(_CURVE_STEPS), mode="valid")
         for each in (turned_rad, duration_s)
     )
-    is_calling = np.interp(track.time_s, windows.time_s, windows.carrying_prob[:, _CALLING]) > 0.5
+    calling_prob = windows.carrying_prob[:, windows.carrying_modes.index("calling")]
+    is_calling = np.interp(track.time_s, windows.time_s, calling_prob) > 0.5
     return is_calling & (turned_rad > _CURVE_RADPS * lasted_s)
 
 

@@ -16,7 +16,8 @@ import sys
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
-from typing import Any, cast
+from functools import cache
+from typing import Any, cast, get_args, get_type_hints
 
 import numpy as np
 
@@ -53,33 +54,77 @@ def to_bytes(value: object, foreign: bool = False) -> bytes:
     return _packed(_encode(value, foreign))
 
 
-def restored(value: Any, like: Any) -> Any:
+def restored(value: Any, like: Any, declared: Any = Any) -> Any:
     """Return a loaded value in which each `ForeignFields` is replaced by an object of its class.
 
     `like` is a value of the same structure: the first state of the part that made the saved value. The class is that of
-    the object at the same position in `like`. Raises ValueError if `like` has no dataclass with these fields at that
-    position.
+    the object at the same position in `like`. If `like` has no dataclass with these fields there, it is the dataclass
+    in the declared type of the field, such as `Bout | None` or `tuple[Bout, ...]`. `declared` is the declared type of
+    `value`. Raises ValueError if neither gives exactly one class.
     """
     if isinstance(value, ForeignFields):
-        names, of_like = ", ".join(value.fields), _parts(like)
-        if not is_dataclass(like):
-            raise ValueError(
-                f"a saved state has a dataclass with the fields {names} where the first state has a "
-                f"{type(like).__name__}: let init() put a value of that class there, or use arrays, numbers and tuples"
-            )
-        if of_like.keys() != value.fields.keys():
-            raise ValueError(
-                f"a saved state has a dataclass with other fields, {names}, than {type(like).__name__}: give the part "
-                "that made it"
-            )
-        return cast(Any, type(like))(**{name: restored(each, of_like[name]) for name, each in value.fields.items()})
+        cls = _class_of(value, like, declared)
+        of_like, types = _parts(like) if type(like) is cls else {}, _declared(cls)
+        return cls(**{n: restored(each, of_like.get(n), types.get(n, Any)) for n, each in value.fields.items()})
     of_like = _parts(like) if type(like) is type(value) else {}
-    changed = {key: new for key, part in _parts(value).items() if (new := restored(part, of_like.get(key))) is not part}
+    of_items = declared if isinstance(value, tuple | list | dict) else Any
+    changed = {
+        key: new
+        for key, part in _parts(value).items()
+        if (new := restored(part, of_like.get(key), of_items)) is not part
+    }
     if not changed:
         return value
     if isinstance(value, tuple | list):
         return type(value)(changed.get(i, part) for i, part in enumerate(cast(list[Any], value)))
     return {**value, **changed} if isinstance(value, dict) else replace(value, **changed)
+
+
+def check_classes(loaded: Any, saved: Any) -> None:
+    """Raise ValueError if a loaded value has another class than the saved value at the same position."""
+    if is_dataclass(saved) and type(loaded) is not type(saved):
+        raise ValueError(
+            f"a {type(saved).__name__} would be loaded as a {type(loaded).__name__}, which has the same fields and is "
+            "in the first state: give one of them a field of another name, because saved states do not name classes"
+        )
+    of_saved = _parts(saved)
+    for key, part in _parts(loaded).items():
+        check_classes(part, of_saved.get(key))
+
+
+def _class_of(value: ForeignFields, like: Any, declared: Any) -> type[Any]:
+    """Return the class of saved fields: that of `like`, or else the dataclass in the declared type."""
+    if is_dataclass(like) and _parts(like).keys() == value.fields.keys():
+        return type(like)
+    found = [cls for cls in _dataclasses_in(declared) if {f.name for f in fields(cls) if f.init} == value.fields.keys()]
+    if len(found) == 1:
+        return found[0]
+    names = ", ".join(value.fields)
+    if is_dataclass(like):
+        raise ValueError(
+            f"a saved state has a dataclass with other fields, {names}, than {type(like).__name__}: give the part that "
+            "made it"
+        )
+    raise ValueError(
+        f"a saved state has a dataclass with the fields {names} where the first state has a {type(like).__name__}: let "
+        "init() put a value of that class there, declare its class as the type of a field of a dataclass, or use "
+        "arrays, numbers and tuples"
+    )
+
+
+def _dataclasses_in(declared: Any) -> set[type[Any]]:
+    """Return the dataclasses of a declared type, such as that of `tuple[Bout, ...] | None`."""
+    own = {declared} if isinstance(declared, type) and is_dataclass(declared) else set[type[Any]]()
+    return own.union(*map(_dataclasses_in, get_args(declared)))
+
+
+@cache
+def _declared(cls: type[Any]) -> Mapping[str, Any]:
+    """Return the declared types of the fields of a dataclass by name, or nothing if a name in them is not defined."""
+    try:
+        return get_type_hints(cls)
+    except (NameError, TypeError):  # classes of a function, or names imported for type checkers only
+        return {}
 
 
 def _parts(value: Any) -> dict[Any, Any]:

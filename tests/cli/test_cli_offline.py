@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -39,6 +40,10 @@ def test_a_calibration_is_written_and_used_by_track(tmp_path: Path) -> None:
     for name, rows in calibration.tables().items():
         assert len((tmp_path / "tables" / f"{name}.csv").read_text().splitlines()) == len(rows) + 1
         assert (tmp_path / "tables" / f"{name}.tex").exists()
+    covariance = (tmp_path / "tables" / "covariance.tex").read_text()
+    walking = re.search(r"^walking & 0 & walking & 0 & (\S+) ", covariance, re.MULTILINE)
+    assert walking is not None
+    assert float(walking[1]) == pytest.approx(calibration.k_cov["walking"][0, 0], rel=1e-4)
     calibrated = pdr.smooth(recording, calibration=tmp_path / "me.json").track
     assert json.loads(result.stdout) == calibrated.summary()
     truth_m = 35.0

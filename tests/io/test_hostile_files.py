@@ -136,7 +136,7 @@ def test_a_name_that_no_file_could_have_is_not_taken(tmp_path: Path) -> None:
 def test_notes_print_whatever_a_file_holds(tmp_path: Path) -> None:
     files = {"accelerometer.csv": ROWS, "truth_labels.csv": "start_s,end_s,context,carrying_mode\n0,1,\x1b[2J,\n"}
     recording = read(write_zip(tmp_path / "a.zip", files))
-    assert any("unknown contexts \\x1b[2J" in note for note in recording.notes)
+    assert any("does not have (\\x1b[2J)" in note for note in recording.notes)
     assert all(note.isprintable() for note in recording.notes)
 
 

@@ -251,11 +251,11 @@ def test_times_that_do_not_begin_at_zero_are_noted(tmp_path: Path) -> None:
     assert "begins at 1700000000" in notes
 
 
-def test_a_context_that_is_not_known_is_kept_and_noted(tmp_path: Path) -> None:
+def test_a_context_that_the_default_does_not_have_is_kept_and_noted(tmp_path: Path) -> None:
     labels = "start_s,end_s,context,carrying_mode\n0,1,elevator,pocket\n"
     recording, notes = noted(folder_with(tmp_path / "w", truth_labels=labels))
     assert recording.truth.labels.context[0] == "elevator"
-    assert "unknown contexts elevator" in notes
+    assert "contexts that the default recipe does not have (elevator)" in notes
 
 
 # ---------------------------------------------------------------- what is refused: file, column, value, remedy

@@ -48,6 +48,12 @@ def test_ranges_of_a_file_are_to_the_anchors_that_it_names(tmp_path: Path) -> No
     np.testing.assert_array_equal([*only.anchor_m, only.range_m, only.std_m], [3.0, 4.0, 5.0, 0.7])
 
 
+def test_named_anchors_without_their_file_are_refused_with_the_option_that_is_missing(tmp_path: Path) -> None:
+    (tmp_path / "ranges.csv").write_text("time_s,anchor,range_m\n1.5,window,7.25\n")
+    with pytest.raises(ValueError, match=r"ranges.csv: .* give the file of the anchors, --anchors"):
+        ranges_of_file(tmp_path / "ranges.csv")
+
+
 def test_anchors_in_degrees_become_metres_from_the_origin(tmp_path: Path) -> None:
     path = anchors_file(tmp_path / "a.geojson", {"a": (-0.0015, 51.4779), "b": (-0.0015, 51.4781)})
     found = anchors_of_file(path, origin=(51.4779, -0.0015))

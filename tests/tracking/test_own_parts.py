@@ -151,6 +151,68 @@ def test_a_state_that_has_its_own_classes_from_the_first_on_comes_back(
     assert pdr.OnlineFilter.load(online.save(), config=config).state.sensing.heading == {"bout": after}
 
 
+@dataclass(frozen=True)
+class Stretch:
+    begin_s: float
+    bout: Bout | None = None
+
+
+@dataclass(frozen=True)
+class Walked:
+    """State whose fields have no value of an own class at first."""
+
+    last: Bout | None = None
+    all: tuple[Bout, ...] = ()
+    by_name: dict[str, list[Bout]] | None = None
+    stretch: Stretch | None = None
+    undeclared: Any = None
+
+
+LATE = Walked(Bout(1), (Bout(1), Bout(2)), {"first": [Bout(1)]}, Stretch(0.5, Bout(3)))
+
+
+def test_a_state_that_gets_its_own_classes_late_comes_back_if_its_fields_declare_them(
+    recording: pdr.Recording,
+) -> None:
+    config = pdr.recipes.default().with_heading(LateHeading(Walked(), LATE))
+    online = pdr.OnlineFilter(config)
+    pushed(online, recording, end=900)
+    blob = online.save()
+    assert b"Bout" not in _content(blob)
+    assert pdr.OnlineFilter.load(blob, config=config).state.sensing.heading == {"bout": LATE}
+
+
+@dataclass(frozen=True)
+class Turn:  # with the fields of Bout
+    n_steps: int
+
+
+@dataclass(frozen=True)
+class Either:
+    last: Bout | Turn | None = None
+
+
+@pytest.mark.parametrize(("before", "after"), [(Walked(), Walked(undeclared=Bout(1))), (Either(), Either(Turn(1)))])
+def test_an_own_class_that_a_field_does_not_determine_is_refused_when_it_is_saved(
+    recording: pdr.Recording, before: Any, after: Any
+) -> None:
+    online = pdr.OnlineFilter(pdr.recipes.default().with_heading(LateHeading(before, after)))
+    pushed(online, recording, end=900)
+    with pytest.raises(ValueError, match="declare its class as the type of a field"):
+        online.save()
+
+
+@pytest.mark.parametrize(("before", "after"), [(Bout(0), Turn(1)), (Either(Bout(0)), Either(Turn(1)))])
+def test_a_class_with_the_fields_of_another_in_the_first_state_is_refused_when_it_is_saved(
+    recording: pdr.Recording, before: Any, after: Any
+) -> None:
+    online = pdr.OnlineFilter(pdr.recipes.default().with_heading(LateHeading(before, after)))
+    online.save()
+    pushed(online, recording, end=900)
+    with pytest.raises(ValueError, match="a Turn would be loaded as a Bout, which has the same fields"):
+        online.save()
+
+
 def test_a_state_of_this_package_gets_back_the_own_classes_in_it() -> None:
     saved = serialise.to_bytes(WindowStageState((1.0, [2.0]), Bout(3)), foreign=True)
     loaded = serialise.restored(serialise.from_bytes(saved), WindowStageState((0.0, [0.0]), Bout(0)))

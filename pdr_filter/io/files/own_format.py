@@ -206,7 +206,7 @@ def _read_wifi(members: Members, name: str, notes: list[str]) -> Wifi | None:
 def _read_truth(members: Members, name: str, columns: tuple[str, ...], notes: list[str]) -> Table | None:
     """Return the rows of a truth table that have all their times, or None for an empty file.
 
-    Rows without a time, and contexts that the project does not know, are added to `notes`.
+    Rows without a time, and contexts that the default recipe does not have, are added to `notes`.
     """
     rows = TextTable(members.blocks(name), members.where(name), ",")
     if rows.is_empty:
@@ -221,7 +221,10 @@ def _read_truth(members: Members, name: str, columns: tuple[str, ...], notes: li
     texts = {
         column: np.array([*compress(text, known)], np.str_) for column, text in zip(textual, found.texts, strict=True)
     }
-    unknown = sorted(set(texts["context"].tolist()) - {*CONTEXTS, ""}) if "context" in texts else []
-    if unknown:
-        notes.append(f"{file}: unknown contexts {', '.join(unknown)[:80]}, kept")
+    own = sorted(set(texts["context"].tolist()) - {*CONTEXTS, ""}) if "context" in texts else []
+    if own:
+        notes.append(
+            f"{file}: labels of contexts that the default recipe does not have ({', '.join(own)[:80]}): use a recipe "
+            "with these contexts, or correct the names"
+        )
     return table(arrays | texts)

@@ -60,6 +60,8 @@ from pdr_filter.values.recording import Recording
 Head = Literal["context", "carrying_mode"]
 
 UNNAMED = "unnamed"  # person of recordings without a subject id
+# Places in the format of recordings (docs/conventions.md) for which the filter has no carrying mode.
+_OTHER_PLACES = ("waist", "foot", "chest")
 # Smallest number of windows for parallel folds. With fewer, all folds finish before the worker processes have started.
 _WINDOWS_FOR_PARALLEL = 5000
 _WINDOWS_SHARE, _STEPS_SHARE = 0.4, 0.2  # shares of the progress; the folds take the rest
@@ -99,8 +101,8 @@ def fit_contexts(
         Features of a window. A function receives the signals of a window by name (`values.WINDOW_SIGNALS`, arrays (N,))
         and returns a dict of numbers. The default is the feature set of the default recipe.
     head : {"context", "carrying_mode"}
-        Column of the labels to be learnt, "context" by default. Carrying modes must have the names in `CARRYING_MODES`;
-        windows with the context "stationary" are not used for them.
+        Column of the labels to be learnt, "context" by default. Carrying modes must have the names in `CARRYING_MODES`.
+        Windows with the context "stationary", or with the phone at the waist, foot or chest, are not used for them.
     people : sequence of str, optional
         Name of the person of each recording, in place of `subject.id`.
     name : str, optional
@@ -153,13 +155,19 @@ def fit_contexts(
             f"people must have {len(given)} names, one for each recording, got {len(people)}: name the person of each"
         )
     labelled = _labelled(given, feature_set, head, people, done)
-    windows, labels = labelled.windows, _labels_of(labelled.windows, head)
+    windows = labelled.windows
+    elsewhere = np.isin(windows.carrying_mode, _OTHER_PLACES) & (head == "carrying_mode")
+    others = np.unique(windows.carrying_mode[elsewhere])
+    windows = replace(windows, carrying_mode=np.where(elsewhere, "", windows.carrying_mode))
+    labels = _labels_of(windows, head)
     _check_people(windows, head)
     plans = (context_training if head == "context" else carrying_training).PLANS
     names = plans[0 if labelled.has_gyroscope else 1].feature_names if features is None else feature_set.names
     columns = [feature_set.names.index(each) for each in names]
     sequences = None if head != "context" else _step_labels(given, labelled, labels, done)
     one_person = [c for c in labels if len(np.unique(windows.person[windows.label(head) == c])) == 1]
+    limits = [f"Labelled for one person only, and not in the scores: {', '.join(one_person)}."] if one_person else []
+    limits += [f"Not learnt, because the filter has no such carrying mode: {', '.join(others)}."] if len(others) else []
     plan = FittingPlan(
         name=name or ("contexts" if head == "context" else "carrying"),
         head=head,
@@ -169,7 +177,7 @@ def fit_contexts(
         machine_fit=machine_fit,
         description=f"{kind} on {how_many(len(names), 'feature')} ({feature_set.name})",
         use="Windows like those of the recordings that the model learnt from.",
-        limits=f"Labelled for one person only, and not in the scores: {', '.join(one_person)}." if one_person else "",
+        limits=" ".join(limits),
         has_gyroscope=labelled.has_gyroscope,
         own_labels=labels,
         command=f"pdr_filter.fit_contexts(recordings, {classifier!r}, head={head!r})",
@@ -293,7 +301,10 @@ def _labels_of(windows: LabelledWindows, head: Head) -> tuple[str, ...]:
     if head == "context":
         return found
     if unknown := sorted(set(found) - set(CARRYING_MODES)):
-        raise ValueError(f"carrying modes must be among {CARRYING_MODES}, got {unknown}: rename them in the labels")
+        raise ValueError(
+            f"carrying modes must be among {CARRYING_MODES}, got {unknown}: rename them in the labels, or leave their "
+            "names empty to train without these windows"
+        )
     return CARRYING_MODES
 
 

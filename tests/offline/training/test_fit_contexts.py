@@ -285,6 +285,21 @@ def test_fit_contexts_also_fits_carrying_modes(tmp_path: Path) -> None:
         )
 
 
+def test_phones_at_places_without_a_carrying_mode_are_left_out_and_named_in_the_card() -> None:
+    own = [walk(3 * k + i, mode) for k, mode in enumerate(("pocket", "texting")) for i in range(2)]
+    chest = with_labels(own[0], NAMES, "chest")
+    models = [
+        pdr.fit_contexts(each, "forest", head="carrying_mode", people=list("ababa")[: len(each)])
+        for each in (own, [*own, chest])
+    ]
+    assert models[0].card["n_windows"] == models[1].card["n_windows"]
+    assert [model.card["limits"] for model in models] == [
+        "",
+        "Not learnt, because the filter has no such carrying mode: chest.",
+    ]
+    assert models[1].card["limits"] in models[1].report()
+
+
 def test_progress_grows_to_one(walks: list[pdr.Recording]) -> None:
     told: list[float] = []
     pdr.fit_contexts(walks, "forest", features=few, people=PEOPLE, progress=told.append)
