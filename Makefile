@@ -1,5 +1,5 @@
 # make demo [FILE=walk.zip] [OUT=folder]   track a walk and draw it; a minute the first time, with installation
-# make test                                run the quick tests: five minutes on two cores
+# make test                                run the quick tests: three minutes on two cores
 # make test-all                            run every test
 # make check                               lint, format and types
 # make docs                                build the documentation
@@ -15,16 +15,22 @@ OUT ?= demo_output
 BIN := $(VENV)/bin
 PIP_INSTALL := $(BIN)/python -m pip install -qq --disable-pip-version-check
 
+# Without stored bytecode each worker rewrites the assertions of all test files, and each process that a test starts
+# compiles the package again.
+unexport PYTHONDONTWRITEBYTECODE
+# Each worker has a core. More threads only wait for each other: tests of training took half as long again.
+test test-all: export OMP_NUM_THREADS = 1
+
 .PHONY: demo test test-all check docs clean
 
 demo: $(VENV)/.installed
 	@$(BIN)/pdr-filter demo $(if $(FILE),"$(FILE)") --out "$(OUT)"
 
 test: $(VENV)/.installed-test
-	@$(BIN)/python -m pytest -q -n auto --dist loadfile -m "not slow"
+	@$(BIN)/python -m pytest -q -n auto --dist worksteal -m "not slow"
 
 test-all: $(VENV)/.installed-test
-	@$(BIN)/python -m pytest -q -n auto --dist loadfile
+	@$(BIN)/python -m pytest -q -n auto --dist worksteal
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

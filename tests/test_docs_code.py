@@ -7,7 +7,7 @@ import inspect
 import json
 import re
 import shlex
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -17,6 +17,7 @@ import numpy as np
 import pymap3d
 import pytest
 import typer.main
+from examples import compute_once
 from heard import heard_along
 from typer.testing import CliRunner
 
@@ -67,29 +68,12 @@ def recording() -> pdr.Recording:
     return replace(walk, location=Samples(time_s, values), wifi=wifi, meta={**walk.meta, "subject": subject})
 
 
-def tracked_once(track: Callable[..., pdr.Track]) -> Callable[..., pdr.Track]:
-    """Return `track`, which keeps the track of each recording that is given alone."""
-    kept: list[tuple[pdr.Recording, pdr.Track]] = []
-
-    def once(recording: pdr.Recording, *arguments: Any, **options: Any) -> pdr.Track:
-        if arguments or options:
-            return track(recording, *arguments, **options)
-        found = next((of_it for known, of_it in kept if known is recording), None)
-        if found is None:
-            found = track(recording)
-            kept.append((recording, found))
-        return found
-
-    return once
-
-
 @pytest.mark.parametrize("page", WITH_CODE)
 def test_the_code_of_a_page_runs_from_top_to_bottom(
     page: str, recording: pdr.Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(pdr.simulate, "demo_walk", cache(pdr.simulate.demo_walk))  # a page tracks it up to 13 times
-    monkeypatch.setattr(pdr, "track", tracked_once(pdr.track))
+    compute_once(monkeypatch)
     recording.save("walk.zip")
     Path("building.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": BUILDING}), "utf-8")
     names: dict[str, Any] = {}

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
+from examples import compute_once
 from numpydoc.docscrape import NumpyDocString
 from numpydoc.validate import validate
 
@@ -158,6 +159,7 @@ def test_the_examples_of_a_module_give_the_output_that_they_show(
     module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)  # some examples write files
+    compute_once(monkeypatch)
     tests = [test for test in doctest.DocTestFinder().find(importlib.import_module(module)) if test.examples]
     n_shown = WITH_EXAMPLES[module].read_text("utf-8").count(">>> ")
     assert sum(len(test.examples) for test in tests) == n_shown, "an example is not found by doctest"
