@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.sensing.attitude import AttitudeEstimator, AttitudeState
+from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator, AttitudeState
 from pdr_filter.sensing.conditioning import Conditioner, ConditionerState, UniformBlock
 from pdr_filter.sensing.contexts.context_stage import ContextStage, WindowContext, with_cadence
 from pdr_filter.sensing.device import Device
@@ -81,6 +81,32 @@ class SensingState:
     context: int
     carrying_mode: int
     processed_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Classified:
+    """Attitudes of a block of uniform samples, the windows that it completes, and the new states of both stages."""
+
+    attitude_state: AttitudeState
+    attitude: AttitudeBlock
+    context_state: Any
+    windows: list[tuple[int, WindowContext]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldSample:
+    """Uniform sample that completes a window, taken in by `Sensing.update_early` and not processed yet.
+
+    Attributes
+    ----------
+    sample : UniformBlock
+        The sample, a block of length one.
+    classified : _Classified or None
+        Its attitude and its window, if the window has been classified.
+    """
+
+    sample: UniformBlock
+    classified: _Classified | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,6 +253,64 @@ class Sensing:
         conditioner, uniform = self.conditioner.update(state.conditioner, block)
         return self._process_blocks(replace_unchecked(state, conditioner=conditioner), uniform)
 
+    def update_early(
+        self, state: SensingState, block: ImuBlock
+    ) -> tuple[SensingState, list[tuple[float, Event]], HeldSample | None]:
+        """Return the results of `update` without the sample that completes a window, and this sample for `update_held`.
+
+        A window costs more than all other work of its hop. A caller that processes the held sample later shortens the
+        longest call. Only single hops are divided, because the events of a longer block would come too late.
+
+        Parameters
+        ----------
+        state : SensingState
+            State after the previous block.
+        block : ImuBlock
+            Raw samples of any number.
+
+        Returns
+        -------
+        state : SensingState
+            New state.
+        events : list of (float, Step or WindowContext or Gap)
+            Events as in `update`.
+        held : HeldSample or None
+            Last uniform sample if it completes a window. Pass it to `update_held` before any other update.
+        """
+        conditioner, uniform = self.conditioner.update(state.conditioner, block)
+        state = replace_unchecked(state, conditioner=conditioner)
+        if len(uniform) != 1 or not self._completes_window(state, uniform[0]):
+            return *self._process_blocks(state, uniform), None
+        first, last = uniform[0].cut(len(uniform[0].time_s) - 1)
+        state, events = self._process_block(state, first)
+        # A step costs nearly as much as a window, so that the window is classified in the call without a step.
+        return state, events, HeldSample(last, None if events else self._classify(state, last))
+
+    def update_held(self, state: SensingState, held: HeldSample) -> tuple[SensingState, list[tuple[float, Event]]]:
+        """Return the new state and the events of the sample that `update_early` has held.
+
+        Parameters
+        ----------
+        state : SensingState
+            State of `update_early`.
+        held : HeldSample
+            The sample.
+
+        Returns
+        -------
+        state : SensingState
+            New state, equal to that of `update`.
+        events : list of (float, Step or WindowContext or Gap)
+            Remaining events of `update`.
+        """
+        return self._process_block(state, held.sample, held.classified)
+
+    def _completes_window(self, state: SensingState, part: UniformBlock) -> bool:
+        """Return True if a block is one hop without a gap whose last sample completes a window."""
+        n, window_hop = len(part.time_s), round(self.window_hop_s * self.conditioner.rate_hz)
+        is_hop = 1 < n <= self.conditioner.hop_samples and part.gap_before_s == 0
+        return is_hop and window_hop > 0 and (state.n_samples + n) % window_hop == 0
+
     def finish(self, state: SensingState) -> tuple[SensingState, list[tuple[float, Event]]]:
         """Return the new state and the remaining events when the recording has ended.
 
@@ -279,17 +363,24 @@ class Sensing:
         error_rad, error_var = drift_in_time(self.heading, state.heading)
         return self.attitude.bias.learnt(self.attitude.bias_state(state.attitude), error_rad, error_var)
 
-    def _process_block(self, state: SensingState, part: UniformBlock) -> tuple[SensingState, list[tuple[float, Event]]]:
+    def _classify(self, state: SensingState, part: UniformBlock) -> _Classified:
+        """Return the attitudes of one uniform block without a gap, and the windows that it completes."""
+        attitude_state, attitude = self.attitude.update(state.attitude, part)
+        if not self.contexts:
+            return _Classified(attitude_state, attitude, None, [])
+        return _Classified(attitude_state, attitude, *self.contexts.update(state.contexts, part, attitude))
+
+    def _process_block(
+        self, state: SensingState, part: UniformBlock, classified: _Classified | None = None
+    ) -> tuple[SensingState, list[tuple[float, Event]]]:
         """Return the new state and the events of one uniform block without a gap.
 
-        Events are steps and classified windows, each with the time at which it became known.
+        `classified` is the result of `_classify`, if it is already known. Events are steps and classified windows, each
+        with the time at which it became known.
         """
-        n_before = state.n_samples
-        attitude_state, attitude = self.attitude.update(state.attitude, part)
-        context_state, windows = None, list[tuple[int, WindowContext]]()
-        if self.contexts:
-            context_state, windows = self.contexts.update(state.contexts, part, attitude)
-        n = len(part.time_s)
+        n_before, n = state.n_samples, len(part.time_s)
+        classified = classified or self._classify(state, part)
+        attitude, windows = classified.attitude, classified.windows
         context = _held(state.context, [(i - n_before, _likely(w.prob)) for i, w in windows], n)
         carrying_mode = _held(state.carrying_mode, [(i - n_before, _likely(w.carrying_prob)) for i, w in windows], n)
         contexts = ContextBlock.of(context, carrying_mode, self.context_set)
@@ -310,8 +401,8 @@ class Sensing:
         )
         state = SensingState(
             conditioner=state.conditioner,
-            attitude=attitude_state,
-            contexts=context_state,
+            attitude=classified.attitude_state,
+            contexts=classified.context_state,
             steps=step_state,
             heading=heading_state,
             gate=gate_state,
