@@ -83,14 +83,8 @@ class SensingState:
     processed_s: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Classified:
-    """Attitudes of a block of uniform samples, the windows that it completes, and the new states of both stages."""
-
-    attitude_state: AttitudeState
-    attitude: AttitudeBlock
-    context_state: Any
-    windows: list[tuple[int, WindowContext]]
+# New state of the context stage, and the windows with the number of the last sample of each.
+_Classified = tuple[Any, list[tuple[int, WindowContext]]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,11 +95,14 @@ class HeldSample:
     ----------
     sample : UniformBlock
         The sample, a block of length one.
-    classified : _Classified or None
-        Its attitude and its window, if the window has been classified.
+    attitude : AttitudeBlock
+        Its attitude.
+    classified : tuple or None
+        New state of the context stage and the window, if the window has been classified.
     """
 
     sample: UniformBlock
+    attitude: AttitudeBlock
     classified: _Classified | None
 
 
@@ -281,10 +278,12 @@ class Sensing:
         state = replace_unchecked(state, conditioner=conditioner)
         if len(uniform) != 1 or not self._completes_window(state, uniform[0]):
             return *self._process_blocks(state, uniform), None
+        state, attitude = self._with_attitude(state, uniform[0])
         first, last = uniform[0].cut(len(uniform[0].time_s) - 1)
-        state, events = self._process_block(state, first)
+        of_first, of_last = attitude.cut(len(first.time_s))
+        state, events = self._detect(state, first, of_first, self._classify(state, first, of_first))
         # A step costs nearly as much as a window, so that the window is classified in the call without a step.
-        return state, events, HeldSample(last, None if events else self._classify(state, last))
+        return state, events, HeldSample(last, of_last, None if events else self._classify(state, last, of_last))
 
     def update_held(self, state: SensingState, held: HeldSample) -> tuple[SensingState, list[tuple[float, Event]]]:
         """Return the new state and the events of the sample that `update_early` has held.
@@ -303,7 +302,8 @@ class Sensing:
         events : list of (float, Step or WindowContext or Gap)
             Remaining events of `update`.
         """
-        return self._process_block(state, held.sample, held.classified)
+        classified = held.classified or self._classify(state, held.sample, held.attitude)
+        return self._detect(state, held.sample, held.attitude, classified)
 
     def _completes_window(self, state: SensingState, part: UniformBlock) -> bool:
         """Return True if a block is one hop without a gap whose last sample completes a window."""
@@ -363,24 +363,29 @@ class Sensing:
         error_rad, error_var = drift_in_time(self.heading, state.heading)
         return self.attitude.bias.learnt(self.attitude.bias_state(state.attitude), error_rad, error_var)
 
-    def _classify(self, state: SensingState, part: UniformBlock) -> _Classified:
-        """Return the attitudes of one uniform block without a gap, and the windows that it completes."""
-        attitude_state, attitude = self.attitude.update(state.attitude, part)
-        if not self.contexts:
-            return _Classified(attitude_state, attitude, None, [])
-        return _Classified(attitude_state, attitude, *self.contexts.update(state.contexts, part, attitude))
-
-    def _process_block(
-        self, state: SensingState, part: UniformBlock, classified: _Classified | None = None
-    ) -> tuple[SensingState, list[tuple[float, Event]]]:
+    def _process_block(self, state: SensingState, part: UniformBlock) -> tuple[SensingState, list[tuple[float, Event]]]:
         """Return the new state and the events of one uniform block without a gap.
 
-        `classified` is the result of `_classify`, if it is already known. Events are steps and classified windows, each
-        with the time at which it became known.
+        Events are steps and classified windows, each with the time at which it became known.
         """
+        state, attitude = self._with_attitude(state, part)
+        return self._detect(state, part, attitude, self._classify(state, part, attitude))
+
+    def _with_attitude(self, state: SensingState, part: UniformBlock) -> tuple[SensingState, AttitudeBlock]:
+        """Return the state with the attitude stage advanced by one uniform block, and the attitudes of the block."""
+        attitude_state, attitude = self.attitude.update(state.attitude, part)
+        return replace_unchecked(state, attitude=attitude_state), attitude
+
+    def _classify(self, state: SensingState, part: UniformBlock, attitude: AttitudeBlock) -> _Classified:
+        """Return the new state of the context stage and the windows that one uniform block completes."""
+        return self.contexts.update(state.contexts, part, attitude) if self.contexts else (None, [])
+
+    def _detect(
+        self, state: SensingState, part: UniformBlock, attitude: AttitudeBlock, classified: _Classified
+    ) -> tuple[SensingState, list[tuple[float, Event]]]:
+        """Return the new state and the events of one uniform block with known attitudes and windows."""
         n_before, n = state.n_samples, len(part.time_s)
-        classified = classified or self._classify(state, part)
-        attitude, windows = classified.attitude, classified.windows
+        context_state, windows = classified
         context = _held(state.context, [(i - n_before, _likely(w.prob)) for i, w in windows], n)
         carrying_mode = _held(state.carrying_mode, [(i - n_before, _likely(w.carrying_prob)) for i, w in windows], n)
         contexts = ContextBlock.of(context, carrying_mode, self.context_set)
@@ -401,8 +406,8 @@ class Sensing:
         )
         state = SensingState(
             conditioner=state.conditioner,
-            attitude=classified.attitude_state,
-            contexts=classified.context_state,
+            attitude=state.attitude,
+            contexts=context_state,
             steps=step_state,
             heading=heading_state,
             gate=gate_state,

@@ -429,6 +429,8 @@ def _process(
     config: Config, state: State, events: list[tuple[float, Event]], provisional: bool = False
 ) -> tuple[State, Output]:
     output = Output()
+    if not (events or state.waiting_fixes or state.climbs):  # most blocks of a phone are shorter than a hop
+        return state, output
     tracker: TrackerState
     windows = [event for _, event in events if isinstance(event, WindowContext)]
     climbs, context_set = [climb_at(state.climbs, window.time_s) for window in windows], config.model.context_set
