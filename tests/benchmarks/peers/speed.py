@@ -95,11 +95,12 @@ def times_real_time(
 def speed(tables: Tables, arguments: argparse.Namespace) -> None:
     """Write the times real time of all methods on all sites."""
     warnings.simplefilter("ignore")
-    methods, columns = contestants(arguments.before), list[FloatArray]()
+    methods, columns, n_walks = contestants(arguments.before), list[FloatArray](), list[str]()
     with threadpool_limits(limits=1):
         for site in arguments.sites:
             files = files_of(arguments.data, site, arguments.every)
+            n_walks.append(str(len(files)))
             columns.append(times_real_time(methods, files, [walk_of(path) for path in files]))
     rows = [[m.name, *(f"{c[i]:.0f}" for c in columns)] for i, m in enumerate(methods)]
-    about = f"Times real time, one core; of each walk the least of {ROUNDS} runs in turns, {load()}."
+    about = f"Times real time, one core, {', '.join(n_walks)} walks; of each walk the least of {ROUNDS} runs in turns, {load()}."
     tables.write("peers_speed", ["method", *arguments.sites], rows, about)
