@@ -102,5 +102,6 @@ def speed(tables: Tables, arguments: argparse.Namespace) -> None:
             n_walks.append(str(len(files)))
             columns.append(times_real_time(methods, files, [walk_of(path) for path in files]))
     rows = [[m.name, *(f"{c[i]:.0f}" for c in columns)] for i, m in enumerate(methods)]
-    about = f"Times real time, one core, {', '.join(n_walks)} walks; of each walk the least of {ROUNDS} runs in turns, {load()}."
+    of_walks = f"{', '.join(n_walks)} walks, of each the least of {ROUNDS} runs in turns"
+    about = f"Times real time, one core; {of_walks}, {load()}."
     tables.write("peers_speed", ["method", *arguments.sites], rows, about)
