@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import pdr_filter as pdr
 from pdr_filter.simulate import Leg, phone_motion, simulate
 from tests.benchmarks.peers import ours, tables, textbook
 from tests.benchmarks.peers.harness import outcome, table
+from tests.benchmarks.peers.speed import Contestant, times_real_time
 from tests.benchmarks.peers.walks import Found, Method, Run, Walk, between, of_steps, rotated, turned
 
 COUNT = ("steps",)
@@ -138,3 +140,14 @@ def test_body_axes_of_a_simulated_walk_are_those_of_the_person() -> None:
     np.testing.assert_allclose(force.mean(axis=0), exact.mean(axis=0), atol=0.3)  # a phone's own bias
     for axis in (1, 2):  # ahead, with its sign, and up
         assert np.corrcoef(force[:, axis], exact[:, axis])[0, 1] > 0.9
+
+
+def test_the_speed_of_a_method_is_that_of_its_fastest_runs_on_the_walks_that_it_gets_through() -> None:
+    walk, slow_s = a_walk(), iter([9.0, 2.0, 4.0])
+
+    def times_s(files: list, walks: list[Walk]) -> np.ndarray:
+        return np.array([next(slow_s), np.nan])[: len(walks)]
+
+    known = Contestant("peer", times_s, walk_known=True)
+    speed = times_real_time([known], [Path("a"), Path("b")], [walk, walk], rounds=2)
+    np.testing.assert_allclose(speed, (walk.end_s - walk.start_s) / 2.0)

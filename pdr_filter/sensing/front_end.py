@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.sensing.attitude import AttitudeEstimator, AttitudeState
+from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator, AttitudeState
 from pdr_filter.sensing.conditioning import Conditioner, ConditionerState, UniformBlock
 from pdr_filter.sensing.contexts.context_stage import ContextStage, WindowContext, with_cadence
 from pdr_filter.sensing.device import Device
@@ -81,6 +81,29 @@ class SensingState:
     context: int
     carrying_mode: int
     processed_s: float
+
+
+# New state of the context stage, and the windows with the number of the last sample of each.
+_Classified = tuple[Any, list[tuple[int, WindowContext]]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldSample:
+    """Uniform sample that completes a window, taken in by `Sensing.update_early` and not processed yet.
+
+    Attributes
+    ----------
+    sample : UniformBlock
+        The sample, a block of length one.
+    attitude : AttitudeBlock
+        Its attitude.
+    classified : tuple or None
+        New state of the context stage and the window, if the window has been classified.
+    """
+
+    sample: UniformBlock
+    attitude: AttitudeBlock
+    classified: _Classified | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,6 +250,67 @@ class Sensing:
         conditioner, uniform = self.conditioner.update(state.conditioner, block)
         return self._process_blocks(replace_unchecked(state, conditioner=conditioner), uniform)
 
+    def update_early(
+        self, state: SensingState, block: ImuBlock
+    ) -> tuple[SensingState, list[tuple[float, Event]], HeldSample | None]:
+        """Return the results of `update` without the sample that completes a window, and this sample for `update_held`.
+
+        A window costs more than all other work of its hop. A caller that processes the held sample later shortens the
+        longest call. Only single hops are divided, because the events of a longer block would come too late.
+
+        Parameters
+        ----------
+        state : SensingState
+            State after the previous block.
+        block : ImuBlock
+            Raw samples of any number.
+
+        Returns
+        -------
+        state : SensingState
+            New state.
+        events : list of (float, Step or WindowContext or Gap)
+            Events as in `update`.
+        held : HeldSample or None
+            Last uniform sample if it completes a window. Pass it to `update_held` before any other update.
+        """
+        conditioner, uniform = self.conditioner.update(state.conditioner, block)
+        state = replace_unchecked(state, conditioner=conditioner)
+        if len(uniform) != 1 or not self._completes_window(state, uniform[0]):
+            return *self._process_blocks(state, uniform), None
+        state, attitude = self._with_attitude(state, uniform[0])
+        first, last = uniform[0].cut(len(uniform[0].time_s) - 1)
+        of_first, of_last = attitude.cut(len(first.time_s))
+        state, events = self._detect(state, first, of_first, self._classify(state, first, of_first))
+        # A step costs nearly as much as a window, so that the window is classified in the call without a step.
+        return state, events, HeldSample(last, of_last, None if events else self._classify(state, last, of_last))
+
+    def update_held(self, state: SensingState, held: HeldSample) -> tuple[SensingState, list[tuple[float, Event]]]:
+        """Return the new state and the events of the sample that `update_early` has held.
+
+        Parameters
+        ----------
+        state : SensingState
+            State of `update_early`.
+        held : HeldSample
+            The sample.
+
+        Returns
+        -------
+        state : SensingState
+            New state, equal to that of `update`.
+        events : list of (float, Step or WindowContext or Gap)
+            Remaining events of `update`.
+        """
+        classified = held.classified or self._classify(state, held.sample, held.attitude)
+        return self._detect(state, held.sample, held.attitude, classified)
+
+    def _completes_window(self, state: SensingState, part: UniformBlock) -> bool:
+        """Return True if a block is one hop without a gap whose last sample completes a window."""
+        n, window_hop = len(part.time_s), round(self.window_hop_s * self.conditioner.rate_hz)
+        is_hop = 1 < n <= self.conditioner.hop_samples and part.gap_before_s == 0
+        return is_hop and window_hop > 0 and (state.n_samples + n) % window_hop == 0
+
     def finish(self, state: SensingState) -> tuple[SensingState, list[tuple[float, Event]]]:
         """Return the new state and the remaining events when the recording has ended.
 
@@ -284,12 +368,24 @@ class Sensing:
 
         Events are steps and classified windows, each with the time at which it became known.
         """
-        n_before = state.n_samples
+        state, attitude = self._with_attitude(state, part)
+        return self._detect(state, part, attitude, self._classify(state, part, attitude))
+
+    def _with_attitude(self, state: SensingState, part: UniformBlock) -> tuple[SensingState, AttitudeBlock]:
+        """Return the state with the attitude stage advanced by one uniform block, and the attitudes of the block."""
         attitude_state, attitude = self.attitude.update(state.attitude, part)
-        context_state, windows = None, list[tuple[int, WindowContext]]()
-        if self.contexts:
-            context_state, windows = self.contexts.update(state.contexts, part, attitude)
-        n = len(part.time_s)
+        return replace_unchecked(state, attitude=attitude_state), attitude
+
+    def _classify(self, state: SensingState, part: UniformBlock, attitude: AttitudeBlock) -> _Classified:
+        """Return the new state of the context stage and the windows that one uniform block completes."""
+        return self.contexts.update(state.contexts, part, attitude) if self.contexts else (None, [])
+
+    def _detect(
+        self, state: SensingState, part: UniformBlock, attitude: AttitudeBlock, classified: _Classified
+    ) -> tuple[SensingState, list[tuple[float, Event]]]:
+        """Return the new state and the events of one uniform block with known attitudes and windows."""
+        n_before, n = state.n_samples, len(part.time_s)
+        context_state, windows = classified
         context = _held(state.context, [(i - n_before, _likely(w.prob)) for i, w in windows], n)
         carrying_mode = _held(state.carrying_mode, [(i - n_before, _likely(w.carrying_prob)) for i, w in windows], n)
         contexts = ContextBlock.of(context, carrying_mode, self.context_set)
@@ -310,7 +406,7 @@ class Sensing:
         )
         state = SensingState(
             conditioner=state.conditioner,
-            attitude=attitude_state,
+            attitude=state.attitude,
             contexts=context_state,
             steps=step_state,
             heading=heading_state,

@@ -16,6 +16,7 @@ from pdr_filter.recipes.config import Config, check_config
 from pdr_filter.sensing.clock import on_track_clock
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.barometer import checked_pressure
+from pdr_filter.sensing.front_end import HeldSample
 from pdr_filter.sensing.stream_merging import SENSORS, Sensor
 from pdr_filter.tracking.extrapolation import Now, now
 from pdr_filter.tracking.filtering import (
@@ -29,7 +30,8 @@ from pdr_filter.tracking.filtering import (
     person_of,
     present_position,
     timing_error,
-    update,
+    update_early,
+    update_held,
     update_streams,
 )
 from pdr_filter.tracking.walked_path import WalkedPath, walked_path
@@ -126,7 +128,29 @@ class OnlineFilter:
         check_config(config)
         config = config.placed(TrackPlacement(plan=plan, start=start))
         self.config = config if weighting is None else config.with_weighting(weighting)
-        self.state = init(self.config)
+        self._state = init(self.config)
+        # A sample that completes a window waits for the next call, because the window would double the longest call.
+        # `state` processes the sample first, so that no result depends on it.
+        self._held: HeldSample | None = None
+        self._late = list[StepUpdate]()
+
+    @property
+    def state(self) -> State:
+        """State of the filter after all samples so far, replaced by every method that takes data."""
+        if self._held is not None:
+            held, self._held = self._held, None
+            self._state, output = update_held(self.config, self._state, held, provisional=True)
+            self._late += output.updates
+        return self._state
+
+    @state.setter
+    def state(self, state: State) -> None:
+        self._state, self._held = state, None
+
+    def _with_late(self, updates: list[StepUpdate]) -> list[StepUpdate]:
+        """Return the steps of a held sample followed by those given."""
+        late, self._late = self._late, []
+        return late + updates
 
     def push(
         self,
@@ -168,7 +192,10 @@ class OnlineFilter:
             )
         block = imu_block(time_s, specific_force_mps2, angular_rate_radps, magnetic_field_ut)
         _check_times(block.time_s, np.empty(0), self.state)
-        return self._commit(*update(self.config, self.state, block, provisional=True))
+        state, output, held = update_early(self.config, self.state, block, provisional=True)
+        updates = self._commit(state, output)
+        self._held = held
+        return updates
 
     def push_accelerometer(self, time_s: ArrayLike, specific_force_mps2: ArrayLike) -> list[StepUpdate]:
         """Process accelerometer samples and return the steps that they complete.
@@ -344,7 +371,7 @@ class OnlineFilter:
             self.state = replace(self.state, sensing=sensing)
             raise ValueError(f"{units.wrong_force}; then start a new filter, because this one has refused the samples")
         self.state = state
-        return output.updates
+        return self._with_late(output.updates)
 
     def push_location(
         self,
@@ -423,7 +450,7 @@ class OnlineFilter:
             Steps that became known, in order of time.
         """
         self.state, output = finish(self.config, self.state)
-        return output.updates
+        return self._with_late(output.updates)
 
     def add_fix(self, fix: Fix) -> None:
         """Add a fix: a position, heading, range or speed, or a standstill.

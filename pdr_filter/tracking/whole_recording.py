@@ -10,6 +10,7 @@ import numpy as np
 
 from pdr_filter.filter.fixes.alignment import Place
 from pdr_filter.filter.fixes.gnss import origin_of
+from pdr_filter.filter.imm.past_path import NoPath
 from pdr_filter.filter.imm.pedestrian_state import StepUpdate
 from pdr_filter.filter.step_length.person import Person
 from pdr_filter.recipes.config import Config, check_config
@@ -54,6 +55,7 @@ from pdr_filter.values import (
     all_fixes,
     check_fix,
     read_only,
+    replace_unchecked,
     step_table,
     wrap_angle,
 )
@@ -230,7 +232,10 @@ def outputs(
             f"{recording.name or 'the recording'} has no {' and no '.join(missing)}, which recipe {config.name!r} "
             'needs for a track: use recipe "default", which does not need it'
         )
-    state = add_fixes(config, replace(init(config), climbs=_climbs(config, recording)), fixes)
+    state = init(config)
+    pedestrian = replace_unchecked(state.tracker.pedestrian, path=NoPath())
+    tracker = replace_unchecked(state.tracker, pedestrian=pedestrian)
+    state = add_fixes(config, replace(state, tracker=tracker, climbs=_climbs(config, recording)), fixes)
     if (with_location or with_hills) and (location := recording.location) is not None:
         latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values.T
         where = latitude_deg, longitude_deg, accuracy_m

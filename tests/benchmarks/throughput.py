@@ -1,11 +1,12 @@
 """How fast the whole pipeline is: recordings of all sets, a day in blocks, a block, and its parts.
 
-usage: python -m tests.benchmarks.throughput [recordings] [pushed] [calls] [costs] [day] [--before TREE]
-       [--every 4] [--hours 24]
+usage: python -m tests.benchmarks.throughput [recordings] [pushed] [calls] [costs] [long] [--before TREE]
+       [--every 4] [--hours 24] [--batch 1000] [--days 7]
 
 The day is the embedded simulated walk repeated in time; costs are those of one real walk, a part of the filter left
 out or put in. `--before` is another checkout of the project: its recordings and pushed blocks are timed in turns with
 ours, ours twice, so that the two figures of one tree show what the machine adds. Times are of the processor, one core.
+A batch is one simulated recording of ten minutes under many names. A recording of days is the same walk repeated.
 """
 
 from __future__ import annotations
@@ -64,6 +65,43 @@ for _ in range(3):
     runs.append(cost)
 least = sorted(min(costs) for costs in zip(*runs))
 print(json.dumps([sum(least) / len(least), least[len(least) // 2], least[int(0.99 * len(least))]]))
+"""
+# In another process, so that the memory and the processor time of its workers are those of one batch.
+_OF_BATCH = """
+import json, resource, sys, time
+from contextlib import nullcontext
+from pathlib import Path
+from pdr_filter import batch
+
+def used():
+    both = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(r.ru_utime + r.ru_stime for r in both), max(r.ru_maxrss for r in both) / 1e3
+
+if __name__ == "__main__":
+    way, folder = sys.argv[1], Path(sys.argv[2])
+    files, cluster = sorted(folder.glob("*.zip"))[: int(sys.argv[3])], nullcontext()
+    batch.track(files[:1], out=folder / f"{way} first.csv")  # loads everything
+    if way == "dask":
+        from distributed import LocalCluster
+        cluster = LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None)
+    where = {"loop": {"jobs": 1}, "processes": {"jobs": 2}}.get(way) or {"scheduler": cluster.scheduler_address}
+    start, before = time.perf_counter(), used()[0]
+    with cluster:
+        rows = batch.track(files, out=folder / f"{way}.csv", **where)
+        elapsed_s = time.perf_counter() - start
+    assert not any(row.failed for row in rows), rows[0].reason
+    print(json.dumps([elapsed_s, used()[0] - before, used()[1]]))
+"""
+_OF_DAYS = """
+import json, resource, sys, time
+import pdr_filter as pdr
+from tests.benchmarks.throughput import long_walk
+recording = long_walk(24.0 * float(sys.argv[1]))
+start = time.process_time()
+pdr.track(recording)
+used_s, peak_mb = time.process_time() - start, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+held_mb = sum(s.time_s.nbytes + s.values.nbytes for s in (recording.accelerometer, recording.gyroscope)) / 1e6
+print(json.dumps([used_s, peak_mb, held_mb, recording.duration_s]))
 """
 
 
@@ -241,29 +279,58 @@ def calls(tables: Tables, arguments: argparse.Namespace) -> None:
     tables.write("throughput_calls", columns, rows, about)
 
 
-def day(tables: Tables, arguments: argparse.Namespace) -> None:
-    """A day in blocks of a minute: whether its cost is that of its length, and its memory that of an hour."""
+def _pushed_hours(n_hours: int) -> list[list[str]]:
+    """Return rows for hours pushed in blocks of a minute: the cost grows with their number, and the memory does not."""
     block, online, rows = pdr.merge_streams(long_walk(1.0)), pdr.OnlineFilter(), []
-    period_s, used_s, n_steps = float(block.time_s[-1]) + 0.01, 0.0, 0
-    for hour in range(arguments.hours):
+    period_s, used_s = float(block.time_s[-1]) + 0.01, 0.0
+    for hour in range(n_hours):
         for i in range(0, len(block.time_s), 6000):
             part = slice(i, i + 6000)
             time_s = block.time_s[part] + hour * period_s
             start = time.process_time()
-            updates = online.push(time_s, block.specific_force_mps2[part], block.angular_rate_radps[part])
+            online.push(time_s, block.specific_force_mps2[part], block.angular_rate_radps[part])
             used_s += time.process_time() - start
-            n_steps += len(updates)
-        if hour + 1 in (1, 2, 6, 12, 24, 48, 168):
-            peak_mb, saved_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3, len(online.save()) / 1e3
-            each_s = used_s / (hour + 1)
-            rows.append(
-                [hour + 1, n_steps, f"{used_s:.0f} s", f"{each_s:.2f} s", f"{peak_mb:.0f} MB", f"{saved_kb:.0f} kB"]
-            )
-    columns = ["hours", "steps", "processor time", "for each hour", "largest memory of the process", "saved filter"]
-    tables.write(
-        "throughput_day", columns, rows, f"Pushed in blocks of a minute, without storing the updates; {load()}."
-    )
+        if hour + 1 in (1, n_hours):
+            peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+            title = f"pushed in blocks of a minute, saved filter of {len(online.save()) / 1e3:.0f} kB"
+            rows.append([title, *_hours(hour + 1, used_s), "", "", f"{peak_mb:.0f} MB"])
+    return rows
+
+
+def _hours(hours: float, used_s: float) -> list[str]:
+    return [f"{hours:.1f}", f"{used_s:.0f} s", f"{used_s / hours:.1f} s"]
+
+
+def long(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Hours pushed to one filter, many recordings in three ways, and one recording of days."""
+    rows, each_s = _pushed_hours(arguments.hours), 0.0
+    with TemporaryDirectory() as folder:
+        first = long_walk(1 / 6).save(Path(folder) / "walk 0.zip")
+        for i in range(1, arguments.batch):
+            os.link(first, Path(folder) / f"walk {i}.zip")
+        ways = {"loop": "in a loop", "processes": "on two processes", "dask": "on a Dask cluster of two workers"}
+        for way, title in ways.items():
+            n = min(arguments.batch, 50) if way == "loop" else arguments.batch
+            elapsed_s, used_s, peak_mb = in_tree(ROOT, _OF_BATCH, way, folder, str(n))
+            each_s = each_s or used_s / n
+            more = "" if way == "loop" else f"{1e3 * (used_s / n - each_s):.0f} ms"
+            row = [*_hours(n / 6, used_s), more, f"{60 * n / elapsed_s:.0f}", f"{peak_mb:.0f} MB"]
+            rows.append([f"{n} recordings of ten minutes {title}", *row])
+    used_s, peak_mb, held_mb, duration_s = in_tree(ROOT, _OF_DAYS, str(arguments.days))
+    title = f"one recording of {duration_s / 86400:.2g} days, {held_mb:.0f} MB of samples"
+    rows.append([title, *_hours(duration_s / 3600, used_s), "", "", f"{peak_mb:.0f} MB"])
+    columns = [
+        "",
+        "hours",
+        "processor time",
+        "for each hour",
+        "each more than in a loop",
+        "a minute",
+        "largest process",
+    ]
+    about = f"A simulated walk repeated; that of ten minutes under many names, read from files; two cores, {load()}."
+    tables.write("throughput_day", columns, rows, about)
 
 
 if __name__ == "__main__":
-    run(__doc__, recordings, pushed, calls, costs, day, before=None, every=4, hours=24)
+    run(__doc__, recordings, pushed, calls, costs, long, before=None, every=4, hours=24, batch=1000, days=7.0)

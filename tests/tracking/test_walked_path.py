@@ -8,6 +8,7 @@ from helpers import cut_randomly
 
 import pdr_filter as pdr
 from pdr_filter.simulate import Leg, simulate
+from pdr_filter.tracking.whole_recording import outputs
 from pdr_filter.values import FloatArray, ImuBlock, PositionFix
 
 
@@ -29,6 +30,16 @@ def push(online: pdr.OnlineFilter, block: ImuBlock) -> list[pdr.StepUpdate]:
 def until(block: ImuBlock, time_s: float) -> ImuBlock:
     n = int(np.searchsorted(block.time_s, time_s))
     return ImuBlock(*(getattr(block, name)[:n] for name in ImuBlock.__dataclass_fields__))
+
+
+@pytest.mark.parametrize("weighting", ["imm", "wc", "hc"])
+def test_a_whole_recording_keeps_no_path_of_past_steps(weighting: str) -> None:
+    recording = simulate([Leg("walking", distance_m=60.0)], seed=2)
+    config = pdr.recipes.default().with_weighting(weighting)
+    *_, (state, _) = outputs(recording, config, [PositionFix(20.0, np.array([0.0, 30.0]), np.eye(2))])
+    path = state.tracker.pedestrian.path
+    assert state.last_fixes[-1].accepted
+    assert len(path.earlier) == len(path.events) == 0
 
 
 @pytest.mark.parametrize("weighting", ["imm", "wc"])

@@ -420,6 +420,14 @@ class PastPath:
         return np.where(time_s > self.shared_from_s, place_m - self.shared_from_m[:, None], 0.0)
 
 
+class NoPath(PastPath):
+    """Path without steps, for recordings: only `OnlineFilter.path` shows past steps."""
+
+    def with_event(self, event: WalkedStep | BackwardRelation) -> PastPath:
+        """Return the same path."""
+        return self
+
+
 def turned(alignment: Alignment, place_m: FloatArray, cov_m2: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return positions (2, N) and covariances (3, N) in the frame to which an alignment leads.
 

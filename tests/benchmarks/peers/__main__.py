@@ -16,6 +16,7 @@ from tests.benchmarks.common import Tables, run
 
 from . import of_filterpy, of_mobgap, of_skdh, ours, tables, textbook
 from .harness import outcome
+from .speed import speed
 
 METHODS = (*ours.METHODS, *textbook.METHODS, *of_mobgap.METHODS, *of_skdh.METHODS)
 PACKAGES = ("pdr_filter", "filterpy", "fastrvm", "mobgap", "scikit-digital-health", "pywavelets")
@@ -48,7 +49,7 @@ def processor() -> str:
 
 
 def compare(tables_: Tables, arguments: argparse.Namespace) -> None:
-    """All tables, of all methods."""
+    """All tables of results, of all methods."""
     files = Tables(tables_.command, None if arguments.every > 1 else tables_.folder)
     warnings.simplefilter("ignore")
     files.write(
@@ -66,13 +67,11 @@ def compare(tables_: Tables, arguments: argparse.Namespace) -> None:
 
     by_site = {}
     for site in arguments.sites:
-        walks = tables.walks_of(arguments.data, site, arguments.every)
+        walks = [tables.walk_of(path) for path in tables.files_of(arguments.data, site, arguments.every)]
         by_site[site] = [outcome(method, walks) for method in METHODS]
         for name, question in QUESTIONS[site]:
             files.write(name, *question(by_site[site]), f"{site}, {len(walks)} walks.")
-    if arguments.sites == list(QUESTIONS):
-        files.write("peers_speed", *tables.throughput(by_site), "Times real time, one core.")
 
 
 if __name__ == "__main__":
-    run(__doc__, compare, sites=list(QUESTIONS), every=1)
+    run(__doc__, compare, speed, sites=list(QUESTIONS), every=1, before=None)

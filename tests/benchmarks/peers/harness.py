@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -19,7 +18,6 @@ class Outcome:
     found: tuple[tuple[Walk, Found], ...]
     failures: tuple[str, ...]  # errors, one for each walk that it did not get through
     missing: str  # why the package cannot be used; empty if it can
-    times_real_time: float  # recorded time over that of the processor
 
     @property
     def title(self) -> str:
@@ -30,27 +28,19 @@ class Outcome:
 
 
 def outcome(method: Method, walks: Sequence[Walk]) -> Outcome:
-    """The method on each walk. Only its own work is timed, and not what it compiles or loads on its first walk."""
+    """Return what the method finds on each walk."""
     try:
         run = method.load()
     except ImportError as error:
-        return Outcome(method, (), (), f"not run: {method.package} is not installed ({error})", float("nan"))
+        return Outcome(method, (), (), f"not run: {method.package} is not installed ({error})")
     found: list[tuple[Walk, Found]] = []
     failures: list[str] = []
-    recorded_s = spent_s = 0.0
     for walk in walks:
-        _ = walk.body, walk.track  # made once, for whom it may concern
         try:
-            if not found:
-                run(walk)
-            begin_s = time.process_time()
             found.append((walk, run(walk)))
-            spent_s += time.process_time() - begin_s
         except Exception as error:  # whatever a package raises on real data is a result, and no reason to stop
             failures.append(f"{walk.recording.name}, {type(error).__name__}: {error}")
-            continue
-        recorded_s += walk.end_s - walk.start_s if method.walk_known else walk.recording.duration_s
-    return Outcome(method, tuple(found), tuple(failures), "", recorded_s / spent_s if spent_s else float("nan"))
+    return Outcome(method, tuple(found), tuple(failures), "")
 
 
 def table(columns: Sequence[str], outcomes: Sequence[Outcome], cells: Callable[[Outcome], Sequence[str]]) -> Table:

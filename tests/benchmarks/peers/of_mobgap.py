@@ -91,10 +91,26 @@ def _pipeline() -> Run:
     return run
 
 
+def _contacts_only(name: str) -> Run:
+    """Return the detection of contacts without stride length and speed."""
+    from mobgap import initial_contacts
+    from mobgap.consts import BF_SENSOR_COLS
+
+    detector = getattr(initial_contacts, name)()
+
+    def run(walk: Walk) -> Found:
+        data = _frame(walk, BF_SENSOR_COLS).iloc[walk.inside].reset_index(drop=True)
+        contacts = detector.clone().detect(data, sampling_rate_hz=RATE_HZ).ic_list_["ic"].to_numpy(dtype=int)
+        return Found(walk.time_s[walk.inside][contacts.clip(0, len(data) - 1)])
+
+    return run
+
+
+_NAMES = ("IcdIonescu", "IcdShinImproved", "IcdHKLeeImproved")
+DETECTORS = tuple(
+    Method(f"mobgap, {n}, contacts only", "mobgap", lambda n=n: _contacts_only(n), walk_known=True) for n in _NAMES
+)
 METHODS = (
-    *(
-        Method(f"mobgap, {n}", "mobgap", lambda n=n: _contacts(n), walk_known=True)
-        for n in ("IcdIonescu", "IcdShinImproved", "IcdHKLeeImproved")
-    ),
+    *(Method(f"mobgap, {n}", "mobgap", lambda n=n: _contacts(n), walk_known=True) for n in _NAMES),
     Method("mobgap, MobilisedPipelineHealthy", "mobgap", _pipeline),
 )

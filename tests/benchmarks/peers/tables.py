@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -41,12 +41,12 @@ def walk_of(path: Path) -> Walk:
     return Walk(recording, float(span[0]), float(span[1]))
 
 
-def walks_of(data: Path, site: str, every: int) -> list[Walk]:
-    """Every n-th walk of a site; of tyrex those in which the person walks."""
+def files_of(data: Path, site: str, every: int) -> list[Path]:
+    """Every n-th recording of a site; of tyrex those in which the person walks."""
     files = paths(data, site)
     if site == "tyrex":
         files = [p for p in files if p.stem.endswith(WALKING)]
-    return [walk_of(p) for p in files[::every]]
+    return files[::every]
 
 
 def within(found: Found, walk: Walk, edge_s: float) -> FloatArray:
@@ -217,11 +217,3 @@ def _finders(outcomes: Sequence[Outcome]) -> list[Outcome]:
 def _speedometers(outcomes: Sequence[Outcome]) -> list[Outcome]:
     """Those that give speeds, and those of which that is not known."""
     return [o for o in outcomes if not o.found or any(len(found.speed_mps) for _, found in o.found)]
-
-
-def throughput(by_site: Mapping[str, Sequence[Outcome]]) -> Table:
-    """How many times faster than real time each method is, by site."""
-    sites = list(by_site)
-    speed = {(site, o.method.name): o.times_real_time for site, outcomes in by_site.items() for o in outcomes}
-    first = next(iter(by_site.values()))
-    return table(sites, first, lambda o: [f"{speed[site, o.method.name]:.0f}" for site in sites])
