@@ -327,6 +327,24 @@ def test_saving_changes_nothing_and_loading_gives_an_equal_filter(short_walk: Re
     assert loaded.notes == online.notes
 
 
+def test_a_filter_that_is_saved_and_loaded_after_every_block_returns_the_same_steps() -> None:
+    walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=15.0)], seed=3)
+    samples = pdr.merge_streams(walk)
+
+    def steps(is_saved: bool) -> list[tuple[float, bool]]:
+        online, updates = pdr.OnlineFilter(), []
+        for i in range(0, len(samples.time_s), 10):
+            part = slice(i, i + 10)
+            updates += online.push(
+                samples.time_s[part], samples.specific_force_mps2[part], samples.angular_rate_radps[part]
+            )
+            if is_saved:
+                online = pdr.OnlineFilter.load(online.save())
+        return [(update.step.time_s, update.is_final) for update in [*updates, *online.finish()]]
+
+    assert steps(is_saved=True) == steps(is_saved=False)
+
+
 def test_a_fresh_filter_can_be_saved(short_walk: Recording) -> None:
     loaded = pdr.OnlineFilter.load(online_filter("imm").save())
     assert_updates_are_the_track(stream(loaded, [pdr.merge_streams(short_walk)]), tracked(short_walk))

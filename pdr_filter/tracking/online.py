@@ -132,7 +132,7 @@ class OnlineFilter:
         # A sample that completes a window waits for the next call, because the window would double the longest call.
         # `state` processes the sample first, so that no result depends on it.
         self._held: HeldSample | None = None
-        self._late = list[StepUpdate]()
+        self._late = list[StepUpdate]()  # steps of a held sample that no call has returned yet
 
     @property
     def state(self) -> State:
@@ -595,11 +595,11 @@ class OnlineFilter:
             warnings.warn(f"{text} pdr_filter: add them again after load", stacklevel=2)
             state = replace(state, waiting_fixes=own)
         try:
-            return serialise.to_bytes({"config": self.config, "state": state})
+            return serialise.to_bytes({"config": self.config, "state": state, "late": tuple(self._late)})
         except TypeError:  # classes of other packages in the configuration or in the state of a part
             pass
         try:
-            blob = serialise.to_bytes({"config": None, "state": state}, foreign=True)
+            blob = serialise.to_bytes({"config": None, "state": state, "late": tuple(self._late)}, foreign=True)
             serialise.check_classes(serialise.restored(serialise.from_bytes(blob)["state"], init(self.config)), state)
         except (TypeError, ValueError) as error:  # found when it is saved, not when it is loaded
             raise ValueError(
@@ -632,7 +632,9 @@ class OnlineFilter:
         """
         content = serialise.from_bytes(blob)
         whole = isinstance(content, dict) and {"config", "state"} <= content.keys()
-        if not (whole and isinstance(content["config"], Config | None) and isinstance(content["state"], State)):
+        whole = whole and isinstance(content["config"], Config | None) and isinstance(content["state"], State)
+        late = content.get("late", ()) if whole else None
+        if not (isinstance(late, tuple) and all(isinstance(each, StepUpdate) for each in late)):
             raise ValueError("the bytes do not contain a filter: give bytes that OnlineFilter.save returned")
         if config is None and content["config"] is None:
             raise ValueError(
@@ -641,6 +643,7 @@ class OnlineFilter:
             )
         loaded = cls(config or content["config"])
         loaded.state = content["state"] if config is None else _state_for_config(config, content["state"], loaded.state)
+        loaded._late = list(late)
         return loaded
 
 
