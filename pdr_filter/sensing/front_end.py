@@ -12,7 +12,7 @@ import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator, AttitudeState
 from pdr_filter.sensing.conditioning import Conditioner, ConditionerState, UniformBlock
-from pdr_filter.sensing.contexts.context_stage import ContextStage, WindowContext, with_cadence
+from pdr_filter.sensing.contexts.context_stage import ContextStage, WindowContext, WindowStage, with_cadence
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.feature_windows import FeatureWindow, FeatureWindows
 from pdr_filter.sensing.heading.heading_stage import HeadingStage, drift_in_time, with_shown_offsets
@@ -97,13 +97,13 @@ class HeldSample:
         The sample, a block of length one.
     attitude : AttitudeBlock
         Its attitude.
-    classified : tuple or None
-        New state of the context stage and the window, if the window has been classified.
+    described : object
+        Result of `WindowStage.describe`, or None if the window has not been described.
     """
 
     sample: UniformBlock
     attitude: AttitudeBlock
-    classified: _Classified | None
+    described: Any
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,8 +282,10 @@ class Sensing:
         first, last = uniform[0].cut(len(uniform[0].time_s) - 1)
         of_first, of_last = attitude.cut(len(first.time_s))
         state, events = self._detect(state, first, of_first, self._classify(state, first, of_first))
-        # A step costs nearly as much as a window, so that the window is classified in the call without a step.
-        return state, events, HeldSample(last, of_last, None if events else self._classify(state, last, of_last))
+        # A step costs as much as the description of a window, so that a call does one of them.
+        halves = self._window_stage
+        described = None if events or halves is None else halves.describe(state.contexts, last, of_last)
+        return state, events, HeldSample(last, of_last, described)
 
     def update_held(self, state: SensingState, held: HeldSample) -> tuple[SensingState, list[tuple[float, Event]]]:
         """Return the new state and the events of the sample that `update_early` has held.
@@ -302,8 +304,18 @@ class Sensing:
         events : list of (float, Step or WindowContext or Gap)
             Remaining events of `update`.
         """
-        classified = held.classified or self._classify(state, held.sample, held.attitude)
+        if held.described is None or self._window_stage is None:
+            classified = self._classify(state, held.sample, held.attitude)
+        else:
+            classified = self._window_stage.classify_described(state.contexts, held.described)
         return self._detect(state, held.sample, held.attitude, classified)
+
+    @property
+    def _window_stage(self) -> WindowStage[Any, Any, Any] | None:
+        """Context stage whose `update` has two halves, or None for other stages."""
+        stage = self.contexts
+        has_halves = isinstance(stage, WindowStage) and type(stage).update is WindowStage.update
+        return stage if has_halves else None
 
     def _completes_window(self, state: SensingState, part: UniformBlock) -> bool:
         """Return True if a block is one hop without a gap whose last sample completes a window."""
