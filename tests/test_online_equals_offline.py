@@ -315,6 +315,18 @@ def test_a_filter_saved_in_the_middle_of_a_walk_continues_as_if_nothing_had_happ
     assert_same_updates([*updates, *pdr.OnlineFilter.load(online.save()).finish()], expected)
 
 
+def test_a_filter_saved_while_a_window_waits_loses_no_step() -> None:
+    config = recipes.zhou2019()
+    walk = simulate([Leg("walking", distance_m=15.0)], seed=4)
+    online, updates = pdr.OnlineFilter(config), list[pdr.StepUpdate]()
+    for i, block in enumerate(cut(pdr.merge_streams(walk), list(range(0, 9999, 10)))):
+        updates += push(online, block)
+        if i % 10 <= 1:  # one sample after the end of a window
+            online = pdr.OnlineFilter.load(online.save())
+    updates += online.finish()
+    np.testing.assert_array_equal([u.step.time_s for u in updates if u.is_final], pdr.track(walk, config).time_s)
+
+
 def test_saving_changes_nothing_and_loading_gives_an_equal_filter(short_walk: Recording) -> None:
     first, second = cut(pdr.merge_streams(short_walk), [900])
     online = online_filter("wc")
