@@ -102,12 +102,9 @@ class UniformBlock:
         first, remaining : UniformBlock
             Both parts.
         """
-        rows = self.time_s, self.specific_force_mps2, self.angular_rate_radps, self.angular_rate_known
-        rows = *rows, self.magnetic_field_ut, self.magnetic_field_known
-        return (
-            UniformBlock(*(row[:n] for row in rows), gap_before_s=self.gap_before_s),
-            UniformBlock(*(row[n:] for row in rows), gap_before_s=0.0),
-        )
+        rows = [getattr(self, name) for name in self.__dataclass_fields__ if name != "gap_before_s"]
+        first = UniformBlock(*(row[:n] for row in rows), gap_before_s=self.gap_before_s)
+        return first, UniformBlock(*(row[n:] for row in rows), gap_before_s=0.0)
 
 
 @dataclass(frozen=True)

@@ -313,7 +313,7 @@ class Sensing:
     @property
     def _window_stage(self) -> WindowStage[Any, Any, Any] | None:
         """Context stage whose `update` has two halves, or None for other stages."""
-        stage = self.contexts
+        stage: Any = self.contexts
         has_halves = isinstance(stage, WindowStage) and type(stage).update is WindowStage.update
         return stage if has_halves else None
 
