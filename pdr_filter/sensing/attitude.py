@@ -84,22 +84,6 @@ class AttitudeBlock:
     heading_lost_var_rad2: FloatArray = field(default_factory=lambda: np.empty(0))
     quat: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
 
-    def cut(self, n: int) -> tuple[AttitudeBlock, AttitudeBlock]:
-        """Return the first n samples and the remaining samples.
-
-        Parameters
-        ----------
-        n : int
-            Number of samples of the first part.
-
-        Returns
-        -------
-        first, remaining : AttitudeBlock
-            Both parts.
-        """
-        rows = [getattr(self, name) for name in self.__dataclass_fields__]
-        return AttitudeBlock(*(row[:n] for row in rows)), AttitudeBlock(*(row[n:] for row in rows))
-
 
 @dataclass(frozen=True, eq=False)
 class AttitudeState:

@@ -89,26 +89,6 @@ class UniformBlock:
     magnetic_field_known: BoolArray
     gap_before_s: float
 
-    def cut(self, n: int) -> tuple[UniformBlock, UniformBlock]:
-        """Return the first n samples and the remaining samples.
-
-        Parameters
-        ----------
-        n : int
-            Number of samples of the first part.
-
-        Returns
-        -------
-        first, remaining : UniformBlock
-            Both parts.
-        """
-        rows = self.time_s, self.specific_force_mps2, self.angular_rate_radps, self.angular_rate_known
-        rows = *rows, self.magnetic_field_ut, self.magnetic_field_known
-        return (
-            UniformBlock(*(row[:n] for row in rows), gap_before_s=self.gap_before_s),
-            UniformBlock(*(row[n:] for row in rows), gap_before_s=0.0),
-        )
-
 
 @dataclass(frozen=True)
 class IntakeReport:

@@ -6,13 +6,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator, AttitudeState
 from pdr_filter.sensing.conditioning import Conditioner, ConditionerState, UniformBlock
-from pdr_filter.sensing.contexts.context_stage import ContextStage, WindowContext, with_cadence
+from pdr_filter.sensing.contexts.context_stage import ContextStage, WindowContext, WindowStage, with_cadence
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.feature_windows import FeatureWindow, FeatureWindows
 from pdr_filter.sensing.heading.heading_stage import HeadingStage, drift_in_time, with_shown_offsets
@@ -97,13 +97,13 @@ class HeldSample:
         The sample, a block of length one.
     attitude : AttitudeBlock
         Its attitude.
-    classified : tuple or None
-        New state of the context stage and the window, if the window has been classified.
+    described : object
+        Result of `WindowStage.describe`, or None if the window has not been described.
     """
 
     sample: UniformBlock
     attitude: AttitudeBlock
-    classified: _Classified | None
+    described: Any
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,11 +279,13 @@ class Sensing:
         if len(uniform) != 1 or not self._completes_window(state, uniform[0]):
             return *self._process_blocks(state, uniform), None
         state, attitude = self._with_attitude(state, uniform[0])
-        first, last = uniform[0].cut(len(uniform[0].time_s) - 1)
-        of_first, of_last = attitude.cut(len(first.time_s))
+        first, last = (_rows(uniform[0], part) for part in (_BUT_LAST, _LAST))
+        of_first, of_last = (_rows(attitude, part) for part in (_BUT_LAST, _LAST))
         state, events = self._detect(state, first, of_first, self._classify(state, first, of_first))
-        # A step costs nearly as much as a window, so that the window is classified in the call without a step.
-        return state, events, HeldSample(last, of_last, None if events else self._classify(state, last, of_last))
+        # A step costs as much as the description of a window, so that a call does one of them.
+        halves = self._window_stage
+        described = None if events or halves is None else halves.describe(state.contexts, last, of_last)
+        return state, events, HeldSample(last, of_last, described)
 
     def update_held(self, state: SensingState, held: HeldSample) -> tuple[SensingState, list[tuple[float, Event]]]:
         """Return the new state and the events of the sample that `update_early` has held.
@@ -302,8 +304,18 @@ class Sensing:
         events : list of (float, Step or WindowContext or Gap)
             Remaining events of `update`.
         """
-        classified = held.classified or self._classify(state, held.sample, held.attitude)
+        if held.described is None or self._window_stage is None:
+            classified = self._classify(state, held.sample, held.attitude)
+        else:
+            classified = self._window_stage.classify_described(state.contexts, held.described)
         return self._detect(state, held.sample, held.attitude, classified)
+
+    @property
+    def _window_stage(self) -> WindowStage[Any, Any, Any] | None:
+        """Context stage whose `update` has two halves, or None for other stages."""
+        stage: Any = self.contexts
+        has_halves = isinstance(stage, WindowStage) and type(stage).update is WindowStage.update
+        return stage if has_halves else None
 
     def _completes_window(self, state: SensingState, part: UniformBlock) -> bool:
         """Return True if a block is one hop without a gap whose last sample completes a window."""
@@ -496,6 +508,16 @@ def _with_cadences(
             event = with_cadence(event, median_hz, contexts)
         result.append((number, event))
     return result, cadence
+
+
+_BUT_LAST, _LAST = slice(None, -1), slice(-1, None)
+_B = TypeVar("_B", UniformBlock, AttitudeBlock)
+
+
+def _rows(block: _B, part: slice) -> _B:
+    """Return a block with a part of the samples. The block must follow the one before it without a gap."""
+    arrays = {name: value[part] for name, value in vars(block).items() if isinstance(value, np.ndarray)}
+    return replace_unchecked(block, **arrays)
 
 
 def _likely(prob: FloatArray) -> int:

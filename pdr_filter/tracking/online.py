@@ -594,12 +594,14 @@ class OnlineFilter:
             text = f"{n_waiting - len(own)} waiting measurements are not saved, because their classes are not of"
             warnings.warn(f"{text} pdr_filter: add them again after load", stacklevel=2)
             state = replace(state, waiting_fixes=own)
+        # Steps of a held sample, which the next push of the loaded filter returns.
+        late = {"late": tuple(self._late)} if self._late else {}
         try:
-            return serialise.to_bytes({"config": self.config, "state": state, "late": tuple(self._late)})
+            return serialise.to_bytes({"config": self.config, "state": state, **late})
         except TypeError:  # classes of other packages in the configuration or in the state of a part
             pass
         try:
-            blob = serialise.to_bytes({"config": None, "state": state, "late": tuple(self._late)}, foreign=True)
+            blob = serialise.to_bytes({"config": None, "state": state, **late}, foreign=True)
             serialise.check_classes(serialise.restored(serialise.from_bytes(blob)["state"], init(self.config)), state)
         except (TypeError, ValueError) as error:  # found when it is saved, not when it is loaded
             raise ValueError(
@@ -632,9 +634,10 @@ class OnlineFilter:
         """
         content = serialise.from_bytes(blob)
         whole = isinstance(content, dict) and {"config", "state"} <= content.keys()
-        whole = whole and isinstance(content["config"], Config | None) and isinstance(content["state"], State)
-        late = content.get("late", ()) if whole else None
-        if not (isinstance(late, tuple) and all(isinstance(each, StepUpdate) for each in late)):
+        late = content.get("late", ()) if whole else ()
+        is_late = isinstance(late, tuple) and all(isinstance(update, StepUpdate) for update in late)
+        known = whole and is_late and isinstance(content["config"], Config | None)
+        if not (known and isinstance(content["state"], State)):
             raise ValueError("the bytes do not contain a filter: give bytes that OnlineFilter.save returned")
         if config is None and content["config"] is None:
             raise ValueError(

@@ -93,7 +93,7 @@ def test_a_window_is_classified_apart_from_the_steps_of_its_hop() -> None:
         if held is not None:
             n_held += 1
             assert not any(isinstance(event, WindowContext) for _, event in first)
-            assert (held.classified is None) == (len(first) > 0)
+            assert (held.described is None) == (len(first) > 0)
             early, rest = sensing.update_held(early, held)
         assert [(s, type(event), event.time_s) for s, event in [*first, *rest]] == [
             (s, type(event), event.time_s) for s, event in events

@@ -65,8 +65,10 @@ def _here(run: Run, files: list[Path], walks: list[Walk]) -> FloatArray:
 
 def contestants(before: Path | None) -> list[Contestant]:
     """Return all installed methods. Our detector comes twice, and an earlier version as well if it is given."""
-    functions = ("detect_steps", "track") if before else ()
-    found = [Contestant(f"pdr_filter, {f}, before", partial(_of_tree, before, f)) for f in functions]
+    found = list[Contestant]()
+    if before is not None:
+        functions = "detect_steps", "track"
+        found = [Contestant(f"pdr_filter, {f}, before", partial(_of_tree, before, f)) for f in functions]
     for method in (*METHODS[:1], *METHODS):
         try:
             run = method.load()
