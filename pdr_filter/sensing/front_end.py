@@ -516,8 +516,8 @@ _B = TypeVar("_B", UniformBlock, AttitudeBlock)
 
 def _rows(block: _B, part: slice) -> _B:
     """Return a block with a part of the samples. The block must follow the one before it without a gap."""
-    arrays = {name: value[part] for name, value in vars(block).items() if isinstance(value, np.ndarray)}
-    return replace_unchecked(block, **arrays)
+    values: list[Any] = [getattr(block, name) for name in block.__dataclass_fields__]
+    return type(block)(*(value[part] if isinstance(value, np.ndarray) else value for value in values))
 
 
 def _likely(prob: FloatArray) -> int:
