@@ -516,8 +516,9 @@ _B = TypeVar("_B", UniformBlock, AttitudeBlock)
 
 def _rows(block: _B, part: slice) -> _B:
     """Return a block with a part of the samples. The block must follow the one before it without a gap."""
-    values: list[Any] = [getattr(block, name) for name in block.__dataclass_fields__]
-    return type(block)(*(value[part] if isinstance(value, np.ndarray) else value for value in values))
+    values = (getattr(block, name) for name in block.__dataclass_fields__)
+    rows: list[Any] = [value[part] if isinstance(value, np.ndarray) else value for value in values]
+    return type(block)(*rows)
 
 
 def _likely(prob: FloatArray) -> int:
