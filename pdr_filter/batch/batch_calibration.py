@@ -1,4 +1,8 @@
-"""Calibration with many recordings, each of which is reduced to its segments in the process that reads it."""
+"""Calibration of step lengths with many recordings, which several processes read.
+
+A segment is a part of a recording with a known distance, and its steps. The process that reads a recording returns only
+the segments, so that the samples are never copied between processes.
+"""
 
 from __future__ import annotations
 

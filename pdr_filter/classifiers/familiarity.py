@@ -61,7 +61,7 @@ class Familiarity(Stored):
 def unknown_share(distance: FloatArray, limit: float, sharpness: float) -> FloatArray:
     """Return the unknown share of windows at distances d (...) from the training windows.
 
-    It is zero for d <= limit and 1 - (limit / d)^sharpness beyond.
+    It is zero for d <= `limit` and 1 - (limit / d)^sharpness beyond.
     """
     return 1.0 - (limit / np.maximum(distance, limit)) ** sharpness
 

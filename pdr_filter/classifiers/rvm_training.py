@@ -50,21 +50,24 @@ class Likelihood(Protocol):
     """Log-concave likelihood of the targets as a function of the logits t (N,), independent for each row."""
 
     def log_likelihood(self, logit: FloatArray) -> float:
-        """Return ln p(y | t), in nats."""
+        """Return the log-likelihood ln p(y | t) of the targets y given the logits t, in nats."""
         ...
 
     def slope(self, logit: FloatArray) -> FloatArray:
-        """Return the derivatives of the log-likelihood with respect to the logits, d ln p / d t_n, (N,)."""
+        """Return the derivatives (N,) of the log-likelihood with respect to the logits."""
         ...
 
     def curvature(self, logit: FloatArray) -> FloatArray:
-        """Return beta_n = -d^2 ln p / d t_n^2, (N,), the curvatures of the log-likelihood, which are not negative."""
+        """Return minus the second derivatives (N,) of the log-likelihood with respect to the logits (not negative)."""
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bernoulli:
-    """Likelihood of targets 0 or 1 with p(y_n = 1) = sigma(t_n + offset_n) and row weights weight_n."""
+    """Likelihood of targets y_n, 0 or 1, with p(y_n = 1) = sigma(t_n + offset_n) and row weights weight_n.
+
+    t_n is the logit of row n, and sigma the logistic function.
+    """
 
     target: FloatArray  # (N,)
     weight: FloatArray  # (N,) positive
@@ -77,11 +80,17 @@ class Bernoulli:
         return float(self.weight @ (self.target * t - np.logaddexp(0.0, t)))
 
     def slope(self, logit: FloatArray) -> FloatArray:
-        """Return the weighted residuals y - sigma(t), (N,), of targets y and logits t (offset included)."""
+        """Return the weighted residuals y - sigma(t), (N,), of targets y and logits t (offset included).
+
+        sigma is the logistic function.
+        """
         return self.weight * (self.target - expit(logit + self.offset))
 
     def curvature(self, logit: FloatArray) -> FloatArray:
-        """Return the weighted sigma(t) (1 - sigma(t)), (N,), of logits t (offset included)."""
+        """Return the weighted sigma(t) (1 - sigma(t)), (N,), of logits t (offset included).
+
+        sigma is the logistic function.
+        """
         probability = expit(logit + self.offset)
         return self.weight * probability * (1.0 - probability)
 

@@ -61,7 +61,7 @@ class Kind:
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """State of a session between its messages. Waiting messages are kept separately."""
+    """State of a session between its messages, without the messages that still wait to be processed."""
 
     kind: Kind | None = None
     next_number: int = -1  # expected number of the next message if the app numbers them; -1 before the first

@@ -265,7 +265,7 @@ class StreamMerger:
         return state, rows[~is_late]
 
     def _restarted(self, state: MergerState) -> MergerState:
-        """Return the initial state with the counts of received and late samples kept."""
+        """Return the initial state, with the counts of received and late samples of the present state."""
         pairs = zip(self.init().streams, state.streams, strict=True)
         kept = (replace_unchecked(new, n_received=s.n_received, n_late=s.n_late) for new, s in pairs)
         return MergerState(tuple(kept))

@@ -86,7 +86,7 @@ def _about(rng: np.random.Generator, median: float, spread: float) -> float:
 
 
 def _texting(rng: np.random.Generator) -> Carrying:
-    """Return a random place and attitude of a phone in front of the chest, held in landscape by one in eight.
+    """Return a random place and attitude of a phone in front of the chest. One in eight people holds it in landscape.
 
     The pitch is that of the person (`Gait.tilt_rad`).
     """

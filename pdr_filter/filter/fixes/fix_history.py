@@ -80,7 +80,7 @@ class FixHistory:
         return replace_unchecked(self, used=(*since_gap, used)[-N_BEFORE:])
 
     def with_standstill(self, standstill: Standstill) -> FixHistory:
-        """Return the history with one more standstill. Only the last `MAX_STANDSTILLS` are kept."""
+        """Return the history with one more standstill. Only the last `MAX_STANDSTILLS` standstills stay in it."""
         standstills = (*self.standstills, (standstill.time_s, standstill.end_s))[-MAX_STANDSTILLS:]
         return replace_unchecked(self, standstills=standstills)
 

@@ -203,7 +203,7 @@ class HeightState:
     step_s : float
         Time of the last step.
     stairs_unknown_share : float
-        Share of the last window in which stairs cannot be recognised.
+        Dissimilarity of the last window to the stairs of the training data, 0 to 1. Stairs are not recognised at 1.
     start_altitude : Altitude
         Altitude of the start.
     """
@@ -324,7 +324,8 @@ def on_step(
 def with_fix(state: HeightState, fix: PositionFix | GridFix) -> HeightState:
     """Return the state of the height filter after a fix with a storey, an altitude, or both.
 
-    The storeys are renumbered, and the altitude updates that of the start. Without either the state is unchanged.
+    A storey renumbers the storeys of the state. An altitude updates the estimated altitude of the start. A fix without
+    either leaves the state unchanged.
     """
     if fix.floor is not None:
         state = with_floor(state, fix.floor)

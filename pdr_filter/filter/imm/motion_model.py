@@ -141,7 +141,11 @@ class Directions:
 
     @classmethod
     def of(cls, modes: Sequence[Mode]) -> Directions:
-        """Return the directions that the settings of the given modes define, with one element for each mode."""
+        """Return the walking directions of M modes.
+
+        The heading offset, heading noise, heading drift and extra position noise are those in the fields of each
+        `Mode`.
+        """
         return cls(
             heading_offset_rad=np.array([m.heading_offset_rad for m in modes]),
             heading_var_rad2=np.array([m.heading_std_rad**2 for m in modes]),
@@ -160,7 +164,7 @@ class Directions:
     def weighted(self, weights: FloatArray) -> Directions:
         """Return the directions of a single filter for all modes, with mode weights (M,).
 
-        The offset is that of the mode with the highest weight. Variances are weighted means.
+        The heading offset belongs to the mode with the highest weight. Variances are means weighted by mode.
         """
         return Directions(
             heading_offset_rad=self.heading_offset_rad[[int(weights.argmax())]],
@@ -471,7 +475,7 @@ def step_motion(
 
 
 def bound_heading_variance(cov: FloatArray) -> FloatArray:
-    """Return covariances whose heading variance is at most that of a uniform heading.
+    """Return covariances with a heading variance of at most pi^2 / 3, as for a uniformly distributed heading.
 
     The covariances with the other states are scaled by the same factor, so that the lever P[p, o] / P[o, o] does not
     change. A heading measured now then has less and less influence on steps made before the heading was lost.

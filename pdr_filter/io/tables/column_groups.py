@@ -160,7 +160,11 @@ def _unit(sheet: Sheet, quantity: str, axes: Sequence[Column]) -> str:
 
 
 class _Vector(NamedTuple):
-    """The three axes of a sensor, and the preference of the sensor (see `Group`)."""
+    """Columns of the three axes of a sensor.
+
+    `quantity` is the measured quantity. `preference` is 2 if the columns have calibrated values, 0 for uncalibrated
+    values and 1 if unknown. The sensor with the highest preference is used.
+    """
 
     quantity: str
     axes: list[Column]

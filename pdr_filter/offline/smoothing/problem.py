@@ -138,7 +138,10 @@ class ObservedStates:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservedMeasurements:
-    """Other measurements (`values.Measurement`) at anchors, with the positions for a first linearisation.
+    """User-defined measurements (`values.Measurement`), each assigned to the anchor nearest in time.
+
+    An anchor is a foot contact with a state of the smoother. Positions, directions and states have classes of their
+    own.
 
     Attributes
     ----------

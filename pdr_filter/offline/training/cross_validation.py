@@ -312,7 +312,7 @@ class TrainingPlan(ABC):
 
     @abstractmethod
     def held_out(self, windows: LabelledWindows) -> Mapping[str, BoolArray]:
-        """Return the groups of windows that are held out together, as masks (W,) by name."""
+        """Return the groups of windows that are held out together, as masks (W,) by the name of the group."""
 
     @abstractmethod
     def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]) -> ContextModel:

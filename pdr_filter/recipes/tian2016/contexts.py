@@ -283,7 +283,7 @@ class TianContexts:
         return TianContextsState(self.machine.init(), self.steps.init(), 0, -1, False, -1, 0)
 
     def after_gap(self, state: TianContextsState) -> TianContextsState:
-        """Return the state after a gap: the main mode is kept, a transition has ended, and the person stands.
+        """Return the state after a gap: the main mode is unchanged, a transition has ended, and the person stands.
 
         Parameters
         ----------

@@ -149,10 +149,10 @@ class OffsetCompensation:
         return OffsetCompensationState(self._carried.init())
 
     def after_gap(self, state: OffsetCompensationState) -> OffsetCompensationState:
-        """Return the state after a gap, which keeps only the reference angle of the viewing direction.
+        """Return the state after a gap: the initial state, with only `viewing_zero_rad` copied from the old state.
 
-        The reference angle (`viewing_zero_rad`) is the viewing direction minus the device heading at the first held
-        step.
+        `viewing_zero_rad` is the viewing direction minus the device heading at the first step with the phone held in
+        front of the body. The viewing direction is the horizontal direction in which the user looks at such a phone.
 
         Parameters
         ----------
