@@ -132,7 +132,7 @@ class Trained:
 class Additions(NamedTuple):
     """Basis functions to add in a pass: their indices, their alphas (prior precisions), and the gain of log evidence.
 
-    The gain is that of all of them together, in nats.
+    The gain, in nats, is the gain of all these functions together.
     """
 
     functions: IntArray  # (P,) in descending order of their evidence gain
@@ -421,7 +421,7 @@ def _precision(phi: FloatArray, beta: FloatArray, alpha: FloatArray) -> FloatArr
     """Return the precision matrix Phi^T B Phi + A (M, M) of the weights (Martinelli et al. 2018, eq. 10).
 
     It is the inverse of the posterior covariance. `phi` (M, N) is the transpose of Phi, with one basis function in each
-    row. B is the diagonal matrix of the curvatures `beta`, and A that of the prior precisions `alpha`.
+    row. B and A are diagonal matrices, B of the curvatures `beta` and A of the prior precisions `alpha`.
     """
     scaled = phi * np.sqrt(beta)
     precision = scaled @ scaled.T

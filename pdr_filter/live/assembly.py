@@ -268,7 +268,7 @@ def _kind_of(state: Assembly) -> Kind:
 
 
 def _latest_s(time_s: FloatArray) -> float:
-    """Return the latest time, ignoring a few outliers far ahead of all others."""
+    """Return the latest time, without a few outliers far ahead of all other times."""
     latest_s = np.sort(time_s)[-_SET_BACK_SAMPLES:]
     far = np.flatnonzero(np.diff(latest_s) > _STALE_S)
     return float(latest_s[far[0]] if len(far) else latest_s[-1])

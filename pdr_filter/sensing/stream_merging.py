@@ -218,7 +218,7 @@ class StreamMerger:
     def _buffered(self, state: MergerState, sensor: Sensor, new: FloatArray) -> MergerState:
         """Return the state with new rows (N, 1 + d) of a sensor buffered in order of time and late rows dropped.
 
-        Rows without a finite time are dropped, and those of other sensors than the accelerometer if any value is
+        Rows without a finite time are dropped, and so are rows of other sensors than the accelerometer if any value is
         missing.
         """
         finite = np.isfinite(new)

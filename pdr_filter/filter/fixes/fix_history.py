@@ -67,7 +67,7 @@ class FixHistory:
     searched_s: float = -math.inf
 
     def with_used(self, fix: PositionFix, track_m: FloatArray | None) -> FixHistory:
-        """Return the history with one more used fix, if its error can be correlated with that of later fixes.
+        """Return the history with one more used fix, if its error can be correlated with the errors of later fixes.
 
         A fix with `correlation_s` 0 is not stored. `track_m` is the track position at the time of the fix. The last
         `N_BEFORE` fixes are kept, without those before an earlier gap.

@@ -218,7 +218,7 @@ def good_places(
 
 
 def place_at(places: FloatArray, time_s: float) -> tuple[float, float] | None:
-    """Return east and north of the last accurate location before a time, in m.
+    """Return east and north in m of the last location at or before a time.
 
     `places` (P, 3) are the result of `good_places`. The result is None if there is no such location, or if it is more
     than 2 s old or not accurate.

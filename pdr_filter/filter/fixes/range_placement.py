@@ -100,7 +100,7 @@ class PlacedTrack:
     cov : (3, 3) array
         Covariance of the centre and the angle.
     log_odds : float
-        Log of the probability of this solution divided by that of the most probable one, 0 or less.
+        Log of the ratio of the probabilities of this solution and the most probable one, 0 or less.
     log_density : float
         Log density of the ranges and the prior at this pose.
     fits : tuple of bool

@@ -203,7 +203,8 @@ class HeightState:
     step_s : float
         Time of the last step.
     stairs_unknown_share : float
-        Dissimilarity of the last window to the stairs of the training data, 0 to 1. Stairs are not recognised at 1.
+        Dissimilarity of the last window to the stairs of the training data, 0 to 1. At 1, the context probabilities
+        give no evidence of stairs.
     start_altitude : Altitude
         Altitude of the start.
     """
@@ -339,7 +340,7 @@ def with_floor(state: HeightState, floor: int) -> HeightState:
     """Return the state with all storeys renumbered so that the present one has the given number."""
 
     def renamed(height: HeightEstimate) -> HeightEstimate:
-        """Return the estimate with renumbered storeys."""
+        """Return a height estimate with its storeys renumbered by the same difference."""
         return replace_unchecked(height, floors=renumbered(height.floors, floor - state.known.floors.floor))
 
     recent = tuple(replace_unchecked(second, before=renamed(second.before)) for second in state.recent)

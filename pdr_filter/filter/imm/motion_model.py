@@ -199,8 +199,8 @@ class MotionNoise:
     Notes
     -----
     The log scale is a stationary process, s_k = a s_{k-1} + w with a^2 = 1 - drift^2 / std^2. The default drift forgets
-    the scale after about 13,000 steps. The variance of the scale therefore never exceeds that between people, even
-    after a day.
+    the scale after about 13,000 steps. The variance of the scale therefore never exceeds the variance between people,
+    even after a day.
 
     Examples
     --------
@@ -381,8 +381,10 @@ def advance(
 ) -> Advance:
     """Return the prediction of a step, with one length for each mode.
 
-    p_k = p_{k-1} + d, with the displacement d of `StepMotion`; s_k = a s_{k-1}; P_k = F P_{k-1} F' + Q, with
-    F = d (p, o, s)_k / d (p, o, s)_{k-1}. The drift of the heading offset is not part of it (see `predict_heading`).
+    The state is the position p, the heading offset o and the log scale s, with covariance P. Step k changes it to p_k =
+    p_{k-1} + d, with the displacement d of `StepMotion`, and s_k = a s_{k-1}, with the decay a of `MotionNoise`. The
+    covariance is P_k = F P_{k-1} F' + Q, with the derivative F of the new state by the old one and the process noise Q.
+    The drift of the heading offset is not included (see `predict_heading`).
     """
     motion = step_motion(
         step.device_heading_rad,
@@ -447,7 +449,7 @@ class StepMotion(NamedTuple):
 
     @property
     def across(self) -> FloatArray:
-        """Unit vector v = d u / d psi across each step, (..., M, 2)."""
+        """Unit vector across each step, (..., M, 2): the derivative of the vector along the step by the heading."""
         return self.along[..., ::-1] * (1.0, -1.0)
 
 

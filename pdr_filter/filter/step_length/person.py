@@ -230,8 +230,8 @@ def session_of_scale(model: PedestrianModel, log_scale: float, var: float, n_fix
     """Return the step length that belongs to an estimated log scale, or None if the fixes added too little information.
 
     `log_scale` and `var` are mean and variance of the estimate at the end of the walk. The prior N(0, s^2) of the log
-    scale is removed from its posterior N(m, v). The remaining precision is w = 1 / v - 1 / s^2, the remaining mean (m /
-    v) / w. Fixes are too little if v is at least 90 % of s^2.
+    scale is removed from its posterior N(m, v). The remaining precision is w = 1 / v - 1 / s^2, and the remaining mean
+    is (m / v) / w. The fixes added too little information if v is at least 90 % of s^2.
     """
     prior_var = model.noise.log_scale_std**2
     if not 0 < var < _MAX_VAR_SHARE * prior_var:

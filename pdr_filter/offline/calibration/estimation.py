@@ -390,9 +390,10 @@ class _Chunk:
         self.set_regressors(sums, prior.mean, fixed)
 
     def set_regressors(self, sums: SegmentSums, mean: FloatArray, fixed: BoolArray) -> None:
-        """Set the regressors of the F estimated parameters (n, 2, F), and the share of the fixed parameters (n, 2).
+        """Set the regressors (n, 2, F) of the F estimated parameters, and the constant displacements (n, 2).
 
-        The share is the displacement of each of n segments that the fixed parameters explain.
+        The constant part of the displacement of each of n segments comes from the fixed parameters and the
+        linearisation.
         """
         regressors = sums.regressors[self.rows]
         self.A = np.ascontiguousarray(regressors[:, :, ~fixed])

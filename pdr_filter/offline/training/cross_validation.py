@@ -397,7 +397,7 @@ def part_progress(progress: Progress, start: float, span: float) -> Progress:
 
 
 def silent(what: str, fraction: float) -> None:
-    """Ignore the progress."""
+    """Do nothing. This is the default callback for the progress of a training."""
 
 
 def predicted(prob: FloatArray, labels: tuple[str, ...]) -> TextArray:

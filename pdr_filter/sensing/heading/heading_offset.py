@@ -95,9 +95,9 @@ class Offset:
         `STRIDE_MEASUREMENT` or `AXIS_MEASUREMENT`. `direction` is a complex number whose argument is the measured
         angle, with an absolute value of 1 on average. A shorter one has less weight.
 
-        With h = (1, 1, c), the predicted angle a and its variance V = h' P h, the mean moves to the direction of
-        e^(ia) / V + direction / r. This is the product of two von Mises distributions, and equals a Kalman update if
-        both are narrow.
+        Let P be the covariance of (o, g, s), h = (1, 1, c) and r = `var_rad2`. With the predicted angle a and its
+        variance V = h' P h, the mean moves to the direction of e^(ia) / V + direction / r. This is the product of two
+        von Mises distributions, and equals a Kalman update if both are narrow.
         """
         (o, g, s), (oo, og, os, gg, gs, ss) = self.mean, self.cov
         ph_o, ph_g, ph_s = oo + og + c * os, og + gg + c * gs, os + gs + c * ss  # P h
