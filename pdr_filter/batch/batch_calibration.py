@@ -58,9 +58,10 @@ def calibrate(
 ) -> Calibration:
     """Calibrate step lengths on many recordings, in parallel.
 
-    The result is that of `pdr_filter.calibrate` with all recordings. Each recording is reduced to its segments of known
-    length in the process that reads it. Recordings that cannot be used are skipped, with the reason in the notes.
-    The tracks are those of the default recipe. For other contexts or parts, use `pdr_filter.calibrate` with `config`.
+    The result equals the result of `pdr_filter.calibrate` with all recordings. Each recording is reduced to its
+    segments of known length in the process that reads it. Recordings that cannot be used are skipped, with the reason
+    in the notes. The tracks are computed with the default recipe. For other contexts or parts, use
+    `pdr_filter.calibrate` with `config`.
 
     Parameters
     ----------

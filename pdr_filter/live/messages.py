@@ -299,7 +299,8 @@ def phyphox_buffers(config: bytes) -> dict[str, tuple[str, ...]]:
 def phyphox_rows(answer: bytes, buffers: Mapping[str, tuple[str, ...]]) -> dict[str, SensorRows]:
     """Return the samples of each sensor in the answer of phyphox at /get, with times in s of the experiment.
 
-    `buffers` are the names from `phyphox_buffers`. MessageError if the answer is not that of phyphox.
+    `buffers` are the names from `phyphox_buffers`. MessageError if the answer does not have the form that phyphox
+    sends.
     """
     try:
         content: dict[str, Any] = json.loads(answer)["buffer"]

@@ -366,7 +366,7 @@ def degrees_of_freedom(pairs: Sequence[PairedPoint]) -> int:
 def variance_factor(squares: float, n_errors: int, n_before: int = 0) -> float:
     """Return the factor by which variances exceed their stated values, estimated from normalised squared errors.
 
-    The factor is at least one. `squares` is the sum over `n_errors` errors. The prior is that of `_STUDENT_DOF` errors
+    The factor is at least one. `squares` is the sum over `n_errors` errors. The prior is worth `_STUDENT_DOF` errors
     with the stated variances, plus `n_before` such errors.
     """
     return max((_STUDENT_DOF + n_before + squares) / (_STUDENT_DOF + n_before + n_errors), 1.0)

@@ -55,7 +55,7 @@ class LocationState:
     n_without_accuracy : int
         Number of locations without an accuracy.
     n_backward : int
-        Number of locations whose time is not finite or not after that of the last fix.
+        Number of locations whose time is not finite or not after the time of the last fix.
 
     Examples
     --------

@@ -52,7 +52,8 @@ class Mode:
     context : str, default the name
         Context whose probability is the evidence for the mode, or "irregular" for handling of the phone.
     step_length : StepLengthFit, default `bounce_fit()`
-        Step length in this mode. The default is that of the population. It has no effect if `moves` is False.
+        Step length in this mode. The default is the step length of the population. It has no effect if `moves` is
+        False.
     heading_offset_rad : float, default 0.0
         Walking heading minus the heading that the body faces, in rad: +pi/2 for steps to the right.
     heading_std_rad : float, default 0.1
@@ -60,7 +61,7 @@ class Mode:
     carrying_mode : str, optional
         Carrying mode whose probability is further evidence for the mode. None stands for any carrying mode.
     heading_drift_rad_per_sqrt_s : float, default 0.0
-        Random walk of the heading offset in rad per square root of a second, in addition to that of `MotionNoise`.
+        Random walk of the heading offset in rad per square root of a second, in addition to the drift in `MotionNoise`.
     extra_noise_m : float, default 0.0
         Standard deviation in m of each step along each axis, in addition to the errors of length and direction.
     moves : bool, default True

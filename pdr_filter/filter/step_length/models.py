@@ -322,8 +322,8 @@ class FrequencyVarianceStepLength:
     ----------
     max_variance : float, default infinity
         Upper bound of sigma_f^2 in m2/s4; larger values count as the bound. The variance of a phone in a trouser pocket
-        reaches ten times that of a phone in the hand. Parameters that were fitted in the hand would then give far too
-        long steps.
+        reaches ten times the variance of a phone in the hand. Parameters that were fitted in the hand would then give
+        far too long steps.
     max_frequency_hz : float, default 4.5
         Upper bound of f_s in Hz; larger values count as the bound. Sprinters reach 4.5 steps per second. Shorter
         intervals end at a false contact.
@@ -960,7 +960,7 @@ class StepLengthFit:
 class StepLengths:
     """Several fits that are evaluated together for one step.
 
-    The results equal those of `StepLengthFit.predict` for each fit, except for rounding.
+    The results equal `StepLengthFit.predict` of each fit, except for rounding.
     """
 
     fits: tuple[StepLengthFit, ...]

@@ -59,9 +59,10 @@ class Person:
     """Step length of one person, pooled over walks with fixes.
 
     `Track.person` returns the person of a track. Pass it to the next recording of the same person
-    (`pdr_filter.track(..., person=...)`). The step lengths of that track then start near those of the person, for any
-    body height. They are those of the walks combined with the prior of the recipe. A step-length model that does not
-    estimate the scale is not changed. ValueError for a model that is not linear in its parameters, as of guo2018.
+    (`pdr_filter.track(..., person=...)`). The step lengths of that track then start near the step lengths of the
+    person, for any body height. They are the step lengths of the walks, combined with the prior of the recipe. A
+    step-length model that does not estimate the scale is not changed. ValueError for a model that is not linear in its
+    parameters, as of guo2018.
 
     Attributes
     ----------
@@ -70,9 +71,9 @@ class Person:
 
     Notes
     -----
-    The step length is that of a typical step: level walking at 1.85 steps a second. Walks are weighted by the precision
-    of their estimates. No session contains the prior knowledge about people in general, which is therefore never
-    counted twice.
+    The step length is the length of a typical step: level walking at 1.85 steps a second. Walks are weighted by the
+    precision of their estimates. No session contains the prior knowledge about people in general, which is therefore
+    never counted twice.
 
     Examples
     --------

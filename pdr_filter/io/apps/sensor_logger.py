@@ -95,7 +95,7 @@ def is_without_seconds_elapsed(members: Members) -> bool:
 
 
 def looks_like_export(head: bytes) -> bool:
-    """Return True if the first bytes are those of an export of Sensor Logger.
+    """Return True if a file begins like an export of Sensor Logger, judged by its first bytes.
 
     An export is a JSON file, a file of messages that the app pushed, or a database.
     """

@@ -253,7 +253,8 @@ def _time_of(sheet: Sheet, quantity: str, places: Sequence[int], times: Sequence
     """Return the index of the column of times of a sensor, or None if the table has no times.
 
     A column named after the sensor is preferred. Next come shared columns, numbers before dates, and last the columns
-    of other sensors. `places` are the indices of the columns of the sensor, `times` those of the columns of times.
+    of other sensors. `places` are the indices of the columns of the sensor, and `times` the indices of the columns of
+    times.
     """
     if not times:
         return None

@@ -265,10 +265,11 @@ class _Task:
         """Return the posterior of the parameters of the population and of all S people, given all segments.
 
         The equations of a person's segments are linearised at this person's row of `about` (S, F), with the F estimated
-        parameters. `variances` are those of the last iteration. The noise variances are divided by `information`, the
-        information factor of the robust loss (`robust_loss.moments`). The factor is 1 for least squares. With the
-        factor, the covariances are those of an M-estimate with this loss. `first` is True in the first iteration: the
-        scale error of a recording then multiplies the known distances, and later the predicted ones.
+        parameters. `variances` are the variances of the last iteration. The noise variances are divided by
+        `information`, the information factor of the robust loss (`robust_loss.moments`). The factor is 1 for least
+        squares. With the factor, the covariances are those of an M-estimate with this loss. `first` is True in the
+        first iteration: the scale error of a recording then multiplies the known distances, and later the predicted
+        ones.
         """
         for chunk in self.chunks:
             phi = variances.noise / information

@@ -172,7 +172,7 @@ class SummedSegment:
     A worker process returns it in place of the steps. `contexts`, `models` and `derivatives` have equal lengths. Entry
     j of `derivatives` (2, p) is the derivative of the displacement of the segment, east and north, with respect to the
     p parameters of model j, for the steps of context j. `steps_in` (C,) are the numbers of steps in each of the
-    contexts `context_names`. The other fields are those of `Segment`.
+    contexts `context_names`. The other fields are the same as in `Segment`.
     """
 
     subject: str

@@ -230,7 +230,7 @@ class TianContexts:
     machine : CarryingMachine
         State machine of the carrying mode.
     steps : TianStepDetector
-        Step detector, which should equal that of the recipe. The person walks while it detects steps.
+        Step detector, which should equal the step detector of the recipe. The person walks while it detects steps.
     stationary_s : float, default 2.0
         Time in s without a step, outside transitions, after which the person stands.
 
