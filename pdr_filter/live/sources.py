@@ -227,8 +227,8 @@ class Mqtt:
         self._address, self._take = urlsplit(_with_scheme(address, "mqtt")), take
         if self._address.scheme not in _MQTT_PORTS or not self._address.hostname:
             raise MessageError(
-                f"--mqtt takes mqtt://HOST:PORT/TOPIC or mqtts://HOST:PORT/TOPIC, got {printable(address)!r}: "
-                "a broker is too slow for a phone over WebSocket, so give the TCP port of the broker"
+                f"--mqtt takes mqtt://HOST:PORT/TOPIC or mqtts://HOST:PORT/TOPIC, got {printable(address)!r}; over "
+                "WebSocket, brokers fall behind a phone, so give the port of the broker for TCP"
             )
 
     async def run(self) -> None:

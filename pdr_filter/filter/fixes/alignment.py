@@ -54,10 +54,10 @@ class Place:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """Transformation world = R (track - track_centre) + world_centre, with R a clockwise rotation.
+    """Transformation world = R (track - track_centre) + world_centre, with a clockwise rotation R.
 
-    The transformation leads from a frame of the track ("track") to another frame ("world"), which is usually that of
-    the fixes.
+    The transformation leads from a frame of the track ("track") to another frame ("world"), which is usually the frame
+    of the fixes.
 
     Attributes
     ----------

@@ -247,9 +247,9 @@ class RotationDensity:
         """Return a place in the frame of the fixes, with mean and covariance over all angles.
 
         Let positions be complex numbers north + i east and u = e^(i angle). A place at d from the centre is u d from it
-        in the frame of the fixes. Let r be the reported rotation: E[u], or the e^(i angle) at which positions are
-        reported. The deviations (u - r) d have the moments E|.|^2 = |d|^2 (1 - 2 Re(E[u] r*) + |r|^2) and E[.^2] = d^2
-        (E[u^2] - 2 r E[u] + r^2).
+        in the frame of the fixes. E is the mean over all angles, and r the rotation used for the output: E[u], or e^(i
+        angle) of the angle with the index `drawn`. The deviations (u - r) d have the moments E|.|^2 = |d|^2 (1 - 2
+        Re(E[u] r*) + |r|^2) and E[.^2] = d^2 (E[u^2] - 2 r E[u] + r^2).
         """
         u, u2 = (self.prob @ _UNIT_VECTORS_AND_SQUARES).tolist()
         r = u if self.drawn is None else cmath.rect(1.0, self.angle_rad)

@@ -267,7 +267,7 @@ class _Task:
         The equations of a person's segments are linearised at this person's row of `about` (S, F), with the F estimated
         parameters. `variances` are the variances of the last iteration. The noise variances are divided by
         `information`, the information factor of the robust loss (`robust_loss.moments`). The factor is 1 for least
-        squares. With the factor, the covariances are those of an M-estimate with this loss. `first` is True in the
+        squares. With the factor, the covariances are valid for an M-estimate with this loss. `first` is True in the
         first iteration: the scale error of a recording then multiplies the known distances, and later the predicted
         ones.
         """
