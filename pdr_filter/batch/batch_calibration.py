@@ -1,4 +1,8 @@
-"""Calibration with many recordings, each of which is reduced to its segments in the process that reads it."""
+"""Calibration of step lengths with many recordings, which several processes read.
+
+A segment is a part of a recording with a known distance, and its steps. The process that reads a recording returns only
+the segments, so that the samples are never copied between processes.
+"""
 
 from __future__ import annotations
 
@@ -54,9 +58,10 @@ def calibrate(
 ) -> Calibration:
     """Calibrate step lengths on many recordings, in parallel.
 
-    The result is that of `pdr_filter.calibrate` with all recordings. Each recording is reduced to its segments of known
-    length in the process that reads it. Recordings that cannot be used are skipped, with the reason in the notes.
-    The tracks are those of the default recipe. For other contexts or parts, use `pdr_filter.calibrate` with `config`.
+    The result equals the result of `pdr_filter.calibrate` with all recordings. Each recording is reduced to its
+    segments of known length in the process that reads it. Recordings that cannot be used are skipped, with the reason
+    in the notes. The tracks are computed with the default recipe. For other contexts or parts, use
+    `pdr_filter.calibrate` with `config`.
 
     Parameters
     ----------

@@ -115,7 +115,7 @@ class Row(Task):
 
     @property
     def task(self) -> Task:
-        """Recording and options of the row."""
+        """Task of the row: the recording and the options with which it was processed."""
         return Task(*(getattr(self, f.name) for f in fields(Task)))
 
     @property

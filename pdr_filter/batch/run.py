@@ -53,7 +53,7 @@ def track(
     recipe : str, default "default"
         Name of a recipe, which is called for the person and the placement of each recording.
     weighting : {"imm", "wc", "hc"}, optional
-        Weighting of the contexts. The default is that of the recipe.
+        Weighting of the contexts. The default is the weighting of the recipe.
     out : str or Path
         CSV file whose columns are the fields of `Row`, with one column for each context of the recipe. With the suffix
         .parquet, the table grows in a CSV file with the same name, and is finally written as Parquet, which needs

@@ -32,7 +32,7 @@ class Stored:
         return cls(**{f.name: arrays[f.name] if arrays[f.name].ndim else arrays[f.name].item() for f in stored})
 
     def _make_read_only(self, *names: str) -> None:
-        """Replace fields by read-only float64 copies."""
+        """Replace the named fields by read-only float64 copies."""
         for name in names:
             object.__setattr__(self, name, read_only(getattr(self, name)))
 

@@ -476,7 +476,7 @@ def blend_stairs_with_prior(prob: FloatArray, share: FloatArray, level_and_stair
 
 
 def load_model(name_or_path: str | Path) -> ContextModel:
-    """Load a shipped model by name, or a model by its path.
+    """Load a shipped model by its name, or any model by its path.
 
     Parameters
     ----------

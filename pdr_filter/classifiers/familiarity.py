@@ -20,8 +20,9 @@ _MIN_VARIANCE = 0.05
 class Familiarity(Stored):
     """Mahalanobis distance of a window to the training windows, and the unknown share that follows from it.
 
-    d^2 = 1/F sum_k y_k^2 / max(v_k, 0.05), with the features y along the principal axes of the training windows, and
-    their variances v. Windows like the training windows have squared distances of about one.
+    d^2 = 1/F sum_k y_k^2 / max(v_k, 0.05), with the F features of a window projected on the principal axes of the
+    training windows, y_k, and their variances v_k there. Windows like the training windows have squared distances of
+    about one.
     """
 
     axes: FloatArray  # (K, F) principal axes of the standardised features with a variance above 0.05
@@ -61,7 +62,7 @@ class Familiarity(Stored):
 def unknown_share(distance: FloatArray, limit: float, sharpness: float) -> FloatArray:
     """Return the unknown share of windows at distances d (...) from the training windows.
 
-    It is zero for d <= limit and 1 - (limit / d)^sharpness beyond.
+    It is zero for d <= `limit` and 1 - (limit / d)^sharpness beyond.
     """
     return 1.0 - (limit / np.maximum(distance, limit)) ** sharpness
 

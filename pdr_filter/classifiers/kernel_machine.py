@@ -94,7 +94,7 @@ def normalised_sigmoids(logit: FloatArray, variance: FloatArray) -> FloatArray:
     """Return class probabilities (K,) from one-against-all logits and their variances, (K,) each.
 
     p_k is proportional to sigma(kappa(variance_k) logit_k), with kappa(v) = (1 + pi v / 8)^(-1/2). This is the sigmoid
-    averaged over the uncertainty of the logit (MacKay 1992; Bishop 2006, eq. 4.153 and 4.154).
+    sigma averaged over the uncertainty of the logit (MacKay 1992; Bishop 2006, eq. 4.153 and 4.154).
     """
     moderated = logit / np.sqrt(1.0 + np.pi / 8.0 * variance)
     return softmax(-np.logaddexp(0.0, -moderated))  # in logarithms, because all sigmoids underflow far from all classes
@@ -103,9 +103,10 @@ def normalised_sigmoids(logit: FloatArray, variance: FloatArray) -> FloatArray:
 def moderated_softmax(logit: FloatArray, variance: FloatArray) -> FloatArray:
     """Return class probabilities (K,) from competing logits and their variances, (K,) each.
 
-    p_k is proportional to 1 / sum_j exp(-kappa(variance_k + variance_j) (logit_k - logit_j)), with j over all classes,
-    kappa as in `normalised_sigmoids`, and 1 for j = k (a mean-field form of Lu, Ie and Sha 2020). Without variance it
-    is the softmax. For two classes it is the moderated sigmoid of the difference.
+    The probability p_k of class k is proportional to 1 / sum_j exp(-kappa(variance_k + variance_j) (logit_k -
+    logit_j)), with kappa(v) = (1 + pi v / 8)^(-1/2). The sum is over all classes j, and its term for j = k is 1 (a
+    mean-field form of Lu, Ie and Sha 2020). Without variance p is the softmax. For two classes it is the moderated
+    sigmoid of the difference.
     """
     kappa = 1.0 / np.sqrt(1.0 + np.pi / 8.0 * (variance[:, None] + variance))
     advantage = kappa * (logit - logit[:, None])  # [k, j]: of j over k

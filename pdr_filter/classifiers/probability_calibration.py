@@ -11,10 +11,11 @@ from pdr_filter.values import BoolArray, FloatArray, IntArray, softmax
 
 
 def tempered(prob: FloatArray, temperature: float) -> FloatArray:
-    """Return probabilities (..., K) proportional to p^(1 / T): less confident for T > 1, more confident for T < 1.
+    """Return probabilities (..., K) proportional to p^(1 / T), with p = `prob` and the temperature T = `temperature`.
 
-    For a softmax, the logits are divided by T (Guo, Pleiss, Sun and Weinberger, "On calibration of modern neural
-    networks", ICML 2017, section 4.2). The order of the classes does not change, and zero stays zero.
+    They are less confident for T > 1 and more confident for T < 1. For a softmax, the logits are divided by T (Guo,
+    Pleiss, Sun and Weinberger, "On calibration of modern neural networks", ICML 2017, section 4.2). The order of the
+    classes does not change, and zero stays zero.
     """
     if temperature == 1.0:
         return prob

@@ -105,11 +105,12 @@ def train_one_against_all(
 def train_multinomial(
     functions: FloatArray, label: IntArray, weight: FloatArray, n_classes: int, budget: Budget
 ) -> list[Trained]:
-    """Train K >= 3 machines with competing logits, p_k = exp(t_k) / sum_j exp(t_j).
+    """Train K >= 3 machines with competing logits t_k: class k has the probability p_k = exp(t_k) / sum_j exp(t_j).
 
-    While the other logits are fixed, ln p_k = ln sigma(t_k + o_k) with the offset o_k = -ln sum_{j != k} exp(t_j). All
-    classes start from the one-against-all solution. They are trained in turn until a round raises the joint value by
-    less than `tol` per class (`_joint_value`), or until a limit of rounds or passes is reached.
+    sigma is the logistic function. While all logits but t_k are fixed, ln p_k = ln sigma(t_k + o_k) with the offset o_k
+    = -ln sum_{j != k} exp(t_j). All classes start from the one-against-all solution. They are trained in turn until a
+    round raises the joint value by less than `tol` per class (`_joint_value`), or until a limit of rounds or passes is
+    reached.
     """
     targets = [(label == k).astype(np.float64) for k in range(n_classes)]
     trained = train_one_against_all(functions, label, weight, n_classes, budget)

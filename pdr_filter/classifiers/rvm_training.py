@@ -50,21 +50,24 @@ class Likelihood(Protocol):
     """Log-concave likelihood of the targets as a function of the logits t (N,), independent for each row."""
 
     def log_likelihood(self, logit: FloatArray) -> float:
-        """Return ln p(y | t), in nats."""
+        """Return the log-likelihood ln p(y | t) of the targets y given the logits t, in nats."""
         ...
 
     def slope(self, logit: FloatArray) -> FloatArray:
-        """Return the derivatives of the log-likelihood with respect to the logits, d ln p / d t_n, (N,)."""
+        """Return the derivatives (N,) of the log-likelihood with respect to the logits."""
         ...
 
     def curvature(self, logit: FloatArray) -> FloatArray:
-        """Return beta_n = -d^2 ln p / d t_n^2, (N,), the curvatures of the log-likelihood, which are not negative."""
+        """Return minus the second derivatives (N,) of the log-likelihood with respect to the logits (not negative)."""
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bernoulli:
-    """Likelihood of targets 0 or 1 with p(y_n = 1) = sigma(t_n + offset_n) and row weights weight_n."""
+    """Likelihood of targets y_n, 0 or 1, with p(y_n = 1) = sigma(t_n + offset_n) and row weights weight_n.
+
+    t_n is the logit of row n, and sigma the logistic function.
+    """
 
     target: FloatArray  # (N,)
     weight: FloatArray  # (N,) positive
@@ -77,11 +80,17 @@ class Bernoulli:
         return float(self.weight @ (self.target * t - np.logaddexp(0.0, t)))
 
     def slope(self, logit: FloatArray) -> FloatArray:
-        """Return the weighted residuals y - sigma(t), (N,), of targets y and logits t (offset included)."""
+        """Return the weighted residuals y - sigma(t), (N,), of targets y and logits t (offset included).
+
+        sigma is the logistic function.
+        """
         return self.weight * (self.target - expit(logit + self.offset))
 
     def curvature(self, logit: FloatArray) -> FloatArray:
-        """Return the weighted sigma(t) (1 - sigma(t)), (N,), of logits t (offset included)."""
+        """Return the weighted sigma(t) (1 - sigma(t)), (N,), of logits t (offset included).
+
+        sigma is the logistic function.
+        """
         probability = expit(logit + self.offset)
         return self.weight * probability * (1.0 - probability)
 
@@ -123,7 +132,7 @@ class Trained:
 class Additions(NamedTuple):
     """Basis functions to add in a pass: their indices, their alphas (prior precisions), and the gain of log evidence.
 
-    The gain is that of all of them together, in nats.
+    The gain, in nats, is the gain of all these functions together.
     """
 
     functions: IntArray  # (P,) in descending order of their evidence gain
@@ -412,7 +421,7 @@ def _precision(phi: FloatArray, beta: FloatArray, alpha: FloatArray) -> FloatArr
     """Return the precision matrix Phi^T B Phi + A (M, M) of the weights (Martinelli et al. 2018, eq. 10).
 
     It is the inverse of the posterior covariance. `phi` (M, N) is the transpose of Phi, with one basis function in each
-    row. B is the diagonal matrix of the curvatures `beta`, and A that of the prior precisions `alpha`.
+    row. B and A are diagonal matrices, B of the curvatures `beta` and A of the prior precisions `alpha`.
     """
     scaled = phi * np.sqrt(beta)
     precision = scaled @ scaled.T

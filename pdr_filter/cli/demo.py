@@ -54,7 +54,7 @@ class Demo:
     replaced: tuple[Path, ...] = ()
 
     def print(self, console: Console, said: set[str] | None = None) -> None:
-        """Print the summary. Skip notes that are in `said`, and add the printed notes to `said`."""
+        """Print the summary. Notes in the set `said` are skipped as already printed; printed notes are added to it."""
         said = set() if said is None else said
         result = self.track
         console.print()

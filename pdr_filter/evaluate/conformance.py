@@ -71,7 +71,7 @@ class StageSamples:
         return [self.part(a, b) for a, b in pairwise(sorted({0, *(e % n for e in edges), n}))]
 
     def later(self, shift_s: float) -> StageSamples:
-        """Return the samples with all times, also those of the steps, later by `shift_s` seconds."""
+        """Return the samples with all times, also the times of steps, later by `shift_s` seconds."""
         block = replace(self.block, time_s=self.block.time_s + shift_s)
         steps = tuple(
             (n, replace(s, time_s=s.time_s + shift_s, detected_time_s=s.detected_time_s + shift_s))

@@ -15,9 +15,9 @@ def nees(error: FloatArray, cov: FloatArray) -> FloatArray:
     Parameters
     ----------
     error : ndarray of shape (N, D)
-        Errors, in any unit.
+        Errors e, in any unit.
     cov : ndarray of shape (N, D, D)
-        Covariances of the errors.
+        Covariances P of the errors.
 
     Returns
     -------
@@ -59,7 +59,7 @@ def nis(innovation: FloatArray, innovation_cov: FloatArray) -> FloatArray:
     Parameters
     ----------
     innovation : ndarray of shape (N, D)
-        Innovations, that is, measurement minus prediction.
+        Innovations v, that is, measurement minus prediction.
     innovation_cov : ndarray of shape (N, D, D)
         Covariances S of the innovations.
 

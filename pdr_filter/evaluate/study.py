@@ -88,8 +88,9 @@ def study_table(rows: Sequence[Table], people: Sequence[str] | None = None) -> T
     Table
         A row for each measure and track, with columns `measure`, `name`, `n_recordings`, `n_people`, `bias` (mean of
         the signed errors), `mean`, `low`, `high` (mean of the absolute errors with its interval), and `difference`,
-        `difference_low`, `difference_high` (absolute error minus that of the last track, paired by person; NaN for the
-        last track). Measures without any values are omitted. Recordings without a measure do not count for it.
+        `difference_low`, `difference_high` (absolute error minus the absolute error of the last track, paired by
+        person; NaN for the last track). Measures without any values are omitted. Recordings without a measure do not
+        count for it.
 
     Raises
     ------

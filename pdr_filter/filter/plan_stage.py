@@ -67,7 +67,7 @@ class PlanStage(Protocol):
     ) -> Any:
         """Return the state of the stage after a fix that the tracker has used or rejected.
 
-        `outcome` is that of the tracker, and `floor` the present storey.
+        `outcome` is how the tracker has treated the fix, and `floor` is the number of the present storey.
         """
         ...
 

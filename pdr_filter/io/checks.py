@@ -54,7 +54,7 @@ def checked_streams(
 
 
 def with_time(time_s: FloatArray, where: str, notes: list[str]) -> BoolArray:
-    """Return a mask of the rows with a time, and add a note about the others."""
+    """Return a mask of the rows with a known time, and add a note about rows of unknown time."""
     known = ~np.isnan(time_s)
     if not known.all():
         notes.append(f"{where}: {int((~known).sum())} rows without a time left out")

@@ -93,7 +93,7 @@ def spread(
 
 
 def _n_late(time_s: FloatArray) -> int:
-    """Return the number of rows whose time is earlier than that of a row above them, or 0 if only the clock jitters."""
+    """Return the number of rows that are earlier than a row above them, or 0 if only the clock jitters."""
     late_s = np.fmax.accumulate(time_s) - time_s
     return int((late_s > 0).sum()) if (late_s > _JITTER_S).any() else 0
 

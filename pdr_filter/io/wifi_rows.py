@@ -48,7 +48,7 @@ def heard_s(reported_s: FloatArray, claimed_s: FloatArray, notes: list[str]) -> 
 
     `reported_s` are the times at which the phone reported the signals, `claimed_s` the times of reception that it
     states. The stated times are used if they are between 1 s after and 60 s before the reports, in the median over all
-    rows. Otherwise all times are those of the reports, with a note.
+    rows. Otherwise all times are the times of the reports, with a note.
     """
     late_s = reported_s - claimed_s
     median_s = float(np.nanmedian(late_s)) if np.isfinite(late_s).any() else np.nan

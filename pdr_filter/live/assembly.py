@@ -61,7 +61,7 @@ class Kind:
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """State of a session between its messages. Waiting messages are kept separately."""
+    """State of a session between its messages, without the messages that still wait to be processed."""
 
     kind: Kind | None = None
     next_number: int = -1  # expected number of the next message if the app numbers them; -1 before the first
@@ -268,7 +268,7 @@ def _kind_of(state: Assembly) -> Kind:
 
 
 def _latest_s(time_s: FloatArray) -> float:
-    """Return the latest time, ignoring a few outliers far ahead of all others."""
+    """Return the latest time, without a few outliers far ahead of all other times."""
     latest_s = np.sort(time_s)[-_SET_BACK_SAMPLES:]
     far = np.flatnonzero(np.diff(latest_s) > _STALE_S)
     return float(latest_s[far[0]] if len(far) else latest_s[-1])

@@ -272,9 +272,9 @@ _PHYPHOX: Mapping[str, tuple[str, tuple[str, ...]]] = {
 def phyphox_buffers(config: bytes) -> dict[str, tuple[str, ...]]:
     """Names of the buffers of each sensor, time first, from what phyphox answers at /config.
 
-    MessageError if the answer is not that of phyphox, or if the experiment has no acceleration with gravity.
-    As the app writes it (phyphox-android, RemoteServer.java, handleConfig): inputs with their source, and outputs as
-    objects of one name each. An input over Bluetooth has no outputs.
+    MessageError if the answer does not have the form that phyphox sends, or if the experiment has no acceleration with
+    gravity. As the app writes it (phyphox-android, RemoteServer.java, handleConfig): inputs with their source, and
+    outputs as objects of one name each. An input over Bluetooth has no outputs.
     """
     try:
         inputs: list[dict[str, Any]] = json.loads(config)["inputs"]
@@ -299,7 +299,8 @@ def phyphox_buffers(config: bytes) -> dict[str, tuple[str, ...]]:
 def phyphox_rows(answer: bytes, buffers: Mapping[str, tuple[str, ...]]) -> dict[str, SensorRows]:
     """Return the samples of each sensor in the answer of phyphox at /get, with times in s of the experiment.
 
-    `buffers` are the names from `phyphox_buffers`. MessageError if the answer is not that of phyphox.
+    `buffers` are the names from `phyphox_buffers`. MessageError if the answer does not have the form that phyphox
+    sends.
     """
     try:
         content: dict[str, Any] = json.loads(answer)["buffer"]

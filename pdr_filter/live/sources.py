@@ -228,7 +228,7 @@ class Mqtt:
         if self._address.scheme not in _MQTT_PORTS or not self._address.hostname:
             raise MessageError(
                 f"--mqtt takes mqtt://HOST:PORT/TOPIC or mqtts://HOST:PORT/TOPIC, got {printable(address)!r}; over "
-                "WebSocket brokers fall behind a phone, so give the port of the broker for TCP"
+                "WebSocket, brokers fall behind a phone, so give the port of the broker for TCP"
             )
 
     async def run(self) -> None:

@@ -166,7 +166,7 @@ class Ground:
         return -np.log(prob / _N_DIRECTIONS).ravel()
 
     def heights(self, position_m: FloatArray) -> FloatArray:
-        """Return the cost (...) of being at positions (..., 2) in m. Off the grid it is that of leaving the outline."""
+        """Return the cost (...) of being at positions (..., 2) in m, off the grid the cost of leaving the outline."""
         index, inside = self.storey.index(position_m)
         return np.where(inside, self.height[index], self.terrain.outside)
 

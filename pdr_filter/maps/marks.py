@@ -209,7 +209,7 @@ def checksum_of(recording: Path) -> str:
 
 
 def version_of(files: Mapping[str, bytes]) -> str:
-    """Return a checksum (16 hex digits) of the contents of files, by name, such as those of `mark_files`.
+    """Return a checksum (16 hex digits) of the contents of files, by name, such as the result of `mark_files`.
 
     It shows whether another program has changed the files.
     """

@@ -23,9 +23,10 @@ def on_plan(
 
     The particles have positions (N, 2), weights (N,) that sum to one, and walking headings (N,). With the probability
     `elsewhere`, no particle is at the true position. `alternative` is the mean (2,) and the covariance (2, 2) of the
-    position in that case, or None if unknown. The returned mean is that of the particles in any case, because it is a
-    walkable position. The covariance is the mean square of both alternatives about that mean. Clusters are particles in
-    touching cells, in descending order of their weight. Clusters with less than a hundredth of the weight are left out.
+    position in that case, or None if unknown. The returned mean is the mean of the particles in any case, because it is
+    a walkable position. The covariance is the mean square of both alternatives about that mean. Clusters are particles
+    in touching cells, in descending order of their weight. Clusters with less than a hundredth of the weight are left
+    out.
     """
     mean, cov = moments(position_m, weight)
     cov = inflated_cov(mean, cov, elsewhere, alternative)

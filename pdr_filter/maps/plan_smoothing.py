@@ -158,9 +158,9 @@ class _Ancestors(NamedTuple):
 def _ancestors(events: Sequence[_Event]) -> Iterator[_Ancestors]:
     """Yield the ancestors of the final particles after each recorded event, from the last one to the first.
 
-    Events are steps, fixes, gaps and changes of storey. Before a restart the weights are those of the particles that
-    the restart replaced. Before the particles were first drawn, the earlier positions follow from their heading offsets
-    and scales, which are then constant.
+    Events are steps, fixes, gaps and changes of storey. Before a restart the weights belong to the particles that the
+    restart replaced. Before the particles were first drawn, the earlier positions follow from their heading offsets and
+    scales, which are then constant.
     """
     weight = events[-1].state.weight
     index = np.arange(len(weight))

@@ -159,8 +159,8 @@ class Config:
     def with_person(self, person: Person) -> Config:
         """Return a copy with the step lengths of a person.
 
-        The step lengths of the modes are scaled to the person, and the uncertainty of the step scale is set to that of
-        the person. A note states the step length.
+        The step lengths of the modes are scaled to the person, and the uncertainty of the step scale is set to the
+        uncertainty of the person. A note states the step length.
 
         Parameters
         ----------

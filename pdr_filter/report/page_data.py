@@ -130,7 +130,10 @@ def _ellipses(cov_m2: FloatArray) -> tuple[tuple[FloatArray, FloatArray], FloatA
 
 
 def _with_ellipse(track: TrackRows, shown: IntArray, major_m: FloatArray) -> list[int]:
-    """Return the indices in `shown` of the steps whose ellipse is always drawn: at equal distances, and the last."""
+    """Return the indices of the steps whose error ellipse is always drawn: at equal distances, and the last.
+
+    The indices refer to `shown`, the steps that the page draws.
+    """
     if not len(shown):
         return []
     nearest = np.clip(np.searchsorted(shown, ellipse_rows(track.step_length_m)), 0, len(shown) - 1)
@@ -214,7 +217,7 @@ def _truth(track: TrackRows, recording: Recording, shown: IntArray) -> dict[str,
 
 
 def _positions_at(track: TrackRows, shown: IntArray, at_s: FloatArray) -> FloatArray:
-    """Return the track positions (T, 2) at given times, interpolated between the shown steps."""
+    """Return the track positions (T, 2) at given times, interpolated between the steps that the page draws."""
     time_s = np.append(track.start_time_s, track.time_s[shown])
     way_m = np.vstack([track.start_position_m, track.position_m[shown]])
     return interpolated(at_s, time_s, way_m)

@@ -337,7 +337,7 @@ class AttitudeEstimator:
 
 
 def _rows(waiting: FloatArray, block: UniformBlock) -> FloatArray:
-    """Return the buffered samples followed by those of a block, with attitudes and headings not yet filled in."""
+    """Return the buffered samples followed by the samples of a block, with attitudes and headings not yet filled in."""
     rows = np.empty((len(waiting) + len(block.time_s), waiting.shape[1]))
     rows[: len(waiting)], new = waiting, rows[len(waiting) :]
     new[:, _RATE], new[:, _FORCE] = block.angular_rate_radps, block.specific_force_mps2
@@ -365,7 +365,9 @@ def _bias_window(rows: FloatArray) -> BiasWindow:
 
 
 def _real_and_along_up(quat: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the parts d_w and d_z of d = q q_0*, the rotation of attitudes q (N, 4) from a reference q_0 (4,).
+    """Return the real part d_w and the part along up, d_z, of the rotation d = q q_0*.
+
+    d leads from a reference attitude q_0 (4,) to attitudes q (N, 4).
 
     The twist, which is the clockwise turn about up without the tilt, is -2 atan2(d_z, d_w). The tilt theta satisfies
     d_w^2 + d_z^2 = (1 + cos theta) / 2.

@@ -52,7 +52,7 @@ class ClockState:
     behind_s : float
         Time of the last row that lies behind the last accepted one, on the track clock, s.
     is_running : bool
-        True if the time of any of the `n_behind` rows is later than that of the row before it. False means that the
+        True if the time of any of the `n_behind` rows is later than the time of the row before it. False means that the
         clock stands still.
     n_behind : int
         Consecutive rows that lie behind the last accepted one.

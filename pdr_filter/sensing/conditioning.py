@@ -640,7 +640,7 @@ def merge_streams(recording: Recording, max_gap_s: float = MAX_GAP_S) -> ImuBloc
 
 
 def _check_clock(sensor: str, stream: Samples | None, at_s: FloatArray, max_gap_s: float) -> None:
-    """Raise a ValueError if no time of a stream lies within those of the accelerometer: the clocks differ."""
+    """Raise a ValueError if no time of a stream lies within the times of the accelerometer: the clocks differ."""
     own_s = np.empty(0) if stream is None else stream.time_s[np.isfinite(stream.time_s)]
     at_s = at_s[np.isfinite(at_s)]
     if (

@@ -133,7 +133,7 @@ class Device:
         Raises
         ------
         ValueError
-            If the file is missing, damaged or of another kind. The message names the file.
+            If the file is missing or damaged, or is not a device file. The message names the file.
         """
         from pdr_filter.io.files.safe_files import read_json
 

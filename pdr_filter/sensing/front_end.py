@@ -238,7 +238,7 @@ class Sensing:
         state : SensingState
             State after the previous block.
         block : ImuBlock
-            Raw samples of any number, such as those of `pdr_filter.merge_streams`.
+            Raw samples of any number, such as the result of `pdr_filter.merge_streams`.
 
         Returns
         -------

@@ -222,8 +222,8 @@ class GyroBias:
     walking_acc_mps2 : float
         Standard deviation of the specific force above which the pedestrian walks, m/s2.
     corner_rad, tilted_rad : float
-        A straight walk ends when the heading differs from that of the last two windows by more than `corner_rad`, or
-        the direction of gravity from that of the first window by more than `tilted_rad`.
+        A straight walk ends when the heading differs from the heading in the last two windows by more than
+        `corner_rad`, or the direction of gravity from its direction in the first window by more than `tilted_rad`.
     straight_s : tuple of float
         Shortest and longest straight walk that is one measurement, s. The window at each end is not used, because
         corners are rounded. The turn within a straight walk does not grow with its length (0.15 to 0.2 rad between 4
@@ -692,8 +692,8 @@ def _direction(bank: _Bank) -> tuple[float, float]:
     """Return the heading error of the mixture and its variance, both computed on the circle.
 
     Filter j of the bank has the weight w_j, and its heading error the mean m_j and the variance P_j. The resultant of
-    these wrapped normal distributions is r = sum_j w_j exp(i m_j - P_j / 2). The error is the direction of
-    r, with the number of full turns of the most probable filter. The variance is -2 log |r|, at most that of a uniform
+    these wrapped normal distributions is r = sum_j w_j exp(i m_j - P_j / 2). The error is the direction of r, with the
+    number of full turns of the most probable filter. The variance is -2 log |r|, at most the variance of a uniform
     heading. Linear moments would be wrong: the linear mean of errors of 0 and 7 rad is a direction that no filter has.
     """
     mean, cov, log_weight = bank

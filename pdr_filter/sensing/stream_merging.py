@@ -218,7 +218,7 @@ class StreamMerger:
     def _buffered(self, state: MergerState, sensor: Sensor, new: FloatArray) -> MergerState:
         """Return the state with new rows (N, 1 + d) of a sensor buffered in order of time and late rows dropped.
 
-        Rows without a finite time are dropped, and those of other sensors than the accelerometer if any value is
+        Rows without a finite time are dropped, and so are rows of other sensors than the accelerometer if any value is
         missing.
         """
         finite = np.isfinite(new)
@@ -265,7 +265,7 @@ class StreamMerger:
         return state, rows[~is_late]
 
     def _restarted(self, state: MergerState) -> MergerState:
-        """Return the initial state with the counts of received and late samples kept."""
+        """Return the initial state, with the counts of received and late samples of the present state."""
         pairs = zip(self.init().streams, state.streams, strict=True)
         kept = (replace_unchecked(new, n_received=s.n_received, n_late=s.n_late) for new, s in pairs)
         return MergerState(tuple(kept))

@@ -199,6 +199,6 @@ class VehicleVibration:
 
 
 def _jitter(magnitude: FloatArray) -> list[float]:
-    """Return the jitter in m/s2 of each second of |f|, given as an array of shape (S, N)."""
+    """Return the jitter in m/s2 of the magnitude of the specific force, (S, N), in each of S seconds."""
     means = magnitude.reshape(len(magnitude), round(_JITTER_HZ), -1).mean(axis=2)
     return np.sqrt((np.diff(means) ** 2).mean(axis=1)).tolist()

@@ -384,8 +384,8 @@ def _leg_steps(
     """Return the durations in s and the lengths in m of the steps of one moving leg.
 
     `before` is the previous leg if the person continues from it without a stop, else None. The steps after setting off
-    and before stopping are shorter. The sum of the durations or of the lengths is that of the leg, except for a
-    distance on stairs.
+    and before stopping are shorter. The sum of the durations or of the lengths equals the duration or length of the
+    leg, except for a distance on stairs.
     """
     frequency_hz, mean_m = nominal_step(leg, gait)
     on_stairs = CONTEXT_GAITS[leg.context].rise_m != 0.0

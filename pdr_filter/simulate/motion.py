@@ -1,13 +1,14 @@
 """Exact motion of body and phone, computed on a fine grid and represented by one quintic spline.
 
 World frame: east, north, up. Body frame: right, forward, up; at heading 0 it equals the world frame. The attitude of
-the phone is R = Rz(a) Rx(b) Ry(c) Rx(p) Ry(r) Rz(t), from the sensor frame to the world frame. The angle a is minus the
-heading plus a yaw; this yaw and the angles b and c are the rotation by a stride in the body frame. The angles p, r and
-t are the mean attitude in which the phone is carried. Specific force R^T (p'' + g up) and angular rate are derivatives
-of the same spline, so that they agree with position and attitude except for rounding.
+the phone is R = Rz(a) Rx(b) Ry(c) Rx(p) Ry(r) Rz(t), from the sensor frame to the world frame. The angles p, r and t
+(pitch, roll, twist) are the mean attitude in which the phone is carried. Each stride rocks the phone about this
+attitude, by the pitch b, the roll c and a yaw in the body frame. The angle a is this yaw minus the heading. Let x be
+the position of the phone and g standard gravity. Specific force R^T (x'' + g up) and angular rate are derivatives of
+the same spline, so that they agree with position and attitude except for rounding.
 
-The motion by a stride is the sum of the harmonics in `strides`. Displacements are the measured specific forces divided
-by minus the squared angular frequency.
+The periodic motion of the phone in a stride is the sum of the harmonics in `strides`. The harmonics of the displacement
+are those of the measured specific force divided by minus the squared angular frequency.
 """
 
 from __future__ import annotations

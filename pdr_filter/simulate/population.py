@@ -86,9 +86,9 @@ def _about(rng: np.random.Generator, median: float, spread: float) -> float:
 
 
 def _texting(rng: np.random.Generator) -> Carrying:
-    """Return a random place and attitude of a phone in front of the chest, held in landscape by one in eight.
+    """Return a random place and attitude of a phone in front of the chest. One in eight people holds it in landscape.
 
-    The pitch is that of the person (`Gait.tilt_rad`).
+    The pitch is the pitch of this person (`Gait.tilt_rad`).
     """
     across = _side(rng) * np.pi / 2 if rng.uniform() < 0.12 else 0.0
     return Carrying(

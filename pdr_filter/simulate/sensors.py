@@ -113,7 +113,7 @@ class SensorErrors:
     Attributes
     ----------
     accelerometer, gyroscope, magnetometer : SensorError
-        Errors of the sensors. The defaults are those of a TDK InvenSense ICM-20600 and an AKM AK09911.
+        Errors of the sensors. The defaults are the errors of a TDK InvenSense ICM-20600 and an AKM AK09911.
     barometer : SensorError, optional
         Errors of the barometer. By default the phone has no barometer. `simulate.BAROMETER` is a typical one.
     jitter_s : float, default 2e-4
@@ -157,6 +157,6 @@ class SensorErrors:
         Returns
         -------
         SensorErrors
-            Errors with 180 ug/sqrt(Hz) and 7 mdps/sqrt(Hz). All others are those of the default.
+            Errors with 180 ug/sqrt(Hz) and 7 mdps/sqrt(Hz). All other errors have their default.
         """
         return cls(accelerometer=_accelerometer(180.0), gyroscope=_gyroscope(7.0))

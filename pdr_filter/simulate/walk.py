@@ -105,7 +105,7 @@ def simulate(
     rate_hz : float, default 100.0
         Sampling rate of accelerometer and gyroscope in Hz, from 20 to 500.
     errors : SensorErrors, optional
-        Errors of the sensors. By default those of a typical phone.
+        Errors of the sensors. The default are the errors of a typical phone.
     seed : int, default 0
         Seed of all random numbers. Equal seeds give equal recordings. The walk does not depend on `errors` and
         `rate_hz`.

@@ -168,7 +168,8 @@ class Output:
 def init(config: Config) -> State:
     """Return the state of a filter before its first sample.
 
-    With a floor plan, the storey is that of the start on the plan, and the origin of the locations that of the plan.
+    With a floor plan, the storey is the storey of the start on the plan, and the plan gives the origin of the
+    locations.
     """
     state = State(config.sensing.init(), config.tracker.init(), config.climb_rate.init())
     on_plan = config.on_plan

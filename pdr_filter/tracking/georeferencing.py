@@ -24,7 +24,7 @@ def with_north(config: Config, recording: Recording, placement: TrackPlacement, 
     `placement.north` selects the source. If it is None, the magnetometer is the source if locations are used as fixes
     (`with_location`, and `placement.gnss` is not "align"), if the recipe learns walking directions, and if the
     recording has a gyroscope and a magnetometer. Otherwise there is no source. The declination is 0 for "true-heading".
-    For other sources it is that of the given place, or else of the first usable location. Without any place the
+    For other sources it is computed for the given place, or else for the first usable location. Without any place the
     declination of a selected source is uncertain, and with `placement.north` None the configuration is unchanged.
     """
     north, where = placement.north, placement.place

@@ -69,7 +69,7 @@ class DeadReckoning:
         an aligned position along each axis is the variance of this centre plus the result. Let w(t) be the variance of
         dead reckoning until t. Its error is shared by all later positions, so that the covariance of two positions is
         min(w(t), w(s)). Let a_i be the weights of the locations in the centre, and w_i the variances w at their times.
-        The dead-reckoning error at t relative to that of the centre has the variance
+        The dead-reckoning error at t relative to the error of the centre has the variance
 
             w(t) - 2 sum_i a_i min(w(t), w_i) + sum_ij a_i a_j min(w_i, w_j).
 

@@ -592,7 +592,7 @@ class OnlineFilter:
         own = tuple(fix for fix in state.waiting_fixes if isinstance(fix, OWN_FIXES))
         if len(own) < n_waiting:
             text = f"{n_waiting - len(own)} waiting measurements are not saved, because their classes are not of"
-            warnings.warn(f"{text} pdr_filter: add them again after load", stacklevel=2)
+            warnings.warn(f"{text} pdr_filter: add these measurements to the loaded filter again", stacklevel=2)
             state = replace(state, waiting_fixes=own)
         # Steps of a held sample, which the next push of the loaded filter returns.
         late = {"late": tuple(self._late)} if self._late else {}

@@ -322,8 +322,8 @@ def detect_steps(recording: Recording, config: Config | None = None) -> Table:
 
     Notes
     -----
-    The steps are those of `track`. The columns of the walking direction and of north stay unknown, with an infinite
-    standard deviation: `track(recording).steps` has them, and takes two to three times as long.
+    The steps are the same as in `track`. The columns of the walking direction and of north stay unknown, with an
+    infinite standard deviation: `track(recording).steps` has them, and takes two to three times as long.
 
     Examples
     --------

@@ -41,7 +41,10 @@ class FeatureSet(Protocol):
 
     @property
     def low_pass_hz(self) -> float | None:
-        """Cutoff frequency of the low-passed |f|, Hz. None if no feature uses that signal, which is then zero."""
+        """Cutoff frequency in Hz of the low-passed magnitude of the specific force.
+
+        None if no feature uses this signal, which is then zero.
+        """
         ...
 
     def describe(self, windows: FloatArray, rate_hz: float) -> FloatArray:
@@ -155,7 +158,7 @@ class JoinedFeatures:
 
     @property
     def low_pass_hz(self) -> float | None:
-        """Cutoff frequency of the low-passed |f|, Hz, or None if no set uses that signal."""
+        """Cutoff frequency in Hz of the low-passed magnitude of the specific force, or None if no set uses it."""
         return next((each.low_pass_hz for each in self.sets if each.low_pass_hz is not None), None)
 
     def describe(self, windows: FloatArray, rate_hz: float) -> FloatArray:

@@ -90,6 +90,9 @@ def repeated_cov_m2(fix: PositionFix, before: Sequence[PositionFix]) -> FloatArr
 
 
 def _root(cov: FloatArray) -> FloatArray:
-    """Return the symmetric square root of a covariance (2, 2): (P + sqrt(det) I) / sqrt(tr + 2 sqrt(det))."""
+    """Return the symmetric square root of a covariance P (2, 2), from its determinant det and its trace tr.
+
+    The root is (P + sqrt(det) I) / sqrt(tr + 2 sqrt(det)).
+    """
     det = np.sqrt(max(float(np.linalg.det(cov)), 0.0))
     return (cov + det * np.eye(2)) / np.sqrt(float(np.trace(cov)) + 2.0 * det)

@@ -14,7 +14,7 @@ from pdr_filter.values.arrays import FloatArray
 
 
 def softmax(log_weight: FloatArray) -> FloatArray:
-    """Return the probabilities exp(l_k) / sum_j exp(l_j) over the last axis, without overflow."""
+    """Return the probabilities exp(l_k) / sum_j exp(l_j) of log weights l over the last axis, without overflow."""
     relative = np.exp(log_weight - np.maximum.reduce(log_weight, axis=-1, keepdims=True))
     return relative / np.add.reduce(relative, axis=-1, keepdims=True)
 

@@ -34,7 +34,7 @@ def check_declared(cls: type[Any], content: Mapping[str, Any]) -> None:
 
 
 def check_whole(value: Any) -> None:
-    """Raise ValueError if a field of a dataclass, or of a nested dataclass, is not of its declared type."""
+    """Raise ValueError if a field of a dataclass or of a dataclass inside it does not have its declared type."""
     content = {f.name: getattr(value, f.name) for f in fields(value) if f.init}
     check_declared(type(value), content)
     for part in content.values():

@@ -39,7 +39,8 @@ class Windows:
         Dissimilarity of the window to the training windows of the classifier, 0 to 1. `context_prob` already includes
         it.
     stairs_unknown_share : ndarray, shape (W,)
-        Dissimilarity of the window and the place of the phone to the stairs in the training data, 0 to 1.
+        0 if the training data contain stairs with similar signals and the same place of the phone, 1 if not. Where it
+        is 1, the classifier cannot tell stairs from level walking.
     irregular_prob : ndarray, shape (W,)
         Probability that the phone moves without walking: it is taken out, turned, or put away.
     climb_rate_mps : ndarray, shape (W,)

@@ -27,7 +27,7 @@ _GROWING_S = 5.0
 
 
 class FailedError(ValueError):
-    """Error for a request that a worker could not answer. `errno` is that of an OSError, or 0."""
+    """Error for a request that a worker could not answer. `errno` is the error number of an OSError, or 0."""
 
     def __init__(self, reason: str, errno: int = 0) -> None:
         super().__init__(reason)

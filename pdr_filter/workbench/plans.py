@@ -202,7 +202,7 @@ def _points(coordinates: Any) -> FloatArray:
 
 
 def _flat(coordinates: Any) -> list[Any]:
-    """Pairs of nested coordinates."""
+    """Return the coordinate pairs of a GeoJSON geometry as a flat list."""
     if isinstance(coordinates[0], float | int):
         return [coordinates]
     return [pair for part in coordinates for pair in _flat(part)]

@@ -362,7 +362,7 @@ def app(
 
 
 def read_texts(path: Path | None = None) -> dict[str, str]:
-    """Texts of the pages, those of a translation in place of the English ones; ValueError for unknown names."""
+    """Return the texts of the pages, with translated texts in place of English ones. ValueError for unknown names."""
     texts: dict[str, str] = read_json(PAGE / "texts.json", limits.MAX_SMALL_BYTES)
     own = {} if path is None else read_json(path, limits.MAX_SMALL_BYTES)
     if not isinstance(own, dict) or own.keys() - texts.keys() or not all(isinstance(v, str) for v in own.values()):

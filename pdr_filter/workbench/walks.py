@@ -214,9 +214,9 @@ def _content(files: Files, own: Path, folder: Path) -> dict[str, Any]:
 def _files(content: Mapping[str, Any], old: Files, own: Path, folder: Path) -> Files:
     """Return the contents of the mark files, by file name, from the marks that a page has sent.
 
-    `old` are the present files, `own` is their folder, and `folder` that of the workbench. The file with the step
-    length of the person is kept while the name of the person stays the same. For another name, it is the file of this
-    person in `folder`, if there is one. ValueError for a floor plan that is not in `folder`.
+    `old` are the present files, `own` is their folder, and `folder` is the folder of the workbench. The file with the
+    step length of the person is kept while the name of the person stays the same. For another name, it is the file of
+    this person in `folder`, if there is one. ValueError for a floor plan that is not in `folder`.
     """
     walk = {name: value for name, value in dict(content["walk"]).items() if value not in (None, "", False)}
     before = json.loads(old[WALK]) if WALK in old else {}

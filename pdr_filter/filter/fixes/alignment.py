@@ -54,10 +54,10 @@ class Place:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """Transformation world = R (track - track_centre) + world_centre, with R a clockwise rotation.
+    """Transformation world = R (track - track_centre) + world_centre, with a clockwise rotation R.
 
-    The transformation leads from a frame of the track ("track") to another frame ("world"), which is usually that of
-    the fixes.
+    The transformation leads from a frame of the track ("track") to another frame ("world"), which is usually the frame
+    of the fixes.
 
     Attributes
     ----------
@@ -85,7 +85,10 @@ class Alignment:
     since: int = 0
 
     def applies_to(self, place: Place) -> bool:
-        """Return True if a place (position and heading) was reported in the track frame of this alignment."""
+        """Return True if the track frame of this alignment is the frame in which a place was estimated.
+
+        A place is a position with a heading. The frame is in use from step `since` until step `n_steps`.
+        """
         return self.since <= place.n_steps < self.n_steps
 
     @property

@@ -67,7 +67,7 @@ class FixHistory:
     searched_s: float = -math.inf
 
     def with_used(self, fix: PositionFix, track_m: FloatArray | None) -> FixHistory:
-        """Return the history with one more used fix, if its error can be correlated with that of later fixes.
+        """Return the history with one more used fix, if its error can be correlated with the errors of later fixes.
 
         A fix with `correlation_s` 0 is not stored. `track_m` is the track position at the time of the fix. The last
         `N_BEFORE` fixes are kept, without those before an earlier gap.
@@ -80,7 +80,7 @@ class FixHistory:
         return replace_unchecked(self, used=(*since_gap, used)[-N_BEFORE:])
 
     def with_standstill(self, standstill: Standstill) -> FixHistory:
-        """Return the history with one more standstill. Only the last `MAX_STANDSTILLS` are kept."""
+        """Return the history with one more standstill. Only the last `MAX_STANDSTILLS` standstills stay in it."""
         standstills = (*self.standstills, (standstill.time_s, standstill.end_s))[-MAX_STANDSTILLS:]
         return replace_unchecked(self, standstills=standstills)
 

@@ -132,18 +132,21 @@ def _without_shared_error(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return a linear measurement (z, H, R) by a fix, with noise that is independent of the errors of earlier fixes.
 
-    The measurement is z (2,) = H x + noise of covariance R. This fix has the index n, the position z_n and the true
-    position p_n. Let z_i be an earlier fix with the error e_i. The error of fix n is sum_i A_i e_i + w, with regression
-    matrices A_i and an independent w (`error_given_before`). Let d_i be the displacement of the track from fix i to fix
-    n. Let psi be the error of the heading offset and s the error of the log scale (true minus estimate). Then z_i + d_i
-    = p_n - psi J d_i - s d_i + e_i, where J (east, north) = (north, -east).
+    The measurement is z (2,) = H x + noise of covariance R, with the present state x (4,): east, north, heading offset
+    and log step scale. `track_m` (2,) is the track position at the time of the fix. This fix has the index n, the
+    position z_n and the true position p_n. Let z_i be an earlier fix with the error e_i. The error of fix n is sum_i
+    A_i e_i + w, with regression matrices A_i and an independent w (`error_given_before`). Let d_i be the displacement
+    of the track from fix i to fix n. Let psi be the error of the heading offset and s the error of the log scale (true
+    minus estimate). Then z_i + d_i = p_n - psi J d_i - s d_i + e_i, where J (east, north) = (north, -east).
 
     The returned measurement is z_n - sum_i A_i (z_i + d_i), in which the errors e_i cancel. The mean of the measurement
     is (I - sum_i A_i) p_n + sum_i A_i (psi J d_i + s d_i). A filter with the errors of the fixes as further states
     would give the same result (A. E. Bryson and L. J. Henrikson, "Estimation using sampled data containing sequentially
     correlated noise", J. Spacecraft 5, 1968). After a gap the d_i are unknown. Then z_n is returned with a larger
-    covariance (`repeated_cov_m2`). The displacement since fix n, which leads from p_n to the present position, is as
-    uncertain as heading and step lengths.
+    covariance (`repeated_cov_m2`).
+
+    The state x contains the present position and not p_n. The displacement of the track since fix n is therefore added
+    to z. Its variance, which is due to heading and step lengths, is added to R.
     """
     x, P = state.estimates.combined
     since_m = track_place(state).position_m - track_m
@@ -248,8 +251,9 @@ def _on_state(
 ) -> Result:
     """Return the state after a measurement of one state component, the outcome, and the smallest NIS of all filters.
 
-    `index` is the component, `innovation` (F,) the measurement minus the prior of each filter, and `variance` that of
-    the measurement. The gate is `scalar_gate_nis`.
+    `index` is the index of the component. `innovation` (F,) is the measurement minus the prior mean of each of F
+    filters. `variance` is the variance of the measurement. NIS is the normalised innovation squared. A measurement with
+    a NIS above `scalar_gate_nis` is rejected.
     """
     prior = state.estimates
     z = prior.mean[:, index] + innovation

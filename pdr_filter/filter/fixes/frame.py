@@ -80,7 +80,11 @@ class Frame:
 
     @property
     def relocations(self) -> tuple[Alignment, ...]:
-        """Relocations of the track by fixes, each valid from its step on (see `relocation`)."""
+        """Alignments by which fixes have relocated the track, each valid from step `n_steps` on.
+
+        A track is relocated if rejected fixes agree with each other but not with the track. It is then shifted and
+        rotated to these fixes.
+        """
         return tuple(each for each in self.later if each.since == each.n_steps)
 
     @property
@@ -243,7 +247,7 @@ class Frame:
 
     @property
     def _is_track_uncertain(self) -> bool:
-        """True if the error of the track since the first pair is as large as that of the fixes.
+        """True if the error of the track since the first pair is as large as the error of the fixes.
 
         Until the error is so large, fixes rotate and shift the whole track. In a joined frame each fix corrects
         position and heading from then on, which bends the track.

@@ -131,7 +131,7 @@ class Compass:
 
     @property
     def std_rad(self) -> float:
-        """Standard deviation if the compass does not fail, at most that of a uniform angle."""
+        """Standard deviation if the compass does not fail, at most the value of a uniform angle, pi / sqrt(3)."""
         return math.sqrt(min(self.var_rad2, MAX_HEADING_VARIANCE))
 
     def density(self, angle_rad: FloatArray) -> FloatArray:
@@ -143,7 +143,7 @@ class Compass:
     def linearised(self, angle_rad: float) -> tuple[float, float]:
         """Return the information of the compass about the rotation near an angle, and the residual of the angle.
 
-        The information is in 1/rad2. The residual is the angle minus that of the compass, in rad.
+        The information is in 1/rad2. The residual is the given angle minus the angle of the compass, in rad.
         """
         failure_prob = _FAILURE_DENSITY / float(self.density(np.array(angle_rad)))
         return (1.0 - failure_prob) / self.var_rad2, float(wrap_angle(angle_rad - self.angle_rad))
@@ -185,7 +185,7 @@ class RotationDensity:
         return complex(self.prob @ _UNIT_VECTORS)
 
     def with_compass(self, compass: Compass | None) -> RotationDensity:
-        """Return the density combined with that of a compass, or unchanged if the compass is None."""
+        """Return the density multiplied by the density of a compass, or unchanged if the compass is None."""
         if compass is None:
             return self
         density = compass.density(_ANGLES_RAD)
@@ -201,7 +201,10 @@ class RotationDensity:
 
     @property
     def angle_rad(self) -> float:
-        """Angle at which positions are reported: that of index `drawn`, or the mean direction if `drawn` is None."""
+        """Angle by which track positions are rotated in the output, rad.
+
+        It is the angle with the index `drawn`, or the mean direction of the density if `drawn` is None.
+        """
         return cmath.phase(self.direction) if self.drawn is None else float(_ANGLES_RAD[self.drawn])
 
     @property
@@ -218,7 +221,7 @@ class RotationDensity:
         return int(np.argmax(self.prob - 1e-9 * np.abs(_ANGLES_RAD)))
 
     def most_probable(self) -> RotationDensity:
-        """Return the density with positions reported at the most probable angle."""
+        """Return the same density, with `drawn` set so that positions are rotated by the most probable angle."""
         return replace(self, drawn=self._best)
 
     def alignment(self, n_steps: int) -> Alignment:
@@ -244,9 +247,9 @@ class RotationDensity:
         """Return a place in the frame of the fixes, with mean and covariance over all angles.
 
         Let positions be complex numbers north + i east and u = e^(i angle). A place at d from the centre is u d from it
-        in the frame of the fixes. Let r be the reported rotation: E[u], or the e^(i angle) at which positions are
-        reported. The deviations (u - r) d have the moments E|.|^2 = |d|^2 (1 - 2 Re(E[u] r*) + |r|^2) and E[.^2] = d^2
-        (E[u^2] - 2 r E[u] + r^2).
+        in the frame of the fixes. E is the mean over all angles, and r the rotation used for the output: E[u], or e^(i
+        angle) of the angle with the index `drawn`. The deviations (u - r) d have the moments E|.|^2 = |d|^2 (1 - 2
+        Re(E[u] r*) + |r|^2) and E[.^2] = d^2 (E[u^2] - 2 r E[u] + r^2).
         """
         u, u2 = (self.prob @ _UNIT_VECTORS_AND_SQUARES).tolist()
         r = u if self.drawn is None else cmath.rect(1.0, self.angle_rad)
@@ -301,7 +304,10 @@ def _fitted(pairs: Sequence[PairedPoint], north_var_rad2: float) -> _Fit:
 
 
 def _complex(east_north_m: Sequence[FloatArray]) -> ComplexArray:
-    """Return positions as complex numbers north + i east, (N,). A clockwise rotation multiplies them by e^(i angle)."""
+    """Return positions as complex numbers north + i east, (N,), with the imaginary unit i.
+
+    A clockwise rotation by an angle multiplies them by e^(i angle).
+    """
     east_m, north_m = np.array(east_north_m).T
     return north_m + 1j * east_m
 
@@ -360,7 +366,7 @@ def degrees_of_freedom(pairs: Sequence[PairedPoint]) -> int:
 def variance_factor(squares: float, n_errors: int, n_before: int = 0) -> float:
     """Return the factor by which variances exceed their stated values, estimated from normalised squared errors.
 
-    The factor is at least one. `squares` is the sum over `n_errors` errors. The prior is that of `_STUDENT_DOF` errors
+    The factor is at least one. `squares` is the sum over `n_errors` errors. The prior is worth `_STUDENT_DOF` errors
     with the stated variances, plus `n_before` such errors.
     """
     return max((_STUDENT_DOF + n_before + squares) / (_STUDENT_DOF + n_before + n_errors), 1.0)
@@ -408,10 +414,11 @@ def least_squares_error(pairs: Sequence[PairedPoint], north_var_rad2: float = ma
 
 
 def disagreement(pairs: Sequence[PairedPoint], agreeing: Sequence[PairedPoint], north_var_rad2: float) -> float:
-    """Return the misfit of a choice of consistent pairs.
+    """Return the misfit of pairs (position fix, track position) if only those in `agreeing` are taken as correct.
 
     The misfit is the sum of the normalised squared errors of the pairs in `agreeing`, after the best shift and
-    rotation. The gate limit of a position is added for each of the other pairs.
+    rotation of the track. `north_var_rad2` is the prior variance of this rotation. Each pair of `pairs` that is not in
+    `agreeing` adds a constant: the 99.9 % quantile of the chi-square distribution with two degrees of freedom.
     """
     n_left_out = len(pairs) - len(agreeing)
     return least_squares_error(agreeing, north_var_rad2) + (n_left_out * agreement_limit(2) if n_left_out else 0.0)

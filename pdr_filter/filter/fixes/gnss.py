@@ -55,7 +55,7 @@ class LocationState:
     n_without_accuracy : int
         Number of locations without an accuracy.
     n_backward : int
-        Number of locations whose time is not finite or not after that of the last fix.
+        Number of locations whose time is not finite or not after the time of the last fix.
 
     Examples
     --------
@@ -218,9 +218,10 @@ def good_places(
 
 
 def place_at(places: FloatArray, time_s: float) -> tuple[float, float] | None:
-    """Return east and north at a time from `good_places` (P, 3), those of the last location until then.
+    """Return east and north in m of the last location at or before a time.
 
-    The result is None if there is no such location, or if it is more than 2 s old or not accurate.
+    `places` (P, 3) are the result of `good_places`. The result is None if there is no such location, or if it is more
+    than 2 s old or not accurate.
     """
     k = int(np.searchsorted(places[:, 0], time_s, side="right")) - 1
     if k < 0:

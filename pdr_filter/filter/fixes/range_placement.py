@@ -100,7 +100,7 @@ class PlacedTrack:
     cov : (3, 3) array
         Covariance of the centre and the angle.
     log_odds : float
-        Log of the probability of this solution divided by that of the most probable one, 0 or less.
+        Log of the ratio of the probabilities of this solution and the most probable one, 0 or less.
     log_density : float
         Log density of the ranges and the prior at this pose.
     fits : tuple of bool
@@ -169,7 +169,7 @@ def recent(pairs: Sequence[PairedRange], pair: PairedRange) -> tuple[PairedRange
 def solutions(pairs: Sequence[PairedRange], prior: PriorPose | None = None) -> list[PlacedTrack]:
     """Return the possible shifts and rotations of the track that fit the ranges, the most probable first.
 
-    Solutions with a probability below a thousandth of that of the best one are left out. The list is empty if there are
+    Solutions that are a thousand times less probable than the best one are removed. The list is empty if there are
     too few ranges (below four without a prior), or if they leave a continuum of solutions.
     """
     fixes = [pair.fix for pair in pairs]
@@ -244,7 +244,7 @@ class _Problem:
 
     @cached_property
     def _var_m2(self) -> FloatArray:
-        """Variance (N,) of each residual: that of the range and that of the displacement from the centre."""
+        """Variance (N,) of each residual, m2: variance of the range plus variance of the way from the centre."""
         own = np.array([fix.std_m**2 for fix in self.fixes])
         return own + (_WAY_SHARE**2) * (self.lever_m**2).sum(axis=1)
 
@@ -252,7 +252,8 @@ class _Problem:
         """Return the poses (P, 3) from which the least squares start.
 
         A pose is the position and rotation of the track. The positions are on circles about up to three anchors, and at
-        the prior. The rotations are all around, or that of the prior if it is well known.
+        the prior. The rotations are spread over the circle. If the prior of the rotation is narrow, only its mean is
+        used.
         """
         angles = np.linspace(-math.pi, math.pi, _N_ANGLES, endpoint=False)
         if self.prior is not None and self.prior.information[2, 2] > 1.0 / MAX_ANGLE_STD_RAD**2:

@@ -157,9 +157,10 @@ class FloorState:
 
 
 def storey_m(levels: tuple[Level, ...]) -> float:
-    """Return the estimated storey height, m: the mean of the usual height and those of this building.
+    """Return the estimated storey height, m.
 
-    Each storey between known levels counts once.
+    It is the mean of the usual storey height and the heights of the known storeys of this building. Each storey between
+    two known levels counts once.
     """
     heights_m = [USUAL_STOREY_M]
     for lower, upper in pairwise(levels):

@@ -203,7 +203,8 @@ class HeightState:
     step_s : float
         Time of the last step.
     stairs_unknown_share : float
-        Share of the last window in which stairs cannot be recognised.
+        Dissimilarity of the last window to the stairs of the training data, 0 to 1. At 1, the context probabilities
+        give no evidence of stairs.
     start_altitude : Altitude
         Altitude of the start.
     """
@@ -324,7 +325,8 @@ def on_step(
 def with_fix(state: HeightState, fix: PositionFix | GridFix) -> HeightState:
     """Return the state of the height filter after a fix with a storey, an altitude, or both.
 
-    The storeys are renumbered, and the altitude updates that of the start. Without either the state is unchanged.
+    A storey renumbers the storeys of the state. An altitude updates the estimated altitude of the start. A fix without
+    either leaves the state unchanged.
     """
     if fix.floor is not None:
         state = with_floor(state, fix.floor)
@@ -338,7 +340,7 @@ def with_floor(state: HeightState, floor: int) -> HeightState:
     """Return the state with all storeys renumbered so that the present one has the given number."""
 
     def renamed(height: HeightEstimate) -> HeightEstimate:
-        """Return the estimate with renumbered storeys."""
+        """Return a height estimate with its storeys renumbered by the same difference."""
         return replace_unchecked(height, floors=renumbered(height.floors, floor - state.known.floors.floor))
 
     recent = tuple(replace_unchecked(second, before=renamed(second.before)) for second in state.recent)

@@ -175,7 +175,7 @@ def after_second(
     """Return the moments (7, 5, 5) after a second with some steps and a pressure measurement.
 
     `height_m` and `height_var_m2` are the measured pressure height and its variance. `log_evidence` (7,) is further
-    evidence for the modes. `elapsed_s` is rounded to 0.1 s, whose effect is smaller than that of draughts.
+    evidence for the modes. `elapsed_s` is rounded to 0.1 s. Draughts change the pressure more than this rounding.
     """
     G, Q = _prediction(round(elapsed_s, 1), n_steps)
     mixed = _TRANSITIONS.T.dot(moments.reshape(N_MODES, -1)).reshape(_SHAPE)
@@ -269,7 +269,7 @@ def _measured(moments: FloatArray, factor: FloatArray, variance: float) -> tuple
 
 
 def _log_prob_ride(rate_mps: float, var: float) -> float:
-    """Return the log probability that a climb rate is that of a lift or an escalator, up or down.
+    """Return the log probability that a climb rate is fast enough for a lift or an escalator, up or down.
 
     This is the probability that its absolute value exceeds `MIN_RIDE_MPS`, for a normal distribution with the variance
     `var`.

@@ -66,7 +66,7 @@ class Estimates:
 
     @property
     def consider_cov_m2(self) -> FloatArray:
-        """Covariance (2, 2) that the consider parameters add to that of the position, in m2.
+        """Covariance (2, 2) that the consider parameters add to the covariance of the position, in m2.
 
         Notes
         -----

@@ -49,7 +49,7 @@ class MendedIMMEstimator(IMMEstimator):  # filterpy has no type hints
         self.weigh(np.array([kalman.log_likelihood for kalman in self.filters]))
 
     def weigh(self, log_likelihood: FloatArray) -> None:
-        """Update the mode probabilities by log evidence, mu_j ~ mu_j exp(l_j).
+        """Multiply each mode probability by the exponential of its log evidence, and normalise.
 
         Evidence that excludes every mode, or that is NaN, is ignored.
         """
@@ -69,7 +69,10 @@ class MendedIMMEstimator(IMMEstimator):  # filterpy has no type hints
 
 
 def estimator(mean: FloatArray, cov: FloatArray, mode_prob: FloatArray, transition_prob: FloatArray) -> Any:
-    """Return a `MendedIMMEstimator` with one static Kalman filter (F = I, Q = 0) for each mode."""
+    """Return a `MendedIMMEstimator` with one static Kalman filter for each mode.
+
+    Static means that the transition matrix F is the identity and the process noise Q is zero.
+    """
     return MendedIMMEstimator(_filters(mean, cov), mode_prob, transition_prob)
 
 
@@ -92,7 +95,7 @@ def update(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return means, covariances, log likelihoods and normalised innovations squared (NIS) of the updated modes.
 
-    The Kalman update of each mode is that of `pdr_filter.filter.imm.imm.update`.
+    The result equals the result of `pdr_filter.filter.imm.imm.update`, except for rounding.
     """
     filters = _filters(mean, cov, len(z))
     for kalman in filters:
@@ -130,7 +133,10 @@ class FilterpyImm:
 
 
 def _filters(mean: FloatArray, cov: FloatArray, dim_z: int = 1) -> list[Any]:
-    """Return one static filterpy filter (F = I, Q = 0) for each mode, for measurements with `dim_z` components."""
+    """Return one static filterpy filter for each mode, for measurements with `dim_z` components.
+
+    Static means that the transition matrix F is the identity and the process noise Q is zero.
+    """
     filters: list[Any] = [KalmanFilter(dim_x=mean.shape[1], dim_z=dim_z) for _ in mean]
     for kalman, x, P in zip(filters, mean, cov, strict=True):
         kalman.x, kalman.P, kalman.Q = x.copy(), P.copy(), np.zeros_like(P)

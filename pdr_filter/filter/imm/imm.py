@@ -315,7 +315,10 @@ def smoothed_mode_prob(mode_prob: FloatArray, transition_prob: FloatArray, lag: 
 
 
 def _one_step_back(filtered: FloatArray, later: FloatArray, transition_prob: FloatArray) -> FloatArray:
-    """Return the smoothed probabilities (..., M) of a step from filtered ones and those of the next step."""
+    """Return the smoothed mode probabilities (..., M) of one step.
+
+    `filtered` are the filtered probabilities of this step, and `later` the smoothed probabilities of the next step.
+    """
     predicted = filtered @ transition_prob
     ratio = np.divide(later, predicted, where=predicted > 0, out=np.zeros_like(predicted))
     smoothed = filtered * (ratio @ transition_prob.T)

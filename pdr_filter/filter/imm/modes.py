@@ -94,7 +94,7 @@ def context_modes(walking: StepLengthFit, running: StepLengthFit = _RUNNING) -> 
 def one_hot_tracker(modes: tuple[Mode, ...]) -> WeightedTracker:
     """Return a tracker with the weighting "hc", as in published systems that decide for one context.
 
-    The step length is that of the most probable context.
+    A step has the length of the most probable context.
 
     Parameters
     ----------

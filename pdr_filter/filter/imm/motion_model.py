@@ -52,7 +52,8 @@ class Mode:
     context : str, default the name
         Context whose probability is the evidence for the mode, or "irregular" for handling of the phone.
     step_length : StepLengthFit, default `bounce_fit()`
-        Step length in this mode. The default is that of the population. It has no effect if `moves` is False.
+        Step length in this mode. The default is the step length of the population. It has no effect if `moves` is
+        False.
     heading_offset_rad : float, default 0.0
         Walking heading minus the heading that the body faces, in rad: +pi/2 for steps to the right.
     heading_std_rad : float, default 0.1
@@ -60,7 +61,7 @@ class Mode:
     carrying_mode : str, optional
         Carrying mode whose probability is further evidence for the mode. None stands for any carrying mode.
     heading_drift_rad_per_sqrt_s : float, default 0.0
-        Random walk of the heading offset in rad per square root of a second, in addition to that of `MotionNoise`.
+        Random walk of the heading offset in rad per square root of a second, in addition to the drift in `MotionNoise`.
     extra_noise_m : float, default 0.0
         Standard deviation in m of each step along each axis, in addition to the errors of length and direction.
     moves : bool, default True
@@ -141,7 +142,11 @@ class Directions:
 
     @classmethod
     def of(cls, modes: Sequence[Mode]) -> Directions:
-        """Return the directions that the settings of the given modes define, with one element for each mode."""
+        """Return the walking directions of M modes.
+
+        The heading offset, heading noise, heading drift and extra position noise are those in the fields of each
+        `Mode`.
+        """
         return cls(
             heading_offset_rad=np.array([m.heading_offset_rad for m in modes]),
             heading_var_rad2=np.array([m.heading_std_rad**2 for m in modes]),
@@ -160,7 +165,7 @@ class Directions:
     def weighted(self, weights: FloatArray) -> Directions:
         """Return the directions of a single filter for all modes, with mode weights (M,).
 
-        The offset is that of the mode with the highest weight. Variances are weighted means.
+        The heading offset belongs to the mode with the highest weight. Variances are means weighted by mode.
         """
         return Directions(
             heading_offset_rad=self.heading_offset_rad[[int(weights.argmax())]],
@@ -195,8 +200,8 @@ class MotionNoise:
     Notes
     -----
     The log scale is a stationary process, s_k = a s_{k-1} + w with a^2 = 1 - drift^2 / std^2. The default drift forgets
-    the scale after about 13,000 steps. The variance of the scale therefore never exceeds that between people, even
-    after a day.
+    the scale after about 13,000 steps. The variance of the scale therefore never exceeds the variance between people,
+    even after a day.
 
     Examples
     --------
@@ -377,8 +382,10 @@ def advance(
 ) -> Advance:
     """Return the prediction of a step, with one length for each mode.
 
-    p_k = p_{k-1} + d, with the displacement d of `StepMotion`; s_k = a s_{k-1}; P_k = F P_{k-1} F' + Q, with
-    F = d (p, o, s)_k / d (p, o, s)_{k-1}. The drift of the heading offset is not part of it (see `predict_heading`).
+    The state is the position p, the heading offset o and the log scale s, with covariance P. Step k changes it to p_k =
+    p_{k-1} + d, with the displacement d of `StepMotion`, and s_k = a s_{k-1}, with the decay a of `MotionNoise`. The
+    covariance is P_k = F P_{k-1} F' + Q, with the derivative F of the new state by the old one and the process noise Q.
+    The drift of the heading offset is not included (see `predict_heading`).
     """
     motion = step_motion(
         step.device_heading_rad,
@@ -443,7 +450,7 @@ class StepMotion(NamedTuple):
 
     @property
     def across(self) -> FloatArray:
-        """Unit vector v = d u / d psi across each step, (..., M, 2)."""
+        """Unit vector across each step, (..., M, 2): the derivative of the vector along the step by the heading."""
         return self.along[..., ::-1] * (1.0, -1.0)
 
 
@@ -471,7 +478,7 @@ def step_motion(
 
 
 def bound_heading_variance(cov: FloatArray) -> FloatArray:
-    """Return covariances whose heading variance is at most that of a uniform heading.
+    """Return covariances with a heading variance of at most pi^2 / 3, as for a uniformly distributed heading.
 
     The covariances with the other states are scaled by the same factor, so that the lever P[p, o] / P[o, o] does not
     change. A heading measured now then has less and less influence on steps made before the heading was lost.

@@ -183,7 +183,7 @@ class PastSteps:
     """Past steps and their relation to a later state x (east, north, heading offset, log scale).
 
     The position of a step is place + B (x - mean) + e, with mean the estimate of x and e an error that is uncorrelated
-    with x. The last axis of all arrays is that of the steps.
+    with x. The last axis of all arrays counts the steps.
 
     Attributes
     ----------
@@ -386,8 +386,8 @@ class PastPath:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return times (N,) in s, positions (2, N) in m, and covariances (3, N) in m2 of all N steps.
 
-        `cov` (4, 4) is the covariance of the present state, `shared_m2` (2, 2) that of errors which all steps share,
-        and `present_m` (2,) is the present position.
+        `cov` (4, 4) is the covariance of the present state, `shared_m2` (2, 2) is the covariance of errors that all
+        steps share, and `present_m` (2,) is the present position.
         """
         (back, last), earlier = self._last(), self.earlier
         cov_m2 = back.scale * earlier.own_cov_m2
@@ -464,7 +464,7 @@ def _times(matrix: FloatArray, vector: FloatArray) -> FloatArray:
 def _propagated(by: FloatArray, cov: FloatArray) -> FloatArray:
     """Return the covariances B P B' of N positions as rows (xx, xy, yy), shape (3, N), with x east and y north.
 
-    B relates each position to the present state, whose covariance is P.
+    B is the derivative of each position with respect to the present state, whose covariance is P.
     """
     return _products(cov @ by, by)
 

@@ -92,8 +92,8 @@ class StepUpdate:
     floor : int, default 0
         Storey relative to the start.
     on_plan : OnPlan, optional
-        Estimate of the particle filter on a floor plan. If given, position, covariance and heading are those of the
-        particles.
+        Estimate of the particle filter on a floor plan. If given, the particles determine position, covariance and
+        heading.
 
     Examples
     --------
@@ -220,7 +220,7 @@ class Rival:
     pedestrian : PedestrianState
         State of the hypothesis.
     log_odds : float
-        Log of the probability of this hypothesis divided by that of the more probable one, 0 or less.
+        Log of the ratio of the probabilities of this hypothesis and the more probable one, 0 or less.
     """
 
     pedestrian: PedestrianState

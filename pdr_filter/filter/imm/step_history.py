@@ -107,8 +107,8 @@ class StepHistory:
     def at(self, time_s: float) -> FloatArray | None:
         """Return east, north and device heading (3,) at a time, interpolated between the steps.
 
-        Before the first and after the last step the values are those of that step. The result is None without steps,
-        and before the oldest stored step if earlier steps are no longer stored.
+        Before the first step it has the values of the first step, and after the last step the values of the last step.
+        The result is None without steps, and before the oldest stored step if earlier steps are no longer stored.
         """
         trail = self.trail
         if len(trail) == 0 or (time_s < trail[0, TRAIL_TIME] and len(trail) == TRAIL_STEPS):

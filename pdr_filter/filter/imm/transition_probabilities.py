@@ -50,12 +50,12 @@ def context_transitions(contexts: Sequence[Context] = DEFAULT_CONTEXTS.contexts)
     Parameters
     ----------
     contexts : sequence of Context, optional
-        Contexts in the order of the rows. The default are those of `pdr_filter.CONTEXTS`.
+        Contexts in the order of the rows. The default are `pdr_filter.CONTEXTS`.
 
     Returns
     -------
     (C, C) array
-        Probability of a transition from the context of the row to that of the column. Rows sum to one.
+        Probability of a transition from the context of the row to the context of the column. Rows sum to one.
 
     Examples
     --------

@@ -290,9 +290,10 @@ class WeightedTracker:
         """Return the context probabilities (C,) and the mode weights (M,) of a step.
 
         Probabilities and weights are the mean of a provisional and a final value. This agrees with the distance (d +
-        pd) / 2 in Algorithms 1 and 2 of Martinelli et al. (2018). The provisional value is that of the first window
-        that ends at or after the step. The final value is that of the first window whose new samples all lie after the
-        step. If `is_final` is False, the provisional value replaces the final one.
+        pd) / 2 in Algorithms 1 and 2 of Martinelli et al. (2018), the mean of final distance d and provisional distance
+        pd. The provisional value comes from the first window that ends at or after the step. The final value comes from
+        the first window whose new samples all lie after the step. If `is_final` is False, the provisional value
+        replaces the final one.
         """
         provisional = self._prob_of(state, window_around(state.windows, step.time_s))
         final = self._prob_of(state, window_after(state.windows, step.time_s)) if is_final else provisional

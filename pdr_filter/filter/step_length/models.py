@@ -251,7 +251,7 @@ class StaticStepLength:
         check_numbers(self)
 
     def regressors(self, step: Step) -> FloatArray:
-        """Return the regressors (h,) of a step.
+        """Return the regressors (h,) of a step, with the body height h in m.
 
         Parameters
         ----------
@@ -296,7 +296,7 @@ class FrequencyStepLength:
     n_params: int = 2
 
     def regressors(self, step: Step) -> FloatArray:
-        """Return the regressors (1, f) of a step.
+        """Return the regressors (1, f) of a step, with the step frequency f in Hz.
 
         Parameters
         ----------
@@ -322,8 +322,8 @@ class FrequencyVarianceStepLength:
     ----------
     max_variance : float, default infinity
         Upper bound of sigma_f^2 in m2/s4; larger values count as the bound. The variance of a phone in a trouser pocket
-        reaches ten times that of a phone in the hand. Parameters that were fitted in the hand would then give far too
-        long steps.
+        reaches ten times the variance of a phone in the hand. Parameters that were fitted in the hand would then give
+        far too long steps.
     max_frequency_hz : float, default 4.5
         Upper bound of f_s in Hz; larger values count as the bound. Sprinters reach 4.5 steps per second. Shorter
         intervals end at a false contact.
@@ -364,6 +364,9 @@ class FrequencyVarianceStepLength:
 
     def regressors(self, step: Step) -> FloatArray:
         """Return the regressors (1, f_s, sigma_f^2) of a step.
+
+        f_s is the step frequency in Hz. sigma_f^2 is the variance of the magnitude of the specific force, in m2/s4.
+        Both are at most the bounds `max_frequency_hz` and `max_variance`.
 
         Parameters
         ----------
@@ -411,6 +414,9 @@ class PeriodPeakStepLength:
 
     def regressors(self, step: Step) -> FloatArray:
         """Return the regressors (1, 1 / f, max(a)) of a step.
+
+        f is the step frequency in Hz. max(a) is the maximum of the magnitude of the specific force less standard
+        gravity, in m/s2.
 
         Parameters
         ----------
@@ -460,6 +466,8 @@ class WeinbergStepLength:
     def regressors(self, step: Step) -> FloatArray:
         """Return the regressors ((a_max - a_min)^(1/4),) of a step.
 
+        a_max and a_min are the maximum and the minimum of the vertical specific force less gravity, in m/s2.
+
         Parameters
         ----------
         step : Step
@@ -504,7 +512,7 @@ class MagnitudeRangeStepLength:
     n_params: int = 1
 
     def regressors(self, step: Step) -> FloatArray:
-        """Return the regressors ((max(a) - min(a))^(1/4),) of a step.
+        """Return the regressors ((max(a) - min(a))^(1/4),) of a step, with the acceleration magnitude a in m/s2.
 
         Parameters
         ----------
@@ -563,6 +571,8 @@ class KimStepLength:
     def regressors(self, step: Step) -> FloatArray:
         """Return the regressors ((mean |a|)^(1/3),) of a step.
 
+        a is the magnitude of the specific force less standard gravity, in m/s2.
+
         Parameters
         ----------
         step : Step
@@ -618,7 +628,7 @@ class TianStepLength:
         check_numbers(self)
 
     def regressors(self, step: Step) -> FloatArray:
-        """Return the regressors (h sqrt(f),) of a step.
+        """Return the regressors (h sqrt(f),) of a step, with body height h in m and step frequency f in Hz.
 
         Parameters
         ----------
@@ -692,7 +702,8 @@ class ChenStepLength:
     def jacobian(self, step: Step, theta: FloatArray) -> FloatArray:
         """Return the derivative of the length with respect to the parameters.
 
-        It is (c (h - 1.75), c (f - 1.79) h / 1.75, L / c).
+        The parameters are theta = (a, b, c). The derivative is (c (h - 1.75), c (f - 1.79) h / 1.75, L / c), with the
+        body height h in m, the step frequency f in Hz and the length L in m.
 
         Parameters
         ----------
@@ -747,6 +758,9 @@ class ZhouWalkingStepLength:
 
     def regressors(self, step: Step) -> FloatArray:
         """Return the regressors (1, 1 / f, 1 / sqrt(f), max(a)) of a step.
+
+        f is the step frequency in Hz. max(a) is the maximum of the magnitude of the specific force less standard
+        gravity, in m/s2.
 
         Parameters
         ----------
@@ -836,6 +850,9 @@ class BounceStepLength:
     def regressors(self, step: Step) -> FloatArray:
         """Return the regressors (h r A^(1/4),) of a step.
 
+        h is the body height in m. A is the amplitude of the vertical force at the step frequency, in m/s2. The factor
+        r <= 1 shortens steps that are shorter than the usual steps of the person.
+
         Parameters
         ----------
         step : Step
@@ -850,7 +867,11 @@ class BounceStepLength:
         return np.array([self.height_m * self._part_of_usual(step) * amplitude_mps2**0.25])
 
     def _part_of_usual(self, step: Step) -> float:
-        """Return the factor r by which this step differs from the usual one (see the class docstring)."""
+        """Return the factor r <= 1 that shortens an unusual step.
+
+        It is the product of factors for turning, for a step frequency above the limit, and for a step from rest or with
+        a smaller amplitude than usual.
+        """
         turn_rate_radps = min(step.turn_rate_radps, self.max_turn_rate_radps)
         part = math.exp(-((turn_rate_radps / self.turn_scale_radps) ** 2))
         part *= min(self.max_frequency_hz / step.frequency_hz, 1.0)
@@ -939,7 +960,7 @@ class StepLengthFit:
 class StepLengths:
     """Several fits that are evaluated together for one step.
 
-    Results equal those of each `StepLengthFit.predict`, except for rounding.
+    The results equal `StepLengthFit.predict` of each fit, except for rounding.
     """
 
     fits: tuple[StepLengthFit, ...]

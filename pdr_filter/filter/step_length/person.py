@@ -59,9 +59,10 @@ class Person:
     """Step length of one person, pooled over walks with fixes.
 
     `Track.person` returns the person of a track. Pass it to the next recording of the same person
-    (`pdr_filter.track(..., person=...)`). The step lengths of that track then start near those of the person, for any
-    body height. They are those of the walks combined with the prior of the recipe. A step-length model that does not
-    estimate the scale is not changed. ValueError for a model that is not linear in its parameters, as of guo2018.
+    (`pdr_filter.track(..., person=...)`). The step lengths of that track then start near the step lengths of the
+    person, for any body height. They are the step lengths of the walks, combined with the prior of the recipe. A
+    step-length model that does not estimate the scale is not changed. ValueError for a model that is not linear in its
+    parameters, as of guo2018.
 
     Attributes
     ----------
@@ -70,9 +71,9 @@ class Person:
 
     Notes
     -----
-    The step length is that of a typical step: level walking at 1.85 steps a second. Walks are weighted by the precision
-    of their estimates. No session contains the prior knowledge about people in general, which is therefore never
-    counted twice.
+    The step length is the length of a typical step: level walking at 1.85 steps a second. Walks are weighted by the
+    precision of their estimates. No session contains the prior knowledge about people in general, which is therefore
+    never counted twice.
 
     Examples
     --------
@@ -230,8 +231,8 @@ def session_of_scale(model: PedestrianModel, log_scale: float, var: float, n_fix
     """Return the step length that belongs to an estimated log scale, or None if the fixes added too little information.
 
     `log_scale` and `var` are mean and variance of the estimate at the end of the walk. The prior N(0, s^2) of the log
-    scale is removed from its posterior N(m, v). The remaining precision is w = 1 / v - 1 / s^2, the remaining mean (m /
-    v) / w. Fixes are too little if v is at least 90 % of s^2.
+    scale is removed from its posterior N(m, v). The remaining precision is w = 1 / v - 1 / s^2, and the remaining mean
+    is (m / v) / w. The fixes added too little information if v is at least 90 % of s^2.
     """
     prior_var = model.noise.log_scale_std**2
     if not 0 < var < _MAX_VAR_SHARE * prior_var:

@@ -57,7 +57,7 @@ ONE_CLOCK_S = 0.5
 
 
 def looks_like(head: bytes) -> bool:
-    """Return True if the first bytes of a text are those of a log of GetSensorData."""
+    """Return True if a text begins like a log of GetSensorData, judged by its first bytes."""
     return re.search(rb"(?m)^(ACCE|GYRO|MAGN|POSI|AHRS);[-+\d.]+;", head) is not None or b"'ACCE;AppTimestamp" in head
 
 

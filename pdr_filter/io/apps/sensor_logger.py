@@ -95,7 +95,7 @@ def is_without_seconds_elapsed(members: Members) -> bool:
 
 
 def looks_like_export(head: bytes) -> bool:
-    """Return True if the first bytes are those of an export of Sensor Logger.
+    """Return True if a file begins like an export of Sensor Logger, judged by its first bytes.
 
     An export is a JSON file, a file of messages that the app pushed, or a database.
     """
@@ -318,9 +318,9 @@ def _read_tables(members: Members) -> _Export:
 def _member(names: Sequence[str], sensor: str, members: Members) -> str:
     """Return the file of a sensor, or an empty string if there is none.
 
-    A file whose name is that of the sensor is preferred. Otherwise the name may have text before or after that of the
-    sensor, separated by something other than letters, as `walk_Gravity (1).csv`. RecordingError if several files have
-    the exact name, or if there is none of that name and several of the others fit.
+    A file with exactly the name of the sensor is preferred. Otherwise the name may have text before or after that of
+    the sensor, separated by something other than letters, as `walk_Gravity (1).csv`. RecordingError if several files
+    have the exact name, or if there is none of that name and several of the others fit.
     """
     stems = {name: PurePosixPath(name).stem.lower() for name in names}
     exact = [name for name, stem in stems.items() if stem == sensor.lower()]

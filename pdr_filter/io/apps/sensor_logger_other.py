@@ -24,7 +24,7 @@ Message = dict[str, Any]
 
 
 def is_push(head: bytes) -> bool:
-    """Return True if the first bytes of a file are those of messages that Sensor Logger pushed."""
+    """Return True if a file begins like messages that Sensor Logger pushed, judged by its first bytes."""
     return head.lstrip()[:1] in (b"[", b"{") and b'"payload"' in head and b'"sessionId"' in head
 
 

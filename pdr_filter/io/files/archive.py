@@ -330,7 +330,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def _files_below(path: Path) -> dict[str, Path]:
-    """Return the files in a folder by path, including those of its folder `meta` and of the folders of its sensors.
+    """Return the files in a folder by path, including the files in its folder `meta` and in the folders of its sensors.
 
     Deeper folders are not searched, because the folder may be a home folder with very many files.
     """

@@ -160,7 +160,11 @@ def _unit(sheet: Sheet, quantity: str, axes: Sequence[Column]) -> str:
 
 
 class _Vector(NamedTuple):
-    """The three axes of a sensor, and the preference of the sensor (see `Group`)."""
+    """Columns of the three axes of a sensor.
+
+    `quantity` is the measured quantity. `preference` is 2 if the columns have calibrated values, 0 for uncalibrated
+    values and 1 if unknown. The sensor with the highest preference is used.
+    """
 
     quantity: str
     axes: list[Column]
@@ -249,7 +253,8 @@ def _time_of(sheet: Sheet, quantity: str, places: Sequence[int], times: Sequence
     """Return the index of the column of times of a sensor, or None if the table has no times.
 
     A column named after the sensor is preferred. Next come shared columns, numbers before dates, and last the columns
-    of other sensors. `places` are the indices of the columns of the sensor, `times` those of the columns of times.
+    of other sensors. `places` are the indices of the columns of the sensor, and `times` the indices of the columns of
+    times.
     """
     if not times:
         return None

@@ -369,7 +369,7 @@ def _with_unit(s: _Stream, force: FloatArray, time_s: FloatArray, result: Guess)
 
 
 def _as_rate(s: _Stream, time_s: FloatArray, force: FloatArray) -> _Stream:
-    """Return a stream called rotation as that of a gyroscope if it holds an angular rate, and any other one unchanged.
+    """Return a stream called rotation as a gyroscope stream if it holds an angular rate. Any other one is unchanged.
 
     It does so if gravity turns as far as it predicts, in rad/s or deg/s. Where gravity hardly turns or is unknown, the
     constant part of an angular rate is small. A rotation that is no angular rate is an orientation, and is not used.

@@ -40,7 +40,7 @@ class StreamMap:
 
     @property
     def factor(self) -> float:
-        """Factor from the unit and sign of the column to those of `Recording`."""
+        """Factor from the unit and sign of the column to the unit and sign in `Recording`."""
         quantity = ACCELERATION if self.stream == "accelerometer" else self.stream
         return UNITS.get(quantity, {}).get(normal_unit(self.unit), 1.0) * self.sign
 

@@ -40,7 +40,7 @@ Row = dict[str, Any]
 
 
 def looks_like(head: bytes) -> bool:
-    """Return True if the first bytes of a text are those of JSON."""
+    """Return True if a text begins like JSON, judged by its first bytes."""
     return _BEGIN.match(head.removeprefix(codecs.BOM_UTF8)) is not None
 
 

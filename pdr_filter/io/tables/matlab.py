@@ -35,7 +35,7 @@ _MAX_DEPTH, _MAX_ELEMENTS = 20, 200_000
 
 
 def is_matlab(head: bytes) -> bool:
-    """Return True if the first bytes of a file are those of a MATLAB file."""
+    """Return True if a file begins like a MATLAB file, judged by its first bytes."""
     return head.startswith((_HEAD, _HEAD_OF_7_3))
 
 

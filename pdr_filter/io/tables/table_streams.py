@@ -117,7 +117,7 @@ def quaternion_of(roll_rad: FloatArray, pitch_rad: FloatArray, yaw_rad: FloatArr
 
 
 def is_new_place(values: FloatArray) -> BoolArray:
-    """Return True for each row whose location is known and differs from that of the row before, shape (N,).
+    """Return True for each row whose location is known and differs from the location of the row before, shape (N,).
 
     `values` (N, d) begin with latitude and longitude. Tables with a row for each sample repeat locations. Latitude 0
     with longitude 0 is not a location.

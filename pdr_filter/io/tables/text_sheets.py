@@ -321,7 +321,7 @@ def _is_value(text: str) -> bool:
 
 
 def _is_row(row: list[str]) -> bool:
-    """Return True if fields are those of a sample.
+    """Return True if the fields of a line are the values of a sample.
 
     It has at least two numbers or dates, and they are most of the fields that are not empty.
     """

@@ -41,7 +41,7 @@ MARGIN_M = 30.0
 
 
 def fingerprints(scan: IntArray, access_point: IntArray, rssi_dbm: FloatArray, shape: tuple[int, int]) -> csr_matrix:
-    """Return the fingerprints (S, A) of measurements (H,), scaled as those of a `WifiScan`.
+    """Return the fingerprints (S, A) of measurements (H,), scaled like the fingerprint of a `WifiScan`.
 
     `shape` is (S, A): the numbers of scans and of access points.
     """

@@ -245,12 +245,18 @@ class _Task:
         self.G, self.g = np.zeros((self.n_people, n_free, n_free)), np.zeros((self.n_people, n_free))
 
     def set_regressors(self, sums: SegmentSums) -> None:
-        """Replace the regressors of all segments by those of `sums`, which are linearised at other parameters."""
+        """Replace the regressors of all segments by the regressors in `sums`.
+
+        `sums` has the same segments, linearised at other parameters.
+        """
         for chunk in self.chunks:
             chunk.set_regressors(sums, self.prior.mean, self.fixed)
 
     def all_parameters(self, theta: FloatArray) -> FloatArray:
-        """Return all parameters (S, P) from the free ones (S, F). Held parameters have their prior mean."""
+        """Return all P parameters of S people, (S, P), from the F estimated ones (S, F).
+
+        The fixed parameters have their prior mean.
+        """
         full = np.repeat(self.prior.mean[None], len(theta), axis=0)
         full[:, self.free] = theta
         return full
@@ -259,10 +265,11 @@ class _Task:
         """Return the posterior of the parameters of the population and of all S people, given all segments.
 
         The equations of a person's segments are linearised at this person's row of `about` (S, F), with the F estimated
-        parameters. `variances` are those of the last iteration. The noise variances are divided by `information`, the
-        information factor of the robust loss (`robust_loss.moments`). The factor is 1 for least squares. With the
-        factor, the covariances are those of an M-estimate with this loss. `first` is True in the first iteration: the
-        scale error of a recording then multiplies the known distances, and later the predicted ones.
+        parameters. `variances` are the variances of the last iteration. The noise variances are divided by
+        `information`, the information factor of the robust loss (`robust_loss.moments`). The factor is 1 for least
+        squares. With the factor, the covariances are valid for an M-estimate with this loss. `first` is True in the
+        first iteration: the scale error of a recording then multiplies the known distances, and later the predicted
+        ones.
         """
         for chunk in self.chunks:
             phi = variances.noise / information
@@ -309,7 +316,7 @@ class _Task:
     def result(
         self, about: FloatArray, posterior: PeoplePosterior, variances: _Variances, n_iterations: int, converged: bool
     ) -> ParameterEstimate:
-        """Return the final estimate with all parameters, including the held ones, and the predicted lengths."""
+        """Return the final estimate with all parameters, also the fixed ones, and the predicted lengths."""
         theta, between = posterior.people, variances.between.copy()
         others = np.full_like(theta, np.nan)
         if self.n_people > 1 and not self.alone.any():
@@ -345,7 +352,10 @@ class _Task:
 
 
 def _embedded_cov(n: int, index: IntArray, cov: FloatArray) -> FloatArray:
-    """Return the covariance (n, n) of all parameters from that of some. The others have zero covariance."""
+    """Return the covariance (n, n) of all parameters from the covariance of the estimated ones.
+
+    Fixed parameters have zero covariance.
+    """
     full = np.zeros((n, n))
     full[np.ix_(index, index)] = cov
     return full
@@ -381,7 +391,11 @@ class _Chunk:
         self.set_regressors(sums, prior.mean, fixed)
 
     def set_regressors(self, sums: SegmentSums, mean: FloatArray, fixed: BoolArray) -> None:
-        """Set the regressors of the free parameters (n, 2, F) and the contribution of the held ones (n, 2)."""
+        """Set the regressors (n, 2, F) of the F estimated parameters, and the constant displacements (n, 2).
+
+        The constant part of the displacement of each of n segments comes from the fixed parameters and the
+        linearisation.
+        """
         regressors = sums.regressors[self.rows]
         self.A = np.ascontiguousarray(regressors[:, :, ~fixed])
         self.offset = sums.offset_m[self.rows] + regressors[:, :, fixed] @ mean[fixed]

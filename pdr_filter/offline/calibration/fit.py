@@ -62,8 +62,8 @@ def calibrate(
         Recordings with truth segments of known distance, strides, waypoints, or GNSS fixes. Their `subject.id` names
         the person. All recordings without one are attributed to one person.
     priors : mapping of str to StepLengthPrior, optional
-        Model and prior of some contexts, which replace those of `DEFAULT_PRIORS`. `eq12_priors()` has the model of
-        Martinelli et al. for all contexts.
+        Model and prior of some contexts, which replace the entries in `DEFAULT_PRIORS`. `eq12_priors()` has the model
+        of Martinelli et al. for all contexts.
     tracks : iterable of Track, optional
         Tracks of the recordings, if they have been computed already.
     config : Config, optional
@@ -217,7 +217,7 @@ def calibrate_segments(
 ) -> Calibration:
     """Return the calibration of segments that `segments_of` has already extracted.
 
-    The parameters are those of `calibrate`. `walking` is the name of the context of level walking.
+    The parameters are the same as of `calibrate`. `walking` is the name of the context of level walking.
     """
     _check_stds(recording_std)
     if not segments:

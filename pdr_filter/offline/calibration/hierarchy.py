@@ -32,7 +32,7 @@ class PeoplePosterior:
     population_cov : array (P, P)
         Covariance of the population's parameters.
     people : array (S, P)
-        Mean of each person's parameters. Shared parameters are those of the population.
+        Mean of each person's parameters. Parameters that people share have the value of the population.
     people_cov : array (S, P, P)
         Covariance of each person's parameters.
     apart_cov : array (S, Q, Q)
@@ -107,8 +107,8 @@ def _eliminated(
 
     The parameters are scaled so that their values are about one. GTSAM first eliminates the own parameters t_s of each
     person s, then the population's parameters y. Elimination gives R t_s + S y = d + unit normal noise for each person,
-    with the matrices R (triangular) and S and the vector d. The arguments are those of `solve_people`. SingularError if
-    the data do not determine the parameters.
+    with the matrices R (triangular) and S and the vector d. The arguments are the same as of `solve_people`.
+    SingularError if the data do not determine the parameters.
     """
     n_people, n_params = g.shape
     ordering = gtsam.Ordering()
@@ -210,8 +210,8 @@ def population_without_each(
 def _parts(conditional: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return R, S and d of a Gaussian conditional density of GTSAM.
 
-    The density is that of R t + S y - d with unit covariance. The vector t holds the eliminated variables, and y the
-    variables on which they depend.
+    Under the density, R t + S y - d has zero mean and unit covariance. The vector t holds the eliminated variables, and
+    y the variables on which they depend.
     """
     return np.asarray(conditional.R()), np.asarray(conditional.S()), np.asarray(conditional.d())
 
@@ -220,7 +220,7 @@ def _undetermined(G: FloatArray, precision: FloatArray, personal: IntArray, W: F
     """Return the indices of the parameters that neither the data nor the priors determine.
 
     Such parameters are sought in the information matrix of the population (sum over all people plus prior), and in that
-    of each person. The indices are those of the large components of eigenvectors with almost no information.
+    of each person. The indices belong to the large components of eigenvectors with almost no information.
     """
     indices: set[int] = set()
     shared = np.delete(np.arange(len(precision)), personal)

@@ -187,7 +187,7 @@ def weak_prior(
 
 
 def _constant_length(length_m: float, std_m: float, between_m: float, step_std_m: float) -> StepLengthPrior:
-    """Return a prior of a constant step length: k1 and k2 of eq. 12 of Martinelli et al. 2018 are held at zero."""
+    """Return a prior of a constant step length: k1 and k2 of eq. 12 of Martinelli et al. 2018 are fixed at zero."""
     return prior(FrequencyVarianceStepLength(), [length_m, 0, 0], [std_m, 0, 0], [between_m, 0, 0], step_std_m)
 
 
@@ -261,8 +261,10 @@ def eq12_priors(between_std_m: float = 0.05) -> dict[str, StepLengthPrior]:
 def own_priors(model: PedestrianModel) -> dict[str, StepLengthPrior]:
     """Return priors from the step lengths of a filter's modes, for contexts that `DEFAULT_PRIORS` does not cover.
 
-    These are contexts with other names, and step-length models from outside the package. A parameter with zero variance
-    is held. The first free parameter differs between people by the standard deviation of the filter's step scale.
+    These are contexts with other names, and contexts whose step-length model is from outside the package. A parameter
+    with zero variance in the filter is fixed in the calibration. The first parameter that is not fixed differs between
+    people. Its standard deviation changes the length of a typical step by the relative standard deviation of the
+    filter's step scale.
     """
     named = {m.context: m for m in reversed(model.modes) if m.context in model.contexts}
     return {

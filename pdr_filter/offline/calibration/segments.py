@@ -172,7 +172,7 @@ class SummedSegment:
     A worker process returns it in place of the steps. `contexts`, `models` and `derivatives` have equal lengths. Entry
     j of `derivatives` (2, p) is the derivative of the displacement of the segment, east and north, with respect to the
     p parameters of model j, for the steps of context j. `steps_in` (C,) are the numbers of steps in each of the
-    contexts `context_names`. The other fields are those of `Segment`.
+    contexts `context_names`. The other fields are the same as in `Segment`.
     """
 
     subject: str
@@ -324,8 +324,8 @@ def integrate(
 class _Stretch:
     """A stretch of known length between two times.
 
-    `walked` is True if the known length is that of the path, False if it is the straight distance between the ends.
-    `n_steps` is the counted number of steps, NaN if it is unknown.
+    `walked` is True if the known length is the length of the path, and False if it is the straight distance between the
+    ends. `n_steps` is the counted number of steps, NaN if it is unknown.
     """
 
     start_s: float
@@ -527,7 +527,7 @@ def _between_waypoints(points: Any, anchor_std_m: float) -> tuple[list[_Stretch]
 
     Successive waypoints that are far apart in distance and time give one stretch each. Waypoints out of time order are
     kept, so that the caller reports them. Dense waypoints are grouped into straight stretches of `GROUPED_M`, because
-    between close waypoints their errors exceed those of the steps.
+    between close waypoints their errors exceed the errors of the steps.
     """
     names = points.dtype.names or ()
     floor = np.asarray(points.floor, dtype=float) if "floor" in names else np.zeros(len(points))

@@ -162,7 +162,7 @@ def joined_at_contacts(fixes: Sequence[PositionFix], contacts: IntArray) -> tupl
 def _joined(fixes: Sequence[PositionFix]) -> PositionFix:
     """Return the information-weighted mean of correlated fixes, with the time of the middle one.
 
-    Its covariance is that of a single fix: the harmonic mean of their covariances.
+    Its covariance is the harmonic mean of their covariances, as for a single fix.
     """
     if len(fixes) == 1:
         return fixes[0]

@@ -47,7 +47,7 @@ _MIN_CHANGE_STD_RAD = 0.1
 class Increments:
     """Displacement and noise of each of K steps, before the person's scale and heading offset.
 
-    The order of events is that of the filter: the gap, the change of the heading offset and its drift since the
+    The events have the same order as in the filter: the gap, the change of the heading offset and its drift since the
     previous step, then the measured walking heading, then the displacement, and last the drift of the scale.
 
     Attributes
@@ -206,7 +206,7 @@ class Intervals:
 def preintegrate(steps: Increments, nodes: IntArray) -> Intervals:
     """Return the steps summed between anchors, in time proportional to the number of steps.
 
-    D is the sum of all steps of an interval, and D_i that of its first i steps. C_i is the covariance of step i, and
+    D is the sum of all steps of an interval, and D_i the sum of its first i steps. C_i is the covariance of step i, and
     q_i and r_i are the drift variances of heading offset and log scale. J is the rotation by a right angle. The
     position covariance is Q_pp = sum C_i + sum q_i J b_i (J b_i)' + sum r_i d_i d_i', with b_i = D - D_{i-1} and d_i =
     D - D_i. The other blocks are similar (docs/methods/smoothing.md). The sums over i are differences of cumulative
@@ -298,7 +298,7 @@ def _moments(steps: Increments, first: IntArray) -> tuple[FloatArray, FloatArray
 
 
 def scaled_rotation(heading_rad: FloatArray, log_scale: FloatArray) -> FloatArray:
-    """Return the rotation matrices of heading offsets theta scaled by log scales s, e^s R(theta), (..., 2, 2)."""
+    """Return the matrices e^s R(theta), (..., 2, 2), with heading offset theta, log scale s and rotation matrix R."""
     c, s = np.exp(log_scale) * np.cos(heading_rad), np.exp(log_scale) * np.sin(heading_rad)
     return np.stack([np.stack([c, s], axis=-1), np.stack([-s, c], axis=-1)], axis=-2)
 

@@ -138,7 +138,10 @@ class ObservedStates:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservedMeasurements:
-    """Other measurements (`values.Measurement`) at anchors, with the positions for a first linearisation.
+    """User-defined measurements (`values.Measurement`), each assigned to the anchor nearest in time.
+
+    An anchor is a foot contact with a state of the smoother. Positions, directions and states have classes of their
+    own.
 
     Attributes
     ----------
@@ -197,7 +200,7 @@ class Problem:
     offsets : ObservedOffsets
         Heading offsets measured by the strides (`heading_offsets`), relative to the first one. They are never outliers.
     frame_std_rad : float
-        Prior standard deviation in rad of the rotation from the frame of the offsets to that of the positions.
+        Prior standard deviation in rad of the rotation from the frame of the offsets to the frame of the positions.
     errors : Errors
         Errors of correlated fixes.
     states : ObservedStates
@@ -464,7 +467,7 @@ def heading_offsets(track: TrackRows, steps: Increments, modes: Sequence[Mode]) 
     that is new after the earlier ones (docs/methods/heading.md), and may lie far from the true offset. The difference
     from the prediction must therefore be wrapped correctly. For this purpose, the function runs a scalar Kalman filter
     of the heading offset along the steps. Each returned value is the filter's prediction plus the wrapped innovation,
-    so the smoother can use it as a linear measurement. The standard deviations are those of the walking headings.
+    so the smoother can use it as a linear measurement. The standard deviations are the same as of the walking headings.
     """
     std = np.asarray(track.steps.walking_heading_std_rad)
     (known,) = np.isfinite(std).nonzero()

@@ -123,7 +123,7 @@ class SmoothingMemory:
     _found: _Reckoned | None = None
 
     def of(self, recording: Recording, key: bytes, make: Callable[[], _Reckoned]) -> _Reckoned:
-        """Return the dead-reckoned track of the last call, or of a new one if anything has changed.
+        """Return the dead-reckoned track from memory, or a new one if anything has changed since the last call.
 
         Parameters
         ----------
@@ -190,7 +190,7 @@ def smooth(
         Configuration. The default is `pdr_filter.recipes.default()`.
     weighting : {"imm", "wc", "hc"}, optional
         Use of the context probabilities: interacting multiple model, weighted contexts, or the most probable context.
-        The default is that of the configuration.
+        The default is the value of the configuration.
     progress : callable, optional
         Called with the fraction done, 0 to 1.
     device : Device, str or Path, optional

@@ -41,7 +41,7 @@ class Smoothed:
     """Smoothed track, with the estimated heading offsets and step scales and the use of each observation.
 
     With fixes, positions are in the frame of the fixes, and headings are clockwise from its north. Without fixes, the
-    frame is that of the online filter, which starts at zero with the first heading.
+    frame is the frame of the online filter, which starts at zero with the first heading.
 
     Attributes
     ----------

@@ -43,7 +43,7 @@ class Solution:
     joint_cov : array (n, 8, 8)
         Joint covariance of both ends of each interval between consecutive anchors.
     frame_rad : float
-        Rotation from the frame of the offsets to that of the positions.
+        Rotation from the frame of the offsets to the frame of the positions.
     nis : array (F + H + S + X,)
         Normalised innovation squared of each observation with respect to all others: F positions, H directions, S
         states (heading offsets and log scales) and X measurements.
@@ -234,12 +234,13 @@ def _innovations(
     joint_cov: FloatArray,
     with_error_cov: FloatArray,
 ) -> FloatArray:
-    """Return the normalised innovation squared of each observation with respect to all others.
+    """Return the normalised innovation squared of each observation, predicted from all other observations.
 
-    It has a chi-square distribution with the dimension of the observation if the observation is correct. For a whitened
-    residual r with leverage L = H P H', it is r' (I - L)^-1 r if the observation is used, and r' (I + L)^-1 r if it is
-    not. This is the change of the least sum of squares due to the observation. `with_error_cov` (E, 10, 10) is the
-    joint covariance of the anchor and the error of each correlated fix.
+    It has a chi-square distribution with the dimension of the observation if the observation is correct. Let r be the
+    whitened residual, H its derivative by the unknowns, P their covariance and L = H P H' the leverage. The result is
+    then r' (I - L)^-1 r if the observation is used, and r' (I + L)^-1 r if it is not. This is the change of the least
+    sum of squares due to the observation. `with_error_cov` (E, 10, 10) is the joint covariance of the anchor and the
+    error of each correlated fix.
     """
     positions, directions, states = problem.positions, problem.directions, problem.states
     n_positions, nis = len(positions), np.zeros(len(weight))
@@ -307,7 +308,7 @@ def linearised(problem: Problem, mean: FloatArray, frame_rad: float, weight: Flo
     """Return the equations for the change of the states (N, 6) of anchors and errors, linearised at these states.
 
     They are the prior of the start, the steps between anchors, and all observations with their weights. `frame_rad` is
-    the rotation from the frame of the observed heading offsets to that of the positions.
+    the rotation from the frame of the observed heading offsets to the frame of the positions.
     """
     start_whiten = read_only(np.linalg.inv(np.linalg.cholesky(problem.start_cov)))
     rows = [Rows.of_one(0, start_whiten, -(start_whiten @ (mean[0, :N_STATES] - problem.start_mean)))]

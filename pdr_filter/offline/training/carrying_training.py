@@ -260,9 +260,9 @@ def features_of(samples: FloatArray, rate_hz: float = 100.0) -> FloatArray:
 
 
 def _labelled(plan: CarryingPlan, signals: _Signals, person: str, source: str, name: str) -> LabelledWindows:
-    """Return windows with the features of a training plan.
+    """Return the windows in `signals` with their labels and with the features of a training plan.
 
-    `source` is their data set or kind of synthetic windows, and `name` the recording.
+    `source` is the data set or the kind of synthetic windows, and `name` is the recording.
     """
     with threadpool_limits(1):
         features = features_of(signals.samples)[:, [FEATURE_NAMES.index(name) for name in plan.feature_names]]
@@ -277,9 +277,11 @@ _TURNS = 4
 
 
 def _turned(signals: _Signals, name: str) -> _Signals:
-    """Return windows of a phone in front of the body rotated to the ear: calling, with the same motion.
+    """Return synthetic windows of a phone at the ear, with carrying mode "calling".
 
-    Each of `_TURNS` random rotations, which depend on `name`, is applied to every second window.
+    `signals` are windows of a phone in front of the body. Their sensor axes are rotated to a phone at the ear, and the
+    motion stays the same. Each of `_TURNS` random rotations is applied to every second window. The name of the
+    recording, `name`, is the seed of the rotations.
     """
     up = signals.samples[:, _UP].mean(axis=(0, 2))
     parts: list[_Signals] = []
@@ -293,10 +295,11 @@ def _turned(signals: _Signals, name: str) -> _Signals:
 
 
 def _weak(signals: _Signals, name: str) -> _Signals:
-    """Return every second window with its motion scaled down by a random factor f = 0.25 to 0.85, as of a slow walker.
+    """Return synthetic windows of a slow walker: every second window, with a smaller motion.
 
-    Angles and rates are multiplied by f, and accelerations by f^1.5, because slow walkers have a lower step frequency
-    too. The timing of the samples does not change.
+    The motion of each window is scaled by a random factor f between 0.25 and 0.85. Angles and rates are multiplied by
+    f. Accelerations are multiplied by f^1.5, because slow walkers have a lower step frequency too. The timing of the
+    samples does not change. The name of the recording, `name`, is the seed of the factors.
     """
     signals = signals.part(slice(None, None, 2))
     samples = signals.samples.copy()

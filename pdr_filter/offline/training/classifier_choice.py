@@ -173,7 +173,7 @@ def _compact(forest: Forest) -> Forest:
 def _in_float32(values: FloatArray) -> FloatArray:
     """Return values rounded to float32.
 
-    The stored trees compare float32 numbers. Trained on such numbers, they decide exactly as those of scikit-learn.
+    The stored trees compare float32 numbers. Trained on such numbers, they decide exactly as the trees of scikit-learn.
     """
     return values.astype(np.float32).astype(np.float64)
 

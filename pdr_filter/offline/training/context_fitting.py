@@ -197,7 +197,7 @@ def fit_contexts(
 
 
 def _silent(fraction: float) -> None:
-    """Ignore the progress."""
+    """Do nothing. This is the default callback for the progress of a fit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -423,7 +423,10 @@ class FittingPlan(TrainingPlan):
         return windows.part(windows.label(self.head) != "")
 
     def held_out(self, windows: LabelledWindows) -> dict[str, BoolArray]:
-        """Return the windows of each person as masks (W,) by name, or of tenths of more than ten people."""
+        """Return masks (W,) of the windows that are held out together, by the names of the people.
+
+        Each person is a group. More than ten people are divided into ten groups of about the same size.
+        """
         people = np.unique(windows.person)
         n = min(len(people), MAX_PARTS)
         return {", ".join(map(str, people[k::n])): np.isin(windows.person, people[k::n]) for k in range(n)}

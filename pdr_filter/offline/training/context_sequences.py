@@ -212,9 +212,10 @@ def filter_windows(
 ) -> FloatArray:
     """Return the filtered context probabilities (W, ..., C) after each window, for exponents of shape (...).
 
-    p_k ~ (sum_j p_j t_jk) exp(e_k) with the log evidence e of `weighting.context_log_evidence`. These are the mode
-    probabilities of the filter if all steps came together with the windows. All contexts are equally probable before
-    each sequence. `transition_prob` applies between two windows: it is a power of that between two steps.
+    The probability p_k of context k is proportional to (sum_j p_j t_jk) exp(e_k), with the probabilities p_j before the
+    window, the transition probabilities t_jk, and the log evidence e of `weighting.context_log_evidence`. These are the
+    mode probabilities of the filter if all steps came together with the windows. All contexts are equally probable
+    before each sequence. `transition_prob` applies between two windows: it is a power of the matrix between two steps.
     """
     n_contexts = windows.prob.shape[1]
     check_transition_prob(transition_prob, n_contexts)

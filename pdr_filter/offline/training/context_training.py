@@ -62,7 +62,7 @@ class ContextPlan(TrainingPlan):
     recording_weight: Mapping[str, float] = field(default_factory=dict[str, float])
 
     def weight(self, windows: LabelledWindows) -> FloatArray:
-        """Return the weight of each window, (W,): that of a word in the name of its recording, otherwise one."""
+        """Return the weight of each window, (W,): the weight of a word in the name of its recording, otherwise one."""
         result = np.ones(len(windows.recording))
         for word, weight in self.recording_weight.items():
             result[np.char.find(windows.recording, word) >= 0] = weight
@@ -92,8 +92,8 @@ class ContextPlan(TrainingPlan):
     def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]) -> ContextModel:
         """Return the final model, with its calibration, its `Familiarity` and its card.
 
-        The model is calibrated on all held-out people. To score a person, the calibration is that of all other held-out
-        people. The card also has the scores on held-out sites.
+        The model is calibrated on all held-out people. To score a person, the calibration is fitted on all other
+        held-out people. The card also has the scores on held-out sites.
         """
         left = in_window_order(left_out.values())
         of_left = windows.part(left.rows)

@@ -312,7 +312,7 @@ class TrainingPlan(ABC):
 
     @abstractmethod
     def held_out(self, windows: LabelledWindows) -> Mapping[str, BoolArray]:
-        """Return the groups of windows that are held out together, as masks (W,) by name."""
+        """Return the groups of windows that are held out together, as masks (W,) by the name of the group."""
 
     @abstractmethod
     def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]) -> ContextModel:
@@ -397,7 +397,7 @@ def part_progress(progress: Progress, start: float, span: float) -> Progress:
 
 
 def silent(what: str, fraction: float) -> None:
-    """Ignore the progress."""
+    """Do nothing. This is the default callback for the progress of a training."""
 
 
 def predicted(prob: FloatArray, labels: tuple[str, ...]) -> TextArray:

@@ -106,7 +106,7 @@ class PosePlan(TrainingPlan):
     def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]) -> ContextModel:
         """Return the model with its card: scores of each held-out site, and recall of the pocket for held-out people.
 
-        The recall is the mean over the people of the scored data set, and that of the worst person.
+        The recall is given as the mean over the people of the scored data set and for the worst person.
         """
         scores = {name: pose_scores(windows.carrying_mode[group.rows], group.prob) for name, group in left_out.items()}
         people = [s for name, s in scores.items() if _is_scored(name)]
@@ -271,7 +271,7 @@ def _up_directions(recording: Recording) -> _UpDirections | None:
 
 
 def _synthetic_from(ups: _UpDirections, name: str) -> list[tuple[str, _UpDirections]]:
-    """Return synthetic windows made from those of a recording, as pairs of kind and windows.
+    """Return synthetic windows made from the windows of a recording, as pairs of kind and windows.
 
     The kinds are mirrored windows, pocket windows turned over in six ways, and hand windows rotated to the ear.
     """

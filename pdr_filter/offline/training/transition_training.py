@@ -223,7 +223,7 @@ class EvidenceModel(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class EvidenceEstimate:
-    """Estimated transitions and exponents, or those of a default if the labels are not sufficient.
+    """Estimated transitions and exponents, or default values if the labels are not sufficient.
 
     Attributes
     ----------

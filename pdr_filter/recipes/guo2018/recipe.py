@@ -47,7 +47,7 @@ def guo2018(subject: Subject | None = None) -> Config:
     """Return the configuration of Guo et al. 2018.
 
     A random forest classifies the pose of the phone, steps are detected in a signal that depends on the pose, and the
-    step length is that of Chen. A gyroscope is required.
+    step length follows the model of Chen. A gyroscope is required.
 
     Parameters
     ----------

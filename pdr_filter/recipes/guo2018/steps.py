@@ -158,7 +158,7 @@ class PoseStepDetector(BaseStepDetector[PoseStepState]):
     ) -> tuple[PoseStepState, FloatArray]:
         """Return the new state, and (6, N): the four signals, 1 for walking samples, and the row of the pose's signal.
 
-        The four signals are those of `feature_signals`, not yet low-passed. The pose is the carrying mode.
+        The four signals are the result of `feature_signals`, not yet low-passed. The pose is the carrying mode.
         """
         level_state, level, has_rate = self._level.update(state.level, block)
         lowest = np.where(has_rate, self.min_level, self.min_level_accelerometer)
@@ -237,7 +237,7 @@ def feature_signals(block: UniformBlock) -> FloatArray:
 def signal_rows(carrying_mode: IntArray, angular_rate_known: BoolArray) -> IntArray:
     """Return the row of `feature_signals` for each sample, (N,), from the carrying mode of a `ContextBlock`.
 
-    Without angular rate, the signal of the pocket replaces that of a swinging hand.
+    Without angular rate, the signal for a pocket replaces the signal for a swinging hand.
     """
     row = _SIGNAL_OF_MODE[carrying_mode]
     return np.where((row == _SWINGING) & ~angular_rate_known, _POCKET, row)

@@ -1,9 +1,14 @@
 """The 28 motion features of Martinelli et al. 2018, Table II, for one window of magnitudes.
 
-F6, F10 and F14, of the low-passed |a|, are central moments about the mean of |a| itself, as printed.
+The magnitudes are |a| of the specific force, the low-passed |a|, |g| of the angular rate and |m| of the magnetic field.
+F5 to F8 are standard deviations, F9 to F12 skewnesses and F13 to F16 kurtoses. F6, F10 and F14, of the
+low-passed |a|, use deviations from the mean of the unfiltered |a|, as printed in the table.
 
-Deviations correct errors or omissions of the printed table (docs/methods/martinelli2018.md). F9 to F16 are standardised
-moments. Spectra and zero-crossing rates are computed after subtraction of the mean. F24 to F26 are in hertz.
+There are three deviations, which correct errors or omissions of the printed table (docs/methods/martinelli2018.md):
+
+- The third and fourth moments F9 to F16 are divided by the third and fourth power of the standard deviation.
+- Spectra and zero-crossing rates are computed after subtraction of the mean.
+- The peak frequencies F24 to F26 are in hertz.
 """
 
 from __future__ import annotations
@@ -40,8 +45,8 @@ _MIN_STD = 1e-9
 def features_28(magnitudes: FloatArray, rate_hz: float) -> FloatArray:
     """Return F1 to F28 of a window, shape (28,), in the order of `NAMES`.
 
-    The rows of `magnitudes` (4, N) are |a| and low-passed |a| in m/s2, |g| in rad/s and |m| in uT. A missing sensor is
-    a row of zeros, whose features are zero.
+    The rows of `magnitudes` (4, N) are the magnitude of the specific force and its low-passed version in m/s2, of the
+    angular rate in rad/s and of the magnetic field in uT. A missing sensor is a row of zeros, whose features are zero.
     """
     n = magnitudes.shape[1]
     mean = magnitudes.mean(axis=1)

@@ -131,7 +131,10 @@ class WaveletStepDetector(ResponseStepDetector[WaveletDetectorState]):
     def _signals(
         self, state: WaveletDetectorState, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
     ) -> tuple[WaveletDetectorState, FloatArray]:
-        """Return the new state, and the magnitude |f| in m/s2 and the low-passed square of |f| - g, (2, N)."""
+        """Return the new state, and two signals (2, N) of the magnitude of the specific force.
+
+        They are the magnitude in m/s2, and the low-passed square of the magnitude minus gravity.
+        """
         magnitude = specific_force_magnitude(block.specific_force_mps2)
         from scipy.signal import sosfilt
 

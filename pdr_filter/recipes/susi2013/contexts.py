@@ -165,7 +165,7 @@ class MotionModes(WindowStage[MotionWindowState, MotionWindow, None]):
     Static is the context "stationary". An arm at rest is "walking", with equal probabilities of texting, calling and
     bag. A swinging hand is "walking" with the carrying mode "swinging". Irregular motion is "stationary" with
     `irregular_prob`, because it has no displacement. Running and stairs count as walking. The probabilities of the four
-    modes are those of the leaf that a window reaches (`MotionModeTree.leaves`). If walking is improbable, texting,
+    modes come from the leaf that a window reaches (`MotionModeTree.leaves`). If walking is improbable, texting,
     calling, bag and swinging are equally probable.
 
     Parameters

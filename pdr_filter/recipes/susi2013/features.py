@@ -79,9 +79,9 @@ def dominant_frequencies(signal: FloatArray, rate_hz: float) -> FloatArray:
 def dominance(norms: FloatArray) -> FloatArray:
     """Return the share of the power of each row (d, N) in its three highest spectral maxima, (d,), 0 to 1.
 
-    The power is that of the tapered row after subtraction of its mean. Each maximum includes its two neighbours, which
-    together contain all power of a sinusoid at the centre of a bin. The share is nearly 1 for a swinging arm, small
-    for motion that is not periodic, and zero without motion.
+    The power is computed from the row after subtraction of its mean and a taper. Each maximum includes its two
+    neighbours, which together contain all power of a sinusoid at the centre of a bin. The share is nearly 1 for a
+    swinging arm, small for motion that is not periodic, and zero without motion.
     """
     return np.array([_dominance(row) for row in norms])
 

@@ -31,7 +31,7 @@ def susi2013(subject: Subject | None = None) -> Config:
     Notes
     -----
     The paper describes only step detection. The step length here is constant for a height and gender, and the heading
-    is that of the device. All deviations are in docs/methods/susi2013.md.
+    is the heading of the device. All deviations are in docs/methods/susi2013.md.
 
     Examples
     --------

@@ -67,9 +67,10 @@ class CarryingMachine:
     The transition TRANS follows for `transition_s`.
 
     Gravity in the samples of the transition determines the next main mode. After SWING or POCKET, it is HOLDING if
-    gravity is that of a held phone in any sample, otherwise the other one of SWING and POCKET. After HOLDING, it is
-    HOLDING if the phone was only rotated (see `held_again_s`). It is SWING if the phone is on its long edge (|g_x| >
-    GS_x) in any sample, and its screen is down (g_z >= GS_z) in none. In all other cases it is POCKET.
+    gravity is as for a phone in front of the body in any sample. Otherwise it is the other one of SWING and POCKET.
+    After HOLDING, it is HOLDING if the phone was only rotated (see `held_again_s`). It is SWING if the phone is on its
+    long edge (|g_x| > GS_x) in any sample, and its screen is down (g_z >= GS_z) in none. In all other cases it is
+    POCKET.
 
     Without angular rate, gravity alone determines the mode every `transition_s`. The mode is HOLDING if the screen is
     up (g_z < -GH_z) in more than half of the samples. It is SWING if the phone is on its long edge in more than half,
@@ -155,7 +156,7 @@ class CarryingMachine:
         return state, modes
 
     def _gravity_conditions(self, up_sensor: FloatArray) -> tuple[BoolArray, BoolArray, BoolArray, BoolArray]:
-        """Return whether the phone is held, on its long edge, has its screen down, and has its screen up; (N,) each."""
+        """Return four masks (N,): phone in front of the body, on its long edge, screen down, and screen up."""
         gravity, _ = ios_acceleration(np.zeros_like(up_sensor), up_sensor)
         x, y, z = gravity.T
         held = ((y < -self.held_y_g) & (z < 0)) | ((z < -self.held_z_g) & (y < 0))
@@ -229,7 +230,7 @@ class TianContexts:
     machine : CarryingMachine
         State machine of the carrying mode.
     steps : TianStepDetector
-        Step detector, which should equal that of the recipe. The person walks while it detects steps.
+        Step detector, which should equal the step detector of the recipe. The person walks while it detects steps.
     stationary_s : float, default 2.0
         Time in s without a step, outside transitions, after which the person stands.
 
@@ -283,7 +284,7 @@ class TianContexts:
         return TianContextsState(self.machine.init(), self.steps.init(), 0, -1, False, -1, 0)
 
     def after_gap(self, state: TianContextsState) -> TianContextsState:
-        """Return the state after a gap: the main mode is kept, a transition has ended, and the person stands.
+        """Return the state after a gap: the main mode is unchanged, a transition has ended, and the person stands.
 
         Parameters
         ----------

@@ -40,11 +40,12 @@ def average_angle(angle_rad: FloatArray) -> float:
 
 
 def viewing_direction(specific_force_mps2: FloatArray, attitude: AttitudeBlock) -> FloatArray:
-    """Return the viewing direction of the user of a held phone, (N,), in rad clockwise from an arbitrary zero.
+    """Return the viewing direction (N,) of a user who holds the phone in front of the body.
 
-    It is horizontal and perpendicular to the x axis of the phone, u x e in the sensor frame, with up u and x axis e.
-    The specific force f is known in the sensor frame and along the horizontal axes of the world. Its angles in the two
-    frames differ by the heading. The result is undefined, and then 0, if f or the x axis is exactly vertical.
+    It is in rad, clockwise from an arbitrary zero. The direction is horizontal and perpendicular to the x axis of the
+    phone. In the sensor frame it is the cross product of the unit vectors up and x axis. The specific force f is known
+    in the sensor frame and along the horizontal axes of the world. Its angles in the two frames differ by the heading.
+    The result is undefined, and then 0, if f or the x axis is exactly vertical.
     """
     f, up = specific_force_mps2, attitude.up_sensor
     along = f[:, 0] * up[:, 0] + f[:, 1] * up[:, 1] + f[:, 2] * up[:, 2]
@@ -149,10 +150,10 @@ class OffsetCompensation:
         return OffsetCompensationState(self._carried.init())
 
     def after_gap(self, state: OffsetCompensationState) -> OffsetCompensationState:
-        """Return the state after a gap, which keeps only the reference angle of the viewing direction.
+        """Return the state after a gap: the initial state, with only `viewing_zero_rad` copied from the old state.
 
-        The reference angle (`viewing_zero_rad`) is the viewing direction minus the device heading at the first held
-        step.
+        `viewing_zero_rad` is the viewing direction minus the device heading at the first step with the phone held in
+        front of the body. The viewing direction is the horizontal direction in which the user looks at such a phone.
 
         Parameters
         ----------

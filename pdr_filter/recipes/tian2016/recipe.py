@@ -36,7 +36,10 @@ class StaticFirstStepLength:
         check_numbers(self)
 
     def regressors(self, step: Step) -> FloatArray:
-        """Return (h sqrt(f), 0), or (0, h) for the first step from rest."""
+        """Return the regressors (h sqrt(f), 0), or (0, h) for the first step from rest.
+
+        h is the body height in m, and f the step frequency in Hz.
+        """
         moving = TianStepLength(self.height_m).regressors(step)[0]
         return np.array([0.0, self.height_m]) if step.from_rest else np.array([moving, 0.0])
 

@@ -217,7 +217,7 @@ class TianStepDetector(BaseStepDetector[TianDetectorState]):
     ) -> tuple[TianDetectorState, FloatArray]:
         """Return the new state, and the three filtered signals in g and the carrying state of each sample, (4, N).
 
-        The signals are those of `step_signals`. The carrying state is HOLDING, SWING, POCKET or TRANS.
+        The signals are the result of `step_signals`. The carrying state is HOLDING, SWING, POCKET or TRANS.
         """
         raw = step_signals(block.specific_force_mps2, attitude.up_sensor)
         carried, states = self._carried.update(state.carried, contexts.carrying_mode)

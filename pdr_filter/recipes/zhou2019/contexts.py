@@ -59,7 +59,7 @@ class BehaviourThresholds:
 
         It is running if the DC component exceeds its threshold (Condition 6). Otherwise it is walking if variance and
         energy exceed theirs (Condition 5), or irregular if DC component and energy do (Condition 4). Otherwise it is
-        standing (Condition 3). The conditions are those of Zhou et al. 2019, Table 1.
+        standing (Condition 3). Table 1 of Zhou et al. 2019 has the conditions.
         """
         variance, dc_component, energy = features
         if dc_component > self.running_dc_mps2:

@@ -97,7 +97,7 @@ class BehaviourWindows(SlidingWindows[BehaviourState, BehaviourWindow]):
     window_s, hop_s : float, default 2.0
         Length and hop of the windows in s.
     static_s : float, default 1.0
-        Length in s of the static start, at most that of the window, so that it delays no window.
+        Length in s of the static start, at most the length of the window, so that it delays no window.
     static_std_mps2 : float, default 0.3
         Largest standard deviation of |f| of a static start. The bias is zero if it is exceeded, or if |f| is far from
         gravity. Over one second, a standing foot has less than 0.05 m/s2 (pyshoe), and a walking foot more than 1 m/s2.

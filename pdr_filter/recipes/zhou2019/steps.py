@@ -106,7 +106,7 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
     first_step_s : float, default 0.6
         Duration in s of the first step of a bout, because no contact marks its start.
     walking, running : EventSearch
-        Parameters for the two behaviours. Any behaviour except running uses those of walking.
+        Parameters for the two behaviours. Any behaviour except running uses the parameters of walking.
     steps_per_event : int
         Steps of an event: 2 for a sensor on the foot, 1 elsewhere on the body.
     relative_maximum : float

@@ -70,8 +70,8 @@ def calibration(
 def residuals(segments: Table, ax: Axes | None = None) -> Axes:
     """Draw the held-out errors of calibration segments against their known lengths.
 
-    The error of a segment is that of the length predicted by a calibration without this segment, in per cent. Of more
-    than 5000 segments, 5000 evenly spaced ones are drawn.
+    The error of a segment, in per cent, is the error of the length predicted by a calibration without this segment. Of
+    more than 5000 segments, 5000 evenly spaced ones are drawn.
 
     Parameters
     ----------

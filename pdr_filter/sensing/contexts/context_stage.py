@@ -239,7 +239,7 @@ class WindowStage(ABC, Generic[W, X, M]):
 
     @property
     def contexts(self) -> tuple[str, ...]:
-        """Names of the contexts, those of the default."""
+        """Names of the contexts. Here they are the default contexts."""
         return CONTEXTS
 
     @property
@@ -462,10 +462,10 @@ class ContextModels:
     (`ContextModel.stairs`), its decision between stairs and walking counts as unknown, however familiar the windows
     look. A barometer decides instead, if there is one.
 
-    Context probabilities are those of each window alone. A carrying mode persists, and a phone at rest gives no
-    evidence of it. The carrying-mode probabilities therefore come from all windows so far: a forward filter over the
-    modes that the model knows, in which a window is weighted by its probability of motion. Without a carrying model all
-    modes stay equally probable.
+    Context probabilities depend on each window alone. A carrying mode persists, and a phone at rest gives no evidence
+    of it. The carrying-mode probabilities therefore come from all windows so far: a forward filter over the modes that
+    the model knows, in which a window is weighted by its probability of motion. Without a carrying model all modes stay
+    equally probable.
 
     Parameters
     ----------
@@ -518,7 +518,7 @@ class ContextModels:
 
     @property
     def models(self) -> tuple[ContextModel, ...]:
-        """All models that are given."""
+        """Context and carrying-mode models of this stage, without the ones that are None."""
         optional = self.without_gyroscope, self.carrying_with_gyroscope, self.carrying_without_gyroscope
         return (self.with_gyroscope, *(model for model in optional if model is not None))
 
@@ -645,10 +645,10 @@ class ContextModels:
 def follow_mode(
     before: FloatArray, window_prob: FloatArray, prior: FloatArray, stay_prob: float, exponent: float
 ) -> FloatArray:
-    """Return the posterior p_k ~ (sum_j p_j t_jk) (w_k / prior_k)^exponent, (D,), of the modes with a prior above zero.
+    """Return the posterior (D,) of the modes with a prior above zero.
 
-    p is `before`, and w is `window_prob`. The transition matrix t has `stay_prob` on its diagonal and equal values
-    elsewhere.
+    The value of mode k is proportional to (sum_j p_j t_jk) (w_k / prior_k)^exponent. Here p is `before`, and w is
+    `window_prob`. The transition matrix t has `stay_prob` on its diagonal and equal values elsewhere.
     """
     modes = list(zip(before.tolist(), window_prob.tolist(), prior.tolist(), strict=True))
     leave = (1 - stay_prob) / max(sum(r > 0 for _, _, r in modes) - 1, 1)

@@ -91,7 +91,7 @@ class IrregularGate:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the features that `prob` takes: those of the logistic model, then those of the stillness rule."""
+        """Names of the features that `prob` takes, first for the logistic model, then for the stillness rule."""
         return (*self.feature_names, *self.still_names)
 
     def prob(self, features: FloatArray) -> FloatArray:

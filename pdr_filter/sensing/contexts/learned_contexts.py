@@ -159,8 +159,8 @@ def stage_of(
 
     In a pair of models, the second is for windows without gyroscope. A single model classifies such windows if it was
     trained on them, or if the replaced model for them has all its features. Otherwise such windows are unknown.
-    Windows, carrying-mode models and features are those of the present stage if it has the features of the model.
-    Otherwise they are those of the default recipe. Features that come with a model are added. Raises ValueError if no
+    Windows, carrying-mode models and features come from the present stage if it has the features of the model.
+    Otherwise they come from the default recipe. Features that come with a model are added. Raises ValueError if no
     feature set has the features of the model.
     """
     if not isinstance(contexts, ContextModel | tuple):

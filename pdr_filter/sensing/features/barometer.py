@@ -289,13 +289,13 @@ def climb_log_evidence(
 ) -> FloatArray:
     """Return the log likelihood of climb rates (...) in each context, (..., C), up to a common constant.
 
-    It is log((1 - e) N(v; m_c, s_c^2 + std^2) + e / (2 v_max)). The rates are 0.27 +- 0.08 m/s upstairs, -0.27 +- 0.08
-    m/s downstairs and 0 +- 0.06 m/s in other contexts. With probability e = 0.1 the rate is that of a lift, uniform
-    between -2.5 and 2.5 m/s. At the speed of a lift all contexts are equally likely, and the other sensors must
-    distinguish standing from stairs. A slow lift (0.5 m/s) still gives 1 nat for stairs, each lift passes the rate of
-    stairs while it accelerates, and an escalator keeps it. The evidence is therefore bounded, and must not be the only
-    evidence. A rate with a large `std_mps` gives no evidence. Raises ValueError for a rate that is not finite or a
-    negative `std_mps`.
+    It is log((1 - e) N(v; m_c, s_c^2 + std^2) + e / (2 v_max)), with the rate v and the mean m_c and standard deviation
+    s_c of context c. The rates are 0.27 +- 0.08 m/s upstairs, -0.27 +- 0.08 m/s downstairs and 0 +- 0.06 m/s in other
+    contexts. With probability e = 0.1 the rate belongs to a lift and is uniform between -2.5 and 2.5 m/s. At the speed
+    of a lift all contexts are equally likely, and the other sensors must distinguish standing from stairs. A slow lift
+    (0.5 m/s) still gives 1 nat for stairs, each lift passes the rate of stairs while it accelerates, and an escalator
+    keeps it. The evidence is therefore bounded, and must not be the only evidence. A rate with a large `std_mps` gives
+    no evidence. Raises ValueError for a rate that is not finite or a negative `std_mps`.
     """
     rate, std = np.asarray(climb_rate_mps, dtype=float)[..., None], np.asarray(std_mps, dtype=float)[..., None]
     if not (np.isfinite(rate) & (std >= 0)).all():

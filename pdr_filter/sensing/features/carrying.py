@@ -229,7 +229,7 @@ def _lever(acceleration_about: ComplexArray, horizontal: ComplexArray, n: int) -
     arm. It is the factor from the angular acceleration to the horizontal specific force.
 
     `acceleration_about` (W, B) is the spectrum of the angular acceleration about the main axis. `horizontal` (W, 2, B)
-    is that of the horizontal specific force. The windows have `n` samples.
+    is the spectrum of the horizontal specific force. The windows have `n` samples.
     """
     # Least squares of the horizontal acceleration on the angular one. The factor i between angular rate and angular
     # acceleration is omitted, because only absolute values are used.
@@ -244,14 +244,14 @@ def _lever(acceleration_about: ComplexArray, horizontal: ComplexArray, n: int) -
 
 
 def _squared(values: ComplexArray) -> FloatArray:
-    """Return the squared absolute values."""
+    """Return the squared absolute values of complex numbers, without the square root that `abs` computes."""
     return values.real**2 + values.imag**2
 
 
 def _stride_and_step(power: FloatArray, n: int, rate_hz: float) -> tuple[FloatArray, FloatArray]:
     """Return the power (W, L) of spectra (W, L, K) at stride frequency and at step frequency.
 
-    The step frequency is that of the strongest vertical motion.
+    The step frequency is the frequency of the strongest vertical motion.
     """
     first, last = _bins(_STEP_HZ, n, rate_hz)
     step = first + power[:, 0, first:last].argmax(axis=1)
@@ -269,7 +269,7 @@ def _log_rms(power: FloatArray, floor: float) -> FloatArray:
 
 @cache
 def _omega(n: int, rate_hz: float) -> FloatArray:
-    """Return the angular frequency of each bin, rad/s. The bin of zero frequency has that of the next bin."""
+    """Return the angular frequency of each bin, rad/s. The bin of zero frequency has the value of the next bin."""
     bins = np.arange(n // 2 + 1, dtype=np.float64)
     return 2 * np.pi * rate_hz / n * np.maximum(bins, 1.0)
 

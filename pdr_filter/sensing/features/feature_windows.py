@@ -29,7 +29,7 @@ N_SIGNALS = N_MAGNITUDES + len(invariant.SIGNALS)
 class AttitudeFreeFeatures:
     """Feature set of the shipped models, independent of the attitude of the phone.
 
-    The features are those of the motion (`invariant`), of the carrying mode (`carrying`) and of the stride (`stride`).
+    The features describe the motion (`invariant`), the carrying mode (`carrying`) and the stride (`stride`).
     """
 
     name: str = "invariant"

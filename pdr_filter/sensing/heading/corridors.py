@@ -140,7 +140,7 @@ class Corridors:
         """Return the state after a break in the headings: the drift starts at zero, and no axes are known.
 
         Each filter of the bank keeps its drift rate with its variance, and its weight. It also keeps its estimate of
-        the scale error of the gyroscope, but the variance of this estimate is that of the prior again. The odds that
+        the scale error of the gyroscope, but the variance of this estimate is the prior variance again. The odds that
         the walk follows axes, the total turn and the last legs start again.
         """
         initial = self.init()

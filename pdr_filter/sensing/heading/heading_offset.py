@@ -65,12 +65,16 @@ class Offset:
 
     @property
     def shown_rad(self) -> float:
-        """Angle o + g from the zero of the device heading to the walking direction, as strides measure it, rad."""
+        """Angle from the zero of the device heading to the walking direction, rad.
+
+        It is the sum of the heading offset o and the reference angle g. Strides measure this sum plus a systematic
+        error.
+        """
         return self.mean[0] + self.mean[1]
 
     @property
     def shown_var_rad2(self) -> float:
-        """Variance of o + g, rad2, at most that of a uniform angle."""
+        """Variance of `shown_rad`, rad2, at most the variance of a uniformly distributed angle (pi^2 / 3)."""
         oo, og, _, gg, _, _ = self.cov
         return min(oo + 2.0 * og + gg, UNKNOWN_VAR_RAD2)
 
@@ -85,14 +89,15 @@ class Offset:
         return Offset((o, g, stay * s), (oo + var_rad2, og, stay * os, gg, stay * gs, ss))
 
     def updated(self, c: float, direction: complex, var_rad2: float) -> Offset:
-        """Return the offset after a measurement of o + g + c s.
+        """Return the offset after a measurement of o + g + c s with variance `var_rad2`.
 
-        `c` is `STRIDE_MEASUREMENT` or `AXIS_MEASUREMENT`. `direction` is a complex number whose argument is the
-        measured angle, with an absolute value of 1 on average. A shorter one has less weight.
+        o is the heading offset, g the reference angle and s the systematic error of strides. `c` is
+        `STRIDE_MEASUREMENT` or `AXIS_MEASUREMENT`. `direction` is a complex number whose argument is the measured
+        angle, with an absolute value of 1 on average. A shorter one has less weight.
 
-        With h = (1, 1, c), the predicted angle a and its variance V = h' P h, the mean moves to the direction of
-        e^(ia) / V + direction / r. This is the product of two von Mises distributions, and equals a Kalman update if
-        both are narrow.
+        Let P be the covariance of (o, g, s), h = (1, 1, c) and r = `var_rad2`. With the predicted angle a and its
+        variance V = h' P h, the mean moves to the direction of e^(ia) / V + direction / r. This is the product of two
+        von Mises distributions, and equals a Kalman update if both are narrow.
         """
         (o, g, s), (oo, og, os, gg, gs, ss) = self.mean, self.cov
         ph_o, ph_g, ph_s = oo + og + c * os, og + gg + c * gs, os + gs + c * ss  # P h

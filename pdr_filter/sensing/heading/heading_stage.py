@@ -18,7 +18,7 @@ class HeadingStage(Protocol):
     `config.with_heading` uses such a stage, and `pdr_filter.testing.check_stage` tests it. Headings are in rad,
     clockwise, with the zero of `Step.device_heading_rad`. These further attributes are optional:
 
-    - `drift`: a `HeadingDrift`, which must equal that of the filter.
+    - `drift`: a `HeadingDrift`, which must equal the `HeadingDrift` of the filter.
     - `learns_directions`: True if the stage sets `Step.shown_offset_rad`, which the magnetic north needs. False if
       north must not be used with the stage. Without this attribute, `shown_offset_rad` of a step is its walking heading
       minus its device heading.

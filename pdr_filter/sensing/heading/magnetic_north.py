@@ -249,12 +249,14 @@ class MagneticNorth:
         return replace_unchecked(state, n=n, squares=squares, used_s=used_s, n_fresh=n_fresh)
 
     def _solved(self, state: MagneticNorthState) -> MagneticNorthState:
-        """Return the state with the regression solved, and the variance of the disturbance e estimated again.
+        """Return the state with the regression f = m + R b + e solved, and the variance of e estimated again.
 
-        n correlated readings are worth n / c independent ones, with c = (1 + r) / (1 - r) and r = e^(-1 / correlation).
-        For x = (m, b) and the variance v of e so far, P^-1 = diag(0, 1 / iron^2) + sum X' X / (c v), and P^-1 x = sum
-        X' f / (c v). The direction psi = atan2(m_e, m_n) has the variance u' P u / (m_e^2 + m_n^2) with u = (cos psi,
-        -sin psi, 0).
+        The measured field f is the sum of the field of the Earth m = (m_e, m_n, m_u), the hard iron b rotated by R from
+        the sensor to the attitude frame, and the disturbance e. n correlated readings are worth n / c independent ones,
+        with c = (1 + r) / (1 - r) and r = exp(-1 / correlation). X = [1 R] are the regressors of a reading. For x = (m,
+        b) and the variance v of e so far, P^-1 = diag(0, 1 / iron^2) + sum X' X / (c v), and P^-1 x = sum X' f / (c v).
+        The direction of magnetic north psi = atan2(m_e, m_n) has the variance u' P u / (m_e^2 + m_n^2) with u = (cos
+        psi, -sin psi, 0).
         """
         c, iron_information = 1.0 / math.tanh(0.5 / self.correlation_readings), 1.0 / self.iron_std_ut**2
         weight = 1.0 / (c * state.variance_ut2)

@@ -141,7 +141,7 @@ class StrideAgreement:
     def mix(self, place: Placement) -> Vector:
         """Return the coefficients (3,) with which the sum of the three vectors of a stride points forward.
 
-        The vectors are those of `Stride.vectors`: one of the motion at stride frequency, and two of the motion at step
+        The vectors are `Stride.vectors`: one of the motion at stride frequency, and two of the motion at step
         frequency, which differ by 90 degrees in phase. For a swinging hand the result is (1, 0, 0), the vector at
         stride frequency alone. Otherwise it is (0, cos x, sin x) with the phase x of this person minus the usual phase.
         """

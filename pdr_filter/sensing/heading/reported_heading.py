@@ -27,7 +27,7 @@ _MAX_LOST_VAR_RAD2 = 1.0
 
 
 class Shown(NamedTuple):
-    """Heading offset estimated from strides and the axis of the phone.
+    """Heading offset (walking heading minus device heading) that strides and the axis of the phone show.
 
     Attributes
     ----------
@@ -46,7 +46,10 @@ class Shown(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Reported:
-    """Heading offset of a filter that has used all reported measurements, with its variance.
+    """Estimate of the heading offset that the filter of the track has after all measurements passed to it so far.
+
+    A measurement that a step passes to this filter is called reported. The offset that strides and the axis of the
+    phone show is called the shown offset (`Shown`).
 
     Attributes
     ----------
@@ -102,17 +105,24 @@ class Reported:
     def with_report(
         self, step: Step, shown: Shown, error_rad: float, var_rad2: float, change_std_rad: float
     ) -> tuple[Reported, dict[str, float]]:
-        """Return the estimate after a step, and the fields of the step with the reported measurement.
+        """Return the estimate after a step, and the heading fields of the step for the filter of the track.
 
-        The offset of walking heading minus device heading is `shown.offset_rad` - `error_rad`, with variance
-        `var_rad2`. `error_rad` is the error of the device heading from the gyroscope bias or the axes of a building.
-        `change_std_rad` is the standard deviation of the change of the offset if the phone was moved, else 0. A new
-        error is always reported. A new shown offset of a phone that stays in its place is reported only as far as
-        strides have reduced its variance. The reason is that this offset fluctuates, and that each change turns the
-        whole past track if the heading has been uncertain for a long time.
+        The new heading offset (walking heading minus device heading) is `shown.offset_rad` - `error_rad`. Its variance
+        is `var_rad2` plus `lost_var_rad2`. `error_rad` is the error of the device heading, estimated from the gyroscope
+        bias or the axes of a building. `change_std_rad` is the standard deviation of the change of the offset if the
+        phone was moved, else 0.
 
-        With the estimate o- of variance P- and the new offset o of variance P, the measurement is z = o- + (o - o-) / K
-        with K = 1 - P / P-, and its variance is P- P / (P- - P) (docs/methods/heading.md).
+        A change of `error_rad` is always passed on. A change of `shown.offset_rad` is passed on in full if the phone
+        was moved or the walk follows the axes of a building. Otherwise its limit is proportional to the part of its
+        variance that strides have removed, because this offset fluctuates. Each change would turn the whole past track
+        if the heading has been uncertain for a long time.
+
+        Let o- be the estimated offset before the step, of variance P-, and o the new offset, of variance P. The
+        measurement is z = o- + (o - o-) / K with the gain K = 1 - P / P-. Its variance is P- P / (P- - P)
+        (docs/methods/heading.md).
+
+        The fields are `walking_heading_rad` (device heading plus z), `walking_heading_std_rad` and
+        `offset_change_std_rad`. They are only `offset_change_std_rad` if the step has no new information.
         """
         var_rad2 += self.lost_var_rad2
         if math.isinf(self.var_rad2):
@@ -154,7 +164,10 @@ class Reported:
 
 
 def _heading(step: Step, offset_rad: float, var_rad2: float, change_std_rad: float) -> dict[str, float]:
-    """Return the heading fields of a step for a measured offset."""
+    """Return the fields of `Step` for a measurement of its heading offset with variance `var_rad2`.
+
+    The fields are the walking heading, its standard deviation, and the standard deviation of the change of the offset.
+    """
     return {
         "walking_heading_rad": step.device_heading_rad + offset_rad,
         "walking_heading_std_rad": math.sqrt(var_rad2),

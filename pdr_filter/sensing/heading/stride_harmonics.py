@@ -172,7 +172,10 @@ def strides_of(samples: StrideSamples, is_running: BoolArray, rate_hz: float, ph
 
 
 def pointing_axis(up: Vector) -> Vector:
-    """Return the horizontal unit vector along which a reader holds the phone: y, or -z for a phone held upright."""
+    """Return the horizontal unit vector in the sensor frame that points away from a user who reads the phone.
+
+    It is the horizontal part of the axis y, or of -z if the user holds the phone upright.
+    """
     return across(_AHEAD if abs(up[1]) < _UPRIGHT else _UPRIGHT_AHEAD, up)
 
 

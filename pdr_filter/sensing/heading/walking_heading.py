@@ -249,8 +249,8 @@ class WalkingHeading:
     axis_std_rad : float, default 12 degrees
         Standard deviation of the angle between walking heading and the axis of a phone that is or may be read, rad.
     max_tilt_rad : float, default 35 degrees
-        The phone was moved if the mean up direction of a stride differs from that of the place by more than this angle,
-        rad.
+        The phone was moved if the mean up direction of a stride differs from the up direction of the place by more than
+        this angle, rad.
     change_std_rad : float, default 35 degrees
         Standard deviation of the turn of the pedestrian while the phone is moved, rad.
     away_s, return_std_rad : float, default 30 and 20 degrees
@@ -670,7 +670,7 @@ class WalkingHeading:
 
     @cached_property
     def _phases(self) -> Phases:
-        """Phases of walking and running."""
+        """Phases by which the vertical force is advanced to be in phase with the push forward."""
         return Phases(self.phase_rad, self.running_phase_rad, self.running_mps2)
 
     def _update_place(
@@ -678,9 +678,10 @@ class WalkingHeading:
     ) -> tuple[Offset, tuple[PreviousPlacement, ...], Placement, float]:
         """Return the heading offset, the previous places, the place of a stride, and the change of the offset.
 
-        The phone was moved if the mean up direction of the stride is too far from that of the place. A new place then
-        begins. Its offset follows from the last walking direction, and from a previous place with the same tilt if
-        there is one. The change of the offset is a standard deviation in rad, and zero unless the phone was moved.
+        The phone was moved if the mean up direction of the stride is too far from the up direction of the place. A new
+        place then begins. Its offset follows from the last walking direction, and from a previous place with the same
+        tilt if there is one. The change of the offset is a standard deviation in rad, and zero unless the phone was
+        moved.
         """
         place_before, previous_places = state.place, state.previous_places
         if place_before is None:

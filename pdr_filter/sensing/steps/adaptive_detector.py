@@ -191,7 +191,7 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
         """Delay of the response in samples: the number of samples after a contact that are needed to compute it there.
 
         The response is the wavelet transform of |f| at the frequency that R determines (`_response`). Its local maxima
-        are the steps. The samples are those of `after_s`, and half the length of the low-pass before R.
+        are the steps. The samples are the number in `after_s`, plus half the length of the low-pass before R.
         """
         return self._n_after
 
@@ -220,16 +220,17 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
     def _signals(
         self, state: AdaptiveDetectorState, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
     ) -> tuple[AdaptiveDetectorState, FloatArray]:
-        """Return the unchanged state and |f| minus gravity, (1, N)."""
+        """Return the unchanged state, and the magnitude of the specific force minus gravity (1, N), in m/s2."""
         return state, specific_force_magnitude(block.specific_force_mps2)[None] - STANDARD_GRAVITY_MPS2
 
     # Each value below is a sum over neighbouring samples in a fixed order, so that its bits do not depend on where the
     # signal is cut into blocks.
 
     def _response(self, line: FloatArray) -> FloatArray:
-        """Return the wavelet transform, the standard deviation R of |f| and the wavelet frequency, (3, N).
+        """Return the wavelet transform, the standard deviation R and the wavelet frequency, (3, N).
 
-        R is in m/s2 and the frequency in Hz.
+        R, in m/s2, is the standard deviation of the magnitude of the specific force over about three steps. The
+        frequency is in Hz.
         """
         rms, *derivative_rms = self._rms(line[0], (self._power_low_pass, *self._derivatives))
         frequency_hz = np.maximum(self.frequency_at_1_mps2_hz * rms**self.frequency_exponent, _BANK_HZ[0])
@@ -238,7 +239,7 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
 
     @cached_property
     def _n_around(self) -> int:
-        """Number of samples over which the standard deviation R of |f| is computed."""
+        """Number of samples over which the standard deviation of the specific-force magnitude is computed."""
         return round(self.before_s * self.rate_hz) + round(self.after_s * self.rate_hz) + 1
 
     def _rms(self, line: FloatArray, kernels: Sequence[FloatArray]) -> FloatArray:
@@ -251,9 +252,9 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
         return np.sqrt(np.maximum(square - mean * mean, 0.0))
 
     def _sine_hz(self, rms: FloatArray, rms_first: FloatArray, rms_second: FloatArray) -> FloatArray:
-        """Return the lower limit of the wavelet frequency (N,), Hz, or 0 where |f| is not a sine.
+        """Return the lower limit of the wavelet frequency (N,), Hz, or 0 where the motion is not a sine.
 
-        The arguments are the rms values (N,) of |f| and its first two derivatives.
+        The arguments are the rms values (N,) of the specific-force magnitude and of its first two time derivatives.
         """
         rms, rms_first = np.maximum(rms, 1e-9), np.maximum(rms_first, 1e-9)
         frequency_hz = rms_first / (2 * np.pi * rms)
@@ -316,8 +317,8 @@ def _with_step(rhythm: Rhythm, interval_s: float, new_bout: bool) -> Rhythm:
 def bounce_kernel(frequency_hz: float, low_pass_hz: float, max_half_s: float, rate_hz: float) -> FloatArray:
     """Return a low-passed Mexican hat kernel: symmetric, odd length, zero mean, unit gain at its frequency.
 
-    The hat is (1 - u^2) exp(-u^2 / 2) with u = t / s and s = 1 / (4 f), a quarter of a step. It ends at 3.5 s, where 1
-    % of its peak is left, or at `max_half_s`.
+    The hat is (1 - u^2) exp(-u^2 / 2) with u = t / s, the time t and s = 1 / (4 f), a quarter of a step at the
+    frequency f. It ends at t = 3.5 s, where 1 % of its peak is left, or at `max_half_s`.
     """
     half = round(min(3.5 * 0.25 / frequency_hz, max_half_s) * rate_hz)
     u = np.arange(-half, half + 1) / (rate_hz * (0.25 / frequency_hz))

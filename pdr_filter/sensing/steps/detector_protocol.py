@@ -54,7 +54,7 @@ class StepDetector(Protocol[S]):
 
     @property
     def rate_hz(self) -> float:
-        """Sampling rate of the blocks, Hz. It must be that of all stages, 100 in the default recipe."""
+        """Sampling rate of the blocks, Hz. All stages must have the same rate, which is 100 in the default recipe."""
         ...
 
     @property

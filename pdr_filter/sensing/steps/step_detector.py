@@ -207,7 +207,7 @@ class BaseStepDetector(ABC, Generic[S]):
 
     @cached_property
     def _log(self) -> StepLog:
-        """Buffer that describes the detected steps."""
+        """Sample buffer from which the fields of each detected step are computed."""
         return StepLog(self.rate_hz, self.latency_s, self.max_interval_s, self.first_step_s)
 
     def update(

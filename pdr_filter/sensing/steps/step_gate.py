@@ -403,7 +403,7 @@ class StepGate:
         return first, n_walking
 
     def _without_expired(self, state: StepGateState) -> StepGateState:
-        """Return the state without the held steps that are too early to belong to a future bout."""
+        """Return the state without undecided steps that are too early to belong to a future bout."""
         begin_s = state.held[-1].step.time_s
         if not state.is_bout and begin_s - state.run_s[1] <= self.max_interval_s:
             begin_s = state.run_s[0]
@@ -412,7 +412,7 @@ class StepGate:
 
     @property
     def _walking_share(self) -> float:
-        """Stationary probability of walking."""
+        """Long-term share of time spent walking: the stationary distribution of the chain of walking and pauses."""
         return self.mean_walk_s / (self.mean_walk_s + self.mean_pause_s)
 
     def _change_probs(self, duration_s: float) -> tuple[float, float]:
