@@ -27,10 +27,10 @@ demo: $(VENV)/.installed
 	@$(BIN)/pdr-filter demo $(if $(FILE),"$(FILE)") --out "$(OUT)"
 
 test: $(VENV)/.installed-test
-	@$(BIN)/python -m pytest -q -n auto --dist worksteal -m "not slow"
+	@$(BIN)/python -m pytest -q -n auto --dist loadfile -m "not slow"
 
 test-all: $(VENV)/.installed-test
-	@$(BIN)/python -m pytest -q -n auto --dist worksteal
+	@$(BIN)/python -m pytest -q -n auto --dist loadfile
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

@@ -46,3 +46,4 @@ def pytest_collection_finish() -> None:
     """Exempt modules and collected tests from garbage collection, which took 8 % of the time of the tests."""
     gc.collect()
     gc.freeze()
+    gc.set_threshold(20_000, 20, 20)

@@ -30,7 +30,7 @@ from pdr_filter.values.serialisation import from_bytes, to_bytes
 SLOW_S = 2.0  # a second on a machine that is not busy
 
 
-@pytest.mark.parametrize(("form", "n"), [*((form, 15) for form in FILTERS), ("model", 30), ("calibration", 60)])
+@pytest.mark.parametrize(("form", "n"), [*((form, 8) for form in FILTERS), ("model", 15), ("calibration", 40)])
 def test_a_mutation_is_refused_at_loading_or_does_no_harm(form: str, n: int, tmp_path: Path) -> None:
     try_one(form, 0, 1, tmp_path)  # makes what is mutated
     for number in range(n):

@@ -93,7 +93,7 @@ def test_any_mixture_of_fixes_leaves_valid_covariances_that_hold_the_truth(
 ) -> None:
     config = poor_walk.world if frame == "world" else poor_walk.config
     nees: list[float] = []
-    for seed in range(10):
+    for seed in range(6):
         fixes = mixture(poor_walk, np.random.default_rng(seed), has_wrong)
         with warnings.catch_warnings():
             warnings.simplefilter("error")
@@ -112,7 +112,7 @@ def test_with_a_share_of_wrong_fixes_the_track_is_better_than_dead_reckoning(
     poor_walk: SensedWalk,
 ) -> None:
     alone_m = poor_walk.errors_m(poor_walk.tracked([], poor_walk.config))
-    for seed in range(12):
+    for seed in range(8):
         fixes = mixture(poor_walk, np.random.default_rng(seed), has_wrong=True)
         found_m = poor_walk.errors_m(poor_walk.tracked(fixes, poor_walk.config))
         assert np.sqrt(np.mean(found_m**2)) < np.sqrt(np.mean(alone_m**2))

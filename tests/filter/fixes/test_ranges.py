@@ -75,7 +75,7 @@ def errors(track: pdr.Track, recording: pdr.Recording) -> tuple[float, float]:
 
 @pytest.mark.parametrize("world", [False, True], ids=["start", "unknown frame"])
 @pytest.mark.parametrize(("reflected", "most_m"), [(0.0, 0.5), (1 / 3, 0.8)])
-@pytest.mark.parametrize("seed", [4, 5, 6])
+@pytest.mark.parametrize("seed", [4, 5])
 def test_ranges_to_three_anchors_keep_the_error_below_half_a_metre_and_with_reflections_below_eight_tenths(
     seed: int, reflected: float, most_m: float, world: bool
 ) -> None:
