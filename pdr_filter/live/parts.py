@@ -37,7 +37,7 @@ class Tick:
 
 @dataclass(frozen=True, slots=True)
 class Save:
-    """Last request to a worker process: save all sessions."""
+    """Last request to a worker: save all sessions."""
 
 
 Request = Take | Whole | Tick | Save
