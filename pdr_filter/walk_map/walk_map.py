@@ -21,7 +21,17 @@ from pdr_filter.values.uncertainty import worst_std_m
 from pdr_filter.version import __version__
 from pdr_filter.walk_map.chains import Chain, cached_chain, without_times
 from pdr_filter.walk_map.joint import Known, States, solve_group, step_positions
-from pdr_filter.walk_map.placing import MOST_TOGETHER, PlacedGroup, Pose, ScannedWalks, adjust, grow, settle, turned
+from pdr_filter.walk_map.placing import (
+    MOST_TOGETHER,
+    UNKNOWN_NORTH,
+    PlacedGroup,
+    Pose,
+    ScannedWalks,
+    adjust,
+    grow,
+    settle,
+    turned,
+)
 
 _FORMAT = 1
 # An access point has moved if walks that receive it this strongly are farther apart than this.
@@ -582,6 +592,7 @@ def _mapped(
     known: Mapping[str, Sequence[Known]],
     salt: str | None,
     before: Sequence[_JoinedGroup] = (),
+    north: tuple[float, float] = UNKNOWN_NORTH,
 ) -> WalkMap:
     """Return the map of chains: walks are placed as rigid shapes, grouped, and each group is solved together.
 
@@ -592,7 +603,7 @@ def _mapped(
     reasons = {i: "no Wi-Fi scans: record Wi-Fi with the walk" for i, c in enumerate(chains) if not len(c.scans)}
     fixes = {i: known[c.name] for i, c in enumerate(chains) if c.name in known}
     free = {i for i in range(len(chains)) if i not in reasons}
-    groups = [PlacedGroup(g.poses, frozenset(g.seeds), g.north_rad) for g in before]
+    groups = [PlacedGroup(g.poses, {i: g.poses[i] for i in g.seeds}, g.north_rad, north) for g in before]
     fixed = [g.states for g in before]
     is_known = [g.is_known for g in before]
     free -= {i for g in groups for i in g.poses}
@@ -601,13 +612,12 @@ def _mapped(
         turns = [pose.turn_rad for i, pose in seeds.items() if chains[i].knows_north]
         home = next((k for k, flag in enumerate(is_known) if flag), None)
         if home is None:
-            north_rad = 0.5 * float(np.mean(turns)) if turns else 0.0
-            groups.insert(0, PlacedGroup(seeds, frozenset(seeds), north_rad))
+            groups.insert(0, PlacedGroup(dict(seeds), seeds, north[0], north))
             fixed.insert(0, {})
             is_known.insert(0, True)
         else:
             groups[home].poses.update(seeds)
-            groups[home].seeds |= frozenset(seeds)
+            groups[home].seeds = {**groups[home].seeds, **seeds}
         free.difference_update(seeds)
     for group in groups:
         _extend(walks, group, free, reasons)
@@ -615,7 +625,8 @@ def _mapped(
     for i in todo:
         if i not in free or not walks.partners[i] & free:
             continue
-        group = PlacedGroup({i: Pose(0.0, np.zeros(2))}, frozenset([i]))
+        pose = Pose(0.0, np.zeros(2))
+        group = PlacedGroup({i: pose}, {i: pose}, north[0], north)
         free.discard(i)
         _extend(walks, group, free, reasons)
         if len(group.poses) > 1:
@@ -631,7 +642,7 @@ def _mapped(
         # the first walks are solved together, and later ones fitted to them, so that the cost grows linearly
         for start in range(0, max(len(pending), 1), MOST_TOGETHER):
             some = {*states, *pending[start : start + MOST_TOGETHER]}
-            part = PlacedGroup({i: p for i, p in group.poses.items() if i in some}, group.seeds, group.north_rad)
+            part = replace(group, poses={i: p for i, p in group.poses.items() if i in some})
             states = solve_group(walks, part, fixes, states)
         vague = [i for i in states if i not in earlier and i not in group.seeds and _std_m(states[i]) > _MOST_STD_M]
         for i in vague:
@@ -673,6 +684,7 @@ def _extend(walks: ScannedWalks, group: PlacedGroup, free: set[int], reasons: di
     grow(walks, group, free)
     for i in settle(walks, group, kept):
         reasons[i] = "the other walks contradict its place: access points may have been moved"
+    adjust(walks, group, list(group.poses), n_iterations=25)
 
 
 def _known_pose(chain: Chain, fixes: Sequence[Known]) -> Pose | None:
