@@ -18,12 +18,14 @@ from pdr_filter.offline.smoothing.linear_graph import Rows
 from pdr_filter.offline.smoothing.preintegration import TURN, scaled_rotation, step_states
 from pdr_filter.offline.smoothing.solve import linearised
 from pdr_filter.values import FloatArray, HeadingFix, IntArray, PositionFix, wrap_angle
-from pdr_filter.walk_map.likeness import slope_and_information
-from pdr_filter.walk_map.placing import PlacedGroup, ScannedWalks, joint_poses, scans_around
+from pdr_filter.walk_map.placing import PlacedGroup, ScannedWalks, joint_poses, of_fingerprints, scans_around
 
 Known = PositionFix | HeadingFix
 # Definition of a frame without fixes: the start of its first walk.
 _ORIGIN_STD_M, _ORIGIN_STD_RAD = 0.01, 0.001
+# Factor on the variances that follow from fingerprints, so that the covariances are valid, because the signals are no
+# Gaussian process and their deviations last along a walk. Chosen on storey F1 of `ms_indoor`.
+INFLATION = 4.0
 # Sweeps over all walks, and the share of each change that is made, because walks that meet move towards each other.
 _N_SWEEPS, _SHARE = 4, 0.6
 
@@ -53,7 +55,7 @@ def solve_group(
     if not free:
         return dict(fixed)
     scans = scans_around(walks, group, free)
-    rigid = joint_poses(walks, group, free, scans).information
+    rigid = joint_poses(walks, group, free, scans, weight=1.0 / INFLATION).information
     of_others = np.linalg.inv(rigid)
     state = {i: (fixed[i].mean, fixed[i].frame_rad) for i in fixed}
     for i in free:
@@ -71,20 +73,23 @@ def solve_group(
         at_m = np.zeros((len(scans), 2))
         for i, (node, ahead) in points.items():
             at_m[own[i]] = _by_state(state[i][0], node, ahead)[0]
-        slope, information = _of_fingerprints(walks, scans, at_m, floor)
+        _, slope, information = of_fingerprints(walks, scans, at_m, floor)
         for k, i in enumerate(free):
             (mean, frame_rad), n = state[i], walks.chains[i].n_knots
-            left, right = _of_walk(walks, group, i, state[i], known.get(i, ()), is_origin=not fixed)
+            alone, right = _of_walk(walks, group, i, state[i], known.get(i, ()), is_origin=not fixed)
+            by_scans = np.zeros_like(alone)
             if i in own:
                 node, ahead = points[i]
                 by_state = np.zeros((len(node), 2, len(right)))
                 columns = N_STATES * node[:, None] + np.arange(N_STATES)
-                np.put_along_axis(by_state, columns[:, None, :].repeat(2, axis=1), _by_state(mean, node, ahead)[1], axis=2)
+                np.put_along_axis(
+                    by_state, columns[:, None, :].repeat(2, axis=1), _by_state(mean, node, ahead)[1], axis=2
+                )
                 by_state = by_state.reshape(-1, len(right))
-                of_scans = information[np.ix_(own[i], [0, 1], own[i], [0, 1])].reshape(len(by_state), -1)
-                left += by_state.T @ of_scans @ by_state
-                right += by_state.T @ slope[own[i]].ravel()
-            change = _SHARE * np.linalg.solve(left, right)
+                of_own = (2 * own[i][:, None] + (0, 1)).ravel()
+                by_scans = by_state.T @ information[np.ix_(of_own, of_own)] @ by_state
+                right += by_state.T @ slope[of_own]
+            change = _SHARE * np.linalg.solve(alone + by_scans, right)
             of_knot, turn_rad = change[: N_STATES * n].reshape(n, N_STATES), float(change[N_STATES * n :].sum())
             limit = 0.5 / max(float(np.abs(of_knot[:, 2:]).max()), abs(turn_rad), 0.5)
             state[i] = mean + limit * of_knot, frame_rad + limit * turn_rad
@@ -92,24 +97,10 @@ def solve_group(
                 pose = slice(4 * k, 4 * k + 4)
                 by_pose = _by_pose(state[i][0], group.poses[i].shift_m)
                 shared = by_pose @ (of_others[pose, pose] - np.linalg.inv(rigid[pose, pose])) @ by_pose.T
-                cov = np.linalg.inv(left)[: N_STATES * n, : N_STATES * n] + shared
+                cov = np.linalg.inv(alone + by_scans / INFLATION)[: N_STATES * n, : N_STATES * n] + shared
                 ends = [slice(N_STATES * j, N_STATES * (j + 2)) for j in range(n - 1)]
                 found[i] = States(*state[i], np.array([cov[end, end] for end in ends]))
     return found
-
-
-def _of_fingerprints(
-    walks: ScannedWalks, scans: IntArray, at_m: FloatArray, floor: IntArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the gradient (n, 2) and information (n, 2, n, 2) of the fingerprints of scans by their positions."""
-    slope, information = np.zeros((len(scans), 2)), np.zeros((len(scans), 2, len(scans), 2))
-    for storey in np.unique(floor).tolist():
-        here = np.flatnonzero(floor == storey)
-        heard = walks.heard[scans[here]]
-        of_scan, of_scans = slope_and_information(at_m[here], walks.owner[scans[here]], (heard @ heard.T).toarray())
-        slope[here] = of_scan.reshape(-1, 2)
-        information[np.ix_(here, [0, 1], here, [0, 1])] = of_scans.reshape(len(here), 2, len(here), 2)
-    return slope, information
 
 
 def _of_walk(
@@ -139,11 +130,12 @@ def _of_walk(
     for block in rows:
         weight = block.weight if len(block.weight) else np.ones(len(block.a))
         for k, (a, b) in enumerate(zip(block.a.tolist(), block.b.tolist(), strict=True)):
-            A, at = block.A[k], N_STATES * a + np.arange(block.A.shape[2])
+            by_state, at = block.A[k], N_STATES * a + np.arange(block.A.shape[2])
             if b >= 0:
-                A, at = np.hstack([A, block.B[k]]), np.append(at, N_STATES * b + np.arange(block.B.shape[2]))
-            left[np.ix_(at, at)] += weight[k] * A.T @ A
-            right[at] += weight[k] * A.T @ block.rhs[k]
+                by_state = np.hstack([by_state, block.B[k]])
+                at = np.append(at, N_STATES * b + np.arange(block.B.shape[2]))
+            left[np.ix_(at, at)] += weight[k] * by_state.T @ by_state
+            right[at] += weight[k] * by_state.T @ block.rhs[k]
     return left, right
 
 

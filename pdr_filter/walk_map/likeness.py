@@ -57,30 +57,19 @@ def log_ratio(heard: Any, mapped: Any, mapped_m: FloatArray, owner: IntArray, ce
     return -0.5 * EVIDENCE * (misfit / variance + np.log(variance) - 1.0)
 
 
-def log_likelihood(position_m: FloatArray, owner: IntArray, cosine: FloatArray) -> float:
-    """Return the log likelihood of the positions (n, 2) of scans, given the cosines (n, n) of their fingerprints.
+def likelihood(position_m: FloatArray, owner: IntArray, cosine: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+    """Return the log likelihood of the positions (n, 2) of scans, its gradient (2 n,), and its information (2 n, 2 n).
 
-    `owner` (n,) has the indices of their walks.
-    """
-    same = 1.0 + OF_WALK * (owner[:, None] == owner)
-    known = _SCALE * (_covariance(position_m, position_m)[1] * same + NOISE * np.eye(len(owner)))
-    factor = cho_factor(known)
-    log_det = 2.0 * float(np.log(np.diag(factor[0])).sum())
-    return -0.5 * EVIDENCE * (float(np.trace(cho_solve(factor, cosine))) + log_det)
-
-
-def slope_and_information(
-    position_m: FloatArray, owner: IntArray, cosine: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the gradient (2 n,) of `log_likelihood` by the positions, and its Fisher information (2 n, 2 n).
-
-    The unknowns are east and north of the first scan, then of the second one, and so on. With A = K^-1 and the rows
-    U_i of the derivatives of K by x_i, the information of x_i and x_j is E (A_ij (U A U')_ij + (U A)_ij (A U')_ij).
+    `cosine` (n, n) has the cosines of the fingerprints, and `owner` (n,) the indices of the walks. The unknowns are
+    east and north of the first scan, then of the second one, and so on. With A = K^-1 and the rows U_i of the
+    derivatives of K by x_i, the Fisher information of x_i and x_j is E (A_ij (U A U')_ij + (U A)_ij (A U')_ij).
     """
     n = len(position_m)
     same = 1.0 + OF_WALK * (owner[:, None] == owner)
     apart_m, k = _covariance(position_m, position_m)
-    inverse = np.linalg.inv(_SCALE * (k * same + NOISE * np.eye(n)))
+    known = _SCALE * (k * same + NOISE * np.eye(n))
+    inverse = np.linalg.inv(known)
+    value = -0.5 * EVIDENCE * (float((inverse * cosine).sum()) + float(np.linalg.slogdet(known)[1]))
     by_cov = 0.5 * EVIDENCE * (inverse @ cosine @ inverse - inverse)
     by_distance = -2.0 * _SCALE / LENGTH_M**2 * k * k * same
     by_position = [by_distance * apart_m[..., a] for a in range(2)]
@@ -90,7 +79,7 @@ def slope_and_information(
         slope[:, a] = 2.0 * (by_cov * by_position[a]).sum(axis=1)
         for b in range(2):
             information[:, a, :, b] = EVIDENCE * (inverse * (across[a] @ by_position[b].T) + across[a] * across[b].T)
-    return slope.ravel(), information.reshape(2 * n, 2 * n)
+    return value, slope.ravel(), information.reshape(2 * n, 2 * n)
 
 
 def fingerprint_matrix(scans: Sequence[Scans]) -> tuple[Any, IntArray]:

@@ -20,18 +20,17 @@ from pdr_filter.values import FloatArray, IntArray
 from pdr_filter.walk_map.chains import Chain
 from pdr_filter.walk_map.likeness import (
     fingerprint_matrix,
-    log_likelihood,
+    likelihood,
     log_ratio,
-    slope_and_information,
 )
 
 # All numbers were chosen on storey F1 of `ms_indoor`.
 # Share of the probability that one place of a walk must have, and the radius of a place.
 SURE, _PLACE_M = 0.8, 12.0
 # Smallest cosine of the loud parts of two fingerprints of walks that are compared.
-_PARTNER_COSINE = 0.4
+_PARTNER_COSINE = 0.15
 # Weight of a scan of a walk in a place, because its scans share their errors.
-_SCAN_WEIGHT = 0.3
+_SCAN_WEIGHT = 0.8
 # Smallest cosine of similar scans, and smallest number of scans of a walk that are similar to mapped scans. Fewer do
 # not hold the walk in its place.
 _SIMILAR_COSINE, _MIN_SIMILAR = 0.5, 3
@@ -45,8 +44,8 @@ _N_ELSEWHERE = 500
 _CELL_M, _MARGIN_M, _MOST_M = 4.0, 50.0, 400.0
 # Mapped scans that are compared: one for each square of this width, because neighbours have the same errors.
 _THIN_M = 6.0
-# Most scans of walks that are adjusted together, and the gain of log density that ends the adjustment.
-_MOST_SCANS, _SMALLEST_GAIN = 500, 0.05
+# Most scans of walks that are adjusted together, and the gain of log density and the damping that end the adjustment.
+_MOST_SCANS, _SMALLEST_GAIN, _MOST_DAMPING = 500, 0.05, 100.0
 # Walks that are adjusted together. Later walks are fitted to these, so that the cost grows linearly.
 MOST_TOGETHER = 200
 _MOST_ROUNDS = 60
@@ -120,7 +119,7 @@ class ScannedWalks:
             heard=fingerprint_matrix([c.scans for c in chains])[0],
             first=np.cumsum([0, *counts]),
         )
-        walks.partners = _partners(walks)
+        walks.partners = partners_of(walks)
         return walks
 
     def rows(self, walk: int) -> slice:
@@ -136,11 +135,11 @@ class ScannedWalks:
         return (self.heard[rows] @ self.heard[others].T).toarray()
 
 
-def _partners(walks: ScannedWalks) -> list[set[int]]:
+def partners_of(walks: ScannedWalks, least_cosine: float = _PARTNER_COSINE) -> list[set[int]]:
     """Return for each walk the indices of the walks that recognise a place of it.
 
-    Two walks do if the loud parts of any two of their scans have a cosine of `_PARTNER_COSINE` or more. Blocks of rows
-    bound the memory of the sparse product.
+    Two walks do if the loud parts of any two of their scans have this cosine or a larger one. Blocks of rows bound the
+    memory of the sparse product.
     """
     found: list[set[int]] = [set() for _ in walks.chains]
     # the loudest access points suffice to find candidates, and keep the lists of the index short
@@ -150,7 +149,7 @@ def _partners(walks: ScannedWalks) -> list[set[int]]:
     transposed = index.T.tocsr()
     for start in range(0, index.shape[0], 500):
         near = (index[start : start + 500] @ transposed).tocoo()
-        good = near.data >= _PARTNER_COSINE
+        good = near.data >= least_cosine
         a, b = walks.owner[near.row[good] + start], walks.owner[near.col[good]]
         for i, j in np.unique(np.column_stack([a, b]), axis=0).tolist():
             if i != j:
@@ -353,37 +352,52 @@ def scans_around(walks: ScannedWalks, group: PlacedGroup, together: Sequence[int
     return np.concatenate([own, others[:: math.ceil(len(others) / _MOST_SCANS)]])
 
 
+def of_fingerprints(
+    walks: ScannedWalks, scans: IntArray, at_m: FloatArray, floor: IntArray
+) -> tuple[float, FloatArray, FloatArray]:
+    """Return the log likelihood of n scans, its gradient (2 n,) by their positions, and its information (2 n, 2 n).
+
+    The positions `at_m` (n, 2) have the storeys `floor` (n,). Scans on different storeys say nothing about each other.
+    """
+    value, slope, information = 0.0, np.zeros((len(scans), 2)), np.zeros((len(scans), 2, len(scans), 2))
+    for storey in np.unique(floor).tolist():
+        here = np.flatnonzero(floor == storey)
+        heard = walks.heard[scans[here]]
+        found = likelihood(at_m[here], walks.owner[scans[here]], (heard @ heard.T).toarray())
+        value += found[0]
+        slope[here] = found[1].reshape(-1, 2)
+        information[np.ix_(here, [0, 1], here, [0, 1])] = found[2].reshape(len(here), 2, len(here), 2)
+    return value, slope.ravel(), information.reshape(2 * len(scans), 2 * len(scans))
+
+
 def joint_poses(
-    walks: ScannedWalks, group: PlacedGroup, together: Sequence[int], scans: IntArray, *, derivatives: bool = True
+    walks: ScannedWalks,
+    group: PlacedGroup,
+    together: Sequence[int],
+    scans: IntArray,
+    weight: float = 1.0,
 ) -> JointPoses:
     """Return the normal equations of the rigid poses of some walks, given `scans` of these and other walks.
 
-    The other walks of the group keep their poses. The terms are the likelihood of the fingerprints on each storey, and
-    the priors of rotation, scale, magnetic north and the walks that define the frame.
+    The other walks of the group keep their poses. The terms are the likelihood of the fingerprints, with a `weight`,
+    and the priors of rotation, scale, magnetic north and the walks that define the frame.
     """
     n = len(together)
     number = np.full(len(walks.chains), -1)
     number[together] = np.arange(n)
     at_m, floor = _placed(walks, group, scans)
-    objective, slope, information = 0.0, np.zeros(4 * n + 1), np.zeros((4 * n + 1, 4 * n + 1))
-    for storey in np.unique(floor).tolist():
-        here = scans[floor == storey]
-        owner, place_m, heard = walks.owner[here], at_m[floor == storey], walks.heard[here]
-        cosine = (heard @ heard.T).toarray()
-        objective += log_likelihood(place_m, owner, cosine)
-        if not derivatives:
-            continue
-        of_scan, of_scans = slope_and_information(place_m, owner, cosine)
-        k = number[owner]
-        own, pose = np.flatnonzero(k >= 0), 4 * k[k >= 0]
-        lever = place_m[own] - np.array([group.poses[i].shift_m for i in owner[own].tolist()]).reshape(-1, 2)
-        by_pose = np.zeros((2 * len(here), 4 * n + 1))
-        for axis, by_turn in ((0, lever[:, 1]), (1, -lever[:, 0])):
-            by_pose[2 * own + axis, pose] = by_turn
-            by_pose[2 * own + axis, pose + 1 + axis] = 1.0
-            by_pose[2 * own + axis, pose + 3] = lever[:, axis]
-        slope += by_pose.T @ of_scan
-        information += by_pose.T @ (of_scans @ by_pose)
+    objective, of_scan, of_scans = of_fingerprints(walks, scans, at_m, floor)
+    k = number[walks.owner[scans]]
+    own, pose = np.flatnonzero(k >= 0), 4 * k[k >= 0]
+    lever = at_m[own] - np.array([group.poses[i].shift_m for i in walks.owner[scans[own]].tolist()]).reshape(-1, 2)
+    by_pose = np.zeros((len(scans), 2, 4 * n + 1))
+    for axis, by_turn in ((0, lever[:, 1]), (1, -lever[:, 0])):
+        by_pose[own, axis, pose] = by_turn
+        by_pose[own, axis, pose + 1 + axis] = 1.0
+        by_pose[own, axis, pose + 3] = lever[:, axis]
+    by_pose = by_pose.reshape(-1, 4 * n + 1)
+    objective, slope = weight * objective, weight * by_pose.T @ of_scan
+    information = weight * by_pose.T @ (of_scans @ by_pose)
 
     def add(error: float, std: float, *keys: int) -> None:
         """Add a prior with an error that grows with the first unknown and falls with the second one."""
@@ -427,27 +441,23 @@ def adjust(walks: ScannedWalks, group: PlacedGroup, new: Sequence[int], n_iterat
     scans, damping = scans_around(walks, group, together), 1e-3
     now = joint_poses(walks, group, together, scans)
     for _ in range(n_iterations):
-        before = {i: group.poses[i] for i in together}, group.north_rad
-        for _ in range(6):
-            damped = now.information + damping * np.diag(np.diag(now.information))
-            change = np.linalg.solve(damped, now.slope)
-            of_pose = change[:-1].reshape(-1, 4)
-            largest = np.abs(of_pose).max(axis=0) / (0.4, 20.0, 20.0, 0.3)
-            change = change / max(1.0, largest.max())
-            for i, (turn, east, north, scale) in zip(together, change[:-1].reshape(-1, 4).tolist(), strict=True):
-                pose = before[0][i]
-                shift_m = pose.shift_m + (east, north)
-                group.poses[i] = Pose(pose.turn_rad + turn, shift_m, pose.floor, pose.scale * math.exp(scale))
+        before, gain = ({i: group.poses[i] for i in together}, group.north_rad), -1.0
+        while gain <= 0.0:
+            if damping > _MOST_DAMPING:
+                return
+            change = np.linalg.solve(now.information + damping * np.diag(np.diag(now.information)), now.slope)
+            largest = np.abs(change[:-1].reshape(-1, 4)).max(axis=0) / (0.4, 20.0, 20.0, 0.3)
+            change /= max(1.0, float(largest.max()))
+            for i, (turn, east, north, log_scale) in zip(together, change[:-1].reshape(-1, 4).tolist(), strict=True):
+                pose, moved_m = before[0][i], np.array([east, north])
+                scale = pose.scale * math.exp(log_scale)
+                group.poses[i] = Pose(pose.turn_rad + turn, pose.shift_m + moved_m, pose.floor, scale)
             group.north_rad = before[1] + float(change[-1])
-            objective = joint_poses(walks, group, together, scans, derivatives=False).objective
-            if objective > now.objective:
-                break
-            damping *= 8.0
-        else:
-            group.poses.update(before[0])
-            group.north_rad = before[1]
-            return
-        gain, damping = objective - now.objective, damping / 8.0
+            trial = joint_poses(walks, group, together, scans)
+            gain, damping = trial.objective - now.objective, 8.0 * damping
+            if gain <= 0.0:
+                group.poses.update(before[0])
+                group.north_rad = before[1]
+        now, damping = trial, damping / 64.0
         if gain < _SMALLEST_GAIN:
             return
-        now = joint_poses(walks, group, together, scans)
