@@ -26,8 +26,9 @@ _ORIGIN_STD_M, _ORIGIN_STD_RAD = 0.01, 0.001
 # Factor on the variances that follow from fingerprints, so that the covariances are valid, because the signals are no
 # Gaussian process and their deviations last along a walk. Chosen on storey F1 of `ms_indoor`.
 INFLATION = 4.0
-# Sweeps over all walks, and the share of each change that is made, because walks that meet move towards each other.
-_N_SWEEPS, _SHARE = 4, 0.6
+# Sweeps over all walks, the change that ends them, and the share of each change that is made, because walks that meet
+# move towards each other.
+_MOST_SWEEPS, _CONVERGED_M, _SHARE = 12, 0.1, 0.6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,8 +70,8 @@ def solve_group(
     points = {i: walks.chains[i].node_of(walks.chains[i].scans.step[scans[k] - walks.first[i]]) for i, k in own.items()}
     floor = walks.floor[scans] + np.array([group.poses[i].floor for i in owner.tolist()])
     found = dict(fixed)
-    for sweep in range(_N_SWEEPS):
-        at_m = np.zeros((len(scans), 2))
+    for _ in range(_MOST_SWEEPS):
+        largest_m, at_m = 0.0, np.zeros((len(scans), 2))
         for i, (node, ahead) in points.items():
             at_m[own[i]] = _by_state(state[i][0], node, ahead)[0]
         _, slope, information = of_fingerprints(walks, scans, at_m, floor)
@@ -93,13 +94,15 @@ def solve_group(
             of_knot, turn_rad = change[: N_STATES * n].reshape(n, N_STATES), float(change[N_STATES * n :].sum())
             limit = 0.5 / max(float(np.abs(of_knot[:, 2:]).max()), abs(turn_rad), 0.5)
             state[i] = mean + limit * of_knot, frame_rad + limit * turn_rad
-            if sweep == _N_SWEEPS - 1:
-                pose = slice(4 * k, 4 * k + 4)
-                by_pose = _by_pose(state[i][0], group.poses[i].shift_m)
-                shared = by_pose @ (of_others[pose, pose] - np.linalg.inv(rigid[pose, pose])) @ by_pose.T
-                cov = np.linalg.inv(alone + by_scans / INFLATION)[: N_STATES * n, : N_STATES * n] + shared
-                ends = [slice(N_STATES * j, N_STATES * (j + 2)) for j in range(n - 1)]
-                found[i] = States(*state[i], np.array([cov[end, end] for end in ends]))
+            largest_m = max(largest_m, float(np.abs(of_knot[:, :2]).max()))
+            cov = np.linalg.inv(alone + by_scans / INFLATION)[: N_STATES * n, : N_STATES * n]
+            if i not in group.seeds:  # their known fixes, which the rigid poses do not have, bound their uncertainty
+                pose, by_pose = slice(4 * k, 4 * k + 4), _by_pose(state[i][0], group.poses[i].shift_m)
+                cov += by_pose @ (of_others[pose, pose] - np.linalg.inv(rigid[pose, pose])) @ by_pose.T
+            ends = [slice(N_STATES * j, N_STATES * (j + 2)) for j in range(n - 1)]
+            found[i] = States(*state[i], np.array([cov[end, end] for end in ends]))
+        if largest_m < _CONVERGED_M:
+            break
     return found
 
 
