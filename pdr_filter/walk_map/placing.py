@@ -29,8 +29,6 @@ from pdr_filter.walk_map.likeness import (
 SURE, _PLACE_M = 0.8, 12.0
 # Smallest cosine of the loud parts of two fingerprints of walks that are compared.
 _PARTNER_COSINE = 0.15
-# Weight of a scan of a walk in a place, because its scans share their errors.
-_SCAN_WEIGHT = 0.8
 # Smallest cosine of similar scans, and smallest number of scans of a walk that are similar to mapped scans. Fewer do
 # not hold the walk in its place.
 _SIMILAR_COSINE, _MIN_SIMILAR = 0.5, 3
@@ -204,7 +202,7 @@ def locate(walks: ScannedWalks, group: PlacedGroup, walk: int) -> Candidate | No
             here, there = own_floor == storey, floor == storey + up
             if there.any() and here.any():
                 of_scan[here] = log_ratio(heard[here], mapped[there], at_m[there], owner[there], cells)
-        maps = (_SCAN_WEIGHT * of_scan).reshape(-1, *shape)
+        maps = of_scan.reshape(-1, *shape)
         best.append(_peak(maps, own_m, low, turns, log_prior, group.north_rad if knows_north else 0.0, up))
     top = max(log_max for log_max, _, _ in best)
     total = elsewhere * math.exp(-top) + sum(mass * math.exp(log_max - top) for log_max, mass, _ in best)
