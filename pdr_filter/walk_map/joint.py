@@ -18,7 +18,7 @@ from pdr_filter.offline.smoothing.linear_graph import Rows
 from pdr_filter.offline.smoothing.preintegration import TURN, scaled_rotation, step_states
 from pdr_filter.offline.smoothing.solve import linearised
 from pdr_filter.values import FloatArray, HeadingFix, IntArray, PositionFix, wrap_angle
-from pdr_filter.walk_map.placing import PlacedGroup, ScannedWalks, joint_poses, of_fingerprints, scans_around
+from pdr_filter.walk_map.placing import PlacedGroup, ScannedWalks, joint_poses, of_storeys, scans_around
 
 Known = PositionFix | HeadingFix
 # Definition of a frame without fixes: the start of its first walk.
@@ -74,7 +74,10 @@ def solve_group(
         largest_m, at_m = 0.0, np.zeros((len(scans), 2))
         for i, (node, ahead) in points.items():
             at_m[own[i]] = _by_state(state[i][0], node, ahead)[0]
-        _, slope, information = of_fingerprints(walks, scans, at_m, floor)
+        slope, information = np.zeros(2 * len(scans)), np.zeros((2 * len(scans), 2 * len(scans)))
+        for here, _, of_scan, of_scans in of_storeys(walks, scans, at_m, floor):
+            at = (2 * here[:, None] + (0, 1)).ravel()
+            slope[at], information[np.ix_(at, at)] = of_scan, of_scans
         for k, i in enumerate(free):
             (mean, frame_rad), n = state[i], walks.chains[i].n_knots
             alone, right = _of_walk(walks, group, i, state[i], known.get(i, ()), is_origin=not fixed)

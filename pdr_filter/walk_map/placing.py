@@ -10,7 +10,7 @@ fails.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -42,7 +42,7 @@ _N_ELSEWHERE = 500
 _CELL_M, _MARGIN_M, _MOST_M = 4.0, 50.0, 400.0
 # Mapped scans that are compared: one for each square of this width, because neighbours have the same errors.
 _THIN_M = 6.0
-# Most scans of walks that are adjusted together, and the gain of log density and the damping that end the adjustment.
+# Most scans of a storey that are adjusted together. The gain of log density and the damping that end the adjustment.
 _MOST_SCANS, _SMALLEST_GAIN, _MOST_DAMPING = 500, 0.05, 100.0
 # Walks that are adjusted together. Later walks are fitted to these, so that the cost grows linearly.
 MOST_TOGETHER = 200
@@ -338,34 +338,31 @@ class JointPoses:
 def scans_around(walks: ScannedWalks, group: PlacedGroup, together: Sequence[int]) -> IntArray:
     """Return the scans for a solution of some walks of a group: those of the walks, then those of their partners.
 
-    At most `_MOST_SCANS` scans are used, because the cost grows with their third power.
+    At most about `_MOST_SCANS` scans of each storey are used, because the cost grows with their third power.
     """
     own = walks.scans_of(together)
-    own = own[:: math.ceil(max(len(own), 1) / _MOST_SCANS)]
+    most = _MOST_SCANS * len({group.poses[i].floor for i in together})
+    own = own[:: math.ceil(max(len(own), 1) / most)]
     near = set().union(*(walks.partners[i] for i in together)) & group.poses.keys() - set(together)
     if not near:
         return own
     others = walks.scans_of(sorted(near))
     others = others[_thinned(*_placed(walks, group, others))]
-    return np.concatenate([own, others[:: math.ceil(len(others) / _MOST_SCANS)]])
+    return np.concatenate([own, others[:: math.ceil(len(others) / most)]])
 
 
-def of_fingerprints(
+def of_storeys(
     walks: ScannedWalks, scans: IntArray, at_m: FloatArray, floor: IntArray
-) -> tuple[float, FloatArray, FloatArray]:
-    """Return the log likelihood of n scans, its gradient (2 n,) by their positions, and its information (2 n, 2 n).
+) -> Iterator[tuple[IntArray, float, FloatArray, FloatArray]]:
+    """Yield the log likelihood of the m scans of each storey, and its gradient and information by their positions.
 
-    The positions `at_m` (n, 2) have the storeys `floor` (n,). Scans on different storeys say nothing about each other.
+    The first value has the indices (m,) of these scans. All n scans are at `at_m` (n, 2), on the storeys `floor` (n,).
+    The gradient has the shape (2 m,) and the information (2 m, 2 m).
     """
-    value, slope, information = 0.0, np.zeros((len(scans), 2)), np.zeros((len(scans), 2, len(scans), 2))
     for storey in np.unique(floor).tolist():
         here = np.flatnonzero(floor == storey)
         heard = walks.heard[scans[here]]
-        found = likelihood(at_m[here], walks.owner[scans[here]], (heard @ heard.T).toarray())
-        value += found[0]
-        slope[here] = found[1].reshape(-1, 2)
-        information[np.ix_(here, [0, 1], here, [0, 1])] = found[2].reshape(len(here), 2, len(here), 2)
-    return value, slope.ravel(), information.reshape(2 * len(scans), 2 * len(scans))
+        yield here, *likelihood(at_m[here], walks.owner[scans[here]], (heard @ heard.T).toarray())
 
 
 def joint_poses(
@@ -384,7 +381,6 @@ def joint_poses(
     number = np.full(len(walks.chains), -1)
     number[together] = np.arange(n)
     at_m, floor = _placed(walks, group, scans)
-    objective, of_scan, of_scans = of_fingerprints(walks, scans, at_m, floor)
     k = number[walks.owner[scans]]
     own, pose = np.flatnonzero(k >= 0), 4 * k[k >= 0]
     lever = at_m[own] - np.array([group.poses[i].shift_m for i in walks.owner[scans[own]].tolist()]).reshape(-1, 2)
@@ -393,9 +389,12 @@ def joint_poses(
         by_pose[own, axis, pose] = by_turn
         by_pose[own, axis, pose + 1 + axis] = 1.0
         by_pose[own, axis, pose + 3] = lever[:, axis]
-    by_pose = by_pose.reshape(-1, 4 * n + 1)
-    objective, slope = weight * objective, weight * by_pose.T @ of_scan
-    information = weight * by_pose.T @ (of_scans @ by_pose)
+    objective, slope, information = 0.0, np.zeros(4 * n + 1), np.zeros((4 * n + 1, 4 * n + 1))
+    for here, value, of_scan, of_scans in of_storeys(walks, scans, at_m, floor):
+        by_own = by_pose[here].reshape(-1, 4 * n + 1)
+        objective += weight * value
+        slope += weight * by_own.T @ of_scan
+        information += weight * by_own.T @ (of_scans @ by_own)
 
     def add(error: float, std: float, *keys: int) -> None:
         """Add a prior with an error that grows with the first unknown and falls with the second one."""

@@ -73,7 +73,7 @@ def given(walks: Sequence[Walk], rank: int = 0) -> tuple[Walk, list[object]]:
     beside = chain.device_rad[k] + chain.mean[node, 2] - np.arctan2(*own)
     heading = float(np.arctan2(*(np.array(second) - start)) + beside)
     return walk, [
-        pdr.PositionFix(t0, start, np.eye(2), floor=walk.floor),
+        pdr.PositionFix(max(t0, 0.0), start, np.eye(2), floor=walk.floor),
         pdr.HeadingFix(chain.time_s[k], heading, np.radians(8.0)),
     ]
 
@@ -202,8 +202,9 @@ def plan(tables: Tables, arguments: argparse.Namespace) -> None:
             if len(walk.points) < 4 or drawn.storeys[0].kind_at(walk.points[:1, 1:])[0] != 0:
                 continue
             _, fixes = given([walk])
+            config = pdr.recipes.default(walk.recording.subject).in_world_frame()
             for name, where in (("dead reckoning", None), ("with the plan", drawn)):
-                track = pdr.track(walk.recording, fixes=fixes, plan=where)
+                track = pdr.track(walk.recording, config, fixes=fixes, plan=where)
                 at = np.array([place(track, t) for t in walk.points[1:, 0]])
                 errors.setdefault(name, []).append(float(np.hypot(*(at - walk.points[1:, 1:]).T).mean()))
     before, after = (np.array(e) for e in errors.values())
