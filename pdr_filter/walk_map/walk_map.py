@@ -633,7 +633,7 @@ def _mapped(
     for i in todo:
         if i not in free or not walks.partners[i] & free:
             continue
-        pose = Pose(0.0, np.zeros(2))
+        pose = Pose(north[0] if chains[i].knows_north else 0.0, np.zeros(2))
         group = PlacedGroup({i: pose}, {i: pose}, north[0], north)
         free.discard(i)
         _extend(walks, group, free, reasons)
