@@ -103,7 +103,7 @@ def solve_group(
                 pose, by_pose = slice(4 * k, 4 * k + 4), _by_pose(state[i][0], group.poses[i].shift_m)
                 cov += by_pose @ (of_others[pose, pose] - np.linalg.inv(rigid[pose, pose])) @ by_pose.T
             ends = [slice(N_STATES * j, N_STATES * (j + 2)) for j in range(n - 1)]
-            found[i] = States(*state[i], np.array([cov[end, end] for end in ends]))
+            found[i] = States(*state[i], np.array([cov[end, end] for end in ends], dtype=np.float64))
         if largest_m < _CONVERGED_M:
             break
     return found

@@ -438,7 +438,7 @@ def adjust(walks: ScannedWalks, group: PlacedGroup, new: Sequence[int], n_iterat
     scans, damping = scans_around(walks, group, together), 1e-3
     now = joint_poses(walks, group, together, scans)
     for _ in range(n_iterations):
-        before, gain = ({i: group.poses[i] for i in together}, group.north_rad), -1.0
+        before, trial, gain = ({i: group.poses[i] for i in together}, group.north_rad), now, -1.0
         while gain <= 0.0:
             if damping > _MOST_DAMPING:
                 return
