@@ -23,8 +23,8 @@ from pdr_filter.walk_map.placing import PlacedGroup, ScannedWalks, joint_poses, 
 Known = PositionFix | HeadingFix
 # Definition of a frame without fixes: the start of its first walk.
 _ORIGIN_STD_M, _ORIGIN_STD_RAD = 0.01, 0.001
-# Factor on the variances that follow from fingerprints, so that the covariances are valid, because the signals are no
-# Gaussian process and their deviations last along a walk. Chosen on storey F1 of `ms_indoor`.
+# Factor on the variances from fingerprints. Without it the covariances are too small, because deviations of the signals
+# last along a walk. Chosen on storey F1 of `ms_indoor`.
 INFLATION = 4.0
 # Sweeps over all walks, the change that ends them, and the share of each change that is made, because walks that meet
 # move towards each other.
