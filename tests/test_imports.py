@@ -218,13 +218,13 @@ def test_no_public_class_has_the_name_of_another() -> None:
     assert {name: files for name, files in homes.items() if len(files) > 1} == {}
 
 
-def test_gtsam_is_imported_only_where_walks_are_smoothed_or_joined() -> None:
+def test_gtsam_is_imported_only_where_walks_are_smoothed() -> None:
     users = {
         path.relative_to(PACKAGE).parts[0]
         for path in PACKAGE.rglob("*.py")
         if "import gtsam" in path.read_text(encoding="utf-8")
     }
-    assert users == {"offline", "walk_map"}
+    assert users == {"offline"}
 
 
 SCRIPTS = sorted(Path(__file__).parent.glob("benchmarks/*.py")) + sorted(Path(__file__).parent.glob("studies/*.py"))

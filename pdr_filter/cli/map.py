@@ -9,12 +9,15 @@ import typer
 
 from pdr_filter.cli import console
 from pdr_filter.cli.console import escape
-from pdr_filter.cli.options import Scheduler
+from pdr_filter.cli.options import Scheduler, origin_deg
 
 
 def map_folder(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of recordings with Wi-Fi.")],
     out: Annotated[Path, typer.Option(help="Folder for the map, the plans, the radio maps and the report.")],
+    origin: Annotated[
+        str | None, typer.Option(metavar="LAT,LON", help="Position of the building in degrees, for true north.")
+    ] = None,
     salt: Annotated[
         str | None, typer.Option("--hash", metavar="SALT", help="Hash the addresses of access points with this text.")
     ] = None,
@@ -36,7 +39,9 @@ def map_folder(
         if not paths:
             raise ValueError(f"{folder} has no recordings: give the folder that contains them")
         with console.progress("mapping"):
-            found = pdr.map_walks(paths, salt=salt, cache=out / "cache", jobs=jobs, scheduler=scheduler)
+            found = pdr.map_walks(
+                paths, origin=origin_deg(origin), salt=salt, cache=out / "cache", jobs=jobs, scheduler=scheduler
+            )
         before = console.existing(out / "map" / "walk_map.json", out / "map.html")
         found.save(out / "map", times=times)
         found.write_report(out / "map.html")

@@ -86,7 +86,7 @@ class PlacementOptions:
         """
         placement = TrackPlacement(
             gnss=self.gnss,
-            origin=_origin_deg(self.origin),
+            origin=origin_deg(self.origin),
             heading_rad=_heading_rad(self.heading),
             north=self.north,
             plan=None if self.plan is None else _plan(self.plan),
@@ -128,7 +128,7 @@ def ranges_of(ranges: Path | None, anchors: Path | None, origin: tuple[float, fl
     return [] if ranges is None else list(ranges_of_file(ranges, anchors, origin=origin))
 
 
-def _origin_deg(text: str | None) -> tuple[float, float] | None:
+def origin_deg(text: str | None) -> tuple[float, float] | None:
     """Parse LAT,LON. Return latitude and longitude in degrees, or None if the option is not given.
 
     ValueError for another text or coordinates out of range.

@@ -1,8 +1,9 @@
-"""All walks of a group in one least-squares problem, solved by GTSAM, with covariances.
+"""Solved states of the walks of a group, with covariances: walks deform between their knots to fit their scans.
 
 Each walk is the problem that `pdr_filter.smooth` solves for it, with position, heading offset and step scale at every
-knot. Pairs of similar scans and known fixes are added between the walks. The pairs have a Cauchy loss, whose weights
-are recomputed at every iteration, and the rigid poses of `placing` are the initial guess.
+knot. To this come the known fixes, and the likelihood of the fingerprints as a quadratic function of the positions of
+the scans. The walks are solved in turn, each with the others fixed, because their rigid poses are already those of the
+joint solution of `placing`. The uncertainty of the other walks is that of the joint rigid poses.
 """
 
 from __future__ import annotations
@@ -10,23 +11,24 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import gtsam
 import numpy as np
 
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, N_STATES
-from pdr_filter.offline.smoothing.linear_graph import Rows, cov_of, eliminated, graph_of
+from pdr_filter.offline.smoothing.linear_graph import Rows
 from pdr_filter.offline.smoothing.preintegration import TURN, scaled_rotation, step_states
 from pdr_filter.offline.smoothing.solve import linearised
 from pdr_filter.values import FloatArray, HeadingFix, IntArray, PositionFix, wrap_angle
-from pdr_filter.walk_map.placing import Pairs, PlacedGroup, ScannedWalks, pairs_of, residuals, turned
+from pdr_filter.walk_map.placing import PlacedGroup, ScannedWalks, joint_poses, of_storeys, scans_around
 
 Known = PositionFix | HeadingFix
-# Factor on the standard deviations of the ranges, so that the covariances are valid, because the scans of one place
-# share the errors of the walls around them. Chosen on storey F1 of `ms_indoor`.
-INFLATION = 3.0
 # Definition of a frame without fixes: the start of its first walk.
 _ORIGIN_STD_M, _ORIGIN_STD_RAD = 0.01, 0.001
-_ITERATIONS = 15
+# Factor on the variances from fingerprints. Without it the covariances are too small, because deviations of the signals
+# last along a walk. Chosen on storey F1 of `ms_indoor`.
+INFLATION = 4.0
+# Sweeps over all walks, the change that ends them, and the share of each change that is made, because walks that meet
+# move towards each other.
+_MOST_SWEEPS, _CONVERGED_M, _SHARE = 12, 0.1, 0.6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,46 +55,104 @@ def solve_group(
     free = [i for i in group.poses if i not in fixed]
     if not free:
         return dict(fixed)
-    chains = walks.chains
-    # keys of a walk: its knots, then the rotation of the frame of its heading offsets
-    base = dict(zip(free, np.cumsum([0, *(chains[i].n_knots + 1 for i in free)]).tolist(), strict=False))
+    scans = scans_around(walks, group, free)
+    rigid = joint_poses(walks, group, free, scans, weight=1.0 / INFLATION).information
+    of_others = np.linalg.inv(rigid)
     state = {i: (fixed[i].mean, fixed[i].frame_rad) for i in fixed}
     for i in free:
-        pose, mean = group.poses[i], chains[i].mean.copy()
-        mean[:, :2] = mean[:, :2] @ turned(pose.turn_rad) + pose.shift_m
+        pose, mean = group.poses[i], walks.chains[i].mean.copy()
+        mean[:, :2] = pose.of(mean[:, :2])
         mean[:, HEADING_OFFSET] += pose.turn_rad
-        state[i] = mean, chains[i].frame_rad + pose.turn_rad
-    pairs = pairs_of(walks, group, free)
-    points = {
-        i: chains[i].node_of(chains[i].scans.step) for i in {*walks.owner[pairs.first], *walks.owner[pairs.second]}
-    }
-    rows: list[Rows] = []
-    for _ in range(_ITERATIONS):
-        rows = []
-        for i in free:
-            problem = chains[i].problem
-            own = linearised(problem, *state[i], np.ones(len(problem.states)))
-            rows += [replace(r, a=r.a + base[i], b=np.where(r.b >= 0, r.b + base[i], -1)) for r in own]
-            rows += _known_rows(walks, i, state[i][0], known.get(i, ()), base[i])
-        rows += _origin_rows(walks, group, free, base, state, known, bool(fixed))
-        rows += _range_rows(walks, pairs, points, state, base)
-        solution = graph_of(rows).optimize(gtsam.EliminateQR)
-        largest = 0.0
-        for i in free:
-            n, (mean, frame_rad) = chains[i].n_knots, state[i]
-            change = np.array([solution.at(base[i] + k) for k in range(n)])
-            turn = float(solution.at(base[i] + n)[0]) if len(chains[i].problem.offsets) else 0.0
-            largest = max(largest, float(np.abs(change[:, :2]).max()))
-            limit = 0.5 / max(float(np.abs(change[:, 2:]).max()), abs(turn), 0.5)
-            state[i] = mean + limit * change, frame_rad + limit * turn
-        if largest < 0.01:
-            break
-    tree = eliminated(rows)
+        mean[:, LOG_SCALE] += np.log(pose.scale)
+        state[i] = mean, walks.chains[i].frame_rad + pose.turn_rad
+    owner = walks.owner[scans]
+    own = {i: np.flatnonzero(owner == i) for i in np.unique(owner).tolist()}
+    points = {i: walks.chains[i].node_of(walks.chains[i].scans.step[scans[k] - walks.first[i]]) for i, k in own.items()}
+    floor = walks.floor[scans] + np.array([group.poses[i].floor for i in owner.tolist()])
     found = dict(fixed)
-    for i in free:
-        keys = range(base[i], base[i] + chains[i].n_knots - 1)
-        found[i] = States(*state[i], np.array([cov_of(tree, [k, k + 1]) for k in keys]))
+    for _ in range(_MOST_SWEEPS):
+        largest_m, at_m = 0.0, np.zeros((len(scans), 2))
+        for i, (node, ahead) in points.items():
+            at_m[own[i]] = _by_state(state[i][0], node, ahead)[0]
+        slope, information = np.zeros(2 * len(scans)), np.zeros((2 * len(scans), 2 * len(scans)))
+        for here, _, of_scan, of_scans in of_storeys(walks, scans, at_m, floor):
+            at = (2 * here[:, None] + (0, 1)).ravel()
+            slope[at], information[np.ix_(at, at)] = of_scan, of_scans
+        for k, i in enumerate(free):
+            (mean, frame_rad), n = state[i], walks.chains[i].n_knots
+            alone, right = _of_walk(walks, group, i, state[i], known.get(i, ()), is_origin=not fixed)
+            by_scans = np.zeros_like(alone)
+            if i in own:
+                node, ahead = points[i]
+                by_state = np.zeros((len(node), 2, len(right)))
+                columns = N_STATES * node[:, None] + np.arange(N_STATES)
+                np.put_along_axis(
+                    by_state, columns[:, None, :].repeat(2, axis=1), _by_state(mean, node, ahead)[1], axis=2
+                )
+                by_state = by_state.reshape(-1, len(right))
+                of_own = (2 * own[i][:, None] + (0, 1)).ravel()
+                by_scans = by_state.T @ information[np.ix_(of_own, of_own)] @ by_state
+                right += by_state.T @ slope[of_own]
+            change = _SHARE * np.linalg.solve(alone + by_scans, right)
+            of_knot, turn_rad = change[: N_STATES * n].reshape(n, N_STATES), float(change[N_STATES * n :].sum())
+            limit = 0.5 / max(float(np.abs(of_knot[:, 2:]).max()), abs(turn_rad), 0.5)
+            state[i] = mean + limit * of_knot, frame_rad + limit * turn_rad
+            largest_m = max(largest_m, float(np.abs(of_knot[:, :2]).max()))
+            cov = np.linalg.inv(alone + by_scans / INFLATION)[: N_STATES * n, : N_STATES * n]
+            if i not in group.seeds:  # their known fixes, which the rigid poses do not have, bound their uncertainty
+                pose, by_pose = slice(4 * k, 4 * k + 4), _by_pose(state[i][0], group.poses[i].shift_m)
+                cov += by_pose @ (of_others[pose, pose] - np.linalg.inv(rigid[pose, pose])) @ by_pose.T
+            ends = [slice(N_STATES * j, N_STATES * (j + 2)) for j in range(n - 1)]
+            found[i] = States(*state[i], np.array([cov[end, end] for end in ends], dtype=np.float64))
+        if largest_m < _CONVERGED_M:
+            break
     return found
+
+
+def _of_walk(
+    walks: ScannedWalks,
+    group: PlacedGroup,
+    walk: int,
+    state: tuple[FloatArray, float],
+    known: Sequence[Known],
+    *,
+    is_origin: bool,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the normal equations of a walk by its steps, its magnetometer and its known fixes.
+
+    The unknowns are the changes of the states of its knots, then of the rotation of its frame, if it has one.
+    `is_origin` is True if the first seed of the group defines the frame.
+    """
+    problem, (mean, frame_rad) = walks.chains[walk].problem, state
+    observed = problem.states
+    north_rad = np.where(observed.state == HEADING_OFFSET, group.north_rad, 0.0)
+    problem = replace(problem, states=replace(observed, value=observed.value + north_rad))
+    rows = linearised(problem, mean, frame_rad, np.ones(len(observed)))
+    rows += _known_rows(walks, walk, mean, known)
+    if is_origin and walk == next(iter(group.seeds)):
+        rows += _origin_rows(walks, group, walk, mean, known)
+    size = N_STATES * len(mean) + (len(problem.offsets) > 0)
+    left, right = np.zeros((size, size)), np.zeros(size)
+    for block in rows:
+        weight = block.weight if len(block.weight) else np.ones(len(block.a))
+        for k, (a, b) in enumerate(zip(block.a.tolist(), block.b.tolist(), strict=True)):
+            by_state, at = block.A[k], N_STATES * a + np.arange(block.A.shape[2])
+            if b >= 0:
+                by_state = np.hstack([by_state, block.B[k]])
+                at = np.append(at, N_STATES * b + np.arange(block.B.shape[2]))
+            left[np.ix_(at, at)] += weight[k] * by_state.T @ by_state
+            right[at] += weight[k] * by_state.T @ block.rhs[k]
+    return left, right
+
+
+def _by_pose(mean: FloatArray, shift_m: FloatArray) -> FloatArray:
+    """Return the derivatives (4 N, 4) of the states of N knots by rotation, east, north and log scale of the walk."""
+    lever, by_pose = mean[:, :2] - shift_m, np.zeros((len(mean), N_STATES, 4))
+    by_pose[:, 0, 0], by_pose[:, 1, 0] = lever[:, 1], -lever[:, 0]
+    by_pose[:, 0, 1] = by_pose[:, 1, 2] = 1.0
+    by_pose[:, :2, 3] = lever
+    by_pose[:, HEADING_OFFSET, 0] = by_pose[:, LOG_SCALE, 3] = 1.0
+    return by_pose.reshape(-1, 4)
 
 
 def step_positions(walks: ScannedWalks, walk: int, states: States) -> tuple[FloatArray, FloatArray]:
@@ -115,11 +175,8 @@ def _by_state(state: FloatArray, node: IntArray, ahead_m: FloatArray) -> tuple[F
     return at[:, :2] + moved, by_state
 
 
-def _known_rows(walks: ScannedWalks, walk: int, state: FloatArray, known: Sequence[Known], base: int) -> list[Rows]:
-    """Return the equations of the known positions and headings of a walk, linearised at its states.
-
-    `base` is the key of the first knot of the walk.
-    """
+def _known_rows(walks: ScannedWalks, walk: int, state: FloatArray, known: Sequence[Known]) -> list[Rows]:
+    """Return the equations of the known positions and headings of a walk, linearised at its states."""
     chain, rows = walks.chains[walk], list[Rows]()
     for fix in known:
         step = chain.step_at(fix.time_s)
@@ -129,78 +186,29 @@ def _known_rows(walks: ScannedWalks, walk: int, state: FloatArray, known: Sequen
             error = wrap_angle(state[node, HEADING_OFFSET] + device_rad - fix.walking_heading_rad)
             by_state = np.zeros((1, N_STATES))
             by_state[0, HEADING_OFFSET] = 1.0 / fix.std_rad
-            rows.append(Rows.of_one(base + int(node), by_state, -np.array([error / fix.std_rad])))
+            rows.append(Rows.of_one(int(node), by_state, -np.array([error / fix.std_rad])))
         else:
             (place,), (by_state,) = _by_state(state, np.array([node]), ahead)
             whiten = np.linalg.inv(np.linalg.cholesky(fix.cov_m2))
-            rows.append(Rows.of_one(base + int(node), whiten @ by_state, -(whiten @ (place - fix.position_m))))
+            rows.append(Rows.of_one(int(node), whiten @ by_state, -(whiten @ (place - fix.position_m))))
     return rows
 
 
 def _origin_rows(
-    walks: ScannedWalks,
-    group: PlacedGroup,
-    free: Sequence[int],
-    base: Mapping[int, int],
-    state: Mapping[int, tuple[FloatArray, float]],
-    known: Mapping[int, Sequence[Known]],
-    has_fixed: bool,
+    walks: ScannedWalks, group: PlacedGroup, walk: int, state: FloatArray, known: Sequence[Known]
 ) -> list[Rows]:
-    """Return the equations that define the frame of a group without fixes: the start and the direction of one walk.
+    """Return the equations by which a walk defines the frame of its group: its start and its direction.
 
-    This walk is the first seed of the group. The list is empty if some walks are fixed. The start is left out if there
-    is a known position. The direction is left out if there are two fixes, or if the magnetometer of a walk gives it.
+    The start is left out if there is a known position. The direction is left out if there are two fixes, or if the
+    magnetometer gives it.
     """
-    fixes = [fix for i in free for fix in known.get(i, ())]
-    seed, rows = next((i for i in free if i in group.seeds), free[0]), list[Rows]()
-    if has_fixed:
-        return rows
-    if not any(isinstance(fix, PositionFix) for fix in fixes):
-        start_m = group.poses[seed].of(walks.chains[seed].mean[:1, :2])[0]
-        by_state = np.eye(2, N_STATES) / _ORIGIN_STD_M
-        rows.append(Rows.of_one(base[seed], by_state, (start_m - state[seed][0][0, :2]) / _ORIGIN_STD_M))
-    if len(fixes) < 2 and not any(walks.chains[i].knows_north for i in free):
+    rows = list[Rows]()
+    if not any(isinstance(fix, PositionFix) for fix in known):
+        start_m = group.seeds[walk].of(walks.chains[walk].mean[:1, :2])[0]
+        rows.append(Rows.of_one(0, np.eye(2, N_STATES) / _ORIGIN_STD_M, (start_m - state[0, :2]) / _ORIGIN_STD_M))
+    if len(known) < 2 and not walks.chains[walk].knows_north:
         by_state = np.zeros((1, N_STATES))
         by_state[0, HEADING_OFFSET] = 1.0 / _ORIGIN_STD_RAD
-        error = state[seed][0][0, HEADING_OFFSET] - group.poses[seed].turn_rad
-        rows.append(Rows.of_one(base[seed], by_state, -np.array([error / _ORIGIN_STD_RAD])))
+        turn_rad = walks.chains[walk].mean[0, HEADING_OFFSET] + group.seeds[walk].turn_rad
+        rows.append(Rows.of_one(0, by_state, np.array([turn_rad - state[0, HEADING_OFFSET]]) / _ORIGIN_STD_RAD))
     return rows
-
-
-def _range_rows(
-    walks: ScannedWalks,
-    pairs: Pairs,
-    points: Mapping[int, tuple[IntArray, FloatArray]],
-    state: Mapping[int, tuple[FloatArray, float]],
-    base: Mapping[int, int],
-) -> list[Rows]:
-    """Return the equations of the ranges of pairs of scans. The position of a scan of a fixed walk is a constant.
-
-    `points` has the knot of each scan and its displacement from it, by walk. `base` has the first key of each walk that
-    is not fixed.
-    """
-    places: list[FloatArray] = []
-    blocks: list[FloatArray] = []
-    keys: list[IntArray] = []
-    for scans in (pairs.first, pairs.second):
-        place, by_state, key = np.zeros((len(scans), 2)), np.zeros((len(scans), 2, N_STATES)), np.full(len(scans), -1)
-        owner = walks.owner[scans]
-        for i in np.unique(owner).tolist():
-            own = owner == i
-            node, ahead = points[i]
-            number = scans[own] - walks.first[i]
-            place[own], by_state[own] = _by_state(state[i][0], node[number], ahead[number])
-            if i in base:
-                key[own] = base[i] + node[number]
-        places, blocks, keys = [*places, place], [*blocks, by_state], [*keys, key]
-    if not len(pairs.first):
-        return []
-    residual, unit, weight = residuals(pairs, places[0] - places[1])
-    root = np.sqrt(weight) / INFLATION
-    by_first, by_second = (np.einsum("na,nab->nb", root[:, None] * unit, block)[:, None, :] for block in blocks)
-    rhs, both = (-root * residual)[:, None], keys[1] >= 0
-    alone = np.full(int((~both).sum()), -1)
-    return [
-        Rows(keys[0][both], by_first[both], rhs[both], keys[1][both], -by_second[both]),
-        Rows(keys[0][~both], by_first[~both], rhs[~both], alone, np.zeros((0, 0, 0))),
-    ]

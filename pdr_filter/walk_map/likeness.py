@@ -1,8 +1,18 @@
-"""Likelihood of the distance between two Wi-Fi scans, given the cosine of their fingerprints.
+"""Gaussian process of Wi-Fi fingerprints, for walks whose positions are not known.
 
-The table has the logarithm of p(cosine | distance) / p(cosine | far away), measured with the scans of different walks
-on storey F1 of `ms_indoor`. A cosine of 0.7 means "within about 20 m" and no direction. Two walks are therefore
-placed relative to each other by many pairs of scans, dissimilar ones included.
+A fingerprint is the vector of signal strengths of a scan, scaled to unit length. Each of its components is a Gaussian
+process over a storey with the covariance
+
+    K_ij = s (k(|x_i - x_j|) (1 + w [same walk]) + n [i = j]),   k(d) = 1 / (1 + (d / l)^2),
+
+scaled to one on the diagonal. The term w describes errors that all scans of a walk share. With the cosines C of the
+fingerprints, the log likelihood of all positions together is
+
+    log p = -(E / 2) (tr(K^-1 C) + log det K),
+
+where E is the effective number of independent access points (Ferris, Fox and Lawrence, "WiFi-SLAM using Gaussian
+process latent variable models", IJCAI 2007). `maps.radio.signal_field` has the likelihood of one scan on a surveyed
+map, for which a longer and rougher kernel is more accurate.
 """
 
 from __future__ import annotations
@@ -11,66 +21,65 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_matrix
 
 from pdr_filter.values import FloatArray, IntArray
 from pdr_filter.walk_map.chains import Scans
 
-# Lower edges of the classes of cosines, and distances of the columns of the table, in m.
-_COSINES = np.array([0.0, 0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9])
-_DISTANCES_M = np.array([2.0, 6, 10, 14, 18, 22.5, 27.5, 32.5, 37.5, 45, 55, 70, 90, 120])
-_LOG_RATIO = np.array(
-    [
-        [-4.6, -4.4, -4.2, -4.0, -3.4, -2.8, -1.9, -1.5, -1.3, -1.0, -0.7, -0.5, -0.3, 0.0],
-        [1.8, 1.9, 2.1, 2.6, 3.3, 3.7, 4.1, 4.3, 4.6, 4.7, 4.6, 4.0, 2.5, 0.0],
-        [1.8, 2.3, 3.2, 3.7, 4.1, 4.4, 4.6, 4.8, 4.9, 4.9, 4.5, 4.0, 2.0, 0.0],
-        [4.2, 4.6, 5.2, 5.9, 6.3, 6.6, 6.7, 6.7, 6.7, 6.6, 6.2, 4.5, 2.0, 0.0],
-        [4.5, 5.0, 5.6, 6.1, 6.5, 6.7, 6.7, 6.7, 6.5, 6.3, 5.4, 4.0, 1.0, 0.0],
-        [4.9, 5.4, 5.8, 6.3, 6.7, 6.9, 6.8, 6.6, 6.3, 6.0, 4.5, 2.5, 0.5, 0.0],
-        [5.8, 6.1, 6.5, 6.8, 7.0, 7.0, 6.7, 6.3, 5.8, 5.0, 3.4, 1.5, 0.0, 0.0],
-        [6.0, 6.2, 6.4, 6.5, 6.4, 6.2, 5.7, 5.1, 4.2, 3.0, 1.0, 0.0, 0.0, 0.0],
-        [6.4, 6.5, 6.6, 6.6, 6.4, 5.9, 5.2, 4.3, 2.9, 1.0, 0.0, 0.0, 0.0, 0.0],
-        [6.7, 6.7, 6.8, 6.5, 6.1, 5.5, 4.7, 3.6, 1.2, 0.0, 0.0, 0.0, 0.0, 0.0],
-        [7.0, 7.0, 6.8, 6.3, 5.7, 4.8, 3.9, 2.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-        [7.2, 7.2, 6.7, 6.2, 5.4, 3.8, 2.3, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-        [7.2, 7.0, 6.4, 5.4, 4.2, 1.9, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-        [7.2, 6.8, 5.6, 4.0, 2.1, 0.4, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-    ]
-)
-# Range of a pair of scans in m and its standard deviation, by cosine, and the smallest cosine of a pair with a range.
-_RANGE_COSINES = np.array([0.6, 0.7, 0.8, 0.9, 1.0])
-_RANGE_M = np.array([15.0, 11.0, 7.0, 5.0, 4.0])
-_RANGE_STD_M = np.array([10.0, 8.0, 6.0, 5.0, 5.0])
-PAIR_COSINE = 0.65
-# Step of the distance in a lookup table, in m.
-_STEP_M = 2.0
+# All numbers were chosen on storey F1 of `ms_indoor`. The length leaves the scale of a map right, whether its walks
+# overlap much or little: longer ones drive crowded walks apart, shorter ones pull sparse walks together.
+LENGTH_M, NOISE, OF_WALK = 12.0, 0.27, 0.15
+_SCALE = 1.0 / (1.0 + OF_WALK + NOISE)
+# Effective number of independent access points of all scans together, and of one scan in a walk.
+EVIDENCE = 5.0
 
 
-def _lookup() -> FloatArray:
-    far_m = np.append(np.arange(0.0, _DISTANCES_M[-1], _STEP_M), _DISTANCES_M[-1])
-    return np.array([np.interp(far_m, _DISTANCES_M, row) for row in _LOG_RATIO])
+def _covariance(first_m: FloatArray, second_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the displacements (n, m, 2) between positions (n, 2) and (m, 2), and the kernel k (n, m)."""
+    apart_m = first_m[:, None] - second_m
+    return apart_m, 1.0 / (1.0 + np.einsum("nma,nma->nm", apart_m, apart_m) / LENGTH_M**2)
 
 
-_TABLE = _lookup().astype(np.float32)
-
-
-def log_ratio(cosine: FloatArray, distance_m: FloatArray) -> FloatArray:
+def log_ratio(heard: Any, mapped: Any, mapped_m: FloatArray, owner: IntArray, cell_m: FloatArray) -> FloatArray:
     """Return the log likelihood ratios (S, G) of S scans at G places relative to places far away.
 
-    They are summed over M mapped scans. `cosine` (S, M) has the cosines of the fingerprints of the scans with those of
-    the mapped scans. `distance_m` (G, M) has the distances of the places from the mapped scans.
+    `heard` (S, A) and `mapped` (M, A) have the fingerprints of the scans and of the mapped scans. The mapped scans are
+    at the positions `mapped_m` (M, 2), and `owner` (M,) has the indices of their walks.
     """
-    of_cosine = np.digitize(cosine, _COSINES) - 1
-    of_distance = np.minimum(distance_m / _STEP_M + 0.5, _TABLE.shape[1] - 1).astype(np.int16)
-    total = np.zeros((len(cosine), len(distance_m)), dtype=np.float32)
-    for k in np.unique(of_cosine):
-        total += (of_cosine == k).astype(np.float32) @ _TABLE[k][of_distance].T
-    return total.astype(np.float64)
+    same = 1.0 + OF_WALK * (owner[:, None] == owner)
+    known = _SCALE * (_covariance(mapped_m, mapped_m)[1] * same + NOISE * np.eye(len(owner)))
+    near = _SCALE * _covariance(mapped_m, cell_m)[1]
+    weight = cho_solve(cho_factor(known), near)
+    variance = 1.0 - np.einsum("mg,mg->g", near, weight)
+    norm2 = np.einsum("mg,mg->g", weight, (mapped @ mapped.T).toarray() @ weight)
+    misfit = 1.0 - 2.0 * (heard @ mapped.T).toarray() @ weight + norm2
+    return -0.5 * EVIDENCE * (misfit / variance + np.log(variance) - 1.0)
 
 
-def ranges(cosine: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the expected distances in m of pairs of scans, and their standard deviations, from their cosines."""
-    return np.interp(cosine, _RANGE_COSINES, _RANGE_M), np.interp(cosine, _RANGE_COSINES, _RANGE_STD_M)
+def likelihood(position_m: FloatArray, owner: IntArray, cosine: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+    """Return the log likelihood of the positions (n, 2) of scans, its gradient (2 n,), and its information (2 n, 2 n).
+
+    `cosine` (n, n) has the cosines of the fingerprints, and `owner` (n,) the indices of the walks. The unknowns are
+    east and north of the first scan, then of the second one, and so on. With A = K^-1 and the rows U_i of the
+    derivatives of K by x_i, the Fisher information of x_i and x_j is E (A_ij (U A U')_ij + (U A)_ij (A U')_ij).
+    """
+    n = len(position_m)
+    same = 1.0 + OF_WALK * (owner[:, None] == owner)
+    apart_m, k = _covariance(position_m, position_m)
+    known = _SCALE * (k * same + NOISE * np.eye(n))
+    inverse = np.linalg.inv(known)
+    value = -0.5 * EVIDENCE * (float((inverse * cosine).sum()) + float(np.linalg.slogdet(known)[1]))
+    by_cov = 0.5 * EVIDENCE * (inverse @ cosine @ inverse - inverse)
+    by_distance = -2.0 * _SCALE / LENGTH_M**2 * k * k * same
+    by_position = [by_distance * apart_m[..., a] for a in range(2)]
+    across = [u @ inverse for u in by_position]
+    slope, information = np.empty((n, 2)), np.empty((n, 2, n, 2))
+    for a in range(2):
+        slope[:, a] = 2.0 * (by_cov * by_position[a]).sum(axis=1)
+        for b in range(2):
+            information[:, a, :, b] = EVIDENCE * (inverse * (across[a] @ by_position[b].T) + across[a] * across[b].T)
+    return value, slope.ravel(), information.reshape(2 * n, 2 * n)
 
 
 def fingerprint_matrix(scans: Sequence[Scans]) -> tuple[Any, IntArray]:

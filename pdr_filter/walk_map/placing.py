@@ -1,51 +1,49 @@
 """Placing of walks: each walk as a rigid shape, joined to the placed ones where its scans leave a single place.
 
 A walk is joined if the scans leave one place with `SURE` of the probability. The probability covers all positions on a
-grid, all rotations, all storeys of the group, and a place outside of the map. Wrong pairs of scans are thus outvoted
-before they are used, and ambiguous walks wait until more walks are placed. After each round the rigid shapes are
-adjusted together with a robust loss. Then each walk is placed again by all others, and leaves the group if it fails.
+grid, all rotations, all storeys of the group, and a place outside of the map. Misleading scans are thus outvoted, and
+ambiguous walks wait until more walks are placed. After each round the poses of all walks are adjusted together, to the
+maximum of the joint likelihood of `likeness`. Then each walk is placed again by all others, and leaves the group if it
+fails.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.linalg import splu
 
-from pdr_filter.offline.robust_loss import weights as robust_weights
 from pdr_filter.values import FloatArray, IntArray
 from pdr_filter.walk_map.chains import Chain
 from pdr_filter.walk_map.likeness import (
-    PAIR_COSINE,
     fingerprint_matrix,
+    likelihood,
     log_ratio,
-    ranges,
 )
 
 # All numbers were chosen on storey F1 of `ms_indoor`.
 # Share of the probability that one place of a walk must have, and the radius of a place.
 SURE, _PLACE_M = 0.8, 12.0
 # Smallest cosine of the loud parts of two fingerprints of walks that are compared.
-_PARTNER_COSINE = 0.4
-# Weight of a pair of scans, because the pairs of a scan share its errors.
-_PAIR_WEIGHT = 0.08
-# Smallest number of scans of a walk that are similar to mapped scans. Fewer do not hold the walk in its place.
-_MIN_SIMILAR = 3
+_PARTNER_COSINE = 0.15
+# Smallest cosine of similar scans, and smallest number of scans of a walk that are similar to mapped scans. Fewer do
+# not hold the walk in its place.
+_SIMILAR_COSINE, _MIN_SIMILAR = 0.5, 3
 # Standard deviation of the direction of a walk by its magnetometer, of the common deviation of all magnetic fields in
 # a building, and of a rotation from a known heading.
-_NORTH_STD_RAD, _COMMON_STD_RAD, _SEED_STD_RAD = 0.2, 0.12, 0.1
+_NORTH_STD_RAD, _SEED_STD_RAD = 0.2, 0.1
+# Prior standard deviations of the log scale of a walk, and of the place of the walk that defines the frame.
+_SCALE_STD, _SEED_STD_M, _REGION_STD_M = 0.1, 1.0, 1000.0
 # Number of places outside of the map, each as probable as a cell of it.
 _N_ELSEWHERE = 500
 _CELL_M, _MARGIN_M, _MOST_M = 4.0, 50.0, 400.0
 # Mapped scans that are compared: one for each square of this width, because neighbours have the same errors.
 _THIN_M = 6.0
-# Pairs of a scan in the adjustment, and the factor on their standard deviations.
-_N_PAIRS, _INFLATION = 4, 4.0
+# Most scans of a storey that are adjusted together. The gain of log density and the damping that end the adjustment.
+_MOST_SCANS, _SMALLEST_GAIN, _MOST_DAMPING = 500, 0.05, 100.0
 # Walks that are adjusted together. Later walks are fitted to these, so that the cost grows linearly.
 MOST_TOGETHER = 200
 _MOST_ROUNDS = 60
@@ -53,7 +51,7 @@ _MOST_ROUNDS = 60
 
 @dataclass(slots=True)
 class Pose:
-    """Rigid place of a walk in a group: position = R(turn) own + shift, with a clockwise turn.
+    """Rigid place of a walk in a group: position = scale R(turn) own + shift, with a clockwise turn.
 
     `own` is the position of a point in the frame of the walk alone. `floor` is the storey of the start of the walk.
     """
@@ -61,10 +59,11 @@ class Pose:
     turn_rad: float
     shift_m: FloatArray
     floor: int = 0
+    scale: float = 1.0
 
     def of(self, own_m: FloatArray) -> FloatArray:
         """Return the positions (n, 2), in the frame of the group, of points (n, 2) in the frame of the walk alone."""
-        return own_m @ turned(self.turn_rad) + self.shift_m
+        return self.scale * own_m @ turned(self.turn_rad) + self.shift_m
 
 
 def turned(angle_rad: float) -> FloatArray:
@@ -73,17 +72,24 @@ def turned(angle_rad: float) -> FloatArray:
     return np.array([[c, -s], [s, c]])
 
 
+# Prior mean and standard deviation of the direction of magnetic north in the frame of a map. Most of it is the
+# declination.
+UNKNOWN_NORTH = 0.0, 0.12
+
+
 @dataclass(slots=True)
 class PlacedGroup:
     """Joined walks in one frame.
 
-    `poses` has the rigid place of each walk, by the index of the walk. The walks in `seeds` define the frame and are
-    never removed. `north_rad` is the deviation of the frame from magnetic north.
+    `poses` has the rigid place of each walk, by the index of the walk. The walks in `seeds` define the frame by the
+    given poses, and are never removed. `north_rad` is the deviation of the frame from magnetic north, and `north` its
+    prior mean and standard deviation.
     """
 
     poses: dict[int, Pose]
-    seeds: frozenset[int]
+    seeds: Mapping[int, Pose]
     north_rad: float = 0.0
+    north: tuple[float, float] = UNKNOWN_NORTH
 
 
 @dataclass(slots=True)
@@ -111,7 +117,7 @@ class ScannedWalks:
             heard=fingerprint_matrix([c.scans for c in chains])[0],
             first=np.cumsum([0, *counts]),
         )
-        walks.partners = _partners(walks)
+        walks.partners = partners_of(walks)
         return walks
 
     def rows(self, walk: int) -> slice:
@@ -127,11 +133,11 @@ class ScannedWalks:
         return (self.heard[rows] @ self.heard[others].T).toarray()
 
 
-def _partners(walks: ScannedWalks) -> list[set[int]]:
+def partners_of(walks: ScannedWalks, least_cosine: float = _PARTNER_COSINE) -> list[set[int]]:
     """Return for each walk the indices of the walks that recognise a place of it.
 
-    Two walks do if the loud parts of any two of their scans have a cosine of `_PARTNER_COSINE` or more. Blocks of rows
-    bound the memory of the sparse product.
+    Two walks do if the loud parts of any two of their scans have this cosine or a larger one. Blocks of rows bound the
+    memory of the sparse product.
     """
     found: list[set[int]] = [set() for _ in walks.chains]
     # the loudest access points suffice to find candidates, and keep the lists of the index short
@@ -141,7 +147,7 @@ def _partners(walks: ScannedWalks) -> list[set[int]]:
     transposed = index.T.tocsr()
     for start in range(0, index.shape[0], 500):
         near = (index[start : start + 500] @ transposed).tocoo()
-        good = near.data >= _PARTNER_COSINE
+        good = near.data >= least_cosine
         a, b = walks.owner[near.row[good] + start], walks.owner[near.col[good]]
         for i, j in np.unique(np.column_stack([a, b]), axis=0).tolist():
             if i != j:
@@ -176,7 +182,7 @@ def locate(walks: ScannedWalks, group: PlacedGroup, walk: int) -> Candidate | No
     kept = _thinned(at_m, floor)
     others, at_m, floor = others[kept], at_m[kept], floor[kept]
     cosine = walks.cosines(rows, others)
-    n_similar = int((cosine.max(axis=1, initial=0.0) >= PAIR_COSINE).sum())
+    n_similar = int((cosine.max(axis=1, initial=0.0) >= _SIMILAR_COSINE).sum())
     if n_similar < _MIN_SIMILAR:
         return None
     own_m, own_floor = walks.own_m[rows], walks.floor[rows]
@@ -189,14 +195,14 @@ def locate(walks: ScannedWalks, group: PlacedGroup, walk: int) -> Candidate | No
     high = np.minimum(at_m.max(axis=0) + _MARGIN_M, at_m.mean(axis=0) + _MOST_M)
     shape = tuple(np.ceil((high - low) / _CELL_M).astype(int))
     cells = low + _CELL_M * np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1).reshape(-1, 2)
-    distance_m = np.linalg.norm(cells[:, None] - at_m, axis=-1)
+    heard, mapped, owner = walks.heard[rows], walks.heard[others], walks.owner[others]
     for up in np.unique(floor[:, None] - own_floor[None, :]).tolist():
         of_scan = np.zeros((len(own_m), len(cells)))
         for storey in np.unique(own_floor).tolist():
             here, there = own_floor == storey, floor == storey + up
-            if there.any():
-                of_scan[here] = log_ratio(cosine[here][:, there], distance_m[:, there])
-        maps = np.clip(_PAIR_WEIGHT * of_scan, -30.0, None).reshape(-1, *shape)
+            if there.any() and here.any():
+                of_scan[here] = log_ratio(heard[here], mapped[there], at_m[there], owner[there], cells)
+        maps = of_scan.reshape(-1, *shape)
         best.append(_peak(maps, own_m, low, turns, log_prior, group.north_rad if knows_north else 0.0, up))
     top = max(log_max for log_max, _, _ in best)
     total = elsewhere * math.exp(-top) + sum(mass * math.exp(log_max - top) for log_max, mass, _ in best)
@@ -316,118 +322,139 @@ def _is_confirmed(walks: ScannedWalks, group: PlacedGroup, walk: int) -> bool:
     return again.pose.floor == pose.floor and float(np.hypot(*(again.centre_m - here))) <= _PLACE_M
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Pairs:
-    """Pairs of similar scans (P,) of different walks, with their range in m and its standard deviation."""
+@dataclass(slots=True, eq=False)
+class JointPoses:
+    """Normal equations of the rigid poses of n walks, at their present values.
 
-    first: IntArray
-    second: IntArray
-    range_m: FloatArray
-    std_m: FloatArray
-
-
-def pairs_of(walks: ScannedWalks, group: PlacedGroup, free: Sequence[int]) -> Pairs:
-    """Return the pairs of the scans of walks with the most similar scans of other walks of their group.
-
-    Only the most similar pairs count, at most one with each other walk. Less similar pairs are many, and their errors
-    come from the same walls, so that they do not average out.
+    The unknowns are rotation, east, north and log scale of each walk, and the deviation of the frame from magnetic
+    north. `objective` is the log posterior density.
     """
-    parts: list[tuple[IntArray, IntArray, FloatArray]] = []
-    for i in free:
-        rows, near = walks.rows(i), sorted(walks.partners[i] & group.poses.keys())
-        if not near or rows.stop == rows.start:
-            continue
-        others = walks.scans_of(near)
-        cosine, owner = walks.cosines(rows, others), walks.owner[others]
-        up = walks.floor[rows] + group.poses[i].floor
-        other_up = walks.floor[others] + np.array([group.poses[j].floor for j in owner.tolist()])
-        cosine[up[:, None] != other_up] = 0.0
-        # the scans of each other walk are consecutive
-        starts = np.flatnonzero(np.diff(owner, prepend=-1))
-        ends = np.append(starts[1:], len(owner))
-        best = np.column_stack([a + cosine[:, a:b].argmax(axis=1) for a, b in zip(starts, ends, strict=True)])
-        of_best = np.take_along_axis(cosine, best, axis=1)
-        chosen = np.argsort(-of_best, axis=1, kind="stable")[:, :_N_PAIRS]
-        scan, column = np.nonzero(np.take_along_axis(of_best, chosen, axis=1) >= PAIR_COSINE)
-        column = chosen[scan, column]
-        parts.append((scan + rows.start, others[best[scan, column]], of_best[scan, column]))
-    if not parts:
-        none = np.zeros(0, dtype=np.int64)
-        return Pairs(none, none, np.zeros(0), np.zeros(0))
-    first, second, cosine = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return Pairs(first, second, *ranges(cosine))
+
+    objective: float
+    slope: FloatArray  # (4 n + 1,)
+    information: FloatArray  # (4 n + 1, 4 n + 1)
 
 
-def residuals(pairs: Pairs, apart_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the residuals (P,) of the ranges of pairs, unit vectors (P, 2), and robust weights (P,).
+def scans_around(walks: ScannedWalks, group: PlacedGroup, together: Sequence[int]) -> IntArray:
+    """Return the scans for a solution of some walks of a group: those of the walks, then those of their partners.
 
-    `apart_m` (P, 2) is the position of the first scan minus that of the second one. A residual is its length minus the
-    range. The unit vector has its direction. The weights are those of a Cauchy loss, divided by the variance.
+    At most about `_MOST_SCANS` scans of each storey are used, because the cost grows with their third power.
     """
-    length = np.maximum(np.hypot(*apart_m.T), 0.5)
-    residual = length - pairs.range_m
-    return residual, apart_m / length[:, None], robust_weights(residual / pairs.std_m, "cauchy") / pairs.std_m**2
+    own = walks.scans_of(together)
+    most = _MOST_SCANS * len({group.poses[i].floor for i in together})
+    own = own[:: math.ceil(max(len(own), 1) / most)]
+    near = set().union(*(walks.partners[i] for i in together)) & group.poses.keys() - set(together)
+    if not near:
+        return own
+    others = walks.scans_of(sorted(near))
+    others = others[_thinned(*_placed(walks, group, others))]
+    return np.concatenate([own, others[:: math.ceil(len(others) / most)]])
 
 
-def adjust(walks: ScannedWalks, group: PlacedGroup, new: Sequence[int]) -> None:
-    """Adjust the rigid poses of a group together: of all walks, or of the new ones only in a large group.
+def of_storeys(
+    walks: ScannedWalks, scans: IntArray, at_m: FloatArray, floor: IntArray
+) -> Iterator[tuple[IntArray, float, FloatArray, FloatArray]]:
+    """Yield the log likelihood of the m scans of each storey, and its gradient and information by their positions.
 
-    The poses and the deviation from magnetic north are changed in the group. They minimise the robust residuals of
-    pairs of similar scans, with priors for magnetic north and for the seeds.
+    The first value has the indices (m,) of these scans. All n scans are at `at_m` (n, 2), on the storeys `floor` (n,).
+    The gradient has the shape (2 m,) and the information (2 m, 2 m).
     """
-    together = list(group.poses) if len(group.poses) <= MOST_TOGETHER else [i for i in new if i in group.poses]
-    pairs = pairs_of(walks, group, together)
+    for storey in np.unique(floor).tolist():
+        here = np.flatnonzero(floor == storey)
+        heard = walks.heard[scans[here]]
+        yield here, *likelihood(at_m[here], walks.owner[scans[here]], (heard @ heard.T).toarray())
+
+
+def joint_poses(
+    walks: ScannedWalks,
+    group: PlacedGroup,
+    together: Sequence[int],
+    scans: IntArray,
+    weight: float = 1.0,
+) -> JointPoses:
+    """Return the normal equations of the rigid poses of some walks, given `scans` of these and other walks.
+
+    The other walks of the group keep their poses. The terms are the likelihood of the fingerprints, with a `weight`,
+    and the priors of rotation, scale, magnetic north and the walks that define the frame.
+    """
     n = len(together)
     number = np.full(len(walks.chains), -1)
     number[together] = np.arange(n)
-    a, b = number[walks.owner[pairs.first]], number[walks.owner[pairs.second]]
-    directed = np.array([walks.chains[i].knows_north for i in together])
-    is_seed = np.array([i in group.seeds for i in together])
-    turn = np.array([group.poses[i].turn_rad for i in together])
-    known_turn = turn.copy()
-    shift = np.array([group.poses[i].shift_m for i in together])
-    # the common deviation of all magnetic fields is known in a group of which only a part is adjusted
-    is_whole = n == len(group.poses)
-    north, known_north = group.north_rad, 0.0 if is_whole else group.north_rad
-    north_weight = 1.0 / _COMMON_STD_RAD**2 if is_whole else 1e9
-    # unknowns: turns, shifts, and the deviation of north
-    size = 3 * n + 1
-    for _ in range(20):
-        for k, i in enumerate(together):
-            group.poses[i].turn_rad, group.poses[i].shift_m = float(turn[k]), shift[k]
-        at_first, _ = _placed(walks, group, pairs.first)
-        at_second, _ = _placed(walks, group, pairs.second)
-        residual, unit, weight = residuals(pairs, at_first - at_second)
-        weight = weight / _INFLATION**2
-        parts: list[tuple[IntArray, FloatArray]] = []
-        for index, at_m, sign in ((a, at_first, 1.0), (b, at_second, -1.0)):
-            lever = at_m - shift[index]
-            by_turn = unit[:, 0] * lever[:, 1] - unit[:, 1] * lever[:, 0]
-            columns = np.stack([index, n + 2 * index, n + 2 * index + 1], axis=1)
-            values = sign * np.stack([by_turn, unit[:, 0], unit[:, 1]], axis=1)
-            parts.append((columns, np.where((index >= 0)[:, None], values, 0.0)))
-        columns = np.concatenate([np.maximum(part[0], 0) for part in parts], axis=1)
-        values = np.concatenate([part[1] for part in parts], axis=1)
-        of_north = np.where(directed, 1.0 / _NORTH_STD_RAD**2, 0.0)
-        of_seed = np.where(is_seed, 1.0 / _SEED_STD_RAD**2, 0.0)
-        diagonal = np.full(size, 1e-6)
-        diagonal[:n] += of_north + of_seed
-        diagonal[n : 3 * n] += np.repeat(np.where(is_seed, 1e4, 1e-4), 2)
-        diagonal[3 * n] += of_north.sum() + north_weight
-        k, last, every = np.arange(n), np.full(n, 3 * n), np.arange(size)
-        squares = weight[:, None, None] * values[:, :, None] * values[:, None, :]
-        entries = np.concatenate([squares.ravel(), -of_north, -of_north, diagonal])
-        row = np.concatenate([np.repeat(columns, 6, axis=1).ravel(), k, last, every])
-        column = np.concatenate([np.tile(columns, (1, 6)).ravel(), last, k, every])
-        slope = np.bincount(columns.ravel(), ((weight * residual)[:, None] * values).ravel(), size).astype(float)
-        slope[:n] += of_north * (turn - north) + of_seed * (turn - known_turn)
-        slope[3 * n] += north_weight * (north - known_north) - float(of_north @ (turn - north))
-        change = -splu(coo_matrix((entries, (row, column)), (size, size)).tocsc()).solve(slope)
-        largest = np.abs(change[:n]).max() / 0.5, np.abs(change[n : 3 * n]).max() / 30.0
-        change *= 1.0 / max(1.0, *largest)
-        turn, shift, north = turn + change[:n], shift + change[n : 3 * n].reshape(n, 2), north + float(change[3 * n])
-        if np.abs(change).max() < 0.02:
-            break
+    at_m, floor = _placed(walks, group, scans)
+    k = number[walks.owner[scans]]
+    own, pose = np.flatnonzero(k >= 0), 4 * k[k >= 0]
+    lever = at_m[own] - np.array([group.poses[i].shift_m for i in walks.owner[scans[own]].tolist()]).reshape(-1, 2)
+    by_pose = np.zeros((len(scans), 2, 4 * n + 1))
+    for axis, by_turn in ((0, lever[:, 1]), (1, -lever[:, 0])):
+        by_pose[own, axis, pose] = by_turn
+        by_pose[own, axis, pose + 1 + axis] = 1.0
+        by_pose[own, axis, pose + 3] = lever[:, axis]
+    objective, slope, information = 0.0, np.zeros(4 * n + 1), np.zeros((4 * n + 1, 4 * n + 1))
+    for here, value, of_scan, of_scans in of_storeys(walks, scans, at_m, floor):
+        by_own = by_pose[here].reshape(-1, 4 * n + 1)
+        objective += weight * value
+        slope += weight * by_own.T @ of_scan
+        information += weight * by_own.T @ (of_scans @ by_own)
+
+    def add(error: float, std: float, *keys: int) -> None:
+        """Add a prior with an error that grows with the first unknown and falls with the second one."""
+        nonlocal objective
+        objective -= 0.5 * (error / std) ** 2
+        for a, sign in zip(keys, (1.0, -1.0), strict=False):
+            slope[a] -= sign * error / std**2
+            for b, other in zip(keys, (1.0, -1.0), strict=False):
+                information[a, b] += sign * other / std**2
+
     for k, i in enumerate(together):
-        group.poses[i].turn_rad, group.poses[i].shift_m = float(turn[k]), shift[k]
-    group.north_rad = north
+        pose = group.poses[i]
+        add(math.log(pose.scale), _SCALE_STD, 4 * k + 3)
+        if walks.chains[i].knows_north:
+            add(pose.turn_rad - group.north_rad, _NORTH_STD_RAD, 4 * k, 4 * n)
+        if i in group.seeds:
+            seed = group.seeds[i]
+            add(pose.turn_rad - seed.turn_rad, _SEED_STD_RAD, 4 * k)
+            centre = walks.chains[i].position_m(np.zeros(1, dtype=np.int64))
+            for axis, error in enumerate((pose.of(centre) - seed.of(centre))[0].tolist()):
+                add(error, _SEED_STD_M, 4 * k + 1 + axis)
+        for axis in range(2):  # without access points in common, a place is only known to be in the region
+            add(0.0, _REGION_STD_M, 4 * k + 1 + axis)
+    # the deviation of all magnetic fields is known in a group of which only a part is solved
+    is_whole = n == len(group.poses)
+    add(group.north_rad - group.north[0] if is_whole else 0.0, group.north[1] if is_whole else 1e-4, 4 * n)
+    return JointPoses(objective, slope, information)
+
+
+def adjust(walks: ScannedWalks, group: PlacedGroup, new: Sequence[int], n_iterations: int = 4) -> None:
+    """Adjust the rigid poses of a group together, or those of each new walk alone in a large group.
+
+    The poses and the deviation from magnetic north are changed in the group. They maximise the posterior density, by
+    Fisher scoring with the damping of Levenberg and Marquardt.
+    """
+    if len(group.poses) > MOST_TOGETHER and len(new) > 1:
+        for i in new:
+            adjust(walks, group, [i], n_iterations)
+        return
+    together = list(group.poses) if len(group.poses) <= MOST_TOGETHER else list(new)
+    scans, damping = scans_around(walks, group, together), 1e-3
+    now = joint_poses(walks, group, together, scans)
+    for _ in range(n_iterations):
+        before, trial, gain = ({i: group.poses[i] for i in together}, group.north_rad), now, -1.0
+        while gain <= 0.0:
+            if damping > _MOST_DAMPING:
+                return
+            change = np.linalg.solve(now.information + damping * np.diag(np.diag(now.information)), now.slope)
+            largest = np.abs(change[:-1].reshape(-1, 4)).max(axis=0) / (0.4, 20.0, 20.0, 0.3)
+            change /= max(1.0, float(largest.max()))
+            for i, (turn, east, north, log_scale) in zip(together, change[:-1].reshape(-1, 4).tolist(), strict=True):
+                pose, moved_m = before[0][i], np.array([east, north])
+                scale = pose.scale * math.exp(log_scale)
+                group.poses[i] = Pose(pose.turn_rad + turn, pose.shift_m + moved_m, pose.floor, scale)
+            group.north_rad = before[1] + float(change[-1])
+            trial = joint_poses(walks, group, together, scans)
+            gain, damping = trial.objective - now.objective, 8.0 * damping
+            if gain <= 0.0:
+                group.poses.update(before[0])
+                group.north_rad = before[1]
+        now, damping = trial, damping / 64.0
+        if gain < _SMALLEST_GAIN:
+            return

@@ -15,17 +15,30 @@ from pdr_filter.io.files.safe_files import read_json, read_small, write_files
 from pdr_filter.maps.marks import read_marks
 from pdr_filter.maps.radio.radio_map import RadioMap
 from pdr_filter.values import FloatArray, HeadingFix, IntArray, PositionFix, limits, read_only
+from pdr_filter.values.origin import Origin
 from pdr_filter.values.recording import Recording
 from pdr_filter.values.serialisation import from_bytes, to_bytes
 from pdr_filter.values.uncertainty import worst_std_m
 from pdr_filter.version import __version__
 from pdr_filter.walk_map.chains import Chain, cached_chain, without_times
 from pdr_filter.walk_map.joint import Known, States, solve_group, step_positions
-from pdr_filter.walk_map.placing import MOST_TOGETHER, PlacedGroup, Pose, ScannedWalks, adjust, grow, settle, turned
+from pdr_filter.walk_map.placing import (
+    MOST_TOGETHER,
+    UNKNOWN_NORTH,
+    PlacedGroup,
+    Pose,
+    ScannedWalks,
+    adjust,
+    grow,
+    settle,
+    turned,
+)
 
-_FORMAT = 1
+_FORMAT = 2
 # An access point has moved if walks that receive it this strongly are farther apart than this.
 _LOUD_DBM, _MOVED_M = -60.0, 60.0
+# Standard deviation of magnetic north around the declination, for all walks of a building together.
+DECLINATION_STD_RAD = 0.05
 # Walks with a larger standard deviation are not joined.
 _MOST_STD_M = 15.0
 
@@ -160,6 +173,7 @@ class WalkMap:
     _groups: tuple[_JoinedGroup, ...] = field(default=())
     _known: Mapping[str, Sequence[Known]] = field(default_factory=dict[str, Sequence[Known]])
     _salt: str | None = None
+    _north: tuple[float, float] = UNKNOWN_NORTH
 
     def __repr__(self) -> str:
         return f"WalkMap({len(self.walks)} walks in {self.n_groups} groups, {len(self.apart)} apart)"
@@ -316,7 +330,7 @@ class WalkMap:
         chains, apart, marked = _chains_of(recordings, cache, self._salt, jobs, scheduler, taken=taken, keys=keys)
         fixes = {**self._known, **_by_name([*marked, *known], chains)}
         earlier = [entry for entry in self.apart if entry[0] not in own]
-        return _mapped([*self._chains, *chains], [*earlier, *apart], fixes, self._salt, self._groups)
+        return _mapped([*self._chains, *chains], [*earlier, *apart], fixes, self._salt, self._groups, self._north)
 
     def remove(self, names: Iterable[str]) -> WalkMap:
         """Return the map without some walks. The other walks are solved again.
@@ -346,7 +360,7 @@ class WalkMap:
         number = {i: k for k, i in enumerate(i for i, c in enumerate(self._chains) if c.name not in gone)}
         # a map without known fixes keeps its frame by one walk of each group that stays
         kept = [] if known else [part for g in self._groups if (part := g.of_seeds(number)) is not None]
-        return _mapped(chains, others, known, self._salt, kept)
+        return _mapped(chains, others, known, self._salt, kept, self._north)
 
     def save(self, folder: str | Path, *, times: bool = False) -> Path:
         """Write the map to a folder. By default it contains no times, names of walks, known fixes or notes.
@@ -383,7 +397,7 @@ class WalkMap:
         }
         folder.mkdir(parents=True, exist_ok=True)
         files = {folder / f"{i:05d}.walk": to_bytes(chain) for i, chain in enumerate(chains)}
-        files[folder / "groups.bin"] = to_bytes((self._groups, known))
+        files[folder / "groups.bin"] = to_bytes((self._groups, known, self._north))
         write_files(files | {folder / "walk_map.json": (json.dumps(card, indent=2) + "\n").encode()})
         return folder
 
@@ -415,9 +429,9 @@ class WalkMap:
                 raise ValueError(f"its format is {card['format_version']}, this version reads {_FORMAT}")
             walks = [folder / f"{i:05d}.walk" for i in range(card["n_walks"])]
             chains: tuple[Chain, ...] = tuple(from_bytes(read_small(w, limits.MAX_WHOLE_BYTES)) for w in walks)
-            groups, known = from_bytes(read_small(folder / "groups.bin", limits.MAX_WHOLE_BYTES))
+            groups, known, north = from_bytes(read_small(folder / "groups.bin", limits.MAX_WHOLE_BYTES))
             apart = tuple((name, why) for name, why in card["apart"])
-            return _result(chains, groups, apart, known, salt)
+            return _result(chains, groups, apart, known, salt, north)
         except (OSError, KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{folder}: not a map of walks ({error}): map the recordings again") from error
 
@@ -438,6 +452,7 @@ def map_walks(
     recordings: Iterable[Recording | str | Path],
     known: Iterable[tuple[str, Known]] = (),
     *,
+    origin: Origin | tuple[float, float] | None = None,
     salt: str | None = None,
     cache: str | Path | None = None,
     jobs: int = 1,
@@ -458,6 +473,9 @@ def map_walks(
         Known positions and headings, each with the name of its walk. They define the frame of the map, together with
         the marks beside recordings in files (`fixes.csv`). Without them, the origin is the start of one walk, and north
         is magnetic north.
+    origin : Origin or tuple of float, optional
+        Latitude and longitude of the building in degrees, to a few kilometres. With the declination there, the
+        magnetometers of all walks say where true north is.
     salt : str, optional
         Secret text with which the addresses of access points are hashed.
     cache : str or Path, optional
@@ -487,12 +505,12 @@ def map_walks(
     Notes
     -----
     Walks are placed as rigid shapes first, by the likelihood of all their scans over a grid of positions and rotations.
-    Each placed walk is then confirmed by the others. The joint problem has a Cauchy loss for pairs of similar scans.
+    The rigid poses of all walks then maximise the joint likelihood of their fingerprints, which are a Gaussian process
+    over the storey. Each placed walk is confirmed by the others.
 
     References
     ----------
-    H. Yang et al., "Graduated non-convexity for robust spatial perception", IEEE RA-L 5, 2020. J. G. Mangelsdorf et
-    al., "Pairwise consistent measurement set maximization for robust multi-robot map merging", ICRA 2018.
+    B. Ferris, D. Fox and N. Lawrence, "WiFi-SLAM using Gaussian process latent variable models", IJCAI 2007.
 
     Examples
     --------
@@ -504,7 +522,8 @@ def map_walks(
     chains, apart, marked = _chains_of(recordings, cache, salt, jobs, scheduler, progress)
     if not chains and not apart:
         raise ValueError("recordings is empty: give at least one recording")
-    return _mapped(chains, apart, _by_name([*marked, *known], chains), salt)
+    north = UNKNOWN_NORTH if origin is None else (Origin.of(origin).declination_rad(), DECLINATION_STD_RAD)
+    return _mapped(chains, apart, _by_name([*marked, *known], chains), salt, north=north)
 
 
 def _by_name(known: Iterable[tuple[str, object]], chains: Sequence[Chain]) -> dict[str, list[Known]]:
@@ -582,6 +601,7 @@ def _mapped(
     known: Mapping[str, Sequence[Known]],
     salt: str | None,
     before: Sequence[_JoinedGroup] = (),
+    north: tuple[float, float] = UNKNOWN_NORTH,
 ) -> WalkMap:
     """Return the map of chains: walks are placed as rigid shapes, grouped, and each group is solved together.
 
@@ -592,22 +612,20 @@ def _mapped(
     reasons = {i: "no Wi-Fi scans: record Wi-Fi with the walk" for i, c in enumerate(chains) if not len(c.scans)}
     fixes = {i: known[c.name] for i, c in enumerate(chains) if c.name in known}
     free = {i for i in range(len(chains)) if i not in reasons}
-    groups = [PlacedGroup(g.poses, frozenset(g.seeds), g.north_rad) for g in before]
+    groups = [PlacedGroup(g.poses, {i: g.poses[i] for i in g.seeds}, g.north_rad, north) for g in before]
     fixed = [g.states for g in before]
     is_known = [g.is_known for g in before]
     free -= {i for g in groups for i in g.poses}
     seeds = {i: pose for i in fixes if i in free and (pose := _known_pose(chains[i], fixes[i])) is not None}
     if seeds:
-        turns = [pose.turn_rad for i, pose in seeds.items() if chains[i].knows_north]
         home = next((k for k, flag in enumerate(is_known) if flag), None)
         if home is None:
-            north_rad = 0.5 * float(np.mean(turns)) if turns else 0.0
-            groups.insert(0, PlacedGroup(seeds, frozenset(seeds), north_rad))
+            groups.insert(0, PlacedGroup(dict(seeds), seeds, north[0], north))
             fixed.insert(0, {})
             is_known.insert(0, True)
         else:
             groups[home].poses.update(seeds)
-            groups[home].seeds |= frozenset(seeds)
+            groups[home].seeds = {**groups[home].seeds, **seeds}
         free.difference_update(seeds)
     for group in groups:
         _extend(walks, group, free, reasons)
@@ -615,7 +633,8 @@ def _mapped(
     for i in todo:
         if i not in free or not walks.partners[i] & free:
             continue
-        group = PlacedGroup({i: Pose(0.0, np.zeros(2))}, frozenset([i]))
+        pose = Pose(north[0] if chains[i].knows_north else 0.0, np.zeros(2))
+        group = PlacedGroup({i: pose}, {i: pose}, north[0], north)
         free.discard(i)
         _extend(walks, group, free, reasons)
         if len(group.poses) > 1:
@@ -631,7 +650,7 @@ def _mapped(
         # the first walks are solved together, and later ones fitted to them, so that the cost grows linearly
         for start in range(0, max(len(pending), 1), MOST_TOGETHER):
             some = {*states, *pending[start : start + MOST_TOGETHER]}
-            part = PlacedGroup({i: p for i, p in group.poses.items() if i in some}, group.seeds, group.north_rad)
+            part = replace(group, poses={i: p for i, p in group.poses.items() if i in some})
             states = solve_group(walks, part, fixes, states)
         vague = [i for i in states if i not in earlier and i not in group.seeds and _std_m(states[i]) > _MOST_STD_M]
         for i in vague:
@@ -650,7 +669,7 @@ def _mapped(
                 else "recognises no place of another walk: walk through mapped places"
             )
             apart = [*apart, (chain.name, why)]
-    return _result(chains, solved, apart, known, salt)
+    return _result(chains, solved, apart, known, salt, north)
 
 
 def _std_m(states: States) -> float:
@@ -673,6 +692,7 @@ def _extend(walks: ScannedWalks, group: PlacedGroup, free: set[int], reasons: di
     grow(walks, group, free)
     for i in settle(walks, group, kept):
         reasons[i] = "the other walks contradict its place: access points may have been moved"
+    adjust(walks, group, list(group.poses), n_iterations=25)
 
 
 def _known_pose(chain: Chain, fixes: Sequence[Known]) -> Pose | None:
@@ -705,6 +725,7 @@ def _result(
     apart: Sequence[tuple[str, str]],
     known: Mapping[str, Sequence[Known]],
     salt: str | None,
+    north: tuple[float, float],
 ) -> WalkMap:
     """Return the map of solved groups, with positions and covariances of all their walks.
 
@@ -719,7 +740,7 @@ def _result(
                 MappedWalk(chains[i].name, number, chains[i].time_s, read_only(position_m), read_only(cov_m2), floor)
             )
     moved = _moved_access_points(chains, groups, found)
-    return WalkMap(tuple(found), tuple(apart), moved, tuple(chains), tuple(groups), dict(known), salt)
+    return WalkMap(tuple(found), tuple(apart), moved, tuple(chains), tuple(groups), dict(known), salt, north)
 
 
 def _moved_access_points(

@@ -1,9 +1,10 @@
 """A map of many walks through a shopping mall, from the first waypoint and direction of one walk a storey.
 
-usage: python -m tests.benchmarks.walk_map [storeys] [numbers] [all_storeys] [radio] [--data DIR]
+usage: python -m tests.benchmarks.walk_map [storeys] [given_walks] [numbers] [all_storeys] [radio] [plan] [--data DIR]
 
 99 walks of `ms_indoor` with Wi-Fi on five storeys. All parameters were chosen on F1. The given walk of a storey is the
-one with the most partners, walks with a similar scan: this choice uses no waypoint.
+one with the most partners, walks with a similar scan: this choice uses no waypoint. The map knows the city, and with it
+the declination, where a table says so.
 """
 
 from __future__ import annotations
@@ -14,19 +15,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
 import pdr_filter as pdr
 from pdr_filter.offline.smoothing.observations import waypoint_fixes
 from pdr_filter.walk_map.chains import Chain, chain_of
-from pdr_filter.walk_map.placing import ScannedWalks
-from pdr_filter.walk_map.walk_map import _mapped
+from pdr_filter.walk_map.placing import UNKNOWN_NORTH, ScannedWalks, partners_of
+from pdr_filter.walk_map.walk_map import DECLINATION_STD_RAD, _mapped
 from tests.benchmarks.common import Tables, paths, run
-from tests.benchmarks.radio import Known, errors_of, map_of, scores
+from tests.benchmarks.radio import Known, errors_of, map_of, place, scores
 
 CHOSEN_ON = "f1"
 WRONG_M = 15.0
+CITY = pdr.Origin(30.29, 120.08)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,10 +59,10 @@ def walks_of(data: Path) -> list[Walk]:
     return found
 
 
-def given(walks: Sequence[Walk]) -> tuple[Walk, list[object]]:
-    """The given walk of a storey, and its first waypoint and direction."""
-    partners = ScannedWalks.of([w.chain for w in walks]).partners
-    walk = walks[int(np.argmax([len(p) for p in partners]))]
+def given(walks: Sequence[Walk], rank: int = 0) -> tuple[Walk, list[object]]:
+    """The given walk of a storey, that with the most partners or a later one, and its first waypoint and direction."""
+    partners = partners_of(ScannedWalks.of([w.chain for w in walks]), 0.4)
+    walk = walks[int(np.argsort([-len(p) for p in partners], kind="stable")[rank])]
     away_m = np.hypot(*(walk.points[:, 1:] - walk.points[0, 1:]).T)
     (t0, *start), (t1, *second) = walk.points[[0, int(np.argmax(away_m > 10.0))]]
     # the direction is that of the line to a waypoint 10 m away, which the walk may not follow at any moment
@@ -70,19 +73,21 @@ def given(walks: Sequence[Walk]) -> tuple[Walk, list[object]]:
     beside = chain.device_rad[k] + chain.mean[node, 2] - np.arctan2(*own)
     heading = float(np.arctan2(*(np.array(second) - start)) + beside)
     return walk, [
-        pdr.PositionFix(t0, start, np.eye(2), floor=walk.floor),
+        pdr.PositionFix(max(t0, 0.0), start, np.eye(2), floor=walk.floor),
         pdr.HeadingFix(chain.time_s[k], heading, np.radians(8.0)),
     ]
 
 
-def mapped(walks: Sequence[Walk]) -> tuple[pdr.WalkMap, set[str], float]:
+def mapped(walks: Sequence[Walk], city: bool = True, rank: int = 0) -> tuple[pdr.WalkMap, set[str], float]:
     """Map of walks, the names of the given ones, and the time of the processor in s."""
     start = time.process_time()
     known: dict[str, list[object]] = {}
     for storey in sorted({w.storey for w in walks}):
-        walk, fixes = given([w for w in walks if w.storey == storey])
+        walk, fixes = given([w for w in walks if w.storey == storey], rank)
         known[walk.chain.name] = fixes
-    return _mapped([w.chain for w in walks], [], known, None), set(known), time.process_time() - start
+    north = (CITY.declination_rad(), DECLINATION_STD_RAD) if city else UNKNOWN_NORTH
+    found = _mapped([w.chain for w in walks], [], known, None, north=north)
+    return found, set(known), time.process_time() - start
 
 
 def row(name: str, walks: Sequence[Walk], found: pdr.WalkMap, known: set[str], seconds: float) -> list[str]:
@@ -123,10 +128,20 @@ def by_storey(walks: Sequence[Walk]) -> list[tuple[str, list[Walk]]]:
 
 
 def storeys(tables: Tables, arguments: argparse.Namespace) -> None:
-    """Each storey alone."""
-    rows = [row(name, group, *mapped(group)) for name, group in by_storey(walks_of(arguments.data))]
+    """Each storey alone, with and without the declination."""
+    rows: list[list[str]] = []
+    for name, group in by_storey(walks_of(arguments.data)):
+        rows.append(row(name, group, *mapped(group)))
+        rows.append(row(f"{name}, city unknown", group, *mapped(group, city=False)))
     about = "Errors at the waypoints of all joined walks but the given one. Wrong: mean error above 15 m."
     tables.write("walk_map", COLUMNS, rows, about)
+
+
+def given_walks(tables: Tables, arguments: argparse.Namespace) -> None:
+    """F1 by other given walks."""
+    every = [w for w in walks_of(arguments.data) if w.storey == CHOSEN_ON]
+    rows = [row(f"given walk {k + 1}", every, *mapped(every, rank=k)) for k in range(4)]
+    tables.write("walk_map_given", COLUMNS, rows, "F1 by the walks with the most partners, one after the other.")
 
 
 def numbers(tables: Tables, arguments: argparse.Namespace) -> None:
@@ -175,5 +190,30 @@ def radio(tables: Tables, arguments: argparse.Namespace) -> None:
     tables.write("walk_map_radio", columns, rows, "Each fifth of the walks of F1 by the map of the others.")
 
 
+def plan(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Held-out walks of F1 by dead reckoning, and on the plan that the walks of such a map draw."""
+    every = [w for w in walks_of(arguments.data) if w.storey == CHOSEN_ON]
+    errors: dict[str, list[float]] = {}
+    for fold in range(5):
+        found, _, _ = mapped([w for i, w in enumerate(every) if i % 5 != fold])
+        with TemporaryDirectory() as folder:
+            drawn = pdr.FloorPlan.read(found.write_plan(Path(folder) / "plan.geojson"))
+        for walk in every[fold::5]:
+            if len(walk.points) < 4 or drawn.storeys[0].kind_at(walk.points[:1, 1:])[0] != 0:
+                continue
+            _, fixes = given([walk])
+            config = pdr.recipes.default(walk.recording.subject).in_world_frame()
+            for name, where in (("dead reckoning", None), ("with the plan", drawn)):
+                track = pdr.track(walk.recording, config, fixes=fixes, plan=where)
+                at = np.array([place(track, t) for t in walk.points[1:, 0]])
+                errors.setdefault(name, []).append(float(np.hypot(*(at - walk.points[1:, 1:]).T).mean()))
+    before, after = (np.array(e) for e in errors.values())
+    rows = [[name, str(len(e)), f"{np.median(e):.2f} m", f"{np.mean(e):.2f} m"] for name, e in errors.items()]
+    worse = f"{100 * np.mean(after > 1.1 * before):.0f} % of the walks are worse by more than a tenth"
+    better = f"{100 * np.mean(after < before / 1.1):.0f} % are better by more than a tenth"
+    about = f"Mean errors of held-out walks of F1 from a given start and direction on the plan: {better}, {worse}."
+    tables.write("walk_map_plan", ["track", "walks", "median", "mean"], rows, about)
+
+
 if __name__ == "__main__":
-    run(__doc__, storeys, numbers, all_storeys, radio)
+    run(__doc__, storeys, given_walks, numbers, all_storeys, radio, plan)

@@ -2,46 +2,122 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_matrix
 
 import pdr_filter as pdr
 from pdr_filter.walk_map import placing
 from pdr_filter.walk_map.chains import Chain, Scans, chain_of
 from pdr_filter.walk_map.joint import _by_state, solve_group, step_positions
-from pdr_filter.walk_map.likeness import fingerprint_matrix, log_ratio, ranges
-from pdr_filter.walk_map.placing import Pairs, PlacedGroup, Pose, ScannedWalks, residuals, turned
+from pdr_filter.walk_map.likeness import (
+    EVIDENCE,
+    LENGTH_M,
+    NOISE,
+    OF_WALK,
+    fingerprint_matrix,
+    likelihood,
+    log_ratio,
+)
+from pdr_filter.walk_map.placing import (
+    PlacedGroup,
+    Pose,
+    ScannedWalks,
+    adjust,
+    joint_poses,
+    scans_around,
+    turned,
+)
 
 
-def test_similar_scans_are_more_probable_near_and_dissimilar_ones_far() -> None:
-    far_m = np.array([[2.0], [20.0], [60.0]])
-    similar, dissimilar = (log_ratio(np.array([[c]]), far_m)[0] for c in (0.88, 0.0))
-    assert (np.diff(similar) < 0).all() and (np.diff(dissimilar) > 0).all()
+@pytest.fixture
+def scans() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Positions, walks and cosines of seven scans."""
+    rng = np.random.default_rng(0)
+    heard = rng.random((7, 30))
+    heard /= np.linalg.norm(heard, axis=1)[:, None]
+    return rng.normal(0.0, 10.0, (7, 2)), np.array([0, 0, 0, 1, 1, 2, 2]), heard @ heard.T
 
 
-def test_log_ratios_of_several_mapped_scans_are_added() -> None:
-    cosine, far_m = np.array([[0.9, 0.1], [0.5, 0.7]]), np.array([[3.0, 40.0], [10.0, 5.0], [70.0, 0.0]])
-    alone = [log_ratio(cosine[:, [k]], far_m[:, [k]]) for k in range(2)]
-    np.testing.assert_allclose(log_ratio(cosine, far_m), alone[0] + alone[1], rtol=1e-6)
+def moved(position_m: np.ndarray, k: int, by_m: float) -> np.ndarray:
+    found = position_m.copy()
+    found.flat[k] += by_m
+    return found
 
 
-def test_ranges_fall_with_the_cosine() -> None:
-    range_m, std_m = ranges(np.array([0.65, 0.75, 0.85, 0.95]))
-    assert (np.diff(range_m) < 0).all() and (np.diff(std_m) <= 0).all() and std_m.min() > 0
+def test_a_scan_is_most_probable_at_the_mapped_scan_that_it_equals() -> None:
+    heard = csr_matrix(np.eye(3))
+    mapped_m = np.array([[0.0, 0.0], [40.0, 0.0], [0.0, 40.0]])
+    ratio = log_ratio(heard, heard, mapped_m, np.arange(3), np.vstack([mapped_m, [[5000.0, 0.0]]]))
+    assert ratio.argmax(axis=1).tolist() == [0, 1, 2]
+    np.testing.assert_allclose(ratio[:, 3], 0.0, atol=1e-3)  # relative to a place far away
+
+
+def test_the_likelihood_is_that_of_a_matrix_normal_distribution(
+    scans: tuple[np.ndarray, np.ndarray, np.ndarray],
+) -> None:
+    position_m, owner, cosine = scans
+    far2 = ((position_m[:, None] - position_m) ** 2).sum(axis=-1)
+    cov = (1 + OF_WALK * (owner[:, None] == owner)) / (1 + far2 / LENGTH_M**2) + NOISE * np.eye(7)
+    cov /= cov[0, 0]
+    expected = -0.5 * EVIDENCE * (np.trace(np.linalg.inv(cov) @ cosine) + np.log(np.linalg.det(cov)))
+    assert likelihood(position_m, owner, cosine)[0] == pytest.approx(expected)
+
+
+def test_the_gradient_of_the_likelihood_is_that_of_differences(
+    scans: tuple[np.ndarray, np.ndarray, np.ndarray],
+) -> None:
+    position_m, owner, cosine = scans
+    value = [[likelihood(moved(position_m, k, h), owner, cosine)[0] for h in (1e-5, -1e-5)] for k in range(14)]
+    np.testing.assert_allclose(likelihood(position_m, owner, cosine)[1], -np.diff(value)[:, 0] / 2e-5, atol=1e-8)
+
+
+def test_the_information_is_the_expected_curvature(scans: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    position_m, owner, _ = scans
+    far2 = ((position_m[:, None] - position_m) ** 2).sum(axis=-1)
+    expected = (1 + OF_WALK * (owner[:, None] == owner)) / (1 + far2 / LENGTH_M**2) + NOISE * np.eye(7)
+    expected /= expected[0, 0]  # the mean of the cosines, if the model holds
+    slope = [[likelihood(moved(position_m, k, h), owner, expected)[1] for h in (1e-4, -1e-4)] for k in range(14)]
+    curvature = np.diff(slope, axis=1)[:, 0] / 2e-4
+    np.testing.assert_allclose(likelihood(position_m, owner, expected)[2], curvature, atol=1e-8)
 
 
 def test_a_clockwise_quarter_turn_moves_north_to_east() -> None:
     np.testing.assert_allclose(np.array([[0.0, 1.0]]) @ turned(np.pi / 2), [[1.0, 0.0]], atol=1e-15)
 
 
-def test_the_residual_of_a_range_is_distance_minus_range_with_a_cauchy_weight() -> None:
-    pairs = Pairs(np.array([0, 1]), np.array([2, 3]), np.array([4.0, 5.0]), np.array([2.0, 2.0]))
-    residual, unit, weight = residuals(pairs, np.array([[3.0, 4.0], [30.0, 40.0]]))
-    np.testing.assert_allclose(residual, [1.0, 45.0])
-    np.testing.assert_allclose(unit, [[0.6, 0.8], [0.6, 0.8]])
-    np.testing.assert_allclose(weight, [0.25 / (1 + (r / 2 / 2.385) ** 2) for r in (1.0, 45.0)])
+def test_the_slope_of_the_joint_poses_is_that_of_differences(chain: Chain) -> None:
+    """Two walks that hear the same access points, and one of them defines the frame."""
+    rng = np.random.default_rng(1)
+    heard = [Scans(np.arange(0, 20, 4), np.arange(0, 35, 6), np.tile(np.arange(6), 5), rng.uniform(-80, -40, 30))] * 2
+    walks = ScannedWalks.of([replace(chain, scans=s) for s in heard])
+    poses = {0: Pose(0.1, np.array([1.0, 2.0])), 1: Pose(-0.2, np.array([9.0, -4.0]), scale=1.1)}
+    group = PlacedGroup(poses, {0: Pose(0.0, np.zeros(2))}, 0.05)
+    scans = scans_around(walks, group, [0, 1])
+    before = joint_poses(walks, group, [0, 1], scans)
+
+    def objective(k: int, by: float) -> float:
+        change = by * np.eye(9)[k]
+        changed = {
+            i: Pose(
+                pose.turn_rad + change[4 * i],
+                pose.shift_m + change[4 * i + 1 : 4 * i + 3],
+                pose.floor,
+                pose.scale * np.exp(change[4 * i + 3]),
+            )
+            for i, pose in poses.items()
+        }
+        return joint_poses(walks, replace(group, poses=changed, north_rad=0.05 + change[8]), [0, 1], scans).objective
+
+    expected = [(objective(k, 1e-5) - objective(k, -1e-5)) / 2e-5 for k in range(9)]
+    # without the first walk, because its known start moves with its rotation
+    np.testing.assert_allclose(before.slope[4:], expected[4:], rtol=1e-5, atol=1e-6)
+    adjust(walks, group, [0, 1], n_iterations=30)
+    after = joint_poses(walks, group, [0, 1], scans)
+    assert after.objective > before.objective + 1.0 and np.abs(after.slope[4:7]).max() < 1.0
 
 
 def test_derivatives_of_points_are_those_of_differences() -> None:
@@ -72,7 +148,8 @@ def test_a_known_start_and_end_of_one_walk_are_its_solution_with_their_covarianc
     walks = ScannedWalks.of([chain])
     ends = np.array([[10.0, 20.0], [10.0, 46.0]])
     known = [pdr.PositionFix(t, p, 0.05**2 * np.eye(2)) for t, p in zip((0.0, chain.time_s[-1]), ends, strict=True)]
-    found = solve_group(walks, PlacedGroup({0: Pose(0.3, np.zeros(2))}, frozenset([0])), {0: known})
+    pose = Pose(0.3, np.zeros(2))
+    found = solve_group(walks, PlacedGroup({0: pose}, {0: pose}), {0: known})
     position_m, cov_m2 = step_positions(walks, 0, found[0])
     np.testing.assert_allclose(position_m[[0, -1]], ends, atol=0.15)
     np.testing.assert_allclose(cov_m2[[0, -1]], np.tile(0.05**2 * np.eye(2), (2, 1, 1)), rtol=0.2, atol=3e-4)
@@ -84,7 +161,8 @@ def test_a_known_start_and_end_of_one_walk_are_its_solution_with_their_covarianc
 def test_a_known_heading_rotates_a_walk(chain: Chain) -> None:
     walks, half_s = ScannedWalks.of([chain]), float(chain.time_s[len(chain.time_s) // 2])
     known = [pdr.PositionFix(0.0, (0.0, 0.0), 0.01 * np.eye(2)), pdr.HeadingFix(half_s, np.pi / 2, 0.01)]
-    found = solve_group(walks, PlacedGroup({0: Pose(1.2, np.zeros(2))}, frozenset([0])), {0: known})
+    pose = Pose(1.2, np.zeros(2))
+    found = solve_group(walks, PlacedGroup({0: pose}, {0: pose}), {0: known})
     end_m = step_positions(walks, 0, found[0])[0][-1]
     assert end_m[0] == pytest.approx(25.0, rel=0.15) and abs(end_m[1]) < 3.0
 
@@ -101,6 +179,7 @@ def test_the_index_gives_cosines_of_fingerprints() -> None:
 def test_walks_that_are_on_a_map_stay_although_the_others_do_not_confirm_them(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(placing, "_is_confirmed", lambda *_: False)
     monkeypatch.setattr(placing, "adjust", lambda *_: None)
-    group = PlacedGroup({i: Pose(0.0, np.zeros(2)) for i in range(4)}, frozenset([0]))
+    poses = {i: Pose(0.0, np.zeros(2)) for i in range(4)}
+    group = PlacedGroup(poses, {0: poses[0]})
     assert placing.settle(cast(Any, None), group, kept=frozenset([0, 2])) == [1, 3]
     assert set(group.poses) == {0, 2}

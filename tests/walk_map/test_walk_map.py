@@ -194,6 +194,16 @@ def test_two_buildings_are_two_groups(building: list[Recording]) -> None:
     ]
 
 
+def test_with_an_origin_the_map_has_true_north(building: list[Recording]) -> None:
+    place = pdr.Origin(64.0, -22.0)  # with a declination of about -12 degrees
+    turned_rad = []
+    for origin in (None, place):
+        walks = pdr.map_walks([building[0], building[3]], origin=origin).walks
+        east, north = walks[0].position_m[len(walks[0].position_m) // 2] - walks[0].position_m[0]
+        turned_rad.append(np.arctan2(east, north))
+    assert turned_rad[1] - turned_rad[0] == pytest.approx(place.declination_rad(), abs=np.radians(4.0))
+
+
 def test_an_access_point_that_was_moved_is_named_and_not_mapped(building: list[Recording]) -> None:
     moved = 0xABCDEF
     near = []
