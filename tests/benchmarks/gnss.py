@@ -7,8 +7,7 @@ and a gap of 30 s; the phone claims the radius of 68 % of it. Walks of nine legs
 people whose steps differ more than the filter takes them to, every other phone with the errors of a BMI160. The figures
 are of steps from the fix that settled the turn on, or after the last location where these stop after a third.
 Afterwards: sudden changes, and how long they last.
-ipin2023: indoors, the surveyed points of one walk, against the locations that the phone gave there. Phones: the walk
-of a phone against its own locations, and the same with those of the first third alone.
+Phones: the walk of a phone against its own locations, and the same with those of the first third alone.
 """
 
 from __future__ import annotations
@@ -20,19 +19,17 @@ import numpy as np
 from scipy.stats import chi2
 
 import pdr_filter as pdr
-from pdr_filter import evaluate
 from pdr_filter.filter.fixes.gnss import CORRELATION_S, RADIUS_68
 from pdr_filter.simulate import Leg, SensorErrors, simulate
 from pdr_filter.simulate.population import random_person
 from pdr_filter.values.recording import Recording
-from tests.benchmarks.common import DATA, Tables, median_and, recordings, run
+from tests.benchmarks.common import DATA, Tables, median_and, run
 
 HERE, STD_M = pdr.Origin(48.137, 11.575), 5.0
 PHONES = {
     "Sensor Logger, Android": "sensor_logger/walk_with_gps_android_1_12.zip",
     "phyphox, 157 steps": "phyphox/157_steps",
 }
-SURVEYED = pdr.Origin(49.461222, 11.111590)  # first point of the walk, from the notes of its data set
 
 
 @dataclass(frozen=True)
@@ -149,28 +146,6 @@ def of_phone(name: str, recording: Recording) -> list[list[str]]:
     return rows
 
 
-def surveyed(recording: Recording) -> list[list[str]]:
-    """Rows of the walk with surveyed points: its locations, and the track with them."""
-    points, location = recording.truth.waypoints, recording.location
-    tracks = [("track", pdr.track(recording)), ("track without the magnetometer", pdr.track(recording, north="off"))]
-    raw_m = SURVEYED.east_north_m(location.values[:, 0], location.values[:, 1])
-    true_m = np.column_stack([points.east_m, points.north_m])
-    rows: list[list[str]] = []
-    ways = [("its locations", location.time_s, raw_m)]
-    for name, track in tracks:
-        ways.append((name, track.time_s, SURVEYED.east_north_m(track.latitude_deg, track.longitude_deg)))
-    for name, time_s, way_m in ways:
-        at_m = np.column_stack([np.interp(points.time_s, time_s, way_m[:, k]) for k in (0, 1)])
-        rows.append([name, median_and(np.linalg.norm(at_m - true_m, axis=1), 100, 1)])
-    alone = pdr.track(recording, gnss="off")
-    at_m = evaluate.positions_at(alone.time_s, alone.position_m, points.time_s) - alone.position_m[0]
-    first_m = np.array([np.interp(alone.time_s[0], location.time_s, raw_m[:, k]) for k in (0, 1)])
-    rows.append(
-        ["dead reckoning from its first location", median_and(np.linalg.norm(at_m + first_m - true_m, axis=1), 100, 1)]
-    )
-    return rows
-
-
 def locations(tables: Tables, arguments: argparse.Namespace) -> None:
     """All tables."""
     walks = [walked(k) for k in range(arguments.walks)]
@@ -195,11 +170,6 @@ def locations(tables: Tables, arguments: argparse.Namespace) -> None:
             for share in (1.0, 1 / 3)
         ],
         f"{arguments.walks} walks with T = {CORRELATION_S:.0f} s, {len(fewer)} with others.",
-    )
-    tables.write(
-        "gnss_surveyed",
-        ["ipin2023", "error m: median, largest"],
-        [row for recording in recordings(arguments.data, "ipin2023") for row in surveyed(recording)],
     )
 
 

@@ -1,7 +1,7 @@
 # ruff: noqa: N806  (X as in scikit-learn)
 """How fast the relevance vector machine trains and predicts, and how good its probabilities are.
 
-usage: python -m tests.benchmarks.rvm_speed [training] [fastrvm]
+usage: python -m tests.benchmarks.rvm_speed
 
 One core: BLAS threads are set to one. Problems are `sklearn.datasets.make_classification`; rows not trained on are
 scored. fastrvm, if it can be imported, is timed on the first problem.
@@ -11,12 +11,10 @@ from __future__ import annotations
 
 import argparse
 import time
-import warnings
 from typing import Any
 
 import numpy as np
 from sklearn.datasets import make_classification
-from sklearn.exceptions import ConvergenceWarning
 from sklearn.metrics import log_loss
 
 import pdr_filter as pdr
@@ -51,46 +49,6 @@ def measure(classifier: Any, problem: Problem, repeats: int = 1) -> tuple[float,
     return best, float(np.mean(classifier.classes_[p.argmax(axis=1)] == y_test)), float(log_loss(y_test, p))
 
 
-def training(tables: Tables, arguments: argparse.Namespace) -> None:
-    warnings.simplefilter("ignore", ConvergenceWarning)
-    problems = {
-        "800 x 20, 10 informative, one cluster a class": six_classes(800, 1200, 20, 1),
-        "800 x 20, 10 informative, two clusters a class": six_classes(800, 1200, 20, 2),
-        "3600 x 18, 15 informative, one cluster a class": six_classes(3600, 1200, 18, 1, 15),
-    }
-    rows = []
-    for name, problem in problems.items():
-        for form in ("one_against_all", "multinomial"):
-            classifier = pdr.RelevanceVectorClassifier(multi_class=form)
-            seconds, accuracy, loss = measure(classifier, problem, 2)
-            machine = classifier.machine_
-            size = (machine.weights != 0).sum(axis=1)
-            cells = [f"{seconds:.2f} s", f"{accuracy:.3f}", f"{loss:.3f}", classifier.n_iter_, f"{size.mean():.0f}"]
-            rows.append([name, form, *cells, f"{1e6 * one_row_s(machine, problem[2]):.0f}"])
-    columns = [
-        "problem, 6 classes",
-        "form",
-        "training",
-        "accuracy",
-        "log loss",
-        "passes",
-        "vectors a class",
-        "one row µs",
-    ]
-    tables.write("rvm_training", columns, rows, "One core.")
-
-
-def one_row_s(machine: Any, rows: np.ndarray) -> float:
-    """Least mean time of one row."""
-    cost: list[float] = []
-    for _ in range(20):
-        start = time.perf_counter()
-        for row in rows[:200]:
-            machine.predict_proba(row[None])
-        cost.append((time.perf_counter() - start) / 200)
-    return min(cost)
-
-
 def fastrvm(tables: Tables, arguments: argparse.Namespace) -> None:
     try:
         from fastrvm import RVC  # type: ignore[import-not-found]
@@ -110,4 +68,4 @@ def fastrvm(tables: Tables, arguments: argparse.Namespace) -> None:
 
 
 if __name__ == "__main__":
-    run(__doc__, training, fastrvm)
+    run(__doc__, fastrvm)
