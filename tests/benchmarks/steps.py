@@ -234,10 +234,12 @@ def find(recording: pdr.Recording) -> Found:
     force, motion = Recorder(), Recorder()
     through_gate(found, StepGate(evidence=force, evidence_with_gyroscope=motion))  # type: ignore[arg-type]
     times = [s.time_s for _, parts in found.segments for part in parts for _, s in part]
+    if len(force.rows) + len(motion.rows) == len(times):  # a recording of less than a second has no evidence
+        found.time_s = np.array(times)
     for recorder in (force, motion):
-        # a recording of less than a second, or with a gyroscope for a part of the time, has no evidence
+        # a recording with a gyroscope for a part of the time is not in the fit
         if times and len(recorder.rows) == len(times):
-            found.time_s, found.features = np.array(times), np.array(recorder.rows)
+            found.features = np.array(recorder.rows)
             found.has_gyroscope = recorder is motion
     return found
 
@@ -293,7 +295,7 @@ def fits(sets: Mapping[str, Sequence[Found]]) -> tuple[list[Fitted], Fitted]:
 def fit(all_found: Sequence[Found]) -> WalkEvidence:
     rows: dict[tuple[str, bool], list[FloatArray]] = defaultdict(list)
     for found in all_found:
-        for time_s, features in zip(found.time_s, found.features, strict=True):
+        for time_s, features in zip(found.time_s, found.features, strict=len(found.features) > 0):
             walking = truth(found, time_s)
             if walking is not None and (found.data_set, walking) in MASS:
                 rows[found.data_set, walking].append(features)
