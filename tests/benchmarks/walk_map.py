@@ -1,6 +1,6 @@
 """A map of many walks through a shopping mall, from the first waypoint and direction of one walk a storey.
 
-usage: python -m tests.benchmarks.walk_map [storeys] [given_walks] [numbers] [all_storeys] [radio] [plan] [--data DIR]
+usage: python -m tests.benchmarks.walk_map [storeys] [numbers] [all_storeys] [radio] [plan] [--data DIR]
 
 99 walks of `ms_indoor` with Wi-Fi on five storeys. All parameters were chosen on F1. The given walk of a storey is the
 one with the most partners, walks with a similar scan: this choice uses no waypoint. The map knows the city, and with it
@@ -137,23 +137,19 @@ def storeys(tables: Tables, arguments: argparse.Namespace) -> None:
     tables.write("walk_map", COLUMNS, rows, about)
 
 
-def given_walks(tables: Tables, arguments: argparse.Namespace) -> None:
-    """F1 by other given walks."""
-    every = [w for w in walks_of(arguments.data) if w.storey == CHOSEN_ON]
-    rows = [row(f"given walk {k + 1}", every, *mapped(every, rank=k)) for k in range(4)]
-    tables.write("walk_map_given", COLUMNS, rows, "F1 by the walks with the most partners, one after the other.")
+ABOUT_NUMBERS = "F1 by the walks with the most partners, one after the other; below, walks drawn at random."
 
 
 def numbers(tables: Tables, arguments: argparse.Namespace) -> None:
-    """Parts of F1, drawn at random."""
+    """Parts of F1, drawn at random, and all of F1 by other given walks."""
     every = [w for w in walks_of(arguments.data) if w.storey == CHOSEN_ON]
-    rows: list[list[str]] = []
-    for n in (10, 20, 40):
-        for seed in range(3 if n < 40 else 1):
+    rows = [row(f"F1, given walk {k + 1}", every, *mapped(every, rank=k)) for k in range(4)]
+    for n in (10, 20):
+        for seed in range(3):
             chosen = np.random.default_rng(seed).permutation(len(every))[:n]
             part = [every[i] for i in sorted(chosen)]
             rows.append(row(f"{len(part)} walks of F1, draw {seed + 1}", part, *mapped(part)))
-    tables.write("walk_map_numbers", COLUMNS, rows, "Walks drawn at random.")
+    tables.write("walk_map_numbers", COLUMNS, rows, ABOUT_NUMBERS)
 
 
 def all_storeys(tables: Tables, arguments: argparse.Namespace) -> None:
@@ -216,4 +212,4 @@ def plan(tables: Tables, arguments: argparse.Namespace) -> None:
 
 
 if __name__ == "__main__":
-    run(__doc__, storeys, given_walks, numbers, all_storeys, radio, plan)
+    run(__doc__, storeys, numbers, all_storeys, radio, plan)
