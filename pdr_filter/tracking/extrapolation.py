@@ -342,7 +342,7 @@ def _is_walking(config: Config, state: State, last: StepUpdate, is_candidate: bo
     latency_s = sensing.steps.latency_s if is_candidate else sensing.step_latency_s
     if not state.sensing.processed_s - last.step.time_s <= latency_s + last.step.duration_s:
         return False
-    rows = getattr(gate, "rows", np.empty((0, 3)))[-_QUIET_ROWS:, :3]  # the specific force of rows of the gate
+    rows = getattr(gate, "rows", np.empty((0, 3)))[-_QUIET_ROWS:]
     return len(rows) < _QUIET_ROWS or float(np.sqrt((rows * rows).sum(axis=1)).std()) >= _QUIET_MPS2
 
 

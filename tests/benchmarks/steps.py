@@ -1,6 +1,6 @@
 """The default step detector and its gate against steps counted on video, foot switches and handling.
 
-usage: python -m tests.benchmarks.steps [counts] [gate] [slow] [--data ../shared/data]
+usage: python -m tests.benchmarks.steps [counts] [gate] [--data ../shared/data]
 
 counts    count errors of ubicomp13 by placement with the single-scale wavelet, with the default detector, behind the
           gate, and with left and right evened; the same with only every second or fourth sample
@@ -8,27 +8,16 @@ gate      the gate against false steps: its weights fitted again, and what it do
           step that the default detector finds is walking or not: inside the walks of ubicomp13 or more than 1 s
           outside, where the phone is handled; MotionSense's sitting and standing against its other contexts; walks of
           the other sets. The log odds are a logistic regression on the four features of
-          `pdr_filter.sensing.steps.walking_evidence`, every kind of recording with the mass in `MASS`. The fit for
-          recordings with a gyroscope also has walks of three sets slowed to 0.85 steps a second (c^3, see `slow`).
-          The other fit has the same recordings without their gyroscope, and no slow walks. People with odd
+          `pdr_filter.sensing.steps.walking_evidence`, every kind of recording with the mass in `MASS`. People with odd
           numbers are judged by a fit without them, and those with even numbers likewise; the other sets have one person
           each or unknown ones, and are in both fits. Then the same with the shipped weights, which have seen everybody.
-slow      walks of many people are slowed down, because no public phone recordings of slow gait with steps exist: the
-          same motion c times as slowly. The gravity that the phone feels, from the attitude of the whole recording,
-          turns c times as slowly; the rest of the force is c times as slow and c^2 times as weak (the same path of the
-          phone, steps as long as before, an angular rate c times as small), or c^3 times (an angular rate c^2 times as
-          small): as the law of docs/methods/steps.md has it for people who walk
-          slowly, whose steps are shorter and softer. The true steps are those that the detector finds at the pace at
-          which the person walked, within the walk. The share of them that is found is within 0.35 of a step interval,
-          after a constant offset. Weights for ubicomp13 and motionsense were fitted without the people in question,
-          also without their slowed walks. The person of humolire was in the fit, those of oxiod and ipol were not.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -38,15 +27,15 @@ from sklearn.linear_model import LogisticRegression
 import pdr_filter as pdr
 from pdr_filter import evaluate
 from pdr_filter.recipes.martinelli2018.steps import WaveletStepDetector
-from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
+from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.sensing.steps.adaptive_detector import AdaptiveStepDetector
 from pdr_filter.sensing.steps.contact_time_smoothing import ContactTimeSmoothing
 from pdr_filter.sensing.steps.step_detector import unknown_contexts
 from pdr_filter.sensing.steps.step_gate import StepGate
-from pdr_filter.sensing.steps.walking_evidence import EVIDENCE, EVIDENCE_WITH_GYROSCOPE, WalkEvidence
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, Samples, Step
+from pdr_filter.sensing.steps.walking_evidence import EVIDENCE, WalkEvidence
+from pdr_filter.values import Samples, Step
 from tests.benchmarks.common import Tables, recordings, run
 
 FloatArray = NDArray[np.float64]
@@ -117,12 +106,7 @@ MASS = {
     ("oxford", True): 0.3,
     ("humolire", True): 0.2,
     ("ms_indoor", True): 0.2,
-    ("slowed", True): 0.5,
 }
-RECORDED = sorted({name for name, _ in MASS} - {"slowed"})
-# Sets with walks that are also slowed down for the fit, and their pace and exponent then. Half of the walks suffice.
-SLOWED_SETS = ("ubicomp13", "motionsense", "humolire")
-SLOWED_STEPS_PER_S, SLOWED_EXPONENT = 0.85, 3
 
 
 @dataclass
@@ -133,32 +117,16 @@ class Found:
     segments: list[tuple[list[UniformBlock], list[list[tuple[int, Step]]]]] = field(default_factory=list)
     time_s: FloatArray = field(default_factory=lambda: np.empty(0))
     features: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
-    has_gyroscope: bool = False
-    slow_walk_s: tuple[float, float] | None = None  # start and end of the walk in a recording that was slowed down
 
     @property
     def data_set(self) -> str:
-        if self.slow_walk_s is not None:
-            return "slowed"
         return "ms_indoor" if self.recording.name.startswith("ms_indoor") else self.recording.name.split("_")[0]
 
     @property
     def person(self) -> int:
         """Number of the person, 0 where the set has one or does not say."""
-        known = self.recording.name.startswith(("ubicomp13", "motionsense"))
+        known = self.data_set in ("ubicomp13", "motionsense")
         return int(self.recording.name.split("_")[1][1:]) if known else 0
-
-
-@dataclass(frozen=True)
-class Fitted:
-    """Both models of the evidence."""
-
-    force: WalkEvidence
-    with_gyroscope: WalkEvidence
-
-    @property
-    def gate(self) -> StepGate:
-        return StepGate(evidence=self.force, evidence_with_gyroscope=self.with_gyroscope)
 
 
 @dataclass
@@ -191,21 +159,12 @@ def find(recording: pdr.Recording) -> Found:
             state, known = DETECTOR.update(state, block, flat(block), unknown_contexts(len(block.time_s)))
             steps.append(known)
         steps.append(DETECTOR.finish(state))
-    force, motion = Recorder(), Recorder()
-    through_gate(found, StepGate(evidence=force, evidence_with_gyroscope=motion))  # type: ignore[arg-type]
+    recorder = Recorder()
+    through_gate(found, StepGate(evidence=recorder))  # type: ignore[arg-type]
     times = [s.time_s for _, parts in found.segments for part in parts for _, s in part]
-    if len(force.rows) + len(motion.rows) == len(times):  # a recording of less than a second has no evidence
-        found.time_s = np.array(times)
-    for recorder in (force, motion):
-        # a recording with a gyroscope for a part of the time is not in the fit
-        if times and len(recorder.rows) == len(times):
-            found.features = np.array(recorder.rows)
-            found.has_gyroscope = recorder is motion
+    if len(recorder.rows) == len(times):  # a recording of less than a second has no evidence
+        found.time_s, found.features = np.array(times), np.array(recorder.rows).reshape(-1, 4)
     return found
-
-
-def without_gyroscope(found: Sequence[Found]) -> list[Found]:
-    return [find(replace(f.recording, gyroscope=None)) for f in found]
 
 
 def through_gate(found: Found, gate: StepGate) -> list[Step]:
@@ -226,8 +185,6 @@ def walk_of(found: Found) -> tuple[float, float, int]:
 
 def truth(found: Found, time_s: float) -> bool | None:
     """Whether somebody walked; None where that is not known."""
-    if found.slow_walk_s is not None:
-        return True if found.slow_walk_s[0] <= time_s <= found.slow_walk_s[1] else None
     if found.data_set == "ubicomp13":
         start_s, end_s, _ = walk_of(found)
         if start_s <= time_s <= end_s:
@@ -242,20 +199,10 @@ def truth(found: Found, time_s: float) -> bool | None:
     return None
 
 
-def fits(sets: Mapping[str, Sequence[Found]]) -> tuple[list[Fitted], Fitted]:
-    """Models without the even and without the odd people, and of all people."""
-    recorded = [found for name in RECORDED for found in sets[name]]
-    force, motion = without_gyroscope(recorded), [f for f in recorded if f.has_gyroscope] + slowed_walks(sets)
-    parts = [
-        [[f for f in all_found if f.person == 0 or f.person % 2 != k] for all_found in (force, motion)] for k in (0, 1)
-    ]
-    return [Fitted(fit(a), fit(b)) for a, b in parts], Fitted(fit(force), fit(motion))
-
-
 def fit(all_found: Sequence[Found]) -> WalkEvidence:
     rows: dict[tuple[str, bool], list[FloatArray]] = defaultdict(list)
     for found in all_found:
-        for time_s, features in zip(found.time_s, found.features, strict=len(found.features) > 0):
+        for time_s, features in zip(found.time_s, found.features, strict=True):
             walking = truth(found, time_s)
             if walking is not None and (found.data_set, walking) in MASS:
                 rows[found.data_set, walking].append(features)
@@ -346,131 +293,21 @@ def figures(all_found: Sequence[Found], gates: Sequence[StepGate | None]) -> dic
 
 def gate(tables: Tables, arguments: argparse.Namespace) -> None:
     """The gate with its weights fitted without the people that it is scored on, and as shipped."""
-    sets = {name: [find(recording) for recording in recordings(arguments.data, name)] for name in RECORDED}
-    all_found = [found for name in RECORDED for found in sets[name]]
-    left_out, of_all = fits(sets)
-    for name, evidence in (("even", left_out[0]), ("odd", left_out[1]), ("no", of_all)):
-        print(f"without {name} people: {evidence}")
-    print(f"the package: {EVIDENCE} {EVIDENCE_WITH_GYROSCOPE}")
-    shipped, n = StepGate(), len(all_found)
+    names = sorted({name for name, _ in MASS})
+    all_found = [find(recording) for name in names for recording in recordings(arguments.data, name)]
+    left_out = [fit([f for f in all_found if f.person == 0 or f.person % 2 != fold]) for fold in (0, 1)]
+    for fold, evidence in enumerate(left_out):
+        print(f"without {'odd' if fold else 'even'} people: {evidence}")
+    print(f"all people: {fit(all_found)}\nthe package: {EVIDENCE}")
     columns = {
-        "without gate": figures(all_found, [None] * n),
-        "gate, people held out": figures(all_found, [left_out[f.person % 2].gate for f in all_found]),
-        "gate as shipped": figures(all_found, [shipped] * n),
-        "as shipped, without gyroscope": figures(without_gyroscope(all_found), [shipped] * n),
-        "as shipped, five steps a bout": figures(all_found, [replace(shipped, min_steps=5)] * n),
+        "without gate": figures(all_found, [None] * len(all_found)),
+        "gate, people held out": figures(all_found, [StepGate(evidence=left_out[f.person % 2]) for f in all_found]),
+        "gate as shipped": figures(all_found, [StepGate()] * len(all_found)),
+        "as shipped, five steps a bout": figures(all_found, [replace(StepGate(), min_steps=5)] * len(all_found)),
     }
     rows = [[name, *(column[name] for column in columns.values())] for name in columns["without gate"]]
     tables.write("step_gate", ["", *columns], rows)
 
 
-SETS = ("ubicomp13", "motionsense", "humolire", "oxiod", "ipol")
-# Neither running nor sitting, and the phone goes where the person goes.
-LEFT_OUT = ("_jog_", "_sit_", "_std_", "running", "trolley")
-STEPS_PER_S = (0.75, 0.85, 0.95, 1.05)
-EXPONENTS = (2, 3)
-
-
-def steps_of_walk(found: Found) -> FloatArray:
-    """The detector's steps while the person walked."""
-    time_s = found.time_s
-    if found.data_set == "ipol":
-        contacts_s = np.asarray(found.recording.truth.steps.time_s)
-        return time_s[(time_s > contacts_s[0] - 0.2) & (time_s < contacts_s[-1] + 0.2)]
-    if found.data_set == "oxiod":
-        return time_s
-    return time_s[[truth(found, t) is True for t in time_s]]
-
-
-def slowed(recording: pdr.Recording, factor: float, exponent: int) -> pdr.Recording:
-    """The same motion `factor` times as slowly, from time 0, without magnetometer."""
-    _, blocks = Conditioner().update(Conditioner().init(), merge_streams(recording))
-    estimator = AttitudeEstimator()
-    state, ups = estimator.init(), []
-    for block in blocks:
-        state, attitude = estimator.update(state, block)
-        ups.append(attitude.up_sensor)
-    old_s = np.concatenate([block.time_s for block in blocks])
-    gravity = STANDARD_GRAVITY_MPS2 * np.concatenate(ups)
-    motion = np.concatenate([block.specific_force_mps2 for block in blocks]) - gravity
-    time_s = 0.01 * np.arange(int(100 * factor * (old_s[-1] - old_s[0])))
-    force = gravity + motion / factor**exponent
-    at_s = old_s[0] + time_s / factor
-    rate = np.concatenate([block.angular_rate_radps for block in blocks]) / factor ** (exponent - 1)
-    slow_force, slow_rate = (
-        Samples(time_s, np.column_stack([np.interp(at_s, old_s, values[:, k]) for k in range(3)]))
-        for values in (force, rate)
-    )
-    gyroscope = None if recording.gyroscope is None else slow_rate
-    return replace(recording, accelerometer=slow_force, gyroscope=gyroscope, magnetometer=None)
-
-
-def slowed_walks(sets: Mapping[str, Sequence[Found]]) -> list[Found]:
-    """Every second walk of `SLOWED_SETS`, slowed down."""
-    result: list[Found] = []
-    for name in SLOWED_SETS:
-        for found in sets[name][::2]:
-            true_s = steps_of_walk(found)
-            if found.has_gyroscope and is_walk(found, true_s):
-                start_s, stretch = (
-                    found.segments[0][0][0].time_s[0],
-                    1 / SLOWED_STEPS_PER_S / np.median(np.diff(true_s)),
-                )
-                slow = find(slowed(found.recording, float(stretch), SLOWED_EXPONENT))
-                first_s, last_s = stretch * (true_s[[0, -1]] - start_s)
-                slow.slow_walk_s = float(first_s - 0.5), float(last_s + 0.5)
-                result.append(slow)
-    return result
-
-
-def is_walk(found: Found, true_s: FloatArray) -> bool:
-    """Whether a recording has a walk of 15 steps that can be slowed down."""
-    return len(true_s) >= 15 and not any(name in found.recording.name for name in LEFT_OUT)
-
-
-def share_found(true_s: FloatArray, found_s: FloatArray, interval_s: float) -> float:
-    """Share of the true steps with one that was found, after a constant offset."""
-    if not len(found_s):
-        return 0.0
-    offsets_s = np.arange(-0.5, 0.51, 0.05) * interval_s
-    miss_s = np.abs((found_s - offsets_s[:, None])[:, :, None] - true_s).min(axis=1)
-    best = (miss_s < 0.25 * interval_s).mean(axis=1).argmax()
-    return float((miss_s[best] < 0.35 * interval_s).mean())
-
-
-def shares(found: Found, gate: StepGate) -> dict[tuple[int, float], float]:
-    """Share of steps found by exponent and pace; empty where nobody walked."""
-    true_s = steps_of_walk(found)
-    if not is_walk(found, true_s):
-        return {}
-    start_s, pace = found.segments[0][0][0].time_s[0], 1.0 / float(np.median(np.diff(true_s)))
-    result: dict[tuple[int, float], float] = {}
-    for exponent in EXPONENTS:
-        for wanted in STEPS_PER_S:
-            slow = find(slowed(found.recording, pace / wanted, exponent))
-            found_s = np.array([s.time_s for s in through_gate(slow, gate)])
-            result[exponent, wanted] = share_found((true_s - start_s) * pace / wanted, found_s, 1.0 / wanted)
-    return result
-
-
-def row(name: str, walks: Sequence[dict[tuple[int, float], float]]) -> list[object]:
-    return [name, len(walks), *(f"{100 * np.mean([w[key] for w in walks]):.1f}" for key in walks[0])]
-
-
-def slow(tables: Tables, arguments: argparse.Namespace) -> None:
-    """Walks that are slowed down."""
-    sets = {name: [find(r) for r in recordings(arguments.data, name)] for name in {*RECORDED, *SETS}}
-    gates = [fitted.gate for fitted in fits(sets)[0]]
-    walks: dict[str, list[dict[tuple[int, float], float]]] = defaultdict(list)
-    for name in SETS:
-        for found in sets[name]:
-            if by_pace := shares(found, gates[found.person % 2]):
-                walks[name].append(by_pace)
-    columns = [f"{pace} steps/s, c^{exponent}" for exponent in EXPONENTS for pace in STEPS_PER_S]
-    about = "Steps found in %, walks slowed down c times, the motion's force c^2 or c^3 times weaker; held-out people."
-    rows = [row(name, walks[name]) for name in SETS]
-    tables.write("steps_slow", ["", "walks", *columns], rows, about)
-
-
 if __name__ == "__main__":
-    run(__doc__, counts, gate, slow)
+    run(__doc__, counts, gate)

@@ -1,9 +1,9 @@
 """Causal gate behind the step detector that rejects steps caused by handling the phone.
 
-The gate holds each step until it is decided. Accepted steps pass with their own contact times. The gate needs the
-specific force, and uses the angular rate where it is known. It needs no attitude, no context model, no carrying mode.
+The gate holds each step until it is decided. Accepted steps pass with their own contact times. The gate needs only the
+specific force: neither gyroscope nor attitude, no context model, no carrying mode.
 
-1. Evidence. The evidence of each step comes from the motion around its contact and the contacts before it
+1. Evidence. The evidence of each step comes from the specific force around its contact and the contacts before it
    (`walking_evidence`). Its log odds of walking are multiplied by `evidence_weight`, because the windows of
    neighbouring steps overlap. For slow walkers the time scales are stretched by `slowness`.
 2. Smoothing. Walking and not walking are the two states of a Markov chain in continuous time, observed at the contacts
@@ -34,7 +34,6 @@ from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.steps.walking_evidence import (
     EVIDENCE,
     EVIDENCE_HZ,
-    EVIDENCE_WITH_GYROSCOPE,
     MAX_SLOWNESS,
     MIN_ROWS,
     WalkEvidence,
@@ -71,7 +70,7 @@ class JudgedStep:
 
 @dataclass(frozen=True, eq=False)
 class StepGateState:
-    """Probability of walking, recent motion, and undecided steps.
+    """Probability of walking, recent specific force, and undecided steps.
 
     Attributes
     ----------
@@ -84,10 +83,9 @@ class StepGateState:
     n_samples : int
         Samples of the segment.
     rest : FloatArray
-        Specific force in m/s2 and angular rate in rad/s of the samples of the incomplete row, shape (r, 6). An unknown
-        rate is NaN.
+        Specific force of the samples of the incomplete row, shape (r, 3), m/s2.
     rows : FloatArray
-        Recent rows of specific force and angular rate averaged to 25 Hz, shape (R, 6).
+        Recent rows of specific force averaged to 25 Hz, shape (R, 3), m/s2.
     waiting : tuple of (int, Step)
         Steps whose window is not complete, each with the number of the sample that revealed it.
     contacts_s : tuple of float
@@ -104,8 +102,8 @@ class StepGateState:
     judged_s: float = -math.inf
     start_s: float = math.nan
     n_samples: int = 0
-    rest: FloatArray = field(default_factory=lambda: np.empty((0, 6)))
-    rows: FloatArray = field(default_factory=lambda: np.empty((0, 6)))
+    rest: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    rows: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
     waiting: tuple[tuple[int, Step], ...] = ()
     contacts_s: tuple[float, ...] = ()
     held: tuple[JudgedStep, ...] = ()
@@ -134,9 +132,7 @@ class StepGate:
     rate_hz : float, default 100
         Sampling rate of the blocks, Hz, a multiple of 25 Hz.
     evidence : WalkEvidence, default `EVIDENCE`
-        Model of the log odds of walking in windows without an angular rate.
-    evidence_with_gyroscope : WalkEvidence, default `EVIDENCE_WITH_GYROSCOPE`
-        Model of the log odds of walking in windows with an angular rate.
+        Model of the log odds of walking.
     before_s, after_s : float, default 2.5 and 1
         Window of the evidence before and after a contact, s. Four steps of a normal walk fit into the part before the
         contact, which is multiplied by `slowness` for a slow walk. The part after it shows the end of a walk.
@@ -182,7 +178,6 @@ class StepGate:
 
     rate_hz: float = 100.0
     evidence: WalkEvidence = field(default=EVIDENCE)
-    evidence_with_gyroscope: WalkEvidence = field(default=EVIDENCE_WITH_GYROSCOPE)
     before_s: float = 2.5
     after_s: float = 1.0
     evidence_weight: float = 0.4
@@ -262,8 +257,7 @@ class StepGate:
         steps : list of (int, Step)
             Released steps, each with the number of the sample that decided it.
         """
-        rate = np.where(block.angular_rate_known[:, None], block.angular_rate_radps, np.nan)
-        samples = np.concatenate([state.rest, np.concatenate([block.specific_force_mps2, rate], axis=1)])
+        samples = np.concatenate([state.rest, block.specific_force_mps2])
         n = self._samples_per_row
         whole = samples[: len(samples) // n * n]
         state = replace_unchecked(
@@ -312,7 +306,7 @@ class StepGate:
         return (replace_unchecked(after, run_s=state.run_s, is_bout=True) if state.is_bout else after), released
 
     def _row(self, state: StepGateState, step: Step) -> int:
-        """Return the number of the row (motion averaged to 25 Hz) that contains the contact of a step."""
+        """Return the number of the row (specific force averaged to 25 Hz) that contains the contact of a step."""
         return max(math.floor((step.time_s - state.start_s) * EVIDENCE_HZ), 0)
 
     def _judge(self, state: StepGateState, numbers: Sequence[int]) -> tuple[StepGateState, list[tuple[int, Step]]]:
@@ -351,18 +345,15 @@ class StepGate:
         windows = [
             self._window(state, *arguments) for arguments in zip(rows, numbers, map(slowness, intervals_s), strict=True)
         ]
+        usable = [i for i, window in enumerate(windows) if len(window) >= MIN_ROWS]
         log_odds = np.zeros(len(steps))
-        has_rate = [bool(np.isfinite(window).all()) for window in windows]
-        for with_rate, evidence in ((False, self.evidence), (True, self.evidence_with_gyroscope)):
-            usable = [i for i, w in enumerate(windows) if len(w) >= MIN_ROWS and has_rate[i] == with_rate]
-            if usable:
-                motion = [windows[i] if with_rate else windows[i][:, :3] for i in usable]
-                features = evidence_features(motion, [intervals_s[i] for i in usable])
-                log_odds[usable] = evidence.log_odds(features)
+        if usable:
+            features = evidence_features([windows[i] for i in usable], [intervals_s[i] for i in usable])
+            log_odds[usable] = self.evidence.log_odds(features)
         return log_odds.tolist()
 
     def _window(self, state: StepGateState, row: int, number: int, stretch: float) -> FloatArray:
-        """Return the rows of motion (N, 6) of the window around row number `row`, as known at sample `number`.
+        """Return the rows of specific force (N, 3) of the window around row number `row`, as known at sample `number`.
 
         `stretch` multiplies the length of the part before the contact. The result does not depend on how many rows are
         still buffered.

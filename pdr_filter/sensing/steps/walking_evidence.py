@@ -1,4 +1,4 @@
-"""Evidence for walking around the contact of a step: four features of the motion, and their log odds.
+"""Evidence for walking around the contact of a step: four features of the specific force, and their log odds.
 
 The features of many steps are computed together, with the same bits as for each step alone. For a slow walker the time
 scales of the features are stretched by the `slowness` of the steps. tests/benchmarks/steps.py fits the weights.
@@ -76,14 +76,6 @@ EVIDENCE = WalkEvidence(
     weight=np.array([2.81, -1.92, -1.89, 2.04]),
     intercept=1.42,
 )
-# For windows with an angular rate. A seventh of the weight of walking is walks slowed to 0.85 steps a second. Without a
-# gyroscope these walks would help as much, but steps would be detected in a phone that is only turned.
-EVIDENCE_WITH_GYROSCOPE = WalkEvidence(
-    mean=np.array([0.39, 0.26, -1.78, 0.55]),
-    scale=np.array([0.37, 0.20, 0.85, 0.27]),
-    weight=np.array([3.45, -1.52, -1.29, 1.78]),
-    intercept=1.74,
-)
 
 
 def slowness(intervals_s: Sequence[float]) -> float:
@@ -100,15 +92,11 @@ def evidence_features(windows: Sequence[FloatArray], intervals_s: Sequence[Seque
     """Return the features (K, 4) that distinguish walking from handling of the phone.
 
     The input of each step is the specific force around its contact at 25 Hz, (N, 3) with N >= 26, and up to three step
-    intervals before it. All windows may have the angular rate in three further columns, (N, 6). The features are:
+    intervals before it. The features are:
 
     0. Repetition of the force vector: highest value of its autocorrelation after it was first negative.
     1. Irregularity of the rhythm: standard deviation of the logarithm of three intervals, or 0.5 if fewer are known.
-    2. Rotation relative to bounce. Without the angular rate, it is the log of the rms of the force averaged over
-       0.76 s, over the rms of its magnitude. With the angular rate, it is the log of the largest tilt from the mean
-       attitude over the rms of the magnitude. The tilt is the integral of the horizontal angular rate, after its mean
-       is removed, so that a gyroscope bias has no effect. Turning about the vertical does not count, because people
-       who make small steps turn often.
+    2. Rotation relative to bounce: log of the rms of the force averaged over 0.76 s, over the rms of its magnitude.
     3. Repetition of the magnitude of the force, as for the vector.
 
     For a walk with slowness c the averaging time is c times longer, and the longest lag is at least 2.5 slow step
@@ -124,9 +112,9 @@ def evidence_features(windows: Sequence[FloatArray], intervals_s: Sequence[Seque
     for (_, n_box, n_lags), found in same_size.items():
         for start in range(0, len(found), _MAX_GROUP):
             group = found[start : start + _MAX_GROUP]
-            motion = np.array([windows[i].T for i in group])
-            features[group, 0], features[group, 2], features[group, 3] = _motion_features(
-                motion, n_box, n_lags, stretch[group]
+            force = np.array([windows[i].T for i in group])
+            features[group, 0], features[group, 2], features[group, 3] = _force_features(
+                force, n_box, n_lags, stretch[group]
             )
     # Fewer than three intervals define no rhythm, so the irregularity is set to that of handling.
     rhythmic = [len(intervals) > 2 for intervals in intervals_s]
@@ -136,42 +124,21 @@ def evidence_features(windows: Sequence[FloatArray], intervals_s: Sequence[Seque
     return features
 
 
-def _motion_features(
-    motion: FloatArray, n_box: int, n_lags: int, stretch: FloatArray
+def _force_features(
+    force: FloatArray, n_box: int, n_lags: int, stretch: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return features 0, 2 and 3, (B,) each, of windows of force and perhaps angular rate, (B, 3, N) or (B, 6, N)."""
-    force, rate = motion[:, :3], motion[:, 3:]
+    """Return features 0, 2 and 3, (B,) each, of windows of specific force (B, 3, N)."""
     x, y, z = force[:, 0], force[:, 1], force[:, 2]
-    n, signals = motion.shape[2], np.concatenate([force, np.sqrt(x * x + y * y + z * z)[:, None]], axis=1)
-    mean = np.add.reduce(signals, axis=2) / n
-    signals -= mean[:, :, None]
-    bounce_mps2 = (np.sqrt(np.add.reduce(signals[:, 3] ** 2, axis=1) / n) + 0.02) * stretch
-    repeats = repetitions(signals, n_lags)
-    rotation = _largest_tilt(rate, mean[:, :3]) if rate.shape[1] else _slow_force(signals[:, :3], n_box)
-    return repeats[:, 0], np.log(rotation / bounce_mps2), repeats[:, 1]
-
-
-def _slow_force(force: FloatArray, n_box: int) -> FloatArray:
-    """Return the rms (B,) of zero-mean specific force (B, 3, N) averaged over `n_box` rows, plus 0.05 m/s2."""
-    total = np.zeros((len(force), 3, force.shape[2] + 1))
-    np.cumsum(force, axis=2, out=total[:, :, 1:])
+    n, signals = force.shape[2], np.concatenate([force, np.sqrt(x * x + y * y + z * z)[:, None]], axis=1)
+    signals -= (np.add.reduce(signals, axis=2) / n)[:, :, None]
+    total = np.zeros((len(force), 3, n + 1))
+    np.cumsum(signals[:, :3], axis=2, out=total[:, :, 1:])
     slow = (total[:, :, n_box:] - total[:, :, :-n_box]) / n_box
     slow -= (np.add.reduce(slow, axis=2) / slow.shape[2])[:, :, None]
-    return np.sqrt(np.add.reduce(np.add.reduce(slow * slow, axis=2) / slow.shape[2], axis=1)) + 0.05
-
-
-def _largest_tilt(rate: FloatArray, mean_force: FloatArray) -> FloatArray:
-    """Return the largest tilt (B,) from the mean attitude, rad, plus 0.01.
-
-    The input is the angular rate (B, 3, N) and the mean specific force (B, 3).
-    """
-    size = np.sqrt(np.add.reduce(mean_force * mean_force, axis=1)) + 1e-9
-    up = (mean_force / size[:, None])[:, :, None]
-    rate = rate - (np.add.reduce(rate, axis=2) / rate.shape[2])[:, :, None]
-    horizontal = rate - np.add.reduce(rate * up, axis=1)[:, None] * up
-    tilt = np.cumsum(horizontal, axis=2) / EVIDENCE_HZ
-    tilt -= (np.add.reduce(tilt, axis=2) / tilt.shape[2])[:, :, None]
-    return np.sqrt(np.maximum.reduce(np.add.reduce(tilt * tilt, axis=1), axis=1)) + 0.01
+    slow_mps2 = np.sqrt(np.add.reduce(np.add.reduce(slow * slow, axis=2) / slow.shape[2], axis=1)) + 0.05
+    bounce_mps2 = (np.sqrt(np.add.reduce(signals[:, 3] ** 2, axis=1) / n) + 0.02) * stretch
+    repeats = repetitions(signals, n_lags)
+    return repeats[:, 0], np.log(slow_mps2 / bounce_mps2), repeats[:, 1]
 
 
 def repetitions(signals: FloatArray, n_lags: int) -> FloatArray:
