@@ -433,7 +433,7 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
         """
         if self.class_weight is None:
             return np.ones(len(self.classes_))
-        if isinstance(self.class_weight, str):
+        if not isinstance(self.class_weight, dict):
             if self.class_weight != "balanced":
                 raise ValueError(f'class_weight must be a dict, "balanced" or None, got {self.class_weight!r}')
             return weight.sum() / (len(self.classes_) * np.bincount(label, weights=weight))

@@ -233,7 +233,11 @@ def _raise_evidence(
 
 
 def propose(likelihood: Likelihood, functions: FloatArray, now: Posterior) -> Proposal:
-    """Return the proposed changes: new alphas, deletions and additions. Each is optimal if nothing else changes."""
+    """Return the proposed changes: new alphas, deletions and additions.
+
+    Each new alpha is optimal if nothing else changes. Functions with little evidence gain are deleted, at most a share
+    of them in each pass. Each addition takes account of the additions before it.
+    """
     s, q = inside_factors(now)
     relevance = q**2 - s
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):

@@ -190,7 +190,9 @@ def _parts_in(path: Path) -> list[str]:
 
 @lru_cache(maxsize=20_000)
 def _parts_of_version(path: Path, n_bytes: int, changed_ns: int) -> tuple[str, ...]:
-    """Return the recordings in a file. The result is cached until the file changes.
+    """Return the names of the recordings in a file with several, or none for a file with one recording.
+
+    The result is cached for this size and time of change.
 
     A program may scan a large folder again and again.
     """

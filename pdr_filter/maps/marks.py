@@ -270,8 +270,12 @@ def _first_location(recording: Recording) -> Origin | None:
 
 def _check_walk(walk: Any, path: Path) -> None:
     """Raise ValueError unless the content of `walk.json` is known and plausible."""
-    if not isinstance(walk, dict) or walk.keys() - _KINDS.keys():
-        raise ValueError(f"{path}: must be an object with {', '.join(_KINDS)}, got {str(walk)[:80]}; correct it")
+    unknown = sorted(walk.keys() - _KINDS.keys()) if isinstance(walk, dict) else []
+    if not isinstance(walk, dict) or unknown:
+        got = str(unknown or walk)[:80]
+        raise ValueError(
+            f"{path}: must be an object with no other names than {', '.join(_KINDS)}, got {got}; correct it"
+        )
     for name, value in walk.items():
         if not isinstance(value, _KINDS[name]) or (isinstance(value, bool) and _KINDS[name] is not bool):
             raise ValueError(f"{path}: {name} is {str(value)[:80]!r}, which has another type: correct it in the file")

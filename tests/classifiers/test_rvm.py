@@ -396,6 +396,7 @@ def test_a_hundred_thousand_rows_stay_within_the_budgets() -> None:
         ({"max_iter": 0}, "max_iter"),
         ({"tol": 0.0}, "tol"),
         ({"class_weight": "even"}, "class_weight"),
+        ({"class_weight": 2.0}, "class_weight"),
         ({"class_weight": {0: -1.0}}, "class_weight"),
     ],
 )

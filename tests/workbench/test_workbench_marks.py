@@ -80,7 +80,7 @@ def test_a_heading_beside_a_fix_turns_the_walk(tmp_path: Path) -> None:
         ('{"height_m": 18}', "height"),
         ('{"origin": [100, 200]}', "latitude"),
         ('{"is_loop": 1}', "is_loop"),
-        ('{"hight_m": 1.8}', "height_m"),
+        ('{"person": "Ann", "hight_m": 1.8}', r"got \['hight_m'"),
         ("[]", "object"),
     ],
 )

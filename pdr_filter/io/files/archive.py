@@ -130,7 +130,7 @@ class Members:
         self._archive.fp.seek(0)
         content = self._archive.fp.read(most + 1)
         if len(content) > most:
-            raise RecordingError(f"{self.path}: more than {most} bytes; cut the recording")
+            raise RecordingError(f"{self.path}: the file has more than {most} bytes; cut the recording")
         return content
 
     def pieces(self, name: str) -> Iterator[bytes]:

@@ -389,7 +389,8 @@ def _check(radio: RadioMap) -> None:
     n, a, h = len(radio.floor), len(radio.bssid), len(radio.rssi_dbm)
     if radio.position_m.shape != (n, 2) or not 0 < n <= _MOST_POINTS:
         raise ValueError(
-            f"position_m must be (N, 2) and floor (N,), N at most {_MOST_POINTS}, got {radio.position_m.shape} and {n}"
+            f"position_m must be (N, 2) and floor (N,) with N from 1 to {_MOST_POINTS}, got {radio.position_m.shape} "
+            f"and ({n},)"
         )
     if not (np.abs(radio.position_m) <= _LARGEST_M).all():
         raise ValueError(f"position_m must be metres up to {_LARGEST_M:g}: check the unit and the origin")

@@ -436,8 +436,8 @@ def nearest_contact(steps: Increments, time_s: float) -> _Contact:
     """Return the number of steps before the nearest contact, the displacement (2,) from it, and its variance in m^2.
 
     The displacement is the part of a step between the contact and the given time, before heading offset and scale. It
-    is zero after the last contact. Before a change of the heading offset or a gap it is also zero, and its variance
-    contains the missing part of the step.
+    is zero after the last contact. In the second half of the last step before a change of the heading offset or a gap
+    it is also zero, and its variance contains the missing part of the step.
     """
     k = int(np.searchsorted(steps.time_s, time_s))
     if k == len(steps):

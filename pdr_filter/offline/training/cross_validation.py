@@ -362,8 +362,9 @@ def with_familiarity(
 ) -> ContextModel:
     """Return the model with the distribution (`Familiarity`) of its training windows.
 
-    A window is unknown if its distance from them exceeds `limit`. With `stairs_limit`, the model has such a
-    distribution of the training windows on stairs too. Without it, stairs are not guarded.
+    Beyond the distance `limit` from them, a window counts as partly unknown, the more the further away it is. With
+    `stairs_limit`, the model has such a distribution of the training windows on stairs too. Without it, stairs are not
+    guarded.
     """
     standardised = model.standardised(windows.features)
     stairs = None

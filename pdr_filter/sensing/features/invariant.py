@@ -296,7 +296,8 @@ def _regularity(power: FloatArray, n: int, rate_hz: float) -> tuple[FloatArray, 
     """Return the step regularity (W,), the lag of a step (W,) in s, and the stride regularity (W,).
 
     The step regularity is the largest autocorrelation at a lag of 0.28 to 1 s. The stride regularity is the
-    autocorrelation at twice that lag.
+    autocorrelation at twice that lag, but at most at half the window. In windows of 2 s, the lag is therefore shorter
+    than a stride for steps longer than 0.5 s.
     """
     correlation = np.fft.irfft(power, n)
     correlation = correlation / np.maximum(correlation[:, :1], 1e-12) / _taper_correlation(n)
