@@ -188,7 +188,7 @@ def reuse_navigation(_app: Any, page: str, _template: str, context: dict[str, An
     context["toctree"] = reused
 
 
-navigation: dict[str, str] = {}  # of the pages of single objects, by the options of the theme
+navigation: dict[str, str] = {}  # navigation of object pages, by the options of the theme
 
 
 def setup(app: Any) -> None:

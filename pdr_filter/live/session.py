@@ -241,11 +241,19 @@ class DeviceSession:
         return config.with_device(Device.load(path)) if path.exists() else config
 
     def _keep_device(self) -> None:
-        """Write the gyroscope bias of the phone for its next session."""
-        if self.online is not None:
-            with suppress(OSError):  # the next session then learns the bias without it
-                self._known_device.parent.mkdir(exist_ok=True)
-                self.online.device.save(self._known_device)
+        """Write the gyroscope bias of the phone for its next session, if this session has taught at least half of it.
+
+        The bias counts as half taught if its variance, summed over the axes, is half of that of an unknown phone.
+        """
+        if self.online is None:
+            return
+        plain, learnt = plain_config(self.settings).sensing, self.online.device
+        unknown = plain.device(plain.init())
+        if np.trace(learnt.bias_cov_radps2) > 0.5 * np.trace(unknown.bias_cov_radps2):
+            return
+        with suppress(OSError):  # the next session then learns the bias without it
+            self._known_device.parent.mkdir(exist_ok=True)
+            learnt.save(self._known_device)
 
     def _fixed(self, content: Any) -> Event:
         """Add a fix of a user, in the frame of the track or as latitude and longitude; return its `fix` event.

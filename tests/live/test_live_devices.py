@@ -319,7 +319,7 @@ def test_the_gyroscope_bias_of_a_phone_is_used_in_its_next_session(walk: Recordi
 
 
 def test_a_gyroscope_bias_that_does_not_fit_the_session_is_noted_and_replaced(tmp_path: Path) -> None:
-    still = simulate([Leg("stationary", duration_s=20.0), Leg("walking", distance_m=20.0)], seed=2)
+    still = simulate([Leg("stationary", duration_s=60.0), Leg("walking", distance_m=20.0)], seed=2)
     taken(tmp_path, own_messages(with_bias(still, 0.05), session="first"))
     events: list[Event] = []
     devices = Devices(Settings(), tmp_path, events.append)
@@ -329,6 +329,13 @@ def test_a_gyroscope_bias_that_does_not_fit_the_session_is_noted_and_replaced(tm
     assert any("may be of another phone" in note for note in last["notes"])
     (file,) = (tmp_path / "devices").iterdir()
     assert pdr.Device.load(file).bias_radps[2] == pytest.approx(-0.05, abs=0.01)
+
+
+def test_a_session_without_gyroscope_or_of_two_seconds_keeps_no_gyroscope_bias(walk: Recording, tmp_path: Path) -> None:
+    short = {name: Samples(s.time_s[s.time_s < 2.0], s.values[s.time_s < 2.0]) for name, s in walk.streams.items()}
+    taken(tmp_path / "short", own_messages(replace(walk, **short)))
+    taken(tmp_path / "without", own_messages(replace(walk, gyroscope=None)))
+    assert not list(tmp_path.glob("*/devices/*"))
 
 
 def test_a_damaged_file_of_a_phone_does_not_stop_its_next_session(walk: Recording, tmp_path: Path) -> None:
