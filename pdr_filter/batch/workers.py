@@ -97,7 +97,7 @@ def _on_processes(work: Callable[[T], R], items: Sequence[T], jobs: int) -> Iter
     n_cores = int(cpu_count())
     n = min(n_cores if jobs == -1 else jobs, len(items))
     todo, results = deque(range(len(items))), SimpleQueue[tuple[int, Any]]()
-    if getattr(work, "__module__", "") == "__main__":
+    if getattr(getattr(work, "func", work), "__module__", "") == "__main__":  # `func` is that of a partial
         raise ValueError(
             f"{work!r} is defined in the main script, which other processes cannot import: move it to a module"
         )

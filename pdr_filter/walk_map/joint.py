@@ -18,6 +18,7 @@ from pdr_filter.offline.smoothing.linear_graph import Rows
 from pdr_filter.offline.smoothing.preintegration import TURN, scaled_rotation, step_states
 from pdr_filter.offline.smoothing.solve import linearised
 from pdr_filter.values import FloatArray, HeadingFix, IntArray, PositionFix, wrap_angle
+from pdr_filter.walk_map.chains import Chain
 from pdr_filter.walk_map.placing import PlacedGroup, ScannedWalks, joint_poses, of_storeys, scans_around
 
 Known = PositionFix | HeadingFix
@@ -155,9 +156,9 @@ def _by_pose(mean: FloatArray, shift_m: FloatArray) -> FloatArray:
     return by_pose.reshape(-1, 4)
 
 
-def step_positions(walks: ScannedWalks, walk: int, states: States) -> tuple[FloatArray, FloatArray]:
+def step_positions(chain: Chain, states: States) -> tuple[FloatArray, FloatArray]:
     """Return the positions (K + 1, 2) of the start and all steps of a walk, and their covariances (K + 1, 2, 2)."""
-    mean, cov = step_states(walks.chains[walk].problem.intervals, states.mean, states.joint_cov)
+    mean, cov = step_states(chain.problem.intervals, states.mean, states.joint_cov)
     return np.vstack([states.mean[:1, :2], mean[:, :2]]), np.concatenate([states.joint_cov[:1, :2, :2], cov[:, :2, :2]])
 
 

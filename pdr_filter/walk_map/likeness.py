@@ -41,19 +41,22 @@ def _covariance(first_m: FloatArray, second_m: FloatArray) -> tuple[FloatArray, 
     return apart_m, 1.0 / (1.0 + np.einsum("nma,nma->nm", apart_m, apart_m) / LENGTH_M**2)
 
 
-def log_ratio(heard: Any, mapped: Any, mapped_m: FloatArray, owner: IntArray, cell_m: FloatArray) -> FloatArray:
+def log_ratio(
+    cosine: FloatArray, among: FloatArray, mapped_m: FloatArray, owner: IntArray, cell_m: FloatArray
+) -> FloatArray:
     """Return the log likelihood ratios (S, G) of S scans at G places relative to places far away.
 
-    `heard` (S, A) and `mapped` (M, A) have the fingerprints of the scans and of the mapped scans. The mapped scans are
-    at the positions `mapped_m` (M, 2), and `owner` (M,) has the indices of their walks.
+    `cosine` (S, M) has the cosines of the fingerprints of the scans and of the mapped scans, and `among` (M, M) those
+    of the mapped scans with each other. The mapped scans are at the positions `mapped_m` (M, 2), and `owner` (M,) has
+    the indices of their walks.
     """
     same = 1.0 + OF_WALK * (owner[:, None] == owner)
     known = _SCALE * (_covariance(mapped_m, mapped_m)[1] * same + NOISE * np.eye(len(owner)))
     near = _SCALE * _covariance(mapped_m, cell_m)[1]
     weight = cho_solve(cho_factor(known), near)
     variance = 1.0 - np.einsum("mg,mg->g", near, weight)
-    norm2 = np.einsum("mg,mg->g", weight, (mapped @ mapped.T).toarray() @ weight)
-    misfit = 1.0 - 2.0 * (heard @ mapped.T).toarray() @ weight + norm2
+    norm2 = np.einsum("mg,mg->g", weight, among @ weight)
+    misfit = 1.0 - 2.0 * cosine @ weight + norm2
     return -0.5 * EVIDENCE * (misfit / variance + np.log(variance) - 1.0)
 
 

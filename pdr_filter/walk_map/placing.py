@@ -128,28 +128,28 @@ class ScannedWalks:
         """Return the indices of the scans of several walks, those of each walk together."""
         return np.concatenate([np.arange(self.first[i], self.first[i + 1]) for i in walks])
 
-    def cosines(self, rows: slice, others: IntArray) -> FloatArray:
-        """Return the cosines (n, m) of the fingerprints of n scans of a walk with those of m other scans."""
+    def cosines(self, rows: slice | IntArray, others: IntArray) -> FloatArray:
+        """Return the cosines (n, m) of the fingerprints of n scans with those of m other scans."""
         return (self.heard[rows] @ self.heard[others].T).toarray()
 
 
 def partners_of(walks: ScannedWalks, least_cosine: float = _PARTNER_COSINE) -> list[set[int]]:
     """Return for each walk the indices of the walks that recognise a place of it.
 
-    Two walks do if the loud parts of any two of their scans have this cosine or a larger one. Blocks of rows bound the
-    memory of the sparse product.
+    Two walks do if the loud parts of any two of their scans have this cosine or a larger one. One scan of three is in
+    the index, because places are larger than the distance of scans. Blocks of rows bound the memory of the product.
     """
     found: list[set[int]] = [set() for _ in walks.chains]
     # the loudest access points suffice to find candidates, and keep the lists of the index short
-    index = walks.heard.copy()
-    index.data[index.data < 0.1] = 0.0
-    index.eliminate_zeros()
-    transposed = index.T.tocsr()
-    for start in range(0, index.shape[0], 500):
-        near = (index[start : start + 500] @ transposed).tocoo()
+    loud = walks.heard.copy()
+    loud.data[loud.data < 0.1] = 0.0
+    loud.eliminate_zeros()
+    index, owner, n = loud[::3].T.tocsr(), walks.owner[::3], len(walks.chains)
+    for start in range(0, loud.shape[0], 500):
+        near = (loud[start : start + 500] @ index).tocoo()
         good = near.data >= least_cosine
-        a, b = walks.owner[near.row[good] + start], walks.owner[near.col[good]]
-        for i, j in np.unique(np.column_stack([a, b]), axis=0).tolist():
+        pairs = np.unique(n * walks.owner[near.row[good] + start] + owner[near.col[good]])
+        for i, j in zip((pairs // n).tolist(), (pairs % n).tolist(), strict=True):
             if i != j:
                 found[i].add(j)
                 found[j].add(i)
@@ -176,14 +176,14 @@ def locate(walks: ScannedWalks, group: PlacedGroup, walk: int) -> Candidate | No
     if not placed or rows.stop == rows.start:
         return None
     # all placed walks around count, because scans that do not fit rule places out
-    near = set(placed).union(*(walks.partners[i] for i in placed)) & group.poses.keys() - {walk}
-    others = walks.scans_of(sorted(near))
+    around = set[int]().union(*(walks.partners[i] for i in placed)) & group.poses.keys() - {walk, *placed}
+    others = walks.scans_of(sorted([*placed, *around][:MOST_TOGETHER]))
     at_m, floor = _placed(walks, group, others)
     kept = _thinned(at_m, floor)
     others, at_m, floor = others[kept], at_m[kept], floor[kept]
     cosine = walks.cosines(rows, others)
-    n_similar = int((cosine.max(axis=1, initial=0.0) >= _SIMILAR_COSINE).sum())
-    if n_similar < _MIN_SIMILAR:
+    similar = cosine >= _SIMILAR_COSINE
+    if np.count_nonzero(similar.any(axis=1)) < _MIN_SIMILAR:
         return None
     own_m, own_floor = walks.own_m[rows], walks.floor[rows]
     best: list[tuple[float, float, Candidate]] = []
@@ -195,13 +195,14 @@ def locate(walks: ScannedWalks, group: PlacedGroup, walk: int) -> Candidate | No
     high = np.minimum(at_m.max(axis=0) + _MARGIN_M, at_m.mean(axis=0) + _MOST_M)
     shape = tuple(np.ceil((high - low) / _CELL_M).astype(int))
     cells = low + _CELL_M * np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1).reshape(-1, 2)
-    heard, mapped, owner = walks.heard[rows], walks.heard[others], walks.owner[others]
-    for up in np.unique(floor[:, None] - own_floor[None, :]).tolist():
+    owner = walks.owner[others]
+    for up in np.unique((floor - own_floor[:, None])[similar]).tolist():
         of_scan = np.zeros((len(own_m), len(cells)))
         for storey in np.unique(own_floor).tolist():
             here, there = own_floor == storey, floor == storey + up
             if there.any() and here.any():
-                of_scan[here] = log_ratio(heard[here], mapped[there], at_m[there], owner[there], cells)
+                among = walks.cosines(others[there], others[there])
+                of_scan[here] = log_ratio(cosine[here][:, there], among, at_m[there], owner[there], cells)
         maps = of_scan.reshape(-1, *shape)
         best.append(_peak(maps, own_m, low, turns, log_prior, group.north_rad if knows_north else 0.0, up))
     top = max(log_max for log_max, _, _ in best)
@@ -261,7 +262,9 @@ def _placed(walks: ScannedWalks, group: PlacedGroup, rows: IntArray) -> tuple[Fl
 def _thinned(at_m: FloatArray, floor: IntArray) -> IntArray:
     """Return the indices of the scans to keep: one in each square of `_THIN_M` on a storey."""
     squares = np.column_stack([np.floor(at_m / _THIN_M).astype(np.int64), floor])
-    return np.unique(squares, axis=0, return_index=True)[1]
+    squares -= squares.min(axis=0)
+    _, n_north, n_floors = squares.max(axis=0) + 1
+    return np.unique((squares[:, 0] * n_north + squares[:, 1]) * n_floors + squares[:, 2], return_index=True)[1]
 
 
 def grow(walks: ScannedWalks, group: PlacedGroup, free: set[int]) -> None:
@@ -343,11 +346,13 @@ def scans_around(walks: ScannedWalks, group: PlacedGroup, together: Sequence[int
     own = walks.scans_of(together)
     most = _MOST_SCANS * len({group.poses[i].floor for i in together})
     own = own[:: math.ceil(max(len(own), 1) / most)]
-    near = set().union(*(walks.partners[i] for i in together)) & group.poses.keys() - set(together)
+    near = set[int]().union(*(walks.partners[i] for i in together)) & group.poses.keys() - set(together)
     if not near:
         return own
-    others = walks.scans_of(sorted(near))
-    others = others[_thinned(*_placed(walks, group, others))]
+    others = walks.scans_of(sorted(near)[:MOST_TOGETHER])
+    at_m, floor = _placed(walks, group, others)
+    others = others[(kept := _thinned(at_m, floor))]
+    others = others[np.isin(floor[kept], _placed(walks, group, own)[1])]  # other storeys say nothing about these walks
     return np.concatenate([own, others[:: math.ceil(len(others) / most)]])
 
 

@@ -731,10 +731,10 @@ def _result(
 
     `apart` has the names and reasons of the walks that were not joined.
     """
-    walks, found = ScannedWalks.of(chains), list[MappedWalk]()
+    found = list[MappedWalk]()
     for number, group in enumerate(groups):
         for i, pose, state in zip(group.number, group.pose, group.state, strict=True):
-            position_m, cov_m2 = step_positions(walks, i, state)
+            position_m, cov_m2 = step_positions(chains[i], state)
             floor = chains[i].floor + pose.floor
             found.append(
                 MappedWalk(chains[i].name, number, chains[i].time_s, read_only(position_m), read_only(cov_m2), floor)

@@ -1,6 +1,6 @@
 """A map of many walks through a shopping mall, from the first waypoint and direction of one walk a storey.
 
-usage: python -m tests.benchmarks.walk_map [storeys] [numbers] [all_storeys] [radio] [plan] [--data DIR]
+usage: python -m tests.benchmarks.walk_map [storeys] [numbers] [radio] [plan] [--data DIR]
 
 99 walks of `ms_indoor` with Wi-Fi on five storeys. All parameters were chosen on F1. The given walk of a storey is the
 one with the most partners, walks with a similar scan: this choice uses no waypoint. The map knows the city, and with it
@@ -22,7 +22,7 @@ import numpy as np
 import pdr_filter as pdr
 from pdr_filter.offline.smoothing.observations import waypoint_fixes
 from pdr_filter.walk_map.chains import Chain, chain_of
-from pdr_filter.walk_map.placing import UNKNOWN_NORTH, ScannedWalks, partners_of
+from pdr_filter.walk_map.placing import SURE, UNKNOWN_NORTH, PlacedGroup, Pose, ScannedWalks, locate, turned
 from pdr_filter.walk_map.walk_map import DECLINATION_STD_RAD, _mapped
 from tests.benchmarks.common import Tables, paths, run
 from tests.benchmarks.radio import Known, errors_of, map_of, place, scores
@@ -59,10 +59,19 @@ def walks_of(data: Path) -> list[Walk]:
     return found
 
 
+def n_partners(walks: Sequence[Walk]) -> np.ndarray:
+    """Number of walks, for each walk, that have a scan with a cosine of 0.4 to one of it, by loud access points."""
+    scanned = ScannedWalks.of([w.chain for w in walks])
+    loud = scanned.heard.copy()
+    loud.data[loud.data < 0.1] = 0.0
+    rows, columns = ((loud @ loud.T).toarray() >= 0.4).nonzero()
+    pairs = np.unique(np.column_stack([scanned.owner[rows], scanned.owner[columns]]), axis=0)
+    return np.bincount(pairs[pairs[:, 0] != pairs[:, 1], 0], minlength=len(walks))
+
+
 def given(walks: Sequence[Walk], rank: int = 0) -> tuple[Walk, list[object]]:
     """The given walk of a storey, that with the most partners or a later one, and its first waypoint and direction."""
-    partners = partners_of(ScannedWalks.of([w.chain for w in walks]), 0.4)
-    walk = walks[int(np.argsort([-len(p) for p in partners], kind="stable")[rank])]
+    walk = walks[int(np.argsort(-n_partners(walks), kind="stable")[rank])]
     away_m = np.hypot(*(walk.points[:, 1:] - walk.points[0, 1:]).T)
     (t0, *start), (t1, *second) = walk.points[[0, int(np.argmax(away_m > 10.0))]]
     # the direction is that of the line to a waypoint 10 m away, which the walk may not follow at any moment
@@ -117,6 +126,29 @@ def row(name: str, walks: Sequence[Walk], found: pdr.WalkMap, known: set[str], s
     return [name, str(n), f"{100 * n_joined / n:.0f} %", wrong, *figures, f"{seconds:.1f} s"]
 
 
+def true_pose(walk: Walk) -> Pose:
+    """Rigid pose of a walk that fits its waypoints; with fewer than two of them, its direction is the magnetic one."""
+    own = walk.chain.position_m(np.array([walk.chain.step_at(t) for t in walk.points[:, 0]]))
+    a, b = (own - own.mean(axis=0)) @ [1, 1j], (walk.points[:, 1:] - walk.points[:, 1:].mean(axis=0)) @ [1, 1j]
+    ratio = np.vdot(a, b) / np.vdot(a, a) if np.abs(b).max() > 5.0 else np.exp(-1j * CITY.declination_rad())
+    turn_rad, scale = -float(np.angle(ratio)), float(abs(ratio))
+    return Pose(turn_rad, walk.points[:, 1:].mean(axis=0) - scale * own.mean(axis=0) @ turned(turn_rad), 0, scale)
+
+
+def among_true(walks: Sequence[Walk]) -> str:
+    """Share of the walks that their scans place when all others are at their true places, and how many rightly."""
+    scanned = ScannedWalks.of([w.chain for w in walks])
+    poses = {i: true_pose(w) for i, w in enumerate(walks)}
+    group = PlacedGroup(poses, {}, CITY.declination_rad())
+    n_sure = n_right = 0
+    for i in poses:
+        found = locate(scanned, group, i)
+        if found is not None and found.prob >= SURE:
+            error_m = found.centre_m - poses[i].of(scanned.own_m[scanned.rows(i)]).mean(axis=0)
+            n_sure, n_right = n_sure + 1, n_right + int(np.hypot(*error_m) <= WRONG_M)
+    return f"{100 * n_sure / len(walks):.0f} %, {n_sure - n_right} wrong"
+
+
 COLUMNS = ["storey", "other walks", "joined", "of these wrong", "median", "90 %", "in 95 % region", "time"]
 
 
@@ -128,13 +160,19 @@ def by_storey(walks: Sequence[Walk]) -> list[tuple[str, list[Walk]]]:
 
 
 def storeys(tables: Tables, arguments: argparse.Namespace) -> None:
-    """Each storey alone, with and without the declination."""
+    """Each storey alone, with and without the declination, and all in one folder, recognised by Wi-Fi alone."""
+    every = walks_of(arguments.data)
+    together = mapped(every)
     rows: list[list[str]] = []
-    for name, group in by_storey(walks_of(arguments.data)):
-        rows.append(row(name, group, *mapped(group)))
-        rows.append(row(f"{name}, city unknown", group, *mapped(group, city=False)))
-    about = "Errors at the waypoints of all joined walks but the given one. Wrong: mean error above 15 m."
-    tables.write("walk_map", COLUMNS, rows, about)
+    for name, group in by_storey(every):
+        rows.append([*row(name, group, *mapped(group)), among_true(group)])
+        rows.append([*row(f"{name}, city unknown", group, *mapped(group, city=False)), ""])
+        rows.append([*row(f"{name}, all storeys together", group, *together), ""])
+    about = (
+        "Errors at the waypoints of all joined walks but the given one. Wrong: mean error above 15 m, or another storey. "
+        "Last column: walks that their scans place with all others at their true places."
+    )
+    tables.write("walk_map", [*COLUMNS, "among true places"], rows, about)
 
 
 ABOUT_NUMBERS = "F1 by the walks with the most partners, one after the other; below, walks drawn at random."
@@ -150,15 +188,6 @@ def numbers(tables: Tables, arguments: argparse.Namespace) -> None:
             part = [every[i] for i in sorted(chosen)]
             rows.append(row(f"{len(part)} walks of F1, draw {seed + 1}", part, *mapped(part)))
     tables.write("walk_map_numbers", COLUMNS, rows, ABOUT_NUMBERS)
-
-
-def all_storeys(tables: Tables, arguments: argparse.Namespace) -> None:
-    """All storeys in one folder, whose storeys are recognised by Wi-Fi alone."""
-    every = walks_of(arguments.data)
-    found, known, seconds = mapped(every)
-    rows = [row(name, group, found, known, seconds) for name, group in by_storey(every)]
-    about = "All walks together; a walk on another storey than its own is wrong. The time is that of all storeys."
-    tables.write("walk_map_together", COLUMNS, rows, about)
 
 
 def radio(tables: Tables, arguments: argparse.Namespace) -> None:
@@ -212,4 +241,4 @@ def plan(tables: Tables, arguments: argparse.Namespace) -> None:
 
 
 if __name__ == "__main__":
-    run(__doc__, storeys, numbers, all_storeys, radio, plan)
+    run(__doc__, storeys, numbers, radio, plan)

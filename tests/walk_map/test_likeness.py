@@ -7,7 +7,6 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from scipy.sparse import csr_matrix
 
 import pdr_filter as pdr
 from pdr_filter.walk_map import placing
@@ -49,9 +48,9 @@ def moved(position_m: np.ndarray, k: int, by_m: float) -> np.ndarray:
 
 
 def test_a_scan_is_most_probable_at_the_mapped_scan_that_it_equals() -> None:
-    heard = csr_matrix(np.eye(3))
+    cosine = np.eye(3)
     mapped_m = np.array([[0.0, 0.0], [40.0, 0.0], [0.0, 40.0]])
-    ratio = log_ratio(heard, heard, mapped_m, np.arange(3), np.vstack([mapped_m, [[5000.0, 0.0]]]))
+    ratio = log_ratio(cosine, cosine, mapped_m, np.arange(3), np.vstack([mapped_m, [[5000.0, 0.0]]]))
     assert ratio.argmax(axis=1).tolist() == [0, 1, 2]
     np.testing.assert_allclose(ratio[:, 3], 0.0, atol=1e-3)  # relative to a place far away
 
@@ -150,7 +149,7 @@ def test_a_known_start_and_end_of_one_walk_are_its_solution_with_their_covarianc
     known = [pdr.PositionFix(t, p, 0.05**2 * np.eye(2)) for t, p in zip((0.0, chain.time_s[-1]), ends, strict=True)]
     pose = Pose(0.3, np.zeros(2))
     found = solve_group(walks, PlacedGroup({0: pose}, {0: pose}), {0: known})
-    position_m, cov_m2 = step_positions(walks, 0, found[0])
+    position_m, cov_m2 = step_positions(walks.chains[0], found[0])
     np.testing.assert_allclose(position_m[[0, -1]], ends, atol=0.15)
     np.testing.assert_allclose(cov_m2[[0, -1]], np.tile(0.05**2 * np.eye(2), (2, 1, 1)), rtol=0.2, atol=3e-4)
     middle = len(position_m) // 2
@@ -163,7 +162,7 @@ def test_a_known_heading_rotates_a_walk(chain: Chain) -> None:
     known = [pdr.PositionFix(0.0, (0.0, 0.0), 0.01 * np.eye(2)), pdr.HeadingFix(half_s, np.pi / 2, 0.01)]
     pose = Pose(1.2, np.zeros(2))
     found = solve_group(walks, PlacedGroup({0: pose}, {0: pose}), {0: known})
-    end_m = step_positions(walks, 0, found[0])[0][-1]
+    end_m = step_positions(walks.chains[0], found[0])[0][-1]
     assert end_m[0] == pytest.approx(25.0, rel=0.15) and abs(end_m[1]) < 3.0
 
 
