@@ -384,8 +384,8 @@ class TrackRows:
         Returns
         -------
         dict
-            `name`, `n_steps`, `distance_m`, `duration_s`, `end_east_m`, `end_north_m`, `end_std_m`, `frame`,
-            `contexts` (seconds in each), `moving_without_steps_s`, `notes`, and more. A track with a place also has
+            `name`, `n_steps`, `distance_m`, `duration_s`, `end_east_m`, `end_north_m`, `end_std_m`, `estimate`,
+            `frame`, `contexts` (seconds in each), `moving_without_steps_s` and `notes`. A track with a place also has
             `end_latitude_deg` and `end_longitude_deg`. A track with heights also has `end_height_m`, `end_height_std_m`
             and `end_floor`.
         """
