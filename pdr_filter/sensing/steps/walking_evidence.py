@@ -69,7 +69,11 @@ class WalkEvidence:
         return self.intercept + (self.weight * clipped).sum(axis=1)
 
 
-# Fitted with equal total weights of walking and not walking. The order is that of `evidence_features`.
+# Logistic regression with equal total weights of two classes. Steps of walking are inside the walks of ubicomp13
+# (A. Brajdic and R. Harle, UbiComp 2013, doi:10.1145/2493432.2493449), motionsense, oxford, tyrex, humolire and
+# ms_indoor. Steps of not walking are outside the walks of ubicomp13, or of people who sit and stand (motionsense). All
+# handling in these data follows one protocol: phones are taken out, started and put away. The order is that of
+# `evidence_features`.
 EVIDENCE = WalkEvidence(
     mean=np.array([0.40, 0.25, -0.60, 0.55]),
     scale=np.array([0.37, 0.21, 0.96, 0.27]),
