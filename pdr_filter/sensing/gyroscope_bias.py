@@ -419,6 +419,11 @@ class GyroBias:
         -----
         The smoothed error contains the information of this state, which must not count twice. It is therefore used only
         if its variance is below a quarter of the variance that the heading has in this state.
+
+        With the heading error e and the bias b of this state, the bias b' in use, up u in the sensor frame and the time
+        D since the earlier step, it measures e + D u . (b - b'). On walks of 150 s of oxiod, the standard deviation of
+        the bias about the vertical is 2.9 to 4.0 mrad/s from straight walking alone, and 1.3 to 1.8 mrad/s with this
+        measurement.
         """
         bank = state.mean, state.cov, state.log_weight
         if var_rad2 > 0.25 * state.heading_error_var_rad2:
@@ -505,7 +510,9 @@ class GyroBias:
         """Return the bank of filters updated with the magnetic field direction of a window, and the field's new state.
 
         The state of the field is its scatter, whether its direction is tracked, and the number of consecutive outliers.
-        A window without a known field resets this state and leaves the bank unchanged.
+        A window without a known field resets this state and leaves the bank unchanged. With the scatter sigma of the
+        field, its mean horizontal strength H and a window of T seconds, the variance of the direction is
+        (2 `field_correlation_s` / T) (`field_scatter_weight` sigma^2 / H^2 + `field_std_rad`^2).
         """
         if not window.magnetic_field_known:
             return bank, None, False, 0
