@@ -30,7 +30,7 @@ from pdr_filter.values import FloatArray, IntArray, check_array
 MULTI_CLASS = ("one_against_all", "multinomial")
 
 # Kernel widths of the search with kernel_width="cv", relative to the median distance. The default is the median, which
-# had the lowest mean log loss of all widths from 0.35 to 4 times the median over 22 problems (docs/methods/rvm.md).
+# had the lowest mean log loss of all widths from 0.35 to 4 times the median over 22 problems.
 WIDTH_GRID = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
 
 # Maximum number of candidates for the median distance. They have half a million distances.
