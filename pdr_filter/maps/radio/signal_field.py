@@ -31,8 +31,8 @@ from scipy.sparse import csr_matrix
 
 from pdr_filter.values import FloatArray, IntArray, loudness
 
-# Chosen on storey F1 of `ms_indoor` with held-out walks: length and noise by the density at the true
-# position, evidence so that the 95 % regions are valid on sparse maps too.
+# Chosen on storey F1 of `ms_indoor` with held-out walks: length and noise by the density at the true position, evidence
+# so that the 95 % regions are valid on sparse maps too.
 LENGTH_M = 40.0
 NOISE = 0.3
 EVIDENCE = 20.0
