@@ -819,6 +819,9 @@ class BounceStepLength:
     known, the frequency therefore says nothing about the step length of an unknown person
     (docs/methods/step_length.md).
 
+    The exponent of A is the same for all people. An exponent of the person, estimated from three to five walks with a
+    prior, changes the error on a further walk by less than 0.15 points, with either sign (ubicomp13, ipol).
+
     r is the product of these factors, in which w is the turn rate and f the step frequency:
 
     - (A / B)^(1/4) where A is below its usual value B, as when people stop or shuffle. A is here the mean over two
