@@ -822,6 +822,9 @@ class BounceStepLength:
     person. On one route (ubicomp13, 66 walks of 13 people) the relative step length is proportional to
     h^(1.01 +- 0.19) f^(0.07 +- 0.11) A^(0.31 +- 0.04).
 
+    The exponent of A is the same for all people. An exponent of the person, estimated from three to five walks with a
+    prior, changes the error on a further walk by less than 0.15 points, with either sign (ubicomp13, ipol).
+
     r is the product of these factors, in which w is the turn rate and f the step frequency:
 
     - (A / B)^(1/4) where A is below its usual value B, the geometric mean over about the last twenty steps, as when
