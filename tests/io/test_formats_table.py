@@ -68,7 +68,7 @@ def written(form: str, recording: Recording, folder: Path) -> Path:
 
 
 def test_the_page_lists_every_format_and_each_has_its_round_trip() -> None:
-    section = DOCS[DOCS.index("\nNames for `format=`") : DOCS.index("\n### Tables of other apps")]
+    section = DOCS[DOCS.index("\nValues of `format=`") : DOCS.index("\n### Tables of other apps")]
     listed = re.findall(r"^- `(\w+)`: .", section, re.MULTILINE)
     assert listed == list(ROUND_TRIP)
     assert set(listed) == set(FORMATS) == {form.partition(":")[0] for form in FORMS} == set(SOURCES)
