@@ -8,8 +8,8 @@ segment. In this frame the vertical is nearly constant. Windows of 8 s in which 
   sideways, and therefore horizontal.
 - A person turns about the vertical. The phone follows, so that its angular rate over several steps is vertical.
 
-With the acceleration a of a window, the angular rate w averaged over 4 s, and n along the smallest component of a at
-step frequency, the axis is the largest eigenvector of
+With the acceleration a of a window, the angular rate w averaged over 4 s, and the unit vector n along the smallest
+component of a at step frequency, the axis is the largest eigenvector of
 
     mean(a a') / mean(a' a) - n n' + 2 mean(w w') / (mean(w' w) + 0.1 rad2/s2),
 

@@ -25,8 +25,8 @@ probabilistic data association filter", IEEE Control Systems 29(6), 2009, doi:10
 measurement: J. Borenstein, L. Ojeda, "Heuristic drift elimination for personnel tracking systems", Journal of
 Navigation 63(4), 2010.
 
-An update takes 59 us, and 5 us compiled by numba, whose last bits differ. Compiled code is not used, so that wheels
-stay pure Python.
+An update takes 59 us, or 5 us if compiled by numba, with other rounding errors. Compiled code is not used, so that
+wheels stay pure Python.
 """
 
 from __future__ import annotations
@@ -259,6 +259,12 @@ class GyroBias:
         repeated field shows the drift from lap to lap.
     field_outlier_prob : float
         Probability that the direction of the field is uniformly distributed.
+
+    Notes
+    -----
+    With the scatter sigma of the magnetic field, its mean horizontal strength H and windows of T seconds, the variance
+    of the direction of the field is 2 c / T (w sigma^2 / H^2 + s^2). c is `field_correlation_s`, w is
+    `field_scatter_weight` and s is `field_std_rad`.
     """
 
     window_s: float = 1.0
@@ -513,9 +519,7 @@ class GyroBias:
         """Return the bank of filters updated with the magnetic field direction of a window, and the field's new state.
 
         The state of the field is its scatter, whether its direction is tracked, and the number of consecutive outliers.
-        A window without a known field resets this state and leaves the bank unchanged. With the scatter sigma of the
-        field, its mean horizontal strength H and a window of T seconds, the variance of the direction is
-        (2 `field_correlation_s` / T) (`field_scatter_weight` sigma^2 / H^2 + `field_std_rad`^2).
+        A window without a known field resets this state and leaves the bank unchanged.
         """
         if not window.magnetic_field_known:
             return bank, None, False, 0

@@ -99,7 +99,7 @@ class PedestrianModel:
 
     Prior exponent: with exponent 1, level walking of unknown people is classified as stairs. With exponent 0 their
     stairs are classified as walking. The default was chosen by the error of the distance on joined walks of
-    MotionSense, on MotionSense and on difronzo. Without any one person the others choose 0.10 to 0.25.
+    MotionSense, on MotionSense and on difronzo. With one person held out, the others choose 0.10 to 0.25.
 
     Step evidence: handling a phone causes about 16 false detections a minute, and walking has 110 steps a minute. The
     default is log(16 / 110).

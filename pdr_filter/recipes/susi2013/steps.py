@@ -9,10 +9,10 @@ The delay is taken at the step frequency for |f|, and at half of it, the frequen
 |f| is the middle of a step, half way between two contacts (0.41 of a step after the foot switches of Oxford, which are
 read 0.05 s late). A minimum of |omega| is a contact, because the arm reverses when the other foot touches the ground.
 
-A minimum must be below the mean of the surrounding window of
-2.56 s by a multiple of the standard deviation of the window. Since the previous minimum, the signal must have been
-above the mean by the same amount. The mode at a sample is the mode of the window around it. Both require 1.28 s of
-later samples. `NormMinimaStepDetector` lists the deviations from the paper.
+A minimum must be below the mean of the surrounding window of 2.56 s by a multiple of the standard deviation of the
+window. Since the previous minimum, the signal must have been above the mean by the same amount. The mode at a sample is
+the mode of the window around it. Both require 1.28 s of later samples. `NormMinimaStepDetector` lists the deviations
+from the paper.
 """
 
 from __future__ import annotations
