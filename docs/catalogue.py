@@ -14,7 +14,8 @@ from functools import cache
 from itertools import product
 from pathlib import Path
 
-PACKAGE = Path(__file__).resolve().parents[1] / "pdr_filter"
+DOCS = Path(__file__).resolve().parent
+PACKAGE = DOCS.parent / "pdr_filter"
 ANY = "…"
 # Subjects of notes that are lists of texts, by the folder of their module. `Note` objects name their subject.
 SUBJECTS = {
@@ -164,6 +165,15 @@ def moved_modules() -> str:
     """Markdown table of former and present names of modules."""
     rows = (line.split() for line in (PACKAGE / "former_modules.txt").read_text("utf-8").splitlines())
     return "\n".join(["| former | present |", "|---|---|", *(f"| `{old}` | `{new}` |" for old, new in rows)])
+
+
+def module_texts() -> str:
+    """Markdown headings and docstrings of all modules to which a page links, so that the links have targets."""
+    pages = [page for page in sorted(DOCS.glob("**/*.md")) if not {"_build", "tables"} & set(page.parts)]
+    names = {name for page in pages for name in re.findall(r"\{mod\}`([\w.]+)`", page.read_text("utf-8"))}
+    return "\n\n".join(
+        f"### `{name}`\n\n```{{eval-rst}}\n.. automodule:: {name}\n   :no-members:\n```" for name in sorted(names)
+    )
 
 
 def _shown(text: str) -> str:

@@ -113,6 +113,7 @@ myst_substitutions = {
     "model_table": model_table(descriptions),
     "refusals": catalogue.refusal_lists(),
     "moved_modules": catalogue.moved_modules(),
+    "module_texts": catalogue.module_texts(),
     **{f"notes_{subject.replace(' ', '_')}": notes for subject, notes in catalogue.note_lists().items()},
 }
 

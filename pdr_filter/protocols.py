@@ -1,7 +1,7 @@
 """Interfaces of user-defined parts, with shapes and units in their docstrings.
 
-A part needs no base class. `pdr_filter.testing` checks that a part conforms to its interface. docs/extend.md has a
-complete example of each part.
+A part needs no base class. `pdr_filter.testing` checks that a part conforms to its interface. docs/extend.md and
+the docstrings have examples.
 """
 
 from pdr_filter.filter.imm.weighting import Weighting as Weighting

@@ -58,6 +58,12 @@ def each(
     RuntimeError
         If the Dask cluster fails.
 
+    Notes
+    -----
+    If a process dies at an item, the item is tried again alone at the end. On a cluster, Dask passes the item to other
+    workers. The result is a `Failure` if the process dies again, or if the item has ended four workers. With `jobs=1`
+    the calling process ends.
+
     Examples
     --------
     >>> import math

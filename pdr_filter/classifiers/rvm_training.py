@@ -5,9 +5,22 @@ sparsity s_m and the quality q_m of its basis function (Faul and Tipping 2002; T
 Likelihood Maximisation for Sparse Bayesian Models", AISTATS). Its maximum is at alpha_m = s_m^2 / (q_m^2 - s_m) if
 q_m^2 > s_m. Otherwise it is at infinity, and the function is deleted.
 
-Tipping and Faul change one function and update the posterior. Here, one pass changes many functions, and is repeated
-with a smaller step if it lowers the evidence. docs/methods/rvm.md has the equations and the other differences. The
-posterior is the Laplace approximation for any log-concave likelihood. The classifiers are in `classifiers.rvm`.
+The posterior is the Laplace approximation for any log-concave likelihood. docs/methods/rvm.md has the equations. The
+classifiers are in `classifiers.rvm`.
+
+Deviations from Tipping and Faul:
+
+- The training starts with `max_basis` functions spread over the candidates, not with one function. From the bias alone,
+  wide kernels end 10 to 30 nats lower in each class.
+- One pass re-estimates all alphas, adds up to 20 functions and deletes at most a fifth, instead of one such action. The
+  training takes 15 to 40 passes instead of hundreds.
+- Functions are added in turn from the best 60, with S and Q of the others updated after each, so that only one of two
+  similar functions is added.
+- Many changes at once can lower the evidence. The pass is then undone and repeated with half of the changes.
+- Newton's method for the mode has Levenberg's damping and takes the best of three starts, because of saturated
+  sigmoids.
+- The training ends when two passes in a row each gain less than half of `tol`, and not when ln alpha stands still. The
+  last tenth of a nat takes most of the passes.
 """
 
 from __future__ import annotations

@@ -1,4 +1,25 @@
-"""Events of a server, sent as text to all connected pages and clients."""
+"""Events of a server, sent as text to all connected pages and clients.
+
+An event is a JSON object with `event`, its kind, and `id`, the session. A reader gets the present state first, then the
+changes. A reader that is too slow loses events and then gets `track`, `path` and `now` again. After 15 s without an
+event, `/ws` sends an empty object and `/events` a comment.
+
+- `session`: `device`, `session`, `begun_unix_s`, `origin` (latitude and longitude, or null), `frame` ("start", "north"
+  or "fixes"), `has_location`, `force` (sensor and sign of the specific force), `waits` (reason why there is no track
+  yet), `refused` (reason why the session cannot be tracked), `has_ended`, `notes`, `n_lost_messages`,
+  `n_repeated_messages`.
+- `track`: the fields of `session`, `silent_s` (time since the last message) and `path`: rows of time, east, north and
+  the covariance ee, en, nn after each step. The path replaces all earlier rows. A new reader also gets `history`: time,
+  contexts and walking speed of the last five minutes.
+- `path`: rows of time, east and north of the current estimate of the path (`OnlineFilter.path`). The event is sent
+  after corrections of more than 1 m, at most every two seconds.
+- `step`: the fields of `StepUpdate.to_dict`. A step with a known `index` replaces the earlier one.
+- `fix`: the fields of `FixResult.to_dict`. A fix of a user is sent first with the outcome "waiting" and `east_m`,
+  `north_m` and `std_m` (`range_m` for a range), and again when it is used.
+- `now`: the fields of `OnlineFilter.now`, `received_unix_s` of the last message, and `silent_s`, at most five times a
+  second.
+- `gone`: the phone has been silent for ten minutes.
+"""
 
 from __future__ import annotations
 

@@ -2,7 +2,31 @@
 
 Layouts: Sensor Logger (github.com/tszheichoi/awesome-sensor-logger: PUSHING.md, UNITS.md), SensorServer
 (github.com/umer0586/SensorServer), phyphox (phyphox.org/wiki, "Remote-interface communication"), and one of our own
-for all other senders (docs/live.md).
+for all other senders (docs/live.md). A body is one message or an array of at most 1000 messages of one device.
+
+A message of our own layout is an object with these fields. Device, session and platform can also be in the address
+(`?device=NAME`).
+
+- `device`, `session`: texts.
+- `platform`: "ios" or "android", which decides the sign of the specific force.
+- `number`: count of the messages of a session, so that they may be repeated and in any order.
+- `end`: true in the last message of a session. Its last steps then do not wait for later samples.
+- `samples`: by sensor (`N_VALUES`), rows of the time and the values. The time is in s, or in ms, us or ns since 1970.
+  The specific force is +9.81 m/s2 on z for a phone lying face up. `linear_acceleration` and `gravity` are added; one
+  without the other is refused.
+- `fix`, in place of `samples`: `east_m` and `north_m`, or `latitude_deg` and `longitude_deg`, with `std_m` (0.01 to
+  1000, default 1) and `time_s` (default: the present). With `range_m` it is the distance to an anchor at this place.
+
+Answers, by HTTP status:
+
+- 200: accepted, and written to the recording.
+- 400: not a message. 401: no token, or a wrong one. 403: not from this computer, or from a page of another site.
+- 409: a fix that cannot be used.
+- 410: a message after the server stopped waiting for its number.
+- 413, 429: more than 4 MB in a message, or more than 1 MB a second.
+- 422: a session that cannot be tracked, with the reason. Its messages are recorded.
+- 500: a message that has ended its worker twice.
+- 503: no room or no time at present. Send the message again.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ import hashlib
 from dataclasses import dataclass
 from typing import Any
 
-# Event for pages and programs in the types of JSON; docs/live.md lists the kinds.
+# Event for pages and programs in the types of JSON; the docstring of `live.broadcast` lists the kinds.
 Event = dict[str, Any]
 
 

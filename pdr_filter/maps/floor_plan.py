@@ -59,8 +59,9 @@ class FloorPlan:
         ----------
         path : str or Path
             A GeoJSON FeatureCollection. Each feature has a property "type" ("floor", "wall", "room", "door", "stairs"
-            or "lift", or one of their synonyms), and optionally "floor" and "name". Coordinates are metres east and
-            north, or longitude and latitude in degrees.
+            or "lift", or a synonym such as "outline", "corridor", "shop", "toilet", "void", "obstacle" and
+            "escalator"), and optionally "floor" and "name". Without a feature of type "floor", the outline of a storey
+            is the hull of its features. Coordinates are metres east and north, or longitude and latitude in degrees.
         origin : Origin or tuple of float, optional
             Latitude and longitude of the origin of the plan, in degrees. The default for a plan in degrees is its
             middle.

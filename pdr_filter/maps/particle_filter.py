@@ -227,6 +227,10 @@ class ParticleFilter:
     --------
     pdr_filter.Config.with_plan : Configuration with a floor plan; the usual way to use this filter.
 
+    Notes
+    -----
+    A saved filter contains the plan. A plan of 300 m x 300 m takes 22 MB of memory.
+
     References
     ----------
     M. S. Arulampalam et al., "A tutorial on particle filters for online nonlinear/non-Gaussian Bayesian tracking", IEEE

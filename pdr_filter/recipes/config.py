@@ -302,8 +302,8 @@ class Config:
             present model for them has all its features.
         modes : sequence of Mode
             Motion models that define the contexts. The weightings "hc" and "wc" and functions need exactly one mode for
-            each context. With "imm" a context may have several modes. The probability of a context without a mode is
-            evidence for no mode.
+            each context. With "imm" a context may have several modes, and the first one gives its meaning. The
+            probability of a context without a mode is evidence for no mode.
         transition_prob : array_like of shape (M, M), optional
             Probability of changing from each mode (row) to each mode (column) between two steps. Rows sum to one. The
             default is the matrix that the model estimated from its labels, if each context has exactly one mode.

@@ -2,7 +2,7 @@
 
 VQF: D. Laidig, T. Seel, "VQF: Highly accurate IMU orientation estimation with bias estimation and magnetic disturbance
 rejection", Information Fusion 91 (2023), doi:10.1016/j.inffus.2022.10.014. The state of VQF is carried as plain values,
-so that a filter can be saved during a walk. The bias estimation of VQF is off:
+so that a filter can be saved during a walk. The bias estimation of VQF is off, because it takes walking for a bias:
 `pdr_filter.sensing.gyroscope_bias` estimates the bias.
 """
 

@@ -2,7 +2,8 @@
 
 All later stages may assume a constant rate. The conditioner is causal, and its output depends only on the samples, not
 on the blocks in which they arrive: a uniform sample is the mean of the linearly interpolated signal over its own
-interval, so only the samples of that interval enter.
+interval, so only the samples of that interval enter. Gaps are not filled, because an invented signal would be counted
+as steps or standing.
 """
 
 from __future__ import annotations

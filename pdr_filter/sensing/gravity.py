@@ -8,13 +8,26 @@ segment. In this frame the vertical is nearly constant. Windows of 8 s in which 
   sideways, and therefore horizontal.
 - A person turns about the vertical. The phone follows, so that its angular rate over several steps is vertical.
 
-The largest eigenvector of the weighted sum over neighbouring windows is the axis. Three cues show which end is up:
+With the acceleration a of a window, the angular rate w averaged over 4 s, and the unit vector n along the smallest
+component of a at step frequency, the axis is the largest eigenvector of
+
+    mean(a a') / mean(a' a) - n n' + 2 mean(w w') / (mean(w' w) + 0.1 rad2/s2),
+
+averaged over neighbouring windows (Gaussian, 20 s). Three cues show which end is up:
 
 - In a pocket or a swinging hand the phone is a pendulum at half the step frequency. Its pivot is above it: for the
   angular rate w and a lever arm r the acceleration is dw/dt x r, and Im(conj(w) x a) points to the pivot.
 - At mid-stance the leg and the arm swing fastest, and the body is highest. The phase of the acceleration at step
   frequency relative to the squared angular rate shows up.
 - The screen of a phone in the hand faces up.
+
+With the Fourier components a_f and a_h of the acceleration at step frequency and at half of it, w_h of the angular
+rate, and the direction z of the screen, up has a positive product with the mean over 60 s of
+
+    1.5 Im(conj(w_h) x a_h) / (|w_h| |a_h|) + Im(a_f conj(w_h . w_h)) / (|a_f| |w_h|^2) + 0.75 z.
+
+If the mean product is below 0.3, the path may be mirrored, and a note says so. Without a gyroscope the rotation of the
+phone is not undone. Then w = 0, and only the components of a at multiples of the step frequency count.
 
 Only whole recordings can be restored: the estimate uses windows before and after each sample.
 """

@@ -7,7 +7,9 @@ count, never a wall clock:
 - Samples of one sensor may arrive in any order within `reorder_s` of the newest.
 - If a sensor has a hole of more than `max_gap_s` and of more than 2.5 usual intervals, the later samples wait until
   they span `wait_s`, because an overtaken message may still fill the hole.
-- A sensor that is more than `wait_s` behind the accelerometer is silent, and the merger no longer waits for it.
+- A sensor that is more than `wait_s` behind the accelerometer is silent, and the merger no longer waits for it. A
+  sensor that has not begun is silent after the first `wait_s`.
+- The slowest sensor decides the delay: a barometer at 1 Hz delays the samples by up to a second.
 - Samples are released only after a sensor has advanced by `bunch_s`, so that samples that arrive one by one are
   processed in small groups.
 - Samples of the accelerometer that arrive after later ones were released are late, and are dropped. If only late

@@ -3,7 +3,10 @@
 Such a phone vibrates without a pause. The jitter of a second is the rms of the differences between successive means of
 |f| over 20 ms, which measures motion of about 5 to 25 Hz. A second vibrates if its jitter exceeds `min_jitter_mps2`. A
 run of at least `min_run_s` vibrating seconds without a step counts as moving. The duration excludes a phone that is
-held or handled, because a hand pauses. Figures: docs/methods/steps.md.
+held or handled, because a hand pauses.
+
+The stage finds 85 % of the time of seven recordings on a trolley (oxiod, in sample), and at most 0.1 % of people who
+sit, stand and walk. A smooth ride is not detected.
 """
 
 from __future__ import annotations

@@ -184,6 +184,12 @@ class OnlineFilter:
         ------
         ValueError
             If shapes or units are wrong, if the filter is finished, or if it has received samples of single sensors.
+
+        Notes
+        -----
+        A block that completes a context window, one each second, takes the longest. If the block has at most one hop
+        (20 samples, 0.2 s), the next call processes the sample that completes the window, and returns the steps that
+        become known with it. Every method that shows the filter, such as `now` and `save`, processes this sample first.
         """
         if self.state.merger.has_received:
             raise ValueError(
@@ -385,7 +391,8 @@ class OnlineFilter:
 
         The configuration must be in the world frame: `config.in_world_frame()`, or `config.with_magnetic_north(...)`,
         which takes north from the magnetometer until the locations determine it. Positions are then in metres east and
-        north of the first usable location (`origin`).
+        north of the first usable location (`origin`). A location does not wait for the other sensors: if it is later
+        than `Config.fix_delay_s`, it is used later than in the recording.
 
         Parameters
         ----------

@@ -71,7 +71,11 @@ def is_handled(irregular_prob: FloatArray | float, standing_prob: FloatArray | f
 
 
 def is_unfamiliar(unknown_share: FloatArray | float) -> BoolArray:
-    """True for windows (...,) that are unlike the training windows of the context model."""
+    """True for windows (...,) that are unlike the training windows of the context model.
+
+    With the sensor at the leg (terrain), no window is above the limit of 0.5. A limit of 0.25 would report 29 % of
+    these windows, but also 6 % of those of ubicomp13, in which walking is recognised.
+    """
     return np.asarray(unknown_share) > 0.5
 
 

@@ -133,8 +133,9 @@ class Track(TrackRows):
     def to_csv(self, path: str | Path, origin: Origin | tuple[float, float] | None = None) -> Path:
         """Write a CSV file with one line for each step under a header with units.
 
-        Latitude and longitude columns are added if the track has an origin, and an altitude column if the origin has a
-        height.
+        The columns are time, east, north, covariance, `position_std_m`, step length, walked distance, heading, speed,
+        height, floor, and the probabilities of contexts and modes. Latitude and longitude columns are added if the
+        track has an origin, and an altitude column if the origin has a height.
 
         Parameters
         ----------

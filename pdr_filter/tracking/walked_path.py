@@ -20,9 +20,10 @@ class WalkedPath:
     """Estimated path of a walk so far: one row for each step, and one for the present position.
 
     Rows of past steps are smoothed: later fixes, headings and contexts correct them. They therefore differ from the
-    positions that were reported at the time of the steps. The filter keeps 8192 steps, an hour of walking. Of a longer
-    walk it keeps 8192 rows, the older ones at even intervals. While fixes leave the rotation of the track open, the
-    path has the most probable rotation, so that its shape is preserved.
+    positions that were reported at the time of the steps. Rows before a lost heading, or before fixes moved the track,
+    are no longer corrected. The filter keeps 8192 steps, an hour of walking. Of a longer walk it keeps 8192 rows, the
+    older ones at even intervals. While fixes leave the rotation of the track open, the path has the most probable
+    rotation, so that its shape is preserved, and `OnlineFilter.now` is the mean over all rotations.
 
     Attributes
     ----------

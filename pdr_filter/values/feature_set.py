@@ -65,7 +65,10 @@ class FeatureSet(Protocol):
         ...
 
 
-#: Names of the signals of a window, in the order of its rows. Functions get the signals by these names.
+#: Names of the signals of a window, in the order of its rows. Functions get the signals by these names: magnitudes of
+#: the specific force, low-passed specific force, angular rate and magnetic field; the specific force along up minus
+#: gravity, and its horizontal components in a frame of arbitrary heading; angular rate, unit vector up and specific
+#: force in the sensor frame. The signals of a missing sensor are zeros.
 WINDOW_SIGNALS: tuple[str, ...] = (
     "force_mps2",  # magnitude of the specific force
     "low_passed_force_mps2",  # zeros unless the feature set has `low_pass_hz`

@@ -14,7 +14,8 @@ class Cluster:
     Attributes
     ----------
     share : float
-        Probability of the group.
+        Probability of the group. If the probabilities of all groups do not sum to one, the rest is the probability that
+        the walk is in none of them.
     position_m : ndarray, shape (2,)
         Mean position, east and north, m.
     position_cov_m2 : ndarray, shape (2, 2)

@@ -384,7 +384,10 @@ class TrackRows:
         Returns
         -------
         dict
-            Name, number of steps, distance, duration, end position, contexts, notes and more.
+            `name`, `n_steps`, `distance_m`, `duration_s`, `end_east_m`, `end_north_m`, `end_std_m`, `estimate`,
+            `frame`, `contexts` (seconds in each), `moving_without_steps_s` and `notes`. A track with a place also has
+            `end_latitude_deg` and `end_longitude_deg`. A track with heights also has `end_height_m`, `end_height_std_m`
+            and `end_floor`.
         """
         end = self.end_position_m
         place: dict[str, float] = {}

@@ -3,8 +3,8 @@
 A walk is joined if the scans leave one place with `SURE` of the probability. The probability covers all positions on a
 grid, all rotations, all storeys of the group, and a place outside of the map. Misleading scans are thus outvoted, and
 ambiguous walks wait until more walks are placed. After each round the poses of all walks are adjusted together, to the
-maximum of the joint likelihood of `likeness`. Then each walk is placed again by all others, and leaves the group if it
-fails.
+maximum of the joint likelihood of `likeness`, for which GTSAM has no sparse factors. Then each walk is placed again by
+all others, and leaves the group if it fails.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 usage: python -m tests.benchmarks.calibration [halves] [left_out] [coverage] [--data ../shared/data]
 
 halves    parameters from half of each person's segments, error on the other half: against no calibration, one scale for
-          everybody, and the population
+          everybody, and the population. The surveyors of ms_indoor are unknown, so that each recording is a person.
 left_out  whole walks of five sites. humolire: straight legs between landmarks; ms_indoor: between waypoints; oxiod and
           tyrex: walked lengths of stretches of 20 s along the path of a tracking system, lengths summed. Running,
           trolleys and a phone that is pointed around are left out.

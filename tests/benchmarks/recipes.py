@@ -10,12 +10,12 @@ in the digits.
 
 ubicomp13: steps counted on video against those found from 0.3 s before to 0.3 s after the walk; one found more than a
 second outside of it is false. oxford: F1 against foot switches, a constant offset removed. humolire, ms_indoor: RMSE of
-the position at the waypoints after rotation and translation onto all of them; end error in per cent of the path, after
-those onto the first 20 % of it; distance on straight legs by displacement (humolire), or the sum of the step lengths
-against the line through the waypoints (ms_indoor). tyrex: against the path of the phone in a room, smoothed below the
-frequency of steps. pyshoe: against the way of the foot, for a recipe that fits one. motionsense: share of the steps
-whose most probable mode is the label, and how far somebody went who sat or stood. Speed: on ubicomp13, in the time of
-the processor, without reading the file.
+the position at the waypoints after rotation and translation onto all of them, or onto those of the first 20 % of the
+path; end error in per cent of the path, after the latter; distance on straight legs by displacement (humolire; "a leg":
+each of them), or the sum of the step lengths against the line through the waypoints (ms_indoor). tyrex: against the
+path of the phone in a room, smoothed below the frequency of steps. pyshoe: against the way of the foot, for a recipe
+that fits one. motionsense: share of the steps whose most probable mode is the label, and the distance that the track
+walks while the person sits or stands. Speed: on ubicomp13, in the time of the processor, without reading the file.
 
 The same command prints the same figures, but for the speed.
 """

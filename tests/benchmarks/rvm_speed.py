@@ -3,8 +3,8 @@
 
 usage: python -m tests.benchmarks.rvm_speed
 
-One core: BLAS threads are set to one. Problems are `sklearn.datasets.make_classification`; rows not trained on are
-scored. fastrvm, if it can be imported, is timed on the first problem.
+One core: BLAS threads are set to one. Problems are `sklearn.datasets.make_classification` with six classes; other rows
+than those of the training (1200 for fastrvm) are scored. fastrvm, if it can be imported, is timed on the first problem.
 """
 
 from __future__ import annotations

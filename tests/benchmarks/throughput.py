@@ -7,6 +7,10 @@ The day is the embedded simulated walk repeated in time; costs are those of one 
 out or put in. `--before` is another checkout of the project: its recordings and pushed blocks are timed in turns with
 ours, ours twice, so that the two figures of one tree show what the machine adds. Times are of the processor, one core.
 A batch is one simulated recording of ten minutes under many names. A recording of days is the same walk repeated.
+
+A step takes about 1,000 calls of Python and NumPy functions on small arrays, together 0.7 ms, and no function takes
+more than 7 % of a track. Only fewer calls, or compiled code, can make it faster. One row of the default classifier
+takes 40 us.
 """
 
 from __future__ import annotations

@@ -14,11 +14,11 @@ velocity:
 3. Steps count where the body moves faster than 0.4 m/s and its path turns slower than 1 rad/s, for 70 % of the step.
 
 "Learnt" is the direction that each step shows against the device, from where its standard deviation is below 45 degrees
-on. "Fixed" keeps the true offset of the first six steps;
-"best" is the best constant offset: what remains is the hand or leg that turns against the body, the gyroscope, and the
-truth. Parameters were chosen on `nodist`; `dist` is the same person on other walks. Other sets have no truth of the
-direction: there, an offset that stays the same in one place is all that can be asked, and that in one person's pocket
-the angle between walking and screen is the same on stairs and running (the running phase was chosen on these people).
+on. "Fixed" keeps the true offset of the first six steps; "best" is the best constant offset: what remains is the hand
+or leg that turns against the body, the gyroscope, and the truth. Parameters were chosen on `nodist`; `dist` is the same
+person on other walks. Other sets have no truth of the direction: there, an offset that stays the same in one place is
+all that can be asked, and that in one person's pocket the angle between walking and screen is the same on stairs and
+running (the running phase was chosen on these people).
 
 Changes: a walk in which the phone goes from the hand into the pocket, back, and into the swinging hand. Simulated,
 because no public recording has such a change on a walk of known path. The figure of docs/images has one walk with the

@@ -38,7 +38,7 @@ RECIPES: Mapping[str, Recipe] = {"ours": tian2016, "ours default": default}
 def modes_said(carrying_prob: FloatArray) -> list[str]:
     """What the machine says, or the most probable mode in its terms; none probable is TRANS."""
     names = {ours: paper for paper, ours in MODES.items()}
-    # a phone at the ear is held, one in a bag lies as in a pocket (docs/methods/tian2016.md)
+    # a phone at the ear is held, one in a bag lies as in a pocket (notes of TianStepDetector)
     names |= {"calling": "HOLDING", "bag": "POCKET"}
     return [names[CARRYING_MODES[int(p.argmax())]] if p.max() > 0.5 else TRANS for p in carrying_prob]
 

@@ -1,4 +1,16 @@
-"""Measurement updates by position, heading and speed fixes, and by standstills."""
+"""Measurement updates by position, heading and speed fixes, and by standstills.
+
+Position fixes with correlated errors: let a fix have the index n, the position z_n and the true position p_n, and let
+z_i be an earlier fix with the error e_i. The error of fix n is sum_i A_i e_i + w, with regression matrices A_i and an
+independent w (`error_given_before`). Let d_i be the displacement of the track from fix i to fix n, psi the error of the
+heading offset and s the error of the log scale (true minus estimate). Then z_i + d_i = p_n - psi J d_i - s d_i + e_i,
+where J (east, north) = (north, -east).
+
+The measurement is z_n - sum_i A_i (z_i + d_i), in which the errors e_i cancel. Its mean is
+(I - sum_i A_i) p_n + sum_i A_i (psi J d_i + s d_i). A filter with the errors of the fixes as further states would give
+the same result (A. E. Bryson and L. J. Henrikson, "Estimation using sampled data containing sequentially correlated
+noise", J. Spacecraft 5, 1968).
+"""
 
 from __future__ import annotations
 
@@ -133,17 +145,9 @@ def _without_shared_error(
     """Return a linear measurement (z, H, R) by a fix, with noise that is independent of the errors of earlier fixes.
 
     The measurement is z (2,) = H x + noise of covariance R, with the present state x (4,): east, north, heading offset
-    and log step scale. `track_m` (2,) is the track position at the time of the fix. This fix has the index n, the
-    position z_n and the true position p_n. Let z_i be an earlier fix with the error e_i. The error of fix n is sum_i
-    A_i e_i + w, with regression matrices A_i and an independent w (`error_given_before`). Let d_i be the displacement
-    of the track from fix i to fix n. Let psi be the error of the heading offset and s the error of the log scale (true
-    minus estimate). Then z_i + d_i = p_n - psi J d_i - s d_i + e_i, where J (east, north) = (north, -east).
-
-    The returned measurement is z_n - sum_i A_i (z_i + d_i), in which the errors e_i cancel. The mean of the measurement
-    is (I - sum_i A_i) p_n + sum_i A_i (psi J d_i + s d_i). A filter with the errors of the fixes as further states
-    would give the same result (A. E. Bryson and L. J. Henrikson, "Estimation using sampled data containing sequentially
-    correlated noise", J. Spacecraft 5, 1968). After a gap the d_i are unknown. Then z_n is returned with a larger
-    covariance (`repeated_cov_m2`).
+    and log step scale. `track_m` (2,) is the track position at the time of the fix. The docstring of the module has the
+    equations. After a gap the displacements d_i are unknown. Then z_n is returned with a larger covariance
+    (`repeated_cov_m2`).
 
     The state x contains the present position and not p_n. The displacement of the track since fix n is therefore added
     to z. Its variance, which is due to heading and step lengths, is added to R.

@@ -4,6 +4,9 @@ With a barometer, each second of pressure is explained by seven modes of vertica
 is the sum of climbed and sloped metres. Storeys depend on the climbed metres alone (`floor_detection`), so that neither
 a hill nor the weather changes the storey. Without a barometer, each step climbs one riser with the probability that it
 was made on stairs, as given by the mode probabilities of the track.
+
+Height is estimated by a separate filter and is not a state of the tracker, because it needs modes such as a lift, and
+changes while the person stands.
 """
 
 from __future__ import annotations

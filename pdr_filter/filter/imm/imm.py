@@ -284,6 +284,10 @@ def smoothed_mode_prob(mode_prob: FloatArray, transition_prob: FloatArray, lag: 
     The result is exact if all modes have the same motion. Evidence of positions for the modes enters only through the
     filtered probabilities.
 
+    References
+    ----------
+    C.-J. Kim, "Dynamic linear models with Markov-switching", Journal of Econometrics 60, 1994.
+
     Examples
     --------
     >>> import numpy as np

@@ -813,16 +813,22 @@ class BounceStepLength:
 
     Notes
     -----
+    A = 2 / n |sum_j v_j exp(-2 pi i j / n)|, with the n samples v_j of the vertical force of the step.
+
     The inputs of the other models depend on where the phone is carried. The impact of the heel reaches a trouser pocket
-    but not a hand. This impact changes the range, the variance and the mean modulus of the acceleration, but hardly A.
-    Up to 2.4 steps a second, the step frequency f is not an input. People step faster where they step harder. With A
-    known, the frequency therefore says nothing about the step length of an unknown person
-    (docs/methods/step_length.md).
+    but not a hand. This impact changes the range, the variance and the mean modulus of the acceleration, but hardly A
+    (docs/methods/step_length.md). Up to 2.4 steps a second, the step frequency f is not an input. People step faster
+    where they step harder. With A known, the frequency therefore says nothing about the step length of an unknown
+    person. On one route (ubicomp13, 66 walks of 13 people) the relative step length is proportional to
+    h^(1.01 +- 0.19) f^(0.07 +- 0.11) A^(0.31 +- 0.04).
+
+    The exponent of A is the same for all people. An exponent of the person, estimated from three to five walks with a
+    prior, changes the error on a further walk by less than 0.15 points, with either sign (ubicomp13, ipol).
 
     r is the product of these factors, in which w is the turn rate and f the step frequency:
 
-    - (A / B)^(1/4) where A is below its usual value B, as when people stop or shuffle. A is here the mean over two
-      steps, because left and right steps differ in a pocket.
+    - (A / B)^(1/4) where A is below its usual value B, the geometric mean over about the last twenty steps, as when
+      people stop or shuffle. A is here the mean over two steps, because left and right steps differ in a pocket.
     - exp(-(w / 2.2)^2) where the person turns at w rad/s, as in a small room or on the spot.
     - 1/2 for a step from rest, which begins with the feet together.
     - 2.4 / f above 2.4 steps a second, where one step was detected as two. The speed is then kept.

@@ -71,9 +71,9 @@ class Person:
 
     Notes
     -----
-    The step length is the length of a typical step: level walking at 1.85 steps a second. Walks are weighted by the
-    precision of their estimates. No session contains the prior knowledge about people in general, which is therefore
-    never counted twice.
+    The step length is the length of a typical step: level walking at 1.85 steps a second. A length, unlike a factor,
+    has the same meaning under any height, recipe or calibration. Walks are weighted by the precision of their
+    estimates. No session contains the prior knowledge about people in general, which is therefore never counted twice.
 
     Examples
     --------

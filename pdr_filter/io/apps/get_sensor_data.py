@@ -1,6 +1,6 @@
 """GetSensorData (LOPSI, CAR-CSIC) and the logs of the IPIN competitions: one text file, a type in every line.
 
-Layout after the header that the app writes into each log (traps in docs/formats.md):
+Layout after the header that the app writes into each log (surprising cases in docs/robustness.md):
 
 - `ACCE;AppTimestamp(s);SensorTimestamp(s);Acc_X(m/s^2);Acc_Y(m/s^2);Acc_Z(m/s^2);Accuracy(integer)`, others likewise;
   AHRS holds pitch, roll, yaw in degrees and the vector part of the rotation vector.

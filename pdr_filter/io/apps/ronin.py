@@ -2,7 +2,7 @@
 
 Layout after the authors' loader (github.com/Sachini/ronin, data_glob_speed.py): `synced/{time, gyro, gyro_uncalib,
 acce, magnet, game_rv}` at 200 Hz in seconds, m/s2, rad/s, uT, quaternions wxyz; `pose/tango_pos` is the position from
-visual odometry. With info.json, as they do:
+visual odometry. The group `raw`, with quaternions xyzw, is not read. With info.json, as they do:
 
     specific force = imu_acce_scale (acce - imu_acce_bias),   angular rate = gyro_uncalib - imu_init_gyro_bias.
 

@@ -1,9 +1,11 @@
 """Sensor Logger (iOS, Android): a zip or folder with one CSV file for each sensor, or one JSON file.
 
 Layout, units and signs after the app's own documents (github.com/tszheichoi/awesome-sensor-logger: UNITS.md,
-COORDINATES.md, CROSSPLATFORM.md; app versions 1.6 to 1.64); what differs between them is in docs/formats.md, "Known
-traps". `time` is parsed as whole nanoseconds since 1970, which a float holds to 256 ns only. `Accelerometer` has
-gravity removed, and on iOS it and `Gravity` have the opposite sign, unless `standardisation` is true in Metadata.
+COORDINATES.md, CROSSPLATFORM.md; app versions 1.6 to 1.64); surprising cases are in docs/robustness.md. The order of
+columns differs between versions. `time` is parsed as whole nanoseconds since 1970, which a float holds to 256 ns only.
+`Accelerometer` has gravity removed, and on iOS it and `Gravity` have the opposite sign, unless `standardisation` is
+true in Metadata. `AccelerometerUncalibrated` of iOS is in g, or in m/s2 if standardised. The gyroscope and the
+quaternion have the same sign on both systems.
 """
 
 from __future__ import annotations

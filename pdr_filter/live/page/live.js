@@ -1,5 +1,5 @@
 "use strict";
-// Shows the events of the server. docs/live.md describes them.
+// Shows the events of the server. The docstring of broadcast.py describes them.
 
 const byId = id => document.getElementById(id);
 // Colours of the contexts by position; they repeat after twelve.

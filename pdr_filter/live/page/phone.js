@@ -1,5 +1,5 @@
 "use strict";
-// Send the DeviceMotion events of this phone over WebSocket. docs/live.md describes the messages.
+// Send the DeviceMotion events of this phone over WebSocket. The docstring of messages.py describes the messages.
 
 const PART_MS = 200;
 const KEPT = 600; // maximum number of messages that wait for a connection, two minutes

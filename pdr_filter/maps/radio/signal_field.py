@@ -14,7 +14,9 @@ scan,
 
 E is the effective number of independent access points. It is smaller than the number of access points, because many
 share one device and all are behind the same walls. It was chosen so that the regions contain the true positions of
-held-out walks. Far from every mapped walk, v is the prior variance, so an unmapped position stays possible.
+held-out walks, even on maps of a third of the walks. Far from every mapped walk, v is the prior variance, so an
+unmapped position stays possible. Nearest neighbours (scikit-learn) have the same median error without a reliable
+uncertainty: their 95 % regions hold the true position in 57 to 84 % of the scans.
 (C. E. Rasmussen and C. K. I. Williams, Gaussian Processes for Machine Learning, 2006, equations 2.23 to 2.26.)
 """
 
@@ -29,8 +31,8 @@ from scipy.sparse import csr_matrix
 
 from pdr_filter.values import FloatArray, IntArray, loudness
 
-# Chosen on storey F1 of `ms_indoor` with held-out walks (docs/radio.md): length and noise by the density at the true
-# position, evidence so that the 95 % regions are valid on sparse maps too.
+# Chosen on storey F1 of `ms_indoor` with held-out walks: length and noise by the density at the true position, evidence
+# so that the 95 % regions are valid on sparse maps too.
 LENGTH_M = 40.0
 NOISE = 0.3
 EVIDENCE = 20.0

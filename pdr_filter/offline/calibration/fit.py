@@ -80,8 +80,8 @@ def calibrate(
     each_a_person : bool, default False
         If True, each recording without a `subject.id` is attributed to a different person, named after the recording.
     measure : {"displacement", "length"}
-        Quantity fitted to the known distances: the summed step vectors (default), or the summed step lengths.
-        docs/methods/calibration.md compares the two.
+        Quantity fitted to the known distances: the summed step vectors (default), or the summed step lengths. The
+        second gives too small parameters where a segment has a corner.
     loss : {"gnc", "cauchy", "huber", "none"}
         Robust loss, which reduces the weight of segments that do not fit.
     anchor_std_m : float, optional

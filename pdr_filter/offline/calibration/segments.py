@@ -380,6 +380,17 @@ def segments_of(
     ValueError
         If `measure` is unknown.
 
+    Notes
+    -----
+    Waypoints of a segment are more than 4 m and 3 s apart. Closer ones are grouped into straight segments of 10 m. GNSS
+    fixes are at least 20 m and four times the standard deviation of their distance apart. The known distances have a
+    standard deviation of 0.35 m between clicked landmarks, 0.9 m between waypoints, and 0.02 m for strides and single
+    stairs.
+
+    Displacements are fitted by default, because summed step lengths give too small parameters where a segment has a
+    corner. A drift of the heading by 28 degrees within a segment shortens its displacement by 1 %. The errors of two
+    segments that share a waypoint are taken as independent.
+
     Examples
     --------
     >>> import pdr_filter as pdr

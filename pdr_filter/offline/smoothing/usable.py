@@ -220,7 +220,8 @@ def _magnetic_north(track: TrackRows, modes: Sequence[Mode]) -> ObservedStates:
 
 
 # Standard deviation along each axis of the closure of a walk that ended within 1 m of its start: 86 % of such a
-# Gaussian are within 1 m.
+# Gaussian are within 1 m. Of 77 walks in a mall that end 5 m or more from their start, the test of outliers rejects the
+# closure of all but one.
 _LOOP_STD_M = 0.5
 
 

@@ -1,4 +1,11 @@
-"""Training of the shipped context models, which classify the motion of a person from feature windows."""
+"""Training of the shipped context models, which classify the motion of a person from feature windows.
+
+Training with further placements costs accuracy on stairs of unknown people. With three of the 12 people of MotionSense
+held out at a time, the default model has a macro recall of 0.940 and a log loss of 0.105. Trained on MotionSense alone,
+it has 0.961 and 0.083, but recognises walking in bags, hands and shirt pockets of ubicomp13 in 0 to 4 % of the windows
+(without the treatment of unfamiliar stairs). Without tyrex, which has the only back pocket, it has 0.955 and 0.087, but
+recognises walking in back pockets in 54 % instead of 91 %.
+"""
 
 from __future__ import annotations
 

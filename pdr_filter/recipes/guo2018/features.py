@@ -1,9 +1,10 @@
 """Features of Guo et al. 2018 in windows of 0.6 s: 18 pose features (Table 1) and the level of motion (eq. 1).
 
-Deviations from the paper are in docs/methods/guo2018.md. Pitch and roll are in radians and follow from the vertical
-direction in the sensor frame. Roll is about the y-axis. It is unwrapped within a window, with its mean in [-pi, pi).
-Roll is undefined for a vertical y-axis, and noisy near it, as in a trouser pocket. The level of motion is computed at
-every sample (Table 2).
+Pitch and roll are in radians and follow from the vertical direction in the sensor frame. Roll is undefined for a
+vertical y-axis, and noisy near it, as in a trouser pocket. The level of motion is computed at every sample (Table 2).
+
+Deviation from the paper: roll is about the y-axis, unwrapped within a window, with its mean in [-pi, pi). The paper has
+it about the z-axis, which is the heading and cannot be seen in gravity.
 """
 
 from __future__ import annotations

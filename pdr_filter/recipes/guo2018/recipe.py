@@ -62,7 +62,8 @@ def guo2018(subject: Subject | None = None) -> Config:
     Notes
     -----
     The shipped forest uses 12 of the paper's 18 features, without light and proximity, because its training recordings
-    lack these sensors. All deviations from the paper are in docs/methods/guo2018.md.
+    lack these sensors. Deviations from the paper are listed in `guo2018.contexts.PoseContext` and
+    `guo2018.steps.PoseStepDetector`.
 
     Examples
     --------

@@ -5,8 +5,8 @@ maximum of the low-passed signal of the pose (eq. 3 to 6; criterion 1). It excee
 standard deviations (criterion 2). The step frequency is possible for a person (criterion 3). All four signals are
 filtered at all times, so that no filter restarts when the pose changes.
 
-Deviations from the paper are in docs/methods/guo2018.md. c_M is -omega_M / alpha of the paper. A maximum too soon after
-a step is dropped. A new bout begins after a pause longer than 1 / v_min.
+c_M is -omega_M / alpha_M of the paper. A maximum too soon after a step is dropped. A new bout begins after a pause
+longer than 1 / v_min. `PoseStepDetector` lists the deviations from the paper.
 
 c_M, `statistics_s` and v_max were chosen on persons 1 to 6 of A. Brajdic and R. Harle, "Walk detection and step
 counting on unconstrained smartphones", UbiComp 2013, doi:10.1145/2493432.2493449, with the poses of the forest. On the
@@ -80,6 +80,21 @@ class PoseStepDetector(BaseStepDetector[PoseStepState]):
     ------
     ValueError
         If a number is invalid, or if `max_interval_s` is shorter than a step at `max_step_hz`.
+
+    Notes
+    -----
+    Deviations from the paper:
+
+    - c_M = -omega_M / alpha_M is not printed and depends on the pose. Here it is 0.45 for all poses, because one for
+      each pose was no better.
+    - The window of mean and standard deviation is not given, and renewed with each step. Here it is the 2 s up to the
+      maximum.
+    - v_min and v_max are not printed. They are 0.5 and 3 Hz, so that the steps of a runner fit in.
+    - The delay of the low-pass is not treated in the paper. Here the contact times are corrected by
+      tau(f) = -arg H(f) / (2 pi f) at the frequency f of each step, which is 0.34 s at 1 Hz, 0.36 s at 2 Hz and 0.42 s
+      at 3 Hz. A delay of 0.4 s is nearly a step.
+    - Bags and unknown poses do not occur in the paper. Their signal is |f| (eq. 2). A swinging hand without a gyroscope
+      also has this signal.
 
     Examples
     --------

@@ -4,11 +4,15 @@ The magnitudes are |a| of the specific force, the low-passed |a|, |g| of the ang
 F5 to F8 are standard deviations, F9 to F12 skewnesses and F13 to F16 kurtoses. F6, F10 and F14, of the
 low-passed |a|, use deviations from the mean of the unfiltered |a|, as printed in the table.
 
-There are three deviations, which correct errors or omissions of the printed table (docs/methods/martinelli2018.md):
+Deviations from the paper, which correct errors or omissions of the printed table:
 
+- F2 is the range of the low-passed |a|. The table prints the range of |m|, which is F4.
 - The third and fourth moments F9 to F16 are divided by the third and fourth power of the standard deviation.
-- Spectra and zero-crossing rates are computed after subtraction of the mean.
-- The peak frequencies F24 to F26 are in hertz.
+- F18 is the energy of the low-passed |a|. The printed formula is wrong.
+- Spectra (F21 to F26) and zero-crossing rates (F27, F28) are computed after subtraction of the mean. A magnitude never
+  crosses zero, and its mean would be the largest coefficient.
+- The peak frequencies F24 to F26 are in hertz and not indices, so that they are independent of window and rate.
+- The low-pass, whose cutoff is not printed, is a second-order Butterworth at 5 Hz.
 """
 
 from __future__ import annotations

@@ -42,6 +42,17 @@ def magnitude_contexts() -> LearnedContexts:
     LearnedContexts
         Context stage with the shipped models for windows with and without gyroscope.
 
+    Notes
+    -----
+    Deviations from the paper:
+
+    - The features correct the printed table (`pdr_filter.recipes.martinelli2018.features`).
+    - The training data of the paper (waist, six contexts) are not public. These models are trained on motionsense,
+      difronzo, tyrex, humolire and ms_indoor, with phones in pockets and hands. They have neither magnetometer nor
+      sideways walking.
+    - Without a gyroscope, a random forest classifies the features of the accelerometer. The paper always has a
+      gyroscope.
+
     Examples
     --------
     >>> from pdr_filter.recipes.martinelli2018.recipe import magnitude_contexts
@@ -71,7 +82,13 @@ def martinelli2018(subject: Subject | None = None) -> Config:
 
     Notes
     -----
-    All deviations from the paper are in docs/methods/martinelli2018.md.
+    Deviations from the paper are listed in `WaveletStepDetector` and `magnitude_contexts`, and in
+    docs/methods/martinelli2018.md. Further deviations:
+
+    - k0, k1 and k2 of eq. 12 are not printed. They are fitted to public recordings of known displacement for walking.
+      Steps on stairs have the length of the tread.
+    - The variance of eq. 12 is at most 8 m2/s4, because in a trouser pocket it is ten times that in the hand.
+    - The paper does not treat the heading. Here it is the integrated turning rate, with side steps to the right.
 
     Examples
     --------

@@ -5,7 +5,7 @@ transform at one scale is a short symmetric FIR filter with zero mean. Wavelet (
 combined to one symmetric kernel. It runs causally with a delay line, so that the delay is the same at every step
 frequency.
 
-Deviations from the paper are in docs/methods/martinelli2018.md.
+Deviations from the paper are listed in `WaveletStepDetector`.
 """
 
 from __future__ import annotations
@@ -70,6 +70,20 @@ class WaveletStepDetector(ResponseStepDetector[WaveletDetectorState]):
     ------
     ValueError
         If a number is invalid.
+
+    Notes
+    -----
+    Deviations from the paper:
+
+    - The paper does not name the wavelet. The Mexican hat is a choice, and 1.5 Hz is close to the printed scale 16.
+    - The paper does not give the band-pass. The low-pass and the wavelet, which has zero mean, are one symmetric kernel
+      with the same delay at every step frequency.
+    - The paper does not give the threshold of the peaks. It follows the recent peaks (`relative_peak`) and is at least
+      `min_peak_mps2`.
+    - The paper uses the same scale for running. One scale merges the two feet of a runner, or detects each step of a
+      slow walker twice. Therefore running has a second wavelet.
+    - The paper searches overlapping windows of 1 s. Here each sample is searched once, which gives the same maxima, and
+      none twice at the edges of windows.
 
     Examples
     --------

@@ -3,8 +3,8 @@
 There are four motion modes (section 5): static; walking with the arm at rest (texting, phoning, or the device in a bag
 in the hand); walking with the device in a swinging hand; and irregular motion without displacement. The tree tests in
 turn whether the device is static, whether the person walks, and whether the arm swings (section 6.3). Each node after
-the first is a linear test w . x + b > 0 of the six values of `tree_features`. Deviations from the paper and known
-failures are in docs/methods/susi2013.md.
+the first is a linear test w . x + b > 0 of the six values of `tree_features`. `MotionModes` lists the deviations from
+the paper.
 
 Sources of the numbers, and weights of the training sets:
 
@@ -20,8 +20,7 @@ Sources of the numbers, and weights of the training sets:
   Tyrex without magnets (15 %) and of 24 simulated persons (5 %). Windows slower than 0.5 m/s (by the motion capture of
   Tyrex) are excluded.
 - Swinging: Tyrex without magnets (60 %, one real person) and simulated persons (40 %), against texting, phoning and
-bags
-  of persons 1 to 6 (50 %), Tyrex (30 %) and humolire (20 %).
+  bags of persons 1 to 6 (50 %), Tyrex (30 %) and humolire (20 %).
 - Probabilities are the purities of the leaves on the training windows, with the same total weight for every class.
 
 Without angular rate, a swinging arm cannot be detected. One test of three values then separates walking from irregular
@@ -174,6 +173,23 @@ class MotionModes(WindowStage[MotionWindowState, MotionWindow, None]):
         Windows and their features.
     with_gyroscope, without_gyroscope : MotionModeTree
         Decision trees for windows with and without angular rate.
+
+    Notes
+    -----
+    Deviations from the paper:
+
+    - The thresholds of the tree are not printed and its data is not public. It is trained on public recordings.
+    - The "presence" of peaks in the spectrum is the share of the power in the three highest.
+    - The paper takes the energy of |omega| with or without its mean. Here the tree uses both: the variance without the
+      mean, and the mean square with it, because figure 2 needs the mean.
+    - The result is not a class, but the purities of the leaf, because the filter needs probabilities.
+    - Swinging is trained on one person and on simulated ones. The paper has four people.
+    - Irregular motion is a phone taken out, started or put away, as in public data. In the paper a person searches a
+      bag.
+    - Recordings without a gyroscope do not occur in the paper. They have a tree of three values without a swinging
+      mode.
+    - Pockets, stairs and running do not occur in the paper. A swinging thigh is classified as a swinging arm. Slow
+      walking with the phone in the hand is often classified as irregular.
 
     Examples
     --------

@@ -4,10 +4,10 @@ Angular rate and specific force are low-passed (Butterworth, 10th order, 15 Hz).
 is removed (eq. 3). Windows of 256 samples at 100 Hz overlap by half. The features of each norm are energy (eq. 4-5),
 variance (eq. 6-7) and the dominant frequencies of the short-time Fourier transform.
 
-Equations 1 to 7 are missing or incomplete in the available copy of the paper. The following is assumed from the
-surrounding text (docs/methods/susi2013.md). The moving mean of eq. 3 is causal and as long as the window, or covers all
-samples so far at the start of a segment. Energy, variance and frequencies are computed after removal of the moving
-mean. A frame of the transform is the window, with a Hann taper.
+Equations 1 to 7 and figure 7 are missing or incomplete in the available copy of the paper. The following is assumed
+from the surrounding text. The moving mean of eq. 3 is causal and as long as the window, or covers all samples
+so far at the start of a segment. Energy, variance and frequencies are computed after removal of the moving mean. A
+frame of the transform is the window, with a Hann taper.
 
 A window also has the energy of the norm of the angular rate itself, and the shares of power in the dominant
 frequencies.

@@ -30,8 +30,9 @@ def susi2013(subject: Subject | None = None) -> Config:
 
     Notes
     -----
-    The paper describes only step detection. The step length here is constant for a height and gender, and the heading
-    is the heading of the device. All deviations are in docs/methods/susi2013.md.
+    The paper describes only motion modes and step detection. The step length here is constant for a height and gender,
+    and the heading is the heading of the device. Deviations from the paper are listed in
+    `susi2013.contexts.MotionModes` and `susi2013.steps.NormMinimaStepDetector`.
 
     Examples
     --------

@@ -9,10 +9,10 @@ The delay is taken at the step frequency for |f|, and at half of it, the frequen
 |f| is the middle of a step, half way between two contacts (0.41 of a step after the foot switches of Oxford, which are
 read 0.05 s late). A minimum of |omega| is a contact, because the arm reverses when the other foot touches the ground.
 
-Deviations from the paper are in docs/methods/susi2013.md. A minimum must be below the mean of the surrounding window of
-2.56 s by a multiple of the standard deviation of the window. Since the previous minimum, the signal must have been
-above the mean by the same amount. The mode at a sample is the mode of the window around it. Both require 1.28 s of
-later samples.
+A minimum must be below the mean of the surrounding window of 2.56 s by a multiple of the standard deviation of the
+window. Since the previous minimum, the signal must have been above the mean by the same amount. The mode at a sample is
+the mode of the window around it. Both require 1.28 s of later samples. `NormMinimaStepDetector` lists the deviations
+from the paper.
 """
 
 from __future__ import annotations
@@ -97,6 +97,21 @@ class NormMinimaStepDetector(BaseStepDetector[NormMinimaState]):
     ------
     ValueError
         If a number is invalid.
+
+    Notes
+    -----
+    The contact time is t_k = (m_(k-1) + m_k) / 2 - tau(1 / (m_k - m_(k-1))) for |f|, and
+    t_k = m_k - tau(1 / (2 (m_k - m_(k-1)))) for |omega|. m_k are the times of the minima, and tau is the phase delay of
+    the low-pass (`delay_s`).
+
+    Deviations from the paper:
+
+    - The threshold of a minimum is garbled ("maximum ... assumed as a threshold", "evaluated mean"). Here it is
+      computed from mean and standard deviation of the window around the minimum.
+    - The windows of the search slide in the paper. Here there is one around every sample, which gives the same minima
+      and none twice at the edges of windows.
+    - The paper counts steps and has no contact times. Here a contact is half way between two minima of |f|, or at a
+      minimum of |omega|.
 
     Examples
     --------

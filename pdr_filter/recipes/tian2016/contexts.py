@@ -5,8 +5,8 @@ a main mode. The transition TRANS follows for two seconds, in which the directio
 mode. The person walks while steps are detected, and stands after two seconds without a step (section III-C). This does
 not change during a transition.
 
-Thresholds follow the sign convention of iOS (`steps.ios_acceleration`). Deviations from the paper are in
-docs/methods/tian2016.md.
+Thresholds follow the sign convention of iOS (`steps.ios_acceleration`). Deviations from the paper are listed in
+`TianContexts`.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class CarryingMachine:
     ----------
     rate_hz : float, default 100.0
         Sampling rate in Hz.
-    rate_y_radps, rate_z_radps : float
+    rate_y_radps, rate_z_radps : float, default 3.0 and 5.0
         Angular rates R_y and R_z about the y and z axis of the phone that start a transition, in rad/s.
     transition_s : float, default 2.0
         Duration of a transition in s.
@@ -238,6 +238,16 @@ class TianContexts:
     ------
     ValueError
         If `stationary_s` is not positive, or if machine and detector have different sampling rates.
+
+    Notes
+    -----
+    Deviations from the paper:
+
+    - After a transition from HOLDING, the mode is HOLDING again if the screen was up during the last 0.5 s of the
+      transition (`CarryingMachine.held_again_s`). In the paper, a phone that is only turned in the hand counts as in a
+      pocket. The mode of phones in the hand is better with the deviation (ubicomp13, people 1 to 6).
+    - After a gap in the samples, the main mode stays, and a transition has ended. The paper has no gaps.
+    - Without angular rate, gravity alone determines the mode every 2 s. The paper assumes a gyroscope.
 
     Examples
     --------

@@ -4,9 +4,9 @@ A held phone points in the walking direction. A phone in a swinging hand or in a
 offset is estimated from the first steps after the transition, which are assumed to have the direction of the last step
 before it (Table V). The yaw oscillates with hand and leg. It is averaged over a step, and over two steps in a pocket.
 
-Deviations from the paper are in docs/methods/tian2016.md. The yaw of a held phone is the viewing direction of its user,
-which is perpendicular to the x axis of the phone. In other modes it is the rotation about the vertical, whose unknown
-zero is part of the estimated offset.
+The yaw of a held phone is the viewing direction of its user, which is perpendicular to the x axis of the phone. In
+other modes it is the rotation about the vertical, whose unknown zero is part of the estimated offset. Deviations from
+the paper are listed in `OffsetCompensation`.
 """
 
 from __future__ import annotations
@@ -108,6 +108,18 @@ class OffsetCompensation:
     ------
     ValueError
         If a number is invalid, or if `n_pocket` is less than `n_omit + 2`.
+
+    Notes
+    -----
+    Deviations from the paper:
+
+    - The yaw is not the Euler angle of iOS, which has no meaning for a phone that is upright in a pocket. It is the
+      viewing direction of the user for a held phone, and the rotation about the vertical otherwise.
+    - The average of Table IV adds 2 pi to negative yaws first, so that the average of -0.1 and 0.1 is pi. Here the
+      deviations from the circular mean are averaged (`average_angle`).
+    - In a pocket, the paper averages the yaw once for each pair of steps. Here each step is averaged with the step
+      before it, so that each step has its own direction.
+    - After a gap in the samples, the direction is unknown until the phone is held. The paper has no gaps.
 
     Examples
     --------

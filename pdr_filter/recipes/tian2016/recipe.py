@@ -100,8 +100,8 @@ def tian2016(subject: Subject | None = None) -> Config:
 
     Notes
     -----
-    The first step from rest has the length of the static model (eq. 2). All deviations from the paper are in
-    docs/methods/tian2016.md.
+    The first step from rest has the length of the static model (eq. 2). Deviations from the paper are listed in
+    `TianContexts`, `TianStepDetector` and `OffsetCompensation`; docs/methods/tian2016.md compares the equations.
 
     Examples
     --------

@@ -8,7 +8,7 @@ detected. These steps are added when the transition ends (eq. 8).
 The equations follow the convention of iOS: gravity and user acceleration are in g, and gravity is -1 on z for a phone
 that lies face up. Only `ios_acceleration` converts to this convention.
 
-Deviations from the paper are in docs/methods/tian2016.md.
+Deviations from the paper are listed in `TianStepDetector`.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ class TianStepDetector(BaseStepDetector[TianDetectorState]):
         Duration in s of the first step of a bout, because no contact marks its start.
     holding_peak_g, swing_peak_g, pocket_peak_g : float
         Smallest peak of a step in g, for each main mode. The paper prints only one value, 0.2 g for the walk in a
-        pocket of Fig. 7, which loses a fifth of the steps of other persons.
+        pocket of Fig. 7, which loses a fifth of the steps in other pockets (ubicomp13, people 1 to 6).
     low_pass_hz : float, default 5.0
         Cutoff in Hz of the second-order Butterworth low-pass. Step frequencies are 0.5 to 5 Hz.
     min_interval_s : float, default 0.2
@@ -154,6 +154,22 @@ class TianStepDetector(BaseStepDetector[TianDetectorState]):
     ------
     ValueError
         If a number is invalid.
+
+    Notes
+    -----
+    Deviations from the paper:
+
+    - The thresholds of the peaks are not printed, except for one walk (`pocket_peak_g`).
+    - The paper prints only the cutoff of the low-pass. The second-order Butterworth and the subtraction of its delay
+      from the contact time are choices.
+    - Eq. 6 is computed with the signs of gravity (`step_signals`). The result is the same for a phone that is held for
+      reading, and also right if the top of the phone points down.
+    - The rejection windows are those of the paper, but each step is reported 0.13 s after its peak in every mode, so
+      that the latency is the same.
+    - The paper does not give the times of the steps that are filled in. They are evenly spaced over the transition, the
+      first and the last half an interval from its ends.
+    - A carrying mode that is unknown for longer than `transition_s` counts as the mode before. `calling` counts as
+      HOLDING and `bag` as POCKET. Other context stages report these modes.
 
     Examples
     --------

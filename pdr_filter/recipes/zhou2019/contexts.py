@@ -2,11 +2,8 @@
 
 The behaviour is kept while the maximum of the filtered acceleration is unchanged (Condition 1). After a change
 (Condition 2) the features are classified again: running by the DC component (Condition 6), else walking by variance
-and energy (5), else irregular swing by DC component and energy (4), else standing (3). Deviations from the paper are in
-docs/methods/zhou2019.md.
-
-The thresholds are trained (`FOOT`, `CARRIED`). The transition state ends with the first classified window without
-samples from before the change. Windows of 2 s overlap by 1 s.
+and energy (5), else irregular swing by DC component and energy (4), else standing (3). `BehaviourStage` lists the
+deviations from the paper. `FOOT` and `CARRIED` are the thresholds.
 """
 
 from __future__ import annotations
@@ -131,6 +128,18 @@ class BehaviourStage(WindowStage[BehaviourState, BehaviourWindow, BehaviourMemor
     ------
     ValueError
         If the window length is not a multiple of the hop.
+
+    Notes
+    -----
+    Deviations from the paper:
+
+    - The thresholds of Table 1 are not printed. They are trained, with one set for the foot and one for other places.
+    - Windows of 2 s follow each other in the paper. Here they overlap by 1 s, so that a context is reported every
+      second. Condition 1 compares the maxima of two windows without common samples.
+    - The transition state lasts one cycle in the paper. Here it ends with the first classified window without samples
+      from before the change. Otherwise a mixture of two behaviours would be kept.
+    - The filter of the features is not given. Its cutoff is 10 Hz and its length 0.5 s.
+    - The bias, DC component and energy are described in `pdr_filter.recipes.zhou2019.features`.
 
     Examples
     --------

@@ -4,10 +4,13 @@ The acceleration a = |f - b| - g (eq. 2), with the bias b of a static start (eq.
 filter with a Hamming window. Variance, DC component f_0 and energy (eq. 4) over 2 s distinguish standing, walking,
 running and irregular swing.
 
-Deviations, in addition to those in docs/methods/zhou2019.md: the vertical is the direction of the mean specific force
-of the start unless it is given, because eq. 3 would count a tilt of 5 degrees as a bias of 0.85 m/s2. f_0 is the mean
-of a in m/s2, with its sign. The energy is the mean absolute coefficient of the two-sided transform, as printed, so that
-the energy of a sinusoid is its amplitude.
+Deviations from the paper, in addition to those in `contexts.BehaviourStage`:
+
+- The vertical is the direction of the mean specific force of the start unless it is given, because eq. 3 would count a
+  tilt of 5 degrees as a bias of 0.85 m/s2.
+- f_0 is the mean of a in m/s2, with its sign.
+- The energy is the mean absolute coefficient of the two-sided transform, as printed, so that the energy of a sinusoid
+  is its amplitude.
 """
 
 from __future__ import annotations

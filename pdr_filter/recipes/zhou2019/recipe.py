@@ -52,7 +52,8 @@ def zhou2019(subject: Subject | None = None, placement: str = "carried") -> Conf
     Notes
     -----
     Steps and contexts need no gyroscope. The paper does not describe a heading, so that the heading of the device is
-    used, which needs one. All deviations are in docs/methods/zhou2019.md.
+    used, which needs one. The paper has the sensor on the foot only. Deviations from the paper are listed in
+    `zhou2019.contexts.BehaviourStage` and `zhou2019.steps.ReferenceLineStepDetector`.
 
     Examples
     --------

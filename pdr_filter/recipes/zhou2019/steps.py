@@ -9,7 +9,7 @@ An event of the paper is a stride of the instrumented foot, that is, two steps. 
 both feet, so that an event is one step. `steps_per_event` is 2 or 1. `FOOT` and `CARRIED` are detectors for the two
 cases.
 
-Deviations from the paper, with reasons and figures, are in docs/methods/zhou2019.md.
+`ReferenceLineStepDetector` lists the deviations from the paper.
 """
 
 from __future__ import annotations
@@ -95,7 +95,8 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
 
     An event lasts from a rise of the acceleration through the line R_M to the next fall through the line R_S
     (`ReferenceLines`). It is a stride on the foot and a step elsewhere (`steps_per_event`). The detector is causal. A
-    step is usually reported one window and 0.25 s after its contact, and at most `latency_s`.
+    step is usually reported one window and 0.25 s after its contact, and at most `latency_s` after it (3.8 s for
+    `CARRIED`, 7.2 s for `FOOT`).
 
     Parameters
     ----------
@@ -135,6 +136,25 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
     The contact is the end of the event. On the foot of a slow walker, it may be in the swing phase, half a stride
     early. The contacts of an event with several steps divide the time since the last event evenly, or the dominant
     period for the first event of a bout.
+
+    Deviations from the paper:
+
+    - The sensor may also be elsewhere on the body (`CARRIED`), with one step for each event.
+    - The FIR filters have transition bands of 4 to 4.5 Hz and 10 to 10.5 Hz. Here they have -6 dB at 4.25 and 10.25 Hz,
+      are 0.5 s long and roll off within 6.6 Hz. A band of 0.5 Hz would delay by 3.3 s and counts no better.
+    - The accelerometer bias is not removed, because the lines follow the signal.
+    - Minima of eq. 6 are below T_S. The printed "> T_S" is an error.
+    - T_L and T_S are not given. T_L is a part of R_L, and at least a constant. T_S is the mean of the last 4 s.
+    - R_S is half of the minimum where it is negative (`small_line_mps2`). Twice a negative minimum, as printed, is
+      below the whole signal, and most strides are missed.
+    - R_S is at least 15 % (foot: 20 %) of the way from the minimum to R_L, because a foot on the ground stays at its
+      minimum.
+    - R_M is at least 10 % of the way from R_S to R_L (`median_line_mps2`).
+    - An event does not end within 55 % (foot: 70 %) of a dominant period after the last one, because push-off and heel
+      strike are two humps. In the paper every fall through R_S ends one.
+    - The lines are forgotten after a pause, because the next walk may be gentler.
+    - Steps of a transition are counted in the paper until the behaviour is known. Here they are held, and reported only
+      if it becomes walking or running, because standing must not count.
 
     Examples
     --------

@@ -367,8 +367,9 @@ class MotionLines:
 def motion_lines(windows: FloatArray) -> MotionLines:
     """Return the signals that several feature sets share, for W windows of `SIGNALS`, (W, 12, N).
 
-    The swing of the limb that carries the phone is the rotation about the main horizontal axis of the angular rate. The
-    result has the angular rates about this axis and across it, and the specific forces along it and across it.
+    The swing of the limb that carries the phone is the rotation about the main horizontal axis of the angular rate,
+    which is the largest eigenvector of the covariance of the levelled rate. The result has the angular rates about this
+    axis and across it, and the specific forces along it and across it.
     """
     mean, rate, up = mean_of(windows), windows[:, 3:6], windows[:, 6:9]
     centred = windows - mean[:, :, None]

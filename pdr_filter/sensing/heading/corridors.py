@@ -204,8 +204,10 @@ class Corridors:
     def mixed(self, state: CorridorState, free_rad: float, free_var_rad2: float) -> tuple[float, float]:
         """Return the mean and variance of the drift, with and without the hypothesis that the walk follows axes.
 
-        Without axes the drift is `free_rad` with variance `free_var_rad2`. Improbable axes whose drift differs much
-        from `free_rad` increase the variance more than they reduce it.
+        Let p be the probability of axes, d their drift and D its variance. Without axes the drift is b = `free_rad`,
+        and its variance B = `free_var_rad2`. The mean is p d + (1 - p) b, and the variance is p D + (1 - p) B +
+        p (1 - p) (d - b)^2. Improbable axes whose drift differs much from `free_rad` increase the variance more than
+        they reduce it.
         """
         prob, (drift_rad, var_rad2) = self.probability(state), self.drift(state)
         difference_rad = drift_rad - free_rad

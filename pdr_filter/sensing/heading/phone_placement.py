@@ -98,8 +98,8 @@ class StrideAgreement:
         Relative to it, the vertical amplitude at stride frequency is at least `swinging_lift` (a back pocket has less),
         and the horizontal amplitude at step frequency is at most `swinging_step_share` (a pocket has more). The vectors
         at step frequency agree by at most `swinging_agreement`, the squared length of their mean over their mean
-        squared length: 0.1 in two swinging hands, 0.5 to 0.97 in trouser pockets. The conditions are weaker for a hand
-        whose carrying mode is swinging.
+        squared length: 0.1 in two walks of one person with a swinging hand, 0.5 to 0.97 in trouser pockets. The
+        conditions are weaker for a hand whose carrying mode is swinging.
     """
 
     memory_s: float = 30.0

@@ -16,11 +16,17 @@ class StepDetector(Protocol[S]):
     """Interface of a causal stage that detects steps in uniform samples.
 
     `config.with_steps` uses such a detector, and `pdr_filter.testing.check_stage` tests it. A frozen dataclass is
-    recommended: it holds the constant parameters, and the state holds everything that changes. The state must consist
-    of arrays, numbers, strings, None, tuples and dictionaries, or be a dataclass of such values, so that a filter can
-    be saved. The result must not depend on how samples are cut into blocks. Samples are numbered from 0 after each gap.
-    The class `pdr_filter.sensing.steps.step_log.StepLog` computes the `Step` that a contact ends.
-    A detector class with `uses_contexts = False` ignores the contexts, so that `pdr_filter.detect_steps` computes none.
+    recommended: it holds the constant parameters, and the state holds everything that changes. The result must not
+    depend on how samples are cut into blocks. Samples are numbered from 0 after each gap.
+
+    The state must consist of arrays, numbers, strings, None, tuples and dictionaries, or be a dataclass of such values,
+    so that a filter can be saved. Saved bytes name no class outside of pdr_filter: a loaded state gets the classes of
+    the state of `init`. A field of a dataclass that is None or empty there needs a declared type that names the class,
+    such as `last: Bout | None = None` or `bouts: tuple[Bout, ...] = ()`. `config.with_steps` warns if the first state
+    cannot be saved.
+
+    The class `pdr_filter.sensing.steps.step_log.StepLog` computes the `Step` that a contact ends. A
+    detector class with `uses_contexts = False` ignores the contexts, so that `pdr_filter.detect_steps` computes none.
 
     Examples
     --------

@@ -16,7 +16,12 @@ specific force: neither gyroscope nor attitude, no context model, no carrying mo
    `min_edge_prob`. Up to `n_fill` further steps close to it belong to the bout as well. A rejected step between two
    accepted ones of a bout belongs to it.
 
-The steps of a block are judged together. docs/methods/steps.md has data and limits, docs/benchmarks.md figures.
+The steps of a block are judged together. docs/methods/steps.md has the limits, docs/benchmarks/motion.md figures.
+
+A gate that uses the tilt of the phone from the gyroscope, and was also fitted to slowed walks, lowers the count error
+of short bouts at 0.3 to 1 m/s (mobgap) from 31 to 23 %. It accepts more false steps of busy hands before a walk, which
+raises the smoothed shape error of ipin2023 from 0.93 to 1.22 m. At equal false steps it has 31 % again and is therefore
+not used.
 """
 
 from __future__ import annotations
