@@ -9,9 +9,11 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import astuple, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -653,10 +655,13 @@ def test_what_the_work_prints_and_raises_does_not_disturb_the_results(capfd: pyt
     assert sorted(capfd.readouterr().err.split()) == ["loud", "louder"]
 
 
-def test_work_that_other_processes_cannot_import_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("as_given", [lambda work: work, partial], ids=["function", "partial"])
+def test_work_that_other_processes_cannot_import_is_refused(
+    as_given: Callable[[Any], Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(square_or_die, "__module__", "__main__")
     with pytest.raises(ValueError, match="move it to a module"):
-        list(batch.each(square_or_die, [1, 2], jobs=2))
+        list(batch.each(as_given(square_or_die), [1, 2], jobs=2))
 
 
 def test_a_process_that_is_killed_between_two_requests_is_started_again() -> None:

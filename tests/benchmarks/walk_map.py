@@ -169,8 +169,8 @@ def storeys(tables: Tables, arguments: argparse.Namespace) -> None:
         rows.append([*row(f"{name}, city unknown", group, *mapped(group, city=False)), ""])
         rows.append([*row(f"{name}, all storeys together", group, *together), ""])
     about = (
-        "Errors at the waypoints of all joined walks but the given one. Wrong: mean error above 15 m, or another storey. "
-        "Last column: walks that their scans place with all others at their true places."
+        "Errors at the waypoints of all joined walks but the given one. Wrong: more than 15 m on average, or another "
+        "storey. Last column: walks that their scans place with all others at their true places."
     )
     tables.write("walk_map", [*COLUMNS, "among true places"], rows, about)
 
