@@ -14,7 +14,7 @@ from pdr_filter.cli.console import escape
 
 
 class Classifier(StrEnum):
-    """Classifiers that can be saved to a file."""
+    """Values of the option `--classifier`: the classifiers of `fit_contexts` that can be chosen by name."""
 
     RVM = "rvm"
     FOREST = "forest"

@@ -148,7 +148,12 @@ def smooth_on_plan(
 
 
 class _Ancestors(NamedTuple):
-    """Ancestors (N, 6) of the final particles after one event, and the weights (N,) of their paths."""
+    """Ancestors of the N final particles after one event.
+
+    `particles` (N, 6) are the states of the ancestors. The columns are those of `maps.particle_motion`: east and north
+    in m, heading offset in rad, log of the step scale, rotation of the track frame in rad, and recent crossing cost.
+    `weight` (N,) are the weights of the paths from the ancestors to the final particles.
+    """
 
     event: _Event
     particles: FloatArray

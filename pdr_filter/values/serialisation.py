@@ -222,31 +222,35 @@ def _decode(value: Any) -> Any:
     if "array" in node:
         return _array(node)
     if "tuple" in node:
-        return tuple(_decode(v) for v in _of_type(node["tuple"], list))
+        return tuple(_decode(v) for v in _of_type(node["tuple"], list, "the items of a tuple"))
     if "list" in node:
-        return [_decode(v) for v in _of_type(node["list"], list)]
+        return [_decode(v) for v in _of_type(node["list"], list, "the items of a list")]
     if "dict" in node:
         return {key: _decode(v) for key, v in node["dict"].items()}
     if "foreign" in node:
         return ForeignFields({key: _decode(v) for key, v in node["foreign"].items()})
-    cls = _dataclass(_of_type(node["dataclass"], str))
+    cls = _dataclass(_of_type(node["dataclass"], str, "the class of a dataclass"))
     content = {name: _decode(v) for name, v in node["fields"].items()}
     check_declared(cls, content)
     return cls(**content)
 
 
-def _of_type(value: Any, cls: type) -> Any:
+def _of_type(value: Any, cls: type, what: str) -> Any:
+    """Return the value if its type is `cls`, otherwise raise ValueError.
+
+    `what` is the name of the value in the message, to which `from_bytes` adds the remedy.
+    """
     if type(value) is not cls:
-        raise ValueError(f"{str(value)[:60]} in place of a {cls.__name__}")
+        raise ValueError(f"{what} must be stored as a {cls.__name__}, got {str(value)[:60]}")
     return value
 
 
 def _array(node: Mapping[str, Any]) -> np.ndarray[Any, Any]:
-    dtype = np.dtype(_of_type(node["dtype"], str))
+    dtype = np.dtype(_of_type(node["dtype"], str, "the type of an array"))
     if dtype.kind not in "biuf":
         raise ValueError(f"the array has type {dtype}, but saved arrays contain only numbers or truth values")
     data = base64.b64decode(node["array"], validate=True)
-    return np.frombuffer(data, dtype=dtype).reshape(_of_type(node["shape"], list)).copy()
+    return np.frombuffer(data, dtype=dtype).reshape(_of_type(node["shape"], list, "the shape of an array")).copy()
 
 
 def _dataclass(name: str) -> type[Any]:

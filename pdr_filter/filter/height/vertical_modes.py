@@ -208,9 +208,10 @@ def after_step(moments: FloatArray, rise_m: float, climbed_var_m2: float, sloped
 
 
 def as_slope(moments: FloatArray, climbed_m: float) -> FloatArray:
-    """Return the moments (7, 5, 5) with `climbed_m` of the climbed height counted as sloped.
+    """Return the moments (7, 5, 5) after moving `climbed_m` from the climbed to the sloped height of each mode.
 
-    The height does not change.
+    It corrects a slope that was mistaken for stairs or a lift, because climbed metres change the storey and sloped ones
+    do not. `climbed_m` is negative for a descent. The height, climbed + sloped, does not change.
     """
     G = np.eye(_SIZE)
     G[_CLIMBED, _ONE], G[_SLOPED, _ONE] = -climbed_m, climbed_m

@@ -762,12 +762,13 @@ class WalkingHeading:
     def _update_offset(
         self, place: Placement, offset: Offset, stride: Stride, elapsed_s: float
     ) -> tuple[Offset, Offset, float]:
-        """Return the heading offset after a stride, also with temporary information, and the agreement of strides.
+        """Return the permanent heading offset after a stride, the offset to report, and the agreement of the strides.
 
-        The second result is the offset with the temporary information. The first strides of a place update the offset
-        only temporarily, by their sum. Later strides may show that the phone is in a swinging hand, or has another
-        phase, and this changes the direction of the sum. After `_FIRST_STRIDES` strides the sum is used permanently,
-        and further strides are used one by one.
+        The permanent offset does not contain the first strides of a place, because later strides may change the
+        direction of their sum: they may show a swinging hand or another phase. Until stride number `_FIRST_STRIDES`,
+        the reported offset is therefore the permanent one, updated with the sum of all strides of the place. At this
+        stride the sum becomes permanent. From then on, each stride updates the permanent offset, and both results are
+        equal.
         """
         stay = math.exp(-elapsed_s / self.systematic_s)
         random_walk_rad2 = self.drift.random_walk_rad_per_sqrt_s**2 * elapsed_s
