@@ -102,7 +102,7 @@ def test_no_item_of_a_numbered_list_holds_another_one() -> None:
 
 
 def test_the_pages_that_show_code_are_run() -> None:
-    assert {"README.md", "docs/faq.md", "docs/formats.md", "docs/methods/recipes.md"} <= set(WITH_CODE)
+    assert {"README.md", "docs/faq.md", "docs/online.md", "docs/methods/recipes.md"} <= set(WITH_CODE)
 
 
 def test_the_first_page_draws_a_track_in_ten_lines_that_need_nothing_else(
