@@ -140,7 +140,7 @@ def test_an_answer_of_phyphox_whose_buffer_is_no_list_of_numbers_is_refused(buff
     config, answer = json.dumps(PHYPHOX_CONFIG).encode(), json.loads(json.dumps(PHYPHOX_ANSWER))
     use_phyphox(config, json.dumps(answer).encode())
     answer["buffer"]["gx"]["buffer"] = buffer
-    with pytest.raises(MessageError, match=r"/get is not that of phyphox|a value must be a number"):
+    with pytest.raises(MessageError, match=r"/get is not that of phyphox"):
         use_phyphox(config, json.dumps(answer).encode())
 
 

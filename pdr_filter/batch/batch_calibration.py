@@ -135,7 +135,7 @@ def calibrate(
     if loss not in LOSSES:
         raise ValueError(f"loss must be one of {', '.join(LOSSES)}, got {loss!r}")
     if anchor_std_m is not None and not 0 <= anchor_std_m < inf:
-        raise ValueError(f"anchor_std_m must be 0 or more, got {anchor_std_m}")
+        raise ValueError(f"anchor_std_m must be 0 or more and finite, got {anchor_std_m}")
     if file_format:
         known_format(file_format)
     check_subject(subject, each_a_person)

@@ -217,9 +217,10 @@ def _append(file: IO[bytes], text: str) -> None:
 
 
 def _lock(file: IO[bytes], table: Path) -> None:
-    """Lock the table against other batches until the file is closed. ValueError if another batch has locked it.
+    """Lock the table against other batches until the file is closed.
 
-    On Windows, which has no `fcntl`, nothing is done.
+    ValueError if another batch has locked it, or if its file system has no locks. On Windows, which has no `fcntl`,
+    nothing is done.
     """
     try:
         import fcntl
@@ -227,10 +228,12 @@ def _lock(file: IO[bytes], table: Path) -> None:
         return
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
+    except BlockingIOError as error:
         raise ValueError(
             f"{table}: another batch is writing this table: wait until it has finished, or give another name"
         ) from error
+    except OSError as error:  # such as a network drive
+        raise ValueError(f"{table}: cannot be locked ({error.strerror}): write the table to a local disk") from error
 
 
 def _parsed(content: bytes, table: Path) -> tuple[list[Row], int]:

@@ -157,7 +157,9 @@ def _heading_rad(text: str | None) -> float | None:
     except ValueError:
         heading_deg = math.nan
     if not abs(heading_deg) <= 360:
-        raise ValueError(f"--heading must be degrees clockwise from north, such as 90 for east, got {text!r}")
+        raise ValueError(
+            f"--heading must be degrees clockwise from north, -360 to 360, such as 90 for east, got {text!r}"
+        )
     return math.radians(heading_deg)
 
 

@@ -163,8 +163,8 @@ class OutputOptions:
         geographic = [kind for kind in kinds if kind in ("gpx", "kml")]
         if geographic and result.origin is None:
             raise ValueError(
-                f"{result.name}: --export {','.join(geographic)} needs a geographic position, and the recording has no "
-                "usable locations: give --origin LAT,LON, with --heading DEG for the first walking direction, or "
+                f"{result.name}: --export {','.join(geographic)} needs a geographic position, and no locations were "
+                "used: give --origin LAT,LON, with --heading DEG for the first walking direction, or "
                 "export geojson, which also stores local metres"
             )
         if self.out is not None:

@@ -240,12 +240,7 @@ def _download(name: str, dataset: Dataset, raw: Path) -> None:
             try:
                 pooch.retrieve(url, known.get(file), place.name, place.parent)
                 break
-            except ValueError as error:  # wrong checksum
-                raise ValueError(
-                    f"{name}: {url} has changed since its checksum was recorded ({error}): do not use the file, and "
-                    "report this to the maintainers of pdr_filter"
-                ) from error
-            except OSError as error:
+            except OSError as error:  # before ValueError, because some errors of requests are both
                 if "404" in str(error) and dataset.or_home and home != dataset.or_home:
                     print(f"{file} is missing in the recorded commit: downloading its newest state", file=sys.stderr)
                     continue
@@ -253,6 +248,11 @@ def _download(name: str, dataset: Dataset, raw: Path) -> None:
                     f"{name}: {url} cannot be downloaded ({type(error).__name__}: {str(error)[:200]}); connect to the "
                     "network and call fetch again, which resumes the download, or copy the data set to a folder "
                     f"{name} in the folder of the environment variable PDR_DATA"
+                ) from error
+            except ValueError as error:  # wrong checksum
+                raise ValueError(
+                    f"{name}: {url} has changed since its checksum was recorded ({error}): do not use the file, and "
+                    "report this to the maintainers of pdr_filter"
                 ) from error
 
 

@@ -94,14 +94,14 @@ class Actor:
                 break
         if not asked.done():
             asked.cancel()
-            raise LostError(f"dask worker {self._address} is gone: start it again")
+            raise LostError(f"dask worker {self._address} is gone or does not answer: start it again")
         return asked.result()
 
     async def _asked(self, requests: Sequence[Request]) -> list[Said]:
         try:
             return await self._actor.answer(list(requests))
         except Exception as error:  # a lost worker raises many kinds
-            raise LostError(f"dask worker {self._address} is gone ({error}): start it again") from error
+            raise LostError(f"dask worker {self._address} is gone or failed ({error}): start it again") from error
 
     async def close(self) -> None:
         """Save all sessions and end the actor."""

@@ -215,7 +215,8 @@ def _sensor_logger_rows(payload: Any) -> dict[str, SensorRows]:
                 values.setdefault(name, []).append([held.get(key) for key in _SENSOR_LOGGER[name][1]])
     except (KeyError, TypeError, AttributeError) as error:
         raise MessageError(
-            f"payload holds a sample without name, time and values ({printable(error)[:60]}): send all three"
+            f"a sample of the payload must have a name, a time and an object of values ({printable(error)[:60]}): see "
+            "docs/live.md"
         ) from None
     return {_SENSOR_LOGGER[name][0]: _plausible(_payload_times(times[name]), _floats(values[name])) for name in times}
 
@@ -367,7 +368,7 @@ def _payload_times(times: Sequence[Any]) -> IntArray:
         return _nanoseconds(found, _unit_ns(found, is_seconds=found.dtype.kind == "f") or 1)
     except (ValueError, TypeError, OverflowError) as error:
         raise MessageError(
-            f"the time of a sample is not a number ({printable(error)[:60]}): send nanoseconds since 1970 as a whole "
+            f"the time of a sample cannot be used ({printable(error)[:60]}): send nanoseconds since 1970 as a whole "
             "number"
         ) from None
 
@@ -404,7 +405,10 @@ def _floats(values: Any) -> FloatArray:
     try:
         return np.array(values, dtype=np.float64)  # null becomes NaN
     except (ValueError, TypeError, OverflowError) as error:
-        raise MessageError(f"a value must be a number ({printable(error)[:60]}): send null if it is unknown") from None
+        raise MessageError(
+            f"values must be numbers, equally many in each sample ({printable(error)[:60]}): send null for an unknown "
+            "one"
+        ) from None
 
 
 def _plausible(time: Any, values: FloatArray) -> SensorRows:

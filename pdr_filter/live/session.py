@@ -139,6 +139,8 @@ class DeviceSession:
         try:
             self.assembly, self.held, ready = assembly.take(self.assembly, self.held, message, self.settings.platform)
             self._record(ready)
+        except LateError:
+            raise
         except ValueError as error:
             return self._refuse(error)
         return self.finish() if message.is_end else []
@@ -263,7 +265,7 @@ class DeviceSession:
         """
         online = self.online
         if online is None:
-            raise FixError("no samples yet: give a fix when the track has begun")
+            raise FixError("the track has not begun yet: give the fix when it has begun")
         now = online.now()
         try:
             std_m = float(content.get("std_m", 1.0))
@@ -286,7 +288,9 @@ class DeviceSession:
                 else RangeFix(time_s, place_m, float(range_m), std_m)
             )
             online.add_fix(fix)
-        except (KeyError, TypeError, ValueError) as error:
+        except KeyError as error:
+            raise FixError(f"the fix has no {error}: see docs/live.md") from None
+        except (TypeError, ValueError) as error:
             raise error if isinstance(error, FixError) else FixError(str(error)) from None
         result = FixResult.of(on_track_clock(fix, online.state.clock_offset_s), math.nan, "waiting")
         event = {**self._outcome(result), "east_m": east_m, "north_m": north_m, "std_m": std_m}

@@ -133,7 +133,7 @@ def _drawn(number: int, feature: Any, floor: Any, notes: list[str]) -> _RawFeatu
         storey = int(properties.get("floor", floor))
     except (TypeError, ValueError, OverflowError):
         raise ValueError(
-            f"{which} has floor {properties.get('floor')!r}; give a whole number, 0 at the ground"
+            f"{which} has floor {properties.get('floor', floor)!r}; give a whole number, 0 at the ground"
         ) from None
     return _RawFeature(number, kind, name, storey, shape)
 
@@ -161,7 +161,8 @@ def _in_metres(drawn: Sequence[_RawFeature], origin: Origin | None) -> tuple[lis
         if origin is not None and np.linalg.norm(origin.east_north_m(middle.latitude_deg, middle.longitude_deg)) > 1e4:
             raise ValueError(
                 f"the plan is near latitude {middle.latitude_deg:.4f}, longitude {middle.longitude_deg:.4f}, more "
-                "than 10 km from the origin; GeoJSON has the longitude first: check the order of the coordinates"
+                "than 10 km from the origin; GeoJSON has the longitude first: check the order of the coordinates, and "
+                "the origin"
             )
         plan_origin = origin or middle
 
@@ -172,8 +173,8 @@ def _in_metres(drawn: Sequence[_RawFeature], origin: Origin | None) -> tuple[lis
         return [replace(d, shape=shape) for d, shape in zip(drawn, shapes, strict=True)], plan_origin
     if not _LEAST_M <= span <= _MOST_M:
         raise ValueError(
-            f"the plan spans {span:g}, but a building spans {_LEAST_M:g} to {_MOST_M:g} m; give metres, or longitude "
-            "and latitude in degrees, not millimetres, feet or pixels"
+            f"the plan spans {span:g}, but a building spans {_LEAST_M:g} to {_MOST_M:g} m, or at most {_MOST_DEG:g} "
+            "degrees; give metres, or longitude and latitude in degrees, not millimetres, feet or pixels"
         )
     return list(drawn), origin
 

@@ -42,13 +42,13 @@ _COLUMNS = {
     FIXES: ("time_s", "east_m", "north_m", "std_m", "heading_deg", "heading_std_deg"),
     LOOP_CLOSURES: ("first_s", "second_s", "std_m"),
 }
-_KINDS: dict[str, type | tuple[type, ...]] = {
-    "person": str,
+_KINDS: dict[str, tuple[type, ...]] = {
+    "person": (str,),
     "height_m": (int, float),
-    "is_loop": bool,
-    "origin": list,
-    "plan": str,
-    "keep_on_plan": bool,
+    "is_loop": (bool,),
+    "origin": (list,),
+    "plan": (str,),
+    "keep_on_plan": (bool,),
 }
 
 
@@ -277,8 +277,9 @@ def _check_walk(walk: Any, path: Path) -> None:
             f"{path}: must be an object with no other names than {', '.join(_KINDS)}, got {got}; correct it"
         )
     for name, value in walk.items():
-        if not isinstance(value, _KINDS[name]) or (isinstance(value, bool) and _KINDS[name] is not bool):
-            raise ValueError(f"{path}: {name} is {str(value)[:80]!r}, which has another type: correct it in the file")
+        if not isinstance(value, _KINDS[name]) or (isinstance(value, bool) and bool not in _KINDS[name]):
+            kinds = " or ".join(kind.__name__ for kind in _KINDS[name])
+            raise ValueError(f"{path}: {name} must be {kinds}, got {repr(value)[:80]}: correct it in the file")
     try:
         if "height_m" in walk:
             check_height(walk["height_m"])

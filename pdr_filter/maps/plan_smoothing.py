@@ -122,8 +122,9 @@ def smooth_on_plan(
 ) -> SmoothedOnPlan:
     """Return the track of a configuration with a floor plan, smoothed over the whole recording.
 
-    Raises ValueError if the configuration has no particle filter, or nothing places the walk on the plan. `progress` is
-    called with the fraction done, 0 to 1. `with_location` uses the locations of the recording too.
+    Raises ValueError if the configuration has no particle filter, the recording has no steps, or nothing places it on
+    the plan. `progress` is called with the fraction done, 0 to 1. `with_location` uses the locations of the recording
+    too.
     """
     online = config.on_plan
     if not isinstance(online, ParticleFilter):
@@ -134,6 +135,8 @@ def smooth_on_plan(
     recorder = _Recorder(replace(online, n_least=n_least, n_most=max(n_least, online.n_most)))
     config = replace(config.in_hindsight(), on_plan=recorder)
     track = collected(recording, config, outputs(recording, config, fixes, progress, with_location))
+    if not track.n_steps:
+        raise ValueError("the recording has no steps, which place a walk on the plan: smooth it without plan")
     if not any(track.clusters):
         raise ValueError(
             "the position of the walk on the plan is unknown: give fixes, or start, such as the name of an area"

@@ -75,7 +75,7 @@ def start_of(plan: FloorPlan, start: PositionFix | str) -> Start:
         found = [(s, f) for s in plan.storeys for f in s.features if f.name == start and f.is_area]
         if not found:
             names = sorted({f.name for s in plan.storeys for f in s.features if f.name and f.is_area})
-            some = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
+            some = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "") if names else "no named area"
             raise ValueError(
                 f'start must be a PositionFix, "anywhere" or the name of an area, got {start!r}; the plan has {some}'
             )

@@ -433,7 +433,9 @@ class WalkMap:
             apart = tuple((name, why) for name, why in card["apart"])
             return _result(chains, groups, apart, known, salt, north)
         except (OSError, KeyError, TypeError, ValueError) as error:
-            raise ValueError(f"{folder}: not a map of walks ({error}): map the recordings again") from error
+            raise ValueError(
+                f"{folder}: not a map of walks ({error}): check the folder, or map the recordings again"
+            ) from error
 
     def _check_group(self, group: int) -> None:
         if not 0 <= group < self.n_groups:

@@ -149,7 +149,7 @@ class Georeference:
     def of(cls, reference: Mapping[str, Any]) -> Georeference:
         """The georeference of two `points`, each east and north (m), latitude and longitude (degrees).
 
-        ValueError if the distances of the two differ by more than 5 %.
+        ValueError if the distances of the two differ by more than 5 %, or are at most 1 m.
         """
         try:
             first, second = (tuple(map(float, point)) for point in reference["points"])
@@ -160,7 +160,9 @@ class Georeference:
         drawn = np.array([x1 - x0, y1 - y0])
         true = origin.east_north_m(other.latitude_deg, other.longitude_deg)
         drawn_m, true_m = float(np.hypot(*drawn)), float(np.hypot(*true))
-        if not drawn_m > 1.0 or abs(true_m / drawn_m - 1.0) > _MAX_SCALE_ERROR:
+        if not drawn_m > 1.0:
+            raise ValueError(f"the two points are {drawn_m:.1f} m apart in the plan: choose points more than 1 m apart")
+        if abs(true_m / drawn_m - 1.0) > _MAX_SCALE_ERROR:
             raise ValueError(
                 f"the two points are {drawn_m:.1f} m apart in the plan and {true_m:.1f} m on Earth: correct the scale "
                 "of the picture, or the latitudes and longitudes"

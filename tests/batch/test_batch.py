@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import pickle
 import shutil
@@ -218,6 +219,19 @@ def test_a_second_batch_on_the_same_table_is_refused(walks: Path, tmp_path: Path
 
     batch.track(walks / "walk_0.zip", out=table, progress=intrude)
     assert refused == ["yes", "yes"]
+
+
+def test_a_table_on_a_drive_without_locks_is_refused_with_the_reason(
+    walks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fcntl = pytest.importorskip("fcntl")
+
+    def flock(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", flock)
+    with pytest.raises(ValueError, match=r"cannot be locked \(No locks available\)"):
+        batch.track(walks / "walk_0.zip", out=tmp_path / "tracks.csv")
 
 
 def test_progress_counts_every_recording_and_the_time_left_ends_at_zero(walks: Path, tmp_path: Path) -> None:

@@ -88,6 +88,16 @@ def test_a_file_with_another_checksum_is_refused(tmp_path: Path, home: str, monk
         datasets.fetch("little", tmp_path / "other")
 
 
+def test_a_proxy_that_requests_cannot_use_is_not_taken_for_another_checksum(
+    tmp_path: Path, home: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(DATASETS, "little", little(home))
+    monkeypatch.setenv("HTTP_PROXY", "http:///nowhere")
+    monkeypatch.setenv("NO_PROXY", "")
+    with pytest.raises(ConnectionError, match="cannot be downloaded"):
+        datasets.fetch("little", tmp_path / "cache")
+
+
 def test_what_came_without_a_known_checksum_says_so_and_can_be_checked_later(
     tmp_path: Path, home: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -20,7 +20,7 @@ import pdr_filter as pdr
 from pdr_filter.io.fix_files import ranges_of_file
 from pdr_filter.live import devices as live_devices
 from pdr_filter.live import session as live_session
-from pdr_filter.live.assembly import SessionError
+from pdr_filter.live.assembly import LateError, SessionError
 from pdr_filter.live.devices import Devices
 from pdr_filter.live.messages import parse
 from pdr_filter.live.recorder import exported
@@ -255,19 +255,42 @@ def test_what_became_of_a_fix_is_told_also_by_the_next_process(
 
 
 @pytest.mark.parametrize(
-    "fix",
-    [{}, {"east_m": "a", "north_m": 0}, {"east_m": float("nan"), "north_m": 0}, {"latitude_deg": 1}, {"std_m": -1}],
+    ("fix", "words"),
+    [
+        ({}, "the fix has no 'east_m'"),
+        ({"east_m": "a", "north_m": 0}, "'a'"),
+        ({"east_m": float("nan"), "north_m": 0}, "nan"),
+        ({"latitude_deg": 1}, "nowhere on Earth"),
+        ({"std_m": -1}, "the fix has no 'east_m'"),
+    ],
 )
-def test_a_fix_that_cannot_be_used_is_refused_and_changes_nothing(walk: Recording, tmp_path: Path, fix: dict) -> None:
+def test_a_fix_that_cannot_be_used_is_refused_and_changes_nothing(
+    walk: Recording, tmp_path: Path, fix: dict, words: str
+) -> None:
     devices = Devices(Settings(), tmp_path, lambda _: None)
     for body in own_messages(walk)[:20]:
         devices.take(body, "", "", "", 0.0)
     (session,) = devices.sessions.values()
     before = session.online.state
-    with pytest.raises(FixError):
+    with pytest.raises(FixError, match=words):
         devices.take(json.dumps({"device": "p", "session": "s", "fix": fix}).encode(), "", "", "", 0.0)
     assert session.online.state is before
     devices.take(own_messages(walk)[20], "", "", "", 0.0)
+
+
+def test_a_message_that_is_too_late_does_not_end_the_track(walk: Recording, tmp_path: Path) -> None:
+    bodies = own_messages(walk)
+    devices = Devices(Settings(), tmp_path, lambda _: None)
+    for body in [*bodies[:10], *bodies[11:40]]:
+        devices.take(body, "", "", "", 0.0)
+    with pytest.raises(LateError, match="message 10 is too late"):
+        devices.take(bodies[10], "", "", "", 0.0)
+    (session,) = devices.sessions.values()
+    n_steps = len(session.path)
+    for body in bodies[40:]:
+        devices.take(body, "", "", "", 0.0)
+    assert session.refused == ""
+    assert len(session.path) > n_steps
 
 
 def test_there_is_room_for_so_many_phones_and_the_next_is_told_so(tmp_path: Path) -> None:

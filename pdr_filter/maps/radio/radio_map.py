@@ -16,7 +16,17 @@ from scipy.sparse import csr_matrix
 from pdr_filter.classifiers.model_files import Arrays, ArtefactFormat, file_pair
 from pdr_filter.maps.radio.signal_field import CELL_M, Field, fingerprints
 from pdr_filter.tracking.track import Track
-from pdr_filter.values import FloatArray, GridFix, IntArray, PositionFix, Wifi, WifiScan, interpolated, read_only
+from pdr_filter.values import (
+    FloatArray,
+    GridFix,
+    IntArray,
+    PositionFix,
+    Wifi,
+    WifiScan,
+    check_array,
+    interpolated,
+    read_only,
+)
 from pdr_filter.values.recording import MissingSensorError, Recording
 from pdr_filter.version import __version__
 
@@ -393,15 +403,23 @@ def _check(radio: RadioMap) -> None:
             f"and ({n},)"
         )
     if not (np.abs(radio.position_m) <= _LARGEST_M).all():
-        raise ValueError(f"position_m must be metres up to {_LARGEST_M:g}: check the unit and the origin")
+        raise ValueError(f"position_m must be metres up to {_LARGEST_M:g} and finite: check the unit and the origin")
     known = radio.floor[~np.isnan(radio.floor)]
     if not (np.abs(known) <= _HIGHEST_FLOOR).all() or not (known == np.round(known)).all():
-        raise ValueError(f"floor must be whole numbers up to {_HIGHEST_FLOOR}, or NaN for an unknown storey")
+        raise ValueError(
+            f"floor must be whole numbers from {-_HIGHEST_FLOOR} to {_HIGHEST_FLOOR}, or NaN for an unknown storey"
+        )
     for name, largest in (("point", n), ("access_point", a), ("bssid", 1 << 48)):
         numbers = getattr(radio, name)
         if numbers.dtype.kind != "i" or numbers.ndim != 1 or not ((numbers >= 0) & (numbers < largest)).all():
-            raise ValueError(f"{name} must be whole numbers from 0 to {largest - 1}")
+            raise ValueError(
+                f"{name} must be whole numbers from 0 to {largest - 1}, in a one-dimensional array of signed integers"
+            )
     if not (np.diff(radio.bssid) > 0).all():
         raise ValueError("bssid must increase strictly: sort it, and list each access point once")
-    if len(radio.point) != h or len(radio.access_point) != h or not np.isfinite(radio.rssi_dbm).all():
-        raise ValueError(f"point, access_point and rssi_dbm must be (H,) and finite, got {len(radio.point)}, {h}")
+    if len(radio.point) != h or len(radio.access_point) != h:
+        raise ValueError(
+            "point, access_point and rssi_dbm must have the same length, got "
+            f"{len(radio.point)}, {len(radio.access_point)} and {h}"
+        )
+    check_array("rssi_dbm", radio.rssi_dbm)

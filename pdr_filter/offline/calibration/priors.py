@@ -94,7 +94,7 @@ class StepLengthPrior:
         if not ((self.std >= 0).all() and (self.between_std >= 0).all()):
             raise ValueError(f"std and between_std must be 0 or more, got {self.std} and {self.between_std}")
         if not self.step_std_m >= 0:
-            raise ValueError(f"step_std_m must not be negative, got {self.step_std_m}")
+            raise ValueError(f"step_std_m must be 0 or more, got {self.step_std_m}")
         if ((self.std == 0) & (self.between_std > 0)).any():
             raise ValueError(
                 "a parameter that is held (std 0) cannot differ between people: set its between_std to 0 too"

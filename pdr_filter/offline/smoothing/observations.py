@@ -47,7 +47,7 @@ class LoopClosure:
     def __post_init__(self) -> None:
         numbers = are_numbers(self.first_s, self.second_s, self.std_m)
         if not (numbers and self.first_s < self.second_s and self.std_m > 0):
-            raise ValueError(f"a loop closure must have first_s < second_s and std_m > 0, got {self}")
+            raise ValueError(f"a loop closure must have finite first_s < second_s and std_m > 0, got {self}")
 
 
 # Shortest distance walked between the two times of an informative loop closure: this many of its standard deviations,
@@ -100,7 +100,7 @@ class KnownHeading:
     def __post_init__(self) -> None:
         numbers = are_numbers(self.start_s, self.end_s, self.heading_rad, self.std_rad)
         if not (numbers and self.start_s < self.end_s and self.std_rad > 0):
-            raise ValueError(f"a known heading must have start_s < end_s, a finite heading and std_rad > 0, got {self}")
+            raise ValueError(f"a known heading must have finite start_s < end_s, heading and std_rad > 0, got {self}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,7 +234,7 @@ def waypoint_fixes(recording: Recording, std_m: float = 1.0) -> list[PositionFix
     """
     points = recording.truth.waypoints
     if points is None:
-        raise ValueError(f"{recording.name or 'the recording'} has no waypoints; give fixes or loop closures")
+        raise ValueError(f"{recording.name or 'the recording'} has no waypoints; give fixes, loop closures or a track")
     back = np.flatnonzero(np.diff(points.time_s) < 0)
     if len(back):
         k = int(back[0]) + 1

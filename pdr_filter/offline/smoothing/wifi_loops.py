@@ -62,7 +62,8 @@ def wifi_loop_closures(recording: Recording) -> list[LoopClosure]:
     """
     if recording.wifi is None:
         raise MissingSensorError(
-            f'{recording.name or "the recording"} has no Wi-Fi, which loop_closures="wifi" needs: omit loop_closures'
+            f'{recording.name or "the recording"} has no Wi-Fi, which loop_closures="wifi" (--wifi-loops) needs: omit '
+            "this option"
         )
     scans = [s for s in recording.wifi.scans() if len(s.bssid) >= _MIN_ACCESS_POINTS]
     if not scans:

@@ -254,10 +254,11 @@ def _labelled(
         progress(_WINDOWS_SHARE * (number + 1) / len(recordings))
     arrays = [np.array(column) for column in zip(*rows, strict=True)]
     if not arrays or not (arrays[2 if head == "carrying_mode" else 1] != "").any():
+        what = "context" if head == "context" else "carrying mode of moving people"
         raise ValueError(
-            f"recordings must have labels of the {head.replace('_', ' ')}, got "
-            f"{how_many(len(recordings), 'recording')} with {len(rows)} windows of 2 s, none of them inside a label: "
-            "give truth.labels, or truth_labels.csv in their folders"
+            f"recordings must have labels of the {what}, got {how_many(len(recordings), 'recording')} with "
+            f"{len(rows)} windows of 2 s, none of them inside such a label: give truth.labels, or truth_labels.csv in "
+            "their folders"
         )
     with_gyroscope = arrays[6]
     has_gyroscope = bool(with_gyroscope.any())

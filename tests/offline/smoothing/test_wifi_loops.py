@@ -60,5 +60,5 @@ def test_smooth_finds_wifi_closures_by_name(walk: Recording) -> None:
     np.testing.assert_array_equal(by_name.track.position_m, given.track.position_m)
     assert (by_name.observations.kind == "loop closure").all()
     assert len(by_name.rejected) == 0
-    with pytest.raises(pdr.MissingSensorError, match='has no Wi-Fi, which loop_closures="wifi" needs'):
+    with pytest.raises(pdr.MissingSensorError, match='has no Wi-Fi, which loop_closures="wifi"'):
         pdr.smooth(replace(walk, wifi=None), loop_closures="wifi")
