@@ -113,6 +113,8 @@ def test_a_track_on_a_floor_plan_cannot_be_rotated(alone: pdr.Track) -> None:
     plan = pdr.FloorPlan("hall", storeys=())
     with pytest.raises(ValueError, match="frame of its floor plan"):
         replace(alone, plan=plan, frame="plan").turned(1.0)
+    with pytest.raises(ValueError, match="already true north"):
+        replace(alone, plan=plan, frame="plan", origin=Origin(*HERE)).turned(1.0)
 
 
 def test_the_speed_at_an_unknown_time_is_nan(alone: pdr.Track) -> None:
